@@ -7,8 +7,9 @@
 >>> verdict
 Judgement(three_cart, softplus_dc+strict: holds, cost 490.8, replay error 0.006839 m)
 
-Importing it costs as much as NumPy. Pyomo solvers: `SolverFactory("touchstone_ipopt")` and `SolverFactory("mpec_ipopt")` are registered as soon as
-Pyomo is imported, before or after this module.
+Importing it costs as much as NumPy. Pyomo solvers: `SolverFactory("touchstone_ipopt")` and
+`SolverFactory("mpec_ipopt")` are registered as soon as Pyomo is imported, before or after this
+module.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ if TYPE_CHECKING:
     from validate.tasks.shown import JudgedPlan as Judgement
     from validate.tasks.shown import SolvedPlan as Solution
 
-# The types that the functions below give and take, and where each is at home: imported when one is asked for.
+# The types that the functions below give and take, and where each is at home: imported when one is
+# asked for.
 _HOME = {
     "CampaignResult": ("validate.execution.campaign", "CampaignResult"),
     "CheckReport": ("validate.fmu_check", "CheckReport"),
@@ -74,7 +76,14 @@ def name_clash() -> str | None:
     home = Path(__file__).resolve().parent
     for name in _PACKAGES:
         found = sys.modules.get(name) or find_spec(name)
-        where = next(iter(getattr(found, "__path__", None) or getattr(found, "submodule_search_locations", None) or ()), None)
+        where = next(
+            iter(
+                getattr(found, "__path__", None)
+                or getattr(found, "submodule_search_locations", None)
+                or ()
+            ),
+            None,
+        )
         place = where or getattr(found, "__file__", None) or getattr(found, "origin", None)
         if place is None or Path(place).resolve().parent != home:
             said = "is missing" if place is None else f"is {place}"
@@ -108,7 +117,9 @@ def scenes() -> tuple[str, ...]:
 
 
 def scene(name: Scene | str | Path) -> Scene:
-    """A scene by its name, or from a scene file of one's own (docs/extending.md); a scene itself comes back.
+    """A scene by its name, or from a scene file of one's own (docs/extending.md).
+
+    A scene itself comes back.
 
     Raises
     ------
@@ -143,7 +154,9 @@ def _positive(name: str, given: float, kind: type | tuple[type, ...] = (int, flo
     from models.errors import TouchstoneError
 
     if isinstance(given, bool) or not isinstance(given, kind) or not 0 < given < float("inf"):
-        raise TouchstoneError(f"{name}: {given!r} must be a positive {'whole number' if kind is int else 'number of seconds'}.")
+        raise TouchstoneError(
+            f"{name}: {given!r} must be a positive {'whole number' if kind is int else 'number of seconds'}."
+        )
 
 
 def methods() -> tuple[str, ...]:
@@ -182,15 +195,18 @@ def solve(
     Parameters
     ----------
     scene : Scene, or its name, or the path of its file
-    name : a pipeline or a method. A pipeline has its own eps and options; where `eps` or options are given, the method of that name is meant.
+    name : a pipeline or a method. A pipeline has its own eps and options; where `eps` or options
+        are given, the method of that name is meant.
     eps : the relaxation of a method that has one.
-    start : a plan on the scene's grid to start from, in any form that `judge` takes; None for the scene's own first guess.
+    start : a plan on the scene's grid to start from, in any form that `judge` takes; None for the
+        scene's own first guess.
     time_limit : of all stages [s].
     options : of the method, by name (`python -m validate list --json`).
 
     Returns
     -------
-    Solution of the last stage that ran: outcome (its value is advice), trajectory or None, cost, certificate; `plot()`, `to_dataframe()`.
+    Solution of the last stage that ran: outcome (its value is advice), trajectory or None, cost,
+        certificate; `plot()`, `to_dataframe()`.
 
     Raises
     ------
@@ -206,7 +222,9 @@ def solve(
     _positive("time_limit", time_limit)
     wanted = _scene(scene)
     first = None if start is None else as_trajectory(start, wanted)
-    found = solve_scene(wanted, name, eps=eps, warm_start=first, time_limit=time_limit, options=options)
+    found = solve_scene(
+        wanted, name, eps=eps, warm_start=first, time_limit=time_limit, options=options
+    )
     return SolvedPlan.of(found, wanted, name, eps)
 
 
@@ -238,15 +256,19 @@ def judge(
 
     Parameters
     ----------
-    scene : Scene, or its name, or the path of its file; or the path of somebody's FMU (it ends in .fmu and runs in a child process)
-    plan : Solution, Trajectory, path of a CSV or NetCDF file; of a scene also a DataFrame or arrays by column name: `t` (nodes,) [s] and the scene's names
+    scene : Scene, or its name, or the path of its file; or the path of somebody's FMU (it ends in
+        .fmu and runs in a child process)
+    plan : Solution, Trajectory, path of a CSV or NetCDF file; of a scene also a DataFrame or arrays
+        by column name: `t` (nodes,) [s] and the scene's names
     map : of an FMU: the file that says what of the plan is what of the FMU; equal names without it.
-    hold : "zero" or "linear", the inputs within a step; scheme : the time step that made it. Of columns and CSV alone, where they do not say so.
+    hold : "zero" or "linear", the inputs within a step; scheme : the time step that made it. Of
+        columns and CSV alone, where they do not say so.
     feedback : replay with feedback too, whether or not the verdict needs it.
 
     Returns
     -------
-    Judgement : print it for the sentence; `holds`, `verdict`, `score.value(metric)`, `replay`; `plot()`, `to_dataframe()`. In a notebook: the page
+    Judgement : print it for the sentence; `holds`, `verdict`, `score.value(metric)`, `replay`;
+        `plot()`, `to_dataframe()`. In a notebook: the page
         with player, plots and metrics.
 
     Raises
@@ -258,7 +280,9 @@ def judge(
 
     if (wired := _wired(scene, plan, map, hold)) is not None:
         return JudgedPlan.of(wired.judge(feedback), plan)
-    return JudgedPlan.of(judge_scene(scene, plan, hold=hold, scheme=scheme, feedback=feedback), plan)
+    return JudgedPlan.of(
+        judge_scene(scene, plan, hold=hold, scheme=scheme, feedback=feedback), plan
+    )
 
 
 def _wired(scene: Any, plan: Any, map: str | Path | None, hold: str | None) -> WiredFmu | None:
@@ -297,7 +321,8 @@ def robustness(
 
     Returns
     -------
-    Robustness : `alone` and `feedback` with their `share`, `curve`, `checked`; `failures`, `weakest`.
+    Robustness : `alone` and `feedback` with their `share`, `curve`, `checked`; `failures`,
+        `weakest`.
 
     Raises
     ------
@@ -307,11 +332,17 @@ def robustness(
 
     wired = _wired(scene, plan, map, hold)
     subject = scene if wired is None else wired
-    return measured(subject, plan, samples=samples, seed=seed, kinds=_listed(kinds), anyway=anyway, hold=hold)
+    return measured(
+        subject, plan, samples=samples, seed=seed, kinds=_listed(kinds), anyway=anyway, hold=hold
+    )
 
 
-def check(fmu: str | Path, *, only: Sequence[str] | None = None, seconds: float = 60.0) -> CheckReport:
-    """Does an FMU do what it says? Its files, and how its code behaves, in child processes (docs/fmu_check.md).
+def check(
+    fmu: str | Path, *, only: Sequence[str] | None = None, seconds: float = 60.0
+) -> CheckReport:
+    """Check whether an FMU does what its files say.
+
+    Its files, and how its code behaves, in child processes (docs/fmu_check.md).
 
     only : names of checks; None for all. seconds : for each check [s].
 
@@ -354,7 +385,9 @@ def campaign(
     jobs: int | None = None,
     time_limit: float = 240.0,
 ) -> CampaignResult:
-    """Every scene by every pipeline, replayed, scored and reported: `python -m validate all`. What is stored in the folder is not run again.
+    """Every scene by every pipeline, replayed, scored and reported: `python -m validate all`.
+
+    What is stored in the folder is not run again.
 
     Parameters
     ----------
@@ -379,7 +412,14 @@ def campaign(
     if jobs is not None:
         _positive("jobs", jobs, int)
     named = tuple(map(str, _listed(scenes)))
-    settings = CampaignSettings(out=Path(out), scenes=named, expression=select or None, quick=quick, jobs=jobs, time_limit=time_limit)
+    settings = CampaignSettings(
+        out=Path(out),
+        scenes=named,
+        expression=select or None,
+        quick=quick,
+        jobs=jobs,
+        time_limit=time_limit,
+    )
     return run_campaign(settings, narrator())
 
 
@@ -387,7 +427,9 @@ def __getattr__(name: str) -> Any:
     if name in _HOME:
         home, known_as = _HOME[name]
         return getattr(importlib.import_module(home), known_as)
-    raise AttributeError(f"module 'touchstone' has no attribute {name!r}; it has {', '.join(__all__)}.")
+    raise AttributeError(
+        f"module 'touchstone' has no attribute {name!r}; it has {', '.join(__all__)}."
+    )
 
 
 def __dir__() -> list[str]:
@@ -397,4 +439,6 @@ def __dir__() -> list[str]:
 _clash = name_clash()
 if _clash is not None:
     raise ImportError(_clash)
-importlib.import_module("formulations")  # registers the Pyomo solvers; not above, where a clash is not yet told
+importlib.import_module(
+    "formulations"
+)  # registers the Pyomo solvers; not above, where a clash is not yet told

@@ -7,7 +7,10 @@ import sys
 
 
 def main(module: str = "validate.__main__") -> int | None:
-    """Run the command whose `main` is in a module; exit code 2 where another package is called like one of ours."""
+    """Run the command whose `main` is in a module.
+
+    Exit code 2 where another package is called like one of ours.
+    """
     try:
         import touchstone  # noqa: F401 - says what is called so
     except ImportError as clash:

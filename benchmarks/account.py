@@ -2,8 +2,10 @@
 
     python -m validate all -j 2 --out runs/cold; python -m benchmarks account runs/cold
 
-A run tells how long each part of it took, from the start of its process to its record (validate.tasks.profile). What another run made for it - a leg, an FMU -
-counts where it was made, once. Seconds are of the wall: with no more tasks at a time than cores they are those of a core, but for what waits for the disk.
+A run tells how long each part of it took, from the start of its process to its record
+(validate.tasks.profile). What another run made for it - a leg, an FMU - counts where it was made,
+once. Seconds are of the wall: with no more tasks at a time than cores they are those of a core, but
+for what waits for the disk.
 """
 
 from __future__ import annotations
@@ -60,7 +62,9 @@ def by_method(runs: Iterable[RunRecord]) -> dict[str, Counter[str]]:
             if stage.shared_from or stage.outcome == "refused":
                 continue
             seconds = {name: getattr(stage.seconds, name) for name in SECONDS}
-            found.setdefault(stage.method, Counter()).update({"stages": 1, "iterations": stage.iterations, **seconds})
+            found.setdefault(stage.method, Counter()).update(
+                {"stages": 1, "iterations": stage.iterations, **seconds}
+            )
     return found
 
 
@@ -70,15 +74,32 @@ def command(folder: Path) -> int:
     """Where the seconds of a campaign went."""
     stored = load(folder)
     runs = [part for parts in stored.parts for part in parts]
-    parts = {name: seconds for name, seconds in by_part(run.profile for run in runs).items() if seconds}
+    parts = {
+        name: seconds for name, seconds in by_part(run.profile for run in runs).items() if seconds
+    }
     for kind in sorted({item.kind for item in stored.checks}):
-        parts[f"checks: {kind}"] = sum(item.wall_seconds for item in stored.checks if item.kind == kind)
+        parts[f"checks: {kind}"] = sum(
+            item.wall_seconds for item in stored.checks if item.kind == kind
+        )
     total = sum(parts.values())
-    rows = [[name, f"{seconds:.0f}", f"{100.0 * seconds / total:.1f} %"] for name, seconds in parts.items()]
+    rows = [
+        [name, f"{seconds:.0f}", f"{100.0 * seconds / total:.1f} %"]
+        for name, seconds in parts.items()
+    ]
     click.echo(table(["part", "s", "share"], [*rows, ["all", f"{total:.0f}", ""]]))
     cpu = sum(item.cpu_seconds for item in (*runs, *stored.checks))
-    click.echo(f"\n{len(runs)} runs and {len(stored.checks)} checks used {cpu:.0f} CPU s in their own processes, compilers not counted.\n")
+    click.echo(
+        f"\n{len(runs)} runs and {len(stored.checks)} checks used {cpu:.0f} CPU s in their own processes, compilers not counted.\n"
+    )
     columns = ("stages", "iterations", *SECONDS)
     methods = sorted(by_method(runs).items(), key=lambda item: -item[1]["stage"])
-    click.echo(table(["method", *columns], [[name, *(f"{figures[column]:.0f}" for column in columns)] for name, figures in methods]))
+    click.echo(
+        table(
+            ["method", *columns],
+            [
+                [name, *(f"{figures[column]:.0f}" for column in columns)]
+                for name, figures in methods
+            ],
+        )
+    )
     return 0

@@ -1,10 +1,11 @@
 """CPU seconds of the commands that one waits for, of all their processes, with everything cached that can be.
 
-    python -m benchmarks commands
-    python -m benchmarks commands --beside ../before        # another checkout, in turns: what a change was worth on a busy machine
+    python -m benchmarks commands python -m benchmarks commands --beside ../before # another
+    checkout, in turns: what a change was worth on a busy machine
 
-Each checkout first makes what its commands are about: a campaign of one run, that run's plan as CSV, the scene's FMU. Every command has run once before it
-is measured, so that bytecode is kept, too. The median of some rounds, in each of which every command of every checkout runs once.
+Each checkout first makes what its commands are about: a campaign of one run, that run's plan as
+CSV, the scene's FMU. Every command has run once before it is measured, so that bytecode is kept,
+too. The median of some rounds, in each of which every command of every checkout runs once.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from benchmarks.options import COUNT, out_option
 from benchmarks.records import Table
 from benchmarks.results import store_tables
 
-_SCENE, _RUN = "three_cart", "three_cart x strict"
+_SCENE = "three_cart"
+_RUN = "three_cart x strict"
 # What is asked for [CPU s]; the others have no target.
 _TARGETS = {"replay": 0.8, "list": 0.1, "--help": 0.06}
 _PLAN_AS_CSV = """
@@ -52,7 +54,21 @@ class Checkout:
 
     def prepare(self) -> dict[str, list[str]]:
         """Make what the commands are about, and give them by what they are called here."""
-        self.run(["-m", "validate", "all", "--scene", _SCENE, "-k", f'="{_RUN}"', "-j", "1", "--out", "campaign"])
+        self.run(
+            [
+                "-m",
+                "validate",
+                "all",
+                "--scene",
+                _SCENE,
+                "-k",
+                f'="{_RUN}"',
+                "-j",
+                "1",
+                "--out",
+                "campaign",
+            ]
+        )
         self.run(["-c", _PLAN_AS_CSV, "campaign", "plan.csv"])
         self.run(["-m", "validate", "fmu", _SCENE, "-o", f"{_SCENE}.fmu"])
         return {
@@ -67,23 +83,35 @@ class Checkout:
     def run(self, arguments: Sequence[str]) -> float:
         """CPU seconds of a Python of its own and of the processes that it started [s]."""
         before = cpu_seconds()
-        command, where = [sys.executable, *arguments], {"cwd": self.folder, "env": self._environment}
-        done = subprocess.run(command, **where, capture_output=True, text=True, check=False, errors="replace")
+        command, where = (
+            [sys.executable, *arguments],
+            {"cwd": self.folder, "env": self._environment},
+        )
+        done = subprocess.run(
+            command, **where, capture_output=True, text=True, check=False, errors="replace"
+        )
         if done.returncode not in (0, 1):
-            raise click.ClickException(f"python {' '.join(arguments)} ended with {done.returncode}: {done.stderr.strip()[-300:]}")
+            raise click.ClickException(
+                f"python {' '.join(arguments)} ended with {done.returncode}: {done.stderr.strip()[-300:]}"
+            )
         return cpu_seconds() - before
 
 
 def _root(context: click.Context, parameter: click.Parameter, folder: Path | None) -> Path | None:
     if folder is not None and not (folder / "validate" / "__main__.py").is_file():
-        raise click.BadParameter(f"{folder} is no checkout of touchstone; it has no validate/__main__.py.", context, parameter)
+        raise click.BadParameter(
+            f"{folder} is no checkout of touchstone; it has no validate/__main__.py.",
+            context,
+            parameter,
+        )
     return None if folder is None else folder.resolve()
 
 
 @click.command()
 @click.option("--rounds", type=COUNT, default=7, show_default=True)
 @click.option(
-    "--beside", type=click.Path(path_type=Path, file_okay=False), callback=_root, metavar="DIR", help="Another checkout, measured in turns with this one."
+    "--beside", type=click.Path(path_type=Path, file_okay=False), callback=_root, metavar="DIR",
+    help="Another checkout, measured in turns with this one."
 )  # fmt: skip
 @out_option
 def command(rounds: int, beside: Path | None, out: Path) -> int:
@@ -92,20 +120,37 @@ def command(rounds: int, beside: Path | None, out: Path) -> int:
         roots = [ROOT] if beside is None else [ROOT, beside]
         checkouts = [Checkout(root, Path(name) / str(number)) for number, root in enumerate(roots)]
         prepared = [checkout.prepare() for checkout in checkouts]
-        seconds: dict[str, list[list[float]]] = {label: [[] for _ in checkouts] for label in prepared[0]}
+        seconds: dict[str, list[list[float]]] = {
+            label: [[] for _ in checkouts] for label in prepared[0]
+        }
         for number in range(-1, rounds):  # the first warms up
             for label, arguments in prepared[0].items():
                 for checkout, found in zip(checkouts, seconds[label], strict=True):
                     spent = checkout.run(["-m", "validate", *arguments])
                     if number >= 0:
                         found.append(spent)
-    columns = ("command", "CPU s", "least", "at most", *(() if beside is None else ("CPU s beside", "ratio")))
+    columns = (
+        "command",
+        "CPU s",
+        "least",
+        "at most",
+        *(() if beside is None else ("CPU s beside", "ratio")),
+    )
     rows = []
     for label, (own, *other) in seconds.items():
-        compared = [value for found in other for value in (median(found), median(own) / median(found))]
-        figures = [None if value is None else round(value, 3) for value in (median(own), min(own), _TARGETS.get(label), *compared)]
+        compared = [
+            value for found in other for value in (median(found), median(own) / median(found))
+        ]
+        figures = [
+            None if value is None else round(value, 3)
+            for value in (median(own), min(own), _TARGETS.get(label), *compared)
+        ]
         rows.append((" ".join(prepared[0][label]), *figures))
-    told = Table(caption=f"CPU seconds of all processes of a command, warm cache, medians of {rounds}", columns=columns, rows=tuple(rows))
+    told = Table(
+        caption=f"CPU seconds of all processes of a command, warm cache, medians of {rounds}",
+        columns=columns,
+        rows=tuple(rows),
+    )
     about = "What one waits for, with everything cached that can be: imports, reading, judging."
     store_tables(out, "commands", "Commands", about, [told])
     return 0

@@ -19,10 +19,22 @@ _MEASURED = {
     "commands": ("command_times", "CPU seconds of the commands that one waits for."),
     "shooting": ("shooting", "One gradient iteration, layer by layer."),
     "mpcc": ("mpcc", "`mpcc` from a cold start on the paper's scene and on random rows of carts."),
-    "plans": ("suite.plans", "Exact plans by every pipeline, on scenes with friction and random rows of carts."),
-    "mpec-peers": ("mpec.peers", "Strict complementarity beside CasADi, nosnoc, pympcc and mpecss."),
-    "mpec-sets": ("mpec.sets", "A folder of MPECs, `.nl` or Pyomo: answers, certificates, published optima."),
-    "mpec-growth": ("mpec.growth", "`mpec_ipopt` on a membrane over an obstacle, from 100 pairs to 3025."),
+    "plans": (
+        "suite.plans",
+        "Exact plans by every pipeline, on scenes with friction and random rows of carts.",
+    ),
+    "mpec-peers": (
+        "mpec.peers",
+        "Strict complementarity beside CasADi, nosnoc, pympcc and mpecss.",
+    ),
+    "mpec-sets": (
+        "mpec.sets",
+        "A folder of MPECs, `.nl` or Pyomo: answers, certificates, published optima.",
+    ),
+    "mpec-growth": (
+        "mpec.growth",
+        "`mpec_ipopt` on a membrane over an obstacle, from 100 pairs to 3025.",
+    ),
     "proof": ("proof", "What can be proved about contact plans, and how soon."),
     "rigid-limit": ("rigid_limit", "Optima through soft contact against those of rigid bodies."),
     "unstable-starts": ("unstable_starts", "How many starts of an unstable scene are balanced."),
@@ -30,14 +42,26 @@ _MEASURED = {
 }
 # What tries the judge, the readers and the campaigns, or looks at a campaign.
 _TRIALS = {
-    "verdicts": ("verdicts.command", "Plans whose verdict is known without the judge, and a search for ones that cheat it."),
+    "verdicts": (
+        "verdicts.command",
+        "Plans whose verdict is known without the judge, and a search for ones that cheat it.",
+    ),
     "fuzz": ("fuzz", "Random MPECs against their branches; hostile files for every reader."),
-    "kills": ("kills", "Campaigns, and what runs for them, killed at random moments and resumed: nothing is lost."),
+    "kills": (
+        "kills",
+        "Campaigns, and what runs for them, killed at random moments and resumed: nothing is lost.",
+    ),
     "report": ("report", "What a campaign's report weighs, and how soon a browser shows it."),
     "golden": ("golden", "What a full campaign found, frozen as data, and what a change moved."),
     "account": ("account", "Where the seconds of a campaign went."),
-    "verdict-matrix": ("verdict_matrix", "What other simulators say of the plan of each scene, and why."),
-    "engine-errors": ("engine_errors", "MuJoCo's tendons beside our replay, Drake's CENIC and our FMU beside exact motions."),
+    "verdict-matrix": (
+        "verdict_matrix",
+        "What other simulators say of the plan of each scene, and why.",
+    ),
+    "engine-errors": (
+        "engine_errors",
+        "MuJoCo's tendons beside our replay, Drake's CENIC and our FMU beside exact motions.",
+    ),
     "rejudge": ("rejudge", "The stored plans of a campaign, judged anew."),
     "house": ("house", "How large and how tangled the code is."),
 }
@@ -66,16 +90,24 @@ Exit codes are those of `python -m validate`; a trial that finds a fault ends wi
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 def group() -> None:
-    """What is measured about touchstone, and what it is tried on. Needs a checkout of the sources."""
+    """What is measured about touchstone, and what it is tried on.
+
+    Needs a checkout of the sources.
+    """
 
 
 @group.command("run")
-@click.argument("names", nargs=-1, required=True, type=click.Choice(list(_MEASURED)), metavar="NAME...")
+@click.argument(
+    "names", nargs=-1, required=True, type=click.Choice(list(_MEASURED)), metavar="NAME..."
+)
 @out_option
 def run_several(names: tuple[str, ...], out: Path) -> int:
     """Each benchmark as it is without further options; what fails does not stop the others."""
     worst = 0
-    for words in (*([name, "--out", str(out)] for name in dict.fromkeys(names)), ["page", str(out)]):
+    for words in (
+        *([name, "--out", str(out)] for name in dict.fromkeys(names)),
+        ["page", str(out)],
+    ):
         worst = max(worst, run(words, group, "python -m benchmarks"))
         if worst == INTERRUPTED:
             break
@@ -86,8 +118,13 @@ def run_several(names: tuple[str, ...], out: Path) -> int:
 @measured_argument
 def list_all(folder: Path) -> int:
     """Benchmarks, and which of them have left figures in DIR (runs/benchmarks, if none is given)."""
-    rows = [[name, "measured" if (folder / f"{name}.json").is_file() else "", words] for name, (_, words) in _MEASURED.items()]
+    rows = [
+        [name, "measured" if (folder / f"{name}.json").is_file() else "", words]
+        for name, (_, words) in _MEASURED.items()
+    ]
     click.echo(table(["benchmark", "", "what it tells"], rows))
     click.echo()
-    click.echo(table(["trial", "what it does"], [[name, words] for name, (_, words) in _TRIALS.items()]))
+    click.echo(
+        table(["trial", "what it does"], [[name, words] for name, (_, words) in _TRIALS.items()])
+    )
     return 0

@@ -1,7 +1,10 @@
-"""How near other simulators come: MuJoCo's tendons to our replay, by the step; our FMU and Drake's CENIC to the exact motion, by CPU time.
+"""How near other simulators come: MuJoCo's tendons to our replay, by the step.
 
-The exact motion is our event-exact integration (models.fmu.reference). Plans are those of the verdict matrix; a scene without inputs is left alone for its
-task's time. Errors are the largest of any position at the nodes [m], CPU seconds those of stepping, of one run.
+Our FMU and Drake's CENIC to the exact motion, by CPU time.
+
+The exact motion is our event-exact integration (models.fmu.reference). Plans are those of the
+verdict matrix; a scene without inputs is left alone for its task's time. Errors are the largest of
+any position at the nodes [m], CPU seconds those of stepping, of one run.
 """
 
 from __future__ import annotations
@@ -24,29 +27,50 @@ from validate.judge.replay.run import replay
 from validate.judge.simulator import Came, Drive, run_engine
 
 # Scenes whose contacts are tendons with a dead band, and shares of the plan's step.
-TENDONS, SHARES = ("three_cart", "cart_chain", "two_discs"), (50, 100, 200, 400)
+TENDONS = ("three_cart", "cart_chain", "two_discs")
+SHARES = (50, 100, 200, 400)
 # Our tolerance on each scene, and CENIC's accuracies.
-EXACT = {"bouncing_mass": 1e-9, "two_body_collision": 1e-9, "damped_collision": 1e-9, "transport": 1e-11}
+EXACT = {
+    "bouncing_mass": 1e-9,
+    "two_body_collision": 1e-9,
+    "damped_collision": 1e-9,
+    "transport": 1e-11,
+}
 ACCURACIES = (1e-5, 1e-7, 1e-9)
 
 
 def plan_of(scene: Scene, plans: Path) -> Trajectory:
-    """The plan that is kept, or nothing for the task's time where there are no inputs. Raises TouchstoneError, ClickException without a plan."""
+    """The plan that is kept, or nothing for the task's time where there are no inputs.
+
+    Raises TouchstoneError, ClickException without a plan.
+    """
     if scene.nu:
         file = kept_plan(scene.name, plans)
         if file is None:
             raise click.ClickException(f"{scene.name}: without a plan there is nothing to measure.")
         return read_netcdf(file, scene)
     nothing = np.zeros((scene.task.steps + 1, 0))
-    return Trajectory(t=uniform_grid(scene.task.step, scene.task.steps), q=nothing, v=nothing, u=nothing[1:], lam=nothing[1:])
+    return Trajectory(
+        t=uniform_grid(scene.task.step, scene.task.steps),
+        q=nothing,
+        v=nothing,
+        u=nothing[1:],
+        lam=nothing[1:],
+    )
 
 
 def told(engine: str, drives: Sequence[Drive], true: np.ndarray) -> list[str]:
-    """Error and CPU time of each drive, true (nodes, nq) [m, rad]; or why there is none. Raises MachineError."""
+    """Error and CPU time of each drive, true (nodes, nq) [m, rad]; or why there is none.
+
+    Raises MachineError.
+    """
     answer = run_engine(engine, drives)
     if answer.came is not Came.DONE:
         return [answer.why]
-    return [f"{np.abs(motion.q - true).max():.1e} in {motion.seconds:.2g} s" for motion in answer.motions]
+    return [
+        f"{np.abs(motion.q - true).max():.1e} in {motion.seconds:.2g} s"
+        for motion in answer.motions
+    ]
 
 
 def row(*cells: str) -> None:
@@ -71,8 +95,16 @@ def command(plans: Path) -> int:
         plan = plan_of(scene, plans)
         start = np.array(scene.task.start, dtype=float)
         pieces = [Piece(end=float(end), u=u) for end, u in zip(plan.t[1:], plan.u, strict=True)]
-        true = np.vstack([start, true_motion(Equations(scene), pieces, plan.t[1:])[0]])[:, : scene.nq]
+        true = np.vstack([start, true_motion(Equations(scene), pieces, plan.t[1:])[0]])[
+            :, : scene.nq
+        ]
         base = Drive(scene=scene, plan=plan, start=start)
         ours = told("fmu", [replace(base, tolerance=tolerance)], true)
-        row(name, *ours, *told("drake_cenic", [replace(base, tolerance=accuracy) for accuracy in ACCURACIES], true))
+        row(
+            name,
+            *ours,
+            *told(
+                "drake_cenic", [replace(base, tolerance=accuracy) for accuracy in ACCURACIES], true
+            ),
+        )
     return 0

@@ -37,8 +37,9 @@ def command() -> None:
 def mpec(seeds: int, first: int, file: Path | None) -> int:
     """What `solve_mpec` says of random small MPECs beside what enumeration finds.
 
-    Prints the agreement classes by kind of problem, and every problem that is not `same`. Exit code 1 where an `optimal`, an `infeasible` or an
-    `unbounded` was wrong. `worse` is another local solution: nonlinear programs are solved locally, here and in the enumeration.
+    Prints the agreement classes by kind of problem, and every problem that is not `same`. Exit code
+    1 where an `optimal`, an `infeasible` or an `unbounded` was wrong. `worse` is another local
+    solution: nonlinear programs are solved locally, here and in the enumeration.
     """
     from benchmarks.mpec import enumeration, generator
 
@@ -55,7 +56,9 @@ def mpec(seeds: int, first: int, file: Path | None) -> int:
                 f"seed {seed} ({verdict.kind}): {verdict.outcome} {verdict.objective:.8g}, {verdict.agreement}; best {verdict.best:.8g} {verdict.note}"
             )
     kinds = sorted({kind for _, kind in classes})
-    click.echo("| agreement | all | " + " | ".join(kinds) + " |\n|---|" + "---:|" * (len(kinds) + 1))
+    click.echo(
+        "| agreement | all | " + " | ".join(kinds) + " |\n|---|" + "---:|" * (len(kinds) + 1)
+    )
     for agreement in sorted({agreement for agreement, _ in classes}):
         counts = [classes[agreement, kind] for kind in kinds]
         click.echo(f"| {agreement} | {sum(counts)} | " + " | ".join(map(str, counts)) + " |")
@@ -97,15 +100,18 @@ def fuzz(name: str, seeds: range) -> dict[int, str]:
 
 
 @command.command("readers")
-@click.option("--each", type=COUNT, default=1500, show_default=True, help="Hostile files for each reader.")
+@click.option(
+    "--each", type=COUNT, default=1500, show_default=True, help="Hostile files for each reader."
+)
 @click.option("--first", type=SEED, default=0, show_default=True, help="The first seed.")
 @click.option("--only", metavar="READER", help="Only this reader.")
 @json_option
 def readers(each: int, first: int, only: str | None, file: Path | None) -> int:
     """Hostile plans, maps, campaigns, scene files, FMUs, NetCDF and records.
 
-    Each reader runs in processes of its own, some hundred files in each, so that one that dies is counted too. Exit code 1 where any file ended
-    in a traceback, a hang or a crash, with the seeds that make it again.
+    Each reader runs in processes of its own, some hundred files in each, so that one that dies is
+    counted too. Exit code 1 where any file ended in a traceback, a hang or a crash, with the seeds
+    that make it again.
     """
     find_modules_in("tests/validate/fakes")
     from hostile_inputs import READERS  # pyright: ignore[reportMissingImports]
@@ -117,14 +123,23 @@ def readers(each: int, first: int, only: str | None, file: Path | None) -> int:
         began = time.perf_counter()
         found = fuzz(name, range(first, first + each))
         counts = Counter(
-            outcome if outcome in ("read", "refused", "hang") else outcome.split(":")[0][:20].strip() for outcome in found.values()
+            outcome
+            if outcome in ("read", "refused", "hang")
+            else outcome.split(":")[0][:20].strip()
+            for outcome in found.values()
         )
-        bad = {seed: outcome for seed, outcome in found.items() if outcome not in ("read", "refused")}
+        bad = {
+            seed: outcome for seed, outcome in found.items() if outcome not in ("read", "refused")
+        }
         faults += len(bad)
         table[name] = {"inputs": len(found), "faults": len(bad), **counts}
         told = ", ".join(f"{count} {what}" for what, count in counts.most_common())
-        click.echo(f"{name}: {len(found)} inputs, {told}; {len(bad)} faults; {time.perf_counter() - began:.0f} s")
-        for kind, seed in {outcome.strip().splitlines()[-1][:200]: seed for seed, outcome in bad.items()}.items():
+        click.echo(
+            f"{name}: {len(found)} inputs, {told}; {len(bad)} faults; {time.perf_counter() - began:.0f} s"
+        )
+        for kind, seed in {
+            outcome.strip().splitlines()[-1][:200]: seed for seed, outcome in bad.items()
+        }.items():
             click.echo(f"  seed {seed}: {kind}")
     click.echo(f"{sum(row['inputs'] for row in table.values())} inputs, {faults} faults")
     if file is not None:

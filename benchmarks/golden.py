@@ -1,12 +1,15 @@
-"""The golden campaign: what a full campaign found, without its seconds, as small committed data; and what a change of the code moved.
+"""The golden campaign: what a full campaign found, without its seconds, as small committed data.
 
-    python -m validate all --out runs/golden; python -m benchmarks golden compare runs/golden --exit-code $?
-    python -m benchmarks golden freeze runs/golden --exit-code 0     # writes benchmarks/golden.csv
-    python -m benchmarks golden table                                # of it, the table of docs/results.md
+And what a change of the code moved.
 
-A row is a stage of a run, or a check (stress case, FMU check): outcome, verdict, iterations, the certificate's letter, the hash of the FMU,
-the main figures to nine digits, and `bits`, a hash of every number of the record at full precision. Two rows of equal bits are equal; of the
-others the figures say by how much they differ.
+    python -m validate all --out runs/golden; python -m benchmarks golden compare runs/golden
+    --exit-code $? python -m benchmarks golden freeze runs/golden --exit-code 0 # writes
+    benchmarks/golden.csv python -m benchmarks golden table # of it, the table of docs/results.md
+
+A row is a stage of a run, or a check (stress case, FMU check): outcome, verdict, iterations, the
+certificate's letter, the hash of the FMU, the main figures to nine digits, and `bits`, a hash of
+every number of the record at full precision. Two rows of equal bits are equal; of the others the
+figures say by how much they differ.
 """
 
 from __future__ import annotations
@@ -33,12 +36,14 @@ GOLDEN = Path(__file__).with_suffix(".csv")
 KEY = ("scene", "pipeline", "part", "stage")
 WORDS = ("method", "eps", "outcome", "verdict", "judged", "iterations", "letter", "fmu")
 FIGURES = (
-    "cost", "terminal_error", "replay_terminal_error", "discrete_terminal_error", "replay_error", "physics_scaled", "defect", "law_error", "unexplained_force",
+    "cost", "terminal_error", "replay_terminal_error", "discrete_terminal_error", "replay_error",
+    "physics_scaled", "defect", "law_error", "unexplained_force",
     "max_penetration", "feedback_share",
 )  # fmt: skip
 COLUMNS = (*KEY, *WORDS, *FIGURES, "bits")
 # Figures that differ by less, relative to the larger and beyond the floor, differ by rounding.
-SAME, FLOOR = 1e-6, 1e-9
+SAME = 1e-6
+FLOOR = 1e-9
 # From worst to best; other words are no steps of the ladder.
 LADDER = ("no plan", "undecided", "violates", "holds with feedback", "holds")
 
@@ -48,8 +53,10 @@ Row = dict[str, str]
 def bits(record: StageRecord | CheckRecord) -> str:
     """A hash of all that a record says but its seconds, how it fares in perturbed worlds, where it was made, and which of two equal stages ran first."""
     left_out = {
-        "shared_from": True, "seconds": True, "survey": True, "starts": {"__all__": {"seconds"}}, "replay": {"seconds_reference", "seconds_everyday"},
-        "wall_seconds": True, "cpu_seconds": True, "provenance": True, "log_tail": True, "key": True,
+        "shared_from": True, "seconds": True, "survey": True, "starts": {"__all__": {"seconds"}},
+        "replay": {"seconds_reference", "seconds_everyday"},
+        "wall_seconds": True, "cpu_seconds": True, "provenance": True, "log_tail": True,
+        "key": True,
         "fmu": {"export_seconds": True, "check_seconds": True, "rows": {"__all__": {"seconds"}}},
     }  # fmt: skip
     known = {name: what for name, what in left_out.items() if name in type(record).model_fields}
@@ -78,16 +85,28 @@ def rows(folder: Path) -> Iterator[Row]:
             "pipeline": f"{item.kind}: {item.name}",
             "outcome": item.outcome,
         }
-        yield words | {"part": "1", "stage": "0", "verdict": verdict, "fmu": digest, "bits": bits(item)}
+        yield words | {
+            "part": "1",
+            "stage": "0",
+            "verdict": verdict,
+            "fmu": digest,
+            "bits": bits(item),
+        }
 
 
 def _row(run: RunRecord, **words: str) -> Row:
-    return dict.fromkeys(COLUMNS, "") | {"scene": run.scene.name, "pipeline": run.pipeline, "part": str(run.part)} | words
+    return (
+        dict.fromkeys(COLUMNS, "")
+        | {"scene": run.scene.name, "pipeline": run.pipeline, "part": str(run.part)}
+        | words
+    )
 
 
 def _stage(run: RunRecord, stage: StageRecord) -> Row:
     replay, certificate = stage.replay, stage.certificate
-    figures = {name: metric.value for name in FIGURES if (metric := stage.metric(name)) is not None} | {"cost": stage.cost}
+    figures = {
+        name: metric.value for name in FIGURES if (metric := stage.metric(name)) is not None
+    } | {"cost": stage.cost}
     return _row(
         run,
         stage=str(stage.index + 1),
@@ -116,7 +135,9 @@ def differences(before: Row, after: Row) -> dict[str, tuple[str, str]]:
 def _rounded(name: str, before: str, after: str) -> bool:
     if name not in FIGURES or not before or not after:
         return False
-    return abs(float(before) - float(after)) <= max(FLOOR, SAME * max(abs(float(before)), abs(float(after))))
+    return abs(float(before) - float(after)) <= max(
+        FLOOR, SAME * max(abs(float(before)), abs(float(after)))
+    )
 
 
 def worse(before: Row, after: Row) -> bool:
@@ -128,7 +149,9 @@ def worse(before: Row, after: Row) -> bool:
         return on_ladder and LADDER.index(after["verdict"]) < LADDER.index(before["verdict"])
     if after["verdict"] not in HOLD or not before["cost"] or not after["cost"]:
         return False
-    return float(after["cost"]) > float(before["cost"]) and not _rounded("cost", before["cost"], after["cost"])
+    return float(after["cost"]) > float(before["cost"]) and not _rounded(
+        "cost", before["cost"], after["cost"]
+    )
 
 
 def frozen() -> tuple[list[Row], str]:
@@ -145,7 +168,9 @@ def command() -> None:
 
 @command.command()
 @campaign_argument
-@click.option("--exit-code", type=int, required=True, help="What the campaign's command ended with.")
+@click.option(
+    "--exit-code", type=int, required=True, help="What the campaign's command ended with."
+)
 def freeze(folder: Path, exit_code: int) -> None:
     """Write the campaign's rows to benchmarks/golden.csv."""
     found = list(rows(folder))
@@ -159,10 +184,15 @@ def freeze(folder: Path, exit_code: int) -> None:
 
 @command.command()
 @campaign_argument
-@click.option("--exit-code", type=int, help="What the campaign's command ended with, to be compared too.")
+@click.option(
+    "--exit-code", type=int, help="What the campaign's command ended with, to be compared too."
+)
 @click.option("--bits", "strict", is_flag=True, help="Fail where any number differs at all.")
 def compare(folder: Path, exit_code: int | None, strict: bool) -> int:
-    """What the campaign in FOLDER found otherwise. Exit code 1 where something is worse or gone (--bits: where anything differs)."""
+    """What the campaign in FOLDER found otherwise.
+
+    Exit code 1 where something is worse or gone (--bits: where anything differs).
+    """
     kept, code = frozen()
     before = {tuple(row[name] for name in KEY): row for row in kept}
     after = {tuple(row[name] for name in KEY): row for row in rows(folder)}
@@ -178,7 +208,10 @@ def compare(folder: Path, exit_code: int | None, strict: bool) -> int:
             word = "worse" if worse(before[key], after[key]) else "moved" if found else "rounded"
             told[word] += 1
             if found:
-                click.echo(f"{word:7s} {where}: " + ", ".join(f"{name} {was} -> {now}" for name, (was, now) in found.items()))
+                click.echo(
+                    f"{word:7s} {where}: "
+                    + ", ".join(f"{name} {was} -> {now}" for name, (was, now) in found.items())
+                )
         else:
             told["equal"] += 1
     if exit_code is not None and str(exit_code) != code:
@@ -197,12 +230,17 @@ def table() -> None:
 
 
 def results_table() -> str:
-    """The stages of Table I, and how each of our pipelines ends, as a Markdown table; a stage that pipelines share once."""
+    """The stages of Table I, and how each of our pipelines ends, as a Markdown table.
+
+    A stage that pipelines share once.
+    """
     lines = [
         "| pipeline | stage | eps | cost | paper | error: plan | own grid | replay | verdict |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
-    kept = [row for row in frozen()[0] if (row["scene"], row["part"]) == (SCENE, "1") and row["cost"]]
+    kept = [
+        row for row in frozen()[0] if (row["scene"], row["part"]) == (SCENE, "1") and row["cost"]
+    ]
     seen: set[tuple[str, ...]] = set()
     for pipeline in PIPELINES:
         stages = [row for row in kept if row["pipeline"] == pipeline.name]

@@ -1,4 +1,7 @@
-"""Options that several benchmarks take. What cannot be used is refused before anything is measured."""
+"""Options that several benchmarks take.
+
+What cannot be used is refused before anything is measured.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,9 @@ import click
 from validate.cli.options import FiniteRange
 
 FOLDER = Path("runs/benchmarks")
-COUNT, SEED, POSITIVE = click.IntRange(min=1), click.IntRange(min=0), FiniteRange(min=0.0, min_open=True)
+COUNT = click.IntRange(min=1)
+SEED = click.IntRange(min=0)
+POSITIVE = FiniteRange(min=0.0, min_open=True)
 
 
 def _place(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
@@ -19,7 +24,9 @@ def _place(context: click.Context, parameter: click.Parameter, path: Path | None
     if path is not None:
         there = next(folder for folder in path.absolute().parents if folder.exists())
         if not there.is_dir() or not os.access(there, os.W_OK):
-            raise click.BadParameter(f"nothing can be written to {there}; name another place.", context, parameter)
+            raise click.BadParameter(
+                f"nothing can be written to {there}; name another place.", context, parameter
+            )
     return path
 
 
@@ -38,12 +45,20 @@ def _campaign(context: click.Context, parameter: click.Parameter, folder: Path) 
 
 
 out_option = click.option(
-    "-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=FOLDER, show_default=True, callback=_place, metavar="DIR",
+    "-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=FOLDER,
+    show_default=True, callback=_place, metavar="DIR",
     help="Where the figures go, for `python -m benchmarks page`.",
 )  # fmt: skip
 json_option = click.option(
-    "--json", "file", type=click.Path(path_type=Path, dir_okay=False), callback=_place, metavar="FILE", help="Write what was found to this file too."
+    "--json", "file", type=click.Path(path_type=Path, dir_okay=False), callback=_place,
+    metavar="FILE", help="Write what was found to this file too."
 )  # fmt: skip
-seed_option = click.option("--seed", type=SEED, default=0, show_default=True, help="Of what is random.")
-measured_argument = click.argument("folder", type=click.Path(path_type=Path, file_okay=False), default=FOLDER, metavar="[DIR]")
-campaign_argument = click.argument("folder", type=click.Path(path_type=Path), callback=_campaign, metavar="DIR")
+seed_option = click.option(
+    "--seed", type=SEED, default=0, show_default=True, help="Of what is random."
+)
+measured_argument = click.argument(
+    "folder", type=click.Path(path_type=Path, file_okay=False), default=FOLDER, metavar="[DIR]"
+)
+campaign_argument = click.argument(
+    "folder", type=click.Path(path_type=Path), callback=_campaign, metavar="DIR"
+)

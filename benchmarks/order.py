@@ -1,16 +1,20 @@
 """Step size and order: which grid gives a plan that its replay confirms to 1e-2, 1e-3, 1e-4 m, and at what CPU time.
 
-Each scene is planned on ever finer grids with exact contact: by semi-implicit Euler (`mpcc` without its window search) and by collocation of order 2, 3
-and 5 (`collocation`), all from the paper's first guess, all by the same softplus homotopy. The running cost is weighed with the step, so that every grid
-approximates one problem; collocation minimises its quadrature. Scenes with friction are planned by semi-implicit Euler alone, by softplus collocation and
-then `strict_lcp`: neither of the others knows friction.
+Each scene is planned on ever finer grids with exact contact: by semi-implicit Euler (`mpcc` without
+its window search) and by collocation of order 2, 3 and 5 (`collocation`), all from the paper's
+first guess, all by the same softplus homotopy. The running cost is weighed with the step, so that
+every grid approximates one problem; collocation minimises its quadrature. Scenes with friction are
+planned by semi-implicit Euler alone, by softplus collocation and then `strict_lcp`: neither of the
+others knows friction.
 
-    replay error   largest position difference between plan and replay at the plan's nodes [m, rad], by the reference replay
-    plan error     the same between the plan and the finest plan of the highest order: how far from the optimum of the continuous problem
-    switch error   the bound that `collocation` gives for what opening and closing contacts cost [m/s, rad/s]
+    replay error largest position difference between plan and replay at the plan's nodes [m, rad],
+    by the reference replay plan error the same between the plan and the finest plan of the highest
+    order: how far from the optimum of the continuous problem switch error the bound that
+    `collocation` gives for what opening and closing contacts cost [m/s, rad/s]
 
-CPU seconds are those of opening and solving in this process, the least of the repeats (as many as 5 s allow); compiling the scene is not in them.
-The order is the slope of log(replay error) over log(h), by least squares.
+CPU seconds are those of opening and solving in this process, the least of the repeats (as many as 5
+s allow); compiling the scene is not in them. The order is the slope of log(replay error) over
+log(h), by least squares.
 """
 
 from __future__ import annotations
@@ -35,10 +39,11 @@ from models.schemes import Scheme
 from models.trajectory import Trajectory
 from validate.judge.replay.run import replay
 
-EULER, FINEST = Scheme.SEMI_IMPLICIT_EULER.value, Scheme.RADAU_IIA_3.value
+EULER = Scheme.SEMI_IMPLICIT_EULER.value
+FINEST = Scheme.RADAU_IIA_3.value
 COLLOCATIONS = (Scheme.IMPLICIT_MIDPOINT.value, Scheme.RADAU_IIA_2.value, FINEST)
-# Steps of the whole horizon: those of Euler, those of collocation; the last of collocation is also the finest plan. Scenes without inputs have
-# nothing to plan.
+# Steps of the whole horizon: those of Euler, those of collocation; the last of collocation is also
+# the finest plan. Scenes without inputs have nothing to plan.
 GRIDS: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
     "three_cart": ((50, 100, 200, 500, 1000, 2000), (25, 50, 100, 200, 400)),
     "two_discs": ((60, 120, 240, 480, 960), (30, 60, 120, 240, 480)),
@@ -66,7 +71,9 @@ def on_grid(scene: Scene, steps: int) -> Scene:
     """The same task in so many steps, its running cost weighed with the step."""
     task = scene.task
     step = task.horizon / steps
-    return scene.with_task(steps=steps, step=step, running_cost=task.running_cost * (step / task.step))
+    return scene.with_task(
+        steps=steps, step=step, running_cost=task.running_cost * (step / task.step)
+    )
 
 
 def _solve(scene: Scene, scheme: str, limit: float) -> Solution:
@@ -81,13 +88,20 @@ def _solve(scene: Scene, scheme: str, limit: float) -> Solution:
 
 
 def _solve_chain(scene: Scene, limit: float) -> Solution:
-    """Iterations are those of all stages, the rest is the last one's; a stage without a plan hands on the one before, as in a campaign."""
+    """Iterations are those of all stages, the rest is the last one's.
+
+    A stage without a plan hands on the one before, as in a campaign.
+    """
     pipeline = find_pipeline(_FRICTION_CHAIN)
-    solutions = list(solve_stages(scene, pipeline, time_limit=limit * len(list(stage_plan(pipeline)))))
+    solutions = list(
+        solve_stages(scene, pipeline, time_limit=limit * len(list(stage_plan(pipeline))))
+    )
     return replace(solutions[-1], iterations=sum(solution.iterations for solution in solutions))
 
 
-def _row(scene: Scene, fmu: Path, scheme: str, steps: int, limit: float, repeats: int) -> tuple[dict[str, Any], Trajectory | None]:
+def _row(
+    scene: Scene, fmu: Path, scheme: str, steps: int, limit: float, repeats: int
+) -> tuple[dict[str, Any], Trajectory | None]:
     grid = on_grid(scene, steps)
     solution, cpu = least(lambda: _solve(grid, scheme, limit), repeats, _ENOUGH)
     plan, error = solution.trajectory, None
@@ -107,24 +121,42 @@ def _row(scene: Scene, fmu: Path, scheme: str, steps: int, limit: float, repeats
         "switch_error": solution.residuals.get("switch_error"),
     }
     told = "-" if error is None else f"{error:.2e}"
-    click.echo(f"  {scheme:20s} {steps:5d} steps: {row['outcome']}, replay error {told}, {cpu:.2f} CPU s")
+    click.echo(
+        f"  {scheme:20s} {steps:5d} steps: {row['outcome']}, replay error {told}, {cpu:.2f} CPU s"
+    )
     return row, plan
 
 
 def _answer(rows: list[dict[str, Any]], target: float) -> dict[str, Any]:
     """The cheapest grid within the target, of all schemes and of Euler alone."""
-    within = [row for row in rows if row["outcome"] == "solved" and row["replay_error"] is not None and row["replay_error"] <= target]
+    within = [
+        row
+        for row in rows
+        if row["outcome"] == "solved"
+        and row["replay_error"] is not None
+        and row["replay_error"] <= target
+    ]
     best: dict[str, Any] = {"target": target}
-    for name, chosen in (("best", within), ("euler", [row for row in within if row["scheme"] == EULER])):
+    for name, chosen in (
+        ("best", within),
+        ("euler", [row for row in within if row["scheme"] == EULER]),
+    ):
         row = min(chosen, key=lambda row: row["cpu_s"], default=None)
-        best[name] = None if row is None else {key: row[key] for key in ("scheme", "steps", "cpu_s", "replay_error")}
+        best[name] = (
+            None
+            if row is None
+            else {key: row[key] for key in ("scheme", "steps", "cpu_s", "replay_error")}
+        )
     return best
 
 
 def measure(name: str, most: int, limit: float, repeats: int) -> dict[str, Any]:
     """One scene: all rows of grids of at most so many steps, the order of each scheme, and the answers."""
     scene = load_scene(name)
-    fmu, (euler, collocation) = build_fmu(scene), (tuple(steps for steps in grids if steps <= most) for grids in GRIDS[name])
+    fmu, (euler, collocation) = (
+        build_fmu(scene),
+        (tuple(steps for steps in grids if steps <= most) for grids in GRIDS[name]),
+    )
     for scheme in (EULER, FINEST) if collocation else (EULER,):  # imports and compilation
         _solve(on_grid(scene, min(collocation or euler)), scheme, limit)
     found = [
@@ -132,7 +164,14 @@ def measure(name: str, most: int, limit: float, repeats: int) -> dict[str, Any]:
         for scheme, grids in ((EULER, euler), *((scheme, collocation) for scheme in COLLOCATIONS))
         for steps in grids
     ]
-    finest = next((plan for row, plan in reversed(found) if row["scheme"] == FINEST and row["outcome"] == "solved"), None)
+    finest = next(
+        (
+            plan
+            for row, plan in reversed(found)
+            if row["scheme"] == FINEST and row["outcome"] == "solved"
+        ),
+        None,
+    )
     if finest is not None:
         reference = CubicHermiteSpline(finest.t, finest.q, finest.v)
         for row, plan in found:
@@ -141,13 +180,20 @@ def measure(name: str, most: int, limit: float, repeats: int) -> dict[str, Any]:
     rows = [row for row, _ in found]
     solved = [row for row in rows if row["outcome"] == "solved" and row["replay_error"]]
     schemes = dict.fromkeys(row["scheme"] for row in rows)
-    orders = {scheme: slope((row["h"], row["replay_error"]) for row in solved if row["scheme"] == scheme) for scheme in schemes}
+    orders = {
+        scheme: slope((row["h"], row["replay_error"]) for row in solved if row["scheme"] == scheme)
+        for scheme in schemes
+    }
     for scheme, order in orders.items():
         click.echo(f"  {scheme:20s} order {'-' if order is None else f'{order:.2f}'}")
     answers = [_answer(rows, target) for target in TARGETS]
     for answer in answers:
         best = answer["best"]
-        told = "no grid" if best is None else f"{best['scheme']}, {best['steps']} steps, {best['cpu_s']:.2f} CPU s"
+        told = (
+            "no grid"
+            if best is None
+            else f"{best['scheme']}, {best['steps']} steps, {best['cpu_s']:.2f} CPU s"
+        )
         click.echo(f"  within {answer['target']:g}: {told}")
     return {
         "name": name,
@@ -160,17 +206,34 @@ def measure(name: str, most: int, limit: float, repeats: int) -> dict[str, Any]:
 
 
 @click.command()
-@click.option("--scene", "scenes", type=click.Choice(sorted(GRIDS)), multiple=True, help="Only this scene; may be repeated.")
+@click.option(
+    "--scene",
+    "scenes",
+    type=click.Choice(sorted(GRIDS)),
+    multiple=True,
+    help="Only this scene; may be repeated.",
+)
 @click.option("--most", type=COUNT, default=10**6, metavar="STEPS", help="Leave out finer grids.")
-@click.option("--limit", type=POSITIVE, default=300.0, show_default=True, metavar="SECONDS", help="For one solve.")
-@click.option("--repeats", type=COUNT, default=3, show_default=True, help="Most solves of one grid.")
+@click.option(
+    "--limit",
+    type=POSITIVE,
+    default=300.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="For one solve.",
+)
+@click.option(
+    "--repeats", type=COUNT, default=3, show_default=True, help="Most solves of one grid."
+)
 @out_option
 def command(scenes: tuple[str, ...], most: int, limit: float, repeats: int, out: Path) -> int:
     """Which grid and scheme give a plan that its replay confirms to 1e-2, 1e-3, 1e-4 m, and at what CPU time."""
     for name in scenes or GRIDS:
         coarsest = min(sum(GRIDS[name], ()))
         if most < coarsest:
-            raise click.UsageError(f"--most {most} leaves no grid of {name}, whose coarsest has {coarsest} steps.")
+            raise click.UsageError(
+                f"--most {most} leaves no grid of {name}, whose coarsest has {coarsest} steps."
+            )
     told = []
     for name in scenes or GRIDS:
         click.echo(name)

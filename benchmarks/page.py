@@ -1,4 +1,6 @@
-"""`page`: what benchmarks left in a folder, told on one page by the report's own rendering; it asks nothing of any network.
+"""`page`: what benchmarks left in a folder, told on one page by the report's own rendering.
+
+It asks nothing of any network.
 
 render(Path("runs/benchmarks"))  ->  the text of runs/benchmarks/page.html
 """
@@ -10,7 +12,16 @@ from pathlib import Path
 import click
 
 from benchmarks.options import measured_argument
-from benchmarks.pages import cosimulation, order, replay_speed, rigid_limit, scaling, suite, tables, unstable_starts
+from benchmarks.pages import (
+    cosimulation,
+    order,
+    replay_speed,
+    rigid_limit,
+    scaling,
+    suite,
+    tables,
+    unstable_starts,
+)
 from benchmarks.results import stored
 from reports.pages.section import Section
 from reports.records.load import ReportError
@@ -33,7 +44,9 @@ def render(folder: Path) -> str:
     """The page's text. Raises ReportError if there is no such folder, or nothing in it."""
     records, unreadable = stored(folder)
     if not records and not unreadable:
-        raise ReportError(f"{folder}: no benchmark has left figures there; `python -m benchmarks run NAME --out {folder}` measures.")
+        raise ReportError(
+            f"{folder}: no benchmark has left figures there; `python -m benchmarks run NAME --out {folder}` measures."
+        )
     told: list[tuple[Section, list]] = []
     for kind, maker in _SECTIONS.items():
         same = [record for record in records if record.kind == kind]
@@ -42,7 +55,12 @@ def render(folder: Path) -> str:
             if section is not None:
                 told.append((section, group))
     measured = [(section, record.provenance) for section, group in told for record in group]
-    overview = Section("overview", "What is measured", "overview.html", {"measured": measured, "unreadable": unreadable})
+    overview = Section(
+        "overview",
+        "What is measured",
+        "overview.html",
+        {"measured": measured, "unreadable": unreadable},
+    )
     return page(
         Templates(Path(__file__).parent / "pages" / "templates"),
         [overview, *(section for section, _ in told)],

@@ -24,7 +24,9 @@ class _Record(Model):
 
 class CosimRow(Model):
     """One master at one macro step h [s]. energy_error: relative, with its sign, the largest of the run; momentum_error [kg m/s],
-    position_error [m]; cpu_per_s: CPU seconds a simulated second; mean_step [s]: the steps really made."""
+    position_error [m]; cpu_per_s: CPU seconds a simulated second; mean_step [s]: the steps really
+    made.
+    """
 
     h: Positive
     mean_step: Positive
@@ -68,7 +70,10 @@ class SpeedRow(Model):
 
 
 class SpeedScene(Model):
-    """default_cpu_s: what a replay as `python -m validate all` runs it takes; self_error_m: what that replay says of itself [m]."""
+    """default_cpu_s: what a replay as `python -m validate all` runs it takes.
+
+    self_error_m: what that replay says of itself [m].
+    """
 
     name: str
     default_cpu_s: Finite
@@ -86,8 +91,12 @@ class ReplaySpeedRecord(_Record):
 
 
 class StiffnessRow(Model):
-    """One contact stiffness k [N/m]. omega_h: the contact's frequency times the time step; outcomes, costs: of each try by its start; cost: of the
-    best plan, None without one; replayed_cost: of its inputs in the continuous dynamics."""
+    """One contact stiffness k [N/m]. omega_h: the contact's frequency times the time step.
+
+    outcomes, costs: of each try by its start; cost: of the
+
+    best plan, None without one; replayed_cost: of its inputs in the continuous dynamics.
+    """
 
     k: Positive
     steps: int = Field(gt=0)
@@ -114,9 +123,13 @@ class RigidLimitRecord(_Record):
 
 
 class BalanceStart(Model):
-    """x [m], theta [rad]: the start, at rest; share: of the inputs' bounds that the plan was given; wall_impulse [N s] in the replay with feedback; ends: norm of
-    the state's distance from the goal, None without a plan; effort, peak: of the feedback, as shares of the half-range of the inputs; CPU seconds of all that
-    was tried for this start."""
+    """x [m], theta [rad]: the start, at rest; share: of the inputs' bounds that the plan was given.
+
+    wall_impulse [N s] in the replay with feedback; ends: norm of
+
+    the state's distance from the goal, None without a plan; effort, peak: of the feedback, as
+    shares of the half-range of the inputs; CPU seconds of all that was tried for this start.
+    """
 
     x: Finite
     theta: Finite
@@ -148,7 +161,9 @@ class BalanceRecord(_Record):
 
 class OrderRow(Model):
     """One grid of one scheme, h [s]. replay_error, plan_error: largest position differences to the replay of the plan's inputs and to the finest plan;
-    None: no plan, or no replay to the end. switch_error: bound of the velocity errors where contacts open and close."""
+    None: no plan, or no replay to the end. switch_error: bound of the velocity errors where
+        contacts open and close.
+    """
 
     scheme: str
     steps: Annotated[int, Field(ge=1)]
@@ -180,7 +195,10 @@ class OrderAnswer(Model):
 
 
 class OrderScene(Model):
-    """unit: of positions; orders: slope of log(replay error) over log(h) by scheme, None with too few grids."""
+    """unit: of positions.
+
+    orders: slope of log(replay error) over log(h) by scheme, None with too few grids.
+    """
 
     name: str
     unit: str
@@ -196,7 +214,10 @@ class OrderRecord(_Record):
 
 
 class ScalingRow(Model):
-    """One size: n bodies, T = steps. cpu_s, memory_mib None: no answer within the limit; cost None: the stage finds no plan."""
+    """One size: n bodies, T = steps. cpu_s, memory_mib None: no answer within the limit.
+
+    Cost None: the stage finds no plan.
+    """
 
     n: Annotated[int, Field(ge=1)]
     steps: Annotated[int, Field(ge=1)]
@@ -208,7 +229,10 @@ class ScalingRow(Model):
 
 
 class ScalingStage(Model):
-    """Exponents: slopes of log(CPU s), log(CPU s an iteration), log(MiB) over log(n T); None: too few sizes."""
+    """Exponents: slopes of log(CPU s), log(CPU s an iteration), log(MiB) over log(n T).
+
+    None: too few sizes.
+    """
 
     name: str
     time_exponent: Finite | None
@@ -228,7 +252,10 @@ def middle(samples: tuple[float, ...]) -> float | None:
 
 
 def spread(samples: tuple[float, ...]) -> float | None:
-    """Half of the samples lie within this much of each other, relative to the median; None of fewer than three."""
+    """Half of the samples lie within this much of each other, relative to the median.
+
+    None of fewer than three.
+    """
     if len(samples) < 3 or median(samples) == 0:
         return None
     first, _, third = quantiles(samples, n=4, method="inclusive")
@@ -238,7 +265,8 @@ def spread(samples: tuple[float, ...]) -> float | None:
 class SuiteRow(Model):
     """One way (`by`) through one stage at one size; n = 0: it knows no size.
 
-    cpu_s [s], memory_mib [MiB]: a sample of each round, in order; clock: what the seconds are of; value: a number that all ways through a stage must agree on;
+    cpu_s [s], memory_mib [MiB]: a sample of each round, in order; clock: what the seconds are of;
+        value: a number that all ways through a stage must agree on;
     failed: why there are no samples.
     """
 
@@ -259,7 +287,8 @@ class SuiteRow(Model):
 class SuiteFigure(Model):
     """One target: measured is the median of `samples`, one of each round, and should be at most `target`.
 
-    met: None where it was not measured, or not at the size the target is set for; why: then the reason, else what else there is to say.
+    met: None where it was not measured, or not at the size the target is set for; why: then the
+        reason, else what else there is to say.
     """
 
     name: str
@@ -275,8 +304,13 @@ class SuiteFigure(Model):
 
 
 class SuiteRecord(Model):
-    """repeats: rounds asked for; load: the system's load average before and after, None where it has none; left_out: what was not measured, in
-    sentences."""
+    """repeats: rounds asked for.
+
+    load: the system's load average before and after, None where it has none; left_out: what was not
+    measured, in
+
+    sentences.
+    """
 
     kind: Literal["suite"]
     rows: tuple[SuiteRow, ...]
@@ -298,7 +332,10 @@ class Table(Model):
 
 
 class TableRecord(_Record):
-    """What is told in tables alone. about: a sentence above them; runs: every single run that they are made of, as JSON data."""
+    """What is told in tables alone. about: a sentence above them.
+
+    runs: every single run that they are made of, as JSON data.
+    """
 
     kind: Literal["table"]
     name: str
@@ -308,7 +345,16 @@ class TableRecord(_Record):
     runs: tuple[dict[str, JsonValue], ...] = ()
 
 
-AnyRecord = BalanceRecord | CosimRecord | OrderRecord | ReplaySpeedRecord | RigidLimitRecord | ScalingRecord | SuiteRecord | TableRecord
+AnyRecord = (
+    BalanceRecord
+    | CosimRecord
+    | OrderRecord
+    | ReplaySpeedRecord
+    | RigidLimitRecord
+    | ScalingRecord
+    | SuiteRecord
+    | TableRecord
+)
 
 
 class BenchRecord(RootModel[Annotated[AnyRecord, Field(discriminator="kind")]]):

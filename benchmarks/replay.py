@@ -1,11 +1,17 @@
 """CPU seconds of the replay against its true error: Co-Simulation by step and integrator, Model Exchange by tolerance, per scene.
 
-Scenes: names, or files; without any, three_cart and the two closed-form scenes. `three_cart` is driven by the best exact plan this
-repository finds (pipeline mpcc, cold). True error: largest position difference at the plan's nodes, to a Model Exchange run at rtol 1e-14 - for
-the closed-form scenes also the relative errors of contact time, depth and restitution against their closed forms.
-Against FMPy: the same FMU, plan and step (or rtol) by the loops in C and by FMPy's `simulate_fmu`, in turn; medians, on stdout.
-The default replay (two tolerances, three steps) is timed as `python -m validate all` runs it, in this process, and in a child as `replay` does.
-CPU time: the smallest of some repetitions, imports and compilation before it. docs/replay.md tells what was found.
+Scenes: names, or files; without any, three_cart and the two closed-form scenes. `three_cart` is
+    driven by the best exact plan this
+repository finds (pipeline mpcc, cold). True error: largest position difference at the plan's nodes,
+    to a Model Exchange run at rtol 1e-14 - for
+the closed-form scenes also the relative errors of contact time, depth and restitution against their
+    closed forms.
+Against FMPy: the same FMU, plan and step (or rtol) by the loops in C and by FMPy's `simulate_fmu`,
+    in turn; medians, on stdout.
+The default replay (two tolerances, three steps) is timed as `python -m validate all` runs it, in
+    this process, and in a child as `replay` does.
+CPU time: the smallest of some repetitions, imports and compilation before it. docs/replay.md tells
+    what was found.
 """
 
 from __future__ import annotations
@@ -42,8 +48,11 @@ _TRUTH = 1e-14
 _TOLERANCES = [10.0**-n for n in range(4, 14)]
 _STEPS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 _REPETITIONS = 3
-# Rounds of the comparison with FMPy; internal steps a step of the plan, and the tolerance of Model Exchange, in it.
-_ROUNDS, _FINENESS, _RTOL = 7, 50, 1e-8
+# Rounds of the comparison with FMPy; internal steps a step of the plan, and the tolerance of Model
+# Exchange, in it.
+_ROUNDS = 7
+_FINENESS = 50
+_RTOL = 1e-8
 # The FMU's variable that chooses among them.
 INTEGRATOR = "integrator"
 
@@ -88,23 +97,42 @@ def _sweep(scene: Scene, plan: Trajectory) -> list[dict[str, Any]]:
         def row(kind: str, setting: float, run: Run, seconds: float) -> None:
             q = _positions(run, scene.nq)
             error = float(np.abs(q - truth).max()) if q.shape == truth.shape else None
-            rows.append({"kind": kind, "setting": setting, "cpu_s": seconds, "error_m": error, "outcome": run.outcome.name.lower()})
+            rows.append(
+                {
+                    "kind": kind,
+                    "setting": setting,
+                    "cpu_s": seconds,
+                    "error_m": error,
+                    "outcome": run.outcome.name.lower(),
+                }
+            )
 
         for rtol in _TOLERANCES:
-            run, seconds = least(lambda rtol=rtol: _reference(package, variables, plan, rtol), _REPETITIONS)
+            run, seconds = least(
+                lambda rtol=rtol: _reference(package, variables, plan, rtol), _REPETITIONS
+            )
             row("Model Exchange, rtol", rtol, run, seconds)
-        choice = next(variable for variable in package.description.modelVariables if variable.name == INTEGRATOR)
+        choice = next(
+            variable
+            for variable in package.description.modelVariables
+            if variable.name == INTEGRATOR
+        )
         for order in range(int(choice.min), int(choice.max) + 1):
             chosen = replace(variables, choices=((int(choice.valueReference), order),))
             for fineness in _STEPS:
                 run, seconds = least(
-                    lambda chosen=chosen, fineness=fineness: simulate(package, chosen, plan.start, HeldInputs(plan), fineness), _REPETITIONS
+                    lambda chosen=chosen, fineness=fineness: simulate(
+                        package, chosen, plan.start, HeldInputs(plan), fineness
+                    ),
+                    _REPETITIONS,
                 )
                 row(f"Co-Simulation, {INTEGRATORS[order - 1][0]}", fineness, run, seconds)
     return rows
 
 
-def _by_fmpy(folder: str, description: Any, scene: Scene, plan: Trajectory, interface: str) -> np.ndarray:
+def _by_fmpy(
+    folder: str, description: Any, scene: Scene, plan: Trajectory, interface: str
+) -> np.ndarray:
     """(nq,) positions at the end by `fmpy.simulate_fmu`."""
     import fmpy
 
@@ -117,9 +145,16 @@ def _by_fmpy(folder: str, description: Any, scene: Scene, plan: Trajectory, inte
     start = dict(zip([*names.q, *names.v], plan.start.tolist(), strict=True))
     result = fmpy.simulate_fmu(
         folder,
-        fmi_type=interface, start_values=start | ({names.internal_step: step / _FINENESS} if interface == "CoSimulation" else {}), input=inputs,
-        output=list(names.q), output_interval=step, stop_time=float(plan.t[-1]), relative_tolerance=_RTOL, model_description=description,
-    )  # fmt: skip
+        fmi_type=interface,
+        start_values=start
+        | ({names.internal_step: step / _FINENESS} if interface == "CoSimulation" else {}),
+        input=inputs,
+        output=list(names.q),
+        output_interval=step,
+        stop_time=float(plan.t[-1]),
+        relative_tolerance=_RTOL,
+        model_description=description,
+    )
     return np.array([result[name][-1] for name in names.q])
 
 
@@ -127,14 +162,26 @@ def _against_fmpy(scene: Scene, plan: Trajectory) -> dict[str, dict[str, float]]
     """Median CPU seconds by method, and the largest difference of the position at the end from the reference at rtol 1e-14."""
     held, rounds = HeldInputs(plan), range(_ROUNDS)
     with unpacked(read_package(build_fmu(scene))) as package:
-        variables, folder, description = find_variables(package, scene), str(package.folder), package.description
+        variables, folder, description = (
+            find_variables(package, scene),
+            str(package.folder),
+            package.description,
+        )
         truth = _positions(_reference(package, variables, plan, _TRUTH), scene.nq)[-1]
 
         methods: dict[str, Callable[[], np.ndarray]] = {
-            "Co-Simulation, loop in C": lambda: _positions(simulate(package, variables, plan.start, held, _FINENESS), scene.nq)[-1],
-            "Co-Simulation, simulate_fmu": lambda: _by_fmpy(folder, description, scene, plan, "CoSimulation"),
-            "Model Exchange, loop in C": lambda: _positions(_reference(package, variables, plan, _RTOL), scene.nq)[-1],
-            "Model Exchange, simulate_fmu": lambda: _by_fmpy(folder, description, scene, plan, "ModelExchange"),
+            "Co-Simulation, loop in C": lambda: _positions(
+                simulate(package, variables, plan.start, held, _FINENESS), scene.nq
+            )[-1],
+            "Co-Simulation, simulate_fmu": lambda: _by_fmpy(
+                folder, description, scene, plan, "CoSimulation"
+            ),
+            "Model Exchange, loop in C": lambda: _positions(
+                _reference(package, variables, plan, _RTOL), scene.nq
+            )[-1],
+            "Model Exchange, simulate_fmu": lambda: _by_fmpy(
+                folder, description, scene, plan, "ModelExchange"
+            ),
         }
         seconds: dict[str, list[float]] = {name: [] for name in methods}
         errors = {}
@@ -144,7 +191,10 @@ def _against_fmpy(scene: Scene, plan: Trajectory) -> dict[str, dict[str, float]]
                 errors[name] = float(np.abs(end - truth).max())
                 if number >= 0:
                     seconds[name].append(spent)
-    return {name: {"cpu_s": float(np.median(values)), "end_error_m": errors[name]} for name, values in seconds.items()}
+    return {
+        name: {"cpu_s": float(np.median(values)), "end_error_m": errors[name]}
+        for name, values in seconds.items()
+    }
 
 
 def _closed_forms(scene: Scene, result: Replay) -> dict[str, float]:
@@ -176,7 +226,11 @@ def _deepest(result: Replay) -> float:
 
 @click.command()
 @click.argument("scenes", nargs=-1)
-@click.option("--no-sweep", is_flag=True, help="Only the default replay, and the comparison with FMPy; nothing is written.")
+@click.option(
+    "--no-sweep",
+    is_flag=True,
+    help="Only the default replay, and the comparison with FMPy; nothing is written.",
+)
 @out_option
 def command(scenes: tuple[str, ...], no_sweep: bool, out: Path) -> int:
     """CPU seconds of the replay against its true error, of SCENES (or three_cart and two with a closed form), and beside FMPy's own simulation."""
@@ -184,14 +238,18 @@ def command(scenes: tuple[str, ...], no_sweep: bool, out: Path) -> int:
     for scene in list(map(load_scene, scenes or _DEFAULT)):
         plan = _plan(scene)
         fmu = build_fmu(scene)
-        result, here = least(lambda scene=scene, fmu=fmu, plan=plan: replay(scene, fmu, plan), _REPETITIONS)
+        result, here = least(
+            lambda scene=scene, fmu=fmu, plan=plan: replay(scene, fmu, plan), _REPETITIONS
+        )
         estimate = result.error.estimate
         figures: dict[str, Any] = {
             "name": scene.name,
             "default_cpu_s": here,
             "reference_cpu_s": result.seconds_reference,
             "everyday_cpu_s": result.seconds_everyday,
-            "parent_cpu_s_of_a_child": timed(lambda scene=scene, fmu=fmu, plan=plan: replay(scene, fmu, plan, limits=Limits()))[1],
+            "parent_cpu_s_of_a_child": timed(
+                lambda scene=scene, fmu=fmu, plan=plan: replay(scene, fmu, plan, limits=Limits())
+            )[1],
             "self_error_m": None if estimate is None else estimate.position,
             "closed_form_relative_errors": _closed_forms(scene, result),
             "sweep": [] if no_sweep else _sweep(scene, plan),
@@ -206,7 +264,9 @@ def command(scenes: tuple[str, ...], no_sweep: bool, out: Path) -> int:
         click.echo(f"  {'':38}{'setting':>10} {'CPU s':>9} {'error m':>10}")
         for item in figures["sweep"]:
             error = "-" if item["error_m"] is None else f"{item['error_m']:.2e}"
-            click.echo(f"  {item['kind']:38}{item['setting']:>10.3g} {item['cpu_s']:9.4f} {error:>10}")
+            click.echo(
+                f"  {item['kind']:38}{item['setting']:>10.3g} {item['cpu_s']:9.4f} {error:>10}"
+            )
     if not no_sweep:
         store(out, "replay", {"kind": "replay_speed", "scenes": told})
     return 0

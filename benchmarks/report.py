@@ -1,8 +1,11 @@
 """What a report weighs and how soon it can be used: CPU seconds to write it, bytes, and seconds until a headless Chromium answers.
 
-Interactive: from the start of the navigation until the load event is over and the page has drawn itself again after it was scrolled to its index;
-the median of five. Beside it stands what the page's main thread did meanwhile, in CPU seconds, and its tasks of more than 50 ms: where a busy
-machine makes the clock useless, the CPU seconds still tell. With `--axe` also the violations of WCAG 2 A and AA that axe-core finds, light and
+Interactive: from the start of the navigation until the load event is over and the page has drawn
+    itself again after it was scrolled to its index;
+the median of five. Beside it stands what the page's main thread did meanwhile, in CPU seconds, and
+    its tasks of more than 50 ms: where a busy
+machine makes the clock useless, the CPU seconds still tell. With `--axe` also the violations of
+    WCAG 2 A and AA that axe-core finds, light and
 dark, at desk and phone width. Exit code 1 where a target is missed.
 """
 
@@ -23,7 +26,8 @@ from reports.render import PAGES, render, write_report
 
 _TRIES = 5
 # Targets: seconds until it is interactive, and size of the file [MB].
-_PATIENCE, _SIZE = 0.5, 0.6
+_PATIENCE = 0.5
+_SIZE = 0.6
 _READY = """(async () => {
   const tasks = [];
   new PerformanceObserver((list) => tasks.push(...list.getEntries())).observe({ type: "longtask", buffered: true });
@@ -40,16 +44,26 @@ _READY = """(async () => {
   };
 })()"""
 # What the main thread's CPU seconds go to, as Chromium counts them.
-_METRICS = {"TaskDuration": "in all", "ScriptDuration": "script", "LayoutDuration": "layout", "RecalcStyleDuration": "style"}
+_METRICS = {
+    "TaskDuration": "in all",
+    "ScriptDuration": "script",
+    "LayoutDuration": "layout",
+    "RecalcStyleDuration": "style",
+}
 
 
 @click.command()
 @campaign_argument
 @click.option(
-    "--browser", callback=program, default=lambda: shutil.which("chromium") or shutil.which("google-chrome"), metavar="PROGRAM",
+    "--browser", callback=program,
+    default=lambda: shutil.which("chromium") or shutil.which("google-chrome"), metavar="PROGRAM",
     help="Chromium, if it is elsewhere.",
 )  # fmt: skip
-@click.option("--axe", type=click.Path(path_type=Path, exists=True), help="axe.min.js: also the violations of WCAG 2 A and AA.")
+@click.option(
+    "--axe",
+    type=click.Path(path_type=Path, exists=True),
+    help="axe.min.js: also the violations of WCAG 2 A and AA.",
+)
 @click.option("--kept", is_flag=True, help="Look at the report that is there, without writing it.")
 def command(folder: Path, browser: str | None, axe: Path | None, kept: bool) -> int:
     """What the report of a campaign in FOLDER weighs, and seconds until a headless Chromium answers; exit code 1 where a target is missed."""
@@ -68,26 +82,40 @@ def command(folder: Path, browser: str | None, axe: Path | None, kept: bool) -> 
         )
     size = target.stat().st_size / 1e6
     click.echo(f"{size:.2f} MB (target {_SIZE:g})")
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile, browser_of(browser, Path(profile)) as opened:
+    with (
+        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile,
+        browser_of(browser, Path(profile)) as opened,
+    ):
         visits = []
         for _ in range(_TRIES):
             page = opened.open(target, metered=True)
             found = page.evaluate(_READY)
-            found["cpu"] = {item["name"]: item["value"] for item in page.call("Performance.getMetrics")["metrics"]}
+            found["cpu"] = {
+                item["name"]: item["value"]
+                for item in page.call("Performance.getMetrics")["metrics"]
+            }
             visits.append((found["interactive"], len(page.requests) - 1, len(page.messages), found))
             page.call("Page.close")
         visits.sort(key=lambda visit: visit[0])
         median, _, _, told = visits[_TRIES // 2]
         asked, said = sum(visit[1] for visit in visits), sum(visit[2] for visit in visits)
-        click.echo(f"interactive after {', '.join(f'{visit[0]:.2f}' for visit in visits)} s, median {median:.2f} (target {_PATIENCE:g})")
-        click.echo(f"  of the median: parsed after {told['parsed']:.2f} s, loaded after {told['loaded']:.2f} s")
+        click.echo(
+            f"interactive after {', '.join(f'{visit[0]:.2f}' for visit in visits)} s, median {median:.2f} (target {_PATIENCE:g})"
+        )
+        click.echo(
+            f"  of the median: parsed after {told['parsed']:.2f} s, loaded after {told['loaded']:.2f} s"
+        )
         spent = [f"{words} {told['cpu'].get(name, 0.0):.2f}" for name, words in _METRICS.items()]
         click.echo(f"  CPU s of the main thread: {', '.join(spent)}")
-        click.echo(f"  tasks over 50 ms: {', '.join(f'{length:.2f} s at {start:.2f} s' for start, length in told['tasks']) or 'none'}")
+        click.echo(
+            f"  tasks over 50 ms: {', '.join(f'{length:.2f} s at {start:.2f} s' for start, length in told['tasks']) or 'none'}"
+        )
         click.echo(f"{asked} requests, {said} console messages")
         violations = 0
         rules = None if axe is None else axe.read_text(encoding="utf-8")
-        for width, dark in ((1400, False), (1400, True), (375, False), (375, True)) if rules else ():
+        for width, dark in (
+            ((1400, False), (1400, True), (375, False), (375, True)) if rules else ()
+        ):
             page = opened.open(target, width=width, dark=dark)
             page.evaluate(f"{rules};0")
             found = page.evaluate(

@@ -1,12 +1,13 @@
 """Growth of time and memory with the size of the problem: n carts in a row, T steps.
 
-Each stage of each size is a child of its own (benchmarks.measure) that has imported everything before the clock starts:
+Each stage of each size is a child of its own (benchmarks.measure) that has imported everything
+before the clock starts:
 
-    softplus_dc    softplus collocation at eps = 1e-3 from a cold start: build, translate, solve
-    mpec_step      one step of the relaxed complementarity from the softplus plan, eps = 1e-2: build, translate, solve
-    mpcc           exact contact from a cold start: homotopy, modes, landing (no window search)
-    gd_iteration   one loss and its gradient through the compiled rollout and adjoint
-    replay         the everyday replay and the reference replay of the inputs, as `validate all` does
+    softplus_dc softplus collocation at eps = 1e-3 from a cold start: build, translate, solve
+    mpec_step one step of the relaxed complementarity from the softplus plan, eps = 1e-2: build,
+    translate, solve mpcc exact contact from a cold start: homotopy, modes, landing (no window
+    search) gd_iteration one loss and its gradient through the compiled rollout and adjoint replay
+    the everyday replay and the reference replay of the inputs, as `validate all` does
 """
 
 from __future__ import annotations
@@ -27,18 +28,33 @@ from validate.store.disk import temporary_folder
 SIZES = tuple(
     Size(*size)
     for size in (
-        (3, 500), (3, 1000), (3, 2000), (3, 5000), (3, 10000), (3, 20000), (5, 2000), (10, 500), (10, 2000), (10, 5000), (20, 500), (20, 1000), (20, 3000),
+        (3, 500), (3, 1000), (3, 2000), (3, 5000), (3, 10000), (3, 20000), (5, 2000), (10, 500),
+        (10, 2000), (10, 5000), (20, 500), (20, 1000), (20, 3000),
     )
 )  # fmt: skip
 # name -> function of this file, and whether its work is done once only.
-STAGES = {"softplus_dc": True, "mpec_step": True, "mpcc": True, "gd_iteration": False, "replay": True}
+STAGES = {
+    "softplus_dc": True,
+    "mpec_step": True,
+    "mpcc": True,
+    "gd_iteration": False,
+    "replay": True,
+}
 
 
-def _solved(method: str, scene: Any, eps: float | None, warm: Any = None, **options: object) -> tuple[Any, Mapping[str, Any]]:
+def _solved(
+    method: str, scene: Any, eps: float | None, warm: Any = None, **options: object
+) -> tuple[Any, Mapping[str, Any]]:
     from formulations.pipelines import load_method
 
-    solution = load_method(method).open(scene, options).solve(eps=eps, warm_start=warm, time_limit=3600.0)
-    return solution.trajectory, {"outcome": solution.outcome.name.lower(), "iterations": solution.iterations, "value": solution.cost}
+    solution = (
+        load_method(method).open(scene, options).solve(eps=eps, warm_start=warm, time_limit=3600.0)
+    )
+    return solution.trajectory, {
+        "outcome": solution.outcome.name.lower(),
+        "iterations": solution.iterations,
+        "value": solution.cost,
+    }
 
 
 def softplus_dc(size: Size, folder: Path) -> Work:
@@ -88,32 +104,70 @@ def replay(size: Size, folder: Path) -> Work:
 
 
 def _row(stage: str, size: Size, limit: float, folder: Path) -> dict[str, Any]:
-    found = sample(f"benchmarks.scaling:{stage}", size, folder, seconds=limit, what=f"{stage}, {size}", once=STAGES[stage])
-    told = found.failed or f"{found.cpu_s:10.5f} CPU s, {found.memory_mib:8.1f} MiB, {found.iterations} iterations, {found.outcome}"
+    found = sample(
+        f"benchmarks.scaling:{stage}",
+        size,
+        folder,
+        seconds=limit,
+        what=f"{stage}, {size}",
+        once=STAGES[stage],
+    )
+    told = (
+        found.failed
+        or f"{found.cpu_s:10.5f} CPU s, {found.memory_mib:8.1f} MiB, {found.iterations} iterations, {found.outcome}"
+    )
     click.echo(f"  {size}: {told}")
     return {
-        "n": size.n, "steps": size.steps, "cpu_s": found.cpu_s, "memory_mib": found.memory_mib, "iterations": found.iterations,
+        "n": size.n, "steps": size.steps, "cpu_s": found.cpu_s, "memory_mib": found.memory_mib,
+        "iterations": found.iterations,
         "outcome": found.failed or found.outcome, "cost": found.value,
     }  # fmt: skip
 
 
 def exponents(rows: list[dict[str, Any]]) -> dict[str, float | None]:
-    """Slopes over n T of what has an answer; Ipopt's time an iteration too, because the number of iterations is the problem's."""
+    """Slopes over n T of what has an answer.
+
+    Ipopt's time an iteration too, because the number of iterations is the problem's.
+    """
     done = [row for row in rows if row["cpu_s"] is not None]
 
     def growth(name: str, per_iteration: bool = False) -> float | None:
-        return slope((row["n"] * row["steps"], row[name] / (max(1, row["iterations"]) if per_iteration else 1)) for row in done)
+        return slope(
+            (
+                row["n"] * row["steps"],
+                row[name] / (max(1, row["iterations"]) if per_iteration else 1),
+            )
+            for row in done
+        )
 
-    return {"time_exponent": growth("cpu_s"), "iteration_exponent": growth("cpu_s", True), "memory_exponent": growth("memory_mib")}
+    return {
+        "time_exponent": growth("cpu_s"),
+        "iteration_exponent": growth("cpu_s", True),
+        "memory_exponent": growth("memory_mib"),
+    }
 
 
 @click.command()
-@click.option("--stage", "stages", type=click.Choice(list(STAGES)), multiple=True, help="Only this stage; may be repeated.")
 @click.option(
-    "--largest", type=click.IntRange(min=min(size.n * size.steps for size in SIZES)), default=60_000, show_default=True, metavar="NT",
+    "--stage",
+    "stages",
+    type=click.Choice(list(STAGES)),
+    multiple=True,
+    help="Only this stage; may be repeated.",
+)
+@click.option(
+    "--largest", type=click.IntRange(min=min(size.n * size.steps for size in SIZES)),
+    default=60_000, show_default=True, metavar="NT",
     help="Leave out sizes with a larger n T.",
 )  # fmt: skip
-@click.option("--limit", type=POSITIVE, default=900.0, show_default=True, metavar="SECONDS", help="For one process.")
+@click.option(
+    "--limit",
+    type=POSITIVE,
+    default=900.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="For one process.",
+)
 @out_option
 def command(stages: tuple[str, ...], largest: int, limit: float, out: Path) -> int:
     """CPU time and memory of five stages over n carts and T steps, and the exponents of n T."""
@@ -121,9 +175,16 @@ def command(stages: tuple[str, ...], largest: int, limit: float, out: Path) -> i
     with temporary_folder("touchstone-bench-") as folder:
         for stage in stages or STAGES:
             click.echo(stage)
-            rows = [_row(stage, size, limit, folder) for size in SIZES if size.n * size.steps <= largest]
+            rows = [
+                _row(stage, size, limit, folder) for size in SIZES if size.n * size.steps <= largest
+            ]
             figures = exponents(rows)
-            click.echo("  " + ", ".join(f"{name} {value:.3f}" for name, value in figures.items() if value is not None))
+            click.echo(
+                "  "
+                + ", ".join(
+                    f"{name} {value:.3f}" for name, value in figures.items() if value is not None
+                )
+            )
             told.append({"name": stage, **figures, "rows": rows})
             store(out, "scaling", {"kind": "scaling", "stages": told})
     return 0

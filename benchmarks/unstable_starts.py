@@ -1,10 +1,15 @@
 """How many starts of the unstable cart-pole are balanced, in the tracked replay and in the open loop: cart_pole_walls from seeded random starts.
 
-Starts: the cart within +-0.3 m, the pole within +-0.4 rad, at rest, uniformly. The plan is found by softplus_dc+strict from a cold start, with the
-scene's cost (100 |x_T|^2 + 0.001 sum u^2) and a free end. Where it does not balance, the same is tried again with 93 and 85 % of the inputs' bounds: a plan that
-stands at its bounds leaves the feedback nothing to correct with. A start is balanced by a plan that holds when it is judged on the scene itself (its
-goal, all of its bounds, its limits, the one on the tracked replay's end among them); the open loop's end stands beside it. The wall is used where
-the tracked replay presses on it. CPU seconds are those of this process: plan (models and translations too) and judgement apart, imports and compilation before.
+Starts: the cart within +-0.3 m, the pole within +-0.4 rad, at rest, uniformly. The plan is found by
+    softplus_dc+strict from a cold start, with the
+scene's cost (100 |x_T|^2 + 0.001 sum u^2) and a free end. Where it does not balance, the same is
+    tried again with 93 and 85 % of the inputs' bounds: a plan that
+stands at its bounds leaves the feedback nothing to correct with. A start is balanced by a plan that
+    holds when it is judged on the scene itself (its
+goal, all of its bounds, its limits, the one on the tracked replay's end among them); the open
+    loop's end stands beside it. The wall is used where
+the tracked replay presses on it. CPU seconds are those of this process: plan (models and
+    translations too) and judgement apart, imports and compilation before.
 """
 
 from __future__ import annotations
@@ -28,8 +33,11 @@ from validate.judge.replay import Replay
 from validate.judge.replay.run import replay
 from validate.judge.score import Score, score
 
-SCENE, PIPELINE = "cart_pole_walls", "softplus_dc+strict"
-PLACE, ANGLE = 0.3, 0.4  # [m], [rad]
+SCENE = "cart_pole_walls"
+PIPELINE = "softplus_dc+strict"
+# [m], [rad]
+PLACE = 0.3
+ANGLE = 0.4
 # Shares of the inputs' bounds that plans are tried with, in this order.
 SHARES = (1.0, 0.93, 0.85)
 _TIME_LIMIT = 60.0  # [s] for a stage, on the average
@@ -62,14 +70,18 @@ def starts(number: int, seed: int) -> np.ndarray:
 def _planned(scene: Scene) -> tuple[str, Trajectory | None]:
     """The pipeline from a cold start: the last outcome, and the last plan."""
     outcome, plan, pipeline = "no plan", None, find_pipeline(PIPELINE)
-    for solution in solve_stages(scene, pipeline, time_limit=_TIME_LIMIT * len(list(stage_plan(pipeline)))):
+    for solution in solve_stages(
+        scene, pipeline, time_limit=_TIME_LIMIT * len(list(stage_plan(pipeline)))
+    ):
         outcome, plan = solution.outcome.name.lower(), solution.trajectory or plan
     return outcome, plan
 
 
 def _tried(scene: Scene, fmu: Path, start: np.ndarray, share: float) -> Tried:
     began = process_time()
-    inputs = tuple(replace(item, lower=share * item.lower, upper=share * item.upper) for item in scene.inputs)
+    inputs = tuple(
+        replace(item, lower=share * item.lower, upper=share * item.upper) for item in scene.inputs
+    )
     free = (None,) * (2 * scene.nq)
     judged = scene.with_task(start=tuple(start))
     outcome, plan = _planned(replace(judged.with_task(goal=free), inputs=inputs))
@@ -86,13 +98,22 @@ def _row(start: np.ndarray, tried: list[Tried]) -> dict[str, Any]:
     best = tried[-1]
     value = best.score.value if best.score is not None else lambda name: None
     tracked = best.replay.tracked if best.replay is not None else None
-    impulse = tracked.contact_impulse[-1].sum() if tracked is not None and tracked.contact_impulse is not None else 0.0
+    impulse = (
+        tracked.contact_impulse[-1].sum()
+        if tracked is not None and tracked.contact_impulse is not None
+        else 0.0
+    )
     return {
-        "x": float(start[0]), "theta": float(start[1]), "share": best.share, "outcome": best.outcome, "balanced": best.holds,
-        "why": best.score.why if best.score is not None else "no plan", "wall_impulse": float(impulse),
-        "tracked_end": value("tracked_replay_terminal_error"), "open_end": value("replay_terminal_error"), "plan_end": value("terminal_error"),
-        "effort": value("feedback_effort"), "peak": value("feedback_peak"), "amplification": value("amplification"),
-        "plan_cpu_s": sum(item.plan_s for item in tried), "judge_cpu_s": sum(item.judge_s for item in tried),
+        "x": float(start[0]), "theta": float(start[1]), "share": best.share,
+        "outcome": best.outcome, "balanced": best.holds,
+        "why": best.score.why if best.score is not None else "no plan",
+        "wall_impulse": float(impulse),
+        "tracked_end": value("tracked_replay_terminal_error"),
+        "open_end": value("replay_terminal_error"), "plan_end": value("terminal_error"),
+        "effort": value("feedback_effort"), "peak": value("feedback_peak"),
+        "amplification": value("amplification"),
+        "plan_cpu_s": sum(item.plan_s for item in tried),
+        "judge_cpu_s": sum(item.judge_s for item in tried),
     }  # fmt: skip
 
 
@@ -128,7 +149,13 @@ def command(number: int, seed: int, out: Path) -> int:
         f"CPU seconds of finding a plan: median {np.median(cpu):.2f}, at most {max(cpu):.2f}"
     )
     limit = scene.limit("replay_terminal_position_error")
-    told = {"kind": "unstable_starts", "scene": SCENE, "pipeline": PIPELINE, "seed": seed, "starts": rows}
+    told = {
+        "kind": "unstable_starts",
+        "scene": SCENE,
+        "pipeline": PIPELINE,
+        "seed": seed,
+        "starts": rows,
+    }
     store(out, "unstable-starts", {**told, "limit": limit.value if limit is not None else 0.0})
     return 0
 

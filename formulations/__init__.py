@@ -1,12 +1,14 @@
 """How a plan is found: methods, the pipelines that chain them, and the Pyomo models they are built from.
 
-    from formulations import build_model, ContactFormulation
-    model = build_model("three_cart", ContactFormulation.SOFTPLUS, eps=1e-3)     # a plain pyomo ConcreteModel
-    pyomo.environ.SolverFactory("touchstone_ipopt").solve(model)         # or any other solver; "mpec_ipopt" for complementarity
+    from formulations import build_model, ContactFormulation model = build_model("three_cart",
+    ContactFormulation.SOFTPLUS, eps=1e-3) # a plain pyomo ConcreteModel
+    pyomo.environ.SolverFactory("touchstone_ipopt").solve(model) # or any other solver; "mpec_ipopt"
+    for complementarity
 
-Importing this package registers both solvers with both of Pyomo's factories, and imports neither Pyomo, which comes when a model is built, nor PyTorch: the
-names are registered as soon as somebody imports `pyomo.environ`, since Pyomo has no entry points for solvers, and importing it here would cost 0.5 s. A solver
-is imported when it is asked for, 0.3 s more.
+Importing this package registers both solvers with both of Pyomo's factories, and imports neither
+Pyomo, which comes when a model is built, nor PyTorch: the names are registered as soon as somebody
+imports `pyomo.environ`, since Pyomo has no entry points for solvers, and importing it here would
+cost 0.5 s. A solver is imported when it is asked for, 0.3 s more.
 """
 
 from __future__ import annotations
@@ -23,7 +25,12 @@ if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
 
     from formulations.transcription.build import build_block, build_model, load_plan, read_plan
-    from formulations.transcription.contact import ContactFormulation, ModelError, relax, set_relaxation
+    from formulations.transcription.contact import (
+        ContactFormulation,
+        ModelError,
+        relax,
+        set_relaxation,
+    )
     from formulations.transcription.residuals import PlanResiduals
 
 __all__ = [
@@ -42,7 +49,9 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name in __all__:
         for home in ("build", "contact", "residuals"):
-            found = getattr(importlib.import_module(f"formulations.transcription.{home}"), name, None)
+            found = getattr(
+                importlib.import_module(f"formulations.transcription.{home}"), name, None
+            )
             if found is not None:
                 return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
@@ -50,15 +59,19 @@ def __getattr__(name: str) -> Any:
 
 # Name of a solver -> module and class of it, and what it is.
 _SOLVERS = MappingProxyType({
-    "touchstone_ipopt": ("formulations.ipopt.pyomo_solver", "TouchstoneIpopt", "Ipopt through cyipopt, without AMPL executables"),
-    "mpec_ipopt": ("formulations.mpec.solve", "MpecIpopt", "MPECs (pyomo.mpec) by relaxation, active-set polish and certificate, on Ipopt"),
+    "touchstone_ipopt": ("formulations.ipopt.pyomo_solver", "TouchstoneIpopt",
+                         "Ipopt through cyipopt, without AMPL executables"),
+    "mpec_ipopt": ("formulations.mpec.solve", "MpecIpopt",
+                   "MPECs (pyomo.mpec) by relaxation, active-set polish and certificate, on Ipopt"),
 })  # fmt: skip
 
 
 class _AfterPyomo:
     """A finder of modules by its method; the class of `importlib.abc` for it would cost 10 ms."""
 
-    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
         if name != "pyomo.environ":
             return None
         sys.meta_path.remove(self)
@@ -81,14 +94,21 @@ def _register() -> None:
 
     for name, (home, plugin, doc) in _SOLVERS.items():
         FirstFactory.register(name, doc)(partial(_plugin, home, plugin))
-        # The second factory's own `register` would put a wrapper of this one in the place of the plugin in the first factory.
+        # The second factory's own `register` would put a wrapper of this one in the place of the
+        # plugin in the first factory.
         Factory.register(SolverFactory, name, doc)(partial(_plugin, home, plugin, "ContribSolver"))
 
 
 def _plugin(home: str, name: str, outer: str = "", /, **settings: Any) -> Any:
     """A solver of the first interface, or what asks it in the words of the second."""
     plugin = getattr(importlib.import_module(home), name)
-    return getattr(importlib.import_module("formulations.ipopt.pyomo_solver"), outer)(plugin, **settings) if outer else plugin(**settings)
+    return (
+        getattr(importlib.import_module("formulations.ipopt.pyomo_solver"), outer)(
+            plugin, **settings
+        )
+        if outer
+        else plugin(**settings)
+    )
 
 
 if "pyomo.environ" in sys.modules:

@@ -1,11 +1,16 @@
-"""Plans on the grid of a scene's task: from a rollout, from another grid, refused; the bounds of its inputs; and the same task on a coarser grid.
+"""Plans on the grid of a scene's task: from a rollout, from another grid, refused.
 
-Finer steps than a task's: how far the motion departs from a plan there, with feedback, and the same task on them.
+The bounds of its inputs; and the same task on a coarser grid.
 
-A plan solves the equations of its grid, and a robot does not move on a grid. The motion on finer steps is what a judge sees, in the finder's own words: the
-scene's own time step, driven by the plan's inputs and by linear feedback around it. It is a start for the same task on those steps, too: it keeps their
-equations and contact as they are, and misses only the goal. (Positions between two rows, taken linearly, keep neither: `strict_lcp` then starts from
-nothing, and takes 1,423 iterations for push_box on steps a quarter as long instead of 110.)
+Finer steps than a task's: how far the motion departs from a plan there, with feedback, and the same
+task on them.
+
+A plan solves the equations of its grid, and a robot does not move on a grid. The motion on finer
+steps is what a judge sees, in the finder's own words: the scene's own time step, driven by the
+plan's inputs and by linear feedback around it. It is a start for the same task on those steps, too:
+it keeps their equations and contact as they are, and misses only the goal. (Positions between two
+rows, taken linearly, keep neither: `strict_lcp` then starts from nothing, and takes 1,423
+iterations for push_box on steps a quarter as long instead of 110.)
 """
 
 from __future__ import annotations
@@ -39,8 +44,13 @@ def on_grid(plan: Trajectory, scene: Scene) -> Trajectory:
     t = uniform_grid(task.step, task.steps)
     stretch = (plan.t[-1] - plan.t[0]) / task.horizon  # 1 up to rounding
     source = (plan.t - plan.t[0]) / stretch
-    step = np.minimum((np.arange(task.steps) + 0.5) * plan.steps / task.steps, plan.steps - 1).astype(int)
-    states = [np.stack([np.interp(t, source, column) for column in array.T], axis=1) for array in (plan.q, plan.v)]
+    step = np.minimum(
+        (np.arange(task.steps) + 0.5) * plan.steps / task.steps, plan.steps - 1
+    ).astype(int)
+    states = [
+        np.stack([np.interp(t, source, column) for column in array.T], axis=1)
+        for array in (plan.q, plan.v)
+    ]
     return Trajectory(t=t, q=states[0], v=states[1], u=plan.u[step], lam=plan.lam[step])
 
 
@@ -54,7 +64,9 @@ def check_warm_start(scene: Scene, plan: Trajectory | None) -> None:
 
 def check_grid(plan: Trajectory, steps: int, step: float, asker: str) -> None:
     """Raise TrajectoryError for a plan that does not have so many steps of this length [s], which the asker has."""
-    if plan.steps != steps or not np.allclose(plan.t - plan.t[0], uniform_grid(step, steps), rtol=1e-9, atol=1e-9 * step):
+    if plan.steps != steps or not np.allclose(
+        plan.t - plan.t[0], uniform_grid(step, steps), rtol=1e-9, atol=1e-9 * step
+    ):
         raise TrajectoryError(
             f"warm start: it has {plan.steps} steps over {plan.t[-1] - plan.t[0]:g} s, but {asker} has {steps} steps of {step:g} s; "
             "resample it to that grid."
@@ -64,60 +76,104 @@ def check_grid(plan: Trajectory, steps: int, step: float, asker: str) -> None:
 def plan_of(scene: Scene, rollout: Rollout, u: np.ndarray) -> Trajectory:
     """Give the motion that the scene's own time step made of inputs u (steps, nu) [N, N m], as a plan. Raises TrajectoryError where the motion or the inputs are not finite."""
     t = uniform_grid(scene.task.step, scene.task.steps)
-    return Trajectory(t=t, q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER)
+    return Trajectory(
+        t=t, q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+    )
 
 
 def rolled_plan(
-    scene: Scene, kernel: Kernel, u: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
+    scene: Scene,
+    kernel: Kernel,
+    u: np.ndarray,
+    law: ContactLaw = ContactLaw.RELU,
+    eps: float | None = None,
 ) -> Trajectory | None:
-    """Give the motion that inputs u (steps, nu) [N, N m] make from the scene's start, as a plan; None where it diverges. Raises KernelError for another size."""
+    """Give the motion that inputs u (steps, nu) [N, N m] make from the scene's start, as a plan.
+
+    None where it diverges. Raises KernelError for another size.
+    """
     rollout = kernel.rollout(np.array(scene.task.start), u, scene.task.step, law, eps)
     return None if rollout.diverged else plan_of(scene, rollout, u)
 
 
 def input_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Give the lower and upper bounds (nu,) [N, N m] of the inputs, infinite where there is none. Raises nothing."""
-    return np.array([item.lower for item in scene.inputs]), np.array([item.upper for item in scene.inputs])
+    """Give the lower and upper bounds (nu,) [N, N m] of the inputs, infinite where there is none.
+
+    Raises nothing.
+    """
+    return np.array([item.lower for item in scene.inputs]), np.array(
+        [item.upper for item in scene.inputs]
+    )
 
 
 def bound_excess(scene: Scene, plan: Trajectory) -> dict[str, float]:
     """Measure by how much inputs leave their bounds [N, N m] and, where the scene bounds them, velocities at the start of a step [m/s, rad/s]."""
     pairs = [("input_bound_excess", plan.u, *input_bounds(scene))]
     if any(coordinate.has_velocity_bounds for coordinate in scene.coordinates):
-        slowest, fastest = zip(*((coordinate.velocity_lower, coordinate.velocity_upper) for coordinate in scene.coordinates), strict=True)
+        slowest, fastest = zip(
+            *(
+                (coordinate.velocity_lower, coordinate.velocity_upper)
+                for coordinate in scene.coordinates
+            ),
+            strict=True,
+        )
         pairs.append(("velocity_bound_excess", plan.v[:-1], np.array(slowest), np.array(fastest)))
     return {
-        name: float(np.maximum(np.maximum(lower - values, values - upper), 0.0).max(initial=0.0)) for name, values, lower, upper in pairs
+        name: float(np.maximum(np.maximum(lower - values, values - upper), 0.0).max(initial=0.0))
+        for name, values, lower, upper in pairs
     }
 
 
 def replayed_goal_error(scene: Scene, kernel: Kernel, plan: Trajectory) -> float:
-    """Roll the plan's inputs out through the same time step with the true contact law; how far from the goal that ends, in the norm of (q, v)."""
+    """Roll the plan's inputs out through the same time step with the true contact law.
+
+    How far from the goal that ends, in the norm of (q, v).
+    """
     replay = kernel.rollout(np.array(scene.task.start), plan.u, scene.task.step)
     return distance(np.concatenate([replay.q[-1], replay.v[-1]]), goal_state(scene.task))
 
 
-# Steps in one of the plan's on which it is followed: on ten feedback seems to take a tenth less (hopper_planar: 0.80 instead of 0.87 of the plan's
-# inputs). What it may take where the scene sets no limit; what is said of a motion that leaves every bound.
-_PARTS, _SHARE, _LOST = 50, 0.5, 1e6
-_LIMITS = ("replay_error", "replay_terminal_position_error", "replay_terminal_velocity_error", "feedback_share")
+# Steps in one of the plan's on which it is followed: on ten feedback seems to take a tenth less
+# (hopper_planar: 0.80 instead of 0.87 of the plan's inputs). What it may take where the scene sets
+# no limit; what is said of a motion that leaves every bound.
+_PARTS = 50
+_SHARE = 0.5
+_LOST = 1e6
+_LIMITS = (
+    "replay_error",
+    "replay_terminal_position_error",
+    "replay_terminal_velocity_error",
+    "feedback_share",
+)
 
 
 def finer_scene(scene: Scene, parts: int) -> Scene:
-    """Give the same task, with the same cost, on steps of which `parts` make one of the scene's. Raises SceneError where the scene allows no such task."""
+    """Give the same task, with the same cost, on steps of which `parts` make one of the scene's.
+
+    Raises SceneError where the scene allows no such task.
+    """
     task = scene.task
-    return scene.with_task(steps=task.steps * parts, step=task.step / parts, running_cost=task.running_cost / parts)
+    return scene.with_task(
+        steps=task.steps * parts, step=task.step / parts, running_cost=task.running_cost / parts
+    )
 
 
 def scene_of(scene: Scene, plan: Trajectory) -> Scene:
     """Give the task on the plan's own steps where those are finer, so many of them one of the task's; else the scene itself. Raises nothing."""
     task, parts = scene.task, plan.steps // scene.task.steps
-    fits = plan.steps == parts * task.steps and plan.has_uniform_grid and np.isclose(plan.duration, task.horizon, rtol=1e-9, atol=0.0)
+    fits = (
+        plan.steps == parts * task.steps
+        and plan.has_uniform_grid
+        and np.isclose(plan.duration, task.horizon, rtol=1e-9, atol=0.0)
+    )
     return finer_scene(scene, parts) if parts > 1 and fits else scene
 
 
 def motion_on_finer_steps(scene: Scene, plan: Trajectory, parts: int) -> Trajectory | None:
-    """Give the motion that follows a plan with feedback, as a plan of `finer_scene`; None where it leaves every bound. Raises KernelError for a plan of another scene."""
+    """Give the motion that follows a plan with feedback, as a plan of `finer_scene`.
+
+    None where it leaves every bound. Raises KernelError for a plan of another scene.
+    """
     u, _ = _followed(scene, plan, parts)
     if u is None:
         return None
@@ -131,8 +187,9 @@ def departure(scene: Scene, plan: Trajectory) -> float:
     Returns
     -------
     float
-        Of distance from the plan's positions, of distance from the goal's positions and velocities at the end, each over the scene's limit, and of the
-        feedback's root mean square over that of the inputs, each in half their range, over its limit [-].
+        Of distance from the plan's positions, of distance from the goal's positions and velocities
+        at the end, each over the scene's limit, and of the feedback's root mean square over that of
+        the inputs, each in half their range, over its limit [-].
 
     Raises
     ------
@@ -144,9 +201,12 @@ def departure(scene: Scene, plan: Trajectory) -> float:
 
 @np.errstate(over="ignore", invalid="ignore")
 def _followed(scene: Scene, plan: Trajectory, parts: int) -> tuple[np.ndarray | None, float]:
-    """The inputs (steps, nu) with feedback [N, N m], None where the motion leaves every bound; and how far it departs [-].
+    """The inputs (steps, nu) with feedback [N, N m], None where the motion leaves every bound.
 
-    Feedback is the time-varying LQR with an error of the nominal size worth all of an input, held over a step of the plan and kept within the bounds.
+    And how far it departs [-].
+
+    Feedback is the time-varying LQR with an error of the nominal size worth all of an input, held
+    over a step of the plan and kept within the bounds.
     """
     lost = None, _LOST
     steps, h, x_plan = load_steps(scene), scene.task.step / parts, np.hstack([plan.q, plan.v])
@@ -161,11 +221,16 @@ def _followed(scene: Scene, plan: Trajectory, parts: int) -> tuple[np.ndarray | 
         after, by_x, by_u = part.next, part.A @ by_x, part.A @ by_u + part.B
     by_x, by_u = by_x * size / size[:, None], by_u * half / size[:, None]
     goal = goal_state(scene.task)
-    value, gains = np.diag(np.where(np.isnan(goal), 1.0, float(plan.steps))), np.empty((plan.steps, scene.nu, len(size)))
+    value, gains = (
+        np.diag(np.where(np.isnan(goal), 1.0, float(plan.steps))),
+        np.empty((plan.steps, scene.nu, len(size))),
+    )
     for t in reversed(range(plan.steps)):
         if not np.isfinite(value).all():
             return lost
-        gains[t] = np.linalg.solve(np.eye(scene.nu) + by_u[t].T @ value @ by_u[t], by_u[t].T @ value @ by_x[t])
+        gains[t] = np.linalg.solve(
+            np.eye(scene.nu) + by_u[t].T @ value @ by_u[t], by_u[t].T @ value @ by_x[t]
+        )
         value = np.eye(len(size)) + by_x[t].T @ value @ (by_x[t] - by_u[t] @ gains[t])
     x, u, off = x_plan[0], np.empty_like(plan.u), 0.0
     for t in range(plan.steps):
@@ -173,11 +238,21 @@ def _followed(scene: Scene, plan: Trajectory, parts: int) -> tuple[np.ndarray | 
         motion = steps.rollout(x, np.repeat(u[t : t + 1], parts, axis=0), h)
         if motion.diverged:
             return lost
-        x, off = np.concatenate([motion.q[-1], motion.v[-1]]), max(off, float(np.abs(motion.q[-1] - plan.q[t + 1]).max()))
+        x, off = (
+            np.concatenate([motion.q[-1], motion.v[-1]]),
+            max(off, float(np.abs(motion.q[-1] - plan.q[t + 1]).max())),
+        )
     position, velocity = (float(np.linalg.norm(part)) for part in np.split(miss(x, goal), 2))
     share = float(np.linalg.norm((u - plan.u) / half) / max(np.linalg.norm(plan.u / half), 1e-300))
-    allowed = {name: None if (limit := scene.limit(name)) is None else limit.value for name in _LIMITS}
+    allowed = {
+        name: None if (limit := scene.limit(name)) is None else limit.value for name in _LIMITS
+    }
     allowed["feedback_share"] = allowed["feedback_share"] or _SHARE
     return u, min(
-        max(value / limit for value, limit in zip((off, position, velocity, share), allowed.values(), strict=True) if limit), _LOST
+        max(
+            value / limit
+            for value, limit in zip((off, position, velocity, share), allowed.values(), strict=True)
+            if limit
+        ),
+        _LOST,
     )

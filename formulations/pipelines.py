@@ -1,13 +1,16 @@
-"""The pipelines: chains of methods with their eps schedules, as data; and the methods, found by their files' names.
+"""The pipelines: chains of methods with their eps schedules, as data.
+
+And the methods, found by their files' names.
 
     find_pipeline("softplus_dc+strict").legs
     # (Leg(method="softplus_dc", schedule=(1e-3, 1e-5, 1e-7)), Leg(method="strict_lcp"))
 
-A name is `warm starter + finisher`; the first eight are the rows of the paper's Table I. The others are ours. Nothing heavy is imported until a method
-is loaded, and Pyomo and PyTorch not before one is opened.
+A name is `warm starter + finisher`; the first eight are the rows of the paper's Table I. The others
+are ours. Nothing heavy is imported until a method is loaded, and Pyomo and PyTorch not before one
+is opened.
 
-    stages = solve_stages(load_scene("three_cart"), find_pipeline("softplus_dc+strict"), time_limit=60.0)       # in this process, without judging
-    stages[-1].trajectory
+    stages = solve_stages(load_scene("three_cart"), find_pipeline("softplus_dc+strict"),
+    time_limit=60.0) # in this process, without judging stages[-1].trajectory
 """
 
 from __future__ import annotations
@@ -35,7 +38,9 @@ _FOLDER = Path(__file__).parent / "methods"
 
 def method_names() -> tuple[str, ...]:
     """Give the names of all methods, sorted; reads file names only."""
-    return tuple(sorted(path.stem for path in _FOLDER.glob("*.py") if not path.stem.startswith("_")))
+    return tuple(
+        sorted(path.stem for path in _FOLDER.glob("*.py") if not path.stem.startswith("_"))
+    )
 
 
 def load_method(name: str) -> Method:
@@ -46,40 +51,51 @@ def load_method(name: str) -> Method:
     module = importlib.import_module(f"formulations.methods.{name}")
     method = module.METHOD
     if method.name != name:
-        raise UnknownNameError(f"method file {name}.py: METHOD.name is {method.name!r} but must equal the file's name.")
+        raise UnknownNameError(
+            f"method file {name}.py: METHOD.name is {method.name!r} but must equal the file's name."
+        )
     return method
 
 
 PAPER = "Suh and Wang, Table I"
-FREE_MOTION, BEST_EXACT = "free_motion", "best_exact"
+FREE_MOTION = "free_motion"
+BEST_EXACT = "best_exact"
 
 RELAXED_EPS = (1e-2, 1e-3, 1e-4)
 SOFTPLUS_EPS = (1e-3, 1e-5, 1e-7)
-# A relaxed walk begins here: looser bounds than 0.9 N^2 say no more of where contact is (the carts push with 3.6 N), and none is as large as 1.
-RELAXED_FROM, RELAXED_TO = 0.9, RELAXED_EPS[-1]
+# A relaxed walk begins here: looser bounds than 0.9 N^2 say no more of where contact is (the carts
+# push with 3.6 N), and none is as large as 1.
+RELAXED_FROM = 0.9
+RELAXED_TO = RELAXED_EPS[-1]
 
-# Gradient steps of the paper's rows. It prints none: these were recovered from its costs (149.17 / 166.45 / 215.14 for softplus,
-# 542.56 for cold ReLU, 309.42 and 360.31 for ReLU after softplus GD and after softplus DC).
+# Gradient steps of the paper's rows. It prints none: these were recovered from its costs (149.17 /
+# 166.45 / 215.14 for softplus, 542.56 for cold ReLU, 309.42 and 360.31 for ReLU after softplus GD
+# and after softplus DC).
 SOFTPLUS_GD_COUNTS = (15, 14, 11)
 RELU_GD_COLD_COUNT = 200
 RELU_GD_AFTER_SOFTPLUS_GD = 10
 RELU_GD_AFTER_SOFTPLUS_DC = 6
-# The paper does not say how many steps follow the relaxed LCP, and its cost there (492.06) starts from a plan we cannot have:
-# the number after softplus GD is taken.
+# The paper does not say how many steps follow the relaxed LCP, and its cost there (492.06) starts
+# from a plan we cannot have: the number after softplus GD is taken.
 RELU_GD_AFTER_RELAXED = 10
 
-# Multiple shooting goes from far softer to far harder contact than the paper: each stage moves its plan little, and costs a fraction of a second.
+# Multiple shooting goes from far softer to far harder contact than the paper: each stage moves its
+# plan little, and costs a fraction of a second.
 MULTIPLE_SHOOTING_EPS = (1e-3, 1e-6, 1e-12, 1e-24, 1e-48)
-# Iterations of each of these stages: the next one starts as well from a plan that is nearly settled.
+# Iterations of each of these stages: the next one starts as well from a plan that is nearly
+# settled.
 MULTIPLE_SHOOTING_COUNT = 60
 # Standard deviation of the random inputs, in half ranges of the inputs.
 NOISE = (0.3, 0.1, 0.03)
 
 
-# Starts of mpcc_multistart, and how many of them a part runs: beside them, starting a process and replaying its best plan costs little.
-STARTS, STARTS_EACH = 20, 5
-# Work of such a part, in millions (option `work` of mpcc): 5 to 10 CPU s of Ipopt, of which a start may take half of what is left. More finds the
-# same best plans, and more of the starts end: docs/campaigns.md has the figures, and how to ask for more.
+# Starts of mpcc_multistart, and how many of them a part runs: beside them, starting a process and
+# replaying its best plan costs little.
+STARTS = 20
+STARTS_EACH = 5
+# Work of such a part, in millions (option `work` of mpcc): 5 to 10 CPU s of Ipopt, of which a start
+# may take half of what is left. More finds the same best plans, and more of the starts end:
+# docs/campaigns.md has the figures, and how to ask for more.
 STARTS_WORK = 12.0
 
 
@@ -89,72 +105,178 @@ def _counts(*iterations: int) -> tuple[Mapping[str, object], ...]:
 
 _RELAXED = Leg(method="relaxed_lcp", schedule=RELAXED_EPS)
 _SOFTPLUS_DC = Leg(method="softplus_dc", schedule=SOFTPLUS_EPS)
-_SOFTPLUS_GD = Leg(method="softplus_gd", schedule=SOFTPLUS_EPS, stage_options=_counts(*SOFTPLUS_GD_COUNTS))
+_SOFTPLUS_GD = Leg(
+    method="softplus_gd", schedule=SOFTPLUS_EPS, stage_options=_counts(*SOFTPLUS_GD_COUNTS)
+)
 
 
 def _relu_gd(iterations: int) -> Leg:
     return Leg(method="relu_gd", stage_options=_counts(iterations))
 
 
-def _row(name: str, title: str, source: str, *legs: Leg | str, parts: tuple[Mapping[str, object], ...] = ()) -> Pipeline:
-    """One pipeline; a leg is that of a method without eps and options where only its name is given."""
+def _row(
+    name: str,
+    title: str,
+    source: str,
+    *legs: Leg | str,
+    parts: tuple[Mapping[str, object], ...] = (),
+) -> Pipeline:
+    """One pipeline.
+
+    A leg is that of a method without eps and options where only its name is given.
+    """
     chain = tuple(Leg(method=leg) if isinstance(leg, str) else leg for leg in legs)
     return Pipeline(name=name, title=title, legs=chain, source=source, parts=parts)
 
 
-_PARTS = tuple({"starts": STARTS_EACH, "first_start": first, "work": STARTS_WORK} for first in range(0, STARTS, STARTS_EACH))
-_SHOT_SOFTLY = Leg(method="softplus_multiple_shooting", schedule=MULTIPLE_SHOOTING_EPS, options={"max_iterations": MULTIPLE_SHOOTING_COUNT})
+_PARTS = tuple(
+    {"starts": STARTS_EACH, "first_start": first, "work": STARTS_WORK}
+    for first in range(0, STARTS, STARTS_EACH)
+)
+_SHOT_SOFTLY = Leg(
+    method="softplus_multiple_shooting",
+    schedule=MULTIPLE_SHOOTING_EPS,
+    options={"max_iterations": MULTIPLE_SHOOTING_COUNT},
+)
 
 # A row: name, title, where it is from, legs in order.
 PIPELINES: tuple[Pipeline, ...] = (
     _row("strict", "Strict LCP from a cold start", PAPER, "strict_lcp"),
-    _row("relu_gd", "Gradient descent on ReLU contact from a cold start", PAPER, _relu_gd(RELU_GD_COLD_COUNT)),
-    _row("relaxed+strict", "Relaxed LCP, tightened, then strict LCP", PAPER, _RELAXED, "strict_lcp"),
-    _row("relaxed+relu_gd", "Relaxed LCP, tightened, then gradient descent on ReLU contact",
-         f"{PAPER}; the number of gradient steps is ours (the paper gives none)", _RELAXED, _relu_gd(RELU_GD_AFTER_RELAXED)),
-    _row("softplus_dc+strict", "Softplus collocation, tightened, then strict LCP", PAPER, _SOFTPLUS_DC, "strict_lcp"),
-    _row("softplus_dc+relu_gd", "Softplus collocation, tightened, then gradient descent on ReLU contact",
-         PAPER, _SOFTPLUS_DC, _relu_gd(RELU_GD_AFTER_SOFTPLUS_DC)),
-    _row("softplus_gd+strict", "Softplus gradient descent, tightened, then strict LCP", PAPER, _SOFTPLUS_GD, "strict_lcp"),
-    _row("softplus_gd+relu_gd", "Softplus gradient descent, tightened, then gradient descent on ReLU contact",
-         PAPER, _SOFTPLUS_GD, _relu_gd(RELU_GD_AFTER_SOFTPLUS_GD)),
-    _row("gd_converged", "Softplus gradient descent, then ReLU, each to convergence",
-         "ours: what the paper's gradient descent reaches when it is not cut off",
-         Leg(method="softplus_gd", schedule=SOFTPLUS_EPS), "relu_gd"),
-    _row("lbfgs", "L-BFGS on softplus contact, tightened, then on ReLU contact",
-         "ours: the loss of gradient descent, a method that learns its curvature, and the goal met by multipliers",
-         Leg(method="softplus_lbfgs", schedule=SOFTPLUS_EPS), "relu_lbfgs"),
-    _row("softplus_dc+lbfgs", "Softplus collocation, tightened, then fine tuning by L-BFGS on softplus and on ReLU contact",
-         "ours: the outlook of the paper, collocation followed by fine tuning on what is simulated",
-         _SOFTPLUS_DC, Leg(method="softplus_lbfgs", schedule=SOFTPLUS_EPS[-1:]), "relu_lbfgs"),
-    _row("randomised_smoothing", "L-BFGS on ReLU contact averaged over random inputs, with ever less noise, then without",
-         "ours: another relaxation, by noise; bundled gradients of Suh, Pang and Tedrake",
-         Leg(method="randomised_smoothing", schedule=NOISE), "relu_lbfgs"),
-    _row("multiple_shooting", "Multiple shooting on softplus contact, tightened, then on ReLU contact",
-         "ours: for unstable and long scenes, whose gradients explode in single shooting", _SHOT_SOFTLY, "relu_multiple_shooting"),
-    _row("mpcc", "Exact contact from a cold start, by its modes",
-         "ours: softplus homotopy, contact modes read off, what is left solved exactly, mode sequences searched", "mpcc"),
-    _row(BEST_EXACT, "Exact contact from a cold start, the cheapest plan of several ways",
-         "ours: mpcc where contacts are open or closed; else relaxed and softplus contact walked down by steps that adapt, each then strict",
-         BEST_EXACT),
-    _row("collocation", "Exact contact by collocation of order 3, from a cold start",
-         "ours: Radau IIA with two stages on the scene's own grid, contact modes by a softplus homotopy; frictionless scenes",
-         "collocation"),
-    _row("robust", "The best exact plan, then the same goal in sixty-four other worlds at once, by L-BFGS on ReLU contact",
-         "ours: drawn worlds driven by the same inputs, cost traded against how far each ends from the goal", BEST_EXACT, "robust"),
-    _row("mpcc_multistart", "Exact contact from twenty starts, the cheapest kept",
-         "ours: as mpcc, from the paper's first guess, softplus chain and gradient descent, both mirrored, and fifteen seeded random plans",
-         "mpcc", parts=_PARTS),
-    _row("mpcc_front", "Exact contact, least cost within each terminal tolerance",
-         "ours: the honest comparison, a cost never without its terminal error", "mpcc_front"),
-    _row(FREE_MOTION, "Free motion, for scenes without inputs: nothing is planned",
-         "ours: the replay of the start, held against the scene's closed forms", "free_motion"),
-    _row("global", "Exact contact by its modes, then a proof of how much cheaper a plan could be",
-         "ours: one binary variable a contact and step, bounds from convex relaxations, SCIP; where a proof is possible", "mpcc", "global"),
-)  # fmt: skip
+    _row(
+        "relu_gd",
+        "Gradient descent on ReLU contact from a cold start",
+        PAPER,
+        _relu_gd(RELU_GD_COLD_COUNT),
+    ),
+    _row(
+        "relaxed+strict", "Relaxed LCP, tightened, then strict LCP", PAPER, _RELAXED, "strict_lcp"
+    ),
+    _row(
+        "relaxed+relu_gd",
+        "Relaxed LCP, tightened, then gradient descent on ReLU contact",
+        f"{PAPER}; the number of gradient steps is ours (the paper gives none)",
+        _RELAXED,
+        _relu_gd(RELU_GD_AFTER_RELAXED),
+    ),
+    _row(
+        "softplus_dc+strict",
+        "Softplus collocation, tightened, then strict LCP",
+        PAPER,
+        _SOFTPLUS_DC,
+        "strict_lcp",
+    ),
+    _row(
+        "softplus_dc+relu_gd",
+        "Softplus collocation, tightened, then gradient descent on ReLU contact",
+        PAPER,
+        _SOFTPLUS_DC,
+        _relu_gd(RELU_GD_AFTER_SOFTPLUS_DC),
+    ),
+    _row(
+        "softplus_gd+strict",
+        "Softplus gradient descent, tightened, then strict LCP",
+        PAPER,
+        _SOFTPLUS_GD,
+        "strict_lcp",
+    ),
+    _row(
+        "softplus_gd+relu_gd",
+        "Softplus gradient descent, tightened, then gradient descent on ReLU contact",
+        PAPER,
+        _SOFTPLUS_GD,
+        _relu_gd(RELU_GD_AFTER_SOFTPLUS_GD),
+    ),
+    _row(
+        "gd_converged",
+        "Softplus gradient descent, then ReLU, each to convergence",
+        "ours: what the paper's gradient descent reaches when it is not cut off",
+        Leg(method="softplus_gd", schedule=SOFTPLUS_EPS),
+        "relu_gd",
+    ),
+    _row(
+        "lbfgs",
+        "L-BFGS on softplus contact, tightened, then on ReLU contact",
+        "ours: the loss of gradient descent, a method that learns its curvature, and the goal met by multipliers",
+        Leg(method="softplus_lbfgs", schedule=SOFTPLUS_EPS),
+        "relu_lbfgs",
+    ),
+    _row(
+        "softplus_dc+lbfgs",
+        "Softplus collocation, tightened, then fine tuning by L-BFGS on softplus and on ReLU contact",
+        "ours: the outlook of the paper, collocation followed by fine tuning on what is simulated",
+        _SOFTPLUS_DC,
+        Leg(method="softplus_lbfgs", schedule=SOFTPLUS_EPS[-1:]),
+        "relu_lbfgs",
+    ),
+    _row(
+        "randomised_smoothing",
+        "L-BFGS on ReLU contact averaged over random inputs, with ever less noise, then without",
+        "ours: another relaxation, by noise; bundled gradients of Suh, Pang and Tedrake",
+        Leg(method="randomised_smoothing", schedule=NOISE),
+        "relu_lbfgs",
+    ),
+    _row(
+        "multiple_shooting",
+        "Multiple shooting on softplus contact, tightened, then on ReLU contact",
+        "ours: for unstable and long scenes, whose gradients explode in single shooting",
+        _SHOT_SOFTLY,
+        "relu_multiple_shooting",
+    ),
+    _row(
+        "mpcc",
+        "Exact contact from a cold start, by its modes",
+        "ours: softplus homotopy, contact modes read off, what is left solved exactly, mode sequences searched",
+        "mpcc",
+    ),
+    _row(
+        BEST_EXACT,
+        "Exact contact from a cold start, the cheapest plan of several ways",
+        "ours: mpcc where contacts are open or closed; else relaxed and softplus contact walked down by steps that adapt, each then strict",
+        BEST_EXACT,
+    ),
+    _row(
+        "collocation",
+        "Exact contact by collocation of order 3, from a cold start",
+        "ours: Radau IIA with two stages on the scene's own grid, contact modes by a softplus homotopy; frictionless scenes",
+        "collocation",
+    ),
+    _row(
+        "robust",
+        "The best exact plan, then the same goal in sixty-four other worlds at once, by L-BFGS on ReLU contact",
+        "ours: drawn worlds driven by the same inputs, cost traded against how far each ends from the goal",
+        BEST_EXACT,
+        "robust",
+    ),
+    _row(
+        "mpcc_multistart",
+        "Exact contact from twenty starts, the cheapest kept",
+        "ours: as mpcc, from the paper's first guess, softplus chain and gradient descent, both mirrored, and fifteen seeded random plans",
+        "mpcc",
+        parts=_PARTS,
+    ),
+    _row(
+        "mpcc_front",
+        "Exact contact, least cost within each terminal tolerance",
+        "ours: the honest comparison, a cost never without its terminal error",
+        "mpcc_front",
+    ),
+    _row(
+        FREE_MOTION,
+        "Free motion, for scenes without inputs: nothing is planned",
+        "ours: the replay of the start, held against the scene's closed forms",
+        "free_motion",
+    ),
+    _row(
+        "global",
+        "Exact contact by its modes, then a proof of how much cheaper a plan could be",
+        "ours: one binary variable a contact and step, bounds from convex relaxations, SCIP; where a proof is possible",
+        "mpcc",
+        "global",
+    ),
+)
 
-# What `--quick` runs: the cheapest collocation chain that ends in a direct method, the cheapest gradient chain, and all that a scene
-# without inputs has.
+# What `--quick` runs: the cheapest collocation chain that ends in a direct method, the cheapest
+# gradient chain, and all that a scene without inputs has.
 QUICK: tuple[str, ...] = ("softplus_dc+strict", "softplus_gd+relu_gd", FREE_MOTION)
 
 
@@ -164,15 +286,22 @@ def pipeline_names() -> tuple[str, ...]:
 
 
 def pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
-    """The pipelines tried on a scene, in the order of the table: all of them; a method that does not apply says so itself.
+    """The pipelines tried on a scene, in the order of the table: all of them.
 
-    Only the free motion is not tried where there are inputs: it is no way to find a plan, but all that a scene without inputs has.
-    Where `mpcc` applies it is what `best_exact` does: its leg is then the same, and is solved once for both.
+    A method that does not apply says so itself.
+
+    Only the free motion is not tried where there are inputs: it is no way to find a plan, but all
+    that a scene without inputs has. Where `mpcc` applies it is what `best_exact` does: its leg is
+    then the same, and is solved once for both.
     """
     if not scene.nu:
         return PIPELINES
     legs = {BEST_EXACT: (Leg(method="mpcc"),)} if load_method("mpcc").accepts(scene) is None else {}
-    return tuple(replace(pipeline, legs=legs.get(pipeline.name, pipeline.legs)) for pipeline in PIPELINES if pipeline.name != FREE_MOTION)
+    return tuple(
+        replace(pipeline, legs=legs.get(pipeline.name, pipeline.legs))
+        for pipeline in PIPELINES
+        if pipeline.name != FREE_MOTION
+    )
 
 
 def find_pipeline(name: str) -> Pipeline:
@@ -220,17 +349,25 @@ def solve_scene(
 
     time_limit: of all stages [s]. Raises UnknownNameError, OptionError.
     """
-    solutions = list(solve_stages(scene, _pipeline(name, eps, options), warm_start=warm_start, time_limit=time_limit))
+    solutions = list(
+        solve_stages(
+            scene, _pipeline(name, eps, options), warm_start=warm_start, time_limit=time_limit
+        )
+    )
     return solutions[-1]
 
 
 def solve_stages(
-    scene: Scene, pipeline: Pipeline, *, warm_start: Trajectory | None = None, time_limit: float = 600.0
+    scene: Scene,
+    pipeline: Pipeline,
+    *,
+    warm_start: Trajectory | None = None,
+    time_limit: float = 600.0,
 ) -> Iterator[Solution]:
     """The Solutions of the stages of a pipeline in order, each from the plan of the one before it.
 
-    The session of a method serves all stages that have its options. time_limit: of all stages together [s]; stages that it leaves no time do not run,
-    but for the first. Raises OptionError.
+    The session of a method serves all stages that have its options. time_limit: of all stages
+    together [s]; stages that it leaves no time do not run, but for the first. Raises OptionError.
     """
     ends = monotonic() + time_limit
     plan, is_first = warm_start, True
@@ -240,7 +377,9 @@ def solve_stages(
                 left = ends - monotonic()
                 if not is_first and left <= 0.0:
                     return
-                solution = session.solve(eps=eps, warm_start=plan, time_limit=left if left > 0.0 else time_limit)
+                solution = session.solve(
+                    eps=eps, warm_start=plan, time_limit=left if left > 0.0 else time_limit
+                )
                 plan, is_first = solution.trajectory or plan, False
                 yield solution
 
@@ -260,7 +399,11 @@ def _pipeline(name: str, eps: float | None, options: Mapping[str, object]) -> Pi
         )
     if name not in method_names():
         what = f"there are the pipelines {', '.join(known)} and the methods {', '.join(method_names())}."
-        raise UnknownNameError(f"there is no pipeline or method {name!r}; {did_you_mean(name, (*known, *method_names()), what)}")
+        raise UnknownNameError(
+            f"there is no pipeline or method {name!r}; {did_you_mean(name, (*known, *method_names()), what)}"
+        )
     method = load_method(name)
     method.check_eps(eps)
-    return Pipeline(name=name, title=method.title, legs=(Leg(method=name, schedule=(eps,), options=options),))
+    return Pipeline(
+        name=name, title=method.title, legs=(Leg(method=name, schedule=(eps,), options=options),)
+    )

@@ -16,15 +16,22 @@ if TYPE_CHECKING:  # a Solution costs no Pyomo
 
 
 class Outcome(Enum):
-    """How a solve ended; the value is a sentence of advice for who looks for a plan, its repr the name alone."""
+    """How a solve ended.
+
+    The value is a sentence of advice for who looks for a plan, its repr the name alone.
+    """
 
     SOLVED = "Solved: the method's own stopping rule was met."
     ITERATION_LIMIT = "Stopped at the number of iterations it was given; allow more, or use the plan as a warm start."
     TIME_LIMIT = "Stopped at its time limit; allow more time, or start it warm."
     INFEASIBLE = "No plan satisfies the constraints (locally); check goal, bounds and horizon, or start from another guess."
     DIVERGED = "Iterates or gradients grew without bound; use a smaller learning rate, bounds, or a method made for unstable scenes."
-    STALLED = "No further progress before the tolerances were met; start warm, or relax more gently."
-    EVALUATION_ERROR = "A function value was not a finite number; check the start and the parameters."
+    STALLED = (
+        "No further progress before the tolerances were met; start warm, or relax more gently."
+    )
+    EVALUATION_ERROR = (
+        "A function value was not a finite number; check the start and the parameters."
+    )
     INTERRUPTED = "Stopped by the user."
     REFUSED = "The method does not apply to this scene; the reason stands beside it."
     CRASHED = "The process ended without an answer; the log tells more."
@@ -36,14 +43,21 @@ class Outcome(Enum):
     @property
     def has_answer(self) -> bool:
         """Whether a plan may come with this outcome (valid or not)."""
-        return self in {Outcome.SOLVED, Outcome.ITERATION_LIMIT, Outcome.TIME_LIMIT, Outcome.STALLED, Outcome.INTERRUPTED}
+        return self in {
+            Outcome.SOLVED,
+            Outcome.ITERATION_LIMIT,
+            Outcome.TIME_LIMIT,
+            Outcome.STALLED,
+            Outcome.INTERRUPTED,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
 class Seconds:
     """Where the time of one stage went, in wall and CPU seconds of this process.
 
-    build: making the model; translate: model -> solver; evaluate: functions and derivatives; linear_algebra: the rest of the
+    build: making the model; translate: model -> solver; evaluate: functions and derivatives;
+        linear_algebra: the rest of the
     solver; wall, cpu: the whole stage.
     """
 
@@ -59,7 +73,10 @@ class Seconds:
 
     @property
     def solve(self) -> float:
-        """Seconds in the solver: functions, derivatives and linear algebra; the record of a stage has it."""
+        """Seconds in the solver: functions, derivatives and linear algebra.
+
+        The record of a stage has it.
+        """
         return self.evaluate + self.linear_algebra
 
 
@@ -67,13 +84,19 @@ class Seconds:
 class Solution:
     """The result of one stage.
 
-    outcome: how it ended; message: one sentence more, in words of this run ("" if none); trajectory: the plan, or None;
-    cost: sum of the running cost over the steps; iterations; residuals: unscaled, by name, recomputed from the scene;
+    outcome: how it ended; message: one sentence more, in words of this run ("" if none);
+        trajectory: the plan, or None;
+    cost: sum of the running cost over the steps; iterations; residuals: unscaled, by name,
+        recomputed from the scene;
     bound: a cost below which no plan exists, if the method proves one;
-    certificate: the plan judged in the scene's strict model (`formulations.mpec.certify_solution`), None before that;
-    starts: if there were several, every one of them; front: if the least cost within several tolerances was asked, each of them;
-    options: every option used; solver: the name and version of what ran underneath; history: per iteration, columns of equal length by name;
-    size: of the model the solver was given, and paper_size the same counted by hand, where there is a model.
+    certificate: the plan judged in the scene's strict model (`formulations.mpec.certify_solution`),
+        None before that;
+    starts: if there were several, every one of them; front: if the least cost within several
+        tolerances was asked, each of them;
+    options: every option used; solver: the name and version of what ran underneath; history: per
+        iteration, columns of equal length by name;
+    size: of the model the solver was given, and paper_size the same counted by hand, where there is
+        a model.
     """
 
     method: str
@@ -104,18 +127,27 @@ def as_asked(scene: Scene, solution: Solution) -> Solution:
     """Turn SOLVED into STALLED, and say so, where the cost is above what the scene asks for: a local optimum."""
     limit = scene.limit("cost")
     most = None if limit is None else limit.value
-    if solution.outcome is not Outcome.SOLVED or solution.cost is None or most is None or solution.cost <= most:
+    if (
+        solution.outcome is not Outcome.SOLVED
+        or solution.cost is None
+        or most is None
+        or solution.cost <= most
+    ):
         return solution
     local = f"It is a local optimum: its cost is {solution.cost:.3g}, the scene asks for at most {most:.3g}; start elsewhere."
     return replace(solution, outcome=Outcome.STALLED, message=f"{solution.message} {local}".strip())
 
 
-def checked(outcome: Outcome, message: str, residuals: Mapping[str, float], limits: Mapping[str, float]) -> tuple[Outcome, str]:
+def checked(
+    outcome: Outcome, message: str, residuals: Mapping[str, float], limits: Mapping[str, float]
+) -> tuple[Outcome, str]:
     """Turn SOLVED into STALLED where a residual of the plan itself exceeds its limit, and say which; one that is no number exceeds it."""
     missed = beyond(limits, residuals)
     if outcome is not Outcome.SOLVED or not missed:
         return outcome, message
-    worst = ", ".join(f"{name} is {residuals[name]:.3g} (limit {limit:g})" for name, limit in missed.items())
+    worst = ", ".join(
+        f"{name} is {residuals[name]:.3g} (limit {limit:g})" for name, limit in missed.items()
+    )
     return Outcome.STALLED, f"{message} Checked on the plan itself, {worst}."
 
 
@@ -136,7 +168,8 @@ class ModelSize:
 class Bound:
     """No plan of the exact contact problem costs less than `value`.
 
-    gap: (cost - value)/cost, None without a plan; proved: the plan is optimal; decisions: contacts times steps to decide, of which open_decisions were
+    gap: (cost - value)/cost, None without a plan; proved: the plan is optimal; decisions: contacts
+        times steps to decide, of which open_decisions were
     left to the search; nodes: of its tree.
     """
 
@@ -152,7 +185,8 @@ class Bound:
 class Attempt:
     """One of several starts.
 
-    number: from 0; start: what it began from, in words; cost: None where no plan was found; windows (named like the column of the records): (contact,
+    number: from 0; start: what it began from, in words; cost: None where no plan was found; windows
+        (named like the column of the records): (contact,
     first step, last step) of each time a contact is closed; seconds: CPU seconds.
     """
 

@@ -2,7 +2,8 @@
 
     load_scene("three_cart")          load_scene("my/own_scene.py")
 
-A scene file defines `SCENE`, whose name equals the file's name. Nothing is imported until a scene is loaded.
+A scene file defines `SCENE`, whose name equals the file's name. Nothing is imported until a scene
+is loaded.
 """
 
 from __future__ import annotations
@@ -24,11 +25,16 @@ _FOLDER = Path(__file__).parent / "scenes"
 
 def scene_names() -> tuple[str, ...]:
     """Names of the scenes of this package, sorted; reads file names only."""
-    return tuple(sorted(path.stem for path in _FOLDER.glob("*.py") if not path.stem.startswith("_")))
+    return tuple(
+        sorted(path.stem for path in _FOLDER.glob("*.py") if not path.stem.startswith("_"))
+    )
 
 
 def scene_path(reference: str) -> Path:
-    """The file of a scene given by name or by path to a .py file. Raises UnknownNameError, SceneError."""
+    """The file of a scene given by name or by path to a .py file.
+
+    Raises UnknownNameError, SceneError.
+    """
     if reference.endswith(".py"):
         path = Path(reference)
         if not path.is_file():
@@ -37,17 +43,24 @@ def scene_path(reference: str) -> Path:
     if reference in scene_names():
         return _FOLDER / f"{reference}.py"
     what = f"there are {', '.join(scene_names())}; a scene of your own is given by the path of its .py file."
-    raise UnknownNameError(f"there is no scene {reference!r}; {did_you_mean(reference, scene_names(), what)}")
+    raise UnknownNameError(
+        f"there is no scene {reference!r}; {did_you_mean(reference, scene_names(), what)}"
+    )
 
 
 def as_scene(given: Scene | str | Path) -> Scene:
-    """A scene itself, or that of a name or file. Raises UnknownNameError or SceneError, for what is none of them too."""
+    """A scene itself, or that of a name or file.
+
+    Raises UnknownNameError or SceneError, for what is none of them too.
+    """
     from models.scene import Scene
 
     if isinstance(given, (str, Path)):
         return load_scene(str(given))
     if not isinstance(given, Scene):
-        raise SceneError(f"scene: a {type(given).__name__} is no scene; give the name of one, the path of its file or a Scene.")
+        raise SceneError(
+            f"scene: a {type(given).__name__} is no scene; give the name of one, the path of its file or a Scene."
+        )
     return given
 
 
@@ -74,16 +87,22 @@ def load_scene(reference: str) -> Scene:
                 spec.loader.exec_module(module)
                 if isinstance(getattr(module, "SCENE", None), Scene):
                     check_expressions(module.SCENE)
-                    scene_text(module.SCENE)  # kept with it: what its own functions are from is known only while the file is executed
+                    scene_text(
+                        module.SCENE
+                    )  # kept with it: what its own functions are from is known only while the file is executed
         except TouchstoneError as error:
             raise SceneError(f"scene file {path}{_line_of(error, path)}: {error}") from error
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # a file may raise what it likes
-            raise SceneError(f"scene file {path}: {type(error).__name__} while it was read{_line_of(error, path)}: {error}") from error
+            raise SceneError(
+                f"scene file {path}: {type(error).__name__} while it was read{_line_of(error, path)}: {error}"
+            ) from error
         problem = step_problem(path.read_bytes())
         if problem is not None:
-            raise SceneError(f"scene file {path}, line {problem[0]}: scene {path.stem}: {problem[1]}")
+            raise SceneError(
+                f"scene file {path}, line {problem[0]}: scene {path.stem}: {problem[1]}"
+            )
         if ours:
             sys.modules[module_name] = module
     scene = getattr(module, "SCENE", None)
@@ -91,11 +110,17 @@ def load_scene(reference: str) -> Scene:
         found = f"found {type(scene).__name__}" if hasattr(module, "SCENE") else "there is none"
         raise SceneError(f"scene file {path}: it must define SCENE, a models.scene.Scene; {found}.")
     if scene.name != path.stem:
-        raise SceneError(f"scene file {path}: SCENE.name is {scene.name!r} but must equal the file's name {path.stem!r}.")
+        raise SceneError(
+            f"scene file {path}: SCENE.name is {scene.name!r} but must equal the file's name {path.stem!r}."
+        )
     return scene
 
 
 def _line_of(error: BaseException, path: Path) -> str:
     """Where in the file that was: the last of its lines that the traceback passes."""
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+    lines = [
+        frame.lineno
+        for frame in traceback.extract_tb(error.__traceback__)
+        if frame.filename == str(path)
+    ]
     return f", line {lines[-1]}" if lines else ""

@@ -1,10 +1,11 @@
 """A collocation step with the true contact law, in numpy: what a plan that was made of such steps is judged by.
 
-    q_next, v_next = advance(kernel, Scheme.RADAU_IIA_2, q, v, u, h)        # (n, nq) each: n steps at once
-    q, v, made = rollout(kernel, Scheme.RADAU_IIA_2, start, u, h)           # one after the other
+    q_next, v_next = advance(kernel, Scheme.RADAU_IIA_2, q, v, u, h) # (n, nq) each: n steps at once
+    q, v, made = rollout(kernel, Scheme.RADAU_IIA_2, start, u, h) # one after the other
 
-The accelerations a_i of the stages solve a_i = M^-1 (tau + J' lam)(Q_i, V_i, u) with V = v + h A a and Q = q + h c v + h^2 A^2 a; Newton's method, its
-Jacobian by differences, which at a kink takes the side it is on. The stages and the law are the transcription's, the code is not.
+The accelerations a_i of the stages solve a_i = M^-1 (tau + J' lam)(Q_i, V_i, u) with V = v + h A a
+and Q = q + h c v + h^2 A^2 a; Newton's method, its Jacobian by differences, which at a kink takes
+the side it is on. The stages and the law are the transcription's, the code is not.
 """
 
 from __future__ import annotations
@@ -22,12 +23,18 @@ _ITERATIONS = 40
 # A Newton step of the accelerations below this, relative to the largest of them, is rounding.
 _TOLERANCE = 1e-13
 _DIFFERENCE = 1e-7
-# Accelerations from which on a step has no solution: what they make of positions and velocities is a number still [m/s^2, rad/s^2].
+# Accelerations from which on a step has no solution: what they make of positions and velocities is
+# a number still [m/s^2, rad/s^2].
 _LARGEST = 1e100
 
 
 def advance(
-    kernel: Kernel, scheme: Scheme, q: np.ndarray, v: np.ndarray, u: np.ndarray, h: np.ndarray | float
+    kernel: Kernel,
+    scheme: Scheme,
+    q: np.ndarray,
+    v: np.ndarray,
+    u: np.ndarray,
+    h: np.ndarray | float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The states one collocation step later, under the true contact law.
 
@@ -56,18 +63,30 @@ def advance(
     """
     scene = kernel.scene
     if scene.nf:
-        raise KernelError(f"scene {scene.name}: its friction has no collocation step; friction belongs to semi-implicit Euler.")
+        raise KernelError(
+            f"scene {scene.name}: its friction has no collocation step; friction belongs to semi-implicit Euler."
+        )
     table = tableau(scheme)
-    steps, nq, s = np.broadcast_to(np.asarray(h, dtype=float), len(q)).reshape(-1, 1, 1), scene.nq, table.stages
+    steps, nq, s = (
+        np.broadcast_to(np.asarray(h, dtype=float), len(q)).reshape(-1, 1, 1),
+        scene.nq,
+        table.stages,
+    )
     squared = table.a @ table.a
     inputs = np.repeat(np.asarray(u, dtype=float), s, axis=0)
 
     def residual(a: np.ndarray) -> np.ndarray:
         """Of the equations of motion at several accelerations of the stages, (m, n, s, nq) both [m/s^2, rad/s^2]. Raises KernelError where the mass matrix is not positive definite."""
-        at_q = q[:, None] + steps * table.c[:, None] * v[:, None] + steps**2 * np.einsum("ij,mnjk->mnik", squared, a)
+        at_q = (
+            q[:, None]
+            + steps * table.c[:, None] * v[:, None]
+            + steps**2 * np.einsum("ij,mnjk->mnik", squared, a)
+        )
         at_v = v[:, None] + steps * np.einsum("ij,mnjk->mnik", table.a, a)
         at_q, at_v = at_q.reshape(-1, nq), at_v.reshape(-1, nq)
-        return a - kernel.acceleration(at_q, at_v, np.tile(inputs, (len(a), 1)), kernel.contact_force(at_q, v=at_v)).reshape(a.shape)
+        return a - kernel.acceleration(
+            at_q, at_v, np.tile(inputs, (len(a), 1)), kernel.contact_force(at_q, v=at_v)
+        ).reshape(a.shape)
 
     first = kernel.acceleration(q, v, u, kernel.contact_force(q, v=v))
     a = np.repeat(first[:, None], s, axis=1)
@@ -96,7 +115,9 @@ def _newton(residual: Callable[[np.ndarray], np.ndarray], a: np.ndarray) -> np.n
         jacobian[lost] = np.eye(size)
         try:
             step = np.linalg.solve(jacobian, value[..., None])[..., 0].reshape(shape)
-        except np.linalg.LinAlgError:  # the differences of some row are lost in the size of its values
+        except (
+            np.linalg.LinAlgError
+        ):  # the differences of some row are lost in the size of its values
             lost |= np.linalg.slogdet(jacobian)[0] == 0.0
             jacobian[lost] = np.eye(size)
             step = np.linalg.solve(jacobian, value[..., None])[..., 0].reshape(shape)
@@ -112,7 +133,9 @@ def _newton(residual: Callable[[np.ndarray], np.ndarray], a: np.ndarray) -> np.n
     return a
 
 
-def rollout(kernel: Kernel, scheme: Scheme, start: np.ndarray, u: np.ndarray, h: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, int]:
+def rollout(
+    kernel: Kernel, scheme: Scheme, start: np.ndarray, u: np.ndarray, h: np.ndarray | float
+) -> tuple[np.ndarray, np.ndarray, int]:
     """Collocation steps one after the other, under the true contact law.
 
     Parameters
@@ -141,7 +164,14 @@ def rollout(kernel: Kernel, scheme: Scheme, start: np.ndarray, u: np.ndarray, h:
     q[0], v[0] = start[:nq], start[nq:]
     lengths = np.broadcast_to(np.asarray(h, dtype=float), steps)
     for step in range(steps):
-        after = advance(kernel, scheme, q[step : step + 1], v[step : step + 1], u[step : step + 1], lengths[step])
+        after = advance(
+            kernel,
+            scheme,
+            q[step : step + 1],
+            v[step : step + 1],
+            u[step : step + 1],
+            lengths[step],
+        )
         if not (np.isfinite(after[0]).all() and np.isfinite(after[1]).all()):
             return q, v, step
         q[step + 1], v[step + 1] = after[0][0], after[1][0]
@@ -159,7 +189,8 @@ def defect(kernel: Kernel, plan: Trajectory) -> np.ndarray:
     Returns
     -------
     np.ndarray
-        Largest misses (2*nq,): positions [m, rad], velocities [m/s, rad/s]; infinite where a step has no solution.
+        Largest misses (2*nq,): positions [m, rad], velocities [m/s, rad/s]; infinite where a step
+        has no solution.
 
     Raises
     ------
@@ -178,18 +209,26 @@ def defect(kernel: Kernel, plan: Trajectory) -> np.ndarray:
 def switch_error(kernel: Kernel, plan: Trajectory) -> float:
     """Bound of the velocity error that opening and closing contacts leave, summed over the steps in which one does [m/s, rad/s].
 
-    switch_constant h^2 |phi'| |M^-1 J' k|, phi' as large as at either end of the step: exact to first order in h. A contact that opens and closes
-    within one step, unseen at its ends, is in it where the velocity turns there.
+    switch_constant h^2 |phi'| |M^-1 J' k|, phi' as large as at either end of the step: exact to
+    first order in h. A contact that opens and closes within one step, unseen at its ends, is in it
+    where the velocity turns there.
     """
     scene, table = kernel.scene, tableau(plan.scheme)
     if not scene.nc:
         return 0.0
     h, k = np.diff(plan.t), kernel.stiffness()
     phi = kernel.penetration(plan.q)
-    first, last = (penetration_rates(kernel, plan.q[ends], plan.v[ends]) for ends in (slice(-1), slice(1, None)))
-    speed = np.maximum(np.abs(np.diff(phi, axis=0) / h[:, None]), np.maximum(np.abs(first), np.abs(last)))
+    first, last = (
+        penetration_rates(kernel, plan.q[ends], plan.v[ends])
+        for ends in (slice(-1), slice(1, None))
+    )
+    speed = np.maximum(
+        np.abs(np.diff(phi, axis=0) / h[:, None]), np.maximum(np.abs(first), np.abs(last))
+    )
     within = np.minimum(np.abs(phi[:-1]), np.abs(phi[1:])) <= speed * h[:, None]
-    switches = (phi[:-1] * phi[1:] <= 0.0) & (phi[:-1] != phi[1:]) | within & (first * last < 0.0) & (phi[:-1] < 0.0)
+    switches = (phi[:-1] * phi[1:] <= 0.0) & (phi[:-1] != phi[1:]) | within & (
+        first * last < 0.0
+    ) & (phi[:-1] < 0.0)
     total = 0.0
     still = np.zeros((1, scene.nl))
     for step, contact in zip(*np.nonzero(switches), strict=True):
@@ -197,7 +236,12 @@ def switch_error(kernel: Kernel, plan: Trajectory) -> float:
         push = still.copy()
         push[0, contact] = k[contact]
         response = np.abs(kernel.acceleration(*at, push) - kernel.acceleration(*at, still)).max()
-        total += table.switch_constant * float(h[step]) ** 2 * float(speed[step, contact]) * float(response)
+        total += (
+            table.switch_constant
+            * float(h[step]) ** 2
+            * float(speed[step, contact])
+            * float(response)
+        )
     return total
 
 
@@ -225,7 +269,9 @@ def penetration_rates(kernel: Kernel, q: np.ndarray, v: np.ndarray) -> np.ndarra
     return (kernel.penetration(q + reach * v) - kernel.penetration(q - reach * v)) / (2.0 * reach)
 
 
-def lowest_between(t: np.ndarray, gap: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def lowest_between(
+    t: np.ndarray, gap: np.ndarray, rate: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Least value, between two rows, of the cubic through the gaps with their rates at both ends.
 
     Parameters
@@ -236,7 +282,8 @@ def lowest_between(t: np.ndarray, gap: np.ndarray, rate: np.ndarray) -> tuple[np
 
     Returns
     -------
-    (n-1, nc) least values [m], and (n-1, nc) where, as a share of the piece [-]; at an end where it falls or rises throughout.
+    (n-1, nc) least values [m], and (n-1, nc) where, as a share of the piece [-]; at an end where it
+        falls or rises throughout.
 
     Raises
     ------
@@ -245,12 +292,25 @@ def lowest_between(t: np.ndarray, gap: np.ndarray, rate: np.ndarray) -> tuple[np
     h = np.diff(t)[:, None]
     first, last, slope_first, slope_last = gap[:-1], gap[1:], h * rate[:-1], h * rate[1:]
     # g(s) = first + b s + c s^2 + d s^3
-    b, c, d = slope_first, 3.0 * (last - first) - 2.0 * slope_first - slope_last, 2.0 * (first - last) + slope_first + slope_last
+    b, c, d = (
+        slope_first,
+        3.0 * (last - first) - 2.0 * slope_first - slope_last,
+        2.0 * (first - last) + slope_first + slope_last,
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(c * c - 3.0 * d * b)
         # Of g'(s) = b + 2 c s + 3 d s^2 the root where g'' > 0, in the form that loses no digits.
         inner = np.where(c < 0.0, (root - c) / (3.0 * d), b / -(c + root))
-    places = np.clip(np.nan_to_num(np.stack([inner, np.zeros_like(first), np.ones_like(first)]), nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
+    places = np.clip(
+        np.nan_to_num(
+            np.stack([inner, np.zeros_like(first), np.ones_like(first)]),
+            nan=0.0,
+            posinf=1.0,
+            neginf=0.0,
+        ),
+        0.0,
+        1.0,
+    )
     values = first + places * (b + places * (c + places * d))
     best = values.argmin(axis=0)[None]
     return np.take_along_axis(values, best, 0)[0], np.take_along_axis(places, best, 0)[0]

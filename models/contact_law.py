@@ -1,9 +1,11 @@
 """The contact laws lam(phi) that plans and simulations use.
 
 ReLU, the true law:   lam = k * max(phi, 0)                                    (paper, eq. 3)
-softplus, relaxed:    lam = (k / b) * log(1 + exp(b * phi)),  b = |ln eps| / L (paper, eq. 5, sign corrected)
+softplus, relaxed: lam = (k / b) * log(1 + exp(b * phi)), b = |ln eps| / L (paper, eq. 5, sign
+    corrected)
 
-L is the length that the scene's eps is counted in, 1 m unless the scene says otherwise: eps = 1e-3 then reaches as far beside 0.1 m as it does beside 1 m.
+L is the length that the scene's eps is counted in, 1 m unless the scene says otherwise: eps = 1e-3
+then reaches as far beside 0.1 m as it does beside 1 m.
 
 Evaluated without overflow as (k / b) * (max(b phi, 0) + log1p(exp(-|b phi|))).
 """
@@ -30,9 +32,14 @@ class ContactLaw(Enum):
 
 
 def sharpness(eps: float, length: float = 1.0) -> float:
-    """Sharpness b = |ln eps| / length [1/m] of the softplus law. Raises RelaxationError unless 0 < eps < 1."""
+    """Sharpness b = |ln eps| / length [1/m] of the softplus law.
+
+    Raises RelaxationError unless 0 < eps < 1.
+    """
     if isinstance(eps, bool) or not isinstance(eps, (int, float)) or not 0.0 < eps < 1.0:
-        raise RelaxationError(f"softplus contact: eps is {eps!r}, but must be a number with 0 < eps < 1 (the law's sharpness is |ln eps|).")
+        raise RelaxationError(
+            f"softplus contact: eps is {eps!r}, but must be a number with 0 < eps < 1 (the law's sharpness is |ln eps|)."
+        )
     return abs(math.log(eps)) / length
 
 

@@ -1,14 +1,16 @@
 """Scene -> equations of motion, and what the scene does *not* need.
 
-    M(q) dv/dt = tau(q, v, u) + J(q)' lam + S(q)' f        lam_i = k_i * max(phi_i(q), 0),   |f_j| <= mu_j N_j
-    (lam of a damped contact: models.scene.contacts)
+    M(q) dv/dt = tau(q, v, u) + J(q)' lam + S(q)' f lam_i = k_i * max(phi_i(q), 0), |f_j| <= mu_j
+    N_j (lam of a damped contact: models.scene.contacts)
 
-derived by computer algebra from the kinetic energy T, the potential energy V and the generalised forces Q (Lagrange):
+derived by computer algebra from the kinetic energy T, the potential energy V and the generalised
+forces Q (Lagrange):
 
-    M = d2T/dv2,    tau = Q - dV/dq + dT/dq - (d2T/dv dq) v,    J = -d phi/dq   (Jacobian of the gap)
-    S = d s/dv (s: slip speed of a friction, linear in v),    N_j: the force of a contact, or given
+    M = d2T/dv2, tau = Q - dV/dq + dT/dq - (d2T/dv dq) v, J = -d phi/dq (Jacobian of the gap) S = d
+    s/dv (s: slip speed of a friction, linear in v), N_j: the force of a contact, or given
 
-Every back end (Pyomo, PyTorch, C, FMU, the equations of the report) starts from the `Dynamics` returned by `derive`.
+Every back end (Pyomo, PyTorch, C, FMU, the equations of the report) starts from the `Dynamics`
+returned by `derive`.
 """
 
 from __future__ import annotations
@@ -47,11 +49,15 @@ class Structure:
 class Dynamics:
     """Symbolic equations of one scene. Vectors are SymPy column matrices.
 
-    q, v: nq symbols; u: nu; lam: nc contact force symbols [N]; f: nf friction force symbols [N]; p: np parameter symbols.
+    q, v: nq symbols; u: nu; lam: nc contact force symbols [N]; f: nf friction force symbols [N]; p:
+        np parameter symbols.
     mass_matrix: (nq, nq); tau: (nq, 1); penetration, stiffness: (nc, 1); gap_jacobian: (nc, nq).
-    damping (nc, 1): the coefficients, 0 without; push (nc, 1): the force in contact before its positive part is taken [N], in q, v and parameters.
-    slip [m/s], friction_limit (mu N [N], in q, lam and parameters): (nf, 1); slip_jacobian: (nf, nq).
-    kinetic_energy, potential_energy [J]; input_power, dissipated_power [W] (power in and out besides contacts and potential).
+    damping (nc, 1): the coefficients, 0 without; push (nc, 1): the force in contact before its
+        positive part is taken [N], in q, v and parameters.
+    slip [m/s], friction_limit (mu N [N], in q, lam and parameters): (nf, 1); slip_jacobian: (nf,
+        nq).
+    kinetic_energy, potential_energy [J]; input_power, dissipated_power [W] (power in and out
+        besides contacts and potential).
     """
 
     scene: Scene
@@ -103,18 +109,27 @@ class Dynamics:
 
     @cached_property
     def acceleration(self) -> sp.Matrix | None:
-        """M^-1 (tau + J' lam + S' f) as closed expressions, (nq, 1); None where M depends on q and must be factorised numerically."""
+        """M^-1 (tau + J' lam + S' f) as closed expressions, (nq, 1).
+
+        None where M depends on q and must be factorised numerically.
+        """
         if not self.structure.constant_mass:
             return None
         solved = self.mass_matrix.LUsolve(self.generalised_force)
-        return solved.applyfunc(lambda entry: sp.expand_mul(sp.cancel(entry)) if not self.structure.diagonal_mass else entry)
+        return solved.applyfunc(
+            lambda entry: (
+                sp.expand_mul(sp.cancel(entry)) if not self.structure.diagonal_mass else entry
+            )
+        )
 
     @cached_property
     def parameter_values(self) -> np.ndarray:
         """Default parameter values (np,), in the order of `p`, each in its own unit [SI]."""
         return np.array([parameter.value for parameter in self.scene.parameters], dtype=float)
 
-    def function(self, expressions: sp.Matrix | Sequence[sp.Expr], *groups: Sequence[sp.Symbol]) -> Callable[..., np.ndarray]:
+    def function(
+        self, expressions: sp.Matrix | Sequence[sp.Expr], *groups: Sequence[sp.Symbol]
+    ) -> Callable[..., np.ndarray]:
         """A numpy function of vectors: `f = d.function(d.tau, d.q, d.v, d.u); f(q, v, u)`.
 
         Parameters
@@ -127,7 +142,8 @@ class Dynamics:
         Returns
         -------
         Callable
-            Arrays (len(group),) to an array shaped like the matrix, in SI units [SI]; for tests and probes, not for inner loops.
+            Arrays (len(group),) to an array shaped like the matrix, in SI units [SI]; for tests and
+            probes, not for inner loops.
 
         Raises
         ------
@@ -137,11 +153,15 @@ class Dynamics:
         matrix = sp.Matrix(expressions).subs(self.scene.parameter_values)
         compiled = sp.lambdify([list(group) for group in groups], matrix, modules=[np], cse=True)
         shape = matrix.shape
-        return lambda *values: np.asarray(compiled(*(np.asarray(value, dtype=float) for value in values)), dtype=float).reshape(shape)
+        return lambda *values: np.asarray(
+            compiled(*(np.asarray(value, dtype=float) for value in values)), dtype=float
+        ).reshape(shape)
 
 
 def derive(scene: Scene) -> Dynamics:
-    """The equations of motion of a scene; kept with the scene object, so that they are derived once.
+    """The equations of motion of a scene.
+
+    Kept with the scene object, so that they are derived once.
 
     Raises
     ------
@@ -162,29 +182,52 @@ def _build(scene: Scene) -> Dynamics:
     lam = tuple(sp.Symbol(contact.force_name, real=True) for contact in scene.contacts)
     f = tuple(sp.Symbol(friction.force_name, real=True) for friction in scene.frictions)
     p = tuple(parameter.symbol for parameter in scene.parameters)
-    kinetic, potential, forces = scene.kinetic_energy, scene.potential_energy, sp.Matrix(scene.nq, 1, scene.forces)
+    kinetic, potential, forces = (
+        scene.kinetic_energy,
+        scene.potential_energy,
+        sp.Matrix(scene.nq, 1, scene.forces),
+    )
 
     mass = sp.hessian(kinetic, v)
     momentum = sp.Matrix([sp.diff(kinetic, velocity) for velocity in v])
-    coriolis = momentum.jacobian(q) * sp.Matrix(v) - sp.Matrix([sp.diff(kinetic, position) for position in q])
+    coriolis = momentum.jacobian(q) * sp.Matrix(v) - sp.Matrix(
+        [sp.diff(kinetic, position) for position in q]
+    )
     gravity = sp.Matrix([sp.diff(potential, position) for position in q])
-    tau = (forces - gravity - coriolis).applyfunc(sp.factor_terms)  # derivatives leave factors of two and common factors behind
+    tau = (forces - gravity - coriolis).applyfunc(
+        sp.factor_terms
+    )  # derivatives leave factors of two and common factors behind
 
     phi = sp.Matrix(scene.nc, 1, [contact.penetration for contact in scene.contacts])
     stiffness = sp.Matrix(scene.nc, 1, [contact.stiffness for contact in scene.contacts])
     jacobian = -phi.jacobian(q) if scene.nc else sp.zeros(0, scene.nq)
     damping = sp.Matrix(scene.nc, 1, [contact.damping for contact in scene.contacts])
-    push = sp.Matrix(scene.nc, 1, [_push(contact, -(jacobian[i, :] * sp.Matrix(v))[0]) for i, contact in enumerate(scene.contacts)])
+    push = sp.Matrix(
+        scene.nc,
+        1,
+        [
+            _push(contact, -(jacobian[i, :] * sp.Matrix(v))[0])
+            for i, contact in enumerate(scene.contacts)
+        ],
+    )
 
     pressing = {contact.name: force for contact, force in zip(scene.contacts, lam, strict=True)}
     slip = sp.Matrix(scene.nf, 1, [friction.slip for friction in scene.frictions])
-    limit = [item.coefficient * (pressing[item.contact] if item.contact is not None else item.normal_force) for item in scene.frictions]
+    limit = [
+        item.coefficient
+        * (pressing[item.contact] if item.contact is not None else item.normal_force)
+        for item in scene.frictions
+    ]
 
     passive = forces.subs(dict.fromkeys(u, 0))
     velocity, variables = sp.Matrix(v), {*q, *v, *u}
 
     def affine(matrix: sp.Matrix) -> bool:
-        return all(not sp.diff(entry, variable).free_symbols & variables for entry in matrix for variable in entry.free_symbols & variables)
+        return all(
+            not sp.diff(entry, variable).free_symbols & variables
+            for entry in matrix
+            for variable in entry.free_symbols & variables
+        )
 
     constant_mass = not mass.free_symbols & variables
     structure = Structure(
@@ -199,10 +242,13 @@ def _build(scene: Scene) -> Dynamics:
         contact_damping=bool(scene.damped),
     )
     return Dynamics(
-        scene=scene, q=q, v=v, u=u, lam=lam, f=f, p=p, mass_matrix=mass, tau=tau, penetration=phi, stiffness=stiffness, damping=damping, push=push,
+        scene=scene, q=q, v=v, u=u, lam=lam, f=f, p=p, mass_matrix=mass, tau=tau, penetration=phi,
+        stiffness=stiffness, damping=damping, push=push,
         gap_jacobian=jacobian, slip=slip, friction_limit=sp.Matrix(scene.nf, 1, limit),
-        slip_jacobian=slip.jacobian(v) if scene.nf else sp.zeros(0, scene.nq), kinetic_energy=kinetic, potential_energy=potential,
-        input_power=sp.expand((velocity.T * (forces - passive))[0]), dissipated_power=sp.expand(-(velocity.T * passive)[0]),
+        slip_jacobian=slip.jacobian(v) if scene.nf else sp.zeros(0, scene.nq),
+        kinetic_energy=kinetic, potential_energy=potential,
+        input_power=sp.expand((velocity.T * (forces - passive))[0]),
+        dissipated_power=sp.expand(-(velocity.T * passive)[0]),
         running_cost=scene.task.running_cost, final_cost=scene.task.final_cost, structure=structure,
     )  # fmt: skip
 
@@ -210,4 +256,8 @@ def _build(scene: Scene) -> Dynamics:
 def _push(contact: Contact, rate: sp.Expr) -> sp.Expr:
     """What a contact pushes with: k phi, k phi + c phi' or k phi (1 + d phi')."""
     spring = contact.stiffness * contact.penetration
-    return spring + contact.damping * rate if contact.damping_law is DampingLaw.KELVIN_VOIGT else spring * (1 + contact.damping * rate)
+    return (
+        spring + contact.damping * rate
+        if contact.damping_law is DampingLaw.KELVIN_VOIGT
+        else spring * (1 + contact.damping * rate)
+    )

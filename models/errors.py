@@ -8,13 +8,19 @@ _LONGEST = 200
 
 
 class TouchstoneError(Exception):
-    """Base of every error a user can cause; the command line prints its text and exits with `exit_code`."""
+    """Base of every error a user can cause.
+
+    The command line prints its text and exits with `exit_code`.
+    """
 
     exit_code = 2
 
 
 class SceneError(TouchstoneError):
-    """A scene (or its file) contradicts itself; raised when the scene is created, loaded or first used."""
+    """A scene (or its file) contradicts itself.
+
+    Raised when the scene is created, loaded or first used.
+    """
 
 
 class TrajectoryError(TouchstoneError):
@@ -26,14 +32,22 @@ class UnknownNameError(TouchstoneError):
 
 
 class MachineError(TouchstoneError):
-    """What was asked cannot be done on this machine (no compiler, no write permission); says how to get it."""
+    """What was asked cannot be done on this machine (no compiler, no write permission).
+
+    Says how to get it.
+    """
 
     exit_code = 3
 
 
 def nearest(name: object, known: Iterable[str], alike: float = 0.6) -> str | None:
-    """The known name that is most like another; None where none is. alike: 0 takes any, 1 none but the same."""
-    return next(iter(difflib.get_close_matches(str(name)[:_LONGEST], list(known), n=1, cutoff=alike)), None)
+    """The known name that is most like another.
+
+    None where none is. alike: 0 takes any, 1 none but the same.
+    """
+    return next(
+        iter(difflib.get_close_matches(str(name)[:_LONGEST], list(known), n=1, cutoff=alike)), None
+    )
 
 
 def did_you_mean(name: object, known: Iterable[str], otherwise: str, alike: float = 0.6) -> str:

@@ -1,7 +1,7 @@
 """Where a scene's bodies are drawn and how far its contacts are apart, at given positions: what files of plans and replays hold for those who know no scene.
 
-pose_columns(scene, q, "node")      # x, y and angle of every shape;    gap_columns(scene, q, "node")      # the gap of every contact
-goal_poses(scene)                   # where the goal puts every shape
+pose_columns(scene, q, "node") # x, y and angle of every shape; gap_columns(scene, q, "node") # the
+gap of every contact goal_poses(scene) # where the goal puts every shape
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from models.scene import Scene
 def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
     """Where each shape is drawn: columns `pose_x_<n>`, `pose_y_<n>` [m] and `pose_angle_<n>` [rad] of the n-th shape, from 1.
 
-    Numbers, because a shape may have any name, and NetCDF does not allow all of them; the name stands in the description.
+    Numbers, because a shape may have any name, and NetCDF does not allow all of them; the name
+    stands in the description.
 
     Parameters
     ----------
@@ -31,7 +32,8 @@ def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
     Returns
     -------
     list[Column]
-        Three columns a shape (n,); of what never changes one value, along a dimension of its own: more than half of them.
+        Three columns a shape (n,); of what never changes one value, along a dimension of its own:
+        more than half of them.
 
     Raises
     ------
@@ -46,8 +48,12 @@ def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
     ]
     moving = {coordinate.symbol for coordinate in scene.coordinates}
     return [
-        column if expression.free_symbols & moving else replace(column, dimension="once", values=column.values[:1])
-        for column, expression in zip(as_columns(named, evaluate(scene, expressions, q), dimension), expressions, strict=True)
+        column
+        if expression.free_symbols & moving
+        else replace(column, dimension="once", values=column.values[:1])
+        for column, expression in zip(
+            as_columns(named, evaluate(scene, expressions, q), dimension), expressions, strict=True
+        )
     ]
 
 
@@ -71,7 +77,10 @@ def gap_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
     TypeError
         For another number of coordinates.
     """
-    named = [(item.gap_name, "m", f"gap, negative in contact, {item.description or item.name}") for item in scene.contacts]
+    named = [
+        (item.gap_name, "m", f"gap, negative in contact, {item.description or item.name}")
+        for item in scene.contacts
+    ]
     return as_columns(named, -evaluate(scene, list(derive(scene).penetration), q), dimension)
 
 
@@ -81,11 +90,15 @@ def goal_poses(scene: Scene) -> list[tuple[float, float, float | None] | None]:
     Returns
     -------
     list[tuple[float, float, float | None] | None]
-        x, y [m] and angle [rad] of each shape, the angle None where the goal leaves it open; None for a shape whose place it leaves open, or that
-        never moves.
+        x, y [m] and angle [rad] of each shape, the angle None where the goal leaves it open; None
+        for a shape whose place it leaves open, or that never moves.
     """
     moving = {coordinate.symbol for coordinate in scene.coordinates}
-    ends = {item.symbol: value for item, value in zip(scene.coordinates, scene.task.goal, strict=False) if value is not None}
+    ends = {
+        item.symbol: value
+        for item, value in zip(scene.coordinates, scene.task.goal, strict=False)
+        if value is not None
+    }
     found = []
     for shape in scene.shapes:
         parts = (shape.x, shape.y, shape.angle)

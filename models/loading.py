@@ -1,10 +1,12 @@
 """Modules that a scene's file imports from beside it, and the digest of a file with all it imported that anybody may change.
 
-    with loading(path):                 # `import parts` finds parts.py beside the file, whatever the folder one works in
-        spec.loader.exec_module(module)
-        loaded_sources()                # digest of the file and of the modules of somebody's own that are imported by now
+    with loading(path): # `import parts` finds parts.py beside the file, whatever the folder one
+    works in
+        spec.loader.exec_module(module) loaded_sources() # digest of the file and of the modules of
+        somebody's own that are imported by now
 
-Modules from beside it are read as they are, never from kept bytecode, and forgotten afterwards: two files in two folders may each have a `parts.py`.
+Modules from beside it are read as they are, never from kept bytecode, and forgotten afterwards: two
+files in two folders may each have a `parts.py`.
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ from models.errors import SceneError, UnknownNameError
 
 _Said = TypeVar("_Said")
 _OURS = ("models", "formulations", "validate", "reports")
-_PARSING = threading.Lock()  # before Python 3.11.8 two threads that parse spoil each other's count of depth (CPython issue 106905)
+# before Python 3.11.8 two threads that parse spoil each other's count of depth (CPython issue
+# 106905)
+_PARSING = threading.Lock()
 
 
 class Afresh(importlib.machinery.SourceFileLoader):
@@ -40,17 +44,30 @@ class Afresh(importlib.machinery.SourceFileLoader):
 
 
 class _Beside:
-    """Finds modules in a folder, and what lies in packages there. A folder that only bears a name yields to a module of that name elsewhere."""
+    """Finds modules in a folder, and what lies in packages there.
+
+    A folder that only bears a name yields to a module of that name elsewhere.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self.found: set[str] = set()
 
-    def find_spec(self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> ModuleSpec | None:
-        entries = [str(self._folder)] if path is None else [entry for entry in path if Path(entry).is_relative_to(self._folder)]
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        entries = (
+            [str(self._folder)]
+            if path is None
+            else [entry for entry in path if Path(entry).is_relative_to(self._folder)]
+        )
         for entry in entries:
             spec = FileFinder(entry, (Afresh, [".py"])).find_spec(name, target)
-            if spec is not None and spec.loader is None and (elsewhere := PathFinder.find_spec(name, path, target)) is not None:
+            if (
+                spec is not None
+                and spec.loader is None
+                and (elsewhere := PathFinder.find_spec(name, path, target)) is not None
+            ):
                 return elsewhere
             if spec is not None:
                 self.found.add(name)
@@ -64,12 +81,19 @@ _NOW: ContextVar[tuple[Path, ...]] = ContextVar("files", default=())
 
 @contextmanager
 def loading(path: Path) -> Iterator[None]:
-    """Inside, the file `path` is executed as Python; see the module docstring. Raises SceneError where it is executed already."""
+    """Inside, the file `path` is executed as Python; see the module docstring.
+
+    Raises SceneError where it is executed already.
+    """
     if path in _NOW.get():
         raise SceneError(
             f"it loads itself ({' -> '.join(file.name for file in (*_NOW.get(), path))}); a scene is made of what is there before it."
         )
-    finder, before, token = _Beside(path.parent), frozenset(sys.modules), _NOW.set((*_NOW.get(), path))
+    finder, before, token = (
+        _Beside(path.parent),
+        frozenset(sys.modules),
+        _NOW.set((*_NOW.get(), path)),
+    )
     sys.meta_path.insert(0, finder)
     try:
         yield
@@ -86,7 +110,9 @@ def loaded_sources() -> str:
         return ""
     sources = {"": _NOW.get()[-1].read_bytes()}
     for name, module in tuple(sys.modules.items()):
-        if name == "__mp_main__":  # the second name of __main__, since somebody imported multiprocessing
+        if (
+            name == "__mp_main__"
+        ):  # the second name of __main__, since somebody imported multiprocessing
             continue
         origin = getattr(module, "__file__", None)
         if origin is None or name.partition(".")[0] in _OURS:
@@ -96,14 +122,18 @@ def loaded_sources() -> str:
             sources[name] = path.read_bytes()
     import hashlib  # 3 ms of OpenSSL, which who only asks what is declared does without
 
-    digests = (f"{name} {hashlib.sha256(content).hexdigest()}" for name, content in sorted(sources.items()))
+    digests = (
+        f"{name} {hashlib.sha256(content).hexdigest()}" for name, content in sorted(sources.items())
+    )
     return hashlib.sha256("\n".join(digests).encode()).hexdigest()
 
 
 @lru_cache(maxsize=1)
 def _installed() -> tuple[Path, ...]:
     folders = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
-    folders |= {entry for entry in sys.path if Path(entry).name in {"site-packages", "dist-packages"}}
+    folders |= {
+        entry for entry in sys.path if Path(entry).name in {"site-packages", "dist-packages"}
+    }
     return tuple(Path(folder).resolve() for folder in folders if folder)
 
 
@@ -116,5 +146,13 @@ def declared(path: Path, name: str, kind: type[_Said]) -> _Said:
         with _PARSING:
             node = ast.parse(text[begin:]).body[0]
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):
-            return kind(**{word.arg: ast.literal_eval(word.value) for word in node.value.keywords if word.arg})
-    raise UnknownNameError(f"{path.name}: it must define {name} = {kind.__name__}(...) with literals.")
+            return kind(
+                **{
+                    word.arg: ast.literal_eval(word.value)
+                    for word in node.value.keywords
+                    if word.arg
+                }
+            )
+    raise UnknownNameError(
+        f"{path.name}: it must define {name} = {kind.__name__}(...) with literals."
+    )

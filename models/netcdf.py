@@ -1,9 +1,10 @@
 """Named columns with units in a NetCDF-4 file: what plans and replays are stored as.
 
-    write_columns(path, [Column(name="q1", dimension="node", values=q1, unit="m")], {"scene": "three_cart"})
-    columns, attributes = read_columns(path)
+    write_columns(path, [Column(name="q1", dimension="node", values=q1, unit="m")], {"scene":
+    "three_cart"}) columns, attributes = read_columns(path)
 
-A file is written beside its place, flushed to disk and renamed, so that a reader never sees half of it.
+A file is written beside its place, flushed to disk and renamed, so that a reader never sees half of
+it.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ class Column:
     description: str = ""
 
 
-def as_columns(named: Iterable[tuple[str, str, str]], values: np.ndarray, dimension: str) -> list[Column]:
+def as_columns(
+    named: Iterable[tuple[str, str, str]], values: np.ndarray, dimension: str
+) -> list[Column]:
     """The columns of an array.
 
     Parameters
@@ -60,7 +63,9 @@ def as_columns(named: Iterable[tuple[str, str, str]], values: np.ndarray, dimens
     ]
 
 
-def write_columns(path: Path, columns: Iterable[Column], attributes: Mapping[str, str | int | float]) -> None:
+def write_columns(
+    path: Path, columns: Iterable[Column], attributes: Mapping[str, str | int | float]
+) -> None:
     """Write atomically. Raises MachineError where the folder cannot be written."""
     columns = tuple(columns)
     sizes: dict[str, int] = {}
@@ -72,7 +77,9 @@ def write_columns(path: Path, columns: Iterable[Column], attributes: Mapping[str
     content = _content(columns, sizes, attributes)
     part = None
     try:
-        with tempfile.NamedTemporaryFile(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent, delete=False) as file:
+        with tempfile.NamedTemporaryFile(
+            prefix=f".{path.name}.", suffix=".tmp", dir=path.parent, delete=False
+        ) as file:
             part = Path(file.name)
             file.write(content)
             file.flush()
@@ -83,11 +90,19 @@ def write_columns(path: Path, columns: Iterable[Column], attributes: Mapping[str
         if part is not None:
             with contextlib.suppress(OSError):
                 part.unlink()
-        advice = "choose a folder that exists and may be written" if part is None else "make room or permit it, or write elsewhere"
-        raise MachineError(f"file {path}: it cannot be written ({error.strerror}); {advice}.") from error
+        advice = (
+            "choose a folder that exists and may be written"
+            if part is None
+            else "make room or permit it, or write elsewhere"
+        )
+        raise MachineError(
+            f"file {path}: it cannot be written ({error.strerror}); {advice}."
+        ) from error
 
 
-def _content(columns: Sequence[Column], sizes: Mapping[str, int], attributes: Mapping[str, str | int | float]) -> bytes:
+def _content(
+    columns: Sequence[Column], sizes: Mapping[str, int], attributes: Mapping[str, str | int | float]
+) -> bytes:
     """The file's bytes, made in memory: HDF5 itself tells of a full disk in many ways, some of them when the file is long closed."""
     import h5netcdf  # 0.1 s to import; most commands need no file
 
@@ -97,7 +112,9 @@ def _content(columns: Sequence[Column], sizes: Mapping[str, int], attributes: Ma
         for key, value in attributes.items():
             file.attrs[key] = value
         for column in columns:
-            variable = file.create_variable(column.name, (column.dimension,), data=np.asarray(column.values))
+            variable = file.create_variable(
+                column.name, (column.dimension,), data=np.asarray(column.values)
+            )
             variable.attrs["units"] = column.unit
             if column.description:
                 variable.attrs["long_name"] = column.description
@@ -105,11 +122,15 @@ def _content(columns: Sequence[Column], sizes: Mapping[str, int], attributes: Ma
 
 
 def read_columns(path: Path) -> tuple[dict[str, Column], dict[str, str | int | float]]:
-    """All columns and attributes. Raises TrajectoryError if the file is missing, cut short or no NetCDF-4."""
+    """All columns and attributes.
+
+    Raises TrajectoryError if the file is missing, cut short or no NetCDF-4.
+    """
     import h5netcdf
 
     class Reading(h5netcdf.File):
-        _writable = False  # asked of a damaged file when it is closed, before it was set: a traceback on stderr
+        # asked of a damaged file when it is closed, before it was set: a traceback on stderr
+        _writable = False
 
     if not path.is_file():
         raise TrajectoryError(f"file {path}: there is no such file.")
@@ -123,16 +144,28 @@ def read_columns(path: Path) -> tuple[dict[str, Column], dict[str, str | int | f
                     )
                 unit = str(variable.attrs.get("units", ""))
                 text = str(variable.attrs.get("long_name", ""))
-                columns[name] = Column(name=name, dimension=variable.dimensions[0], values=variable[...], unit=unit, description=text)
+                columns[name] = Column(
+                    name=name,
+                    dimension=variable.dimensions[0],
+                    values=variable[...],
+                    unit=unit,
+                    description=text,
+                )
             attributes = {key: _plain(value) for key, value in file.attrs.items()}
     except TrajectoryError:
         raise
-    except Exception as error:  # h5netcdf and what lies below it raise errors of any type on a damaged file
-        raise TrajectoryError(f"file {path}: it cannot be read as NetCDF-4 ({type(error).__name__}: {error}).") from error
+    except (
+        Exception
+    ) as error:  # h5netcdf and what lies below it raise errors of any type on a damaged file
+        raise TrajectoryError(
+            f"file {path}: it cannot be read as NetCDF-4 ({type(error).__name__}: {error})."
+        ) from error
     return columns, attributes
 
 
-def numbers(path: Path, columns: Mapping[str, Column], name: str, unit: str, size: int | None = None) -> np.ndarray:
+def numbers(
+    path: Path, columns: Mapping[str, Column], name: str, unit: str, size: int | None = None
+) -> np.ndarray:
     """The values of one column, checked.
 
     Parameters
@@ -155,14 +188,20 @@ def numbers(path: Path, columns: Mapping[str, Column], name: str, unit: str, siz
         If it is missing, in another unit, no numbers or of another length.
     """
     if name not in columns:
-        raise TrajectoryError(f"file {path}: the column {name!r} is missing; it has {', '.join(columns) or 'none'}.")
+        raise TrajectoryError(
+            f"file {path}: the column {name!r} is missing; it has {', '.join(columns) or 'none'}."
+        )
     column = columns[name]
     if column.unit != unit:
-        raise TrajectoryError(f"file {path}: {name} is in {column.unit!r}, but {unit!r} is expected; was it written for another scene?")
+        raise TrajectoryError(
+            f"file {path}: {name} is in {column.unit!r}, but {unit!r} is expected; was it written for another scene?"
+        )
     if not np.issubdtype(column.values.dtype, np.number):
         raise TrajectoryError(f"file {path}: {name} does not hold numbers ({column.values.dtype}).")
     if size is not None and len(column.values) != size:
-        raise TrajectoryError(f"file {path}: {name} has {len(column.values)} values, but {size} are expected.")
+        raise TrajectoryError(
+            f"file {path}: {name} has {len(column.values)} values, but {size} are expected."
+        )
     return np.asarray(column.values, dtype=float)
 
 

@@ -1,7 +1,7 @@
 """A plan's CSV as a table of columns, before anybody knows what they mean.
 
-Cells are apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments, but for `# scheme: ..` and `# hold: ..`, which
-declare; a column may say its unit, `q1 [m]`.
+Cells are apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments,
+but for `# scheme: ..` and `# hold: ..`, which declare; a column may say its unit, `q1 [m]`.
 """
 
 from __future__ import annotations
@@ -24,22 +24,33 @@ from models.schemes import Scheme
 
 # What may stand around a comment, beside blanks: quotes and the marks that cells are apart by.
 _AROUND = "\"',; \t"
-# A number as programs write it; float() reads 1_0 and other alphabets' digits too, which nobody means.
-_NUMBER = re.compile(r"\s*[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf|infinity)\s*", re.IGNORECASE | re.ASCII)
-# Kinds of numpy's types whose numbers are real, and those whose values must be looked at one by one.
-_REAL, _MIXED = "biuf", "OUS"
+# A number as programs write it; float() reads 1_0 and other alphabets' digits too, which nobody
+# means.
+_NUMBER = re.compile(
+    r"\s*[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf|infinity)\s*",
+    re.IGNORECASE | re.ASCII,
+)
+# Kinds of numpy's types whose numbers are real, and those whose values must be looked at one by
+# one.
+_REAL = "biuf"
+_MIXED = "OUS"
 # What other things begin with that are taken for a plan; a folder has no bytes, and gets some.
 _FOLDER = b"\0folder"
 _OTHERS = {
-    _FOLDER: "a folder", b"<": "HTML or XML", b"{": "JSON", b"[": "JSON", b"PK\x03\x04": "a zip archive, as .npz and .xlsx are",
-    b"\x93NUMPY": "an array of NumPy", b"\x89HDF": "HDF5, as NetCDF is", b"MATLAB": "a file of MATLAB", b"PAR1": "Parquet",
+    _FOLDER: "a folder", b"<": "HTML or XML", b"{": "JSON", b"[": "JSON",
+    b"PK\x03\x04": "a zip archive, as .npz and .xlsx are",
+    b"\x93NUMPY": "an array of NumPy", b"\x89HDF": "HDF5, as NetCDF is",
+    b"MATLAB": "a file of MATLAB", b"PAR1": "Parquet",
 }  # fmt: skip
 # What a comment may declare, and the values that it may have.
 _DECLARED = {"scheme": tuple(scheme.value for scheme in Scheme), "hold": ("zero", "linear")}
 
 
 class PlanTable:
-    """names: of the columns, without units; given: those that are not empty; units: by name, for those that say one; rows: of numbers below the header; declared: by key."""
+    """names: of the columns, without units; given: those that are not empty.
+
+    units: by name, for those that say one; rows: of numbers below the header; declared: by key.
+    """
 
     def __init__(self, path: Path) -> None:
         """Raises TrajectoryError naming the file, and the line and the column where there is one."""
@@ -47,7 +58,9 @@ class PlanTable:
         rows, self.declared = _rows(path)
         if len(rows) < 3:
             below = max(len(rows) - 1, 0)
-            raise TrajectoryError(f"plan {path}: it has {below} row{'' if below == 1 else 's'}; a header and at least two rows are needed.")
+            raise TrajectoryError(
+                f"plan {path}: it has {below} row{'' if below == 1 else 's'}; a header and at least two rows are needed."
+            )
         number, below = rows[1]
         apart = [cell for cell in re.split(r"[\s|]+", below[0]) if cell]
         if len(rows[0][1]) == len(below) == 1 and len(apart) > 1 and all(map(_is_number, apart)):
@@ -55,7 +68,9 @@ class PlanTable:
                 f"plan {path}: line {number} has its {len(apart)} cells apart by spaces or bars; separate cells by comma, semicolon or tab."
             )
         if all(map(_is_number, rows[0][1])):
-            raise TrajectoryError(f"plan {path}: its first line holds numbers; a header with the columns' names is needed above them.")
+            raise TrajectoryError(
+                f"plan {path}: its first line holds numbers; a header with the columns' names is needed above them."
+            )
         self._rows = rows[1:]
         self.rows = len(self._rows)
         self.units: dict[str, str] = {}
@@ -67,7 +82,11 @@ class PlanTable:
                 self.units[name] = unit
         self.names = tuple(names)
         self._check_form()
-        self.given = tuple(name for index, name in enumerate(names) if any("".join(row[index : index + 1]) for _, row in self._rows))
+        self.given = tuple(
+            name
+            for index, name in enumerate(names)
+            if any("".join(row[index : index + 1]) for _, row in self._rows)
+        )
 
     def has_last(self, name: str) -> bool:
         """Whether the last row has a cell in this column."""
@@ -84,13 +103,17 @@ class PlanTable:
                 raise TrajectoryError(f"{self.where}: the column {name!r} stands there twice.")
         for number, row in self._rows:
             if any(row[len(self.names) :]):
-                raise TrajectoryError(f"{self.where}: line {number} has {len(row)} cells, but there are {len(self.names)} columns.")
+                raise TrajectoryError(
+                    f"{self.where}: line {number} has {len(row)} cells, but there are {len(self.names)} columns."
+                )
 
     def check_unit(self, name: str, *units: str) -> None:
         """Raise TrajectoryError if the column says another unit than these."""
         given = self.units.get(name, units[0])
         if given not in units:
-            raise TrajectoryError(f"{self.where}: the column {name!r} is in {given!r}, but {units[0]!r} is expected; convert it.")
+            raise TrajectoryError(
+                f"{self.where}: the column {name!r} is in {given!r}, but {units[0]!r} is expected; convert it."
+            )
 
     def column(self, name: str, last_is_open: bool) -> np.ndarray:
         """The numbers of a column.
@@ -117,10 +140,14 @@ class PlanTable:
             if last_is_open and place == self.rows:
                 break
             if not _is_number(cell):
-                raise TrajectoryError(f"{self.where}: line {number}, column {name!r}: {cell!r} is not a number.")
+                raise TrajectoryError(
+                    f"{self.where}: line {number}, column {name!r}: {cell!r} is not a number."
+                )
             values.append(float(cell))
             if not math.isfinite(values[-1]):
-                raise TrajectoryError(f"{self.where}: line {number}, column {name!r}: {cell!r} is not a finite number.")
+                raise TrajectoryError(
+                    f"{self.where}: line {number}, column {name!r}: {cell!r} is not a finite number."
+                )
         return np.array(values)
 
 
@@ -145,15 +172,21 @@ def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
                 raise TrajectoryError(f"plan {path}: it is {what}; {known}.")
         text = data.decode("utf-8-sig")  # Excel writes a byte order mark
     except OSError as error:
-        raise TrajectoryError(f"plan {path}: it cannot be read ({error.strerror or error}).") from error
+        raise TrajectoryError(
+            f"plan {path}: it cannot be read ({error.strerror or error})."
+        ) from error
     except UnicodeDecodeError as error:
         raise TrajectoryError(
             f"plan {path}: it is not text in UTF-8 (byte {error.start} is none of it); save it as CSV in UTF-8."
         ) from error
-    numbered = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    numbered = [
+        (number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()
+    ]
     # Spreadsheets save a comment as a cell: in quotes, with empty cells behind it.
     bare = [(number, line.strip(_AROUND)) for number, line in numbered]
-    declared = _declarations(path, [(number, line) for number, line in bare if line.startswith("#")])
+    declared = _declarations(
+        path, [(number, line) for number, line in bare if line.startswith("#")]
+    )
     lines = [numbered[place] for place, (_, line) in enumerate(bare) if not line.startswith("#")]
     header = re.sub(r'"[^"]*"', "", lines[0][1]) if lines else ""
     mark = next((mark for mark in ";\t" if mark in header), ",")
@@ -166,7 +199,8 @@ def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
 def _declarations(path: Path, comments: list[tuple[int, str]]) -> dict[str, str]:
     """What comments `# key: value` declare, of the keys that are known.
 
-    A known value under nearly such a key, or without a mark, is a mistake; any other comment is a comment.
+    A known value under nearly such a key, or without a mark, is a mistake; any other comment is a
+    comment.
     """
     declared: dict[str, str] = {}
     for number, line in comments:
@@ -176,15 +210,21 @@ def _declarations(path: Path, comments: list[tuple[int, str]]) -> dict[str, str]
         key, mark, value = match.group(1).lower(), match.group(2).strip(), match.group(3)
         if not mark:
             if value.lower() in _DECLARED.get(key, ()):
-                raise TrajectoryError(f"plan {path}: line {number}: {line!r} declares nothing; write '# {key}: {value}'.")
+                raise TrajectoryError(
+                    f"plan {path}: line {number}: {line!r} declares nothing; write '# {key}: {value}'."
+                )
             continue
         if key not in _DECLARED:
             near = nearest(key, _DECLARED, 0.7)
             if near is not None and value.lower() in _DECLARED[near]:
-                raise TrajectoryError(f"plan {path}: line {number}: there is no {match.group(1)!r} to declare; did you mean {near!r}?")
+                raise TrajectoryError(
+                    f"plan {path}: line {number}: there is no {match.group(1)!r} to declare; did you mean {near!r}?"
+                )
             continue
         if declared.get(key, value) != value:
-            raise TrajectoryError(f"plan {path}: line {number}: it declares the {key} {value!r}, but {declared[key]!r} before.")
+            raise TrajectoryError(
+                f"plan {path}: line {number}: it declares the {key} {value!r}, but {declared[key]!r} before."
+            )
         declared[key] = value
     return declared
 
@@ -195,9 +235,13 @@ def _is_number(cell: str) -> bool:
 
 def _cells(path: Path, number: int, line: str, mark: str) -> list[str]:
     try:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=mark, skipinitialspace=True))]
+        return [
+            cell.strip() for cell in next(csv.reader([line], delimiter=mark, skipinitialspace=True))
+        ]
     except csv.Error as error:
-        raise TrajectoryError(f"plan {path}: line {number} cannot be read ({error}); separate its cells by {mark!r}.") from error
+        raise TrajectoryError(
+            f"plan {path}: line {number} cannot be read ({error}); separate its cells by {mark!r}."
+        ) from error
 
 
 def real_numbers(what: str, values: Any) -> np.ndarray:
@@ -223,22 +267,40 @@ def real_numbers(what: str, values: Any) -> np.ndarray:
     try:
         given = np.asanyarray(values)
     except (TypeError, ValueError) as error:
-        raise TrajectoryError(f"plan: {what} must be numbers, in rows of equal length ({error}).") from error
-    if "numpy.ma" in sys.modules and np.ma.is_masked(given):  # without that module nothing is; its import takes 10 ms
-        raise TrajectoryError(f"plan: {what} has masked values, which are no numbers; fill them, or leave the column out.")
+        raise TrajectoryError(
+            f"plan: {what} must be numbers, in rows of equal length ({error})."
+        ) from error
+    if "numpy.ma" in sys.modules and np.ma.is_masked(
+        given
+    ):  # without that module nothing is; its import takes 10 ms
+        raise TrajectoryError(
+            f"plan: {what} has masked values, which are no numbers; fill them, or leave the column out."
+        )
     if given.dtype.kind in _MIXED:
-        return np.array([_real(what, cell) for cell in given.flat], dtype=float).reshape(given.shape)
+        return np.array([_real(what, cell) for cell in given.flat], dtype=float).reshape(
+            given.shape
+        )
     if given.dtype.kind not in _REAL:
-        raise TrajectoryError(f"plan: {what} is of type {given.dtype}, but must be real numbers; convert it.")
+        raise TrajectoryError(
+            f"plan: {what} is of type {given.dtype}, but must be real numbers; convert it."
+        )
     return np.array(given, dtype=float)
 
 
 def _real(what: str, cell: Any) -> float:
     """A cell of an array of objects or text."""
-    text = cell.decode("ascii", "replace") if isinstance(cell, bytes) else str(cell) if isinstance(cell, str) else cell
+    text = (
+        cell.decode("ascii", "replace")
+        if isinstance(cell, bytes)
+        else str(cell)
+        if isinstance(cell, str)
+        else cell
+    )
     if text is None or type(text).__name__ == "NAType":  # pandas' NA, which need not be installed
         return math.nan
-    if isinstance(text, (numbers.Real, np.bool_, Decimal)) or (isinstance(text, str) and _is_number(text)):
+    if isinstance(text, (numbers.Real, np.bool_, Decimal)) or (
+        isinstance(text, str) and _is_number(text)
+    ):
         return float(text)
     raise TrajectoryError(f"plan: {what} must be real numbers, but holds {reprlib.repr(text)}.")
 
@@ -257,18 +319,32 @@ class ArrayTable:
         names = list(columns.columns if hasattr(columns, "columns") else columns)
         for name in names:
             if not isinstance(name, str):
-                raise TrajectoryError(f"plan: a column is called {name!r}, but its name must be text.")
+                raise TrajectoryError(
+                    f"plan: a column is called {name!r}, but its name must be text."
+                )
             if names.count(name) > 1:
                 raise TrajectoryError(f"plan: the column {name!r} stands there twice.")
-        self._columns = {name: real_numbers(f"the column {name!r}", columns[name]) for name in names}
+        self._columns = {
+            name: real_numbers(f"the column {name!r}", columns[name]) for name in names
+        }
         self.names = tuple(self._columns)
-        self.given = tuple(name for name, values in self._columns.items() if not np.isnan(values).all())
+        self.given = tuple(
+            name for name, values in self._columns.items() if not np.isnan(values).all()
+        )
         for name, values in self._columns.items():
             if values.ndim != 1:
-                raise TrajectoryError(f"plan: the column {name!r} has shape {values.shape}, but must be one row of numbers.")
-        self.rows = len(self._columns["t"]) if "t" in self._columns else max(map(len, self._columns.values()), default=0)
+                raise TrajectoryError(
+                    f"plan: the column {name!r} has shape {values.shape}, but must be one row of numbers."
+                )
+        self.rows = (
+            len(self._columns["t"])
+            if "t" in self._columns
+            else max(map(len, self._columns.values()), default=0)
+        )
         if self.rows < 2:
-            raise TrajectoryError(f"plan: it has {self.rows} row{'' if self.rows == 1 else 's'}; at least two are needed.")
+            raise TrajectoryError(
+                f"plan: it has {self.rows} row{'' if self.rows == 1 else 's'}; at least two are needed."
+            )
 
     def has_last(self, name: str) -> bool:
         """Whether the column has a number at the last time."""
@@ -299,11 +375,15 @@ class ArrayTable:
         values = self._columns[name]
         expected = self.rows - 1 if last_is_open else self.rows
         if len(values) not in (expected, self.rows):
-            raise TrajectoryError(f"plan: the column {name!r} has {len(values)} numbers, but t has {self.rows}.")
+            raise TrajectoryError(
+                f"plan: the column {name!r} has {len(values)} numbers, but t has {self.rows}."
+            )
         values = values[:expected]
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
-            raise TrajectoryError(f"plan: column {name!r}, row {int(bad[0])}: {values[bad[0]]} is not a finite number.")
+            raise TrajectoryError(
+                f"plan: column {name!r}, row {int(bad[0])}: {values[bad[0]]} is not a finite number."
+            )
         return values
 
 

@@ -2,13 +2,15 @@
 
     step_stability(scene).is_stable, .radius, .largest_step, .sentence
 
-Semi-implicit Euler on a closed contact is a damped oscillator, x' = x + h v', v' = v - h (w^2 x + c v), and stable only where
+Semi-implicit Euler on a closed contact is a damped oscillator, x' = x + h v', v' = v - h (w^2 x + c
+v), and stable only where
 
     h^2 w^2 + 2 h c < 4
 
-Here the bound is taken from the exact Jacobian of the compiled step itself (its adjoint), for every set of contacts that can be closed together,
-each linearised at its typical penetration. A scene may be unstable by itself (a pole falls over): then the step is unstable only where it grows
-faster than the motion does.
+Here the bound is taken from the exact Jacobian of the compiled step itself (its adjoint), for every
+set of contacts that can be closed together, each linearised at its typical penetration. A scene may
+be unstable by itself (a pole falls over): then the step is unstable only where it grows faster than
+the motion does.
 """
 
 from __future__ import annotations
@@ -23,22 +25,29 @@ from models.codegen.kernel import KernelError, load_kernel
 from models.dynamics import derive
 from models.scene import Scene
 
-# Up to so many contacts every set is looked at; beyond, single ones and those that can be added up: a further closed contact only makes it stiffer.
+# Up to so many contacts every set is looked at; beyond, single ones and those that can be added up:
+# a further closed contact only makes it stiffer.
 _EVERY_SET = 6
-# A double eigenvalue at 1 (a free body) is computed with an error of the square root of rounding, 1.5e-8.
+# A double eigenvalue at 1 (a free body) is computed with an error of the square root of rounding,
+# 1.5e-8.
 _ROUNDING = 1e-6
-# The step's own growth of an unstable motion differs from exp(rate h) by (rate h)^2/24; a fifth more is a rate h above 2.
+# The step's own growth of an unstable motion differs from exp(rate h) by (rate h)^2/24; a fifth
+# more is a rate h above 2.
 _FASTER = 1.2
-# Newton steps to a position in which the contacts of a set are closed, and how near their typical depth counts.
-_NEWTON_STEPS, _CLOSED = 50, 1e-6
+# Newton steps to a position in which the contacts of a set are closed, and how near their typical
+# depth counts.
+_NEWTON_STEPS = 50
+_CLOSED = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class StepStability:
     """Whether a time step is stable while contacts are closed, and the largest that is.
 
-    step [s]; radius: spectral radius of the step's Jacobian, of the set of contacts where it exceeds the motion's own growth most;
-    contacts: that set, by name; growth: rate at which the motion itself grows there [1/s], 0 if it does not; largest_step: below it the step is
+    step [s]; radius: spectral radius of the step's Jacobian, of the set of contacts where it
+        exceeds the motion's own growth most;
+    contacts: that set, by name; growth: rate at which the motion itself grows there [1/s], 0 if it
+        does not; largest_step: below it the step is
     stable with every set [s], infinite if there is no limit.
     """
 
@@ -68,7 +77,10 @@ class StepStability:
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """da = G dq + D dv, of the accelerations with a set of contacts closed; of a scene without inertia dv = G dq, and D is nothing."""
+    """da = G dq + D dv, of the accelerations with a set of contacts closed.
+
+    Of a scene without inertia dv = G dq, and D is nothing.
+    """
 
     contacts: tuple[str, ...]
     G: np.ndarray
@@ -98,13 +110,24 @@ class _Linear:
     @property
     def growth(self) -> float:
         identity = np.eye(len(self.G))
-        rates = np.linalg.eigvals(np.block([[np.zeros_like(self.G), identity], [self.G, self.D]]) if self.has_inertia else self.G).real
+        rates = np.linalg.eigvals(
+            np.block([[np.zeros_like(self.G), identity], [self.G, self.D]])
+            if self.has_inertia
+            else self.G
+        ).real
         largest = float(rates.max(initial=0.0))
         # zero but for rounding, which a double zero takes the square root of
-        return largest if largest > 1e-7 * max(1.0, float(np.sqrt(np.abs(self.G).max(initial=0.0)))) else 0.0
+        return (
+            largest
+            if largest > 1e-7 * max(1.0, float(np.sqrt(np.abs(self.G).max(initial=0.0))))
+            else 0.0
+        )
 
     def excess(self, h: float) -> float:
-        """By what the step's radius exceeds what the motion's own growth explains; negative: stable."""
+        """By what the step's radius exceeds what the motion's own growth explains.
+
+        negative: stable.
+        """
         exponent = min(_FASTER * self.growth * h, 700.0)
         return self.radius(h) - math.exp(exponent) - _ROUNDING
 
@@ -131,14 +154,18 @@ def spectral_radius(matrix: np.ndarray) -> float:
 
 
 def step_stability(scene: Scene) -> StepStability:
-    """At the task's own step. Friction is left out: sticking is implicit in the step, slipping a constant force.
+    """At the task's own step.
+
+    Friction is left out: sticking is implicit in the step, slipping a constant force.
 
     Raises MachineError without a compiler.
     """
     h = scene.task.step
     models = _linear_models(replace(scene, frictions=()) if scene.frictions else scene)
     if not models:
-        return StepStability(scene=scene.name, step=h, radius=1.0, contacts=(), growth=0.0, largest_step=math.inf)
+        return StepStability(
+            scene=scene.name, step=h, radius=1.0, contacts=(), growth=0.0, largest_step=math.inf
+        )
     worst = max(models, key=lambda model: model.excess(h))
     return StepStability(
         scene=scene.name,
@@ -154,18 +181,31 @@ def _linear_models(scene: Scene) -> list[_Linear]:
     kernel, nq = load_kernel(scene), scene.nq
     at_rest = np.zeros(nq)
     u = np.array([min(max(0.0, item.lower), item.upper) for item in scene.inputs])
-    start, goal = np.array(scene.task.start[:nq]), np.array([math.nan if value is None else value for value in scene.task.goal[:nq]])
+    start, goal = (
+        np.array(scene.task.start[:nq]),
+        np.array([math.nan if value is None else value for value in scene.task.goal[:nq]]),
+    )
     found = []
     for q in (start, np.where(np.isnan(goal), start, goal)):
         for indices, closed in [((), q), *_closed_positions(scene, q)]:
-            # The derivatives of v' = v + a do not depend on the step they are taken with: one second makes them those of a itself.
+            # The derivatives of v' = v + a do not depend on the step they are taken with: one
+            # second makes them those of a itself.
             try:
-                jacobian, _ = kernel.end_derivatives(np.concatenate([closed, at_rest]), u[None], 1.0)
+                jacobian, _ = kernel.end_derivatives(
+                    np.concatenate([closed, at_rest]), u[None], 1.0
+                )
             except KernelError:  # singular masses, where only the search for a closed position led, or a step that is no number
                 continue
             names = tuple(scene.contacts[index].name for index in indices)
             inertia = scene.relaxation_time is None
-            found.append(_Linear(names, jacobian[nq:, :nq], jacobian[nq:, nq:] - (np.eye(nq) if inertia else 0.0), inertia))
+            found.append(
+                _Linear(
+                    names,
+                    jacobian[nq:, :nq],
+                    jacobian[nq:, nq:] - (np.eye(nq) if inertia else 0.0),
+                    inertia,
+                )
+            )
     return found
 
 
@@ -189,7 +229,11 @@ def _closed_positions(scene: Scene, q: np.ndarray) -> list[tuple[tuple[int, ...]
         return None
 
     if scene.nc <= _EVERY_SET:
-        every = [indices for size in range(1, scene.nc + 1) for indices in combinations(range(scene.nc), size)]
+        every = [
+            indices
+            for size in range(1, scene.nc + 1)
+            for indices in combinations(range(scene.nc), size)
+        ]
         return [(indices, place) for indices in every if (place := closed(indices)) is not None]
     found, together = [], ()
     for index in range(scene.nc):

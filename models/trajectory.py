@@ -1,17 +1,22 @@
 """A plan: what a method found, or what a user brings.
 
-    t    (nodes,)       time [s], increasing, nodes = steps + 1
-    q, v (nodes, nq)    generalised positions [m, rad] and velocities
-    u    (steps, nu)    inputs, held over each step as `hold` says
-    lam  (steps, nl)    contact forces, behind them friction forces [N], one a step. Of a plan that declares a scheme a contact force belongs to the
-                        *start* of the step, lam[i] to phi(q[i]), and a friction force to the slip at its end; of any other it may be the force at
+    t (nodes,) time [s], increasing, nodes = steps + 1 q, v (nodes, nq) generalised positions [m,
+    rad] and velocities u (steps, nu) inputs, held over each step as `hold` says lam (steps, nl)
+    contact forces, behind them friction forces [N], one a step. Of a plan that declares a scheme a
+    contact force belongs to the
+                        *start* of the step, lam[i] to phi(q[i]), and a friction force to the slip
+                          at its end; of any other it may be the force at
                         the start of the step, at its end, or its mean over the step
-    scheme              the time step it is made of (models.schemes), or None: its author names none, and is not asked about one
-    missing             what its author did not say, of "q", "v", "lam" (contact forces) and "friction"; the arrays then hold stand-ins (see `read_csv`)
-    u_end (nu,)         the input at the last node, which a linear hold heads for in the last step (and no other hold uses); None: not said, constant
+    scheme the time step it is made of (models.schemes), or None: its author names none, and is not
+    asked about one missing what its author did not say, of "q", "v", "lam" (contact forces) and
+    "friction"; the arrays then hold stand-ins (see `read_csv`) u_end (nu,) the input at the last
+    node, which a linear hold heads for in the last step (and no other hold uses); None: not said,
+    constant
 
-CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... lam_left ...`); the last row has no u and lam. Lines
-`# scheme: semi_implicit_euler` and `# hold: zero` (or `linear`) above declare those. NetCDF-4: the same arrays with units, for the store.
+CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... lam_left ...`); the
+    last row has no u and lam. Lines
+`# scheme: semi_implicit_euler` and `# hold: zero` (or `linear`) above declare those. NetCDF-4: the
+    same arrays with units, for the store.
 """
 
 from __future__ import annotations
@@ -51,18 +56,26 @@ GROUPS = ("q", "v", "lam", "friction")
 
 
 def as_scheme(value: Any, where: str = "plan") -> Scheme | None:
-    """A scheme, given as such or by its text; None is none. Raises TrajectoryError for what is neither."""
+    """A scheme, given as such or by its text; None is none.
+
+    Raises TrajectoryError for what is neither.
+    """
     if value is None or isinstance(value, Scheme):
         return value
     known = [item.value for item in Scheme]
     if value in known:
         return Scheme(value)
     what = f"there are {', '.join(known)}; without this line it declares none."
-    raise TrajectoryError(f"{where}: the scheme {value!r} is unknown; {did_you_mean(value, known, what)}")
+    raise TrajectoryError(
+        f"{where}: the scheme {value!r} is unknown; {did_you_mean(value, known, what)}"
+    )
 
 
 def as_hold(value: Any, where: str = "plan") -> Hold:
-    """A hold, given as such or by its text in `HOLDS`. Raises TrajectoryError for what is neither."""
+    """A hold, given as such or by its text in `HOLDS`.
+
+    Raises TrajectoryError for what is neither.
+    """
     if isinstance(value, Hold):
         return value
     if isinstance(value, str) and value in HOLDS:
@@ -75,13 +88,19 @@ def _as_groups(value: Any) -> frozenset[str]:
     names = list(value) if isinstance(value, Iterable) and not isinstance(value, str) else [value]
     unknown = [name for name in names if not (isinstance(name, str) and name in GROUPS)]
     if unknown or isinstance(value, str):
-        raise TrajectoryError(f"plan: missing is {value!r}, but must be a set of {', '.join(map(repr, GROUPS))}, or empty.")
+        raise TrajectoryError(
+            f"plan: missing is {value!r}, but must be a set of {', '.join(map(repr, GROUPS))}, or empty."
+        )
     return frozenset(names)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
-    """See the module docstring. Raises TrajectoryError for wrong shapes, NaN, or times that do not increase. hold and scheme may be given by their text."""
+    """See the module docstring.
+
+    Raises TrajectoryError for wrong shapes, NaN, or times that do not increase. hold and scheme may
+    be given by their text.
+    """
 
     t: np.ndarray
     q: np.ndarray
@@ -98,7 +117,9 @@ class Trajectory:
             array = real_numbers(field, getattr(self, field))
             if not np.isfinite(array).all():
                 where = tuple(int(index) for index in np.argwhere(~np.isfinite(array))[0])
-                raise TrajectoryError(f"plan: {field}{list(where)} is {array[where]}; every value must be a finite number.")
+                raise TrajectoryError(
+                    f"plan: {field}{list(where)} is {array[where]}; every value must be a finite number."
+                )
             array.setflags(write=False)
             object.__setattr__(self, field, array)
         object.__setattr__(self, "hold", as_hold(self.hold))
@@ -106,7 +127,9 @@ class Trajectory:
         object.__setattr__(self, "missing", _as_groups(self.missing))
         nodes = self.t.size
         if self.t.ndim != 1 or nodes < 2:
-            raise TrajectoryError(f"plan: t has shape {self.t.shape}; at least two times in one column are needed.")
+            raise TrajectoryError(
+                f"plan: t has shape {self.t.shape}; at least two times in one column are needed."
+            )
         if not (np.diff(self.t) > 0).all():
             index = int(np.argmin(np.diff(self.t) > 0))
             raise TrajectoryError(
@@ -115,7 +138,9 @@ class Trajectory:
         for field, rows in (("q", nodes), ("v", nodes), ("u", nodes - 1), ("lam", nodes - 1)):
             shape = getattr(self, field).shape
             if len(shape) != 2 or shape[0] != rows:
-                raise TrajectoryError(f"plan: {field} has shape {shape}; {rows} rows are needed ({nodes} nodes, {nodes - 1} steps).")
+                raise TrajectoryError(
+                    f"plan: {field} has shape {shape}; {rows} rows are needed ({nodes} nodes, {nodes - 1} steps)."
+                )
         if self.scheme is not None and self.hold is not Hold.ZERO_ORDER:
             raise TrajectoryError(
                 f"plan: scheme {self.scheme.value} holds its inputs over each step, but the plan's hold is linear; leave one of the two out."
@@ -125,7 +150,9 @@ class Trajectory:
                 f"plan: u_end has shape {self.u_end.shape}; one value for each of the {self.u.shape[1]} inputs is needed."
             )
         if self.q.shape != self.v.shape:
-            raise TrajectoryError(f"plan: q has shape {self.q.shape} but v has {self.v.shape}; they must agree.")
+            raise TrajectoryError(
+                f"plan: q has shape {self.q.shape} but v has {self.v.shape}; they must agree."
+            )
 
     @property
     def steps(self) -> int:
@@ -145,14 +172,23 @@ class Trajectory:
     def check_fits(self, scene: Scene) -> None:
         """Raise TrajectoryError if the numbers of positions, inputs or contacts are not those of the scene, or the scene does not have the scheme."""
         if not hasattr(scene, "task"):
-            raise TrajectoryError(f"scene: a {type(scene).__name__} is no scene; give a Scene, as touchstone.scene(name) does.")
+            raise TrajectoryError(
+                f"scene: a {type(scene).__name__} is no scene; give a Scene, as touchstone.scene(name) does."
+            )
         for field, found, expected, what in (
             ("q", self.q.shape[1], scene.nq, "positions"),
             ("u", self.u.shape[1], scene.nu, "inputs"),
-            ("lam", self.lam.shape[1], scene.nl, "contacts and frictions" if scene.nf else "contacts"),
+            (
+                "lam",
+                self.lam.shape[1],
+                scene.nl,
+                "contacts and frictions" if scene.nf else "contacts",
+            ),
         ):
             if found != expected:
-                raise TrajectoryError(f"plan: {field} has {found} columns, but scene {scene.name} has {expected} {what}.")
+                raise TrajectoryError(
+                    f"plan: {field} has {found} columns, but scene {scene.name} has {expected} {what}."
+                )
         if scene.nf and self.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
             raise TrajectoryError(
                 f"plan: it declares the scheme {self.scheme.value}, but the friction of scene {scene.name} is known to "
@@ -168,7 +204,9 @@ class Trajectory:
         """The same plan with times counted from its start: of a clock that shows 1.7e9 s no integrator knows the digits that count."""
         if self.t[0] == 0.0:
             return self
-        digits = int(np.floor(-np.log10(np.spacing(np.abs(self.t).max()))))  # what the clock could tell apart
+        digits = int(
+            np.floor(-np.log10(np.spacing(np.abs(self.t).max())))
+        )  # what the clock could tell apart
         return replace(self, t=np.round(self.t - self.t[0], digits))
 
     @property
@@ -182,7 +220,8 @@ class Trajectory:
         Parameters
         ----------
         scale, offset
-            (nu,) each; the scale in units of the FMU per unit of the scene [-], the offset in those of the FMU.
+            (nu,) each; the scale in units of the FMU per unit of the scene [-], the offset in those
+            of the FMU.
 
         Returns
         -------
@@ -194,11 +233,17 @@ class Trajectory:
         ValueError
             For another number of inputs.
         """
-        return replace(self, u=scale * self.u + offset, u_end=None if self.u_end is None else scale * self.u_end + offset)
+        return replace(
+            self,
+            u=scale * self.u + offset,
+            u_end=None if self.u_end is None else scale * self.u_end + offset,
+        )
 
     def has_uniform_grid(self) -> bool:
         """Whether all steps are equal to rounding."""
-        return bool(np.allclose(np.diff(self.t), (self.t[-1] - self.t[0]) / self.steps, rtol=1e-9, atol=0.0))
+        return bool(
+            np.allclose(np.diff(self.t), (self.t[-1] - self.t[0]) / self.steps, rtol=1e-9, atol=0.0)
+        )
 
     def __repr__(self) -> str:
         scheme = "no scheme declared" if self.scheme is None else self.scheme.value
@@ -206,7 +251,9 @@ class Trajectory:
         return f"Trajectory({self.steps} steps, {self.duration:g} s, {sizes}, {self.hold.value}, {scheme})"
 
     def to_dataframe(self, scene: Scene) -> pd.DataFrame:
-        """A row a node, columns as in a CSV (`column_names`); of the last row, which begins no step, inputs and forces are NaN.
+        """A row a node, columns as in a CSV (`column_names`).
+
+        Of the last row, which begins no step, inputs and forces are NaN.
 
         Raises
         ------
@@ -215,8 +262,18 @@ class Trajectory:
         """
         self.check_fits(scene)
         names, last = column_names(scene), np.full((1, self.u.shape[1] + self.lam.shape[1]), np.nan)
-        values = np.hstack([self.t[:, None], self.q, self.v, np.vstack([np.hstack([self.u, self.lam]), last])])
-        return data_frame(dict(zip(["t", *names["q"], *names["v"], *names["u"], *names["lam"]], values.T, strict=True)))
+        values = np.hstack(
+            [self.t[:, None], self.q, self.v, np.vstack([np.hstack([self.u, self.lam]), last])]
+        )
+        return data_frame(
+            dict(
+                zip(
+                    ["t", *names["q"], *names["v"], *names["u"], *names["lam"]],
+                    values.T,
+                    strict=True,
+                )
+            )
+        )
 
     def plot(self, scene: Scene, motion: Any = None) -> np.ndarray:
         """Draw positions, velocities, forces and inputs over time, a panel for each that the plan says; with matplotlib.
@@ -224,12 +281,14 @@ class Trajectory:
         Parameters
         ----------
         motion
-            What the plan is drawn beside: its replay, or anything else with t (n,) [s], q, v, lam and friction (n, ..); the plan is dotted then.
+            What the plan is drawn beside: its replay, or anything else with t (n,) [s], q, v, lam
+            and friction (n, ..); the plan is dotted then.
 
         Returns
         -------
         np.ndarray
-            (panels,) matplotlib Axes [s, and the unit of each quantity]; `axes[0].figure.savefig(..)` writes them.
+            (panels,) matplotlib Axes [s, and the unit of each quantity];
+            `axes[0].figure.savefig(..)` writes them.
 
         Raises
         ------
@@ -239,28 +298,60 @@ class Trajectory:
         self.check_fits(scene)
         names, units = column_names(scene), _units(scene)
         plan = {part: getattr(self, part) for part in _TITLES if part not in self.missing}
-        beside = {} if motion is None else {"q": motion.q, "v": motion.v, "lam": np.hstack([motion.lam, motion.friction])}
+        beside = (
+            {}
+            if motion is None
+            else {"q": motion.q, "v": motion.v, "lam": np.hstack([motion.lam, motion.friction])}
+        )
         parts = [part for part in _TITLES if names[part] and (part in plan or part in beside)]
         if not parts:
-            raise TrajectoryError(f"plan: it says nothing but times of scene {scene.name}, so that there is nothing to draw.")
+            raise TrajectoryError(
+                f"plan: it says nothing but times of scene {scene.name}, so that there is nothing to draw."
+            )
         try:
             import matplotlib.pyplot as plt
         except ImportError as error:
-            raise MachineError(f"a plot needs matplotlib, which is not installed; {_INSTALL}.") from error
-        figure, axes = plt.subplots(len(parts), sharex=True, squeeze=False, figsize=(8.0, 2.2 * len(parts)), layout="constrained")
+            raise MachineError(
+                f"a plot needs matplotlib, which is not installed; {_INSTALL}."
+            ) from error
+        figure, axes = plt.subplots(
+            len(parts),
+            sharex=True,
+            squeeze=False,
+            figsize=(8.0, 2.2 * len(parts)),
+            layout="constrained",
+        )
         for axis, part in zip(axes[:, 0], parts, strict=True):
             for index, name in enumerate(names[part]):
                 color, replayed = f"C{index}", motion is not None and part in beside
                 if part in plan:
                     values = plan[part][:, index]
-                    if len(values) < len(self.t):  # one a step: held, or a line to what the last step heads for
-                        values = np.append(values, values[-1] if part == "lam" or self.u_end is None else self.u_end[index])
+                    if len(values) < len(
+                        self.t
+                    ):  # one a step: held, or a line to what the last step heads for
+                        values = np.append(
+                            values,
+                            values[-1]
+                            if part == "lam" or self.u_end is None
+                            else self.u_end[index],
+                        )
                     held = part == "lam" or (part == "u" and self.hold is Hold.ZERO_ORDER)
                     style, label = (":", f"{name}, plan") if replayed else ("-", name)
-                    axis.plot(self.t, values, style, color=color, label=label, drawstyle="steps-post" if held else "default")
+                    axis.plot(
+                        self.t,
+                        values,
+                        style,
+                        color=color,
+                        label=label,
+                        drawstyle="steps-post" if held else "default",
+                    )
                 if motion is not None and replayed:
-                    axis.plot(motion.t, beside[part][:, index], color=color, label=f"{name}, replay")
-            axis.set_ylabel(f"{_TITLES[part]} [{', '.join(dict.fromkeys(units[name] for name in names[part]))}]")
+                    axis.plot(
+                        motion.t, beside[part][:, index], color=color, label=f"{name}, replay"
+                    )
+            axis.set_ylabel(
+                f"{_TITLES[part]} [{', '.join(dict.fromkeys(units[name] for name in names[part]))}]"
+            )
             axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
         axes[-1, 0].set_xlabel("time [s]")
         figure.suptitle(scene.name)
@@ -272,7 +363,9 @@ def data_frame(columns: Mapping[str, Any]) -> pd.DataFrame:
     try:
         import pandas as pd
     except ImportError as error:
-        raise MachineError(f"a DataFrame needs pandas, which is not installed; {_INSTALL}.") from error
+        raise MachineError(
+            f"a DataFrame needs pandas, which is not installed; {_INSTALL}."
+        ) from error
     return pd.DataFrame(columns)
 
 
@@ -296,7 +389,10 @@ def columns_of(scene: Scene) -> dict[str, list[tuple[str, str, str]]]:
     """(name, unit, description) of the columns of q, v, u, lam in files."""
     return {
         "q": [(item.name, item.unit, item.description) for item in scene.coordinates],
-        "v": [(item.velocity_name, item.velocity_unit, f"velocity of {item.name}") for item in scene.coordinates],
+        "v": [
+            (item.velocity_name, item.velocity_unit, f"velocity of {item.name}")
+            for item in scene.coordinates
+        ],
         "u": [(item.name, item.unit, item.description) for item in scene.inputs],
         "lam": [
             (item.force_name, "N", f"{kind} force, {item.description or item.name}")
@@ -322,7 +418,10 @@ def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
     trajectory.check_fits(scene)
     plan, names = trajectory, grouped_names(scene)
     held = next(word for word, hold in HOLDS.items() if hold is plan.hold)
-    lines = [f"# hold: {held}", *([] if plan.scheme is None else [f"# scheme: {plan.scheme.value}"])]
+    lines = [
+        f"# hold: {held}",
+        *([] if plan.scheme is None else [f"# scheme: {plan.scheme.value}"]),
+    ]
     end = plan.u_end if plan.hold is Hold.LINEAR else None
     arrays = {"q": plan.q, "v": plan.v, "u": plan.u if end is None else np.vstack([plan.u, end])}
     arrays |= {"lam": plan.lam[:, : scene.nc], "friction": plan.lam[:, scene.nc :]}
@@ -331,22 +430,33 @@ def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
         columns |= {} if group in plan.missing else dict(zip(names[group], values.T, strict=True))
     lines.append(",".join(columns))
     for index in range(plan.steps + 1):
-        lines.append(",".join(repr(float(values[index])) if index < len(values) else "" for values in columns.values()))
+        lines.append(
+            ",".join(
+                repr(float(values[index])) if index < len(values) else ""
+                for values in columns.values()
+            )
+        )
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def read_csv(path: Path, scene: Scene, hold: Hold | str | None = None, scheme: Scheme | str | None = None) -> Trajectory:
+def read_csv(
+    path: Path, scene: Scene, hold: Hold | str | None = None, scheme: Scheme | str | None = None
+) -> Trajectory:
     """Read a plan written by anybody.
 
-    Cells are apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments. A column may say its unit, `q1 [m]`, which must
-    then be the scene's. A column without a number is none. `t` and the inputs are needed; positions, velocities, contact forces and friction forces may be absent, each group whole. Then
-    positions stand still at the task's start, forces are 0, velocities backward differences with the task's velocities at the start if the plan starts
-    at the task's positions. A plan of inputs alone whose last row has inputs, and which would last as long as the task with one more step, gets that step.
+    Cells are apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are
+    comments. A column may say its unit, `q1 [m]`, which must then be the scene's. A column without
+    a number is none. `t` and the inputs are needed; positions, velocities, contact forces and
+    friction forces may be absent, each group whole. Then positions stand still at the task's start,
+    forces are 0, velocities backward differences with the task's velocities at the start if the
+    plan starts at the task's positions. A plan of inputs alone whose last row has inputs, and which
+    would last as long as the task with one more step, gets that step.
 
     Parameters
     ----------
     hold, scheme
-        The same as a comment `# hold: ..` or `# scheme: ..` declares; None: as declared, else zero and none.
+        The same as a comment `# hold: ..` or `# scheme: ..` declares; None: as declared, else zero
+        and none.
 
     Returns
     -------
@@ -368,16 +478,28 @@ def read_csv(path: Path, scene: Scene, hold: Hold | str | None = None, scheme: S
 
 
 def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) -> Trajectory:
-    """A plan of a scene from a table of columns; as `read_csv`, which says what may be absent. Raises TrajectoryError."""
-    where, header, names, groups = table.where, table.names, column_names(scene), grouped_names(scene)
+    """A plan of a scene from a table of columns; as `read_csv`, which says what may be absent.
+
+    Raises TrajectoryError.
+    """
+    where, header, names, groups = (
+        table.where,
+        table.names,
+        column_names(scene),
+        grouped_names(scene),
+    )
     known = ["t", *(name for group in names.values() for name in group)]
     for column in header:
         if column not in known:
             hint = _meant(column, known)
-            raise TrajectoryError(f"{where}: the column {column!r} is unknown; {hint}scene {scene.name} has {', '.join(known)}.")
+            raise TrajectoryError(
+                f"{where}: the column {column!r} is unknown; {hint}scene {scene.name} has {', '.join(known)}."
+            )
     for column in ("t", *names["u"]):
         if column not in table.given:
-            raise TrajectoryError(f"{where}: {lack_of(table, column)}; it has {', '.join(table.given)}.")
+            raise TrajectoryError(
+                f"{where}: {lack_of(table, column)}; it has {', '.join(table.given)}."
+            )
     missing = missing_groups(table, groups)
     for column, unit in _units(scene).items():
         table.check_unit(column, unit)
@@ -387,7 +509,10 @@ def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) 
     steps = len(t) - 1
     start = np.array(scene.task.start, dtype=float)
     if "q" in missing:
-        q, v = np.tile(start[: scene.nq], (steps + 1, 1)), np.tile(start[scene.nq :], (steps + 1, 1))
+        q, v = (
+            np.tile(start[: scene.nq], (steps + 1, 1)),
+            np.tile(start[scene.nq :], (steps + 1, 1)),
+        )
     else:
         q = np.column_stack([table.column(name, last_is_open=False) for name in names["q"]])
         if "v" not in missing:
@@ -396,10 +521,17 @@ def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) 
             v = _velocities(t, q, scene)
         else:
             v = np.zeros_like(q)  # the times are refused below, in Trajectory's words
-    forces = [table.column(name, last_is_open=steps < table.rows) if name in table.given else np.zeros(steps) for name in names["lam"]]
+    forces = [
+        table.column(name, last_is_open=steps < table.rows)
+        if name in table.given
+        else np.zeros(steps)
+        for name in names["lam"]
+    ]
     lam = np.column_stack(forces) if forces else np.zeros((steps, 0))
     try:
-        plan = Trajectory(t=t, q=q, v=v, u=u, lam=lam, hold=hold, scheme=scheme, missing=missing, u_end=u_end)
+        plan = Trajectory(
+            t=t, q=q, v=v, u=u, lam=lam, hold=hold, scheme=scheme, missing=missing, u_end=u_end
+        )
         plan.check_fits(scene)
         return plan
     except TrajectoryError as error:
@@ -407,7 +539,9 @@ def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) 
 
 
 def missing_groups(table: Table, groups: Mapping[str, Sequence[str]]) -> frozenset[str]:
-    """Which of the groups q, v, lam, friction of columns a table does not have, or has empty; a group without columns is no one's to give.
+    """Which of the groups q, v, lam, friction of columns a table does not have, or has empty.
+
+    A group without columns is no one's to give.
 
     Raises TrajectoryError for a group that is there in part, and for velocities without positions.
     """
@@ -416,10 +550,16 @@ def missing_groups(table: Table, groups: Mapping[str, Sequence[str]]) -> frozens
         given = [name for name in columns if name in header]
         if given and len(given) < len(columns):
             absent = next(name for name in columns if name not in header)
-            raise TrajectoryError(f"{where}: {lack_of(table, absent)} beside {given[0]!r}; give {', '.join(columns)}, or none of them.")
-    missing = frozenset(group for group, columns in groups.items() if columns and columns[0] not in header)
+            raise TrajectoryError(
+                f"{where}: {lack_of(table, absent)} beside {given[0]!r}; give {', '.join(columns)}, or none of them."
+            )
+    missing = frozenset(
+        group for group, columns in groups.items() if columns and columns[0] not in header
+    )
     if "q" in missing and groups.get("v") and "v" not in missing:
-        raise TrajectoryError(f"{where}: it has velocities, but no positions; give {', '.join(groups['q'])} too, or neither.")
+        raise TrajectoryError(
+            f"{where}: it has velocities, but no positions; give {', '.join(groups['q'])} too, or neither."
+        )
     return missing
 
 
@@ -428,7 +568,8 @@ def times_and_inputs(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Times and inputs of a table.
 
-    A plan of inputs alone whose last row has inputs, and which is as long as the task only with one more step, gets that step.
+    A plan of inputs alone whose last row has inputs, and which is as long as the task only with one
+    more step, gets that step.
 
     Parameters
     ----------
@@ -469,13 +610,22 @@ def times_and_inputs(
 
 
 def declared_scheme(table: Table) -> Scheme | None:
-    """The scheme that the lines above a table declare. Raises TrajectoryError for one that is unknown."""
+    """The scheme that the lines above a table declare.
+
+    Raises TrajectoryError for one that is unknown.
+    """
     return as_scheme(table.declared.get("scheme"), table.where)
 
 
 def declared_hold(table: Table, hold: Hold | str | None, who: str = "--hold") -> Hold:
-    """The hold that the lines above a table declare, else zero; hold: what `who` asks for beside, which must not be another. Raises TrajectoryError."""
-    asked, declared = (None if value is None else as_hold(value, table.where) for value in (hold, table.declared.get("hold")))
+    """The hold that the lines above a table declare, else zero.
+
+    hold: what `who` asks for beside, which must not be another. Raises TrajectoryError.
+    """
+    asked, declared = (
+        None if value is None else as_hold(value, table.where)
+        for value in (hold, table.declared.get("hold"))
+    )
     if asked is not None and declared not in (None, asked):
         raise TrajectoryError(
             f"{table.where}: it declares the hold {table.declared['hold']!r}, but {who} asks for another; leave one of the two out."
@@ -492,17 +642,25 @@ def _with_a_last_step(t: np.ndarray, asked: float, near: float) -> np.ndarray:
 
 
 def _meant(column: str, known: list[str]) -> str:
-    """What somebody who wrote this may have meant, as the beginning of a sentence; nothing if no name is near."""
+    """What somebody who wrote this may have meant, as the beginning of a sentence.
+
+    Nothing if no name is near.
+    """
     folded = {name.lower(): name for name in known}
     folded.setdefault("time", "t")
-    near = nearest(column.partition("(")[0].strip().lower(), folded)  # who writes a unit, `q1 (m)`, means the column before it
+    near = nearest(
+        column.partition("(")[0].strip().lower(), folded
+    )  # who writes a unit, `q1 (m)`, means the column before it
     return "" if near is None else f"did you mean {folded[near]!r}? "
 
 
 def _units(scene: Scene) -> dict[str, str]:
     """Column -> the unit it is in."""
     columns = columns_of(scene)
-    return {"t": "s", **{name: unit for group in ("q", "u", "v", "lam") for name, unit, _ in columns[group]}}
+    return {
+        "t": "s",
+        **{name: unit for group in ("q", "u", "v", "lam") for name, unit, _ in columns[group]},
+    }
 
 
 def _velocities(t: np.ndarray, q: np.ndarray, scene: Scene) -> np.ndarray:

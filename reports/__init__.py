@@ -1,1 +1,4 @@
-"""How it is told: HTML from stored records alone; no solver, no scene, nothing of the other rooms is imported."""
+"""How it is told: HTML from stored records alone.
+
+No solver, no scene, nothing of the other rooms is imported.
+"""

@@ -13,7 +13,10 @@ def main(arguments: list[str]) -> int:
     """0 written; 2 no such folder, or it cannot be written."""
     folders = [word for word in arguments if word != "--single-file"]
     if len(folders) != 1 or folders[0].startswith("-"):
-        print("usage: python -m reports [--single-file] DIR    (DIR holds campaign.json and runs/)", file=sys.stderr)
+        print(
+            "usage: python -m reports [--single-file] DIR    (DIR holds campaign.json and runs/)",
+            file=sys.stderr,
+        )
         return 2
     write = write_single if "--single-file" in arguments else write_report
     try:

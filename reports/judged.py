@@ -1,10 +1,13 @@
-"""A stage as it was judged: its metrics by question, of the inputs alone and with feedback; where its motions end; why a plan has its verdict.
+"""A stage as it was judged: its metrics by question, of the inputs alone and with feedback.
 
-questions_of(stage)[3].metrics[0].name, .alone.value, .followed.value  ->  "replay_error", 0.6, 0.004
-deciding(stage).name, cause_of(run).advice   ->  "replay_terminal_position_error", "Take a smaller time step, or collocation."
-by_cause(runs)                               ->  each cause once, with its runs, the most frequent first
+Where its motions end; why a plan has its verdict.
 
-The judge tells causes apart (`StageRecord.cause`); here they have their words. A record's own sentence (`StageRecord.why`) has the numbers.
+questions_of(stage)[3].metrics[0].name, .alone.value, .followed.value -> "replay_error", 0.6, 0.004
+deciding(stage).name, cause_of(run).advice -> "replay_terminal_position_error", "Take a smaller time
+step, or collocation." by_cause(runs) -> each cause once, with its runs, the most frequent first
+
+The judge tells causes apart (`StageRecord.cause`); here they have their words. A record's own
+sentence (`StageRecord.why`) has the numbers.
 """
 
 from __future__ import annotations
@@ -15,7 +18,15 @@ from dataclasses import dataclass
 from itertools import islice
 
 from reports.records.check_record import CheckRecord
-from reports.records.record import FEEDBACK, HOLD, TRACKED, MetricRecord, RunRecord, SceneRecord, StageRecord
+from reports.records.record import (
+    FEEDBACK,
+    HOLD,
+    TRACKED,
+    MetricRecord,
+    RunRecord,
+    SceneRecord,
+    StageRecord,
+)
 from reports.wording import capital, measured, spaced
 
 SHOWN = "Shown, not judged"
@@ -23,7 +34,10 @@ SHOWN = "Shown, not judged"
 
 @dataclass(frozen=True)
 class MetricView:
-    """One metric as the pages show it. alone: for the inputs alone, followed: with feedback; None where there is no such value."""
+    """One metric as the pages show it. alone: for the inputs alone, followed: with feedback.
+
+    None where there is no such value.
+    """
 
     name: str
     alone: MetricRecord | None
@@ -39,13 +53,23 @@ class MetricView:
     @property
     def is_judged(self) -> bool:
         """Whether either replay has a limit for it."""
-        return any(metric is not None and metric.limit is not None for metric in (self.alone, self.followed))
+        return any(
+            metric is not None and metric.limit is not None
+            for metric in (self.alone, self.followed)
+        )
 
     @property
     def waived(self) -> str:
-        """The scene's reason why this is not judged; empty where it is, or where there is nothing to waive."""
+        """The scene's reason why this is not judged.
+
+        Empty where it is, or where there is nothing to waive.
+        """
         metric = self.metric
-        return "" if self.is_judged or metric.value is None or metric.question is None else metric.reason
+        return (
+            ""
+            if self.is_judged or metric.value is None or metric.question is None
+            else metric.reason
+        )
 
 
 @dataclass(frozen=True)
@@ -59,14 +83,21 @@ class QuestionView:
 
 
 def questions_of(stage: StageRecord) -> list[QuestionView]:
-    """The questions in order, then what was measured of the judge, and what is only shown; a metric that was not asked is in `stage.not_asked`."""
+    """The questions in order, then what was measured of the judge, and what is only shown.
+
+    A metric that was not asked is in `stage.not_asked`.
+    """
     views = _views(stage)
     found = []
     for question in stage.questions:
         mine = tuple(view for view in views if _belongs(view, question.number))
         found.append(QuestionView(question.number, question.text, question.answer, mine))
     told = {id(view) for question in found for view in question.metrics}
-    rest = tuple(view for view in views if id(view) not in told and (view.metric.question is None or not stage.questions))
+    rest = tuple(
+        view
+        for view in views
+        if id(view) not in told and (view.metric.question is None or not stage.questions)
+    )
     return [*found, QuestionView(None, SHOWN, "", rest)] if rest else found
 
 
@@ -81,7 +112,11 @@ def _views(stage: StageRecord) -> list[MetricView]:
     views = []
     for name in names:
         alone, followed = stage.metric(name), stage.metric(f"{TRACKED}{name}")
-        views.append(MetricView(name, None, alone) if name.startswith(FEEDBACK) else MetricView(name, alone, followed))
+        views.append(
+            MetricView(name, None, alone)
+            if name.startswith(FEEDBACK)
+            else MetricView(name, alone, followed)
+        )
     return views
 
 
@@ -97,7 +132,8 @@ def end_of(stage: StageRecord, scene: SceneRecord, *, tracked: bool | None = Non
 def distance_of(stage: StageRecord, prefix: str) -> str:
     """How far from the goal a motion ends, positions and velocities apart: `position 0.11 m, velocity 0.10 m/s`; empty where it was not measured.
 
-    prefix: of the metrics; nothing for the plan itself, `discrete_` for exact contact on its own grid, `replay_`, `tracked_replay_`.
+    prefix: of the metrics; nothing for the plan itself, `discrete_` for exact contact on its own
+        grid, `replay_`, `tracked_replay_`.
     """
     parts = []
     for part in ("position", "velocity"):
@@ -114,35 +150,70 @@ _EXACT = "Tighten eps, or go on from this plan with exact contact (strict, mpcc)
 _FINER = "Plan on a finer grid, or by collocation, multiple_shooting or best_exact, which keeps the cheapest plan that is followed."
 _ELSEWHERE = "A local optimum: start elsewhere, from another guess or a relaxed plan, or search the contact modes (mpcc, best_exact)."
 _LOOK = "Look at the error over time on the page of the run."
-_AWAY, _DEAR = "The plan itself does not reach the goal", "The plan costs more than the scene allows"
+_AWAY = "The plan itself does not reach the goal"
+_DEAR = "The plan costs more than the scene allows"
 # Cause of a record -> (sentence, advice); what is not here is a metric, named as such.
 _CAUSES = {
     "start_error": ("The plan does not start where the task starts", "Plan from the task's start."),
     "duration_error": ("The plan does not last as long as the task", "Plan over the whole task."),
     "bound_violation": ("The inputs leave their bounds", "Give the bounds to the method."),
-    "velocity_bound_violation": ("The planned velocities leave their bounds", "Give the bounds to the method."),
+    "velocity_bound_violation": (
+        "The planned velocities leave their bounds",
+        "Give the bounds to the method.",
+    ),
     "physics_scaled": ("Relaxed contact: the planned forces are not those of contact", _EXACT),
     "contact_law_error": ("Relaxed contact: the planned forces are not those of contact", _EXACT),
-    "law_error": ("Relaxed contact: exact contact on the plan's own grid gives another motion", _EXACT),
-    "discrete_terminal_position_error": ("Relaxed contact: exact contact on the plan's own grid gives another motion", _EXACT),
-    "discrete_terminal_velocity_error": ("Relaxed contact: exact contact on the plan's own grid gives another motion", _EXACT),
-    "force_sign_violation": ("A planned contact force pulls", "Bound the contact forces from below by zero."),
+    "law_error": (
+        "Relaxed contact: exact contact on the plan's own grid gives another motion",
+        _EXACT,
+    ),
+    "discrete_terminal_position_error": (
+        "Relaxed contact: exact contact on the plan's own grid gives another motion",
+        _EXACT,
+    ),
+    "discrete_terminal_velocity_error": (
+        "Relaxed contact: exact contact on the plan's own grid gives another motion",
+        _EXACT,
+    ),
+    "force_sign_violation": (
+        "A planned contact force pulls",
+        "Bound the contact forces from below by zero.",
+    ),
     "friction_violation": ("Planned friction exceeds its cone", _EXACT),
     "friction_dissipation_error": ("Planned friction does not oppose the slip", _EXACT),
-    "unexplained_force": ("The plan moves by forces that neither its inputs nor contact give", "Plan with the scene's own equations."),
-    "max_penetration": ("Bodies penetrate deeper than the contact's model reaches", "Push more slowly, or give the scene a contact model that reaches deeper."),
-    "ghost_impulse": ("Force at a distance: the plan is pushed where the replay touches nothing", _EXACT),
-    "missed_impulse": ("The replay touches where the plan does not", "Plan with exact contact on a finer grid."),
-    "defect": ("The plan does not solve its own discrete equations", "Tighten the solver's tolerance."),
+    "unexplained_force": (
+        "The plan moves by forces that neither its inputs nor contact give",
+        "Plan with the scene's own equations.",
+    ),
+    "max_penetration": (
+        "Bodies penetrate deeper than the contact's model reaches",
+        "Push more slowly, or give the scene a contact model that reaches deeper.",
+    ),
+    "ghost_impulse": (
+        "Force at a distance: the plan is pushed where the replay touches nothing",
+        _EXACT,
+    ),
+    "missed_impulse": (
+        "The replay touches where the plan does not",
+        "Plan with exact contact on a finer grid.",
+    ),
+    "defect": (
+        "The plan does not solve its own discrete equations",
+        "Tighten the solver's tolerance.",
+    ),
     "relaxed contact": ("Relaxed contact: the inputs do not give the planned motion", _EXACT),
-    "coarse grid": ("Coarse grid: contact is exact, but the time step is too long", "Take a smaller time step, or collocation."),
+    "coarse grid": (
+        "Coarse grid: contact is exact, but the time step is too long",
+        "Take a smaller time step, or collocation.",
+    ),
     "unstable": (
         "Unstable in the open loop: small errors grow until the plan is lost",
         _FINER,
     ),
     "motion": ("The inputs do not give the planned motion", _LOOK),
-}  # fmt: skip
-# The same for a plan of somebody else's, which has no eps of ours and does not go on by a method of ours.
+}
+# The same for a plan of somebody else's, which has no eps of ours and does not go on by a method of
+# ours.
 _OF_OTHERS = {
     _EXACT: "Plan with exact contact; forces are pushes of at least 0, in the columns lam_..: without these columns the motion alone is judged.",
     _FINER: "Plan on a finer grid, or have the plan followed with feedback.",
@@ -165,16 +236,36 @@ def deciding(stage: StageRecord) -> MetricRecord | None:
 
     None where nothing was judged.
     """
-    judged = sorted((metric for metric in stage.metrics if metric.limit is not None), key=lambda metric: metric.question or 7)
+    judged = sorted(
+        (metric for metric in stage.metrics if metric.limit is not None),
+        key=lambda metric: metric.question or 7,
+    )
     alone = [metric for metric in judged if not metric.name.startswith((TRACKED, FEEDBACK))]
     if stage.verdict == "violates":
-        return next((metric for metric in (*(item for item in alone if item.question), *judged) if metric.ok is False), None)
+        return next(
+            (
+                metric
+                for metric in (*(item for item in alone if item.question), *judged)
+                if metric.ok is False
+            ),
+            None,
+        )
     if stage.verdict == "undecided":
         unsure = [metric for metric in alone if metric.ok is not True]
-        return next((metric for metric in unsure if metric.question is None), None) or next(iter(unsure), None)
+        return next((metric for metric in unsure if metric.question is None), None) or next(
+            iter(unsure), None
+        )
     if stage.verdict in HOLD:
-        counted = [metric for metric in judged if metric.name.startswith((TRACKED, FEEDBACK))] if stage.is_tracked else alone
-        return max((metric for metric in counted if metric.value is not None and metric.question), key=_share, default=None)
+        counted = (
+            [metric for metric in judged if metric.name.startswith((TRACKED, FEEDBACK))]
+            if stage.is_tracked
+            else alone
+        )
+        return max(
+            (metric for metric in counted if metric.value is not None and metric.question),
+            key=_share,
+            default=None,
+        )
     return None
 
 
@@ -193,20 +284,36 @@ def cause_of(run: RunRecord) -> Cause | None:
         return Cause(f"No plan: {spaced(run.outcome)}", advice)
     cause = stage.cause
     if not cause:
-        return Cause(f"{capital(run.verdict)}: {stage.why.split('. ')[0].rstrip('.') or 'the record does not say why'}", stage.advice)
+        return Cause(
+            f"{capital(run.verdict)}: {stage.why.split('. ')[0].rstrip('.') or 'the record does not say why'}",
+            stage.advice,
+        )
     if run.verdict == "undecided":
-        return Cause(f"Undecided: the replay's own error leaves {spaced(cause)} open", "Replay with tighter tolerances.")
+        return Cause(
+            f"Undecided: the replay's own error leaves {spaced(cause)} open",
+            "Replay with tighter tolerances.",
+        )
     if cause in ("cost", "replay_cost"):
         sentence, advice = f"{_DEAR} ({spaced(stage.outcome)})", stage.advice
-        advice = _ELSEWHERE if cause == "cost" and stage.outcome in ("solved", "stalled") else advice
+        advice = (
+            _ELSEWHERE if cause == "cost" and stage.outcome in ("solved", "stalled") else advice
+        )
     elif cause.startswith("terminal"):
         sentence, advice = f"{_AWAY} ({spaced(stage.outcome)})", stage.advice
     else:
-        sentence, advice = _CAUSES.get(cause, (f"A limit is exceeded: {spaced(cause)}", stage.advice))
+        sentence, advice = _CAUSES.get(
+            cause, (f"A limit is exceeded: {spaced(cause)}", stage.advice)
+        )
     if stage.kind == "given":
         advice = _OF_OTHERS.get(advice, advice)
-    elif stage.kind == "direct" and advice is _EXACT:  # its contact is exact as soon as it is solved
-        advice = "Tighten the solver's tolerance, or take a smaller time step." if stage.outcome == "solved" else stage.advice
+    elif (
+        stage.kind == "direct" and advice is _EXACT
+    ):  # its contact is exact as soon as it is solved
+        advice = (
+            "Tighten the solver's tolerance, or take a smaller time step."
+            if stage.outcome == "solved"
+            else stage.advice
+        )
     return Cause(sentence, advice)
 
 
@@ -220,8 +327,14 @@ def by_cause(runs: Iterable[RunRecord]) -> list[tuple[Cause, list[RunRecord]]]:
     return sorted(found.items(), key=lambda item: -len(item[1]))
 
 
-# Options of a campaign that say where its scenes and methods come from and how long they have; and others that take a word.
-_KEPT = ("--scene", "--plugin", "--tools", "--time-limit")  # --tools: in records from before it was called --plugin
+# Options of a campaign that say where its scenes and methods come from and how long they have; and
+# others that take a word.
+_KEPT = (
+    "--scene",
+    "--plugin",
+    "--tools",
+    "--time-limit",
+)  # --tools: in records from before it was called --plugin
 _WITH_A_WORD = (*_KEPT, "-k", "-j", "--jobs", "--out", "--retry", "--engine")
 
 
@@ -233,9 +346,15 @@ def again(record: RunRecord | CheckRecord) -> str:
         return record.provenance.command
     if words[1:3] != ["-m", "validate"] or words[3:4] not in (["all"], ["run"]):
         return record.provenance.command
-    title = record.title if isinstance(record, CheckRecord) else f"{record.scene.name} x {record.pipeline}"
+    title = (
+        record.title
+        if isinstance(record, CheckRecord)
+        else f"{record.scene.name} x {record.pipeline}"
+    )
     quoted = title.replace('"', '""')
-    return shlex.join([*words[:4], *_kept(words[4:]), "-k", f'="{quoted}"', "--fresh", "--out", "runs/again"])
+    return shlex.join(
+        [*words[:4], *_kept(words[4:]), "-k", f'="{quoted}"', "--fresh", "--out", "runs/again"]
+    )
 
 
 def _kept(words: list[str]) -> list[str]:
@@ -245,6 +364,10 @@ def _kept(words: list[str]) -> list[str]:
     for word in rest:
         taken = [word, *islice(rest, 1 if word in _WITH_A_WORD else 0)]
         # What belongs to no option is the campaign's file, whatever it is called.
-        if word in _KEPT or word.startswith(tuple(f"{option}=" for option in _KEPT)) or not word.startswith("-"):
+        if (
+            word in _KEPT
+            or word.startswith(tuple(f"{option}=" for option in _KEPT))
+            or not word.startswith("-")
+        ):
             kept += taken
     return kept

@@ -1,7 +1,11 @@
-"""The rows of the paper's Table I, so that a row we lack can be shown as lacking. Records carry the same numbers for the rows we have.
+"""The rows of the paper's Table I, so that a row we lack can be shown as lacking.
 
-Source: H.J. Terry Suh, Yanwei Wang, "Comparing Effectiveness of Relaxation Methods for Warm Starting Trajectory Optimization
-through Soft Contact", Table I. Cost = sum of u^2, stability = |x_T - x_f|, physics = (10); seconds of that stage alone.
+Records carry the same numbers for the rows we have.
+
+Source: H.J. Terry Suh, Yanwei Wang, "Comparing Effectiveness of Relaxation Methods for Warm
+    Starting Trajectory Optimization
+through Soft Contact", Table I. Cost = sum of u^2, stability = |x_T - x_f|, physics = (10); seconds
+    of that stage alone.
 """
 
 from __future__ import annotations
@@ -25,7 +29,12 @@ class PaperRow:
     @property
     def numbers(self) -> dict[str, float]:
         """The paper's numbers by their names in a record."""
-        return {"cost": self.cost, "stability": self.stability, "physics": self.physics, "time": self.time}
+        return {
+            "cost": self.cost,
+            "stability": self.stability,
+            "physics": self.physics,
+            "time": self.time,
+        }
 
 
 TABLE_1 = (

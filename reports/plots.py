@@ -5,9 +5,11 @@
 
 Colours are CSS classes, never attributes, so that the page's light, dark and print styles decide.
 
-Beside what is drawn stand the numbers of every series (`packed`), for reading values, zooming and saving. A column is whole numbers of a decimal grain, so
-that 0.01 s stays 0.01 s; of those, second differences, which are small for smooth motions; of those, the first bytes of all, then the second ones, ..,
-which zlib makes short: 105,000 numbers of the longest page of a run are 44 kB (as JSON of five digits, compressed: 311 kB). The script's `unpacked` reads it.
+Beside what is drawn stand the numbers of every series (`packed`), for reading values, zooming and
+saving. A column is whole numbers of a decimal grain, so that 0.01 s stays 0.01 s; of those, second
+differences, which are small for smooth motions; of those, the first bytes of all, then the second
+ones, .., which zlib makes short: 105,000 numbers of the longest page of a run are 44 kB (as JSON of
+five digits, compressed: 311 kB). The script's `unpacked` reads it.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ from reports.wording import number, power, unit
 _NICE = (1.0, 2.0, 2.5, 5.0, 10.0)
 # Values that span more than this are drawn on a logarithmic axis, where they may be.
 _WIDE = 20.0
-# Values beyond this (and its inverse, on a logarithmic axis) are drawn at the edge: room for margins before a float overflows.
+# Values beyond this (and its inverse, on a logarithmic axis) are drawn at the edge: room for
+# margins before a float overflows.
 _LARGEST = 1e200
 
 
@@ -80,7 +83,11 @@ class Axis:
         usable = array[(smallest <= array) & (array <= _LARGEST)]
         if zero and not log:
             usable = np.append(usable, 0.0)
-        low, high = (float(usable.min()), float(usable.max())) if len(usable) else (1e-3 if log else 0.0, 1.0)
+        low, high = (
+            (float(usable.min()), float(usable.max()))
+            if len(usable)
+            else (1e-3 if log else 0.0, 1.0)
+        )
         if log:
             room = max(0.12, margin * (math.log10(high) - math.log10(low)))
             return Axis(quantity, unit, low * 10**-room, high * 10**room, True)
@@ -93,7 +100,10 @@ class Axis:
         room = margin * (high - low)
         largest = max(abs(low), abs(high))
         exponent = math.floor(math.log10(largest)) if largest < 1e-2 or largest >= 1e5 else 0
-        low, high = low - (0.0 if zero and low == 0 else room), high + (0.0 if zero and high == 0 else room)
+        low, high = (
+            low - (0.0 if zero and low == 0 else room),
+            high + (0.0 if zero and high == 0 else room),
+        )
         return Axis(quantity, unit, low, high, False, exponent)
 
     @property
@@ -105,7 +115,9 @@ class Axis:
         return f"{self.quantity} [{words}]" if words else self.quantity
 
     def fraction(self, values: float | Sequence[float] | NDArray[np.float64]) -> Any:
-        """Where values lie, 0 at the low end and 1 at the high end; values outside are moved to just outside.
+        """Where values lie, 0 at the low end and 1 at the high end.
+
+        Values outside are moved to just outside.
 
         Parameters
         ----------
@@ -118,7 +130,9 @@ class Axis:
         array = np.asarray(values, np.float64)
         if self.log:
             begin = math.log10(self.low)
-            position = (np.log10(np.maximum(array, 1 / _LARGEST)) - begin) / (math.log10(self.high) - begin)
+            position = (np.log10(np.maximum(array, 1 / _LARGEST)) - begin) / (
+                math.log10(self.high) - begin
+            )
         else:
             with np.errstate(over="ignore"):  # what is too far off to be told is at the edge
                 position = (array - self.low) / (self.high - self.low)
@@ -129,19 +143,36 @@ class Axis:
         return self._decades(most) if self.log else self._linear(most)
 
     def _decades(self, most: int) -> list[tuple[float, str]]:
-        first, last = math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9)
+        first, last = (
+            math.ceil(math.log10(self.low) - 1e-9),
+            math.floor(math.log10(self.high) + 1e-9),
+        )
         if last - first >= 2:
             stride = max(1, math.ceil((last - first + 1) / most))
             plain = first >= -3 and last <= 3
             exponents = range(first, last + 1, stride)
-            said = [number(10.0**exponent, 1) if plain or 0 <= exponent <= 1 else power(exponent) for exponent in exponents]
-            return [(10.0**exponent, words) for exponent, words in zip(exponents, said, strict=True)]
-        values = [mantissa * 10.0**exponent for exponent in range(first - 1, last + 2) for mantissa in (1, 2, 3, 5)]
+            said = [
+                number(10.0**exponent, 1) if plain or 0 <= exponent <= 1 else power(exponent)
+                for exponent in exponents
+            ]
+            return [
+                (10.0**exponent, words) for exponent, words in zip(exponents, said, strict=True)
+            ]
+        values = [
+            mantissa * 10.0**exponent
+            for exponent in range(first - 1, last + 2)
+            for mantissa in (1, 2, 3, 5)
+        ]
         inside = [value for value in values if self.low <= value <= self.high]
         if len(inside) < 2:
             # Less than between two of these: as good as linear.
             return self._linear(most)
-        return [(value, number(value, 2)) for value in (inside if 2 <= len(inside) <= most else inside[:: max(1, len(inside) // most)])]
+        return [
+            (value, number(value, 2))
+            for value in (
+                inside if 2 <= len(inside) <= most else inside[:: max(1, len(inside) // most)]
+            )
+        ]
 
     def _linear(self, most: int) -> list[tuple[float, str]]:
         raw = (self.high - self.low) / most
@@ -151,18 +182,24 @@ class Axis:
         scale = 10.0**self.exponent
         # So many digits that two neighbours differ, and four where fewer do.
         digits = max(4, math.ceil(math.log10(max(abs(first), abs(last), 1))) + 1)
-        return [(place * step, number(place * step / scale, digits)) for place in range(first, last + 1)]
+        return [
+            (place * step, number(place * step / scale, digits)) for place in range(first, last + 1)
+        ]
 
 
-# Grains are powers of ten, of a linear axis at most such a share. Of y a finer one takes half as much room again; of x, mostly equal steps, it does not,
-# and neighbours of 1,500 times must be told apart. Of a decade of a logarithmic axis: five digits.
-_OF_X, _OF_Y, _OF_DECADE = -6, -4, -5
+# Grains are powers of ten, of a linear axis at most such a share. Of y a finer one takes half as
+# much room again; of x, mostly equal steps, it does not, and neighbours of 1,500 times must be told
+# apart. Of a decade of a logarithmic axis: five digits.
+_OF_X = -6
+_OF_Y = -4
+_OF_DECADE = -5
 # Whole numbers up to ten to this are exact in the script, and so are their second differences.
 _EXACT = 14
 # The logarithm of what is no positive number: a value that no plot shows.
 _SMALLEST = 1e-200
 # Stretches of so many points are looked at all at once; of the tolerance, this share is theirs.
-_STRETCH, _STRAIGHT = 8, 0.1
+_STRETCH = 8
+_STRAIGHT = 0.1
 
 Array = NDArray[np.float64]
 
@@ -177,35 +214,47 @@ def packed(series: Sequence[tuple[Array, Array]], x: Axis, y: Axis) -> str:
 
     Returns
     -------
-    text : base64 of a zlib stream of 64 bit integers, a byte of each after the other. First the number of series, then of each the count and the
-        exponent of x (count 0: those of the series before) and the same of y, then the second differences of all columns.
+    text : base64 of a zlib stream of 64 bit integers, a byte of each after the other. First the
+        number of series, then of each the count and the
+        exponent of x (count 0: those of the series before) and the same of y, then the second
+        differences of all columns.
     """
     heads, steps = [len(series)], []
     before = np.zeros(0)
     for xs, ys in series:
-        for values, axis, fine in ((xs[:0] if np.array_equal(before, xs) else xs, x, _OF_X), (ys, y, _OF_Y)):
+        for values, axis, fine in (
+            (xs[:0] if np.array_equal(before, xs) else xs, x, _OF_X),
+            (ys, y, _OF_Y),
+        ):
             exponent, grains = _grains(values, axis, fine)
             heads += [len(grains), exponent]
             steps.append(np.diff(grains, 2, prepend=[0, 0]))
         before = xs
     flat = np.concatenate([heads, *steps]).astype("<i8")
     unsigned = (flat << 1) ^ (flat >> 63)
-    return base64.b64encode(zlib.compress(unsigned.view(np.uint8).reshape(-1, 8).T.tobytes(), 9)).decode()
+    return base64.b64encode(
+        zlib.compress(unsigned.view(np.uint8).reshape(-1, 8).T.tobytes(), 9)
+    ).decode()
 
 
 def _grains(values: Array, axis: Axis, fine: int) -> tuple[int, NDArray[np.int64]]:
     """The power of ten of a column's grain, and the column in grains: of its decimal logarithm where the axis is logarithmic."""
     if axis.log:
-        return _OF_DECADE, np.rint(np.log10(np.maximum(values, _SMALLEST)) / 10.0**_OF_DECADE).astype(np.int64)
+        return _OF_DECADE, np.rint(
+            np.log10(np.maximum(values, _SMALLEST)) / 10.0**_OF_DECADE
+        ).astype(np.int64)
     largest = float(np.abs(values).max(initial=axis.high - axis.low))
-    exponent = max(math.floor(math.log10(axis.high - axis.low)) + fine, math.ceil(math.log10(largest)) - _EXACT)
+    exponent = max(
+        math.floor(math.log10(axis.high - axis.low)) + fine, math.ceil(math.log10(largest)) - _EXACT
+    )
     return exponent, np.rint(values / 10.0**exponent).astype(np.int64)
 
 
 def seen(xs: NDArray[np.float64], ys: NDArray[np.float64], tolerance: float) -> list[int]:
     """The points that are kept: every other lies at most `tolerance` above or below what is drawn.
 
-    A cone of slopes from the last kept point narrows with each point; the point before it closes is kept.
+    A cone of slopes from the last kept point narrows with each point; the point before it closes is
+    kept.
 
     Parameters
     ----------
@@ -268,14 +317,25 @@ def _bent(xs: NDArray[np.float64], ys: NDArray[np.float64], tolerance: float) ->
     return np.flatnonzero(bent)
 
 
-# Less than half a pixel: no point that is left out lies farther from the line that is drawn, and peaks and jumps are points that stay.
+# Less than half a pixel: no point that is left out lies farther from the line that is drawn, and
+# peaks and jumps are points that stay.
 _TOLERANCE = 0.4
 # Digits of the axes' ends, by which the script finds the pixels of values.
 _DIGITS = 7
-# Width of a character of the 12 px font, plain and bold, for keeping labels apart; a little too wide rather than too narrow.
-_CHARACTER, _BOLD, _LINE = 6.6, 7.8, 14.0
+# Width of a character of the 12 px font, plain and bold, for keeping labels apart; a little too
+# wide rather than too narrow.
+_CHARACTER = 6.6
+_BOLD = 7.8
+_LINE = 14.0
 # Where a name may stand beside its point [pixel], and by which end it hangs there.
-_BESIDE = ((7, -6, "start"), (9, 4, "start"), (0, -10, "middle"), (0, 19, "middle"), (-9, 4, "end"), (7, 16, "start"))
+_BESIDE = (
+    (7, -6, "start"),
+    (9, 4, "start"),
+    (0, -10, "middle"),
+    (0, 19, "middle"),
+    (-9, 4, "end"),
+    (7, 16, "start"),
+)
 _SHIFTS = (0, -_LINE, _LINE, -2 * _LINE, 2 * _LINE, -3 * _LINE, 3 * _LINE)
 
 
@@ -307,7 +367,10 @@ class Plot:
     _points: list[tuple[float, float]] = field(default_factory=list)
     _taken: list[tuple[float, float, float, float]] = field(default_factory=list)
 
-    _LEFT, _RIGHT, _TOP, _BOTTOM = 54, 14, 26, 38
+    _LEFT = 54
+    _RIGHT = 14
+    _TOP = 26
+    _BOTTOM = 38
 
     def px(self, values: float | NDArray[np.float64]) -> Any:
         """The pixels of values of x (one or (n,), in its unit), from the left [pixel]."""
@@ -315,15 +378,26 @@ class Plot:
 
     def py(self, values: float | NDArray[np.float64]) -> Any:
         """The pixels of values of y (one or (n,), in its unit), from the top [pixel]."""
-        return self.height - self._BOTTOM - self.y.fraction(values) * (self.height - self._TOP - self._BOTTOM)
+        return (
+            self.height
+            - self._BOTTOM
+            - self.y.fraction(values) * (self.height - self._TOP - self._BOTTOM)
+        )
 
-    def line(self, name: str, style: str, xs: Sequence[float] | NDArray[np.float64], ys: Sequence[float] | NDArray[np.float64]) -> None:
+    def line(
+        self,
+        name: str,
+        style: str,
+        xs: Sequence[float] | NDArray[np.float64],
+        ys: Sequence[float] | NDArray[np.float64],
+    ) -> None:
         """Draw a line.
 
         Parameters
         ----------
         name, style : words for reading values back, CSS class
-        xs, ys : (n,), in the units of the axes; the shorter decides, as quantities of steps are one shorter than those of nodes
+        xs, ys : (n,), in the units of the axes; the shorter decides, as quantities of steps are one
+            shorter than those of nodes
         """
         length = min(len(xs), len(ys))
         along, up = np.asarray(xs[:length], np.float64), np.asarray(ys[:length], np.float64)
@@ -334,7 +408,9 @@ class Plot:
         self._series.append((along, up))
         across, down = self.px(along), self.py(up)
         points = seen(across, down, _TOLERANCE)
-        self._lines.append(f'<path class="ln {escape(style.strip())}" data-n="{escape(name)}" d="{_path(across[points], down[points])}"/>')
+        self._lines.append(
+            f'<path class="ln {escape(style.strip())}" data-n="{escape(name)}" d="{_path(across[points], down[points])}"/>'
+        )
 
     def band(self, low: float, high: float, style: str) -> None:
         """An interval of x, shaded over the whole height."""
@@ -344,20 +420,34 @@ class Plot:
         """An interval of x as a thin bar above the plot."""
         self._bar(low, high, style, self._TOP - 6, 4, 1.0)
 
-    def _bar(self, low: float, high: float, style: str, top: int, height: int, least: float) -> None:
+    def _bar(
+        self, low: float, high: float, style: str, top: int, height: int, least: float
+    ) -> None:
         left, wide = self.px(low), max(self.px(high) - self.px(low), least)
-        self._under.append(f'<rect class="{escape(style)}" x="{left:.1f}" y="{top}" width="{wide:.1f}" height="{height}"/>')
+        self._under.append(
+            f'<rect class="{escape(style)}" x="{left:.1f}" y="{top}" width="{wide:.1f}" height="{height}"/>'
+        )
 
     def level(self, value: float, words: str) -> None:
         """A horizontal line with its label."""
         y = self.py(value)
         ends = np.array([self.x.low, self.x.high])
         self._series.append((ends, np.full(2, value)))
-        self._lines.append(f'<path class="level" data-n="{escape(words)}" d="M{self._LEFT},{y:.1f}H{self.width - self._RIGHT}"/>')
+        self._lines.append(
+            f'<path class="level" data-n="{escape(words)}" d="M{self._LEFT},{y:.1f}H{self.width - self._RIGHT}"/>'
+        )
         self._levels.append((y, words))
 
     def point(
-        self, x: float, y: float, style: str, marker: str, tip: str, href: str = "", radius: float = 5.0, keeps_free: bool = True
+        self,
+        x: float,
+        y: float,
+        style: str,
+        marker: str,
+        tip: str,
+        href: str = "",
+        radius: float = 5.0,
+        keeps_free: bool = True,
     ) -> None:
         """A marker that can be focused: `tip` is its name and is read out on hover and focus. radius: of a circle; keeps_free: no label may lie on it."""
         left, top = self.px(x), self.py(y)
@@ -367,10 +457,14 @@ class Plot:
             "triangle": f'<path d="M{left:.1f},{top - 6:.1f}l6,10.5h-12z"/>',
         }.get(marker, f'<circle cx="{left:.1f}" cy="{top:.1f}" r="{radius:g}"/>')
         element, leads = ("a", f' href="{escape(href)}"') if href else ("g", "")
-        self._over.append(f'<{element} class="pt {escape(style)}"{leads}><title>{escape(tip)}</title>{shape}</{element}>')
+        self._over.append(
+            f'<{element} class="pt {escape(style)}"{leads}><title>{escape(tip)}</title>{shape}</{element}>'
+        )
         self._points.append((x, y))
         if keeps_free:
-            self._taken.append((left - radius - 1, top - radius - 1, left + radius + 1, top + radius + 1))
+            self._taken.append(
+                (left - radius - 1, top - radius - 1, left + radius + 1, top + radius + 1)
+            )
 
     def label(
         self,
@@ -383,7 +477,10 @@ class Plot:
         pixels: bool = False,
         shifts: Sequence[float] = _SHIFTS,
     ) -> bool:
-        """Words at a point of the plot, moved up or down past other labels; left out (False) if there is no room."""
+        """Words at a point of the plot, moved up or down past other labels.
+
+        Left out (False) if there is no room.
+        """
         left, top = (x, y) if pixels else (self.px(x), self.py(y) - 5)
         wide = len(words) * (_BOLD if style == "strong" else _CHARACTER)
         start = left - {"start": 0.0, "middle": wide / 2, "end": wide}[anchor]
@@ -393,16 +490,24 @@ class Plot:
             inside = box[1] >= self._TOP - 12 and box[3] <= self.height - self._BOTTOM + 2
             if inside and not any(_overlap(box, other) for other in self._taken):
                 self._taken.append(box)
-                self._over.append(f'<text class="tag {escape(style)}" x="{start:.1f}" y="{top + shift:.1f}">{escape(words)}</text>')
+                self._over.append(
+                    f'<text class="tag {escape(style)}" x="{start:.1f}" y="{top + shift:.1f}">{escape(words)}</text>'
+                )
                 return True
         return False
 
     def name_points(self, named: list[tuple[float, float, str]]) -> None:
-        """Names beside points; of points closer than their markers the first is named, and how many more there are."""
+        """Names beside points.
+
+        Of points closer than their markers the first is named, and how many more there are.
+        """
         groups: list[tuple[float, float, list[str]]] = []
         for x, y, name in named:
             left, top = self.px(x), self.py(y)
-            near = next((names for gx, gy, names in groups if abs(gx - left) < 9 and abs(gy - top) < 9), None)
+            near = next(
+                (names for gx, gy, names in groups if abs(gx - left) < 9 and abs(gy - top) < 9),
+                None,
+            )
             if near is None:
                 groups.append((left, top, [name]))
             else:
@@ -410,28 +515,58 @@ class Plot:
         for left, top, names in groups:
             words = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
             for dx, dy, anchor in _BESIDE:
-                if self.label(left + dx, top + dy, words, "strong", anchor=anchor, pixels=True, shifts=(0,)):
+                if self.label(
+                    left + dx, top + dy, words, "strong", anchor=anchor, pixels=True, shifts=(0,)
+                ):
                     break
             else:
                 self.label(left + 9, top + 4, words, "strong", pixels=True)
 
     def markup(self, hidden: bool = True) -> Markup:
-        """The SVG; hidden from assistive technology unless it holds links, because the figure around it says everything in words."""
+        """The SVG.
+
+        Hidden from assistive technology unless it holds links, because the figure around it says
+        everything in words.
+        """
         axes = {
-            "x": [_short(self.x.low), _short(self.x.high), self._LEFT, self.width - self._RIGHT, int(self.x.log)],
-            "y": [_short(self.y.low), _short(self.y.high), self.height - self._BOTTOM, self._TOP, int(self.y.log)],
+            "x": [
+                _short(self.x.low),
+                _short(self.x.high),
+                self._LEFT,
+                self.width - self._RIGHT,
+                int(self.x.log),
+            ],
+            "y": [
+                _short(self.y.low),
+                _short(self.y.high),
+                self.height - self._BOTTOM,
+                self._TOP,
+                int(self.y.log),
+            ],
             "q": [self.x.quantity, unit(self.x.unit), self.y.quantity, unit(self.y.unit)],
         }
-        # Last, so that they keep clear of points and names: words of levels, at whichever end has room.
+        # Last, so that they keep clear of points and names: words of levels, at whichever end has
+        # room.
         for y, words in self._levels:
-            for left, anchor in ((self.width - self._RIGHT - 2, "end"), (self._LEFT + 4, "start"), (self.width / 2, "middle")):
-                if self.label(left, y - 4, words, "small", anchor=anchor, pixels=True, shifts=(0, _LINE + 4)):
+            for left, anchor in (
+                (self.width - self._RIGHT - 2, "end"),
+                (self._LEFT + 4, "start"),
+                (self.width / 2, "middle"),
+            ):
+                if self.label(
+                    left, y - 4, words, "small", anchor=anchor, pixels=True, shifts=(0, _LINE + 4)
+                ):
                     break
         self._levels.clear()
         quiet = ' aria-hidden="true"' if hidden else ""
         inside = "".join([*self._under, *self._grid(), *self._lines, *self._over])
         # In single quotes, since JSON is full of double ones.
-        told = json.dumps(axes, separators=(",", ":"), ensure_ascii=False).replace("&", "&amp;").replace("<", "&lt;").replace("'", "&#39;")
+        told = (
+            json.dumps(axes, separators=(",", ":"), ensure_ascii=False)
+            .replace("&", "&amp;")
+            .replace("<", "&lt;")
+            .replace("'", "&#39;")
+        )
         points = [tuple(np.array(self._points).T)] if self._points else []
         return Markup(
             f'<svg class="plot" viewBox="0 0 {self.width} {self.height}" data-axes=\'{told}\' '
@@ -468,13 +603,31 @@ Line = tuple[str, str, NDArray[np.float64], NDArray[np.float64]]
 
 
 def over_time(
-    title: str, quantity: str, unit: str, lines: Sequence[Line], *, x: Axis | None = None, height: int = 240, **axis: Any
+    title: str,
+    quantity: str,
+    unit: str,
+    lines: Sequence[Line],
+    *,
+    x: Axis | None = None,
+    height: int = 240,
+    **axis: Any,
 ) -> Plot | None:
-    """Lines over time on one axis; None where there are none. x: of the time (what the lines cover); axis: words of `Axis.fitted` for the values."""
+    """Lines over time on one axis.
+
+    None where there are none. x: of the time (what the lines cover); axis: words of `Axis.fitted`
+    for the values.
+    """
     if not lines:
         return None
-    along = x or Axis.fitted("time", "s", [end for _, _, t, _ in lines for end in (t[0], t[-1])], margin=0.0)
-    plot = Plot(title, along, Axis.fitted(quantity, unit, np.concatenate([values for *_, values in lines]), **axis), height=height)
+    along = x or Axis.fitted(
+        "time", "s", [end for _, _, t, _ in lines for end in (t[0], t[-1])], margin=0.0
+    )
+    plot = Plot(
+        title,
+        along,
+        Axis.fitted(quantity, unit, np.concatenate([values for *_, values in lines]), **axis),
+        height=height,
+    )
     for line in lines:
         plot.line(*line)
     return plot
@@ -486,7 +639,10 @@ def _pixel(place: float) -> str:
 
 
 def _path(across: NDArray[np.float64], down: NDArray[np.float64]) -> str:
-    """A line through points, each relative to the one before; to a fifth of a pixel, which is finer than what was left out. A sign parts numbers by itself."""
+    """A line through points, each relative to the one before.
+
+    To a fifth of a pixel, which is finer than what was left out. A sign parts numbers by itself.
+    """
     places = np.rint(5 * np.column_stack([across, down])).astype(int)
     steps = " ".join(_fifth(step) for step in np.diff(places, axis=0).ravel().tolist())
     return f"M{_fifth(int(places[0, 0]))},{_fifth(int(places[0, 1]))}l{steps.replace(' -', '-') or '0,0'}"
@@ -501,5 +657,12 @@ def _short(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
 
 
-def _overlap(first: tuple[float, float, float, float], second: tuple[float, float, float, float]) -> bool:
-    return first[0] < second[2] and second[0] < first[2] and first[1] < second[3] and second[1] < first[3]
+def _overlap(
+    first: tuple[float, float, float, float], second: tuple[float, float, float, float]
+) -> bool:
+    return (
+        first[0] < second[2]
+        and second[0] < first[2]
+        and first[1] < second[3]
+        and second[1] < first[3]
+    )

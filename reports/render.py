@@ -1,11 +1,14 @@
 """Writes the report of a campaign: pages that ask nothing of any network, and lead to each other by relative links.
 
-    write_report(Path("runs/all"))  ->  runs/all/report.html, and in runs/all/pages a page for each scene, each run and each thing that is worth one
-    write_single(Path("runs/all"))  ->  runs/all/single.html, which holds all of it
+    write_report(Path("runs/all")) -> runs/all/report.html, and in runs/all/pages a page for each
+    scene, each run and each thing that is worth one write_single(Path("runs/all")) ->
+    runs/all/single.html, which holds all of it
 
-Pages are pure functions of what is stored in the folder: no clock, no machine, no solver. A strict Content-Security-Policy allows exactly the style and
-the script that are inside a page, by their hashes. What goes across runs is drawn from the numbers of the records each time; a run's page, which costs
-far more, only if there is none that is younger than its record and this program. `is_current` says whether anything would change.
+Pages are pure functions of what is stored in the folder: no clock, no machine, no solver. A strict
+Content-Security-Policy allows exactly the style and the script that are inside a page, by their
+hashes. What goes across runs is drawn from the numbers of the records each time; a run's page,
+which costs far more, only if there is none that is younger than its record and this program.
+`is_current` says whether anything would change.
 """
 
 from __future__ import annotations
@@ -55,7 +58,15 @@ _HERE = Path(__file__).parent
 # What report.html shows before its index of the other pages.
 _TOP = (overview.build, table1.build, overview.what_failed)
 # What the page of a scene shows.
-_OF_SCENE = (scene.build, pareto.build, table1.of_scene, pareto.ends, pareto.within_tolerance, sweeps.tightening, scene.model)
+_OF_SCENE = (
+    scene.build,
+    pareto.build,
+    table1.of_scene,
+    pareto.ends,
+    pareto.within_tolerance,
+    sweeps.tightening,
+    scene.model,
+)
 # The other pages by the names of their files, which the first section of each has for its anchor.
 _OTHERS = {
     "runs": (run.all_runs,),
@@ -79,7 +90,8 @@ _WORTH = 8
 class Templates:
     """The templates of this room, each compiled once; all know the macros of macros.html.
 
-    templates = Templates();  templates.render("run.html", view=view, anchor="run");  templates.render("scene.html#model", ...)
+    templates = Templates(); templates.render("run.html", view=view, anchor="run");
+    templates.render("scene.html#model", ...)
     """
 
     def __init__(self, *folders: Path) -> None:
@@ -93,20 +105,31 @@ class Templates:
             finalize=_finalized,
         )
         said = inspect.getmembers(wording, inspect.isfunction)
-        self._environment.filters |= {name: function for name, function in said if function.__module__ == wording.__name__}
+        self._environment.filters |= {
+            name: function for name, function in said if function.__module__ == wording.__name__
+        }
         self._environment.globals["dash"] = wording.DASH
         macros = self._environment.get_template("macros.html").module
-        self._environment.globals |= {name: macro for name, macro in vars(macros).items() if not name.startswith("_")}
+        self._environment.globals |= {
+            name: macro for name, macro in vars(macros).items() if not name.startswith("_")
+        }
 
     def render(self, name: str, **values: Any) -> str:
         """The text of one template, or of one block of it: file.html#block."""
         file, _, block = name.partition("#")
         template = self._environment.get_template(file)
-        return "".join(template.blocks[block](template.new_context(values))) if block else template.render(**values)
+        return (
+            "".join(template.blocks[block](template.new_context(values)))
+            if block
+            else template.render(**values)
+        )
 
 
 def write_report(folder: Path, jobs: int | None = None) -> Path:
-    """Write report.html and all other pages, those of runs only if they are out of date; on so many processes (all cores). Raises ReportError."""
+    """Write report.html and all other pages, those of runs only if they are out of date.
+
+    On so many processes (all cores). Raises ReportError.
+    """
     templates = Templates()
     report = Report(load(folder), folder)
     try:
@@ -116,11 +139,25 @@ def write_report(folder: Path, jobs: int | None = None) -> Path:
     beside = Report(report.stored, folder, at="")
     others = _others(beside)
     for name, sections in others.items():
-        text = page(templates, sections, title=sections[0].title, lead=_title(report), again=_AGAIN, back=_BACK)
+        text = page(
+            templates,
+            sections,
+            title=sections[0].title,
+            lead=_title(report),
+            again=_AGAIN,
+            back=_BACK,
+        )
         write_page(folder / PAGES / f"{name}.html", text, folder)
     for one in report.scenes:
         back = [*_BACK, (f"../{REPORT}#index", "All pages")]
-        text = page(templates, _built(_OF_SCENE, beside, one), title=one.name, lead=one.title, again=_AGAIN, back=back)
+        text = page(
+            templates,
+            _built(_OF_SCENE, beside, one),
+            title=one.name,
+            lead=one.title,
+            again=_AGAIN,
+            back=back,
+        )
         write_page(folder / PAGES / scene_page(one), text, folder)
     _write_runs(templates, beside, len(os.sched_getaffinity(0)) if jobs is None else jobs)
     # Last: a report that is younger than the folder of its pages has all of them.
@@ -129,12 +166,21 @@ def write_report(folder: Path, jobs: int | None = None) -> Path:
 
 
 def is_current(folder: Path) -> bool:
-    """Whether report.html is younger than all it is made of and leads to; of a campaign whose runs are all stored, it says then what it would say anew."""
+    """Whether report.html is younger than all it is made of and leads to.
+
+    Of a campaign whose runs are all stored, it says then what it would say anew.
+    """
     written = _written(folder / REPORT)
-    if not (folder / PAGES).is_dir() or written <= max(_program(), _time(folder / "campaign.json"), _time(folder / PAGES)):
+    if not (folder / PAGES).is_dir() or written <= max(
+        _program(), _time(folder / "campaign.json"), _time(folder / PAGES)
+    ):
         return False
     try:
-        return all(written > _time(path) for record in record_files(folder) for path in (record.parent, *record.parent.iterdir()))
+        return all(
+            written > _time(path)
+            for record in record_files(folder)
+            for path in (record.parent, *record.parent.iterdir())
+        )
     except OSError:  # another campaign is at work there
         return False
 
@@ -143,7 +189,10 @@ def write_single(folder: Path) -> Path:
     """Write all that `write_report` writes into one file. Raises ReportError."""
     report = Report(load(folder), folder, single=True)
     others = _others(report)
-    sections = [*_across(report, others), *(section for one in report.scenes for section in _built(_OF_SCENE, report, one))]
+    sections = [
+        *_across(report, others),
+        *(section for one in report.scenes for section in _built(_OF_SCENE, report, one)),
+    ]
     sections += [section for found in others.values() for section in found]
     write_page(folder / SINGLE, _campaign_page(Templates(), report, sections), folder)
     return folder / SINGLE
@@ -158,36 +207,72 @@ def render(folder: Path) -> str:
 def render_run(record: RunRecord, folder: Path, engines: Sequence[Mapping[str, Any]] = ()) -> str:
     """The text of the page of a run that belongs to no campaign.
 
-    folder: where its motions are, as in a campaign's: runs/<key>/trajectory.nc and so on; engines: what other simulators say of it, as JSON holds that.
+    folder: where its motions are, as in a campaign's: runs/<key>/trajectory.nc and so on; engines:
+        what other simulators say of it, as JSON holds that.
     """
     report = Report(Stored(None, (record,)), folder, at="")
     title = f"{record.pipeline} on {record.scene.name}"
     others = simulators.of_plan(engines)
-    return page(Templates(), [run.build(report, record), *others], title=title, lead=record.scene.title, again="")
+    return page(
+        Templates(),
+        [run.build(report, record), *others],
+        title=title,
+        lead=record.scene.title,
+        again="",
+    )
 
 
 def render_players(folder: Path) -> dict[str, str]:
-    """Scene -> the text of a page with its best plan in motion, and nothing else, for a gallery. Raises ReportError."""
+    """Scene -> the text of a page with its best plan in motion, and nothing else, for a gallery.
+
+    Raises ReportError.
+    """
     report, templates = Report(load(folder), folder, at=""), Templates()
-    moving = [(one, section) for one in report.scenes if (section := scene.motion(report, one)) is not None]
-    return {one.name: page(templates, [section], title=one.title, lead="", again="") for one, section in moving}
+    moving = [
+        (one, section)
+        for one in report.scenes
+        if (section := scene.motion(report, one)) is not None
+    ]
+    return {
+        one.name: page(templates, [section], title=one.title, lead="", again="")
+        for one, section in moving
+    }
 
 
 def render_checks(records: Sequence[CheckRecord]) -> str:
     """The text of the page of FMUs that were checked outside of any campaign; at least one."""
     names = ", ".join(record.name for record in records)
-    return page(Templates(), [checks.fmus_of(records)], title="FMUs under the check", lead=names, again="")
+    return page(
+        Templates(), [checks.fmus_of(records)], title="FMUs under the check", lead=names, again=""
+    )
 
 
-def render_robustness(record: RobustnessRecord, plan: str, run: RunRecord | None = None, folder: Path | None = None) -> str:
-    """The text of the page of how much a plan can take. plan: what it is called; run, folder: of what moves in the player (reports.pages.robustness)."""
+def render_robustness(
+    record: RobustnessRecord, plan: str, run: RunRecord | None = None, folder: Path | None = None
+) -> str:
+    """The text of the page of how much a plan can take. plan: what it is called.
+
+    run, folder: of what moves in the player (reports.pages.robustness).
+    """
     title = f"How much {plan} can take on {record.scene}"
-    return page(Templates(), [robustness.of_plan(record, run, folder)], title=title, lead=record.summary, again="")
+    return page(
+        Templates(),
+        [robustness.of_plan(record, run, folder)],
+        title=title,
+        lead=record.summary,
+        again="",
+    )
 
 
 def render_truth(record: TruthRecord, again: str) -> str:
     """The text of the page of the truth suite. again: the command that makes it anew."""
-    return page(Templates(), [simulators.truth(record)], title="The contact truth suite", lead=record.summary, again=again)
+    return page(
+        Templates(),
+        [simulators.truth(record)],
+        title="The contact truth suite",
+        lead=record.summary,
+        again=again,
+    )
 
 
 def page(
@@ -204,7 +289,10 @@ def page(
     style, script = _asset("report.css"), "\n".join(_asset(name) for name in _SCRIPTS)
     return templates.render(
         "page.html",
-        sections=[(item, Markup(templates.render(item.template, section=item, **item.values))) for item in sections],
+        sections=[
+            (item, Markup(templates.render(item.template, section=item, **item.values)))
+            for item in sections
+        ],
         policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; img-src blob:; base-uri 'none'; form-action 'none'",
         style=Markup(style),
         script=Markup(script),
@@ -216,7 +304,8 @@ def page(
     )
 
 
-# What a frame holds: the page, a third as long as its text, and what unpacks it. A notebook keeps one for every plan that is looked at.
+# What a frame holds: the page, a third as long as its text, and what unpacks it. A notebook keeps
+# one for every plan that is looked at.
 _UNPACK = """<!doctype html><meta charset="utf-8"><noscript>This page needs JavaScript.</noscript><script type="module">
 const packed = Uint8Array.from(atob("PACKED"), (letter) => letter.charCodeAt(0));
 const page = await new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"))).text();
@@ -236,11 +325,16 @@ def framed(page: str) -> str:
 
 
 def write_page(target: Path, text: str, aside: Path | None = None) -> None:
-    """Write a page, whole or not at all; aside: where it stands while it is written (beside its place). Raises ReportError.
+    """Write a page, whole or not at all.
 
-    What is not finished says whose it is, as in all of a campaign's folder, so that it is removed there if we are killed.
+    aside: where it stands while it is written (beside its place). Raises ReportError.
+
+    What is not finished says whose it is, as in all of a campaign's folder, so that it is removed
+    there if we are killed.
     """
-    part = (aside or target.parent) / f".partial-page-{uuid.uuid4().hex}-{os.getpid()}-{socket.gethostname()}"
+    part = (
+        aside or target.parent
+    ) / f".partial-page-{uuid.uuid4().hex}-{os.getpid()}-{socket.gethostname()}"
     try:
         part.write_bytes(text.encode("utf-8", errors="replace"))
         os.replace(part, target)
@@ -251,7 +345,9 @@ def write_page(target: Path, text: str, aside: Path | None = None) -> None:
 
 
 def _refused(place: Path, what: str, problem: OSError) -> ReportError:
-    return ReportError(f"{place}: the {what} cannot be written ({problem.strerror}); free the place or choose another folder.")
+    return ReportError(
+        f"{place}: the {what} cannot be written ({problem.strerror}); free the place or choose another folder."
+    )
 
 
 def _built(makers: Sequence[Callable[..., Section | None]], *words: object) -> list[Section]:
@@ -259,8 +355,13 @@ def _built(makers: Sequence[Callable[..., Section | None]], *words: object) -> l
 
 
 def _others(report: Report) -> dict[str, list[Section]]:
-    """The sections of the other pages, by the names of their files; without those that have none."""
-    return {name: sections for name, makers in _OTHERS.items() if (sections := _built(makers, report))}
+    """The sections of the other pages, by the names of their files.
+
+    Without those that have none.
+    """
+    return {
+        name: sections for name, makers in _OTHERS.items() if (sections := _built(makers, report))
+    }
 
 
 def _across(report: Report, others: Mapping[str, Sequence[Section]]) -> list[Section]:
@@ -277,20 +378,33 @@ def _title(report: Report) -> str:
 def _campaign_page(templates: Templates, report: Report, sections: Sequence[Section]) -> str:
     campaign = report.stored.campaign
     again = f"{_AGAIN} --single-file" if report.single else _AGAIN
-    return page(templates, sections, title=_title(report), lead=_LEAD, again=again, quick=bool(campaign and campaign.quick))
+    return page(
+        templates,
+        sections,
+        title=_title(report),
+        lead=_LEAD,
+        again=again,
+        quick=bool(campaign and campaign.quick),
+    )
 
 
 def _write_runs(templates: Templates, report: Report, jobs: int) -> None:
     """Write the pages of runs that are missing, or older than their record or this program.
 
-    By processes that nobody needs to hear from: what one of them leaves undone, whatever the reason, is done, or said, here. Where there are threads,
-    which do not survive a fork, all of it is.
+    By processes that nobody needs to hear from: what one of them leaves undone, whatever the
+    reason, is done, or said, here. Where there are threads, which do not survive a fork, all of it
+    is.
     """
     due = _due(report)
     jobs = min(jobs, len(due) // _WORTH)
     if jobs > 1 and threading.active_count() == 1:
         context = multiprocessing.get_context("fork")
-        children = [context.Process(target=_write_some, args=(templates, report, due[place::jobs]), daemon=True) for place in range(jobs)]
+        children = [
+            context.Process(
+                target=_write_some, args=(templates, report, due[place::jobs]), daemon=True
+            )
+            for place in range(jobs)
+        ]
         for child in children:
             child.start()
         for child in children:
@@ -308,15 +422,30 @@ def _write_some(templates: Templates, report: Report, some: Sequence[RunRecord])
 
 
 def _write_run(templates: Templates, report: Report, one: RunRecord) -> None:
-    back = [*_BACK, (report.scene_link(one.scene), f"The scene {one.scene.name}"), (report.page_link("runs"), "All runs")]
+    back = [
+        *_BACK,
+        (report.scene_link(one.scene), f"The scene {one.scene.name}"),
+        (report.page_link("runs"), "All runs"),
+    ]
     title = f"{one.pipeline} on {one.scene.name}"
-    text = page(templates, [run.build(report, one)], title=title, lead=one.scene.title, again=_AGAIN, back=back)
+    text = page(
+        templates,
+        [run.build(report, one)],
+        title=title,
+        lead=one.scene.title,
+        again=_AGAIN,
+        back=back,
+    )
     write_page(report.folder / PAGES / run_page(one), text, report.folder)
 
 
 def _program() -> int:
     """When the last of our own files was written [ns]."""
-    return max(path.stat().st_mtime_ns for path in _HERE.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    return max(
+        path.stat().st_mtime_ns
+        for path in _HERE.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    )
 
 
 def _due(report: Report) -> list[RunRecord]:
@@ -325,7 +454,14 @@ def _due(report: Report) -> list[RunRecord]:
         one
         for one, parts in zip(report.stored.runs, report.stored.parts, strict=True)
         if _written(report.folder / PAGES / run_page(one))
-        <= max(program, *(_time(report.folder / "runs" / part.key / name) for part in parts for name in ("", "record.json")))
+        <= max(
+            program,
+            *(
+                _time(report.folder / "runs" / part.key / name)
+                for part in parts
+                for name in ("", "record.json")
+            ),
+        )
     ]
 
 
@@ -342,8 +478,13 @@ def _time(path: Path) -> int:
 
 
 def _finalized(value: Any) -> Any:
-    """Every string that reaches the page without being markup loses its control characters; escaping comes after."""
-    return wording.clean(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+    """Every string that reaches the page without being markup loses its control characters.
+
+    Escaping comes after.
+    """
+    return (
+        wording.clean(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+    )
 
 
 def _asset(name: str) -> str:

@@ -1,6 +1,7 @@
 """Rows of the tables: each stage once, although several pipelines begin with the same stages.
 
-softplus_dc+strict and softplus_dc+relu_gd share softplus_dc at 1e-3, 1e-5, 1e-7: five rows, not eight.
+softplus_dc+strict and softplus_dc+relu_gd share softplus_dc at 1e-3, 1e-5, 1e-7: five rows, not
+eight.
 """
 
 from __future__ import annotations
@@ -24,13 +25,17 @@ class Row:
     stage: StageRecord
     chain: tuple[StageRecord, ...]
     link: str
-    twin: bool = False  # another row has the same methods and eps, but other options: only the pipeline tells them apart
+    # another row has the same methods and eps, but other options: only the pipeline tells them
+    # apart
+    twin: bool = False
 
     @property
     def methods(self) -> tuple[str, ...]:
         """The methods of the chain, each once in a row."""
         names = [stage.method for stage in self.chain]
-        return tuple(name for place, name in enumerate(names) if place == 0 or names[place - 1] != name)
+        return tuple(
+            name for place, name in enumerate(names) if place == 0 or names[place - 1] != name
+        )
 
     @property
     def name(self) -> str:
@@ -42,13 +47,21 @@ class Row:
         """The name, and what the stage starts from: strict_lcp after softplus_dc."""
         before = self.methods[:-1]
         after = f" after {', '.join(before)}" if before else ""
-        return f"{self.name}{after}" + (f" ({self.run.pipeline})" if self.twin and self.run.pipeline != self.stage.method else "")
+        return f"{self.name}{after}" + (
+            f" ({self.run.pipeline})"
+            if self.twin and self.run.pipeline != self.stage.method
+            else ""
+        )
 
     @property
     def paper_total(self) -> float | None:
         """The paper's seconds with the stages before, which it leaves out."""
         times = [stage.paper.get("time") for stage in self.chain]
-        return None if any(time is None for time in times) else sum(time for time in times if time is not None)
+        return (
+            None
+            if any(time is None for time in times)
+            else sum(time for time in times if time is not None)
+        )
 
     def metric(self, name: str) -> float | None:
         """Its value; of a replay, that of the replay that is judged."""
@@ -57,7 +70,10 @@ class Row:
 
     @property
     def ends(self) -> str:
-        """How far from the goal its judged replay ends, in words; empty where it was not replayed."""
+        """How far from the goal its judged replay ends, in words.
+
+        Empty where it was not replayed.
+        """
         return end_of(self.stage, self.run.scene)
 
     @property
@@ -68,7 +84,9 @@ class Row:
     @property
     def named(self) -> str:
         """The label, and that it holds with feedback where it does not hold without."""
-        return self.label + (", which holds with feedback" if self.stage.verdict == "holds with feedback" else "")
+        return self.label + (
+            ", which holds with feedback" if self.stage.verdict == "holds with feedback" else ""
+        )
 
     @property
     def cost_difference(self) -> float | None:
@@ -79,7 +97,14 @@ class Row:
 
 def known_cost(scene: SceneRecord) -> tuple[str, float] | None:
     """Name and value of the known answer that is a cost; None where there is none."""
-    return next(((item.name, item.value) for item in scene.answers if "cost" in item.name and item.value is not None), None)
+    return next(
+        (
+            (item.name, item.value)
+            for item in scene.answers
+            if "cost" in item.name and item.value is not None
+        ),
+        None,
+    )
 
 
 def rows_of(runs: tuple[RunRecord, ...], link: Callable[[RunRecord], str]) -> list[Row]:
@@ -95,7 +120,10 @@ def rows_of(runs: tuple[RunRecord, ...], link: Callable[[RunRecord], str]) -> li
                 chain = run.stages[: place + 1]
                 rows[key] = Row(run, stage, chain, link(run))
     labels = Counter((row.run.scene.name, row.label) for row in rows.values())
-    return [replace(row, twin=not row.stage.paper and labels[row.run.scene.name, row.label] > 1) for row in rows.values()]
+    return [
+        replace(row, twin=not row.stage.paper and labels[row.run.scene.name, row.label] > 1)
+        for row in rows.values()
+    ]
 
 
 def _head(run: RunRecord) -> tuple[str, str]:

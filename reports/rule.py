@@ -1,4 +1,6 @@
-"""What makes a campaign fail: in words, and as a function of its records. `validate all` and the report say and do the same.
+"""What makes a campaign fail: in words, and as a function of its records.
+
+`validate all` and the report say and do the same.
 
 failures(runs, checks)           # one sentence each; none: exit code 0
 findings(runs)                         # what the replay found of plans that are no failure
@@ -32,12 +34,18 @@ RESULTS = (
 )
 
 
-# From this observed order on a misfit is said to shrink with the step: a scheme of order one shows 0.8 to 1.2 on grids that are fine enough.
+# From this observed order on a misfit is said to shrink with the step: a scheme of order one shows
+# 0.8 to 1.2 on grids that are fine enough.
 _SHRINKS = 0.5
 
 
-def failures(runs: Sequence[RunRecord], checks: Sequence[CheckRecord] = (), among: Sequence[RunRecord] = ()) -> tuple[str, ...]:
-    """Why the campaign of these records fails, by its rule; a sentence for each run or scene. among: all runs of their folder, any of which solves a scene."""
+def failures(
+    runs: Sequence[RunRecord], checks: Sequence[CheckRecord] = (), among: Sequence[RunRecord] = ()
+) -> tuple[str, ...]:
+    """Why the campaign of these records fails, by its rule.
+
+    A sentence for each run or scene. among: all runs of their folder, any of which solves a scene.
+    """
     found = [sentence for run in runs if (sentence := _run_failure(run))]
     for scene in dict.fromkeys(run.scene.name for run in runs):
         found += _scene_failure(scene, [run for run in (among or runs) if run.scene.name == scene])
@@ -46,19 +54,33 @@ def failures(runs: Sequence[RunRecord], checks: Sequence[CheckRecord] = (), amon
 
 
 def findings(runs: Iterable[RunRecord]) -> tuple[str, ...]:
-    """Plans that are solutions of their discrete problem, but do not survive the replay; a sentence each."""
-    return tuple(f"{run.scene.name} x {run.pipeline}: {run.stages[-1].why}" for run in runs if _is_finding(run))
+    """Plans that are solutions of their discrete problem, but do not survive the replay.
+
+    A sentence each.
+    """
+    return tuple(
+        f"{run.scene.name} x {run.pipeline}: {run.stages[-1].why}"
+        for run in runs
+        if _is_finding(run)
+    )
 
 
 def _is_finding(run: RunRecord) -> bool:
     asked = run.must_hold and run.outcome == "solved" and run.last is not None
-    return asked and not _is_as_it_must_be(run) and not run.stages[-1].paper and _is_of_the_time_step(run.stages[-1])
+    return (
+        asked
+        and not _is_as_it_must_be(run)
+        and not run.stages[-1].paper
+        and _is_of_the_time_step(run.stages[-1])
+    )
 
 
 def _is_of_the_time_step(stage: StageRecord) -> bool:
     """Whether a plan fails by its time step alone: questions 1 to 3 and 6 pass, 4 or 5 fails for the inputs alone, and the misfit shrinks under refinement."""
     answers = {question.number: question.answer for question in stage.questions}
-    if not stage.questions or any(answers.get(number) not in ("yes", "not asked") for number in (1, 2, 3, 6)):
+    if not stage.questions or any(
+        answers.get(number) not in ("yes", "not asked") for number in (1, 2, 3, 6)
+    ):
         return False
     order = stage.metric("grid_order")
     fails_alone = stage.verdict == "holds with feedback" or "no" in (answers.get(4), answers.get(5))
@@ -71,7 +93,10 @@ def fails(record: RunRecord | CheckRecord) -> bool:
 
 
 def failed_keys(records: Iterable[RunRecord | CheckRecord]) -> frozenset[str]:
-    """Keys of the runs because of which a campaign of these records fails; of a scene on which nothing holds, all by direct methods."""
+    """Keys of the runs because of which a campaign of these records fails.
+
+    Of a scene on which nothing holds, all by direct methods.
+    """
     runs, checks = divided(records)
     failed = {record.key for record in (*runs, *checks) if fails(record)}
     for scene in dict.fromkeys(run.scene.name for run in runs):
@@ -111,5 +136,7 @@ def _scene_failure(scene: str, runs: Sequence[RunRecord]) -> list[str]:
     direct = [run for run in runs if run.must_hold and run.outcome != "refused"]
     if not direct or any(run.verdict in (*HOLD, "consistent") for run in runs):
         return []
-    endings = "; ".join(f"{run.pipeline} {run.outcome.replace('_', ' ')}, {run.verdict}" for run in direct)
+    endings = "; ".join(
+        f"{run.pipeline} {run.outcome.replace('_', ' ')}, {run.verdict}" for run in direct
+    )
     return [f"{scene}: no run holds ({endings})"]

@@ -1,9 +1,10 @@
 """Motions of a stage, read from the NetCDF files beside its record and thinned for plots: columns by name, phases of contact, a value between two times.
 
-    motion = read_motion(Path("runs/all/runs/<key>"), run, stage);  motion.plan.columns["q1"], motion.replay.poses["left"]
+    motion = read_motion(Path("runs/all/runs/<key>"), run, stage); motion.plan.columns["q1"],
+    motion.replay.poses["left"]
 
-A column is as long as the times or shorter (quantities of steps: one less). What a file lacks, or holds as something else than finite numbers, is
-missing here, and is shown as missing.
+A column is as long as the times or shorter (quantities of steps: one less). What a file lacks, or
+holds as something else than finite numbers, is missing here, and is shown as missing.
 """
 
 from __future__ import annotations
@@ -29,8 +30,10 @@ _DAMAGED = (OSError, ValueError, KeyError, TypeError, RuntimeError)
 class Trace:
     """One motion at times t (n,) [s].
 
-    columns: coordinates and inputs by their names, per contact `lam_<contact>` [N] and `gap_<contact>` [m], per friction its force [N] by its name; of a
-    replay also `position_error`, the largest difference of a coordinate to the plan. poses: (n, 3) x, y [m] and angle [rad] of each shape.
+    columns: coordinates and inputs by their names, per contact `lam_<contact>` [N] and
+        `gap_<contact>` [m], per friction its force [N] by its name; of a
+    replay also `position_error`, the largest difference of a coordinate to the plan. poses: (n, 3)
+        x, y [m] and angle [rad] of each shape.
     """
 
     t: Array
@@ -58,7 +61,10 @@ class Trace:
 
 @dataclass(frozen=True)
 class Motion:
-    """What is stored of a stage's motion; tracked: the replay with feedback; problems: sentences about files that cannot be read."""
+    """What is stored of a stage's motion; tracked: the replay with feedback.
+
+    problems: sentences about files that cannot be read.
+    """
 
     plan: Trace | None = None
     replay: Trace | None = None
@@ -89,7 +95,11 @@ def read_motion(folder: Path, run: RunRecord, stage: StageRecord) -> Motion:
 
 def read_plan(folder: Path, run: RunRecord, stage: StageRecord) -> Trace | None:
     """The plan of a stage alone; None where there is none that can be read."""
-    return read_trace(folder / stage_files(stage.index, len(run.stages))["trajectory"], run.scene) if stage.has_plan else None
+    return (
+        read_trace(folder / stage_files(stage.index, len(run.stages))["trajectory"], run.scene)
+        if stage.has_plan
+        else None
+    )
 
 
 def read_trace(path: Path, scene: SceneRecord) -> Trace | None:
@@ -102,15 +112,30 @@ def read_trace(path: Path, scene: SceneRecord) -> Trace | None:
 
 def _reason(error: Exception) -> str:
     """The first line of what is said of a file; HDF5 says much more, with addresses."""
-    return "there is no such file" if isinstance(error, FileNotFoundError) else str(error).partition("\n")[0][:160] or type(error).__name__
+    return (
+        "there is no such file"
+        if isinstance(error, FileNotFoundError)
+        else str(error).partition("\n")[0][:160] or type(error).__name__
+    )
 
 
 def _columns(path: Path, scene: SceneRecord) -> dict[str, Array]:
-    """What is drawn of a file, of its columns of finite numbers along one dimension. Raises one of _DAMAGED."""
-    names = ["t", "knots", *(item.name for item in (*scene.coordinates, *scene.inputs, *scene.frictions))]
+    """What is drawn of a file, of its columns of finite numbers along one dimension.
+
+    Raises one of _DAMAGED.
+    """
+    names = [
+        "t",
+        "knots",
+        *(item.name for item in (*scene.coordinates, *scene.inputs, *scene.frictions)),
+    ]
     names += [f"{what}_{contact.name}" for contact in scene.contacts for what in ("lam", "gap")]
     names += [f"applied_{item.name}" for item in scene.inputs]
-    names += [f"pose_{part}_{place}" for place in range(1, len(scene.shapes) + 1) for part in ("x", "y", "angle")]
+    names += [
+        f"pose_{part}_{place}"
+        for place in range(1, len(scene.shapes) + 1)
+        for part in ("x", "y", "angle")
+    ]
     found = {}
     with h5py.File(path, "r") as file:
         there = set(file)
@@ -130,10 +155,14 @@ def _columns(path: Path, scene: SceneRecord) -> dict[str, Array]:
 def _plan(scene: SceneRecord, columns: Mapping[str, Array]) -> Trace | None:
     if not len(columns.get("t", ())):
         return None
-    return _thinned(scene, columns["t"], {name: values for name, values in columns.items() if name != "t"})
+    return _thinned(
+        scene, columns["t"], {name: values for name, values in columns.items() if name != "t"}
+    )
 
 
-def _replay(scene: SceneRecord, plan: Mapping[str, Array], columns: Mapping[str, Array]) -> Trace | None:
+def _replay(
+    scene: SceneRecord, plan: Mapping[str, Array], columns: Mapping[str, Array]
+) -> Trace | None:
     """A replay with the inputs as applied, by their own names, and with its distance from the plan, linear between the plan's nodes."""
     if not len(columns.get("t", ())):
         return None
@@ -144,25 +173,48 @@ def _replay(scene: SceneRecord, plan: Mapping[str, Array], columns: Mapping[str,
         for item in scene.inputs:
             applied = told.pop(f"applied_{item.name}", None)
             if applied is not None and len(applied):
-                told[item.name] = applied[np.clip(np.searchsorted(knots, rows, side="right") - 1, 0, len(applied) - 1)]
-        pairs = [(plan[item.name], columns[item.name]) for item in scene.coordinates if item.name in plan and item.name in columns]
-        if pairs and all(len(planned) >= len(knots) and len(replayed) == len(t) for planned, replayed in pairs):
-            difference = np.max([np.abs(replayed[knots] - planned[: len(knots)]) for planned, replayed in pairs], axis=0)
+                told[item.name] = applied[
+                    np.clip(np.searchsorted(knots, rows, side="right") - 1, 0, len(applied) - 1)
+                ]
+        pairs = [
+            (plan[item.name], columns[item.name])
+            for item in scene.coordinates
+            if item.name in plan and item.name in columns
+        ]
+        if pairs and all(
+            len(planned) >= len(knots) and len(replayed) == len(t) for planned, replayed in pairs
+        ):
+            difference = np.max(
+                [np.abs(replayed[knots] - planned[: len(knots)]) for planned, replayed in pairs],
+                axis=0,
+            )
             told["position_error"] = np.interp(t, t[knots], difference)
     return _thinned(scene, t, told)
 
 
 def _thinned(scene: SceneRecord, t: Array, columns: Mapping[str, Array]) -> Trace:
     keep = thin(len(t))
-    thinned = {name: values[keep[keep < len(values)]] for name, values in columns.items() if 0 < len(values) <= len(t)}
+    thinned = {
+        name: values[keep[keep < len(values)]]
+        for name, values in columns.items()
+        if 0 < len(values) <= len(t)
+    }
     poses = {}
     for place, shape in enumerate(scene.shapes, 1):
         parts = [thinned.get(f"pose_{part}_{place}") for part in ("x", "y", "angle")]
         # What never changes has one value.
-        whole = [np.broadcast_to(part, len(keep)) for part in parts if part is not None and len(part) in (1, len(keep))]
+        whole = [
+            np.broadcast_to(part, len(keep))
+            for part in parts
+            if part is not None and len(part) in (1, len(keep))
+        ]
         if len(whole) == len(parts):
             poses[shape.name] = np.column_stack(whole)
-    return Trace(t[keep], {name: values for name, values in thinned.items() if not name.startswith("pose_")}, poses)
+    return Trace(
+        t[keep],
+        {name: values for name, values in thinned.items() if not name.startswith("pose_")},
+        poses,
+    )
 
 
 def contact_phases(trace: Trace | None, contact: str) -> list[tuple[float, float]]:

@@ -1,6 +1,6 @@
 """How values are said: numbers with the digits a reader needs, a word and a symbol for each verdict, a dash with a reason for what is missing.
 
-number(0.00024419)  ->  "2.442×10⁻⁴"        cost(46415.2)  ->  "46 415.20"        number(None)  ->  "–"
+number(0.00024419) -> "2.442×10⁻⁴" cost(46415.2) -> "46 415.20" number(None) -> "–"
 """
 
 from __future__ import annotations
@@ -11,14 +11,18 @@ from dataclasses import dataclass
 
 DASH = "–"
 _THIN = "\u202f"
-# Sums of numbers near 1 are not better than this in double precision: what is smaller is zero, give or take rounding.
+# Sums of numbers near 1 are not better than this in double precision: what is smaller is zero, give
+# or take rounding.
 ROUNDING = 1e-15
 # From here on decimals would fill the page: a diverged plan may cost 1e200.
 _LARGE = 1e9
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-# Escape sequences of terminals, control characters, and the marks that turn the direction of text: none of them belongs on a page.
+# Escape sequences of terminals, control characters, and the marks that turn the direction of text:
+# none of them belongs on a page.
 _TERMINAL = re.compile(r"\x1b(\[[0-9;?]*[ -/]*[@-~]|[@-Z\\-_])")
-_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
+_CONTROL = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
+)
 # Numbers in sentences as programs write them: 1.2e-02, 1e+08, and a nought with a sign.
 _PROGRAM = re.compile(r"(?<![\w.])([-+]?)(\d+(?:\.\d+)?)[eE]([-+]?\d+)(?![\w.]*\w)")
 _SIGNED_NOUGHT = re.compile(r"(?<![\w.,)\]-])-0(?:\.0+)?(?![\d.]*\d|\w)")
@@ -40,12 +44,27 @@ def _by_word(*signs: Sign) -> dict[str, Sign]:
 
 VERDICTS = _by_word(
     Sign("holds", "✓", "holds", "every question asked is answered yes for the inputs alone"),
-    Sign("holds with feedback", "↻", "feedback", "not for the inputs alone, but with limited LQR feedback around the plan"),
+    Sign(
+        "holds with feedback",
+        "↻",
+        "feedback",
+        "not for the inputs alone, but with limited LQR feedback around the plan",
+    ),
     Sign("violates", "✗", "violates", "at least one question asked is surely answered no"),
     Sign("undecided", "?", "undecided", "no question surely fails, but one could not be decided"),
     Sign("no plan", "○", "noplan", "the method found none; its outcome says why"),
-    Sign("not applicable", "⊘", "noplan", "the method does not apply to the scene, or nothing is claimed and nothing asked"),
-    Sign("consistent", "≈", "consistent", "nothing is wrong, and the scene asks for nothing: counted with no holds"),
+    Sign(
+        "not applicable",
+        "⊘",
+        "noplan",
+        "the method does not apply to the scene, or nothing is claimed and nothing asked",
+    ),
+    Sign(
+        "consistent",
+        "≈",
+        "consistent",
+        "nothing is wrong, and the scene asks for nothing: counted with no holds",
+    ),
 )
 ANSWERS = _by_word(
     Sign("yes", "✓", "holds", "every metric of the question is within its limit"),
@@ -92,11 +111,18 @@ def number(value: float | None, digits: int = 4) -> str:
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
     mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
     mantissa = mantissa.replace("-", "−")
-    return mantissa[:-1] + power(int(exponent)) if mantissa in ("1", "−1") else f"{mantissa}×{power(int(exponent))}"
+    return (
+        mantissa[:-1] + power(int(exponent))
+        if mantissa in ("1", "−1")
+        else f"{mantissa}×{power(int(exponent))}"
+    )
 
 
 def cost(value: float | None) -> str:
-    """Costs with two decimals, as the paper prints them; of those that no table has room for, a power of ten."""
+    """Costs with two decimals, as the paper prints them.
+
+    Of those that no table has room for, a power of ten.
+    """
     if value is None or not math.isfinite(value):
         return DASH
     return number(value) if abs(value) >= _LARGE else _grouped(f"{value:z.2f}")
@@ -126,7 +152,9 @@ def _as_written(found: re.Match[str]) -> str:
     whole, _, fraction = mantissa.partition(".")
     if -4 <= exponent <= 5 and len(whole) == 1:
         places = max(0, len(fraction) - exponent)
-        if exponent <= len(fraction) or not fraction:  # else digits would be made up, but for those of a round number
+        if (
+            exponent <= len(fraction) or not fraction
+        ):  # else digits would be made up, but for those of a round number
             return sign + _grouped(f"{float(f'{mantissa}e{exponent}'):.{places}f}")
     return f"{sign}{power(exponent)}" if mantissa == "1" else f"{sign}{mantissa}×{power(exponent)}"
 
@@ -147,11 +175,18 @@ def small(value: float | None) -> str:
 
 def unit(text: str) -> str:
     """N^2 -> N²; nothing for what has no unit."""
-    return "" if text in ("", "1") else re.sub(r"\^(-?\d+)", lambda found: found[1].translate(_SUPERSCRIPT), clean(text))
+    return (
+        ""
+        if text in ("", "1")
+        else re.sub(r"\^(-?\d+)", lambda found: found[1].translate(_SUPERSCRIPT), clean(text))
+    )
 
 
 def measured(value: float | None, of: str) -> str:
-    """A value with its unit; of a norm over several units they stand in brackets: 0.11 m, 0.037 (m, rad)."""
+    """A value with its unit.
+
+    Of a norm over several units they stand in brackets: 0.11 m, 0.037 (m, rad).
+    """
     return with_unit(error(value), of)
 
 
@@ -170,7 +205,11 @@ def seconds(value: float | None) -> str:
     """Seconds with two digits after the point, fewer of what is long, two significant ones of what is short."""
     if value is None:
         return DASH
-    return number(value, 2) if value < 0.0995 else _grouped(f"{value:.2f}" if value < 99.5 else f"{value:.0f}")
+    return (
+        number(value, 2)
+        if value < 0.0995
+        else _grouped(f"{value:.2f}" if value < 99.5 else f"{value:.0f}")
+    )
 
 
 def percent(value: float | None) -> str:
@@ -190,11 +229,22 @@ def times(ratio: float) -> str:
 
 def ratio(value: float) -> str:
     """A cost over the best, in four characters: 1, 1.03, 2.4, 56."""
-    return "1" if value < 1.0005 else f"{value:.2f}" if value < 9.995 else f"{value:.0f}" if value < 999.5 else ">999"
+    return (
+        "1"
+        if value < 1.0005
+        else f"{value:.2f}"
+        if value < 9.995
+        else f"{value:.0f}"
+        if value < 999.5
+        else ">999"
+    )
 
 
 def exact(value: float) -> str:
-    """A number for a program that reads the page: ten digits; all of them are in results.csv and the records."""
+    """A number for a program that reads the page: ten digits.
+
+    All of them are in results.csv and the records.
+    """
     return f"{value:.10g}"
 
 
@@ -241,10 +291,19 @@ def count(amount: int, one: str, many: str | None = None) -> str:
 
 def listing(words: list[str]) -> str:
     """a, b and c."""
-    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1] if words else ""
+    return (
+        words[0]
+        if len(words) == 1
+        else ", ".join(words[:-1]) + " and " + words[-1]
+        if words
+        else ""
+    )
 
 
 def windows(windows: tuple[tuple[str, int, int], ...]) -> str:
     """The steps at which contacts are closed: left 131–178, 227–274; right 276–306."""
     names = list(dict.fromkeys(name for name, _, _ in windows))
-    return "; ".join(f"{name} " + ", ".join(f"{first}–{last}" for other, first, last in windows if other == name) for name in names)
+    return "; ".join(
+        f"{name} " + ", ".join(f"{first}–{last}" for other, first, last in windows if other == name)
+        for name in names
+    )

@@ -1,4 +1,7 @@
-"""Hypothesis tries the same examples in every run and keeps none: what passes here passes again. New ones: `pytest --hypothesis-profile=default`."""
+"""Hypothesis tries the same examples in every run and keeps none: what passes here passes again.
+
+New ones: `pytest --hypothesis-profile=default`.
+"""
 
 import os
 
@@ -10,10 +13,12 @@ from validate.execution.process import usable_cores
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")
 
-# How wide the terminal is in which the tests run decides no test: what they read goes through pipes. A test of widths sets its own.
+# How wide the terminal is in which the tests run decides no test: what they read goes through
+# pipes. A test of widths sets its own.
 os.environ.pop("COLUMNS", None)
 
-# What a test asks for says what it is: a command line is processes, Chromium is a browser. The others are marked where they stand.
+# What a test asks for says what it is: a command line is processes, Chromium is a browser. The
+# others are marked where they stand.
 _MARKS = {"cli": "process", "start_cli": "process", "chromium": "browser"}
 
 

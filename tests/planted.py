@@ -1,9 +1,12 @@
 """Planted defects: one small mistake at a time in a copy of the house, and whether the tests of its room find it.
 
-    python -m tests.planted --seed 1 --draws 50 -j 2          # every room; --room judge for one; --list says what would be planted
+    python -m tests.planted --seed 1 --draws 50 -j 2 # every room; --room judge for one; --list says
+    what would be planted
 
-A seed draws the same defects from the same code: each line that can be wrong once, then a mistake on that line. What does not import is drawn
-again. First come the quick tests that import the file, then the quick ones of the room, then the slow ones; what fails must pass without the defect. The tree itself is never
+A seed draws the same defects from the same code: each line that can be wrong once, then a mistake
+    on that line. What does not import is drawn
+again. First come the quick tests that import the file, then the quick ones of the room, then the
+    slow ones; what fails must pass without the defect. The tree itself is never
 changed: each worker has a copy of it, which is removed at the end, however that comes.
 """
 
@@ -28,20 +31,31 @@ from time import monotonic
 ROOT = Path(__file__).resolve().parents[1]
 # Room -> the files in which mistakes are made, and the tests that answer for them.
 ROOMS = {
-    "judge": (("validate/judge/**/*.py", "validate/fmi/*.py", "validate/tasks/stage.py", "validate/tasks/paper.py"),
-              ("tests/validate/judge/**/*.py", "tests/validate/fmi/*.py", "tests/validate/tasks/test_stage.py", "tests/validate/tasks/test_campaign_violation.py")),
+    "judge": (("validate/judge/**/*.py", "validate/fmi/*.py", "validate/tasks/stage.py",
+               "validate/tasks/paper.py"),
+              ("tests/validate/judge/**/*.py", "tests/validate/fmi/*.py",
+               "tests/validate/tasks/test_stage.py",
+               "tests/validate/tasks/test_campaign_violation.py")),
     "record": (("validate/tasks/*record*.py", "validate/store/results.py", "reports/records/*.py"),
-               ("tests/validate/store/*.py", "tests/validate/tasks/*.py", "tests/validate/plan/test_campaign*.py", "tests/validate/test_campaign_end_to_end.py",
-                "tests/validate/execution/test_campaign_rel*.py", "tests/reports/records/*.py", "tests/reports/test_re*_[!b]*.py")),
-    "certificate": (("formulations/mpec/certificate/*.py",), ("tests/formulations/mpec/**/test_*.py", "tests/formulations/test_methods_mpcc.py")),
+               ("tests/validate/store/*.py", "tests/validate/tasks/*.py",
+                "tests/validate/plan/test_campaign*.py",
+                "tests/validate/test_campaign_end_to_end.py",
+                "tests/validate/execution/test_campaign_rel*.py", "tests/reports/records/*.py",
+                "tests/reports/test_re*_[!b]*.py")),
+    "certificate": (("formulations/mpec/certificate/*.py",),
+                    ("tests/formulations/mpec/**/test_*.py",
+                     "tests/formulations/test_methods_mpcc.py")),
     "proof": (("formulations/proof/*.py",), ("tests/formulations/proof/*.py",)),
     "store": (("validate/store/[!r]*.py", "validate/plan/selection.py"),
-              ("tests/validate/store/*.py", "tests/validate/plan/*.py", "tests/validate/cli/test_c*.py", "tests/validate/cli/test_show*.py",
-               "tests/validate/execution/test_campaign*.py", "tests/validate/execution/test_cell*.py", "tests/validate/tasks/test_profile.py")),
+              ("tests/validate/store/*.py", "tests/validate/plan/*.py",
+               "tests/validate/cli/test_c*.py", "tests/validate/cli/test_show*.py",
+               "tests/validate/execution/test_campaign*.py",
+               "tests/validate/execution/test_cell*.py", "tests/validate/tasks/test_profile.py")),
     "report": (("reports/**/*.py",), ("tests/reports/**/test_*.py",)),
 }  # fmt: skip
 # Longest that the tests of one defect may take [s]; past it they hang, which is an answer too.
-_LONGEST, _HANGS = 1200.0, "it hangs"
+_LONGEST = 1200.0
+_HANGS = "it hangs"
 
 
 Place = ast.expr | ast.stmt
@@ -67,12 +81,23 @@ def _short(text: str) -> str:
 
 
 _OPPOSITE: dict[type[ast.AST], tuple[str, type[ast.AST]]] = {
-    ast.Add: ("sign", ast.Sub), ast.Sub: ("sign", ast.Add), ast.Mult: ("operator", ast.Div), ast.Div: ("operator", ast.Mult),
-    ast.Lt: ("comparison", ast.LtE), ast.LtE: ("comparison", ast.Lt), ast.Gt: ("comparison", ast.Lt), ast.GtE: ("comparison", ast.Gt),
-    ast.Eq: ("comparison", ast.NotEq), ast.NotEq: ("comparison", ast.Eq), ast.Is: ("comparison", ast.IsNot), ast.IsNot: ("comparison", ast.Is),
-    ast.In: ("comparison", ast.NotIn), ast.NotIn: ("comparison", ast.In), ast.And: ("condition", ast.Or), ast.Or: ("condition", ast.And),
+    ast.Add: ("sign", ast.Sub), ast.Sub: ("sign", ast.Add), ast.Mult: ("operator", ast.Div),
+    ast.Div: ("operator", ast.Mult),
+    ast.Lt: ("comparison", ast.LtE), ast.LtE: ("comparison", ast.Lt),
+    ast.Gt: ("comparison", ast.Lt), ast.GtE: ("comparison", ast.Gt),
+    ast.Eq: ("comparison", ast.NotEq), ast.NotEq: ("comparison", ast.Eq),
+    ast.Is: ("comparison", ast.IsNot), ast.IsNot: ("comparison", ast.Is),
+    ast.In: ("comparison", ast.NotIn), ast.NotIn: ("comparison", ast.In),
+    ast.And: ("condition", ast.Or), ast.Or: ("condition", ast.And),
 }  # fmt: skip
-_TWINS = {"max": "min", "min": "max", "any": "all", "all": "any", "maximum": "minimum", "minimum": "maximum"}
+_TWINS = {
+    "max": "min",
+    "min": "max",
+    "any": "all",
+    "all": "any",
+    "maximum": "minimum",
+    "minimum": "maximum",
+}
 # Their arguments may change places.
 _COMMUTE = {*_TWINS, "Max", "hypot", "array_equal", "gcd", "suppress"}
 
@@ -100,20 +125,47 @@ def mistakes(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
             kind, other = _OPPOSITE[type(op)]
             yield kind, ast.BoolOp(other(), values)
             yield "condition", values[0]
-        case ast.If(test=test) | ast.IfExp(test=test) if not (isinstance(test, ast.Name) and test.id == "TYPE_CHECKING"):
+        case ast.If(test=test) | ast.IfExp(test=test) if not (
+            isinstance(test, ast.Name) and test.id == "TYPE_CHECKING"
+        ):
             yield "condition always true", ast.Constant(True)
-        case ast.Constant(value=value) if isinstance(value, (int, float)) and not isinstance(value, bool):
+        case ast.Constant(value=value) if isinstance(value, (int, float)) and not isinstance(
+            value, bool
+        ):
             yield "constant", ast.Constant(2 * value if value else type(value)(1))
         case ast.Subscript(value=value, slice=ast.Constant(value=int(index))):
             yield "index", ast.Subscript(value, ast.Constant(index + 1))
-        case ast.Subscript(value=value, slice=ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int(index)))):
-            yield "index", ast.Subscript(value, ast.Constant(index - 1) if index == 1 else ast.UnaryOp(ast.USub(), ast.Constant(index - 1)))
+        case ast.Subscript(
+            value=value, slice=ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int(index)))
+        ):
+            yield (
+                "index",
+                ast.Subscript(
+                    value,
+                    ast.Constant(index - 1)
+                    if index == 1
+                    else ast.UnaryOp(ast.USub(), ast.Constant(index - 1)),
+                ),
+            )
         case ast.Call(func=func, args=args, keywords=keywords):
-            name = func.id if isinstance(func, ast.Name) else func.attr if isinstance(func, ast.Attribute) else ""
-            if name not in _COMMUTE and len(args) > 1 and not any(isinstance(item, ast.Starred) for item in args[:2]):
+            name = (
+                func.id
+                if isinstance(func, ast.Name)
+                else func.attr
+                if isinstance(func, ast.Attribute)
+                else ""
+            )
+            if (
+                name not in _COMMUTE
+                and len(args) > 1
+                and not any(isinstance(item, ast.Starred) for item in args[:2])
+            ):
                 yield "arguments swapped", ast.Call(func, [args[1], args[0], *args[2:]], keywords)
             for values in _neighbours([item.value for item in keywords]):
-                given = [ast.keyword(item.arg, value) for item, value in zip(keywords, values, strict=True)]
+                given = [
+                    ast.keyword(item.arg, value)
+                    for item, value in zip(keywords, values, strict=True)
+                ]
                 yield "columns exchanged", ast.Call(func, args, given)
             if name == "abs" and len(args) == 1:
                 yield "sign", args[0]
@@ -121,7 +173,13 @@ def mistakes(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
                 other = _TWINS[name]
                 yield (
                     "extreme",
-                    ast.Call(ast.Name(other) if isinstance(func, ast.Name) else ast.Attribute(func.value, other), args, keywords),
+                    ast.Call(
+                        ast.Name(other)
+                        if isinstance(func, ast.Name)
+                        else ast.Attribute(func.value, other),
+                        args,
+                        keywords,
+                    ),
                 )
         case ast.Dict(keys=keys, values=values) if None not in keys:
             for exchanged in _neighbours(values):
@@ -145,7 +203,11 @@ def _places(tree: ast.Module) -> Iterator[ast.AST]:
         for name, value in ast.iter_fields(node):
             if name in ("annotation", "returns", "decorator_list", "type_params"):
                 continue
-            todo += [item for item in (value if isinstance(value, list) else [value]) if isinstance(item, ast.AST)]
+            todo += [
+                item
+                for item in (value if isinstance(value, list) else [value])
+                if isinstance(item, ast.AST)
+            ]
 
 
 def candidates(text: str) -> dict[int, list[tuple[str, Place, str]]]:
@@ -158,7 +220,13 @@ def candidates(text: str) -> dict[int, list[tuple[str, Place, str]]]:
             written = ast.unparse(ast.fix_missing_locations(other))
             if written != ast.unparse(place):
                 found[place.lineno].append(
-                    (kind, place, f"({written})" if isinstance(node, ast.BinOp | ast.BoolOp | ast.Compare) else written)
+                    (
+                        kind,
+                        place,
+                        f"({written})"
+                        if isinstance(node, ast.BinOp | ast.BoolOp | ast.Compare)
+                        else written,
+                    )
                 )
     return found
 
@@ -169,7 +237,9 @@ def replaced(text: str, place: Place, written: str) -> str:
     assert place.end_lineno is not None
     assert place.end_col_offset is not None
     before = b"".join(lines[: place.lineno - 1]) + lines[place.lineno - 1][: place.col_offset]
-    after = lines[place.end_lineno - 1][place.end_col_offset :] + b"".join(lines[place.end_lineno :])
+    after = lines[place.end_lineno - 1][place.end_col_offset :] + b"".join(
+        lines[place.end_lineno :]
+    )
     return (before + written.encode() + after).decode()
 
 
@@ -192,20 +262,32 @@ def drawn(rooms: list[str], seed: int) -> Iterator[Defect]:
             kind, place, written = dice.choice(candidates(texts[path])[line])
             before = ast.get_source_segment(texts[path], place) or ""
             name = path.relative_to(ROOT).as_posix()
-            yield Defect(room, name, line, kind, before, written, replaced(texts[path], place, written))
+            yield Defect(
+                room, name, line, kind, before, written, replaced(texts[path], place, written)
+            )
 
 
 def tests_of(defect: Defect, tree: Path) -> tuple[list[str], list[str]]:
     """Test files of the room: those that import the file or the package it is in, and the others."""
-    every = sorted({path for pattern in ROOMS[defect.room][1] for path in tree.glob(pattern) if path.name.startswith("test_")})
+    every = sorted(
+        {
+            path
+            for pattern in ROOMS[defect.room][1]
+            for path in tree.glob(pattern)
+            if path.name.startswith("test_")
+        }
+    )
     module = defect.path.removesuffix(".py").replace("/", ".")
     package = module.rpartition(".")[0]
     imports = re.compile(
-        rf"^\s*(from|import) ({re.escape(module)}|{re.escape(package)} import .*\b{module.rpartition('.')[2]}\b)", re.MULTILINE
+        rf"^\s*(from|import) ({re.escape(module)}|{re.escape(package)} import .*\b{module.rpartition('.')[2]}\b)",
+        re.MULTILINE,
     )
     near = [path for path in every if imports.search(path.read_text(encoding="utf-8"))]
     names = [path.relative_to(tree).as_posix() for path in near]
-    return names, [name for name in (path.relative_to(tree).as_posix() for path in every) if name not in names]
+    return names, [
+        name for name in (path.relative_to(tree).as_posix() for path in every) if name not in names
+    ]
 
 
 @dataclass(frozen=True)
@@ -234,16 +316,27 @@ def tried(defect: Defect, copy: Path) -> Result | None:
         place.write_text(sound, encoding="utf-8")
     if found and not found[0].startswith(_HANGS):
         named = "::" in found[0]
-        code, said = _run(copy, [*PYTEST, found[0]] if named else [*PYTEST, "--collect-only", *asked])
+        code, said = _run(
+            copy, [*PYTEST, found[0]] if named else [*PYTEST, "--collect-only", *asked]
+        )
         if code != 0:
-            raise SystemExit(f"{found[0]} fails without any defect too; mend it first: {_last_line(said)}")
+            raise SystemExit(
+                f"{found[0]} fails without any defect too; mend it first: {_last_line(said)}"
+            )
     return Result(defect, "".join(found[:1]), monotonic() - began)
 
 
 def who_failed(said: str, copy: Path) -> list[str]:
-    """The tests that pytest names as failed; where its process died instead, the one that its dump of the stack says it was in."""
+    """The tests that pytest names as failed.
+
+    Where its process died instead, the one that its dump of the stack says it was in.
+    """
     failed = re.findall(r"^(?:FAILED|ERROR) ([^\s\[]+\[.*?\](?= - |$)|\S+)", said, re.MULTILINE)
-    inside = re.findall(rf'^  File "{re.escape(str(copy))}/(tests/\S+\.py)", line \d+ in (test_\w+)$', said, re.MULTILINE)
+    inside = re.findall(
+        rf'^  File "{re.escape(str(copy))}/(tests/\S+\.py)", line \d+ in (test_\w+)$',
+        said,
+        re.MULTILINE,
+    )
     return failed or ["::".join(place) for place in inside[:1]] or [_last_line(said)]
 
 
@@ -258,11 +351,18 @@ def _last_line(text: str) -> str:
 
 def _run(copy: Path, words: list[str]) -> tuple[int, str]:
     environment = {
-        **os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
+        **os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1",
+        "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
     }  # fmt: skip
     try:
         done = subprocess.run(
-            [sys.executable, *words], cwd=copy, env=environment, capture_output=True, text=True, timeout=_LONGEST, check=False
+            [sys.executable, *words],
+            cwd=copy,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=_LONGEST,
+            check=False,
         )
     except subprocess.TimeoutExpired:
         return 1, f"{_HANGS}: {_LONGEST:g} s"
@@ -271,7 +371,12 @@ def _run(copy: Path, words: list[str]) -> tuple[int, str]:
 
 def _copy(folder: Path) -> Path:
     """The files of the tree as they are, but for what git ignores."""
-    listed = subprocess.run(["git", "ls-files", "-co", "--exclude-standard", "-z"], cwd=ROOT, capture_output=True, check=True).stdout
+    listed = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard", "-z"],
+        cwd=ROOT,
+        capture_output=True,
+        check=True,
+    ).stdout
     for name in filter(None, listed.decode().split("\0")):
         if (ROOT / name).is_file():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -280,11 +385,17 @@ def _copy(folder: Path) -> Path:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m tests.planted", description="How many planted defects the tests find.")
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.planted", description="How many planted defects the tests find."
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--draws", type=int, default=50)
-    parser.add_argument("--room", choices=list(ROOMS), action="append", help="only this room; may be repeated")
-    parser.add_argument("-j", "--jobs", type=int, default=2, metavar="N", help="so many defects at a time")
+    parser.add_argument(
+        "--room", choices=list(ROOMS), action="append", help="only this room; may be repeated"
+    )
+    parser.add_argument(
+        "-j", "--jobs", type=int, default=2, metavar="N", help="so many defects at a time"
+    )
     parser.add_argument("--list", action="store_true", help="say what would be planted, and stop")
     told = parser.parse_args()
     if told.draws < 1 or told.jobs < 1:
@@ -294,7 +405,10 @@ def main() -> None:
         for _, defect in zip(range(told.draws), stream, strict=False):
             print(f"{defect.room:12} {defect}")
         return
-    with tempfile.TemporaryDirectory(prefix="planted-") as folder, ThreadPoolExecutor(told.jobs) as pool:
+    with (
+        tempfile.TemporaryDirectory(prefix="planted-") as folder,
+        ThreadPoolExecutor(told.jobs) as pool,
+    ):
         lock, copies = Lock(), SimpleQueue[Path]()
         for number in range(told.jobs):
             copies.put(_copy(Path(folder) / str(number)))

@@ -15,9 +15,22 @@ from validate.cli.group import run
 DOCS = Path(__file__).parents[1] / "docs"
 TEXTS = {
     name: (DOCS / f"{name}.md").read_text(encoding="utf-8")
-    for name in ("campaigns", "tutorial", "extending", "equations", "verdict", "robustness", "cosimulation", "mpec", "mjcf")
+    for name in (
+        "campaigns",
+        "tutorial",
+        "extending",
+        "equations",
+        "verdict",
+        "robustness",
+        "cosimulation",
+        "mpec",
+        "mjcf",
+    )
 }
-_BLOCK = re.compile(r"(?:<!-- (?P<mark>\w+)(?:: (?P<word>[^>\n]+))? -->\n)?```(?P<language>\w+)\n(?P<text>.*?)```", re.DOTALL)
+_BLOCK = re.compile(
+    r"(?:<!-- (?P<mark>\w+)(?:: (?P<word>[^>\n]+))? -->\n)?```(?P<language>\w+)\n(?P<text>.*?)```",
+    re.DOTALL,
+)
 
 
 def _words(text: str) -> list[list[str]]:
@@ -29,7 +42,10 @@ def _words(text: str) -> list[list[str]]:
 
 @pytest.fixture
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """An empty folder to work in, importable there and in children; signal handlers are put back."""
+    """An empty folder to work in, importable there and in children.
+
+    Signal handlers are put back.
+    """
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
@@ -68,14 +84,18 @@ def test_every_snippet_runs(name: str, elsewhere: Path, capfd: pytest.CaptureFix
 
 
 def test_the_mistakes_are_those_printed(elsewhere: Path, capfd: pytest.CaptureFixture[str]):
-    (wrong,) = re.findall(r"<!-- file: wrong.toml -->\n```toml\n(.*?)```", TEXTS["campaigns"], re.DOTALL)
+    (wrong,) = re.findall(
+        r"<!-- file: wrong.toml -->\n```toml\n(.*?)```", TEXTS["campaigns"], re.DOTALL
+    )
     (elsewhere / "wrong.toml").write_text(wrong, encoding="utf-8")
     run(["run", "wrong.toml"])
     printed = "".join(f"    {line}\n" for line in capfd.readouterr().err.splitlines())
     assert printed in TEXTS["campaigns"]
 
 
-@pytest.mark.parametrize("place", sorted(set(re.findall(r"`([a-z_.]+:[a-z_]+)`", TEXTS["equations"]))))
+@pytest.mark.parametrize(
+    "place", sorted(set(re.findall(r"`([a-z_.]+:[a-z_]+)`", TEXTS["equations"])))
+)
 def test_an_equation_has_its_function(place: str):
     module, _, name = place.partition(":")
     assert callable(getattr(importlib.import_module(module), name))
@@ -87,17 +107,30 @@ def test_the_rule_lists_every_metric_beside_its_question():
 
     rows = re.findall(r"^\| ([1-6-]) \| [^|]*\| ([^|]*)\|", TEXTS["verdict"], re.MULTILINE)
     told = {name: number for number, names in rows for name in re.findall(r"`(\w+)`", names)}
-    shown = set(re.findall(r"`(\w+)`", re.search(r"^Shown, and judging nothing:.*?\n\n", TEXTS["verdict"], re.MULTILINE | re.DOTALL)[0]))
+    shown = set(
+        re.findall(
+            r"`(\w+)`",
+            re.search(
+                r"^Shown, and judging nothing:.*?\n\n", TEXTS["verdict"], re.MULTILINE | re.DOTALL
+            )[0],
+        )
+    )
     for entry in TABLE:
         number = "-" if entry.question is Question.JUDGE else str(entry.question.number)
-        assert entry.name in shown if entry.question is Question.SHOWN else told.get(entry.name) == number, entry.name
+        assert (
+            entry.name in shown
+            if entry.question is Question.SHOWN
+            else told.get(entry.name) == number
+        ), entry.name
     assert all(f"`{entry.name}`" in TEXTS["verdict"] for entry in FEEDBACK)
 
 
 def test_the_errata_say_what_the_closed_form_says():
     told = re.search(r"- ([\d., ]+) N² at ε = 1e-3, 1e-5, 1e-7", TEXTS["equations"])
     assert told is not None
-    assert [float(number) for number in told[1].split(", ")] == [round(worst_case_violation(30.0, eps), 4) for eps in (1e-3, 1e-5, 1e-7)]
+    assert [float(number) for number in told[1].split(", ")] == [
+        round(worst_case_violation(30.0, eps), 4) for eps in (1e-3, 1e-5, 1e-7)
+    ]
 
 
 @pytest.mark.parametrize("path", sorted(DOCS.glob("*.md")), ids=lambda path: path.name)

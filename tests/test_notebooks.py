@@ -1,7 +1,8 @@
 """The notebooks of docs/examples run as they stand, and show what they say.
 
-Their cells are executed here, in one namespace, and the last expression of each is displayed as a notebook would: no kernel in another process, whose start
-takes longer than most of them, and an error is a plain traceback.
+Their cells are executed here, in one namespace, and the last expression of each is displayed as a
+notebook would: no kernel in another process, whose start takes longer than most of them, and an
+error is a plain traceback.
 """
 
 import ast
@@ -16,15 +17,29 @@ FOLDER = Path(__file__).parents[1] / "docs" / "examples"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 # What the reader is promised to see, by the names in the notebook.
 SEEN = {
-    "judge_your_plan": lambda space: space["verdict"].verdict.value == "violates" and space["metrics"].ok.eq(False).any(),
-    "extend_the_pyomo_model": lambda space: space["second"] > space["first"] and not space["relaxed"].holds and space["verdict"].holds,
-    "solve_an_mpec": lambda space: space["certificate"].holds and abs(space["model"].y.value - 2.0) < 1e-6 and space["pushed"] > 0.01,
-    "compare_methods": lambda space: list(space["table"].verdict) == ["violates", "violates", "holds", "holds"],
+    "judge_your_plan": lambda space: (
+        space["verdict"].verdict.value == "violates" and space["metrics"].ok.eq(False).any()
+    ),
+    "extend_the_pyomo_model": lambda space: (
+        space["second"] > space["first"] and not space["relaxed"].holds and space["verdict"].holds
+    ),
+    "solve_an_mpec": lambda space: (
+        space["certificate"].holds
+        and abs(space["model"].y.value - 2.0) < 1e-6
+        and space["pushed"] > 0.01
+    ),
+    "compare_methods": lambda space: (
+        list(space["table"].verdict) == ["violates", "violates", "holds", "holds"]
+    ),
 }
 
 
 def cells(path: Path, kind: str) -> list[dict[str, Any]]:
-    return [cell for cell in json.loads(path.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == kind]
+    return [
+        cell
+        for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]
+        if cell["cell_type"] == kind
+    ]
 
 
 def run(source: str, space: dict[str, Any], name: str) -> Any:
@@ -37,7 +52,9 @@ def run(source: str, space: dict[str, Any], name: str) -> Any:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs_and_shows_what_it_says(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_notebook_runs_and_shows_what_it_says(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     pytest.importorskip("matplotlib").use("Agg")
     from matplotlib import pyplot
 

@@ -20,9 +20,15 @@ ROWS = re.findall(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "package", [name if name in ("numpy", "mujoco") else pytest.param(name, marks=pytest.mark.peer) for name in EXAMPLES]
+    "package",
+    [
+        name if name in ("numpy", "mujoco") else pytest.param(name, marks=pytest.mark.peer)
+        for name in EXAMPLES
+    ],
 )
-def test_an_example_writes_a_plan_with_the_verdict_of_the_page(package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_an_example_writes_a_plan_with_the_verdict_of_the_page(
+    package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     pytest.importorskip("pydrake" if package == "drake" else package)
     verdict, cost, error = {name: told for name, *told in ROWS}[package]
     monkeypatch.chdir(tmp_path)
@@ -35,4 +41,8 @@ def test_an_example_writes_a_plan_with_the_verdict_of_the_page(package: str, tmp
 
 
 def test_every_example_has_its_row():
-    assert sorted(name for name, *_ in ROWS) == EXAMPLES == ["casadi", "crocoddyl", "drake", "mujoco", "numpy", "pydrake"]
+    assert (
+        sorted(name for name, *_ in ROWS)
+        == EXAMPLES
+        == ["casadi", "crocoddyl", "drake", "mujoco", "numpy", "pydrake"]
+    )

@@ -22,17 +22,24 @@ def f(a: int = 3, *, b: float) -> list[int]:
 
 def written(line: int) -> set[tuple[str, str]]:
     """(kind, the line with the mistake)"""
-    return {(kind, replaced(TEXT, place, text).splitlines()[line - 1].strip()) for kind, place, text in candidates(TEXT)[line]}
+    return {
+        (kind, replaced(TEXT, place, text).splitlines()[line - 1].strip())
+        for kind, place, text in candidates(TEXT)[line]
+    }
 
 
 def alike(some: list[str], others: list[str]) -> int:
     """How many lines are the same from the beginning on."""
-    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(some, others, strict=False)))
+    return sum(
+        1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(some, others, strict=False))
+    )
 
 
 def test_mistakes_of_every_kind_are_written_where_they_belong():
     assert 1 not in candidates(TEXT), "a docstring computes nothing"
-    assert written(3) == {("constant", "def f(a: int = 6, *, b: float) -> list[int]:")}, "annotations compute nothing"
+    assert written(3) == {("constant", "def f(a: int = 6, *, b: float) -> list[int]:")}, (
+        "annotations compute nothing"
+    )
     assert ("sign", 's = "ü" + str((a + 2))') in written(4)
     assert ("dropped term", 's = "ü" + str((a))') in written(4)
     assert {
@@ -58,12 +65,17 @@ def test_a_mistake_is_on_one_line_and_can_be_read():
         before, after = sound.splitlines(), defect.source.splitlines()
         begin = alike(before, after)
         end = alike(before[begin:][::-1], after[begin:][::-1])
-        assert len(after) - begin - end == 1, "an expression may be of several lines, and is written on one; all else stays"
+        assert len(after) - begin - end == 1, (
+            "an expression may be of several lines, and is written on one; all else stays"
+        )
 
 
 @pytest.mark.slow
 def test_a_seed_draws_the_same_and_another_one_others():
-    first, again, other = ([str(defect) for defect in islice(drawn(["judge", "store"], seed), 30)] for seed in (1, 1, 2))
+    first, again, other = (
+        [str(defect) for defect in islice(drawn(["judge", "store"], seed), 30)]
+        for seed in (1, 1, 2)
+    )
     assert first == again
     assert len(set(first) & set(other)) < 5
     assert len(set(first)) == 30
@@ -89,11 +101,14 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize(
     ("source", "says"),
     [
-        ("def f(:\n", None), ("import no_such_module\n", None), ("X = 2\n", "tests/test_x.py::test_x[a name, of - words]"),
+        ("def f(:\n", None), ("import no_such_module\n", None),
+        ("X = 2\n", "tests/test_x.py::test_x[a name, of - words]"),
         ("X = 3\n", "tests/test_x.py::test_x"), ("X = 1\n", ""),
     ],
 )  # fmt: skip
-def test_what_fails_is_named_what_does_not_import_is_drawn_again_and_the_file_is_as_before(source, says, own):
+def test_what_fails_is_named_what_does_not_import_is_drawn_again_and_the_file_is_as_before(
+    source, says, own
+):
     (own / "tests" / "test_x.py").write_text(
         'import os, pytest\nfrom own import X\n\n@pytest.mark.parametrize("y", [1], ids=["a name, of - words"])\ndef test_x(y):\n'
         "    if X == 3:\n        os.abort()\n    assert X == y\n",
@@ -106,12 +121,20 @@ def test_what_fails_is_named_what_does_not_import_is_drawn_again_and_the_file_is
 
 @pytest.mark.slow
 def test_a_test_that_fails_anyway_ends_the_draw(own: Path):
-    (own / "tests" / "test_x.py").write_text("from own import X\n\ndef test_x():\n    assert X == 3\n", encoding="utf-8")
+    (own / "tests" / "test_x.py").write_text(
+        "from own import X\n\ndef test_x():\n    assert X == 3\n", encoding="utf-8"
+    )
     with pytest.raises(SystemExit, match="fails without any defect too"):
         tried(Defect("own", "own.py", 1, "constant", "1", "2", "X = 2\n"), own)
 
 
 def test_the_tests_start_as_a_draw_starts_them():
     """Without pytest-xdist, whose hooks conftest.py must not ask for."""
-    said = subprocess.run([sys.executable, *PYTEST, "--collect-only", __file__], cwd=ROOT, capture_output=True, text=True, check=False)
+    said = subprocess.run(
+        [sys.executable, *PYTEST, "--collect-only", __file__],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert said.returncode == 0, said.stdout + said.stderr

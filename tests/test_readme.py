@@ -15,8 +15,11 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 SNIPPETS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
 
-# The last number each snippet prints: the replay error [m] of the solved plan; the cost of softplus collocation with a row that binds (197.86 without); y of the nearest point (0, 2).
-@pytest.mark.parametrize(("snippet", "printed"), list(zip(SNIPPETS, (6.8386e-3, 205.04, 2.0), strict=True)))
+# The last number each snippet prints: the replay error [m] of the solved plan; the cost of softplus
+# collocation with a row that binds (197.86 without); y of the nearest point (0, 2).
+@pytest.mark.parametrize(
+    ("snippet", "printed"), list(zip(SNIPPETS, (6.8386e-3, 205.04, 2.0), strict=True))
+)
 def test_a_snippet_runs(snippet: str, printed: float, capsys):
     exec(compile(snippet, "README.md", "exec"), {})
     assert float(capsys.readouterr().out.split()[-1]) == pytest.approx(printed, rel=1e-3)
@@ -42,7 +45,11 @@ def test_links_lead_somewhere():
 def test_results_are_those_of_the_committed_campaign():
     """In docs/results.md all of them, here some."""
     table = results_table()
-    head, *rows = [line for line in README.splitlines() if line.startswith("|") and line.count("|") == table.splitlines()[0].count("|")]
+    head, *rows = [
+        line
+        for line in README.splitlines()
+        if line.startswith("|") and line.count("|") == table.splitlines()[0].count("|")
+    ]
     assert head == table.splitlines()[0]
     assert len(rows) > 5
     assert set(rows) < set(table.splitlines())

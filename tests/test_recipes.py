@@ -58,8 +58,16 @@ def in_the_package(folder: Path, monkeypatch: pytest.MonkeyPatch):
 
 def conformance(module: ModuleType, names: tuple[str, ...]) -> dict[str, Callable[[str], None]]:
     """The tests of a module that are asked of each of these names."""
-    marked = {name: getattr(test, "pytestmark", ()) for name, test in vars(module).items() if name.startswith("test_")}
-    return {name: getattr(module, name) for name, marks in marked.items() if any(mark.args == ("name", names) for mark in marks)}
+    marked = {
+        name: getattr(test, "pytestmark", ())
+        for name, test in vars(module).items()
+        if name.startswith("test_")
+    }
+    return {
+        name: getattr(module, name)
+        for name, marks in marked.items()
+        if any(mark.args == ("name", names) for mark in marks)
+    }
 
 
 OF_SCENES = conformance(asked_of_scenes, scene_names())
@@ -73,7 +81,9 @@ def test_the_scene_is_one_of_the_bank(folder: Path, test):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("test", OF_METHODS.values(), ids=OF_METHODS)
-def test_the_method_is_one_of_the_package(in_the_package: None, test, monkeypatch: pytest.MonkeyPatch):
+def test_the_method_is_one_of_the_package(
+    in_the_package: None, test, monkeypatch: pytest.MonkeyPatch
+):
     for names in ("ALL", "PLANS"):
         monkeypatch.setattr(asked_of_methods, names, ("steady",))
     assert formulations.pipelines.method_names() == ("steady",)
@@ -95,7 +105,9 @@ def test_a_file_with_a_method_is_a_plugin(folder: Path):
     assert plugin.load_method("mpcc") is DEFAULT.load_method("mpcc")
     smooth = load_plugin("smooth_gd").pipelines_for(load_scene("three_cart"))[0]
     assert smooth == Pipeline(
-        name="smooth_gd", title="Smooth inputs", legs=(Leg(method="smooth_gd", schedule=(1e-2,), options={"iterations": 500}),)
+        name="smooth_gd",
+        title="Smooth inputs",
+        legs=(Leg(method="smooth_gd", schedule=(1e-2,), options={"iterations": 500}),),
     )
 
 
@@ -103,12 +115,18 @@ def test_a_file_with_a_method_is_a_plugin(folder: Path):
     ("name", "text", "parts"),
     [
         ("empty_plugin", "", ("empty_plugin has no METHOD",)),
-        ("soft_plugin", FILES["smooth_gd.py"].replace("PIPELINE =", "OTHER ="), ("smooth_gd needs eps", "define PIPELINE")),
+        (
+            "soft_plugin",
+            FILES["smooth_gd.py"].replace("PIPELINE =", "OTHER ="),
+            ("smooth_gd needs eps", "define PIPELINE"),
+        ),
         ("odd_plugin", "METHOD = 1", ("no METHOD", "formulations.method.Method")),
         ("odd_name", "PLUGIN = 1", ("odd_name has no", "METHOD")),
     ],
 )
-def test_a_plugin_that_is_none_is_refused(folder: Path, name: str, text: str, parts: tuple[str, ...]):
+def test_a_plugin_that_is_none_is_refused(
+    folder: Path, name: str, text: str, parts: tuple[str, ...]
+):
     (folder / f"{name}.py").write_text(text, encoding="utf-8")
     with pytest.raises(UnknownNameError) as refused:
         load_plugin(name)
@@ -118,7 +136,10 @@ def test_a_plugin_that_is_none_is_refused(folder: Path, name: str, text: str, pa
 @pytest.mark.parametrize("field", [field.name for field in fields(DEFAULT)])
 def test_a_plugin_whose_parts_are_of_another_kind_is_refused(field: str):
     for wrong in (None, "strict", ("strict", 1), 3):
-        with pytest.raises(TouchstoneError, match=rf"^Plugin: {field} is .*, but must be a .*; without it ours is used\.$"):
+        with pytest.raises(
+            TouchstoneError,
+            match=rf"^Plugin: {field} is .*, but must be a .*; without it ours is used\.$",
+        ):
             replace(DEFAULT, **{field: wrong})
 
 
@@ -136,9 +157,26 @@ def test_the_metric_and_the_page_are_in_a_campaign(folder: Path):
     for place, line, added in _BELOW.findall(TEXT):
         text = (copy / place).read_text(encoding="utf-8")
         assert text.count(f"\n{line}\n") == 1, (place, line)
-        (copy / place).write_text(text.replace(f"\n{line}\n", f"\n{line}\n{added}"), encoding="utf-8")
-    words = [sys.executable, "-m", "validate", "run", str(folder / "rate.toml"), "--out", str(folder / "out")]
-    done = subprocess.run(words, cwd=copy, env=os.environ | {"PYTHONPATH": str(copy)}, capture_output=True, text=True, check=False)
+        (copy / place).write_text(
+            text.replace(f"\n{line}\n", f"\n{line}\n{added}"), encoding="utf-8"
+        )
+    words = [
+        sys.executable,
+        "-m",
+        "validate",
+        "run",
+        str(folder / "rate.toml"),
+        "--out",
+        str(folder / "out"),
+    ]
+    done = subprocess.run(
+        words,
+        cwd=copy,
+        env=os.environ | {"PYTHONPATH": str(copy)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert "Traceback" not in done.stderr, done.stderr
     assert done.returncode == 1, done.stdout + done.stderr
     with (folder / "out" / "results.csv").open(encoding="utf-8") as file:
@@ -146,8 +184,15 @@ def test_the_metric_and_the_page_are_in_a_campaign(folder: Path):
     assert (free["verdict"], limited["verdict"]) == ("holds", "violates")
     assert float(limited["input_rate"]) == float(free["input_rate"]) > 10.0
     stored = load(folder / "out")
-    assert [run.stages[0].why.startswith("its inputs change by 19.1 N/s, limit 10 N/s") for run in stored.runs] == [False, True]
+    assert [
+        run.stages[0].why.startswith("its inputs change by 19.1 N/s, limit 10 N/s")
+        for run in stored.runs
+    ] == [False, True]
     pages = {path: path.read_text(encoding="utf-8") for path in (folder / "out").rglob("*.html")}
     assert any("largest change of an input" in text for text in pages.values())
-    sections = [found[0] for text in pages.values() for found in re.finditer(r'<section id="cheapest".*?</section>', text, re.DOTALL)]
+    sections = [
+        found[0]
+        for text in pages.values()
+        for found in re.finditer(r'<section id="cheapest".*?</section>', text, re.DOTALL)
+    ]
     assert ["542.56" in section for section in sections] == [True]

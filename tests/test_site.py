@@ -24,11 +24,17 @@ ROOT = Path(__file__).parents[1]
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("mkdocs", "material", "mkdocstrings"):
-        pytest.importorskip(name, reason="the site is built by the extra [docs]: pip install -e '.[docs]'")
+        pytest.importorskip(
+            name, reason="the site is built by the extra [docs]: pip install -e '.[docs]'"
+        )
     folder = tmp_path_factory.mktemp("site")
     words = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
     campaign = factory.store(tmp_path_factory.mktemp("campaign") / "all", factory.runs())
-    there = os.environ | {"PYTHONPATH": str(ROOT), "NO_MKDOCS_2_WARNING": "1", "TOUCHSTONE_CAMPAIGN": str(campaign)}
+    there = os.environ | {
+        "PYTHONPATH": str(ROOT),
+        "NO_MKDOCS_2_WARNING": "1",
+        "TOUCHSTONE_CAMPAIGN": str(campaign),
+    }
     done = subprocess.run(words, cwd=ROOT, env=there, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return folder
@@ -43,13 +49,15 @@ def test_a_page_fetches_nothing_from_a_network(site: Path):
     assert len(pages) > 30
     for page in pages:
         text = page.read_text(encoding="utf-8")
-        fetched = re.findall(r"<(?:script|img|iframe|source)\b[^>]*?\bsrc=\"?([^\" >]+)", text) + re.findall(
-            r"<link\b[^>]*?\bhref=\"?([^\" >]+)", text
-        )
+        fetched = re.findall(
+            r"<(?:script|img|iframe|source)\b[^>]*?\bsrc=\"?([^\" >]+)", text
+        ) + re.findall(r"<link\b[^>]*?\bhref=\"?([^\" >]+)", text)
         assert fetched or page.parent.name == "players"
         assert not [address for address in fetched if "//" in address], page
     for style in site.rglob("*.css"):
-        assert not re.findall(r"url\(\"?https?://|@import", style.read_text(encoding="utf-8")), style
+        assert not re.findall(r"url\(\"?https?://|@import", style.read_text(encoding="utf-8")), (
+            style
+        )
 
 
 def test_search_works_from_a_folder(site: Path):
@@ -60,7 +68,14 @@ def test_search_works_from_a_folder(site: Path):
 @pytest.mark.parametrize("name", scene_names())
 def test_a_scene_says_what_its_file_says(site: Path, name: str):
     scene, text = load_scene(name), text_of(site / "scenes" / f"{name}.html")
-    for item in (*scene.coordinates, *scene.inputs, *scene.parameters, *scene.contacts, *scene.frictions, *scene.shapes):
+    for item in (
+        *scene.coordinates,
+        *scene.inputs,
+        *scene.parameters,
+        *scene.contacts,
+        *scene.frictions,
+        *scene.shapes,
+    ):
         assert item.name in text, item.name
     for limit in scene.limits:
         assert limit.metric in text
@@ -70,7 +85,9 @@ def test_a_scene_says_what_its_file_says(site: Path, name: str):
 
 
 def test_the_gallery_has_the_plans_of_a_campaign_in_motion(site: Path):
-    assert re.findall(r'<iframe[^>]*src="([^"]+)"', (site / "players.html").read_text(encoding="utf-8")) == ["players/three_cart.html"]
+    assert re.findall(
+        r'<iframe[^>]*src="([^"]+)"', (site / "players.html").read_text(encoding="utf-8")
+    ) == ["players/three_cart.html"]
     frame = (site / "players" / "three_cart.html").read_text(encoding="utf-8")
     assert "data-player" in frame
     assert "The cheapest plan that holds: " in frame
@@ -84,10 +101,19 @@ def test_what_there_is_is_listed(site: Path):
 
 
 def test_the_public_names_have_their_place(site: Path):
-    pages = {page.stem: page.read_text(encoding="utf-8") for page in (site / "reference").glob("*.html")}
+    pages = {
+        page.stem: page.read_text(encoding="utf-8") for page in (site / "reference").glob("*.html")
+    }
     headings = {page: re.findall(r"<h[2-6] id=\"?([\w.]+)", text) for page, text in pages.items()}
     for page, names in (
-        ("touchstone", [touchstone._HOME.get(name, ("", name))[1] for name in touchstone.__all__ if name not in ("Scene", "Trajectory")]),
+        (
+            "touchstone",
+            [
+                touchstone._HOME.get(name, ("", name))[1]
+                for name in touchstone.__all__
+                if name not in ("Scene", "Trajectory")
+            ],
+        ),
         ("models", ["Scene", "Trajectory", "load_scene", "derive"]),
         ("formulations", formulations.__all__),
         ("formulations.mpec", formulations.mpec.__all__),

@@ -22,20 +22,44 @@ ROOT = Path(__file__).parents[1]
 
 def python(code: str, folder: Path, *, path: str = str(ROOT)) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": path}
-    return subprocess.run([sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 @pytest.mark.process
 def test_importing_it_imports_neither_solvers_nor_simulators(tmp_path: Path):
-    heavy = "pyomo", "torch", "casadi", "fmpy", "sympy", "scipy", "h5py", "pydantic", "pandas", "matplotlib", "click"
-    found = python(f"import sys, touchstone; print([name for name in {heavy} if name in sys.modules])", tmp_path)
+    heavy = (
+        "pyomo",
+        "torch",
+        "casadi",
+        "fmpy",
+        "sympy",
+        "scipy",
+        "h5py",
+        "pydantic",
+        "pandas",
+        "matplotlib",
+        "click",
+    )
+    found = python(
+        f"import sys, touchstone; print([name for name in {heavy} if name in sys.modules])",
+        tmp_path,
+    )
     assert found.stdout == "[]\n", found.stderr
 
 
 @pytest.mark.slow
 @pytest.mark.process
 @pytest.mark.parametrize("package", ["touchstone", "formulations"])
-@pytest.mark.parametrize("first", ["import {}; import pyomo.environ as pyo", "import pyomo.environ as pyo; import {}"])
+@pytest.mark.parametrize(
+    "first", ["import {}; import pyomo.environ as pyo", "import pyomo.environ as pyo; import {}"]
+)
 def test_it_registers_both_solvers_before_and_after_pyomo(first: str, package: str, tmp_path: Path):
     code = f"""{first.format(package)}
 import sys
@@ -124,13 +148,37 @@ def test_a_scene_is_itself():
 @pytest.mark.parametrize(
     ("call", "kind", "parts"),
     [
-        (lambda: ts.solve("three_cart", "softplus_dc"), OptionError, ("softplus_dc", "eps", "0 < eps < 1")),
-        (lambda: ts.solve("three_cart", "strict_lcpp"), UnknownNameError, ("'strict_lcpp'", "did you mean strict_lcp")),
-        (lambda: ts.solve("three_cart", "nothing_like_it"), UnknownNameError, ("pipelines", "methods", "mpcc")),
-        (lambda: ts.solve("three_cart", "softplus_dc+strict", eps=1e-3), OptionError, ("pipeline softplus_dc+strict", "leave them out")),
+        (
+            lambda: ts.solve("three_cart", "softplus_dc"),
+            OptionError,
+            ("softplus_dc", "eps", "0 < eps < 1"),
+        ),
+        (
+            lambda: ts.solve("three_cart", "strict_lcpp"),
+            UnknownNameError,
+            ("'strict_lcpp'", "did you mean strict_lcp"),
+        ),
+        (
+            lambda: ts.solve("three_cart", "nothing_like_it"),
+            UnknownNameError,
+            ("pipelines", "methods", "mpcc"),
+        ),
+        (
+            lambda: ts.solve("three_cart", "softplus_dc+strict", eps=1e-3),
+            OptionError,
+            ("pipeline softplus_dc+strict", "leave them out"),
+        ),
         (lambda: ts.solve("three_cart", "mpcc", wrong=1), OptionError, ("mpcc", "'wrong'")),
-        (lambda: ts.solve("three_cart", "mpcc", start="no_such.csv"), TouchstoneError, ("no_such.csv",)),
-        (lambda: ts.solve("three_cart", "mpcc", start=7), TouchstoneError, ("int is no plan", "CSV")),
+        (
+            lambda: ts.solve("three_cart", "mpcc", start="no_such.csv"),
+            TouchstoneError,
+            ("no_such.csv",),
+        ),
+        (
+            lambda: ts.solve("three_cart", "mpcc", start=7),
+            TouchstoneError,
+            ("int is no plan", "CSV"),
+        ),
         (lambda: ts.scene("three_carts"), TouchstoneError, ("three_carts", "three_cart")),
         (lambda: ts.judge("three_cart", "plan.csv", map="map.toml"), SceneError, ("map", "FMU")),
         (lambda: ts.read_plan("no_such.csv", "three_cart"), TouchstoneError, ("no_such.csv",)),
@@ -141,23 +189,45 @@ def test_a_scene_is_itself():
         (lambda: ts.campaign(""), TouchstoneError, ("out: '' must be a name",)),
         (lambda: ts.campaign("out", select=3), TouchstoneError, ("select: 3",)),
         (lambda: ts.campaign("out", jobs=1.5), TouchstoneError, ("jobs: 1.5", "whole number")),
-        (lambda: ts.campaign("out", time_limit=float("nan")), TouchstoneError, ("time_limit: nan", "seconds")),
+        (
+            lambda: ts.campaign("out", time_limit=float("nan")),
+            TouchstoneError,
+            ("time_limit: nan", "seconds"),
+        ),
         (lambda: ts.solve(3, "mpcc"), SceneError, ("a int is no scene",)),
         (lambda: ts.solve("three_cart", []), UnknownNameError, ("'[]'", "mpcc")),
-        (lambda: ts.solve("three_cart", "mpcc", time_limit="x"), TouchstoneError, ("time_limit: 'x'", "seconds")),
+        (
+            lambda: ts.solve("three_cart", "mpcc", time_limit="x"),
+            TouchstoneError,
+            ("time_limit: 'x'", "seconds"),
+        ),
         (lambda: ts.read_plan("plan.csv", None), SceneError, ("NoneType is no scene",)),
         (lambda: ts.robustness([], {}), SceneError, ("list is no scene",)),
         (lambda: ts.export_fmu(3, "out.fmu"), SceneError, ("a int is no scene",)),
         (lambda: ts.export_fmu("hopper", None), TouchstoneError, ("path: None",)),
         (lambda: ts.check(None), TouchstoneError, ("fmu: None",)),
         (lambda: ts.check("a.fmu", seconds=-1), TouchstoneError, ("seconds: -1", "positive")),
-        (lambda: resting().to_dataframe("three_cart"), TouchstoneError, ("a str is no scene", "touchstone.scene")),
-        (lambda: ts.robustness("three_cart", columns(), hold="q", anyway=True), TouchstoneError, ("hold 'q'", "zero or linear")),
+        (
+            lambda: resting().to_dataframe("three_cart"),
+            TouchstoneError,
+            ("a str is no scene", "touchstone.scene"),
+        ),
+        (
+            lambda: ts.robustness("three_cart", columns(), hold="q", anyway=True),
+            TouchstoneError,
+            ("hold 'q'", "zero or linear"),
+        ),
         (lambda: ts.judge("three_cart", {**columns(), "q1": {0: 1.0}}), TouchstoneError, ("q1",)),
     ],
     ids=lambda value: "",
 )
-def test_a_mistake_is_one_sentence(call, kind: type[Exception], parts: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_mistake_is_one_sentence(
+    call,
+    kind: type[Exception],
+    parts: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(kind) as caught:
         call()
@@ -171,12 +241,29 @@ def test_a_table_has_the_columns_of_a_csv():
     scene = ts.scene("three_cart")
     t = np.linspace(0.0, 1.0, 3)
     q, v = np.arange(9.0).reshape(3, 3), 10.0 + np.arange(9.0).reshape(3, 3)
-    trajectory = ts.Trajectory(t=t, q=q, v=v, u=np.array([[1.0, 2.0], [3.0, 4.0]]), lam=np.array([[5.0, 6.0], [7.0, 8.0]]))
+    trajectory = ts.Trajectory(
+        t=t, q=q, v=v, u=np.array([[1.0, 2.0], [3.0, 4.0]]), lam=np.array([[5.0, 6.0], [7.0, 8.0]])
+    )
     table = trajectory.to_dataframe(scene)
-    assert list(table) == ["t", "q1", "q2", "q3", "v1", "v2", "v3", "u1", "u3", "lam_left", "lam_right"]
+    assert list(table) == [
+        "t",
+        "q1",
+        "q2",
+        "q3",
+        "v1",
+        "v2",
+        "v3",
+        "u1",
+        "u3",
+        "lam_left",
+        "lam_right",
+    ]
     assert table.iloc[1].tolist() == [0.5, 3.0, 4.0, 5.0, 13.0, 14.0, 15.0, 3.0, 4.0, 7.0, 8.0]
     assert table.iloc[2, 7:].isna().all()
-    assert repr(trajectory) == "Trajectory(2 steps, 1 s, 3 positions, 2 inputs, 2 contact forces, zero_order, no scheme declared)"
+    assert (
+        repr(trajectory)
+        == "Trajectory(2 steps, 1 s, 3 positions, 2 inputs, 2 contact forces, zero_order, no scheme declared)"
+    )
 
 
 @pytest.mark.slow
@@ -196,7 +283,10 @@ def test_arrays_by_name_are_judged_on_somebodys_fmu(tmp_path: Path):
     t = np.linspace(0.0, 0.5, 51)
     columns = {"t": t, "u1": np.sin(t)[:-1], "u3": np.cos(t)[:-1]}
     arrays = ts.judge(fmu, columns)
-    padded = {name: np.append(values, np.nan) if len(values) < len(t) else values for name, values in columns.items()}
+    padded = {
+        name: np.append(values, np.nan) if len(values) < len(t) else values
+        for name, values in columns.items()
+    }
     frame = pandas.DataFrame(padded)
     frame.to_csv(tmp_path / "plan.csv", index=False)
     assert str(arrays).startswith("not applicable: inputs alone claim nothing")
@@ -204,12 +294,23 @@ def test_arrays_by_name_are_judged_on_somebodys_fmu(tmp_path: Path):
         assert str(again) == str(arrays)
         assert np.array_equal(again.replay.q, arrays.replay.q)
     with pytest.raises(TouchstoneError, match=r"no names.*FMU.*arrays by column name"):
-        ts.judge(fmu, ts.Trajectory(t=t, q=np.zeros((51, 3)), v=np.zeros((51, 3)), u=np.zeros((50, 2)), lam=np.zeros((50, 2))))
+        ts.judge(
+            fmu,
+            ts.Trajectory(
+                t=t,
+                q=np.zeros((51, 3)),
+                v=np.zeros((51, 3)),
+                u=np.zeros((50, 2)),
+                lam=np.zeros((50, 2)),
+            ),
+        )
 
 
 @pytest.mark.process
 @pytest.mark.parametrize("name", ["models", "formulations", "validate", "reports"])
-@pytest.mark.parametrize("code", ["import touchstone", "import runpy; runpy.run_module('touchstone')"])
+@pytest.mark.parametrize(
+    "code", ["import touchstone", "import runpy; runpy.run_module('touchstone')"]
+)
 def test_a_package_of_the_same_name_is_named_in_one_sentence(name: str, code: str, tmp_path: Path):
     (tmp_path / name).mkdir()
     (tmp_path / name / "__init__.py").write_text("")
@@ -227,7 +328,12 @@ def test_a_command_says_so_too(name: str, tmp_path: Path):
     (tmp_path / name / "__init__.py").write_text("")
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     found = subprocess.run(
-        [sys.executable, "-m", "validate", "list"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "validate", "list"],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert (found.returncode, found.stdout) == (2, "")
     assert found.stderr.startswith("touchstone needs its own package")

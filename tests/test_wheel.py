@@ -14,11 +14,17 @@ PARTS = ("models", "formulations", "validate", "reports", "touchstone.py", "touc
 
 
 def pip(*words: str) -> None:
-    subprocess.run([sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", *words], check=True, capture_output=True)
+    subprocess.run(
+        [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", *words],
+        check=True,
+        capture_output=True,
+    )
 
 
 def tracked(*paths: str) -> list[str]:
-    return subprocess.run(["git", "-C", str(ROOT), "ls-files", *paths], check=True, capture_output=True, text=True).stdout.splitlines()
+    return subprocess.run(
+        ["git", "-C", str(ROOT), "ls-files", *paths], check=True, capture_output=True, text=True
+    ).stdout.splitlines()
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +43,13 @@ def site(wheel: Path) -> Path:
     return folder
 
 
-def called(site: Path, folder: Path, *command: str, before: str = "") -> subprocess.CompletedProcess[str]:
+def called(
+    site: Path, folder: Path, *command: str, before: str = ""
+) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": f"{before}{site}"}
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
 
 
 @pytest.mark.slow
@@ -58,7 +68,10 @@ def test_its_command_works_in_a_folder_with_packages_of_the_same_names(site: Pat
     assert (listed.returncode, listed.stderr) == (0, "")
     assert "three_cart" in listed.stdout
     wrong = called(site, tmp_path, sys.executable, str(site / "bin" / "touchstone"), "lsit")
-    assert (wrong.returncode, wrong.stderr) == (2, "error: there is no command 'lsit'; did you mean list?\n")
+    assert (wrong.returncode, wrong.stderr) == (
+        2,
+        "error: there is no command 'lsit'; did you mean list?\n",
+    )
 
 
 @pytest.mark.slow
@@ -68,17 +81,33 @@ def test_a_command_says_what_clashes(site: Path, tmp_path: Path, name: str, comm
     """PYTHONPATH comes before what is installed."""
     (tmp_path / name).mkdir()
     (tmp_path / name / "__init__.py").write_text("raise RuntimeError\n")
-    found = called(site, tmp_path, sys.executable, str(site / "bin" / command), "list", before=f"{tmp_path}{os.pathsep}")
+    found = called(
+        site,
+        tmp_path,
+        sys.executable,
+        str(site / "bin" / command),
+        "list",
+        before=f"{tmp_path}{os.pathsep}",
+    )
     assert (found.returncode, found.stdout) == (2, "")
     (sentence,) = found.stderr.splitlines()
-    for part in (f"own package {name!r} in {site}", str(tmp_path / name), "rename yours", "PYTHONPATH"):
+    for part in (
+        f"own package {name!r} in {site}",
+        str(tmp_path / name),
+        "rename yours",
+        "PYTHONPATH",
+    ):
         assert part in sentence
 
 
 @pytest.mark.slow
 def test_the_installed_face_is_the_wheel_s_own(site: Path, tmp_path: Path):
     found = called(
-        site, tmp_path, sys.executable, "-c", "import touchstone; print(touchstone.__file__, 'three_cart' in touchstone.scenes())"
+        site,
+        tmp_path,
+        sys.executable,
+        "-c",
+        "import touchstone; print(touchstone.__file__, 'three_cart' in touchstone.scenes())",
     )
     assert found.stdout.split() == [str(site / "touchstone.py"), "True"]
 
@@ -90,6 +119,8 @@ def test_no_sentence_sends_to_an_index_that_has_no_such_package():
     found = [
         name
         for name in tracked("*.py", "*.md")
-        if name != "tests/test_wheel.py" and (ROOT / name).exists() and wrong.search((ROOT / name).read_text(encoding="utf-8"))
+        if name != "tests/test_wheel.py"
+        and (ROOT / name).exists()
+        and wrong.search((ROOT / name).read_text(encoding="utf-8"))
     ]
     assert found == []

@@ -16,7 +16,8 @@ _OBJECTS = 200_000
 
 def main(module: str = "validate.cli.group") -> None:
     """The command line of a program, whose `group` of commands is in a module."""
-    # Importing SymPy makes 10^5 objects that stay; looking for cycles among them again and again takes a quarter of its time (0.13 s of 0.53).
+    # Importing SymPy makes 10^5 objects that stay; looking for cycles among them again and again
+    # takes a quarter of its time (0.13 s of 0.53).
     gc.set_threshold(_OBJECTS)
     codes: list[int] = []
     atexit.register(_leave, codes)
@@ -34,7 +35,9 @@ def main(module: str = "validate.cli.group") -> None:
                 raise
             sys.exit(_refused(f"error: {why}", 3))
         code = run(sys.argv[1:], group, _typed(module))
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is written and told, and the exit code stays what it is
+        signal.signal(
+            signal.SIGINT, signal.SIG_IGN
+        )  # all is written and told, and the exit code stays what it is
     except KeyboardInterrupt:  # before there was anything that hears it
         code = 130
     codes.append(code)
@@ -55,8 +58,8 @@ def _refused(sentence: str, code: int = 2) -> int:
 def _leave(codes: list[int]) -> None:
     """End at once, after all other exit handlers (they run in reverse order).
 
-    Taking SymPy apart object by object takes a tenth of a second, of 0.9 for a replay. An exception that was not caught, or output that cannot be
-    written, ends as Python ends.
+    Taking SymPy apart object by object takes a tenth of a second, of 0.9 for a replay. An exception
+    that was not caught, or output that cannot be written, ends as Python ends.
     """
     if not codes:
         return

@@ -12,10 +12,16 @@ from benchmarks.options import POSITIVE, out_option
 from benchmarks.results import store
 
 
-def _dividing(context: click.Context, parameter: click.Parameter, steps: tuple[float, ...]) -> tuple[float, ...]:
+def _dividing(
+    context: click.Context, parameter: click.Parameter, steps: tuple[float, ...]
+) -> tuple[float, ...]:
     for h in steps:
         if not h <= EVERY or not math.isclose(round(EVERY / h) * h, EVERY, rel_tol=1e-9):
-            raise click.BadParameter(f"{h:g} s does not divide {EVERY:g} s, the times at which motions are compared.", context, parameter)
+            raise click.BadParameter(
+                f"{h:g} s does not divide {EVERY:g} s, the times at which motions are compared.",
+                context,
+                parameter,
+            )
     return steps
 
 
@@ -28,8 +34,10 @@ def _dividing(context: click.Context, parameter: click.Parameter, steps: tuple[f
 def command(steps: tuple[float, ...], out: Path) -> int:
     """Energy, momentum and CPU time of a split scene against the macro step; 5 CPU minutes.
 
-    Masters: Jacobi, contact first (Gauss-Seidel), force extrapolated, iterated with rollback - all ours -, libcosim with fixed steps and with
-    ECCO (where [fmu-check] is installed), and the whole scene as one FMU. docs/cosimulation.md says what was found.
+    Masters: Jacobi, contact first (Gauss-Seidel), force extrapolated, iterated with rollback - all
+        ours -, libcosim with fixed steps and with
+    ECCO (where [fmu-check] is installed), and the whole scene as one FMU. docs/cosimulation.md says
+        what was found.
     """
     told = [study(case, steps, lambda line: click.echo(line, err=True)) for case in cases()]
     for case in told:

@@ -1,10 +1,13 @@
 """The co-simulation master libcosim (Open Simulation Platform) on the parts of a scene: fixed steps, and its ECCO algorithm.
 
-ECCO (Sadjina and Pedersen, Energy conservation and coupling error reduction in non-iterative co-simulations, 2020) takes pairs of
-connections that are a power bond - a velocity one way, a force the other - and chooses the step by the power that the two sides disagree on.
+ECCO (Sadjina and Pedersen, Energy conservation and coupling error reduction in non-iterative
+co-simulations, 2020) takes pairs of connections that are a power bond - a velocity one way, a force
+the other - and chooses the step by the power that the two sides disagree on.
 
-It comes with the extra `[fmu-check]` and is optional. It ends the process it runs in on what it does not like, so it runs in a child of its
-own: `run_libcosim` describes the system in a file, `python -m benchmarks.cosim.libcosim JOB RESULT` steps it.
+It comes with the extra `[fmu-check]` and is optional. It ends the process it runs in on what it
+    does not like, so it runs in a child of its
+own: `run_libcosim` describes the system in a file, `python -m benchmarks.cosim.libcosim JOB RESULT`
+    steps it.
 """
 
 from __future__ import annotations
@@ -22,11 +25,13 @@ import numpy as np
 from benchmarks.measure import run_child
 from validate.store.disk import disk_error, temporary_folder
 
-FIXED, ECCO = "fixed", "ecco"
+FIXED = "fixed"
+ECCO = "ecco"
 # ECCO may shorten its step to this share of the longest one.
 SHORTEST = 0.1
 _NANO = 1e9
-# A child that hangs is ended after this long [s]; the largest study takes some tens of seconds a run.
+# A child that hangs is ended after this long [s]; the largest study takes some tens of seconds a
+# run.
 _PATIENCE = 600.0
 
 
@@ -38,11 +43,18 @@ def libcosim_refusal() -> str | None:
 
 
 def run_libcosim(
-    scene: Any, start: np.ndarray, u: np.ndarray, h: float, times: np.ndarray, inner_step: float, algorithm: str
+    scene: Any,
+    start: np.ndarray,
+    u: np.ndarray,
+    h: float,
+    times: np.ndarray,
+    inner_step: float,
+    algorithm: str,
 ) -> tuple[np.ndarray, np.ndarray, float, int] | str:
     """(time reached [s] (n,), motion there (n, 2 nq), CPU seconds, steps), or a sentence why it failed. Raises MachineError where its files cannot be written.
 
-    times: when the motion is wanted; ECCO's own steps pass them by less than h. h: the step, of ECCO the longest one.
+    times: when the motion is wanted; ECCO's own steps pass them by less than h. h: the step, of
+        ECCO the longest one.
     """
     job = _job(scene, start, u, h, times, inner_step, algorithm)
     with temporary_folder("touchstone-cosim-") as folder:
@@ -52,7 +64,9 @@ def run_libcosim(
         except OSError as error:
             raise disk_error(paths[0], error) from error
         try:
-            code = run_child("benchmarks.cosim.libcosim", *map(str, paths), timeout=_PATIENCE).returncode
+            code = run_child(
+                "benchmarks.cosim.libcosim", *map(str, paths), timeout=_PATIENCE
+            ).returncode
         except subprocess.TimeoutExpired:
             return f"libcosim did not end within {_PATIENCE:g} s"
         if code != 0 or not paths[1].is_file():
@@ -61,19 +75,36 @@ def run_libcosim(
     return np.array(told["t"]), np.array(told["motion"]), float(told["cpu_s"]), int(told["steps"])
 
 
-def _job(scene: Any, start: np.ndarray, u: np.ndarray, h: float, times: np.ndarray, inner_step: float, algorithm: str) -> dict[str, Any]:
+def _job(
+    scene: Any,
+    start: np.ndarray,
+    u: np.ndarray,
+    h: float,
+    times: np.ndarray,
+    inner_step: float,
+    algorithm: str,
+) -> dict[str, Any]:
     from models.fmu.coupled import build_part, split
     from validate.fmi.description import read_package
 
     parts = split(scene)
-    names = [item.name for item in scene.coordinates] + [item.velocity_name for item in scene.coordinates]
-    values = {item.name: item.value for item in scene.parameters} | dict(zip(names, start.tolist(), strict=True))
-    values |= {item.name: float(value) for item, value in zip(scene.inputs, u, strict=True)} | {"internal_step": inner_step}
+    names = [item.name for item in scene.coordinates] + [
+        item.velocity_name for item in scene.coordinates
+    ]
+    values = {item.name: item.value for item in scene.parameters} | dict(
+        zip(names, start.tolist(), strict=True)
+    )
+    values |= {item.name: float(value) for item, value in zip(scene.inputs, u, strict=True)} | {
+        "internal_step": inner_step
+    }
     order = [part.name for part in (*parts.bodies, *parts.contacts)]
     references, slaves = {}, []
     for part in (*parts.bodies, *parts.contacts):
         path = build_part(part)
-        variables = {item.name: int(item.valueReference) for item in read_package(path).description.modelVariables}
+        variables = {
+            item.name: int(item.valueReference)
+            for item in read_package(path).description.modelVariables
+        }
         references[part.name] = variables
         initial = [(variables[name], value) for name, value in values.items() if name in variables]
         slaves.append({"name": part.name, "path": str(path), "initial": initial})
@@ -93,7 +124,10 @@ def _job(scene: Any, start: np.ndarray, u: np.ndarray, h: float, times: np.ndarr
         "h": h,
         "times": times.tolist(),
         "slaves": slaves,
-        "connections": [(*place(item.source, item.output), *place(item.target, item.input)) for item in parts.connections],
+        "connections": [
+            (*place(item.source, item.output), *place(item.target, item.input))
+            for item in parts.connections
+        ],
         "bonds": bonds if algorithm == ECCO else [],
         "states": [place(home[item], item.name) for item in scene.coordinates]
         + [place(home[item], item.velocity_name) for item in scene.coordinates],
@@ -102,7 +136,8 @@ def _job(scene: Any, start: np.ndarray, u: np.ndarray, h: float, times: np.ndarr
 
 def _child(job: dict[str, Any]) -> dict[str, Any]:
     algorithms, executions, observers, slaves = (
-        importlib.import_module(f"libcosimpy.Cosim{name}") for name in ("Algorithm", "Execution", "Observer", "Slave")
+        importlib.import_module(f"libcosimpy.Cosim{name}")
+        for name in ("Algorithm", "Execution", "Observer", "Slave")
     )
     h = job["h"]
     algorithm: Any = None
@@ -114,7 +149,9 @@ def _child(job: dict[str, Any]) -> dict[str, Any]:
     else:
         execution = executions.CosimExecution.from_step_size(round(h * _NANO))
     for item in job["slaves"]:
-        index = execution.add_local_slave(slaves.CosimLocalSlave(fmu_path=item["path"], instance_name=item["name"]))
+        index = execution.add_local_slave(
+            slaves.CosimLocalSlave(fmu_path=item["path"], instance_name=item["name"])
+        )
         for reference, value in item["initial"]:
             execution.real_initial_value(index, reference, value)
     for connection in job["connections"]:
@@ -128,12 +165,18 @@ def _child(job: dict[str, Any]) -> dict[str, Any]:
         began = process_time()
         while execution.status().current_time < time * _NANO - 1:
             # Fixed steps that divide the wait are taken at one call, as a user would.
-            count = max(1, round((time - execution.status().current_time / _NANO) / h)) if algorithm is None else 1
+            count = (
+                max(1, round((time - execution.status().current_time / _NANO) / h))
+                if algorithm is None
+                else 1
+            )
             execution.step(count)
             steps += count
         seconds += process_time() - began
         reached.append(execution.status().current_time / _NANO)
-        motion.append([observer.last_real_values(index, [reference])[0] for index, reference in job["states"]])
+        motion.append(
+            [observer.last_real_values(index, [reference])[0] for index, reference in job["states"]]
+        )
     return {"t": reached, "motion": motion, "cpu_s": seconds, "steps": steps}
 
 

@@ -1,18 +1,21 @@
 """Masters for coupled FMUs, as small as they can be: what the common ways of coupling do with a stiff contact.
 
-    system.begin(start, u)
-    motion = jacobi(system, h=1e-3, steps=500)        (steps + 1, 2 nq) positions and velocities at t = n h
+    system.begin(start, u) motion = jacobi(system, h=1e-3, steps=500) (steps + 1, 2 nq) positions
+    and velocities at t = n h
 
-All parts meet at t = n h only. Between two meetings the bodies see a force that somebody chose for them, and the masters differ in
-nothing but this choice. lam(q_n) is the force at the positions of t_n:
+All parts meet at t = n h only. Between two meetings the bodies see a force that somebody chose for
+them, and the masters differ in nothing but this choice. lam(q_n) is the force at the positions of
+t_n:
 
-    jacobi          all step at once with what all gave at the end of the step before: the force is lam(q_{n-1}), one step and a half late
-    contact_first   the contacts step first (Gauss-Seidel): lam(q_n), half a step late
-    extrapolated    contacts first; the force runs on as a line through lam(q_{n-1}) and lam(q_n)
-    iterated        steps are taken back (set FMU state) and repeated until the force is the line from lam(q_n) to lam(q_{n+1})
+    jacobi all step at once with what all gave at the end of the step before: the force is
+    lam(q_{n-1}), one step and a half late contact_first the contacts step first (Gauss-Seidel):
+    lam(q_n), half a step late extrapolated contacts first; the force runs on as a line through
+    lam(q_{n-1}) and lam(q_n) iterated steps are taken back (set FMU state) and repeated until the
+    force is the line from lam(q_n) to lam(q_{n+1})
 
-A force that is tau late does the work of a negative damper k tau: it *adds* energy. Half a period pi/omega of contact multiplies the energy of
-the relative motion by about exp(pi omega tau). Momentum shows nothing of it, since both bodies get the same force.
+A force that is tau late does the work of a negative damper k tau: it *adds* energy. Half a period
+pi/omega of contact multiplies the energy of the relative motion by about exp(pi omega tau).
+Momentum shows nothing of it, since both bodies get the same force.
 """
 
 from __future__ import annotations
@@ -23,8 +26,10 @@ import numpy as np
 
 from benchmarks.cosim.system import System
 
-# Repetitions of a step by `iterated`: it ends when no force changes by more than the share of the largest one, or after so many.
-ITERATIONS, AGREEMENT = 50, 1e-9
+# Repetitions of a step by `iterated`: it ends when no force changes by more than the share of the
+# largest one, or after so many.
+ITERATIONS = 50
+AGREEMENT = 1e-9
 
 Master = Callable[[System, float, int], np.ndarray]
 
@@ -59,7 +64,10 @@ def contact_first(system: System, h: float, steps: int) -> np.ndarray:
 
 
 def extrapolated(system: System, h: float, steps: int) -> np.ndarray:
-    """Contacts first; then all bodies at once, with forces that go on as they went during the last step."""
+    """Contacts first.
+
+    Then all bodies at once, with forces that go on as they went during the last step.
+    """
     motion, values = _begin(system, steps), system.values
     before = values.copy()
     for n in range(steps):
@@ -106,7 +114,12 @@ def iterated(system: System, h: float, steps: int) -> np.ndarray:
     return motion
 
 
-MASTERS: dict[str, Master] = {"jacobi": jacobi, "contact_first": contact_first, "extrapolated": extrapolated, "iterated": iterated}
+MASTERS: dict[str, Master] = {
+    "jacobi": jacobi,
+    "contact_first": contact_first,
+    "extrapolated": extrapolated,
+    "iterated": iterated,
+}
 
 
 def _begin(system: System, steps: int) -> np.ndarray:

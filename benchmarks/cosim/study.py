@@ -2,7 +2,8 @@
 
     for case in CASES: told = study(case, steps=MACRO_STEPS)
 
-The exact motion is that of the scene's Model Exchange FMU by CVODE at rtol 1e-12; all errors are differences from it.
+The exact motion is that of the scene's Model Exchange FMU by CVODE at rtol 1e-12; all errors are
+differences from it.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ from validate.judge.replay.subject import find_variables
 from validate.judge.replay.wiring import HeldInputs
 
 MACRO_STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
-# Bodies integrate ten times as finely as they meet, by a fourth-order method: what is wrong then comes from the coupling alone.
+# Bodies integrate ten times as finely as they meet, by a fourth-order method: what is wrong then
+# comes from the coupling alone.
 INNER_SHARE = 0.1
 # When motions are compared [s]: the largest macro step, which all others divide.
 EVERY = 1e-2
@@ -37,7 +39,10 @@ _EXACT = 1e-12
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A free motion with constant inputs. starts: h -> starts (2 nq,) of which the worst counts; u (nu,); horizon [s]."""
+    """A free motion with constant inputs. starts: h -> starts (2 nq,) of which the worst counts.
+
+    U (nu,); horizon [s].
+    """
 
     name: str
     title: str
@@ -50,7 +55,10 @@ class Case:
 def _head_on(h: float) -> list[np.ndarray]:
     """The first disc meets the second, at rest, at five places within a macro step: 30 ms and (j + 1/2) h/5."""
     radius, speed = 0.1, 2.0
-    return [np.array([0.0, 2 * radius + speed * (0.03 + (j + 0.5) / 5 * h), speed, 0.0]) for j in range(5)]
+    return [
+        np.array([0.0, 2 * radius + speed * (0.03 + (j + 0.5) / 5 * h), speed, 0.0])
+        for j in range(5)
+    ]
 
 
 def cases() -> tuple[Case, ...]:
@@ -67,7 +75,12 @@ def cases() -> tuple[Case, ...]:
             u=(),
             horizon=0.2,
         ),
-        Case(name="three_cart", title="Three carts pushed together by 8 N and 5 N, k = 30 N/m (the paper's)", scene=carts, **pushed),
+        Case(
+            name="three_cart",
+            title="Three carts pushed together by 8 N and 5 N, k = 30 N/m (the paper's)",
+            scene=carts,
+            **pushed,
+        ),
         Case(
             name="three_cart_stiff",
             title="The same three carts with k = 1e4 N/m: several short contacts",
@@ -106,11 +119,16 @@ def momentum(scene: Scene) -> Callable[[np.ndarray], np.ndarray]:
     return lambda motion: np.array([float((M(x[:nq]) @ x[nq:]).sum()) for x in motion])
 
 
-def exact_motion(scene: Scene, start: np.ndarray, u: Sequence[float], times: np.ndarray) -> np.ndarray:
+def exact_motion(
+    scene: Scene, start: np.ndarray, u: Sequence[float], times: np.ndarray
+) -> np.ndarray:
     """(n, 2 nq) at `times`, which begin after t = 0."""
     t = np.concatenate([[0.0], times])
     state, steps = np.tile(start, (len(t), 1)), len(times)
-    inputs, forces = np.tile(np.array(u, dtype=float), (steps, 1)).reshape(steps, scene.nu), np.zeros((steps, scene.nl))
+    inputs, forces = (
+        np.tile(np.array(u, dtype=float), (steps, 1)).reshape(steps, scene.nu),
+        np.zeros((steps, scene.nl)),
+    )
     plan = Trajectory(t=t, q=state[:, : scene.nq], v=state[:, scene.nq :], u=inputs, lam=forces)
     with unpacked(read_package(build_fmu(scene))) as package:
         model = ExchangeModel(package, find_variables(package, scene))
@@ -131,11 +149,17 @@ class Measured:
     steps: int
 
 
-def study(case: Case, steps: Sequence[float] = MACRO_STEPS, tell: Callable[[str], None] = lambda line: None) -> dict[str, Any]:
+def study(
+    case: Case,
+    steps: Sequence[float] = MACRO_STEPS,
+    tell: Callable[[str], None] = lambda line: None,
+) -> dict[str, Any]:
     """All masters over all macro steps, as JSON: see benchmarks.records.CosimCase."""
     rows: dict[str, list[dict[str, float]]] = {}
     refusal = libcosim_refusal()
-    failed: dict[str, str] = {} if refusal is None else {"libcosim": refusal, "libcosim_ecco": refusal}
+    failed: dict[str, str] = (
+        {} if refusal is None else {"libcosim": refusal, "libcosim_ecco": refusal}
+    )
     for h in steps:
         for name, runs in _runs(case, h, refusal is None):
             if isinstance(runs, str):
@@ -151,11 +175,16 @@ def study(case: Case, steps: Sequence[float] = MACRO_STEPS, tell: Callable[[str]
         "title": case.title,
         "frequency": contact_frequency(case.scene),
         "horizon": case.horizon,
-        "masters": [{"name": name, "rows": rows.get(name, []), "failed": failed.get(name, "")} for name in {**rows, **failed}],
+        "masters": [
+            {"name": name, "rows": rows.get(name, []), "failed": failed.get(name, "")}
+            for name in {**rows, **failed}
+        ],
     }
 
 
-def _runs(case: Case, h: float, with_libcosim: bool) -> list[tuple[str, list[tuple[np.ndarray, Measured]] | str]]:
+def _runs(
+    case: Case, h: float, with_libcosim: bool
+) -> list[tuple[str, list[tuple[np.ndarray, Measured]] | str]]:
     """(name of the master, its runs from each start - or why there are none)."""
     inner, starts = h * INNER_SHARE, case.starts(h)
     told: list[tuple[str, list[tuple[np.ndarray, Measured]] | str]] = []
@@ -191,7 +220,8 @@ def _run(case: Case, system: System, master: Master, start: np.ndarray, h: float
 def _worst(case: Case, h: float, runs: Sequence[tuple[np.ndarray, Measured]]) -> dict[str, float]:
     """The errors of the start with the largest energy error, and the mean CPU time.
 
-    energy_error: largest difference of the total energy at the times of comparison, with its sign, over the largest exact energy.
+    energy_error: largest difference of the total energy at the times of comparison, with its sign,
+        over the largest exact energy.
     """
     total, impulse = energy(case.scene), momentum(case.scene)
     errors = []
@@ -201,7 +231,9 @@ def _worst(case: Case, h: float, runs: Sequence[tuple[np.ndarray, Measured]]) ->
         difference = (total(run.motion) - whole_energy) / whole_energy.max()
         drift = np.abs(impulse(run.motion) - impulse(exact)).max()
         distance = np.abs(run.motion - exact)[:, : case.scene.nq].max()
-        errors.append((float(difference[np.abs(difference).argmax()]), float(drift), float(distance)))
+        errors.append(
+            (float(difference[np.abs(difference).argmax()]), float(drift), float(distance))
+        )
     worst = max(errors, key=lambda error: abs(error[0]))
     simulated = len(runs) * case.horizon
     return {

@@ -15,9 +15,12 @@ from formulations.ipopt import ModelRefusedError, compile_model, solve
 from formulations.mpec import load, solve_mpec
 from formulations.solution import Outcome
 
-# A point belongs to the model where no row, bound or condition is violated by more, relative to max(1, |limit|); two objectives are the same
-# within _SAME; an objective this low, in the sense of minimising, at a feasible point is none of a bounded problem of this generator.
-_FEASIBLE, _SAME, _BOTTOMLESS = 2e-6, 1e-5, -1e6
+# A point belongs to the model where no row, bound or condition is violated by more, relative to
+# max(1, |limit|); two objectives are the same within _SAME; an objective this low, in the sense of
+# minimising, at a feasible point is none of a bounded problem of this generator.
+_FEASIBLE = 2e-6
+_SAME = 1e-5
+_BOTTOMLESS = -1e6
 # More branches than this are solved from one start only.
 _MANY = 40
 _BRANCH_OPTIONS = {"max_iter": 300, "bound_relax_factor": 0.0, "tol": 1e-9}
@@ -27,7 +30,9 @@ WRONG = ("wrong optimal", "wrong infeasible", "wrong unbounded")
 @dataclass(frozen=True)
 class Verdict:
     """agreement: 'same' (best of all branches, or none feasible, or one unbounded), 'better' or 'worse' (another local solution), 'local of
-    unbounded', 'undecided' (no claim was made), 'refused', or one of WRONG. best: of the branches, in the model's sense."""
+    unbounded', 'undecided' (no claim was made), 'refused', or one of WRONG. best: of the branches,
+    in the model's sense.
+    """
 
     seed: int
     kind: str
@@ -40,7 +45,10 @@ class Verdict:
 
 @dataclass(kw_only=True)
 class Branches:
-    """best: lowest objective of feasible points found (sense of minimising); unclear: solves without an answer."""
+    """best: lowest objective of feasible points found (sense of minimising).
+
+    unclear: solves without an answer.
+    """
 
     best: float = math.inf
     unbounded: bool = False
@@ -66,19 +74,39 @@ def judge(problem: Any) -> Verdict:
         condition.deactivate()
     found = _enumerate(problem, free, start, point if result.solved else None, sense, mine)
     agreement, note = _compare(result, found, mine, violation, problem.is_convex)
-    return Verdict(seed, problem.kind, result.outcome.name, agreement, result.objective, sense * found.best, note)
+    return Verdict(
+        seed,
+        problem.kind,
+        result.outcome.name,
+        agreement,
+        result.objective,
+        sense * found.best,
+        note,
+    )
 
 
-def _compare(result: Any, found: Branches, mine: float, violation: float, is_convex: bool) -> tuple[str, str]:
+def _compare(
+    result: Any, found: Branches, mine: float, violation: float, is_convex: bool
+) -> tuple[str, str]:
     same = _SAME * max(1.0, abs(found.best) if math.isfinite(found.best) else 1.0)
     if result.outcome is Outcome.SOLVED:
         if violation > _FEASIBLE:
             return "wrong optimal", f"a row, bound or condition is violated by {violation:.1e}"
         if is_convex and found.descent > same:
-            return "wrong optimal", f"a convex branch that holds the point goes down by {found.descent:.1e}"
+            return (
+                "wrong optimal",
+                f"a convex branch that holds the point goes down by {found.descent:.1e}",
+            )
         if found.unbounded:
             return "local of unbounded", ""
-        return "worse" if mine > found.best + same else "better" if mine < found.best - same else "same", ""
+        return (
+            "worse"
+            if mine > found.best + same
+            else "better"
+            if mine < found.best - same
+            else "same",
+            "",
+        )
     if result.outcome is Outcome.INFEASIBLE:
         if found.best < math.inf or found.unbounded:
             return "wrong infeasible", f"a branch has a feasible point with {found.best:.6g}"
@@ -91,7 +119,14 @@ def _compare(result: Any, found: Branches, mine: float, violation: float, is_con
     return "undecided", result.message
 
 
-def _enumerate(problem: Any, free: list[Any], start: np.ndarray, point: np.ndarray | None, sense: int, mine: float) -> Branches:
+def _enumerate(
+    problem: Any,
+    free: list[Any],
+    start: np.ndarray,
+    point: np.ndarray | None,
+    sense: int,
+    mine: float,
+) -> Branches:
     random = np.random.default_rng(problem.seed + 10**6)
     starts = [start, start + random.normal(size=start.size) * np.maximum(1.0, np.abs(start))]
     if point is not None:
@@ -110,12 +145,24 @@ def _enumerate(problem: Any, free: list[Any], start: np.ndarray, point: np.ndarr
     return found
 
 
-def _solve_branch(problem: Any, relations: list[Any], free: list[Any], starts: list[np.ndarray], sense: int, found: Branches) -> float:
-    """The lowest objective of this branch, which goes into `found` too; a convex one has one answer."""
+def _solve_branch(
+    problem: Any,
+    relations: list[Any],
+    free: list[Any],
+    starts: list[np.ndarray],
+    sense: int,
+    found: Branches,
+) -> float:
+    """The lowest objective of this branch, which goes into `found` too.
+
+    A convex one has one answer.
+    """
     model, is_convex, lowest = problem.model, problem.is_convex, math.inf
     model.branch = pyo.ConstraintList()
     for body, low, high in relations:
-        model.branch.add((None if low == -math.inf else low, body, None if high == math.inf else high))
+        model.branch.add(
+            (None if low == -math.inf else low, body, None if high == math.inf else high)
+        )
     for start in starts:
         if is_convex and lowest < math.inf:
             break
@@ -125,7 +172,9 @@ def _solve_branch(problem: Any, relations: list[Any], free: list[Any], starts: l
             continue
         if result.outcome is Outcome.DIVERGED:
             found.unbounded = True
-        elif result.outcome is Outcome.SOLVED or (result.residuals.feasible and result.residuals.relative_violation < 1e-9):
+        elif result.outcome is Outcome.SOLVED or (
+            result.residuals.feasible and result.residuals.relative_violation < 1e-9
+        ):
             lowest = min(lowest, sense * result.objective)
         else:
             found.unclear += 1
@@ -143,13 +192,29 @@ def largest_violation(problem: Any) -> float:
     """Of rows, bounds and conditions (of each the least violated alternative) at the model's values, relative to max(1, |limit|)."""
     model, worst = problem.model, [0.0]
     for row in model.component_data_objects(pyo.Constraint, active=True, descend_into=True):
-        worst.append(_off((row.body, -math.inf if row.lb is None else row.lb, math.inf if row.ub is None else row.ub)))
+        worst.append(
+            _off(
+                (
+                    row.body,
+                    -math.inf if row.lb is None else row.lb,
+                    math.inf if row.ub is None else row.ub,
+                )
+            )
+        )
     for variable in model.component_data_objects(pyo.Var, descend_into=True):
         if not variable.fixed:
             worst.append(
-                _off((variable, -math.inf if variable.lb is None else variable.lb, math.inf if variable.ub is None else variable.ub))
+                _off(
+                    (
+                        variable,
+                        -math.inf if variable.lb is None else variable.lb,
+                        math.inf if variable.ub is None else variable.ub,
+                    )
+                )
             )
-    worst += [min(max(map(_off, relations)) for relations in condition) for condition in problem.branches]
+    worst += [
+        min(max(map(_off, relations)) for relations in condition) for condition in problem.branches
+    ]
     return max(worst)
 
 

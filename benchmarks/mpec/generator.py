@@ -1,11 +1,14 @@
 """Random small MPECs of many kinds, with the branches of every condition written down beside it.
 
-    drawn_mpec()         a hypothesis strategy: numbers of two decimals, and a wrong answer is shrunk to a small problem
-    random_mpec(seed)    the same construction from numpy's generator, for the benchmark and one of each kind: hypothesis stops at the first wrong answer and
-                         repeats no problem by its number, while the benchmark counts the answers of thousands, with data of all digits
+    drawn_mpec() a hypothesis strategy: numbers of two decimals, and a wrong answer is shrunk to a
+    small problem random_mpec(seed) the same construction from numpy's generator, for the benchmark
+    and one of each kind: hypothesis stops at the first wrong answer and
+                         repeats no problem by its number, while the benchmark counts the answers of
+                         thousands, with data of all digits
 
-At most 4 pairs (6 conditions) and 3 further variables, in blocks, with mutable parameters, either sense, in every form of `complements`,
-some conditions twice. A kind is what makes a problem hard; seed % len(KINDS) is its index.
+At most 4 pairs (6 conditions) and 3 further variables, in blocks, with mutable parameters, either
+sense, in every form of `complements`, some conditions twice. A kind is what makes a problem hard;
+seed % len(KINDS) is its index.
 """
 
 from __future__ import annotations
@@ -21,7 +24,8 @@ from hypothesis import strategies as st
 from pyomo.mpec import Complementarity, ComplementarityList, complements
 
 KINDS = (
-    "convex", "linear", "unbounded", "infeasible", "degenerate", "scaled", "nonconvex", "equality", "fixed", "functions", "box", "curved", "biactive",
+    "convex", "linear", "unbounded", "infeasible", "degenerate", "scaled", "nonconvex", "equality",
+    "fixed", "functions", "box", "curved", "biactive",
 )  # fmt: skip
 # One relation: lower <= body <= upper.
 Relation = tuple[Any, float, float]
@@ -64,7 +68,10 @@ class RandomMpec:
 
 
 class _Drawn:
-    """The methods of numpy's generator that are used here, drawn by hypothesis; each shrinks towards 0, and chances towards no."""
+    """The methods of numpy's generator that are used here, drawn by hypothesis.
+
+    Each shrinks towards 0, and chances towards no.
+    """
 
     def __init__(self, draw: Callable[[Any], int]) -> None:
         self._draw = draw
@@ -93,7 +100,14 @@ def drawn_mpec(draw: Any) -> RandomMpec:
 
 
 def random_mpec(seed: int) -> RandomMpec:
-    return _built(RandomMpec(seed=seed, kind=KINDS[seed % len(KINDS)], model=pyo.ConcreteModel(), random=np.random.default_rng(seed)))
+    return _built(
+        RandomMpec(
+            seed=seed,
+            kind=KINDS[seed % len(KINDS)],
+            model=pyo.ConcreteModel(),
+            random=np.random.default_rng(seed),
+        )
+    )
 
 
 def _built(p: RandomMpec) -> RandomMpec:
@@ -114,7 +128,9 @@ def _built(p: RandomMpec) -> RandomMpec:
                 variable.fix(float(np.round(abs(p.random.normal()), 1)) if p.chance(0.6) else 0.0)
     if p.chance(0.2):
         p.model.off = pyo.Block()
-        p.model.off.pair = Complementarity(expr=complements(p.x[0] >= 100 * float(p.scale[0]), p.y[0] >= 100))
+        p.model.off.pair = Complementarity(
+            expr=complements(p.x[0] >= 100 * float(p.scale[0]), p.y[0] >= 100)
+        )
         p.model.off.deactivate()
     return p
 
@@ -129,9 +145,15 @@ def _variables(p: RandomMpec) -> None:
         for variable, scale in zip(p.x, p.scale.tolist(), strict=True):
             variable.setlb(-_FAR * scale)
             variable.setub(_FAR * scale)
-    p.model.param = pyo.Param(range(3), mutable=True, initialize=dict(enumerate(np.round(p.random.normal(size=3), 1).tolist())))
+    p.model.param = pyo.Param(
+        range(3),
+        mutable=True,
+        initialize=dict(enumerate(np.round(p.random.normal(size=3), 1).tolist())),
+    )
     p.model.b = pyo.Block(range(2))
-    p.model.b[0].y = pyo.Var(range(pairs), initialize=dict(enumerate(np.abs(p.random.normal(size=pairs)).tolist())))
+    p.model.b[0].y = pyo.Var(
+        range(pairs), initialize=dict(enumerate(np.abs(p.random.normal(size=pairs)).tolist()))
+    )
     p.y = list(p.model.b[0].y.values())
     if p.kind == "infeasible" or p.chance(0.5):
         for variable in p.y:
@@ -147,18 +169,32 @@ def _objective(p: RandomMpec) -> None:
     if p.kind in ("linear", "unbounded"):
         cost = p.linear() + (0.5 * z[0] ** 2 if p.kind == "unbounded" and p.chance(0.5) else 0.0)
     elif p.kind == "nonconvex":
-        cost = cost - float(p.random.uniform(0.4, 3)) * z[0] ** 2 - float(p.random.uniform()) * z[0] * z[-1]
+        cost = (
+            cost
+            - float(p.random.uniform(0.4, 3)) * z[0] ** 2
+            - float(p.random.uniform()) * z[0] * z[-1]
+        )
     elif p.kind == "functions":
         first = z[0]
         cost = cost + p.pick([
-            lambda: pyo.exp(0.3 * first), lambda: -pyo.log(first + 6.5), lambda: pyo.sqrt(first + 7), lambda: pyo.sin(first), lambda: first**4 / 10,
+            lambda: pyo.exp(0.3 * first), lambda: -pyo.log(first + 6.5),
+            lambda: pyo.sqrt(first + 7), lambda: pyo.sin(first), lambda: first**4 / 10,
             lambda: pyo.cos(first) * z[-1],
         ])  # fmt: skip
     elif p.kind == "scaled":
         cost = cost * 10.0 ** float(p.random.uniform(-4, 4))
-    p.is_convex = p.kind not in ("nonconvex", "functions", "curved", "biactive", "infeasible", "scaled")
+    p.is_convex = p.kind not in (
+        "nonconvex",
+        "functions",
+        "curved",
+        "biactive",
+        "infeasible",
+        "scaled",
+    )
     up = p.chance(0.25)
-    p.model.cost = pyo.Objective(expr=-cost if up else cost, sense=pyo.maximize if up else pyo.minimize)
+    p.model.cost = pyo.Objective(
+        expr=-cost if up else cost, sense=pyo.maximize if up else pyo.minimize
+    )
 
 
 def _second_side(p: RandomMpec, k: int) -> Any:
@@ -170,7 +206,8 @@ def _second_side(p: RandomMpec, k: int) -> Any:
         return p.pick([lambda: x[k % len(x)] + abs(whole), lambda: y[(k + 1) % count] + x[0]])
     if p.kind == "curved":
         return p.pick([
-            lambda: x[0] ** 2 - 1 + y[k], lambda: pyo.exp(x[0]) - y[k] - 1, lambda: x[0] * y[k] - 0.5, lambda: pyo.sqrt(y[k] ** 2 + 1) - 1 + x[0],
+            lambda: x[0] ** 2 - 1 + y[k], lambda: pyo.exp(x[0]) - y[k] - 1,
+            lambda: x[0] * y[k] - 0.5, lambda: pyo.sqrt(y[k] ** 2 + 1) - 1 + x[0],
             lambda: (x[0] - y[k]) ** 3,
         ])  # fmt: skip
     weights, couple = p.random.normal(size=count), p.random.normal(size=len(x))
@@ -187,7 +224,9 @@ def _second_side(p: RandomMpec, k: int) -> Any:
 def _pair(p: RandomMpec, condition: Any, first: Any, second: Any) -> None:
     """0 <= first complementary to second >= 0, both as expressions."""
     p.conditions.append(condition)
-    p.branches.append([[(first, 0.0, 0.0), (second, 0.0, _INF)], [(first, 0.0, _INF), (second, 0.0, 0.0)]])
+    p.branches.append(
+        [[(first, 0.0, 0.0), (second, 0.0, _INF)], [(first, 0.0, _INF), (second, 0.0, 0.0)]]
+    )
 
 
 def _condition(p: RandomMpec, k: int, side: Any) -> None:
@@ -198,7 +237,13 @@ def _condition(p: RandomMpec, k: int, side: Any) -> None:
         high = low + float(p.random.integers(1, 4))
         box = pyo.inequality(low, y, high)
         p.conditions.append(complements(box, side) if p.chance(0.5) else complements(side, box))
-        p.branches.append([[(y, low, low), (side, 0.0, _INF)], [(y, high, high), (side, -_INF, 0.0)], [(side, 0.0, 0.0), (y, low, high)]])
+        p.branches.append(
+            [
+                [(y, low, low), (side, 0.0, _INF)],
+                [(y, high, high), (side, -_INF, 0.0)],
+                [(side, 0.0, 0.0), (y, low, high)],
+            ]
+        )
     elif p.kind == "equality" and p.chance(0.4):
         if p.chance(0.5):
             p.conditions.append(complements(side == low, y))
@@ -208,8 +253,10 @@ def _condition(p: RandomMpec, k: int, side: Any) -> None:
             p.branches.append([[(y, low, _INF), (side, 0.0, 0.0)]])
     else:
         make, second = p.pick([
-            lambda: (complements(y >= low, side >= 0), side), lambda: (complements(side >= 0, y >= low), side),
-            lambda: (complements(low <= y, -side <= 0), side), lambda: (complements(side <= 0, y >= low), -side),
+            lambda: (complements(y >= low, side >= 0), side),
+            lambda: (complements(side >= 0, y >= low), side),
+            lambda: (complements(low <= y, -side <= 0), side),
+            lambda: (complements(side <= 0, y >= low), -side),
         ])  # fmt: skip
         _pair(p, make, y - low, second)
 
@@ -233,7 +280,13 @@ def _rows(p: RandomMpec) -> None:
     for _ in range(int(p.random.integers(0, 3))):
         body, level, kind = p.linear(), float(np.round(2 * p.random.normal(), 1)), p.random.random()
         factor = 10.0 ** float(p.random.uniform(-5, 5)) if p.kind == "scaled" else 1.0
-        low, high = (-_INF, level + 2) if kind < 0.6 else (level - 1, level + 2) if kind < 0.9 or p.kind == "scaled" else (level, level)
+        low, high = (
+            (-_INF, level + 2)
+            if kind < 0.6
+            else (level - 1, level + 2)
+            if kind < 0.9 or p.kind == "scaled"
+            else (level, level)
+        )
         rows.add((None if low == -_INF else factor * low, factor * body, factor * high))
         if p.chance(0.3):  # redundant, twice
             rows.add(2 * body <= 2 * (level + 2))
@@ -241,12 +294,16 @@ def _rows(p: RandomMpec) -> None:
     if p.kind == "infeasible":
         p.pick([
             lambda: rows.add(sum(y) <= -0.1), lambda: rows.add(z[0] ** 2 + z[-1] ** 2 <= -0.01),
-            lambda: (rows.add(y[0] * z[0] >= 1), rows.add(z[0] ** 2 <= 0.25), rows.add(y[0] <= 1)), lambda: (rows.add(y[0] >= 1), rows.add(y[-1] <= 0.5 * y[0] - 1)),
+            lambda: (rows.add(y[0] * z[0] >= 1), rows.add(z[0] ** 2 <= 0.25), rows.add(y[0] <= 1)),
+            lambda: (rows.add(y[0] >= 1), rows.add(y[-1] <= 0.5 * y[0] - 1)),
         ])  # fmt: skip
     elif p.kind in ("nonconvex", "curved") and p.chance(0.5):
         p.pick([
-            lambda: rows.add(z[0] ** 2 + z[-1] ** 2 >= 1), lambda: rows.add(z[0] * z[-1] <= 0.5), lambda: rows.add(z[0] ** 2 + z[-1] ** 2 <= 4),
+            lambda: rows.add(z[0] ** 2 + z[-1] ** 2 >= 1), lambda: rows.add(z[0] * z[-1] <= 0.5),
+            lambda: rows.add(z[0] ** 2 + z[-1] ** 2 <= 4),
             lambda: rows.add(pyo.exp(z[-1]) <= 3 + z[0] ** 2),
         ])  # fmt: skip
     elif p.kind == "biactive" and p.chance(0.5):
-        p.pick([lambda: rows.add(z[0] ** 2 <= 0), lambda: rows.add(y[0] ** 2 + z[0] ** 2 <= 2 * y[0])])
+        p.pick(
+            [lambda: rows.add(z[0] ** 2 <= 0), lambda: rows.add(y[0] ** 2 + z[0] ** 2 <= 2 * y[0])]
+        )

@@ -27,7 +27,13 @@ def run_one(peer: str, problem: str, seed: int, limit: float) -> dict[str, Any]:
             told = {"reason": f"no point within {limit:g} CPU s"}
         if result.exists():
             told = json.loads(result.read_text(encoding="utf-8"))
-        return {"peer": peer, "problem": problem, "seed": seed, **told, "cpu_s": cpu_seconds() - before - told.get("judging_s", 0.0)}
+        return {
+            "peer": peer,
+            "problem": problem,
+            "seed": seed,
+            **told,
+            "cpu_s": cpu_seconds() - before - told.get("judging_s", 0.0),
+        }
 
 
 def reached(row: Mapping[str, Any], residual: float) -> float:
@@ -51,4 +57,6 @@ def _stage(peer: str) -> Callable[[Size, Path], Work]:
     return lambda size, folder: work
 
 
-mpcc, casadi_scholtes, nosnoc, pympcc, mpecss = map(_stage, ("mpcc", "casadi_scholtes", "nosnoc", "pympcc", "mpecss"))
+mpcc, casadi_scholtes, nosnoc, pympcc, mpecss = map(
+    _stage, ("mpcc", "casadi_scholtes", "nosnoc", "pympcc", "mpecss")
+)

@@ -1,9 +1,10 @@
 """The global optimum of an MPEC with linear rows and a convex quadratic objective: a tree of convex programs, each with fewer pairs left to decide.
 
-    found = prove(model)            # None if the model is not of that kind
-    found.bound, found.complete     # no point of the model has a lower objective (higher, where it is maximised)
+    found = prove(model) # None if the model is not of that kind found.bound, found.complete # no
+    point of the model has a lower objective (higher, where it is maximised)
 
-It shares no code with `mpec_ipopt`: rows by Pyomo's standard form, programs by Clarabel, bounds from their dual objectives.
+It shares no code with `mpec_ipopt`: rows by Pyomo's standard form, programs by Clarabel, bounds
+from their dual objectives.
 """
 
 from __future__ import annotations
@@ -20,15 +21,20 @@ import scipy.sparse as sparse
 from pyomo.mpec import Complementarity
 from pyomo.repn import generate_standard_repn
 
-# A pair counts as decided where one of its sides is below this, relative to max(1, the other); bounds this near to the best point are not improved on.
-_DECIDED, _NEAR = 1e-7, 1e-7
+# A pair counts as decided where one of its sides is below this, relative to max(1, the other);
+# bounds this near to the best point are not improved on.
+_DECIDED = 1e-7
+_NEAR = 1e-7
 # Eigenvalues of a convex objective may be this negative, relative to the largest.
 _CONVEX = 1e-10
 
 
 @dataclass(frozen=True, kw_only=True)
 class GlobalBound:
-    """bound: by the dual objectives of all open leaves; best: lowest objective of a point in which all pairs are decided; both in the model's own sense."""
+    """bound: by the dual objectives of all open leaves.
+
+    best: lowest objective of a point in which all pairs are decided; both in the model's own sense.
+    """
 
     bound: float
     best: float
@@ -71,7 +77,9 @@ class _Rows:
             unit[k] = 1.0
             self.least += [(unit, v.lb)] if v.lb is not None else []
             self.least += [(-unit, -v.ub)] if v.ub is not None else []
-        self.pairs: list[tuple[tuple[np.ndarray, float], tuple[np.ndarray, float]]] = []  # both a x + b >= 0, one of them 0
+        self.pairs: list[
+            tuple[tuple[np.ndarray, float], tuple[np.ndarray, float]]
+        ] = []  # both a x + b >= 0, one of them 0
         for data in model.component_data_objects(Complementarity, active=True):
             self._pair(*(self._relation(side) for side in data._args))
 
@@ -89,7 +97,9 @@ class _Rows:
 
     def _add(self, body: Any, lower: Any, upper: Any) -> None:
         a, b = self.linear(body)
-        low, high = (None if bound is None else float(pyo.value(bound)) - b for bound in (lower, upper))
+        low, high = (
+            None if bound is None else float(pyo.value(bound)) - b for bound in (lower, upper)
+        )
         if low is not None and low == high:
             self.equal.append((a, low))
             return
@@ -106,9 +116,16 @@ class _Rows:
         return 0.0, high - low, None
 
     def _pair(self, first: tuple[Any, Any, Any], second: tuple[Any, Any, Any]) -> None:
-        if first[0] is not None and first[2] is None and second[0] is not None and second[2] is None:
+        if (
+            first[0] is not None
+            and first[2] is None
+            and second[0] is not None
+            and second[2] is None
+        ):
             (a, b), (c, d) = self.linear(first[1]), self.linear(second[1])
-            self.pairs.append(((a, b - float(pyo.value(first[0]))), (c, d - float(pyo.value(second[0])))))
+            self.pairs.append(
+                ((a, b - float(pyo.value(first[0]))), (c, d - float(pyo.value(second[0]))))
+            )
             self.least += [(a, -b) for a, b in self.pairs[-1]]
             return
         raise _OtherKindError  # boxes are two choices of three: not needed for the sets at hand
@@ -144,7 +161,9 @@ def prove(model: Any, *, best: float = math.inf, seconds: float = 20.0) -> Globa
             if status == "PrimalInfeasible":
                 continue
             left = [k for k in range(len(rows.pairs)) if k not in decided]
-            if status != "Solved":  # unbounded, or without an answer: nothing is known of it but what was known above it
+            if (
+                status != "Solved"
+            ):  # unbounded, or without an answer: nothing is known of it but what was known above it
                 if not left:
                     open_bounds.append(known)
                 else:
@@ -157,7 +176,9 @@ def prove(model: Any, *, best: float = math.inf, seconds: float = 20.0) -> Globa
                 continue
             chosen = left[int(least.argmax())]
             nearer = int(sides[chosen, 1] < sides[chosen, 0])
-            todo += [({**decided, chosen: side}, bound) for side in (1 - nearer, nearer)]  # the last is taken first
+            todo += [
+                ({**decided, chosen: side}, bound) for side in (1 - nearer, nearer)
+            ]  # the last is taken first
     return GlobalBound(
         bound=rows.sense * min([closed, upper, *open_bounds]) + rows.constant,
         best=rows.sense * upper + rows.constant,
@@ -173,9 +194,16 @@ class _Programs:
         self._rows, self.count = rows, 0
         self._hessian = sparse.csc_matrix(np.triu(rows.hessian))
         n = len(rows.variables)
-        self._equal, self._least = (sparse.csr_matrix(np.array([a for a, _ in part]).reshape(-1, n)) for part in (rows.equal, rows.least))
-        self._equal_limits, self._least_limits = (np.array([b for _, b in part]) for part in (rows.equal, rows.least))
-        self._sides = sparse.csr_matrix(np.array([a for pair in rows.pairs for a, _ in pair]).reshape(-1, n))
+        self._equal, self._least = (
+            sparse.csr_matrix(np.array([a for a, _ in part]).reshape(-1, n))
+            for part in (rows.equal, rows.least)
+        )
+        self._equal_limits, self._least_limits = (
+            np.array([b for _, b in part]) for part in (rows.equal, rows.least)
+        )
+        self._sides = sparse.csr_matrix(
+            np.array([a for pair in rows.pairs for a, _ in pair]).reshape(-1, n)
+        )
         self._offsets = np.array([b for pair in rows.pairs for _, b in pair])
         self._settings = clarabel.DefaultSettings()
         self._settings.verbose = False
@@ -185,8 +213,13 @@ class _Programs:
         held = [2 * k + side for k, side in decided.items()]
         matrix = sparse.vstack([self._equal, self._sides[held], -self._least], format="csc")
         limits = np.concatenate([self._equal_limits, -self._offsets[held], -self._least_limits])
-        cones = [clarabel.ZeroConeT(len(self._equal_limits) + len(held)), clarabel.NonnegativeConeT(len(self._least_limits))]
-        return clarabel.DefaultSolver(self._hessian, self._rows.slope, matrix, limits, cones, self._settings).solve()
+        cones = [
+            clarabel.ZeroConeT(len(self._equal_limits) + len(held)),
+            clarabel.NonnegativeConeT(len(self._least_limits)),
+        ]
+        return clarabel.DefaultSolver(
+            self._hessian, self._rows.slope, matrix, limits, cones, self._settings
+        ).solve()
 
     def sides(self, x: np.ndarray) -> np.ndarray:
         """(pairs, 2) values of both sides."""

@@ -19,7 +19,8 @@ PEERS = ("casadi_scholtes", "pympcc", "mpecss", "nosnoc")
 
 class Notes:
     """What the judge says of every point that a peer believes on its way, with the CPU time it had by then (the judge's own left out); on disk at
-    once, so that a run stopped at its limit leaves its last point."""
+    once, so that a run stopped at its limit leaves its last point.
+    """
 
     def __init__(self, judge: Callable[[np.ndarray], dict[str, Any]], result: Path) -> None:
         self._judge, self._result, self._judging = judge, result, 0.0
@@ -29,7 +30,13 @@ class Notes:
         before = time.process_time()
         if np.all(np.isfinite(point)):
             told = self._judge(point)
-            self._path.append({"cpu_s": before - self._judging, "residual": told["residual"], "cost": told["cost"]})
+            self._path.append(
+                {
+                    "cpu_s": before - self._judging,
+                    "residual": told["residual"],
+                    "cost": told["cost"],
+                }
+            )
             note = {**told, "path": self._path, "reason": "stopped at the limit, its last point"}
             self._result.write_text(json.dumps(note), encoding="utf-8")
         self._judging += time.process_time() - before
@@ -58,7 +65,12 @@ def on_three_cart(peer: str, seed: int, result: Path) -> dict[str, Any]:
     from models.trajectory import Trajectory, uniform_grid
 
     plan = Trajectory(
-        t=uniform_grid(STEP, STEPS), q=start["q"], v=start["v"], u=start["u"], lam=start["lam"], scheme=Scheme.SEMI_IMPLICIT_EULER
+        t=uniform_grid(STEP, STEPS),
+        q=start["q"],
+        v=start["v"],
+        u=start["u"],
+        lam=start["lam"],
+        scheme=Scheme.SEMI_IMPLICIT_EULER,
     )
     if peer == "mpcc":
         from formulations.pipelines import load_method
@@ -108,14 +120,19 @@ def certified(model: Any) -> dict[str, Any]:
     certificate = certify(model)
     cost = pyo.value(next(model.component_data_objects(pyo.Objective, active=True)))
     return {
-        "cost": cost, "residual": max(certificate.primal, certificate.complementarity), "b_stationary": certificate.b_stationary,
+        "cost": cost, "residual": max(certificate.primal, certificate.complementarity),
+        "b_stationary": certificate.b_stationary,
         "letter": certificate.stationarity.letter,
     }  # fmt: skip
 
 
 def main(peer: str, problem: str, seed: str, result: str) -> None:
     try:
-        told = on_three_cart(peer, int(seed), Path(result)) if problem == "three_cart" else on_macmpec(peer, problem, Path(result))
+        told = (
+            on_three_cart(peer, int(seed), Path(result))
+            if problem == "three_cart"
+            else on_macmpec(peer, problem, Path(result))
+        )
     except ImportError as error:
         told = {"reason": f"not installed: {error}"}
     except Exception as error:  # noqa: BLE001 - whatever a peer raises stands in its row

@@ -7,14 +7,28 @@ from collections.abc import Mapping, Sequence
 from reports.plots import Axis, Key, Plot
 
 # Style and marker of a series, in order.
-LOOKS = tuple((f"c{place % 6}", marker) for marker in ("circle", "square", "diamond") for place in (5, 1, 4, 2, 0, 3))
+LOOKS = tuple(
+    (f"c{place % 6}", marker)
+    for marker in ("circle", "square", "diamond")
+    for place in (5, 1, 4, 2, 0, 3)
+)
 Point = tuple[float, float, str]  # x, y, and what is told of it
 
 
 def chart(
-    title: str, x: tuple[str, str], y: tuple[str, str], series: Mapping[str, Sequence[Point]], *, lines: bool = False, height: int = 400
+    title: str,
+    x: tuple[str, str],
+    y: tuple[str, str],
+    series: Mapping[str, Sequence[Point]],
+    *,
+    lines: bool = False,
+    height: int = 400,
 ) -> Plot | None:
-    """x, y: quantity and unit; series: its words -> its points, joined in their order where `lines` asks for it. None without a point."""
+    """x, y: quantity and unit.
+
+    series: its words -> its points, joined in their order where `lines` asks for it. None without a
+    point.
+    """
     points = [point for some in series.values() for point in some]
     if not points:
         return None

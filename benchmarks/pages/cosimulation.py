@@ -27,7 +27,8 @@ _TOLD = ("jacobi", "contact_first", "extrapolated", "iterated")
 # The criterion: omega h below this.
 CRITERION = 0.1
 # What an energy error may be for a result to be of use, and below which an error is rounding.
-_USEFUL, _SMALLEST = 0.01, 1e-13
+_USEFUL = 0.01
+_SMALLEST = 1e-13
 
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
@@ -36,7 +37,12 @@ def build(records: Sequence[AnyRecord]) -> Section | None:
     views = [_view(case) for case in cases if any(master.rows for master in case.masters)]
     if not views:
         return None
-    return Section("cosimulation", "Split into FMUs: what it costs", "cosimulation.html", {"views": views, "words": words_of})
+    return Section(
+        "cosimulation",
+        "Split into FMUs: what it costs",
+        "cosimulation.html",
+        {"views": views, "words": words_of},
+    )
 
 
 def words_of(master: CosimMaster) -> str:
@@ -71,7 +77,9 @@ def _curve(master: CosimMaster) -> list[tuple[float, float]]:
     return [(row.mean_step, _size(row.energy_error)) for row in master.rows]
 
 
-def _draw(plot: Plot, master: CosimMaster, points: list[tuple[float, float]], tips: list[str]) -> None:
+def _draw(
+    plot: Plot, master: CosimMaster, points: list[tuple[float, float]], tips: list[str]
+) -> None:
     words, style, marker = _look(master.name)
     plot.keys.append(Key(style, words, marker))
     if master.name != "libcosim":  # it lies on Jacobi's line, which shows through
@@ -84,8 +92,15 @@ def _against_step(case: CosimCase, masters: list[CosimMaster]) -> tuple[Plot, st
     curves = {master.name: sorted(_curve(master)) for master in masters}
     plot = Plot(
         "Energy error against the macro step",
-        Axis.fitted("macro step h", "s", [h for points in curves.values() for h, _ in points], log=True),
-        Axis.fitted("relative energy error", "", [value for points in curves.values() for _, value in points], log=True),
+        Axis.fitted(
+            "macro step h", "s", [h for points in curves.values() for h, _ in points], log=True
+        ),
+        Axis.fitted(
+            "relative energy error",
+            "",
+            [value for points in curves.values() for _, value in points],
+            log=True,
+        ),
         width=720,
         height=400,
     )
@@ -95,7 +110,10 @@ def _against_step(case: CosimCase, masters: list[CosimMaster]) -> tuple[Plot, st
         plot.keys.append(Key("touch", f"ωh < {number(CRITERION)}", "swatch"))
     for master in masters:
         rows = sorted(master.rows, key=lambda row: row.mean_step)
-        tips = [f"h = {small(row.mean_step)} s, energy {error(row.energy_error)}, momentum {error(row.momentum_error)}" for row in rows]
+        tips = [
+            f"h = {small(row.mean_step)} s, energy {error(row.energy_error)}, momentum {error(row.momentum_error)}"
+            for row in rows
+        ]
         _draw(plot, master, curves[master.name], tips)
     plot.words = f"{len(curves)} masters; the smaller the step, the smaller the error of each."
     return plot, _conclusion(case, curves, limit)
@@ -103,21 +121,40 @@ def _against_step(case: CosimCase, masters: list[CosimMaster]) -> tuple[Plot, st
 
 def _conclusion(case: CosimCase, curves: dict[str, list[tuple[float, float]]], limit: float) -> str:
     """What the criterion is worth: errors there, and the steps that a useful result needs."""
-    there = {name: value for name in _TOLD if name in curves and (value := at(curves[name], limit)) is not None}
+    there = {
+        name: value
+        for name in _TOLD
+        if name in curves and (value := at(curves[name], limit)) is not None
+    }
     sentences = []
     if there:
-        told = listing([f"{_percent(value)} ({_MASTERS[name][0]})" for name, value in there.items()])
-        sentences.append(f"At ωh = {number(CRITERION)}, here h = {number(limit, 2)} s, the energy is off by {told}.")
-    needs = {name: step for name in _TOLD if name in curves and (step := reached(curves[name], _USEFUL)) is not None}
+        told = listing(
+            [f"{_percent(value)} ({_MASTERS[name][0]})" for name, value in there.items()]
+        )
+        sentences.append(
+            f"At ωh = {number(CRITERION)}, here h = {number(limit, 2)} s, the energy is off by {told}."
+        )
+    needs = {
+        name: step
+        for name in _TOLD
+        if name in curves and (step := reached(curves[name], _USEFUL)) is not None
+    }
     if needs:
-        told = listing([f"{_needed(case, curves[name], step)} ({_MASTERS[name][0]})" for name, step in needs.items()])
+        told = listing(
+            [
+                f"{_needed(case, curves[name], step)} ({_MASTERS[name][0]})"
+                for name, step in needs.items()
+            ]
+        )
         sentences.append(f"For an error below {_percent(_USEFUL)} it takes ωh of at most {told}.")
     poor = [_MASTERS[name][0] for name in _TOLD if name in curves and name not in needs]
     if poor:
         sentences.append(f"No step of this sweep is small enough for {listing(poor)}.")
     if "whole" in curves:
         worst = max(value for _, value in curves["whole"])
-        sentences.append(f"The whole scene in one FMU is right to {error(worst)} at every one of these steps: keep a stiff contact inside.")
+        sentences.append(
+            f"The whole scene in one FMU is right to {error(worst)} at every one of these steps: keep a stiff contact inside."
+        )
     return " ".join(sentences)
 
 
@@ -135,8 +172,18 @@ def _against_time(case: CosimCase, masters: list[CosimMaster]) -> tuple[Plot, st
     rows = {master.name: sorted(master.rows, key=lambda row: row.mean_step) for master in masters}
     plot = Plot(
         "CPU time against energy error",
-        Axis.fitted("relative energy error", "", [_size(row.energy_error) for group in rows.values() for row in group], log=True),
-        Axis.fitted("CPU time a simulated second", "s", [row.cpu_per_s for group in rows.values() for row in group], log=True),
+        Axis.fitted(
+            "relative energy error",
+            "",
+            [_size(row.energy_error) for group in rows.values() for row in group],
+            log=True,
+        ),
+        Axis.fitted(
+            "CPU time a simulated second",
+            "s",
+            [row.cpu_per_s for group in rows.values() for row in group],
+            log=True,
+        ),
         width=720,
         height=400,
     )
@@ -144,16 +191,30 @@ def _against_time(case: CosimCase, masters: list[CosimMaster]) -> tuple[Plot, st
     for master in masters:
         group = rows[master.name]
         points = [(_size(row.energy_error), row.cpu_per_s) for row in group]
-        tips = [f"h = {small(row.mean_step)} s, energy {error(row.energy_error)}, {error(row.cpu_per_s)} CPU s a second" for row in group]
+        tips = [
+            f"h = {small(row.mean_step)} s, energy {error(row.energy_error)}, {error(row.cpu_per_s)} CPU s a second"
+            for row in group
+        ]
         _draw(plot, master, points, tips)
         step = reached(_curve(master), _USEFUL)
         seconds = [(row.mean_step, row.cpu_per_s) for row in group]
         if step is not None:
-            price[master.name] = at(seconds, step) or min(value for h, value in seconds if h <= step * (1 + 1e-9))
-    told = listing([f"{error(value)} s by {_look(name)[0]}" for name, value in sorted(price.items(), key=lambda item: item[1])])
+            price[master.name] = at(seconds, step) or min(
+                value for h, value in seconds if h <= step * (1 + 1e-9)
+            )
+    told = listing(
+        [
+            f"{error(value)} s by {_look(name)[0]}"
+            for name, value in sorted(price.items(), key=lambda item: item[1])
+        ]
+    )
     plot.words = "Further down is cheaper, further left is better."
     lacking = [words_of(master) for master in masters if master.name not in price]
-    sentence = f"An energy error of {_percent(_USEFUL)} costs, a simulated second, {told}." if price else ""
+    sentence = (
+        f"An energy error of {_percent(_USEFUL)} costs, a simulated second, {told}."
+        if price
+        else ""
+    )
     if lacking:
         sentence += f" No step of this sweep gets {listing(lacking)} there."
     return plot, sentence.strip()

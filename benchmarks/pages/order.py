@@ -6,7 +6,14 @@ from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 
 from benchmarks.pages.chart import Point, chart
-from benchmarks.records import AnyRecord, OrderAnswer, OrderChoice, OrderRecord, OrderRow, OrderScene
+from benchmarks.records import (
+    AnyRecord,
+    OrderAnswer,
+    OrderChoice,
+    OrderRecord,
+    OrderRow,
+    OrderScene,
+)
 from reports.pages.section import Section
 from reports.plots import Plot
 from reports.wording import error, listing, power, seconds, small, spaced, times
@@ -21,8 +28,19 @@ _NAMES = {
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
     """The section, or None where no scene was measured."""
-    views = [_view(scene) for record in records if isinstance(record, OrderRecord) for scene in record.scenes]
-    return Section("order", "Step size and order", "order.html", {"views": views, "named": scheme_name}) if views else None
+    views = [
+        _view(scene)
+        for record in records
+        if isinstance(record, OrderRecord)
+        for scene in record.scenes
+    ]
+    return (
+        Section(
+            "order", "Step size and order", "order.html", {"views": views, "named": scheme_name}
+        )
+        if views
+        else None
+    )
 
 
 def scheme_name(name: str) -> str:
@@ -32,19 +50,48 @@ def scheme_name(name: str) -> str:
 
 def _view(scene: OrderScene) -> SimpleNamespace:
     plots = [
-        _plot(scene, "Replay error over CPU time", ("CPU time", "s"), lambda row: row.cpu_s, lambda row: row.replay_error, "replay error"),
-        _plot(scene, "Replay error over the step", ("step h", "s"), lambda row: row.h, lambda row: row.replay_error, "replay error"),
         _plot(
-            scene, "Distance to the finest plan over the step", ("step h", "s"), lambda row: row.h, lambda row: row.plan_error, "plan error"
+            scene,
+            "Replay error over CPU time",
+            ("CPU time", "s"),
+            lambda row: row.cpu_s,
+            lambda row: row.replay_error,
+            "replay error",
+        ),
+        _plot(
+            scene,
+            "Replay error over the step",
+            ("step h", "s"),
+            lambda row: row.h,
+            lambda row: row.replay_error,
+            "replay error",
+        ),
+        _plot(
+            scene,
+            "Distance to the finest plan over the step",
+            ("step h", "s"),
+            lambda row: row.h,
+            lambda row: row.plan_error,
+            "plan error",
         ),
     ]
-    known = [f"{scheme_name(name)} {order:.1f}" for name, order in scene.orders.items() if order is not None]
-    failed = [f"{scheme_name(row.scheme)} with {row.steps} steps ({spaced(row.outcome)})" for row in scene.rows if row.outcome != "solved"]
+    known = [
+        f"{scheme_name(name)} {order:.1f}"
+        for name, order in scene.orders.items()
+        if order is not None
+    ]
+    failed = [
+        f"{scheme_name(row.scheme)} with {row.steps} steps ({spaced(row.outcome)})"
+        for row in scene.rows
+        if row.outcome != "solved"
+    ]
     return SimpleNamespace(
         scene=scene,
         plots=[plot for plot in plots if plot is not None],
         answers=[_sentence(answer, scene.unit) for answer in scene.answers],
-        orders=f"Order of the replay error in h, fitted over all grids: {listing(known)}." if known else "Too few grids for an order.",
+        orders=f"Order of the replay error in h, fitted over all grids: {listing(known)}."
+        if known
+        else "Too few grids for an order.",
         failed=f"Without a plan that was solved: {listing(failed)}." if failed else "",
     )
 
@@ -72,7 +119,11 @@ def _plot(
         height=360,
     )
     if plot is not None:
-        best = min((y, row.steps, row.scheme) for row in scene.rows if row.outcome == "solved" and (y := y_of(row)) is not None and y > 0)
+        best = min(
+            (y, row.steps, row.scheme)
+            for row in scene.rows
+            if row.outcome == "solved" and (y := y_of(row)) is not None and y > 0
+        )
         plot.words = f"{sum(map(len, series.values()))} grids; the smallest {what} is {error(best[0])} {scene.unit}, {scheme_name(best[2])} with {best[1]} steps."
     return plot
 

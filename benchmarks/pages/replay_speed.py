@@ -18,11 +18,23 @@ _SMALLEST = 1e-16
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
     """The section, or None where no replay has a measured error."""
-    scenes = [scene for record in records if isinstance(record, ReplaySpeedRecord) for scene in record.scenes]
-    views = [_view(scene) for scene in scenes if any(row.error_m is not None for row in scene.sweep)]
+    scenes = [
+        scene
+        for record in records
+        if isinstance(record, ReplaySpeedRecord)
+        for scene in record.scenes
+    ]
+    views = [
+        _view(scene) for scene in scenes if any(row.error_m is not None for row in scene.sweep)
+    ]
     if not views:
         return None
-    return Section("replay-speed", "The replay: speed against error", "replay_speed.html", {"views": views, "setting": _setting})
+    return Section(
+        "replay-speed",
+        "The replay: speed against error",
+        "replay_speed.html",
+        {"views": views, "setting": _setting},
+    )
 
 
 def _setting(row: SpeedRow) -> str:
@@ -38,14 +50,20 @@ def _view(scene: SpeedScene) -> SimpleNamespace:
     known = [(row, row.error_m) for row in scene.sweep if row.error_m is not None]
     series = {
         _name(kind): [
-            (max(missed, _SMALLEST), row.cpu_s, f"{_name(kind)}, {_setting(row)}: error {error(row.error_m)} m, {error(row.cpu_s)} CPU s")
+            (
+                max(missed, _SMALLEST),
+                row.cpu_s,
+                f"{_name(kind)}, {_setting(row)}: error {error(row.error_m)} m, {error(row.cpu_s)} CPU s",
+            )
             for row, missed in sorted(known, key=lambda item: item[0].setting)
             if row.kind == kind
         ]
         for kind in dict.fromkeys(row.kind for row, _ in known)
     }
     title = f"{scene.name}: CPU time against true error"
-    plot = chart(title, ("largest position error", "m"), ("CPU time of a replay", "s"), series, lines=True)
+    plot = chart(
+        title, ("largest position error", "m"), ("CPU time of a replay", "s"), series, lines=True
+    )
     assert plot is not None, "build leaves out a scene without a point"
     plot.words = "Further left is more exact, further down is faster; each point is one replay."
     lost = [row for row in scene.sweep if row.error_m is None]
@@ -53,7 +71,9 @@ def _view(scene: SpeedScene) -> SimpleNamespace:
 
 
 def _sentence(scene: SpeedScene, known: list[tuple[SpeedRow, float]]) -> str:
-    cheapest: dict[int, list[str]] = {}  # place of a row -> the goals that it reaches for the least time
+    cheapest: dict[
+        int, list[str]
+    ] = {}  # place of a row -> the goals that it reaches for the least time
     never = []
     for goal in _GOALS:
         good = [(row.cpu_s, place) for place, (row, missed) in enumerate(known) if missed <= goal]
@@ -64,7 +84,9 @@ def _sentence(scene: SpeedScene, known: list[tuple[SpeedRow, float]]) -> str:
     parts = []
     for place, goals in cheapest.items():
         row = known[place][0]
-        parts.append(f"an error of at most {listing(goals)} m by {_name(row.kind)} at {_setting(row)} ({error(row.cpu_s)} CPU s)")
+        parts.append(
+            f"an error of at most {listing(goals)} m by {_name(row.kind)} at {_setting(row)} ({error(row.cpu_s)} CPU s)"
+        )
     words = f"Cheapest for {listing(parts)}." if parts else ""
     if never:
         words += f" Nothing in this sweep reaches {listing(never)} m."

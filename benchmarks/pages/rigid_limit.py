@@ -16,11 +16,18 @@ _NEAR = 0.01
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
     """The section, or None where no case has a cost."""
-    cases = [case for record in records if isinstance(record, RigidLimitRecord) for case in record.cases]
+    cases = [
+        case for record in records if isinstance(record, RigidLimitRecord) for case in record.cases
+    ]
     views = [_view(case) for case in cases if any(row.cost is not None for row in case.rows)]
     if not views:
         return None
-    return Section("rigid-limit", "Soft contact against rigid bodies", "rigid_limit.html", {"views": views, "excess": _excess})
+    return Section(
+        "rigid-limit",
+        "Soft contact against rigid bodies",
+        "rigid_limit.html",
+        {"views": views, "excess": _excess},
+    )
 
 
 def _excess(cost: float, case: RigidLimitCase) -> float:
@@ -29,7 +36,9 @@ def _excess(cost: float, case: RigidLimitCase) -> float:
 
 
 def _solved(case: RigidLimitCase) -> list[tuple[StiffnessRow, float]]:
-    return sorted(((row, row.cost) for row in case.rows if row.cost is not None), key=lambda pair: pair[0].k)
+    return sorted(
+        ((row, row.cost) for row in case.rows if row.cost is not None), key=lambda pair: pair[0].k
+    )
 
 
 def _view(case: RigidLimitCase) -> SimpleNamespace:
@@ -67,7 +76,14 @@ def _sentence(case: RigidLimitCase, solved: list[tuple[StiffnessRow, float]]) ->
         f"From k = {number(softest.k)} to {number(stiffest.k)} N/m the least cost found goes from {number(first, 6)} to {number(last, 6)}, "
         f"{number(_excess(first, case), 3)} % and {number(_excess(last, case), 3)} % from the {number(case.rigid, 6)} of rigid bodies."
     )
-    near = next((place for place in range(len(solved)) if all(abs(_excess(cost, case)) <= 100 * _NEAR for _, cost in solved[place:])), None)
+    near = next(
+        (
+            place
+            for place in range(len(solved))
+            if all(abs(_excess(cost, case)) <= 100 * _NEAR for _, cost in solved[place:])
+        ),
+        None,
+    )
     if near is None:
         return f"{words} Not even the stiffest is within {number(100 * _NEAR)} % of it."
     return f"{words} From k = {number(solved[near][0].k)} N/m on it is within {number(100 * _NEAR)} % of it."

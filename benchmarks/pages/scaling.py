@@ -20,22 +20,42 @@ _LEAST_MEMORY = 1.0
 def build(records: Sequence[AnyRecord]) -> Section | None:
     """The section, or None where nothing was measured."""
     views = [_view(record) for record in records if isinstance(record, ScalingRecord)]
-    return Section("scaling", "Growth with size", "scaling.html", {"views": views}) if views else None
+    return (
+        Section("scaling", "Growth with size", "scaling.html", {"views": views}) if views else None
+    )
 
 
 def _view(record: ScalingRecord) -> SimpleNamespace:
     time = _plot(record, "CPU time over n T", "CPU time", "s", lambda row: row.cpu_s)
     memory = _plot(
-        record, "Memory over n T", "memory", "MiB", lambda row: row.memory_mib if (row.memory_mib or 0) >= _LEAST_MEMORY else None
+        record,
+        "Memory over n T",
+        "memory",
+        "MiB",
+        lambda row: row.memory_mib if (row.memory_mib or 0) >= _LEAST_MEMORY else None,
     )
     sentences = [_sentence(stage) for stage in record.stages]
-    return SimpleNamespace(plots=[plot for plot in (time, memory) if plot is not None], sentences=sentences, stages=record.stages)
+    return SimpleNamespace(
+        plots=[plot for plot in (time, memory) if plot is not None],
+        sentences=sentences,
+        stages=record.stages,
+    )
 
 
-def _plot(record: ScalingRecord, title: str, what: str, unit: str, value: Callable[[ScalingRow], float | None]) -> Plot | None:
+def _plot(
+    record: ScalingRecord,
+    title: str,
+    what: str,
+    unit: str,
+    value: Callable[[ScalingRow], float | None],
+) -> Plot | None:
     series = {
         spaced(stage.name): [
-            (float(row.n * row.steps), y, f"{spaced(stage.name)}, n = {row.n}, T = {row.steps}: {error(y)} {unit}, {spaced(row.outcome)}")
+            (
+                float(row.n * row.steps),
+                y,
+                f"{spaced(stage.name)}, n = {row.n}, T = {row.steps}: {error(y)} {unit}, {spaced(row.outcome)}",
+            )
             for row in stage.rows
             if (y := value(row)) is not None and y > 0
         ]
@@ -51,9 +71,19 @@ def _sentence(stage: ScalingStage) -> str:
     parts = []
     for kind, exponent in (("time", stage.time_exponent), ("memory", stage.memory_exponent)):
         if exponent is not None:
-            parts.append(f"{kind} as (n T) to the {exponent:.2f}, {'about linear' if exponent <= _LINEAR[kind] else 'faster than linear'}")
-    words = f"{spaced(stage.name)}: grows in {listing(parts)}." if parts else f"{spaced(stage.name)}: too few sizes for an exponent."
+            parts.append(
+                f"{kind} as (n T) to the {exponent:.2f}, {'about linear' if exponent <= _LINEAR[kind] else 'faster than linear'}"
+            )
+    words = (
+        f"{spaced(stage.name)}: grows in {listing(parts)}."
+        if parts
+        else f"{spaced(stage.name)}: too few sizes for an exponent."
+    )
     if stage.iteration_exponent is not None and stage.iteration_exponent != stage.time_exponent:
         words += f" An iteration: to the {stage.iteration_exponent:.2f}."
-    unsolved = [f"n = {row.n}, T = {row.steps} ({spaced(row.outcome)})" for row in stage.rows if row.outcome not in ("solved", "ok")]
+    unsolved = [
+        f"n = {row.n}, T = {row.steps} ({spaced(row.outcome)})"
+        for row in stage.rows
+        if row.outcome not in ("solved", "ok")
+    ]
     return words + (f" Not solved: {listing(unsolved)}." if unsolved else "")

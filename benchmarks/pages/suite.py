@@ -14,57 +14,93 @@ from reports.wording import Sign, count, error, listing, number, seconds, spaced
 OURS = "touchstone"
 MET = Sign("met", "✓", "holds", "the median is at most the target")
 MISSED = Sign("missed", "✗", "violates", "the median is above the target")
-UNJUDGED = Sign("not judged", "○", "noplan", "not measured, or not at the size that the target is set for")
+UNJUDGED = Sign(
+    "not judged", "○", "noplan", "not measured, or not at the size that the target is set for"
+)
 # The stages that a chain of collocation is made of; the last two come once an iteration.
-_ONCE, _EACH = ("pyomo_build", "translate"), ("evaluate", "linear_algebra")
+_ONCE = ("pyomo_build", "translate")
+_EACH = ("evaluate", "linear_algebra")
 _OF_CHAIN = ("chain_against_casadi", "chain_against_drake", "pyomo_share")
 
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
     """The section, or None where no suite ran."""
     views = [_view(record) for record in records if isinstance(record, SuiteRecord)]
-    return Section("suite", "Speed, side by side", "suite.html", {"views": views}) if views else None
+    return (
+        Section("suite", "Speed, side by side", "suite.html", {"views": views}) if views else None
+    )
 
 
 def _view(record: SuiteRecord) -> SimpleNamespace:
-    """One file of the suite; a line is a row of the table of stages, with its time by ours, of a peer."""
+    """One file of the suite.
+
+    A line is a row of the table of stages, with its time by ours, of a peer.
+    """
     figures = [_shown(figure, record) for figure in record.figures]
-    ours = {(row.stage, row.n, row.steps): middle(row.cpu_s) for row in record.rows if row.by == OURS}
+    ours = {
+        (row.stage, row.n, row.steps): middle(row.cpu_s) for row in record.rows if row.by == OURS
+    }
     lines = [
         SimpleNamespace(
-            row=row, seconds=middle(row.cpu_s), spread=spread(row.cpu_s), memory=middle(row.memory_mib),
+            row=row, seconds=middle(row.cpu_s), spread=spread(row.cpu_s),
+            memory=middle(row.memory_mib),
             factor=_factor(row, ours.get((row.stage, row.n, row.steps))),
         )
         for row in record.rows
     ]  # fmt: skip
     return SimpleNamespace(
-        record=record, figures=figures, lines=lines, plot=_plot(record.rows), sentence=_sentence(record), busy=_busy(record)
+        record=record,
+        figures=figures,
+        lines=lines,
+        plot=_plot(record.rows),
+        sentence=_sentence(record),
+        busy=_busy(record),
     )
 
 
 def _shown(figure: SuiteFigure, record: SuiteRecord) -> SimpleNamespace:
-    """A figure: measured, range and target in words; profile: of a missed one, what its time was spent on."""
+    """A figure: measured, range and target in words.
+
+    profile: of a missed one, what its time was spent on.
+    """
     sign = UNJUDGED if figure.met is None else MET if figure.met else MISSED
     low, high = (min(figure.samples), max(figure.samples)) if figure.samples else (None, None)
-    size = f"n\u00a0=\u00a0{figure.n}" + (f", T\u00a0=\u00a0{figure.steps}" if figure.steps else "") if figure.n else ""
+    size = (
+        f"n\u00a0=\u00a0{figure.n}" + (f", T\u00a0=\u00a0{figure.steps}" if figure.steps else "")
+        if figure.n
+        else ""
+    )
     span = f"{number(low, 3)} – {number(high, 3)}" if number(low, 3) != number(high, 3) else ""
     profile = _profile(figure, record.rows) if figure.met is False else ""
     return SimpleNamespace(
-        figure=figure, size=size, measured=number(figure.measured, 3), span=span, target=f"{number(figure.target, 3)} {figure.unit}".strip(),
+        figure=figure, size=size, measured=number(figure.measured, 3), span=span,
+        target=f"{number(figure.target, 3)} {figure.unit}".strip(),
         sign=sign, profile=profile,
     )  # fmt: skip
 
 
 def _profile(figure: SuiteFigure, rows: Iterable[SuiteRow]) -> str:
     """Where our time went, from the stages that were measured beside it."""
-    here = {row.stage: row for row in rows if row.by == OURS and (row.n, row.steps) == (figure.n, figure.steps)}
+    here = {
+        row.stage: row
+        for row in rows
+        if row.by == OURS and (row.n, row.steps) == (figure.n, figure.steps)
+    }
     if figure.name == "gd_against_pytorch":
         return _profile_of_two(
-            here, "gd_iteration", "gd_kernel", "compiled rollout and adjoint", "loss, history, stopping rule and step, in PyTorch"
+            here,
+            "gd_iteration",
+            "gd_kernel",
+            "compiled rollout and adjoint",
+            "loss, history, stopping rule and step, in PyTorch",
         )
     if figure.name == "replay_against_fmpy":
         return _profile_of_two(
-            here, "cs_replay", "cs_calls", "the calls, with one internal step each", "the other internal steps, in the FMU's own C"
+            here,
+            "cs_replay",
+            "cs_calls",
+            "the calls, with one internal step each",
+            "the other internal steps, in the FMU's own C",
         )
     if figure.name == "eps_step":
         return _profile_of_step(here)
@@ -76,7 +112,9 @@ def _profile(figure: SuiteFigure, rows: Iterable[SuiteRow]) -> str:
     for stage in (*_ONCE, *_EACH):
         spent = middle(here[stage].cpu_s) if stage in here else None
         if spent is not None and stage in _EACH:
-            told.append(f"{spaced(stage)} {chain.iterations} × {error(spent)} s = {seconds(chain.iterations * spent)} s")
+            told.append(
+                f"{spaced(stage)} {chain.iterations} × {error(spent)} s = {seconds(chain.iterations * spent)} s"
+            )
         elif spent is not None:
             told.append(f"{spaced(stage)} {seconds(spent)} s")
     return f"Of its {seconds(whole)} CPU s: {listing(told)}." if told else ""
@@ -120,7 +158,13 @@ def _plot(rows: Iterable[SuiteRow]) -> Plot | None:
             series.setdefault(spaced(row.stage), []).append((float(row.n * row.steps), y, tip))
     if len({x for points in series.values() for x, _, _ in points}) < 2:
         return None
-    plot = chart("CPU time of our stages over n T", ("bodies times steps, n T", ""), ("CPU time", "s"), series, height=440)
+    plot = chart(
+        "CPU time of our stages over n T",
+        ("bodies times steps, n T", ""),
+        ("CPU time", "s"),
+        series,
+        height=440,
+    )
     if plot is not None:
         plot.words = "Medians; points on a line of slope one grow linearly."
     return plot

@@ -18,7 +18,12 @@ def build(records: Sequence[AnyRecord]) -> Section | None:
     for record in records:
         if isinstance(record, TableRecord) and any(table.rows for table in record.tables):
             anchor = "table-" + re.sub(r"[^a-z0-9]+", "-", record.name.lower())
-            return Section(anchor, record.title, "tables.html", {"record": record, "shown": _shown, "numeric": _numeric})
+            return Section(
+                anchor,
+                record.title,
+                "tables.html",
+                {"record": record, "shown": _shown, "numeric": _numeric},
+            )
     return None
 
 

@@ -12,13 +12,21 @@ from reports.plots import Axis, Key, Plot
 from reports.wording import error, number
 
 # Style, marker and words of a start: balanced without a wall, by a wall, not balanced.
-_FREE, _WALL, _LOST = ("c0", "circle", "balanced without a wall"), ("c5", "square", "balanced by a wall"), ("c3", "diamond", "not balanced")
+_FREE = ("c0", "circle", "balanced without a wall")
+_WALL = ("c5", "square", "balanced by a wall")
+_LOST = ("c3", "diamond", "not balanced")
 
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
     """The section, or None where no start was tried."""
-    views = [_view(record) for record in records if isinstance(record, BalanceRecord) and record.starts]
-    return Section("unstable-starts", "Unstable starts", "unstable_starts.html", {"views": views}) if views else None
+    views = [
+        _view(record) for record in records if isinstance(record, BalanceRecord) and record.starts
+    ]
+    return (
+        Section("unstable-starts", "Unstable starts", "unstable_starts.html", {"views": views})
+        if views
+        else None
+    )
 
 
 def _look(start: BalanceStart) -> tuple[str, str, str]:
@@ -29,8 +37,16 @@ def _look(start: BalanceStart) -> tuple[str, str, str]:
 
 def _view(record: BalanceRecord) -> SimpleNamespace:
     keys = [Key(style, words, marker) for style, marker, words in (_FREE, _WALL, _LOST)]
-    lost = [(number, start) for number, start in enumerate(record.starts, start=1) if not start.balanced]
-    return SimpleNamespace(record=record, keys=keys, plots=[_starts(record), _ends(record)], sentence=_sentence(record), lost=lost)
+    lost = [
+        (number, start) for number, start in enumerate(record.starts, start=1) if not start.balanced
+    ]
+    return SimpleNamespace(
+        record=record,
+        keys=keys,
+        plots=[_starts(record), _ends(record)],
+        sentence=_sentence(record),
+        lost=lost,
+    )
 
 
 def _tip(place: int, start: BalanceStart) -> str:
@@ -42,7 +58,9 @@ def _starts(record: BalanceRecord) -> Plot:
     plot = Plot(
         "Where the pole starts",
         Axis.fitted("place of the cart", "m", [start.x for start in record.starts], margin=0.05),
-        Axis.fitted("angle of the pole", "rad", [start.theta for start in record.starts], margin=0.05),
+        Axis.fitted(
+            "angle of the pole", "rad", [start.theta for start in record.starts], margin=0.05
+        ),
     )
     for place, start in enumerate(record.starts, start=1):
         style, marker, _ = _look(start)
@@ -52,8 +70,15 @@ def _starts(record: BalanceRecord) -> Plot:
 
 
 def _ends(record: BalanceRecord) -> Plot:
-    known = [(place, start, start.open_end, start.tracked_end) for place, start in enumerate(record.starts, start=1)]
-    shown = [(place, start, x, y) for place, start, x, y in known if x is not None and y is not None and x > 0.0 and y > 0.0]
+    known = [
+        (place, start, start.open_end, start.tracked_end)
+        for place, start in enumerate(record.starts, start=1)
+    ]
+    shown = [
+        (place, start, x, y)
+        for place, start, x, y in known
+        if x is not None and y is not None and x > 0.0 and y > 0.0
+    ]
     plot = Plot(
         "The same inputs without feedback and with it",
         Axis.fitted("end in the open loop", "", [x for _, _, x, _ in shown] or [1.0], log=True),
@@ -63,7 +88,9 @@ def _ends(record: BalanceRecord) -> Plot:
     for place, start, x, y in shown:
         style, marker, _ = _look(start)
         plot.point(x, y, style, marker, _tip(place, start))
-    plot.words = "Distance of the last state from the goal, norm over places and speeds in SI units."
+    plot.words = (
+        "Distance of the last state from the goal, norm over places and speeds in SI units."
+    )
     return plot
 
 
@@ -74,11 +101,19 @@ def _sentence(record: BalanceRecord) -> str:
     margin = sum(start.share < 1.0 for start in balanced)
     cpu = [start.plan_cpu_s for start in record.starts]
     words = f"{len(balanced)} of {len(record.starts)} starts are balanced in the replay with feedback, {len(walls)} of them by a wall; "
-    words += f"in the open loop {alone} of these plans end as near." if balanced else "no plan holds."
-    for name, group in (("without a wall", [start for start in balanced if start not in walls]), ("by a wall", walls)):
+    words += (
+        f"in the open loop {alone} of these plans end as near." if balanced else "no plan holds."
+    )
+    for name, group in (
+        ("without a wall", [start for start in balanced if start not in walls]),
+        ("by a wall", walls),
+    ):
         efforts = [start.effort for start in group if start.effort is not None]
         if efforts:
             words += f" Balanced {name}, the feedback's RMS effort is {number(100 * median(efforts), 2)} % of the half-range of the inputs in the median, at most {number(100 * max(efforts), 2)} %."
     if margin:
         words += f" {margin} of them needed a plan that leaves the feedback some of the inputs."
-    return words + f" Finding a plan took {error(median(cpu))} CPU s in the median, at most {error(max(cpu))}."
+    return (
+        words
+        + f" Finding a plan took {error(median(cpu))} CPU s in the median, at most {error(max(cpu))}."
+    )

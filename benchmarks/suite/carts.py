@@ -22,7 +22,8 @@ INPUT_WEIGHT = 5e-6
 @dataclass(frozen=True, kw_only=True)
 class Numbers:
     """n carts of `length` [m], mass [kg], damping [N s/m], contact stiffness [N/m], |u| <= limit [N] on the outer two; start, goal (2n,);
-    T = steps of h = step [s]."""
+    T = steps of h = step [s].
+    """
 
     n: int
     steps: int
@@ -37,7 +38,10 @@ class Numbers:
 
 
 def scene_of(size: Size) -> Scene:
-    """Five seconds in T steps; beyond ten carts n/2 seconds, because twenty cannot be pushed to rest in five."""
+    """Five seconds in T steps.
+
+    Beyond ten carts n/2 seconds, because twenty cannot be pushed to rest in five.
+    """
     from models.scenes.cart_chain import cart_chain
 
     return cart_chain(size.n).with_task(steps=size.steps, step=max(5.0, size.n / 2) / size.steps)
@@ -79,5 +83,10 @@ def pushed_plan(size: Size) -> Trajectory:
     scene, u = scene_of(size), push(size.steps)
     rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step)
     return Trajectory(
-        t=uniform_grid(scene.task.step, size.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+        t=uniform_grid(scene.task.step, size.steps),
+        q=rollout.q,
+        v=rollout.v,
+        u=u,
+        lam=rollout.lam,
+        scheme=Scheme.SEMI_IMPLICIT_EULER,
     )

@@ -1,4 +1,7 @@
-"""What the suite measures: our stages, each with what people would use instead. A Case is one way (`by`) through one stage."""
+"""What the suite measures: our stages, each with what people would use instead.
+
+A Case is one way (`by`) through one stage.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,8 @@ YARDSTICK = "yardstick"
 _BENCH = "pip install -e '.[bench]'"
 _CASADI = {"casadi": _BENCH}
 _DRAKE = {"pydrake": "pip install drake"}
-_STAGES, _PEERS = "benchmarks.suite.stages", "benchmarks.suite.peers"
+_STAGES = "benchmarks.suite.stages"
+_PEERS = "benchmarks.suite.peers"
 # The only problem that the packages for complementarity are given.
 _STRICT = Size(3, 500)
 _STRICT_TITLE = "Exact contact from a seeded start, whole process"
@@ -23,9 +27,13 @@ _STRICT_TITLE = "Exact contact from a seeded start, whole process"
 class Case:
     """One row of the suite.
 
-    function: `module:name`, called in the child as name(size, folder) -> Work: what it does before it returns is not measured.
-    once: its work cannot be repeated in one process, or need not be; needs: modules that must be importable, with the words of how to get them;
-    only, largest: the one size it is for, the largest n T it is asked for; sized: False for what knows no size; slow: it takes minutes, and is measured once, if asked for; of_campaign: it needs a stored campaign.
+    function: `module:name`, called in the child as name(size, folder) -> Work: what it does before
+        it returns is not measured.
+    once: its work cannot be repeated in one process, or need not be; needs: modules that must be
+        importable, with the words of how to get them;
+    only, largest: the one size it is for, the largest n T it is asked for; sized: False for what
+        knows no size; slow: it takes minutes, and is measured once, if asked for; of_campaign: it
+        needs a stored campaign.
     """
 
     stage: str
@@ -72,38 +80,108 @@ def _peer(stage: str, title: str, by: str, function: str, **more: object) -> Cas
 
 def _strict(by: str, function: str, **needs: str) -> Case:
     return Case(
-        stage="strict_contact", title=_STRICT_TITLE, by=by, function=f"benchmarks.mpec.process:{function}", needs=needs, only=_STRICT,
+        stage="strict_contact", title=_STRICT_TITLE, by=by,
+        function=f"benchmarks.mpec.process:{function}", needs=needs, only=_STRICT,
         once=True, slow=True,
     )  # fmt: skip
 
 
 CASES: tuple[Case, ...] = (
     _ours(YARDSTICK, "A fixed piece of work: how fast the machine is", "yardstick"),
-    _ours("scene_compile", "Scene to compiled time step, nothing cached", "scene_compile", once=True),
+    _ours(
+        "scene_compile", "Scene to compiled time step, nothing cached", "scene_compile", once=True
+    ),
     _ours("pyomo_build", "Scene to Pyomo model", "pyomo_build"),
     _ours("translate", "Pyomo model to Ipopt's functions", "translate"),
     _ours("evaluate", "Functions and derivatives of one iteration", "evaluate"),
     _ours("linear_algebra", "The rest of an iteration of Ipopt", "linear_algebra", once=True),
-    _peer("linear_algebra", "The same with the MUMPS of the wheel", "mumps", f"{_STAGES}:with_mumps", once=True),
-    _ours("softplus_chain", "Softplus collocation at three eps, from Scene to plans", "softplus_chain", once=True),
-    _peer("softplus_chain", "The same by hand", "casadi", f"{_PEERS}.casadi_chain:chain", once=True, needs=_CASADI),
-    _peer("softplus_chain", "The same with SNOPT", "drake_snopt", f"{_PEERS}.drake_snopt:chain", once=True, needs=_DRAKE, largest=2000),
+    _peer(
+        "linear_algebra",
+        "The same with the MUMPS of the wheel",
+        "mumps",
+        f"{_STAGES}:with_mumps",
+        once=True,
+    ),
+    _ours(
+        "softplus_chain",
+        "Softplus collocation at three eps, from Scene to plans",
+        "softplus_chain",
+        once=True,
+    ),
+    _peer(
+        "softplus_chain",
+        "The same by hand",
+        "casadi",
+        f"{_PEERS}.casadi_chain:chain",
+        once=True,
+        needs=_CASADI,
+    ),
+    _peer(
+        "softplus_chain",
+        "The same with SNOPT",
+        "drake_snopt",
+        f"{_PEERS}.drake_snopt:chain",
+        once=True,
+        needs=_DRAKE,
+        largest=2000,
+    ),
     _ours("cold_step", "The last eps, from Scene to plan, cold", "cold_step", once=True),
-    _peer("cold_step", "The same by hand", "casadi", f"{_PEERS}.casadi_chain:cold_step", once=True, needs=_CASADI),
+    _peer(
+        "cold_step",
+        "The same by hand",
+        "casadi",
+        f"{_PEERS}.casadi_chain:cold_step",
+        once=True,
+        needs=_CASADI,
+    ),
     _ours("eps_step", "The last eps from the one before, session open", "eps_step", once=True),
     _ours("gd_iteration", "One iteration of gradient descent through contact", "gd_iteration"),
     _ours("gd_kernel", "Its compiled part: rollout and adjoint", "gd_kernel"),
-    _peer("gd_iteration", "The paper's loop in PyTorch", "pytorch_loop", f"{_PEERS}.torch_loop:iteration", largest=60_000),
-    _peer("gd_iteration", "An adjoint of this scene by hand in C", "hand_written_c", f"{_PEERS}.c_adjoint:iteration"),
+    _peer(
+        "gd_iteration",
+        "The paper's loop in PyTorch",
+        "pytorch_loop",
+        f"{_PEERS}.torch_loop:iteration",
+        largest=60_000,
+    ),
+    _peer(
+        "gd_iteration",
+        "An adjoint of this scene by hand in C",
+        "hand_written_c",
+        f"{_PEERS}.c_adjoint:iteration",
+    ),
     _ours("fmu_build", "Scene to FMU 2.0, nothing cached", "fmu_build", once=True),
     _ours("cs_replay", "One Co-Simulation of a plan", "cs_replay"),
     _ours("cs_calls", "Its calls, with one internal step each", "cs_calls"),
     _peer("cs_replay", "FMPy's simulate_fmu", "fmpy", f"{_PEERS}.fmpy_replay:simulate"),
     _ours("replay", "The whole replay with its error estimate", "whole_replay"),
     _ours("list", "python -m validate list", "list_command", sized=False),
-    _ours("report", "python -m validate report", "report_command", sized=False, once=True, of_campaign=True),
-    _ours("all_quick", "python -m validate all --quick -j 2", "quick_campaign", sized=False, once=True, slow=True, clock="wall"),
-    _ours("all_again", "The same, everything stored", "stored_campaign", sized=False, once=True, slow=True, clock="wall"),
+    _ours(
+        "report",
+        "python -m validate report",
+        "report_command",
+        sized=False,
+        once=True,
+        of_campaign=True,
+    ),
+    _ours(
+        "all_quick",
+        "python -m validate all --quick -j 2",
+        "quick_campaign",
+        sized=False,
+        once=True,
+        slow=True,
+        clock="wall",
+    ),
+    _ours(
+        "all_again",
+        "The same, everything stored",
+        "stored_campaign",
+        sized=False,
+        once=True,
+        slow=True,
+        clock="wall",
+    ),
     _strict("touchstone", "mpcc"),
     _strict("casadi_scholtes", "casadi_scholtes", **_CASADI),
     _strict("nosnoc", "nosnoc", nosnoc=_BENCH),

@@ -41,34 +41,69 @@ regression beyond its noise; 2 usage, or nothing selected.
 """
 
 
-def _sizes(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> tuple[Size, ...]:
+def _sizes(
+    context: click.Context, parameter: click.Parameter, values: tuple[str, ...]
+) -> tuple[Size, ...]:
     found = []
     for value in values:
         parts = re.fullmatch(r"(\d+)x(\d+)", value)
         if parts is None or not 3 <= int(parts[1]) <= 20 or int(parts[2]) < 1:
-            raise click.BadParameter(f"{value!r} is no size; write carts x steps, such as 3x500, with 3 to 20 carts.", context, parameter)
+            raise click.BadParameter(
+                f"{value!r} is no size; write carts x steps, such as 3x500, with 3 to 20 carts.",
+                context,
+                parameter,
+            )
         found.append(Size(int(parts[1]), int(parts[2])))
     return tuple(found)
 
 
 @click.command(epilog=_EPILOG)
-@click.option("--quick", is_flag=True, help="A tiny size, two rounds: whether it runs, not how fast it is.")
 @click.option(
-    "-k", "expression", default="", metavar="EXPR", help="Only stages and peers whose names match, in upper or lower case: words joined with and, or, not."
-)  # fmt: skip
-@click.option("--size", "sizes", multiple=True, metavar="NxT", callback=_sizes, help="Carts x steps, such as 3x500; may be repeated.")
-@click.option("--repeats", type=click.IntRange(min=1), metavar="N", help="Rounds: 5, with --quick 2 (too few for --compare).")
-@click.option("--slow", is_flag=True, help="Also what takes minutes: whole campaigns, and exact contact beside other packages; once each.")
+    "--quick", is_flag=True, help="A tiny size, two rounds: whether it runs, not how fast it is."
+)
 @click.option(
-    "--campaign", type=click.Path(path_type=Path), default="runs/all", show_default=True, metavar="DIR", help="Whose report is measured."
+    "-k",
+    "expression",
+    default="",
+    metavar="EXPR",
+    help="Only stages and peers whose names match, in upper or lower case: words joined with and, or, not.",
+)
+@click.option(
+    "--size",
+    "sizes",
+    multiple=True,
+    metavar="NxT",
+    callback=_sizes,
+    help="Carts x steps, such as 3x500; may be repeated.",
+)
+@click.option(
+    "--repeats",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Rounds: 5, with --quick 2 (too few for --compare).",
+)
+@click.option(
+    "--slow",
+    is_flag=True,
+    help="Also what takes minutes: whole campaigns, and exact contact beside other packages; once each.",
+)
+@click.option(
+    "--campaign",
+    type=click.Path(path_type=Path),
+    default="runs/all",
+    show_default=True,
+    metavar="DIR",
+    help="Whose report is measured.",
 )
 @out_option
 @click.option(
-    "--compare", "earlier", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.json", help="Fail on what got worse since that file."
+    "--compare", "earlier", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.json",
+    help="Fail on what got worse since that file."
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="The figures as JSON on stdout.")
 def command(
-    quick: bool, expression: str, sizes: tuple[Size, ...], repeats: int | None, slow: bool, campaign: Path, out: Path, earlier: Path | None, as_json: bool
+    quick: bool, expression: str, sizes: tuple[Size, ...], repeats: int | None, slow: bool,
+    campaign: Path, out: Path, earlier: Path | None, as_json: bool
 ) -> int:  # fmt: skip
     """Measure each stage - compile, build, translate, evaluate, solve, descend, replay, report - and its peers: median, spread, memory, over n T."""
     before = None if earlier is None else read_suite(earlier)
@@ -86,7 +121,9 @@ def command(
     record = run_suite(settings, lambda sentence: click.echo(one_line(sentence), err=True))
     comparison = None if before is None else compare(before, record)
     if before is not None and comparison is not None and not comparison.pairs:
-        raise click.UsageError(f"{earlier}: it has no stage and size in common with this run; compare runs with the same --size and -k.")
+        raise click.UsageError(
+            f"{earlier}: it has no stage and size in common with this run; compare runs with the same --size and -k."
+        )
     if as_json:
         click.echo(record.model_dump_json(indent=1))
     else:
@@ -111,7 +148,9 @@ def read_suite(path: Path) -> SuiteRecord:
             f"{path} cannot be read ({error.strerror}); give a suite.json that an earlier run of `suite` wrote."
         ) from error
     except (ValidationError, json.JSONDecodeError) as error:
-        raise click.UsageError(f"{path} is no record of this suite; give a suite.json that an earlier run of `suite` wrote.") from error
+        raise click.UsageError(
+            f"{path} is no record of this suite; give a suite.json that an earlier run of `suite` wrote."
+        ) from error
 
 
 def _tell(record: SuiteRecord) -> None:
@@ -120,7 +159,8 @@ def _tell(record: SuiteRecord) -> None:
 
     lines = [
         [
-            row.stage, row.by, f"{row.n}x{row.steps}" if row.n else "", plain(middle(row.cpu_s), ".3g"), plain(spread(row.cpu_s), ".0%"),
+            row.stage, row.by, f"{row.n}x{row.steps}" if row.n else "",
+            plain(middle(row.cpu_s), ".3g"), plain(spread(row.cpu_s), ".0%"),
             plain(middle(row.memory_mib), ".1f"), one_line(row.failed or row.outcome),
         ]
         for row in record.rows
@@ -128,7 +168,8 @@ def _tell(record: SuiteRecord) -> None:
     click.echo(table(["stage", "by", "n x T", "seconds", "spread", "MiB", "outcome"], lines))
     words = {True: "met", False: "missed", None: "not judged"}
     told = [
-        [item.what, f"{item.n}x{item.steps}" if item.steps else "", plain(item.measured, ".3g"), f"{item.target:.3g} {item.unit}".strip(), words[item.met], one_line(item.why)]
+        [item.what, f"{item.n}x{item.steps}" if item.steps else "", plain(item.measured, ".3g"),
+         f"{item.target:.3g} {item.unit}".strip(), words[item.met], one_line(item.why)]
         for item in record.figures
     ]  # fmt: skip
     if told:
@@ -137,22 +178,45 @@ def _tell(record: SuiteRecord) -> None:
         click.echo(one_line(sentence))
     cores = record.provenance.cores
     if record.load is not None and max(record.load) > cores:
-        click.echo(f"the machine was busy: its load was {record.load[0]:.1f} before and {record.load[1]:.1f} after, on {cores} cores.")
+        click.echo(
+            f"the machine was busy: its load was {record.load[0]:.1f} before and {record.load[1]:.1f} after, on {cores} cores."
+        )
 
 
 def _tell_comparison(comparison: Comparison, *, err: bool) -> None:
     lines = []
     for change in comparison.changes:
         row = change.row
-        figures = ["" if value is None else f"{value:.3g}" for value in (change.before, change.after, change.factor)]
+        figures = [
+            "" if value is None else f"{value:.3g}"
+            for value in (change.before, change.after, change.factor)
+        ]
         lines.append(
-            [change.kind.value, row.stage, row.by, f"{row.n}x{row.steps}" if row.n else "", change.quantity, *figures, one_line(change.why)]
+            [
+                change.kind.value,
+                row.stage,
+                row.by,
+                f"{row.n}x{row.steps}" if row.n else "",
+                change.quantity,
+                *figures,
+                one_line(change.why),
+            ]
         )
     if lines:
-        click.echo("\n" + table(["", "stage", "by", "n x T", "of", "before", "now", "factor", ""], lines), err=err)
-    speed = "" if comparison.speed is None else f"; the yardstick takes {comparison.speed:.2f} times as long, which is allowed for"
+        click.echo(
+            "\n" + table(["", "stage", "by", "n x T", "of", "before", "now", "factor", ""], lines),
+            err=err,
+        )
+    speed = (
+        ""
+        if comparison.speed is None
+        else f"; the yardstick takes {comparison.speed:.2f} times as long, which is allowed for"
+    )
     count = len(comparison.regressions)
-    click.echo(f"{_rows(comparison.pairs)} in both: {count or 'no'} regression{'s' if count > 1 else ''}{speed}", err=err)
+    click.echo(
+        f"{_rows(comparison.pairs)} in both: {count or 'no'} regression{'s' if count > 1 else ''}{speed}",
+        err=err,
+    )
 
 
 def _rows(pairs: int) -> str:

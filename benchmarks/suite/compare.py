@@ -3,10 +3,12 @@
     comparison = compare(before, after)
     comparison.regressions
 
-A row of ours is a regression only if three things hold together: its median is more than 15 % above that of before (memory: and 2 MiB more);
-the samples of the two runs are told apart by a rank test (Mann-Whitney, one-sided, exact, p <= 1 %: with five rounds each, at most one pair in
-the wrong order); and for times, both after the samples were divided by those of the yardstick, so that another or a busier machine is not
-taken for slower code. A stage that gave an answer before and gives none now is a regression too. Peers are told, and are none.
+A row of ours is a regression only if three things hold together: its median is more than 15 % above
+that of before (memory: and 2 MiB more); the samples of the two runs are told apart by a rank test
+(Mann-Whitney, one-sided, exact, p <= 1 %: with five rounds each, at most one pair in the wrong
+order); and for times, both after the samples were divided by those of the yardstick, so that
+another or a busier machine is not taken for slower code. A stage that gave an answer before and
+gives none now is a regression too. Peers are told, and are none.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ from statistics import median
 from benchmarks.records import SuiteRecord, SuiteRow, middle
 from benchmarks.suite.cases import OURS, YARDSTICK
 
-FACTOR, LEAST_MEMORY, SIGNIFICANCE = 1.15, 2.0, 0.01
+FACTOR = 1.15
+LEAST_MEMORY = 2.0
+SIGNIFICANCE = 0.01
 _Key = tuple[str, str, int, int]
 
 
@@ -33,8 +37,13 @@ class Kind(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """quantity: `CPU s`, `wall s`, `MiB` or `answer`; before, after: medians, None where there are none; factor: after by before, times already corrected
-    for the speed of the machine; why: in words."""
+    """quantity: `CPU s`, `wall s`, `MiB` or `answer`.
+
+    before, after: medians, None where there are none; factor: after by before, times already
+    corrected
+
+    for the speed of the machine; why: in words.
+    """
 
     kind: Kind
     row: SuiteRow
@@ -47,7 +56,10 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """speed: how much longer the yardstick takes now (by size); pairs: rows in both runs; changes: regressions first."""
+    """speed: how much longer the yardstick takes now (by size); pairs: rows in both runs.
+
+    changes: regressions first.
+    """
 
     changes: tuple[Change, ...]
     pairs: int
@@ -59,11 +71,16 @@ class Comparison:
 
 
 def compare(before: SuiteRecord, after: SuiteRecord) -> Comparison:
-    """Every difference beyond noise between two runs; rows that only one of them has are passed over."""
+    """Every difference beyond noise between two runs.
+
+    Rows that only one of them has are passed over.
+    """
     old, new = _table(before), _table(after)
     common = [key for key in new if key in old and key[0] != YARDSTICK]
     speeds = [
-        median(new[key].cpu_s) / median(old[key].cpu_s) for key in new if key[0] == YARDSTICK and key in old and _both(old[key], new[key])
+        median(new[key].cpu_s) / median(old[key].cpu_s)
+        for key in new
+        if key[0] == YARDSTICK and key in old and _both(old[key], new[key])
     ]
     overall = middle(tuple(speeds))
     changes: list[Change] = []
@@ -92,13 +109,16 @@ def _changes(old: SuiteRow, new: SuiteRow, speed: float) -> list[Change]:
         kind = Kind.IMPROVEMENT if old.failed else _worse(new)
         return [
             Change(
-                kind=kind, row=new, quantity="answer", before=middle(old.cpu_s), after=middle(new.cpu_s), factor=None,
+                kind=kind, row=new, quantity="answer", before=middle(old.cpu_s),
+                after=middle(new.cpu_s), factor=None,
                 why=new.failed or "it gives an answer now",
             )
         ]  # fmt: skip
     scaled = tuple(sample / speed for sample in new.cpu_s)
     found = [_change(old, new, f"{new.clock} s", old.cpu_s, scaled, new.cpu_s, 0.0)]
-    found.append(_change(old, new, "MiB", old.memory_mib, new.memory_mib, new.memory_mib, LEAST_MEMORY))
+    found.append(
+        _change(old, new, "MiB", old.memory_mib, new.memory_mib, new.memory_mib, LEAST_MEMORY)
+    )
     return [change for change in found if change is not None]
 
 
@@ -107,7 +127,13 @@ def _worse(row: SuiteRow) -> Kind:
 
 
 def _change(
-    old: SuiteRow, new: SuiteRow, quantity: str, was: tuple[float, ...], now: tuple[float, ...], shown: tuple[float, ...], least: float
+    old: SuiteRow,
+    new: SuiteRow,
+    quantity: str,
+    was: tuple[float, ...],
+    now: tuple[float, ...],
+    shown: tuple[float, ...],
+    least: float,
 ) -> Change | None:
     """None: no more than noise."""
     if not was or not now:
@@ -119,12 +145,26 @@ def _change(
     slower = last > first
     chance = _chance(was, now) if slower else _chance(now, was)
     if chance <= SIGNIFICANCE:
-        kind, why = (_worse(new) if slower else Kind.IMPROVEMENT), f"by chance in {100 * chance:.2g} % of such pairs of runs"
+        kind, why = (
+            (_worse(new) if slower else Kind.IMPROVEMENT),
+            f"by chance in {100 * chance:.2g} % of such pairs of runs",
+        )
     elif math.comb(len(was) + len(now), len(now)) * SIGNIFICANCE < 1.0:
-        kind, why = Kind.UNTOLD, f"{len(was)} and {len(now)} samples are too few to tell it from noise"
+        kind, why = (
+            Kind.UNTOLD,
+            f"{len(was)} and {len(now)} samples are too few to tell it from noise",
+        )
     else:
         return None
-    return Change(kind=kind, row=new, quantity=quantity, before=first, after=median(shown), factor=factor, why=why)
+    return Change(
+        kind=kind,
+        row=new,
+        quantity=quantity,
+        before=first,
+        after=median(shown),
+        factor=factor,
+        why=why,
+    )
 
 
 def _chance(low: Sequence[float], high: Sequence[float]) -> float:

@@ -15,7 +15,8 @@ from models.errors import TouchstoneError
 from validate.plan.selection import matches
 from validate.store.disk import temporary_folder
 
-REPEATS, QUICK_REPEATS = 5, 2
+REPEATS = 5
+QUICK_REPEATS = 2
 _NO_SIZE = Size(0, 0)
 # What takes minutes may take so many limits.
 _SLOW_LIMITS = 6
@@ -28,8 +29,12 @@ class BenchError(TouchstoneError):
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """sizes; repeats: rounds; expression: as `-k` of `all`, over stages and peers; slow: also what takes minutes; campaign: a folder whose report is
-    measured, or None; limit: wall seconds of one measurement; command: as it was typed."""
+    """sizes; repeats: rounds; expression: as `-k` of `all`, over stages and peers.
+
+    slow: also what takes minutes; campaign: a folder whose report is
+
+    measured, or None; limit: wall seconds of one measurement; command: as it was typed.
+    """
 
     sizes: tuple[Size, ...] = FULL_SIZES
     repeats: int = REPEATS
@@ -42,8 +47,15 @@ class Settings:
 
 
 def plan(settings: Settings, cases: Sequence[Case] = CASES) -> tuple[list[Job], list[str]]:
-    """What is measured, in order of size, and why the rest is not. Raises BenchError if nothing is left, SelectionError."""
-    chosen = [case for case in cases if not settings.expression or matches(settings.expression, case.names)]
+    """What is measured, in order of size, and why the rest is not.
+
+    Raises BenchError if nothing is left, SelectionError.
+    """
+    chosen = [
+        case
+        for case in cases
+        if not settings.expression or matches(settings.expression, case.names)
+    ]
     left_out: list[str] = []
     able: list[Case] = []
     slow: dict[str, bool] = {}
@@ -59,13 +71,23 @@ def plan(settings: Settings, cases: Sequence[Case] = CASES) -> tuple[list[Job], 
         else:
             able.append(case)
     if slow:
-        left_out.append(f"{', '.join(slow)}: not measured, because it takes minutes; --slow measures it too.")
+        left_out.append(
+            f"{', '.join(slow)}: not measured, because it takes minutes; --slow measures it too."
+        )
     yardstick = [case for case in cases if case.stage == YARDSTICK]
     if not [case for case in able if case.stage != YARDSTICK]:
-        why = " ".join(left_out) or f"stages and peers are {', '.join(dict.fromkeys(name for case in cases for name in case.names))}."
+        why = (
+            " ".join(left_out)
+            or f"stages and peers are {', '.join(dict.fromkeys(name for case in cases for name in case.names))}."
+        )
         raise BenchError(f"nothing is selected by {settings.expression!r}: {why}")
     able = [*yardstick, *(case for case in able if case.stage != YARDSTICK)]
-    jobs = [(case, size) for size in dict.fromkeys(settings.sizes) for case in able if case.sized and case.fits(size)]
+    jobs = [
+        (case, size)
+        for size in dict.fromkeys(settings.sizes)
+        for case in able
+        if case.sized and case.fits(size)
+    ]
     for case in able:
         sizes = [size for size in settings.sizes if case.fits(size)]
         if case.sized and len(sizes) < len(settings.sizes):
@@ -75,7 +97,11 @@ def plan(settings: Settings, cases: Sequence[Case] = CASES) -> tuple[list[Job], 
     return [*jobs, *((case, _NO_SIZE) for case in able if not case.sized)], left_out
 
 
-def run_suite(settings: Settings, narrate: Callable[[str], None] = lambda sentence: None, cases: Sequence[Case] = CASES) -> SuiteRecord:
+def run_suite(
+    settings: Settings,
+    narrate: Callable[[str], None] = lambda sentence: None,
+    cases: Sequence[Case] = CASES,
+) -> SuiteRecord:
     """Measure, and work out the figures. Raises BenchError, SelectionError, MachineError."""
     from validate.store.provenance import gather
 
@@ -101,17 +127,23 @@ def run_suite(settings: Settings, narrate: Callable[[str], None] = lambda senten
     )
 
 
-def _measured(jobs: Sequence[Job], settings: Settings, folder: Path, narrate: Callable[[str], None]) -> dict[Job, list[Sample]]:
+def _measured(
+    jobs: Sequence[Job], settings: Settings, folder: Path, narrate: Callable[[str], None]
+) -> dict[Job, list[Sample]]:
     samples: dict[Job, list[Sample]] = {job: [] for job in jobs}
     for size in dict.fromkeys(size for _, size in jobs):
         turn = [job for job in jobs if job[1] == size]
         for number in range(1, settings.repeats + 1):
-            narrate(f"{size if size.n else 'what knows no size'}: round {number} of {settings.repeats}")
+            narrate(
+                f"{size if size.n else 'what knows no size'}: round {number} of {settings.repeats}"
+            )
             for job in turn:
                 found = samples[job]
                 if (found and found[-1].failed) or (job[0].slow and found):
                     continue
-                found.append(_sample(*job, settings.limit * (_SLOW_LIMITS if job[0].slow else 1), folder))
+                found.append(
+                    _sample(*job, settings.limit * (_SLOW_LIMITS if job[0].slow else 1), folder)
+                )
                 if found[-1].failed:
                     narrate(found[-1].failed)
     return samples
@@ -133,7 +165,9 @@ def _row(case: Case, size: Size, samples: Sequence[Sample]) -> SuiteRow:
         n=size.n,
         steps=size.steps,
         cpu_s=() if failed else tuple(sample.cpu_s for sample in good if sample.cpu_s is not None),
-        memory_mib=() if failed else tuple(sample.memory_mib for sample in good if sample.memory_mib is not None),
+        memory_mib=()
+        if failed
+        else tuple(sample.memory_mib for sample in good if sample.memory_mib is not None),
         clock=case.clock,
         outcome=last.outcome,
         iterations=last.iterations,

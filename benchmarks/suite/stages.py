@@ -104,7 +104,10 @@ def evaluate(size: Size, folder: Path) -> Work:
 
 
 def linear_algebra(size: Size, folder: Path) -> Work:
-    """An iteration of Ipopt less the functions it asks for, at the first eps from a cold start; its CPU share is that of its wall time."""
+    """An iteration of Ipopt less the functions it asks for, at the first eps from a cold start.
+
+    Its CPU share is that of its wall time.
+    """
     return _iteration(size, {})
 
 
@@ -123,7 +126,11 @@ def _iteration(size: Size, options: Mapping[str, Any]) -> Work:
         seconds = result.seconds
         share = seconds.linear_algebra / seconds.wall if seconds.wall > 0 else 1.0
         iterations = max(1, result.iterations)
-        return {"cpu_s": seconds.cpu * share / iterations, "iterations": iterations, "outcome": result.outcome.name.lower()}
+        return {
+            "cpu_s": seconds.cpu * share / iterations,
+            "iterations": iterations,
+            "outcome": result.outcome.name.lower(),
+        }
 
     return work
 
@@ -151,7 +158,11 @@ def eps_step(size: Size, folder: Path) -> Work:
 
     def work() -> Mapping[str, Any]:
         solution = session.solve(eps=SOFTPLUS_EPS[-1], warm_start=plan, time_limit=_NO_LIMIT)
-        return {"outcome": solution.outcome.name.lower(), "iterations": solution.iterations, "value": solution.cost}
+        return {
+            "outcome": solution.outcome.name.lower(),
+            "iterations": solution.iterations,
+            "value": solution.cost,
+        }
 
     return work
 
@@ -180,11 +191,20 @@ def _chain(scene: Any, schedule: tuple[float, ...]) -> Mapping[str, Any]:
             solution = session.solve(eps=eps, warm_start=plan, time_limit=_NO_LIMIT)
             plan = solution.trajectory
             iterations += solution.iterations
-    return {} if solution is None else {"outcome": solution.outcome.name.lower(), "iterations": iterations, "value": solution.cost}
+    return (
+        {}
+        if solution is None
+        else {
+            "outcome": solution.outcome.name.lower(),
+            "iterations": iterations,
+            "value": solution.cost,
+        }
+    )
 
 
 # Iterations of one call; the rate is so small that none of them leaves the plan it starts from.
-_ITERATIONS, _RATE = 100, 1e-9
+_ITERATIONS = 100
+_RATE = 1e-9
 
 
 def gd_iteration(size: Size, folder: Path) -> Work:
@@ -201,7 +221,11 @@ def gd_iteration(size: Size, folder: Path) -> Work:
     def work() -> Mapping[str, Any]:
         began = cpu_seconds()
         descent = descend(objective, u, options, 1e5)
-        return {"cpu_s": (cpu_seconds() - began) / _ITERATIONS, "iterations": _ITERATIONS, "value": descent.history["gradient_norm"][0]}
+        return {
+            "cpu_s": (cpu_seconds() - began) / _ITERATIONS,
+            "iterations": _ITERATIONS,
+            "value": descent.history["gradient_norm"][0],
+        }
 
     return work
 
@@ -242,7 +266,10 @@ def _stepped(size: Size, fineness: int) -> Work:
 
     def work(_kept: object = opened) -> Mapping[str, Any]:
         run = simulate(package, variables, plan.start, inputs, fineness)
-        return {"outcome": run.outcome.name.lower(), "value": float(np.asarray(run.outputs)[run.knots[-1], 0])}
+        return {
+            "outcome": run.outcome.name.lower(),
+            "value": float(np.asarray(run.outputs)[run.knots[-1], 0]),
+        }
 
     return work
 
@@ -298,10 +325,16 @@ def stored_campaign(size: Size, folder: Path) -> Work:
 
 def _light(arguments: Sequence[str]) -> Mapping[str, Any]:
     done = subprocess.run(
-        [sys.executable, "-c", _CODE.format(heavy=_HEAVY), *arguments], capture_output=True, text=True, check=False, errors="replace"
+        [sys.executable, "-c", _CODE.format(heavy=_HEAVY), *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        errors="replace",
     )
     if done.returncode != 0:
-        raise RuntimeError(f"python -m validate {arguments[0]} ended with {done.returncode}: {done.stderr.strip()[-300:]}")
+        raise RuntimeError(
+            f"python -m validate {arguments[0]} ended with {done.returncode}: {done.stderr.strip()[-300:]}"
+        )
     imported = done.stderr.strip().splitlines()[-1:] or [""]
     return {"outcome": f"imports {imported[0]}" if imported[0] else "ok"}
 
@@ -311,10 +344,17 @@ def _campaign(out: Path) -> Mapping[str, Any]:
     command = [sys.executable, "-m", "validate", "all", "--quick", "-j", "2", "--out", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, errors="replace")
     if done.returncode not in (0, 1):
-        raise RuntimeError(f"python -m validate all --quick ended with {done.returncode}: {done.stderr.strip()[-300:]}")
-    return {"cpu_s": perf_counter() - began, "outcome": "ok" if done.returncode == 0 else "a required check failed"}
+        raise RuntimeError(
+            f"python -m validate all --quick ended with {done.returncode}: {done.stderr.strip()[-300:]}"
+        )
+    return {
+        "cpu_s": perf_counter() - began,
+        "outcome": "ok" if done.returncode == 0 else "a required check failed",
+    }
 
 
 def copy_records(campaign: Path, folder: Path) -> None:
     """The records of a campaign, without its trajectories, to where `report_command` looks for them."""
-    shutil.copytree(campaign, folder / STORED, ignore=shutil.ignore_patterns("*.nc", ".*", "*.html"))
+    shutil.copytree(
+        campaign, folder / STORED, ignore=shutil.ignore_patterns("*.nc", ".*", "*.html")
+    )

@@ -14,19 +14,31 @@ import click
 
 from benchmarks.options import COUNT, json_option, program, seed_option
 from benchmarks.verdicts import exact, search, wrong
-from benchmarks.verdicts.plans import SKIPPED, Case, NoPlanError, Plan, Said, judged_in_time, scene_of
+from benchmarks.verdicts.plans import (
+    SKIPPED,
+    Case,
+    NoPlanError,
+    Plan,
+    Said,
+    judged_in_time,
+    scene_of,
+)
 from models.errors import TouchstoneError
 from validate.store.disk import write_durably
 
 GROUPS = ("exact", "wrong", "search")
 SCENES = (
-    "three_cart", "wall_pendulum", "cart_chain", "hopper", "two_discs", "transport", "two_discs_wall", "cart_pole_walls", "acrobot_limits", "hopper_planar",
+    "three_cart", "wall_pendulum", "cart_chain", "hopper", "two_discs", "transport",
+    "two_discs_wall", "cart_pole_walls", "acrobot_limits", "hopper_planar",
     "slider",
 )  # fmt: skip
 
 
 def answer(case: Case, folder: Path) -> Said:
-    """What the judge says of the case's plan, written as a CSV file into a folder; "skipped" where the plan cannot be made."""
+    """What the judge says of the case's plan, written as a CSV file into a folder.
+
+    "skipped" where the plan cannot be made.
+    """
     try:
         scene = scene_of(case.scene)
         plan = case.plan if isinstance(case.plan, Plan) else case.plan()
@@ -60,11 +72,14 @@ def _told(cases: Iterator[Case], only: str, rows: list[dict[str, object]]) -> in
             expected += f", never {'|'.join(case.never)}" if case.never else ""
             rows.append(
                 {
-                    "plan": case.name, "expected": list(case.expected), "causes": list(case.causes), "said": said.verdict, "why": said.why, "differs": fault,
+                    "plan": case.name, "expected": list(case.expected), "causes": list(case.causes),
+                    "said": said.verdict, "why": said.why, "differs": fault,
                     "seconds": round(time.perf_counter() - began, 2), "figures": dict(said.figures),
                 }
             )  # fmt: skip
-            click.echo(f"{'!! ' + fault if fault else 'ok':12}{case.name:75} {said.verdict:20} {said.why[:160]}")
+            click.echo(
+                f"{'!! ' + fault if fault else 'ok':12}{case.name:75} {said.verdict:20} {said.why[:160]}"
+            )
             if fault:
                 click.echo(f"{'':12}expected: {expected}")
     return wrong_ones
@@ -72,18 +87,47 @@ def _told(cases: Iterator[Case], only: str, rows: list[dict[str, object]]) -> in
 
 @click.command()
 @click.argument("groups", nargs=-1, type=click.Choice(GROUPS), metavar="[GROUP]...")
-@click.option("--scene", "scenes", type=click.Choice(SCENES), multiple=True, default=SCENES, help="Only these scenes; may be repeated.")
-@click.option("-k", "only", default="", metavar="TEXT", help="Only plans whose name has this in it.")
-@click.option("--tries", type=COUNT, default=10, show_default=True, help="Wrong plans that the search makes for each scene.")
+@click.option(
+    "--scene",
+    "scenes",
+    type=click.Choice(SCENES),
+    multiple=True,
+    default=SCENES,
+    help="Only these scenes; may be repeated.",
+)
+@click.option(
+    "-k", "only", default="", metavar="TEXT", help="Only plans whose name has this in it."
+)
+@click.option(
+    "--tries",
+    type=COUNT,
+    default=10,
+    show_default=True,
+    help="Wrong plans that the search makes for each scene.",
+)
 @seed_option
 @click.option(
-    "--finds", type=click.Path(path_type=Path), default="runs/verdict_finds", show_default=True, help="Where plans go that the search finds to cheat."
+    "--finds", type=click.Path(path_type=Path), default="runs/verdict_finds", show_default=True,
+    help="Where plans go that the search finds to cheat."
 )  # fmt: skip
-@click.option("--mujoco", callback=program, default=sys.executable, metavar="PYTHON", help="A Python that has MuJoCo (default: this one).")
-@click.option("--drake", callback=program, default=sys.executable, metavar="PYTHON", help="A Python that has Drake (default: this one).")
+@click.option(
+    "--mujoco",
+    callback=program,
+    default=sys.executable,
+    metavar="PYTHON",
+    help="A Python that has MuJoCo (default: this one).",
+)
+@click.option(
+    "--drake",
+    callback=program,
+    default=sys.executable,
+    metavar="PYTHON",
+    help="A Python that has Drake (default: this one).",
+)
 @json_option
 def command(
-    groups: tuple[str, ...], scenes: tuple[str, ...], only: str, tries: int, seed: int, finds: Path, mujoco: str, drake: str, file: Path | None
+    groups: tuple[str, ...], scenes: tuple[str, ...], only: str, tries: int, seed: int, finds: Path,
+    mujoco: str, drake: str, file: Path | None
 ) -> int:  # fmt: skip
     """Plans whose verdict is known, tried on the judge: GROUP is exact, wrong or search (default: all); exit code 1 where one is another."""
     groups = groups or GROUPS

@@ -2,8 +2,10 @@
 
     python benchmarks/verdicts/elsewhere.py mujoco|drake|drake-plan INPUTS.csv MOTION.csv STEP
 
-INPUTS: rows of t, u1, u3, each held to the next row's time, the last as long as the one before it. MOTION: rows of t, q1, q2, q3, v1, v2, v3, u1, u3.
-Run by a Python that has the tool (`--mujoco`, `--drake` of `python -m benchmarks verdicts` name one), which needs nothing of ours: `pip install mujoco`
+INPUTS: rows of t, u1, u3, each held to the next row's time, the last as long as the one before it.
+    MOTION: rows of t, q1, q2, q3, v1, v2, v3, u1, u3.
+Run by a Python that has the tool (`--mujoco`, `--drake` of `python -m benchmarks verdicts` name
+    one), which needs nothing of ours: `pip install mujoco`
 or `pip install drake`.
 """
 
@@ -15,10 +17,16 @@ import sys
 
 import numpy as np
 
-MASS, DAMPING, STIFFNESS, LENGTH = 1.0, 2.0, 30.0, 0.5
-START, GOAL, BOUND = (2.0, 3.0, 4.0), (2.5, 3.5, 4.5), 10.0
+MASS = 1.0
+DAMPING = 2.0
+STIFFNESS = 30.0
+LENGTH = 0.5
+START = (2.0, 3.0, 4.0)
+GOAL = (2.5, 3.5, 4.5)
+BOUND = 10.0
 
-# A fixed tendon between neighbours is a spring with a dead band: it pushes below LENGTH, and never pulls.
+# A fixed tendon between neighbours is a spring with a dead band: it pushes below LENGTH, and never
+# pulls.
 CARTS = f"""
 <mujoco>
   <option timestep="STEP" gravity="0 0 0" integrator="Euler"><flag contact="disable"/></option>
@@ -52,9 +60,17 @@ def _drake_carts():
     from pydrake.symbolic import Variable, max
     from pydrake.systems.primitives import SymbolicVectorSystem
 
-    q, v, u = ([Variable(f"{letter}{i}") for i in range(count)] for letter, count in (("q", 3), ("v", 3), ("u", 2)))
+    q, v, u = (
+        [Variable(f"{letter}{i}") for i in range(count)]
+        for letter, count in (("q", 3), ("v", 3), ("u", 2))
+    )
     left, right = (STIFFNESS * max(LENGTH - (q[i + 1] - q[i]), 0.0) for i in (0, 1))
-    rates = [*v, (u[0] - DAMPING * v[0] - left) / MASS, (-DAMPING * v[1] + left - right) / MASS, (u[1] - DAMPING * v[2] + right) / MASS]
+    rates = [
+        *v,
+        (u[0] - DAMPING * v[0] - left) / MASS,
+        (-DAMPING * v[1] + left - right) / MASS,
+        (u[1] - DAMPING * v[2] + right) / MASS,
+    ]
     return SymbolicVectorSystem(state=[*q, *v], input=u, dynamics=rates, output=[*q, *v])
 
 
@@ -67,7 +83,11 @@ def drake_motion(t: np.ndarray, u: np.ndarray, step: float) -> np.ndarray:
     end = 2 * t[-1] - t[-2]
     builder = DiagramBuilder()
     carts = builder.AddSystem(_drake_carts())
-    source = builder.AddSystem(TrajectorySource(PiecewisePolynomial.ZeroOrderHold(np.append(t, end), np.vstack([u, u[-1:]]).T)))
+    source = builder.AddSystem(
+        TrajectorySource(
+            PiecewisePolynomial.ZeroOrderHold(np.append(t, end), np.vstack([u, u[-1:]]).T)
+        )
+    )
     builder.Connect(source.get_output_port(), carts.get_input_port())
     simulator = Simulator(builder.Build())
     simulator.get_mutable_integrator().set_target_accuracy(1e-4)
@@ -76,7 +96,9 @@ def drake_motion(t: np.ndarray, u: np.ndarray, step: float) -> np.ndarray:
     rows = []
     for time, held in zip(np.append(t, end), np.vstack([u, u[-1:]]), strict=True):
         simulator.AdvanceTo(time)
-        rows.append([time, *simulator.get_context().get_continuous_state_vector().CopyToVector(), *held])
+        rows.append(
+            [time, *simulator.get_context().get_continuous_state_vector().CopyToVector(), *held]
+        )
     return np.array(rows)
 
 
@@ -90,7 +112,11 @@ def drake_plan(t: np.ndarray, u: np.ndarray, step: float) -> np.ndarray:
     end, carts = first[-1, 0], _drake_carts()
     samples = round((end - t[0]) / step) + 1
     problem = DirectCollocation(
-        carts, carts.CreateDefaultContext(), num_time_samples=samples, minimum_time_step=step, maximum_time_step=step
+        carts,
+        carts.CreateDefaultContext(),
+        num_time_samples=samples,
+        minimum_time_step=step,
+        maximum_time_step=step,
     )
     program = problem.prog()
     program.AddBoundingBoxConstraint([*START, 0, 0, 0], [*START, 0, 0, 0], problem.initial_state())
@@ -100,14 +126,22 @@ def drake_plan(t: np.ndarray, u: np.ndarray, step: float) -> np.ndarray:
     problem.AddConstraintToAllKnotPoints(problem.input()[1] <= BOUND)
     problem.AddConstraintToAllKnotPoints(problem.input()[1] >= -BOUND)
     problem.AddRunningCost(problem.input()[0] ** 2 + problem.input()[1] ** 2)
-    guess = [PiecewisePolynomial.FirstOrderHold(first[:, 0], first[:, columns].T) for columns in (slice(7, 9), slice(1, 7))]
+    guess = [
+        PiecewisePolynomial.FirstOrderHold(first[:, 0], first[:, columns].T)
+        for columns in (slice(7, 9), slice(1, 7))
+    ]
     problem.SetInitialTrajectory(*guess)
     result = Solve(program)
-    # SNOPT gives up on the cost at the kinks of the contact forces; what counts here is that its plan meets Drake's own equations.
+    # SNOPT gives up on the cost at the kinks of the contact forces; what counts here is that its
+    # plan meets Drake's own equations.
     if not result.is_success() and result.GetInfeasibleConstraintNames(program, 1e-6):
-        raise SystemExit(f"Drake's solver {result.get_solver_id().name()} finds no plan: {result.get_solution_result()}")
+        raise SystemExit(
+            f"Drake's solver {result.get_solver_id().name()} finds no plan: {result.get_solution_result()}"
+        )
     times = problem.GetSampleTimes(result)
-    return np.column_stack([times, problem.GetStateSamples(result).T, problem.GetInputSamples(result).T])
+    return np.column_stack(
+        [times, problem.GetStateSamples(result).T, problem.GetInputSamples(result).T]
+    )
 
 
 TOOLS = {"mujoco": mujoco_motion, "drake": drake_motion, "drake-plan": drake_plan}

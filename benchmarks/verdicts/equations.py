@@ -13,16 +13,22 @@ import sympy as sp
 from models.scene import Scene
 
 # A friction sticks, slips one way (+1) or the other (-1); FREE: nothing presses it.
-STICK, FREE = 0, None
+STICK = 0
+FREE = None
 
 
 class Equations:
     """The equations of one scene."""
 
     def __init__(self, scene: Scene, stiffer: float = 1.0) -> None:
-        """stiffer: a factor on the stiffness of every contact. Raises ValueError for a scene with damped contacts or without mass."""
+        """stiffer: a factor on the stiffness of every contact.
+
+        Raises ValueError for a scene with damped contacts or without mass.
+        """
         if scene.damped:
-            raise ValueError(f"{scene.name}: its contacts are damped, which this integration does not know.")
+            raise ValueError(
+                f"{scene.name}: its contacts are damped, which this integration does not know."
+            )
         self.scene, self.nq, self.nc, self.nf = scene, scene.nq, scene.nc, scene.nf
         q = [item.symbol for item in scene.coordinates]
         v = [item.velocity for item in scene.coordinates]
@@ -30,10 +36,16 @@ class Equations:
         lam = list(sp.symbols(f"_lam0:{self.nc}")) if self.nc else []
         f = list(sp.symbols(f"_f0:{self.nf}")) if self.nf else []
         values = scene.parameter_values
-        self.k = [float(sp.sympify(item.stiffness).subs(values)) * stiffer for item in scene.contacts]
+        self.k = [
+            float(sp.sympify(item.stiffness).subs(values)) * stiffer for item in scene.contacts
+        ]
 
-        # Lagrange: d/dt dT/dv - dT/dq + dV/dq = Q + J' lam + S' f, and d/dt dT/dv = M dv/dt + (d2T/dv dq) v.
-        T, V = sp.sympify(scene.kinetic_energy).subs(values), sp.sympify(scene.potential_energy).subs(values)
+        # Lagrange: d/dt dT/dv - dT/dq + dV/dq = Q + J' lam + S' f, and d/dt dT/dv = M dv/dt +
+        # (d2T/dv dq) v.
+        T, V = (
+            sp.sympify(scene.kinetic_energy).subs(values),
+            sp.sympify(scene.potential_energy).subs(values),
+        )
         momentum = sp.Matrix([T.diff(speed) for speed in v])
         M = momentum.jacobian(v)
         rest = sp.Matrix(
@@ -42,8 +54,12 @@ class Equations:
                 for i, (force, place) in enumerate(zip(scene.forces, q, strict=True))
             ]
         )
-        phi = sp.Matrix(self.nc, 1, [sp.sympify(item.penetration).subs(values) for item in scene.contacts])
-        slip = sp.Matrix(self.nf, 1, [sp.sympify(item.slip).subs(values) for item in scene.frictions])
+        phi = sp.Matrix(
+            self.nc, 1, [sp.sympify(item.penetration).subs(values) for item in scene.contacts]
+        )
+        slip = sp.Matrix(
+            self.nf, 1, [sp.sympify(item.slip).subs(values) for item in scene.frictions]
+        )
         slip_by_v = slip.jacobian(v) if self.nf else sp.zeros(0, self.nq)
         force = rest
         if self.nc:
@@ -53,7 +69,11 @@ class Equations:
         pressed_by = {item.name: symbol for item, symbol in zip(scene.contacts, lam, strict=True)}
         limit = [
             sp.sympify(item.coefficient).subs(values)
-            * (pressed_by[item.contact] if item.contact is not None else sp.sympify(item.normal_force).subs(values))
+            * (
+                pressed_by[item.contact]
+                if item.contact is not None
+                else sp.sympify(item.normal_force).subs(values)
+            )
             for item in scene.frictions
         ]
         self.phi = sp.lambdify([q], list(phi), modules="math", cse=True)
@@ -65,16 +85,26 @@ class Equations:
             self._force = sp.lambdify([q, v, u, lam, f], list(force), modules="math", cse=True)
         else:
             if M.rank() < self.nq:
-                raise ValueError(f"{scene.name}: a coordinate has no mass, which this integration does not know.")
-            self._force = sp.lambdify([q, v, u, lam, f], list(M.LUsolve(force)), modules="math", cse=True)
+                raise ValueError(
+                    f"{scene.name}: a coordinate has no mass, which this integration does not know."
+                )
+            self._force = sp.lambdify(
+                [q, v, u, lam, f], list(M.LUsolve(force)), modules="math", cse=True
+            )
         # The rate of a slip: S dv/dt + (dS/dt) v.
         drift = sp.Matrix([_rate(item, q, v) for item in slip]) if self.nf else sp.zeros(0, 1)
         self._slip_by_v = sp.lambdify([q], slip_by_v.tolist(), modules="math", cse=True)
         self._slip_drift = sp.lambdify([q, v], list(drift), modules="math", cse=True)
 
-    def acceleration(self, q: list[float], v: list[float], u: list[float], lam: list[float], f: list[float]) -> list[float]:
+    def acceleration(
+        self, q: list[float], v: list[float], u: list[float], lam: list[float], f: list[float]
+    ) -> list[float]:
         right = self._force(q, v, u, lam, f)
-        return right if self._mass is None else np.linalg.solve(np.array(self._mass(q)), np.array(right)).tolist()
+        return (
+            right
+            if self._mass is None
+            else np.linalg.solve(np.array(self._mass(q)), np.array(right)).tolist()
+        )
 
     def rates(self, state: np.ndarray, u: np.ndarray) -> np.ndarray:
         """(2 nq,) rate of a state by the contact law as it stands, kink and all: what a simulator of a fixed step evaluates. Without friction."""
@@ -85,13 +115,21 @@ class Equations:
 
     def forces(self, q: np.ndarray) -> np.ndarray:
         """(n, nc) contact forces at positions (n, nq)."""
-        found = [[k * max(depth, 0.0) for k, depth in zip(self.k, self.phi(row), strict=True)] for row in np.asarray(q).tolist()]
+        found = [
+            [k * max(depth, 0.0) for k, depth in zip(self.k, self.phi(row), strict=True)]
+            for row in np.asarray(q).tolist()
+        ]
         return np.array(found).reshape(len(q), self.nc)
 
     def contact_forces(self, q: list[float], closed: list[bool]) -> list[float]:
-        return [k * depth if shut else 0.0 for k, depth, shut in zip(self.k, self.phi(q), closed, strict=True)]
+        return [
+            k * depth if shut else 0.0
+            for k, depth, shut in zip(self.k, self.phi(q), closed, strict=True)
+        ]
 
-    def friction_forces(self, q: list[float], v: list[float], u: list[float], lam: list[float], modes: list) -> list[float]:
+    def friction_forces(
+        self, q: list[float], v: list[float], u: list[float], lam: list[float], modes: list
+    ) -> list[float]:
         """Those that slip by the law, those that stick so that no slip has a rate."""
         if not self.nf:
             return []
@@ -108,12 +146,22 @@ class Equations:
         here = rates(f)
         effect = np.empty((len(stuck), len(stuck)))
         for column, j in enumerate(stuck):
-            effect[:, column] = rates([value + (1.0 if i == j else 0.0) for i, value in enumerate(f)]) - here
+            effect[:, column] = (
+                rates([value + (1.0 if i == j else 0.0) for i, value in enumerate(f)]) - here
+            )
         for j, value in zip(stuck, np.linalg.solve(effect, -here), strict=True):
             f[j] = float(value)
         return f
 
-    def settled(self, q: list[float], v: list[float], u: list[float], lam: list[float], modes: list, asked: list[int]) -> list:
+    def settled(
+        self,
+        q: list[float],
+        v: list[float],
+        u: list[float],
+        lam: list[float],
+        modes: list,
+        asked: list[int],
+    ) -> list:
         """The modes of the frictions `asked`, whose slip is 0: stick if the force for it is there, else slip to where the rest drives."""
         modes = list(modes)
         for j in asked:
@@ -129,4 +177,6 @@ class Equations:
 
 def _rate(expression: sp.Expr, q: list[sp.Symbol], v: list[sp.Symbol]) -> sp.Expr:
     """(d/dq) v of an expression: its rate but for accelerations."""
-    return sum((expression.diff(place) * speed for place, speed in zip(q, v, strict=True)), sp.S.Zero)
+    return sum(
+        (expression.diff(place) * speed for place, speed in zip(q, v, strict=True)), sp.S.Zero
+    )

@@ -1,7 +1,9 @@
 """Plans that must hold: inputs that reach the goal, with the motion that they truly give, written in every way a stranger may write it.
 
-The motion is that of `motion`, which is known to satisfy the scene before the judge is asked; inputs are those of the best plans of our methods. On three
-carts beside them the motions of other integrators: Runge-Kutta, Radau, a semi-implicit Euler at a small step, and MuJoCo's and Drake's own (`elsewhere`).
+The motion is that of `motion`, which is known to satisfy the scene before the judge is asked;
+inputs are those of the best plans of our methods. On three carts beside them the motions of other
+integrators: Runge-Kutta, Radau, a semi-implicit Euler at a small step, and MuJoCo's and Drake's own
+(`elsewhere`).
 """
 
 from __future__ import annotations
@@ -19,9 +21,20 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.verdicts import elsewhere
 from benchmarks.verdicts.motion import Path as Motions
-from benchmarks.verdicts.plans import Case, NoPlanError, Plan, as_plan, exact, found, motion_of, reaches, scene_of
+from benchmarks.verdicts.plans import (
+    Case,
+    NoPlanError,
+    Plan,
+    as_plan,
+    exact,
+    found,
+    motion_of,
+    reaches,
+    scene_of,
+)
 
-# Whose inputs: those of a pipeline whose last plan reaches the goal in continuous time and in the open loop.
+# Whose inputs: those of a pipeline whose last plan reaches the goal in continuous time and in the
+# open loop.
 BASES = {
     "three_cart": "mpcc",
     "wall_pendulum": "mpcc",
@@ -34,15 +47,23 @@ FORCES = ("start", "end", "mean")
 
 
 def base(reference: str) -> tuple[np.ndarray, np.ndarray]:
-    """(t, u) of a plan known to reach the goal; of a scene that is not in BASES by collocation, whose plans are nearest to their motion."""
+    """(t, u) of a plan known to reach the goal.
+
+    Of a scene that is not in BASES by collocation, whose plans are nearest to their motion.
+    """
     plan = found(reference, BASES.get(reference, "collocation"))[-1]
     return np.array(plan.t), np.array(plan.u)
 
 
 def truly(reference: str, t: np.ndarray, u: np.ndarray, **how: Any) -> Motions:
-    """The motion, which must be what the scene asks for. Raises NoPlanError, else nothing could be expected."""
+    """The motion, which must be what the scene asks for.
+
+    Raises NoPlanError, else nothing could be expected.
+    """
     path = motion_of(reference).run(t, u, **how)
-    held = u if len(path.t) == len(t) else u[np.searchsorted(t, path.t[:-1] + 1e-12, side="right") - 1]
+    held = (
+        u if len(path.t) == len(t) else u[np.searchsorted(t, path.t[:-1] + 1e-12, side="right") - 1]
+    )
     why_not = reaches(scene_of(reference), path, held)
     if why_not:
         raise NoPlanError(f"by our own integration {why_not}")
@@ -73,7 +94,9 @@ def _written(reference: str) -> dict[str, Callable[[], Plan]]:
         return make
 
     no_forces: dict[str, Any] = {"lam": None, "friction": None}
-    written = {f"true forces at the {word}": say(word) for word in FORCES[:2]} | {"forces averaged over the step": say()}
+    written = {f"true forces at the {word}": say(word) for word in FORCES[:2]} | {
+        "forces averaged over the step": say()
+    }
     written |= {f"4 decimals, forces {word}": say(word, digits=4) for word in FORCES}
     written |= {
         "without force columns": say(**no_forces),
@@ -93,7 +116,9 @@ def _written(reference: str) -> dict[str, Callable[[], Plan]]:
 def _on_other_grids(reference: str) -> dict[str, Callable[[], Plan]]:
     def finer() -> Plan:
         t, u, _ = based(reference)
-        nodes = np.unique(np.concatenate([t, *(t[:-1] + part * np.diff(t) for part in (0.25, 0.5, 0.75))]))
+        nodes = np.unique(
+            np.concatenate([t, *(t[:-1] + part * np.diff(t) for part in (0.25, 0.5, 0.75))])
+        )
         return exact(truly(reference, t, u, nodes=nodes), nodes, np.repeat(u, 4, axis=0))
 
     def irregular(smallest: float) -> Plan:
@@ -101,9 +126,17 @@ def _on_other_grids(reference: str) -> dict[str, Callable[[], Plan]]:
         t, u, _ = based(reference)
         share = np.random.default_rng(5).uniform(smallest, 1.0 - smallest, len(u))
         share[len(u) // 3] = smallest
-        nodes = np.sort(np.concatenate([t, (t[:-1] + share * np.diff(t))[::2], [t[len(u) // 3] + smallest * (t[1] - t[0])]]))
+        nodes = np.sort(
+            np.concatenate(
+                [t, (t[:-1] + share * np.diff(t))[::2], [t[len(u) // 3] + smallest * (t[1] - t[0])]]
+            )
+        )
         nodes = nodes[np.concatenate([[True], np.diff(nodes) > 1e-9])]
-        return exact(truly(reference, t, u, nodes=nodes), nodes, u[np.searchsorted(t, nodes[:-1] + 1e-12, side="right") - 1])
+        return exact(
+            truly(reference, t, u, nodes=nodes),
+            nodes,
+            u[np.searchsorted(t, nodes[:-1] + 1e-12, side="right") - 1],
+        )
 
     def coarser(by: int) -> Plan:
         t, u, _ = based(reference)
@@ -132,7 +165,10 @@ def _on_other_grids(reference: str) -> dict[str, Callable[[], Plan]]:
 
 
 def _by_others(foreign: dict[str, str]) -> dict[str, Callable[[], Plan]]:
-    """Three carts by other integrators; forces are what the contact law gives at the start of each step."""
+    """Three carts by other integrators.
+
+    Forces are what the contact law gives at the start of each step.
+    """
     name = "three_cart"
     motion = motion_of(name)
 
@@ -140,7 +176,9 @@ def _by_others(foreign: dict[str, str]) -> dict[str, Callable[[], Plan]]:
         q, v = states[:, : motion.nq], states[:, motion.nq :]
         return Plan(t=t, u=u, q=q, v=v, lam=motion.forces(q)[:-1])
 
-    def stepped(step: Callable[[np.ndarray, np.ndarray, float], np.ndarray], parts: int, keep: int) -> Plan:
+    def stepped(
+        step: Callable[[np.ndarray, np.ndarray, float], np.ndarray], parts: int, keep: int
+    ) -> Plan:
         """parts: steps in each of the plan's; keep: every which of them is written."""
         t, u, _ = based(name)
         fine = np.repeat(u, parts, axis=0)
@@ -167,7 +205,14 @@ def _by_others(foreign: dict[str, str]) -> dict[str, Callable[[], Plan]]:
         t, u, _ = based(name)
         states = [np.array(scene_of(name).task.start)]
         for low, high, held in zip(t[:-1], t[1:], u, strict=True):
-            run = solve_ivp(lambda _, x, held=held: motion.rates(x, held), (low, high), states[-1], method="Radau", rtol=1e-6, atol=1e-9)
+            run = solve_ivp(
+                lambda _, x, held=held: motion.rates(x, held),
+                (low, high),
+                states[-1],
+                method="Radau",
+                rtol=1e-6,
+                atol=1e-9,
+            )
             states.append(run.y[:, -1])
         return said(t, u, np.array(states))
 
@@ -177,11 +222,20 @@ def _by_others(foreign: dict[str, str]) -> dict[str, Callable[[], Plan]]:
             with tempfile.TemporaryDirectory() as folder:
                 given, out = Path(folder) / "inputs.csv", Path(folder) / "motion.csv"
                 np.savetxt(given, np.column_stack([t[:-1], u]), delimiter=",", fmt="%.17g")
-                command = [foreign.get(tool.split("-")[0], sys.executable), elsewhere.__file__, tool, str(given), str(out), repr(step)]
+                command = [
+                    foreign.get(tool.split("-")[0], sys.executable),
+                    elsewhere.__file__,
+                    tool,
+                    str(given),
+                    str(out),
+                    repr(step),
+                ]
                 done = subprocess.run(command, capture_output=True, text=True, check=False)
                 if done.returncode:
                     raise NoPlanError(
-                        done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"{tool} ended with {done.returncode}"
+                        done.stderr.strip().splitlines()[-1]
+                        if done.stderr.strip()
+                        else f"{tool} ended with {done.returncode}"
                     )
                 table = np.loadtxt(out, delimiter=",")
             plan = said(table[:, 0], table[:-1, 7:], table[:, 1:7])
@@ -211,7 +265,12 @@ def cases(scenes: tuple[str, ...], foreign: dict[str, str]) -> Iterator[Case]:
         for words, plan in made.items():
             yield Case(name=f"{name}: {words}", scene=name, plan=plan, expected=("holds",))
         own = partial(_own, name)  # a plan is made when it is its turn
-        yield Case(name=f"{name}: the method's own plan, its scheme declared", scene=name, plan=own, expected=("holds",))
+        yield Case(
+            name=f"{name}: the method's own plan, its scheme declared",
+            scene=name,
+            plan=own,
+            expected=("holds",),
+        )
 
 
 def _own(name: str) -> Plan:

@@ -1,6 +1,9 @@
-"""What the search does to a plan: one function is one way to cheat. Each takes a plan, its scene and a random generator, and gives another plan.
+"""What the search does to a plan: one function is one way to cheat.
 
-A mutation that does not apply - forces of a plan without forces - gives None, and another one is drawn.
+Each takes a plan, its scene and a random generator, and gives another plan.
+
+A mutation that does not apply - forces of a plan without forces - gives None, and another one is
+drawn.
 """
 
 from __future__ import annotations
@@ -18,7 +21,9 @@ _ROWS = ("u", "lam", "friction")  # one a step; the states are one a node
 
 
 def _bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    lower, upper = (np.array([getattr(item, side) for item in scene.inputs]) for side in ("lower", "upper"))
+    lower, upper = (
+        np.array([getattr(item, side) for item in scene.inputs]) for side in ("lower", "upper")
+    )
     return np.where(np.isfinite(lower), lower, -10.0), np.where(np.isfinite(upper), upper, 10.0)
 
 
@@ -28,8 +33,12 @@ def _some(random: np.random.Generator, plan: Plan) -> int:
 
 def _indexed(plan: Plan, nodes: np.ndarray) -> Plan:
     """Only these nodes, each step with what held at its start."""
-    changes = {key: None if getattr(plan, key) is None else getattr(plan, key)[nodes] for key in ("q", "v")}
-    changes |= {key: None if getattr(plan, key) is None else getattr(plan, key)[nodes[:-1]] for key in _ROWS}
+    changes = {
+        key: None if getattr(plan, key) is None else getattr(plan, key)[nodes] for key in ("q", "v")
+    }
+    changes |= {
+        key: None if getattr(plan, key) is None else getattr(plan, key)[nodes[:-1]] for key in _ROWS
+    }
     return plan.but(t=plan.t[nodes], scheme="", **changes)
 
 
@@ -46,7 +55,9 @@ def stretch_time(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan:
 
 def thin(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan | None:
     """A coarse grid, between whose nodes bodies may pass through each other."""
-    nodes = np.unique(np.append(np.arange(0, len(plan.t), int(random.choice([2, 5, 10, 25]))), len(plan.t) - 1))
+    nodes = np.unique(
+        np.append(np.arange(0, len(plan.t), int(random.choice([2, 5, 10, 25]))), len(plan.t) - 1)
+    )
     return _indexed(plan, nodes) if len(nodes) > 2 else None
 
 
@@ -60,7 +71,11 @@ def drop_contact(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan 
 
 
 def scale_forces(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan | None:
-    return None if plan.lam is None else plan.but(lam=plan.lam * random.choice([-1.0, 0.0, 0.5, 0.9, 1.1, 2.0, 10.0]))
+    return (
+        None
+        if plan.lam is None
+        else plan.but(lam=plan.lam * random.choice([-1.0, 0.0, 0.5, 0.9, 1.1, 2.0, 10.0]))
+    )
 
 
 def pulse_force(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan | None:
@@ -80,7 +95,9 @@ def pulse_input(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan:
     lower, upper = _bounds(scene)
     u = plan.u.copy()
     for row in range(_some(random, plan) % 5, len(u) - 1, int(random.choice([2, 4, 16]))):
-        size = random.choice([0.1, 0.5, 1.0]) * np.minimum(upper - u[row], u[row + 1] - lower).clip(0.0)
+        size = random.choice([0.1, 0.5, 1.0]) * np.minimum(upper - u[row], u[row + 1] - lower).clip(
+            0.0
+        )
         u[row], u[row + 1] = u[row] + size, u[row + 1] - size
     return plan.but(u=u)
 
@@ -98,7 +115,9 @@ def spike_between(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan
     if rows is None or not rows.size:
         which, rows = "u", cut.u
     rows = rows.copy()
-    rows[row, random.integers(rows.shape[1])] += random.choice([-1.0, 1.0]) * random.choice([1.0, 100.0, 1.0 / tiny])
+    rows[row, random.integers(rows.shape[1])] += random.choice([-1.0, 1.0]) * random.choice(
+        [1.0, 100.0, 1.0 / tiny]
+    )
     return cut.but(**{which: rows})
 
 
@@ -117,7 +136,9 @@ def ram(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan:
     """Full force for some of the time."""
     lower, upper = _bounds(scene)
     u, low = plan.u.copy(), _some(random, plan)
-    u[low : low + int(len(u) * random.choice([0.05, 0.2, 0.5]))] = np.where(random.random(scene.nu) < 0.5, lower, upper)
+    u[low : low + int(len(u) * random.choice([0.05, 0.2, 0.5]))] = np.where(
+        random.random(scene.nu) < 0.5, lower, upper
+    )
     return plan.but(u=u)
 
 
@@ -125,7 +146,11 @@ def shift(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan | None:
     """One column moved in time against the others."""
     which = random.choice(["q", "v", "u", "lam"])
     rows = getattr(plan, which)
-    return None if rows is None else plan.but(**{which: np.roll(rows, int(random.choice([-20, -3, -1, 1, 3, 20])), axis=0)})
+    return (
+        None
+        if rows is None
+        else plan.but(**{which: np.roll(rows, int(random.choice([-20, -3, -1, 1, 3, 20])), axis=0)})
+    )
 
 
 def mirror(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan | None:
@@ -140,7 +165,11 @@ def move_states(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan |
         return None
     x = np.linspace(0.0, 1.0, len(plan.t))
     column = int(random.integers(scene.nq))
-    bump = random.choice(_SIZES) * scene.coordinates[column].nominal * np.sin(np.pi * x) ** int(random.choice([2, 20, 200]))
+    bump = (
+        random.choice(_SIZES)
+        * scene.coordinates[column].nominal
+        * np.sin(np.pi * x) ** int(random.choice([2, 20, 200]))
+    )
     q, v = plan.q.copy(), None if plan.v is None else plan.v.copy()
     q[:, column] += bump
     if v is not None and random.random() < 0.5:
@@ -152,7 +181,11 @@ def jitter(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan | None
     if plan.q is None:
         return None
     return plan.but(
-        q=plan.q + random.normal(size=plan.q.shape) * random.choice(_SIZES) * 0.1 * [item.nominal for item in scene.coordinates]
+        q=plan.q
+        + random.normal(size=plan.q.shape)
+        * random.choice(_SIZES)
+        * 0.1
+        * [item.nominal for item in scene.coordinates]
     )
 
 
@@ -160,8 +193,13 @@ def to_the_goal(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan |
     """The last states led to the goal by hand."""
     if plan.q is None or plan.v is None:
         return None
-    ends = [value if asked is None else asked for value, asked in zip([*plan.q[-1], *plan.v[-1]], scene.task.goal, strict=True)]
-    weight = np.clip(np.linspace(1.0 - 1.0 / random.choice([0.02, 0.2, 1.0]), 1.0, len(plan.t)), 0.0, 1.0)[:, None]
+    ends = [
+        value if asked is None else asked
+        for value, asked in zip([*plan.q[-1], *plan.v[-1]], scene.task.goal, strict=True)
+    ]
+    weight = np.clip(
+        np.linspace(1.0 - 1.0 / random.choice([0.02, 0.2, 1.0]), 1.0, len(plan.t)), 0.0, 1.0
+    )[:, None]
     off = np.array(ends) - np.concatenate([plan.q[-1], plan.v[-1]])
     return plan.but(q=plan.q + weight * off[: scene.nq], v=plan.v + weight * off[scene.nq :])
 
@@ -170,12 +208,19 @@ def start_elsewhere(plan: Plan, scene: Scene, random: np.random.Generator) -> Pl
     """All positions moved by a little, or by more."""
     if plan.q is None:
         return None
-    return plan.but(q=plan.q + random.choice([9e-7, 1e-5, 1e-3, 0.1]) * np.array([item.nominal for item in scene.coordinates]))
+    return plan.but(
+        q=plan.q
+        + random.choice([9e-7, 1e-5, 1e-3, 0.1])
+        * np.array([item.nominal for item in scene.coordinates])
+    )
 
 
 def cut(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan | None:
     """A part of it, from time 0."""
-    low, count = int(random.choice([0, 0, len(plan.u) // 2])), int(random.choice([3, len(plan.u) // 4, len(plan.u) - 2]))
+    low, count = (
+        int(random.choice([0, 0, len(plan.u) // 2])),
+        int(random.choice([3, len(plan.u) // 4, len(plan.u) - 2])),
+    )
     nodes = np.arange(low, min(low + count, len(plan.u)) + 1)
     if len(nodes) < 3:
         return None
@@ -192,22 +237,34 @@ def append(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan:
         return None if rows is None else np.vstack([rows, np.repeat(rows[-1:], more, axis=0)])
 
     changes = {key: lasting(getattr(plan, key)) for key in ("q", "v", *_ROWS)}
-    return plan.but(t=np.append(plan.t, plan.t[-1] + step * np.arange(1, more + 1)), scheme="", **changes)
+    return plan.but(
+        t=np.append(plan.t, plan.t[-1] + step * np.arange(1, more + 1)), scheme="", **changes
+    )
 
 
 def delete(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan:
-    groups = random.choice(["lam", "v", "friction", "lam friction", "v lam friction", "q v", "q v lam friction"])
+    groups = random.choice(
+        ["lam", "v", "friction", "lam friction", "v lam friction", "q v", "q v lam friction"]
+    )
     return plan.but(**dict.fromkeys(str(groups).split()))
 
 
 def declare(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan:
-    scheme = str(random.choice(["", "semi_implicit_euler", "implicit_midpoint", "radau_iia_2", "radau_iia_3"]))
-    return plan.but(scheme=scheme, hold="" if scheme else plan.hold, u_last=None if scheme else plan.u_last)
+    scheme = str(
+        random.choice(
+            ["", "semi_implicit_euler", "implicit_midpoint", "radau_iia_2", "radau_iia_3"]
+        )
+    )
+    return plan.but(
+        scheme=scheme, hold="" if scheme else plan.hold, u_last=None if scheme else plan.u_last
+    )
 
 
 def declare_hold(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan:
     """A linear hold, whose last row may be anything."""
-    return plan.but(hold="linear", scheme="", u_last=plan.u[-1] * random.choice([0.0, 1.0, 1.0, 50.0]))
+    return plan.but(
+        hold="linear", scheme="", u_last=plan.u[-1] * random.choice([0.0, 1.0, 1.0, 50.0])
+    )
 
 
 def print_coarsely(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan:
@@ -216,12 +273,16 @@ def print_coarsely(plan: Plan, scene: Scene, random: np.random.Generator) -> Pla
 
 
 MUTATIONS: tuple[Mutation, ...] = (
-    warp_time, stretch_time, thin, drop_contact, scale_forces, pulse_force, pulse_input, spike_between, scale_inputs, quiet, ram, shift, mirror,
-    move_states, jitter, to_the_goal, start_elsewhere, cut, append, delete, delete, declare, declare, declare_hold, print_coarsely,
+    warp_time, stretch_time, thin, drop_contact, scale_forces, pulse_force, pulse_input,
+    spike_between, scale_inputs, quiet, ram, shift, mirror,
+    move_states, jitter, to_the_goal, start_elsewhere, cut, append, delete, delete, declare,
+    declare, declare_hold, print_coarsely,
 )  # fmt: skip
 
 
-def mutate(plan: Plan, made: tuple[str, ...], scene: Scene, random: np.random.Generator) -> tuple[Plan, tuple[str, ...]]:
+def mutate(
+    plan: Plan, made: tuple[str, ...], scene: Scene, random: np.random.Generator
+) -> tuple[Plan, tuple[str, ...]]:
     """One mutation that applies, and its name behind those before it."""
     while True:
         mutation = MUTATIONS[random.integers(len(MUTATIONS))]

@@ -24,7 +24,9 @@ from models.catalog import load_scene
 from models.errors import TouchstoneError
 from models.scene import Scene
 
-REFUSED, SKIPPED, BROKEN = "refused", "skipped", "no answer"
+REFUSED = "refused"
+SKIPPED = "skipped"
+BROKEN = "no answer"
 # Seconds that the judge may take for a plan; it takes some tenths.
 PATIENCE = 30.0
 DOCS = Path(__file__).parents[2] / "docs" / "extending.md"
@@ -41,10 +43,14 @@ DEEP = ("penetrat", "deep", "through")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """Columns of a plan. t (n,) or, of inputs alone without a final time, (n - 1,); q, v (n, nq); u (n - 1, nu); lam (n - 1, nc); friction (n - 1, nf).
+    """Columns of a plan. t (n,) or, of inputs alone without a final time, (n - 1,); q, v (n, nq).
 
-    scheme, hold: what its first lines declare ("": nothing); u_last (nu,): the inputs of the last row; digits: decimals of every number but for t_digits
-    those of t (None: all 17 digits); columns_of: the scene whose names stand above the columns, if not the one it is written for.
+    U (n - 1, nu); lam (n - 1, nc); friction (n - 1, nf).
+
+    scheme, hold: what its first lines declare ("": nothing); u_last (nu,): the inputs of the last
+        row; digits: decimals of every number but for t_digits
+    those of t (None: all 17 digits); columns_of: the scene whose names stand above the columns, if
+        not the one it is written for.
     """
 
     t: np.ndarray
@@ -67,13 +73,25 @@ class Plan:
     def text(self, scene: Scene) -> str:
         """The CSV."""
         scene = scene_of(self.columns_of) if self.columns_of else scene
-        names = [item.name for item in scene.coordinates], [item.velocity_name for item in scene.coordinates]
+        names = (
+            [item.name for item in scene.coordinates],
+            [item.velocity_name for item in scene.coordinates],
+        )
         groups = [
             (names[0], self.q), (names[1], self.v), ([item.name for item in scene.inputs], self.u),
-            ([item.force_name for item in scene.contacts], self.lam), ([item.force_name for item in scene.frictions], self.friction),
+            ([item.force_name for item in scene.contacts], self.lam),
+            ([item.force_name for item in scene.frictions], self.friction),
         ]  # fmt: skip
-        said = [(header, np.asarray(values, dtype=float)) for header, values in groups if header and values is not None]
-        lines = [f"# {key}: {value}" for key, value in (("scheme", self.scheme), ("hold", self.hold)) if value]
+        said = [
+            (header, np.asarray(values, dtype=float))
+            for header, values in groups
+            if header and values is not None
+        ]
+        lines = [
+            f"# {key}: {value}"
+            for key, value in (("scheme", self.scheme), ("hold", self.hold))
+            if value
+        ]
         lines.append(",".join(["t", *(name for header, _ in said for name in header)]))
         for row, time in enumerate(self.t):
             cells = [_number(time, self.t_digits)]
@@ -104,7 +122,8 @@ class NoPlanError(Exception):
 class Case:
     """One plan and what must be said of it.
 
-    scene: a name or a file; plan: or a function that makes it, which may raise NoPlanError; expected: the words that are right; causes: pieces of words, of
+    scene: a name or a file; plan: or a function that makes it, which may raise NoPlanError;
+        expected: the words that are right; causes: pieces of words, of
     which one must stand in the sentence; never: pieces that name a cause which it is not.
     """
 
@@ -120,7 +139,8 @@ class Case:
 class Said:
     """What the judge said: a verdict of its ladder, "refused" (with the error as the reason), "skipped", or "no answer" (too late, an error, a crash).
 
-    figures: its metrics by name; fails: how many of them are beyond their limits."""
+    figures: its metrics by name; fails: how many of them are beyond their limits.
+    """
 
     verdict: str
     why: str
@@ -129,7 +149,10 @@ class Said:
 
 
 def judged(scene: Scene | str, plan: Path | Any) -> Said:
-    """What validate.judge.judgement says; a refusal is an answer, any other error is none and goes on."""
+    """What validate.judge.judgement says.
+
+    A refusal is an answer, any other error is none and goes on.
+    """
     from validate.judge.judgement import judge
 
     try:
@@ -139,7 +162,12 @@ def judged(scene: Scene | str, plan: Path | Any) -> Said:
     score = verdict.score
     metrics = list(score.metrics.values() if isinstance(score.metrics, Mapping) else score.metrics)
     fails = sum(item.ok is False for item in metrics)
-    return Said(verdict=score.verdict.value, why=score.why, fails=fails, figures={item.name: item.value for item in metrics})
+    return Said(
+        verdict=score.verdict.value,
+        why=score.why,
+        fails=fails,
+        figures={item.name: item.value for item in metrics},
+    )
 
 
 def judged_in_time(scene: Scene, plan: Path, seconds: float = PATIENCE) -> Said:
@@ -156,7 +184,11 @@ def judged_in_time(scene: Scene, plan: Path, seconds: float = PATIENCE) -> Said:
     process.start()
     there.close()
     try:
-        said = here.recv() if here.poll(seconds) else Said(verdict=BROKEN, why=f"no answer within {seconds:g} s")
+        said = (
+            here.recv()
+            if here.poll(seconds)
+            else Said(verdict=BROKEN, why=f"no answer within {seconds:g} s")
+        )
     except EOFError:
         said = Said(verdict=BROKEN, why="its process died")
     process.kill()
@@ -176,7 +208,10 @@ def motion_of(reference: str) -> Motion:
 
 @cache
 def found(reference: str, pipeline: str) -> tuple[Any, ...]:
-    """The plans (models.trajectory.Trajectory) of a pipeline's stages on a scene, in order; a stage without a plan is left out. Seconds."""
+    """The plans (models.trajectory.Trajectory) of a pipeline's stages on a scene, in order.
+
+    A stage without a plan is left out. Seconds.
+    """
     from formulations.pipelines import find_pipeline, load_method, stage_plan
 
     plans, warm = [], None
@@ -194,8 +229,10 @@ def found(reference: str, pipeline: str) -> tuple[Any, ...]:
 def as_plan(trajectory: Any, scene: Scene) -> Plan:
     """A method's plan, as it declares itself."""
     return Plan(
-        t=trajectory.t, q=trajectory.q, v=trajectory.v, u=trajectory.u, lam=trajectory.lam[:, : scene.nc],
-        friction=trajectory.lam[:, scene.nc :] if scene.nf else None, scheme=trajectory.scheme.value if trajectory.scheme else "",
+        t=trajectory.t, q=trajectory.q, v=trajectory.v, u=trajectory.u,
+        lam=trajectory.lam[:, : scene.nc],
+        friction=trajectory.lam[:, scene.nc :] if scene.nf else None,
+        scheme=trajectory.scheme.value if trajectory.scheme else "",
     )  # fmt: skip
 
 
@@ -203,22 +240,35 @@ def exact(path: Motions, t: np.ndarray, u: np.ndarray, forces: str = "mean", **m
     """What an author writes of a motion: its states, and forces at the "start" or "end" of each step, or their "mean"."""
     friction = getattr(path, f"friction_{forces}")
     return Plan(
-        t=t, u=u, q=path.q, v=path.v, lam=getattr(path, f"lam_{forces}"), friction=friction if friction.shape[1] else None, **more
+        t=t, u=u, q=path.q, v=path.v, lam=getattr(path, f"lam_{forces}"),
+        friction=friction if friction.shape[1] else None, **more
     )  # fmt: skip
 
 
 def miss(scene: Scene, state: np.ndarray) -> tuple[float, float]:
-    """Distance of a state (2 nq,) from the goal, in positions and in velocities; 0 where nothing is asked."""
-    errors = [0.0 if asked is None else float(value) - asked for value, asked in zip(state, scene.task.goal, strict=True)]
+    """Distance of a state (2 nq,) from the goal, in positions and in velocities.
+
+    0 where nothing is asked.
+    """
+    errors = [
+        0.0 if asked is None else float(value) - asked
+        for value, asked in zip(state, scene.task.goal, strict=True)
+    ]
     return math.hypot(*errors[: scene.nq]), math.hypot(*errors[scene.nq :])
 
 
 def goal_limits(scene: Scene, *whose: str) -> tuple[float, float]:
-    """How far a motion may end from the goal, in positions and in velocities; infinite where nothing is asked. whose: "", "replay_" or both."""
+    """How far a motion may end from the goal, in positions and in velocities.
+
+    Infinite where nothing is asked. whose: "", "replay_" or both.
+    """
 
     def smallest(part: str) -> float:
         limits = [scene.limit(f"{prefix}terminal_{part}_error") for prefix in whose or ("replay_",)]
-        return min((limit.value for limit in limits if limit is not None and limit.value is not None), default=math.inf)
+        return min(
+            (limit.value for limit in limits if limit is not None and limit.value is not None),
+            default=math.inf,
+        )
 
     return smallest("position"), smallest("velocity")
 
@@ -226,10 +276,16 @@ def goal_limits(scene: Scene, *whose: str) -> tuple[float, float]:
 @cache
 def _cost(scene: Scene):
     """Functions of one step's start and of the end."""
-    q, v, u = ([getattr(item, name) for item in group] for group, name in ((scene.coordinates, "symbol"), (scene.coordinates, "velocity"), (scene.inputs, "symbol")))  # fmt: skip
+    q, v, u = ([getattr(item, name) for item in group] for group,
+               name in ((scene.coordinates, "symbol"), (scene.coordinates, "velocity"),
+                        (scene.inputs, "symbol")))  # fmt: skip
     values = scene.parameter_values
-    running, final = (sp.sympify(item).subs(values) for item in (scene.task.running_cost, scene.task.final_cost))
-    return sp.lambdify([q, v, u], running, modules="math"), sp.lambdify([q, v], final, modules="math")
+    running, final = (
+        sp.sympify(item).subs(values) for item in (scene.task.running_cost, scene.task.final_cost)
+    )
+    return sp.lambdify([q, v, u], running, modules="math"), sp.lambdify(
+        [q, v], final, modules="math"
+    )
 
 
 def cost(scene: Scene, path: Motions, u: np.ndarray) -> float:
@@ -237,7 +293,9 @@ def cost(scene: Scene, path: Motions, u: np.ndarray) -> float:
     running, final = _cost(scene)
     weights = np.diff(path.t) / scene.task.step
     steps = zip(weights, path.q[:-1].tolist(), path.v[:-1].tolist(), u.tolist(), strict=True)
-    return sum(weight * running(q, v, held) for weight, q, v, held in steps) + final(path.q[-1].tolist(), path.v[-1].tolist())
+    return sum(weight * running(q, v, held) for weight, q, v, held in steps) + final(
+        path.q[-1].tolist(), path.v[-1].tolist()
+    )
 
 
 def reaches(scene: Scene, path: Motions, u: np.ndarray) -> str:
@@ -245,14 +303,19 @@ def reaches(scene: Scene, path: Motions, u: np.ndarray) -> str:
     if not path.ended:
         return "the motion runs away"
     ends = miss(scene, np.concatenate([path.q[-1], path.v[-1]]))
-    for what, value, limit in zip(("position", "velocity"), ends, goal_limits(scene, "", "replay_"), strict=True):
+    for what, value, limit in zip(
+        ("position", "velocity"), ends, goal_limits(scene, "", "replay_"), strict=True
+    ):
         if value > limit:
             return f"the true {what} ends {value:.3g} from the goal, limit {limit:g}"
     limit = scene.limit("replay_cost")
     if limit is not None and limit.value is not None and cost(scene, path, u) > limit.value:
         return f"its cost is {cost(scene, path, u):.4g}, limit {limit.value:g}"
     for index, item in enumerate(scene.coordinates):
-        outside = max(float((path.v[:-1, index] - item.velocity_upper).max()), float((item.velocity_lower - path.v[:-1, index]).max()))
+        outside = max(
+            float((path.v[:-1, index] - item.velocity_upper).max()),
+            float((item.velocity_lower - path.v[:-1, index]).max()),
+        )
         if outside > 1e-6:
             return f"{item.velocity_name} leaves its bounds by {outside:.3g}"
     for contact, depth, most in zip(scene.contacts, path.depth, scene.depths, strict=True):
@@ -263,7 +326,11 @@ def reaches(scene: Scene, path: Motions, u: np.ndarray) -> str:
 
 def slider(folder: Path) -> str:
     """The scene that docs/extending.md shows, as a file."""
-    shown = re.search(r"<!-- file: slider.py -->\n```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
+    shown = re.search(
+        r"<!-- file: slider.py -->\n```python\n(.*?)```",
+        DOCS.read_text(encoding="utf-8"),
+        re.DOTALL,
+    )
     if shown is None:
         raise NoPlanError("docs/extending.md shows no slider.py")
     path = folder / "slider.py"

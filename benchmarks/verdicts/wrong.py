@@ -1,7 +1,9 @@
 """Plans that must not hold, each with the cause that its sentence has to name.
 
-What is wrong is made on purpose and is the only thing wrong, as far as that can be: the rest of each plan is the exact motion of its inputs, or a method's
-plan that holds. On the scenes of `exact`, on relaxed plans of four scenes, on unstable scenes, and on the scene that docs/extending.md shows.
+What is wrong is made on purpose and is the only thing wrong, as far as that can be: the rest of
+each plan is the exact motion of its inputs, or a method's plan that holds. On the scenes of
+`exact`, on relaxed plans of four scenes, on unstable scenes, and on the scene that
+docs/extending.md shows.
 """
 
 from __future__ import annotations
@@ -45,10 +47,16 @@ UNSTABLE = {"cart_pole_walls": "strict", "acrobot_limits": "strict"}
 
 
 def _astray(reference: str, plan: Plan) -> Plan:
-    """The plan, if its inputs truly lead elsewhere than it says. Raises NoPlanError if they hardly matter."""
+    """The plan, if its inputs truly lead elsewhere than it says.
+
+    Raises NoPlanError if they hardly matter.
+    """
     scene = scene_of(reference)
     stated, path = scene.limit("replay_error"), motion_of(reference).run(plan.t, plan.u)
-    allowed = max(1e-2 * max(item.nominal for item in scene.coordinates), (stated.value or 0.0) if stated is not None else 0.0)
+    allowed = max(
+        1e-2 * max(item.nominal for item in scene.coordinates),
+        (stated.value or 0.0) if stated is not None else 0.0,
+    )
     if path.ended and plan.q is not None and np.abs(path.q - plan.q).max() < 2.0 * allowed:
         raise NoPlanError("its inputs hardly matter")
     return plan
@@ -70,14 +78,18 @@ def _cut(plan: Plan, low: int, high: int) -> Plan:
         return None if rows is None else rows[low : high + more]
 
     return plan.but(
-        t=plan.t[low : high + 1] - plan.t[low], q=part(plan.q, 1), v=part(plan.v, 1), u=part(plan.u), lam=part(plan.lam), friction=part(plan.friction)
+        t=plan.t[low : high + 1] - plan.t[low], q=part(plan.q, 1), v=part(plan.v, 1),
+        u=part(plan.u), lam=part(plan.lam), friction=part(plan.friction)
     )  # fmt: skip
 
 
 def common(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ...]]]:
     """What can be wrong with a plan of any scene: how it is made, and its cause."""
     scene = scene_of(reference)
-    steps, lower, upper = scene.task.steps, *(np.array([getattr(item, side) for item in scene.inputs]) for side in ("lower", "upper"))
+    steps, lower, upper = (
+        scene.task.steps,
+        *(np.array([getattr(item, side) for item in scene.inputs]) for side in ("lower", "upper")),
+    )
 
     def good() -> Plan:
         t, u, path = based(reference)
@@ -155,7 +167,10 @@ def common(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ...
     wide = 0.3 * max(item.nominal for item in scene.coordinates)
     made: dict[str, tuple[Callable[[], Plan], tuple[str, ...]]] = {
         f"3 of {steps} steps": (lambda: _cut(good(), 0, 3), DURATION),
-        f"the last 3 of {steps} steps": (lambda: _cut(good(), steps - 3, steps), (*DURATION, *START)),
+        f"the last 3 of {steps} steps": (
+            lambda: _cut(good(), steps - 3, steps),
+            (*DURATION, *START),
+        ),
         f"3 of {steps} inputs": (lambda: Plan(t=good().t[:4], u=good().u[:3]), DURATION),
         "one step too few": (lambda: _cut(good(), 0, steps - 1), DURATION),
         "5 s appended": (appended, DURATION),
@@ -166,24 +181,43 @@ def common(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ...
         "at the goal from the start on": (at_the_goal, START),
         "nothing done": (lambda: _goes(reference, zero), GOAL),
         "nothing done, inputs alone": (lambda: Plan(t=good().t, u=zero), GOAL),
-        "nothing done, states of a plan that does": (lambda: _astray(reference, good().but(u=zero)), MOTION),
+        "nothing done, states of a plan that does": (
+            lambda: _astray(reference, good().but(u=zero)),
+            MOTION,
+        ),
         "nothing done, positions of a plan that does": (
             lambda: _astray(reference, good().but(u=zero, v=None, lam=None, friction=None)),
             MOTION,
         ),
-        "inputs turned round": (lambda: _astray(reference, good().but(u=np.clip(-good().u, lower, upper))), MOTION),
-        "inputs a fifth of the plan late": (lambda: _astray(reference, good().but(u=np.roll(good().u, steps // 5, axis=0))), MOTION),
+        "inputs turned round": (
+            lambda: _astray(reference, good().but(u=np.clip(-good().u, lower, upper))),
+            MOTION,
+        ),
+        "inputs a fifth of the plan late": (
+            lambda: _astray(reference, good().but(u=np.roll(good().u, steps // 5, axis=0))),
+            MOTION,
+        ),
         "spikes between the nodes": (spiky, (*MOTION, *GOAL)),
         "a spike of one velocity": (lambda: kinked("v", 5.0), (*MOTION, "velocit")),
         "a spike of one position": (lambda: kinked("q", wide), MOTION),
-        "positions all moved": (lambda: good().but(q=stated("q") + np.linspace(0, wide, steps + 1)[:, None] ** 2 / wide), (*MOTION, *GOAL)),
+        "positions all moved": (
+            lambda: good().but(
+                q=stated("q") + np.linspace(0, wide, steps + 1)[:, None] ** 2 / wide
+            ),
+            (*MOTION, *GOAL),
+        ),
         "velocities doubled": (
-            lambda: good().but(v=np.vstack([stated("v")[:1], 2 * stated("v")[1:-1], stated("v")[-1:]])),
+            lambda: good().but(
+                v=np.vstack([stated("v")[:1], 2 * stated("v")[1:-1], stated("v")[-1:]])
+            ),
             (*MOTION, "velocit"),
         ),
     }
     if scene.nu > 1:
-        made["inputs mirrored"] = (lambda: _astray(reference, good().but(u=good().u[:, ::-1])), MOTION)
+        made["inputs mirrored"] = (
+            lambda: _astray(reference, good().but(u=good().u[:, ::-1])),
+            MOTION,
+        )
     if scene.nc:
         made |= {
             "invented forces of 100 N": (lambda: forces(lambda rows: rows + 100.0), FORCES),
@@ -191,20 +225,34 @@ def common(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ...
                 lambda: forces(lambda rows: rows + 100.0, scheme="semi_implicit_euler"),
                 FORCES,
             ),
-            "an invented force in one step": (lambda: forces(lambda rows: once(rows, 1, 100.0)), FORCES),
+            "an invented force in one step": (
+                lambda: forces(lambda rows: once(rows, 1, 100.0)),
+                FORCES,
+            ),
             "a spike of force, there and back": (
-                lambda: forces(lambda rows: once(once(rows, steps // 3, 50.0), steps // 3 + 1, -50.0)),
+                lambda: forces(
+                    lambda rows: once(once(rows, steps // 3, 50.0), steps // 3 + 1, -50.0)
+                ),
                 FORCES,
             ),
             "forces mirrored": (lambda: forces(mirrored), FORCES),
             "forces pull": (lambda: forces(turned), FORCES),
             "forces doubled": (lambda: forces(lambda rows: 2.0 * turned(-rows)), FORCES),
             "forces left at zero": (lambda: forces(lambda rows: 0.0 * turned(rows)), FORCES),
-            "forces a tenth of the plan late": (lambda: forces(lambda rows: np.roll(-turned(rows), steps // 10, axis=0)), FORCES),
+            "forces a tenth of the plan late": (
+                lambda: forces(lambda rows: np.roll(-turned(rows), steps // 10, axis=0)),
+                FORCES,
+            ),
         }
     if scene.nf:
-        made["friction works with the slip"] = (lambda: good().but(friction=-stated("friction")), FRICTION)
-        made["friction ten times too large"] = (lambda: good().but(friction=10.0 * stated("friction")), FRICTION)
+        made["friction works with the slip"] = (
+            lambda: good().but(friction=-stated("friction")),
+            FRICTION,
+        )
+        made["friction ten times too large"] = (
+            lambda: good().but(friction=10.0 * stated("friction")),
+            FRICTION,
+        )
     return made
 
 
@@ -219,7 +267,10 @@ def by_feedback(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str
             if not path.ended:
                 raise NoPlanError("its motion runs away")
             stated = as_plan(its, scene)
-            lower, upper = (np.array([getattr(item, side) for item in scene.inputs]) for side in ("lower", "upper"))
+            lower, upper = (
+                np.array([getattr(item, side) for item in scene.inputs])
+                for side in ("lower", "upper")
+            )
             return stated.but(u=np.clip(change(stated.u.copy()), lower, upper), **more)
 
         return make
@@ -229,10 +280,16 @@ def by_feedback(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str
     return {
         "no inputs, a perfect trajectory": (plan(lambda u: 0.0 * u), MOTION),
         "no inputs, a perfect trajectory, undeclared": (plan(lambda u: 0.0 * u, scheme=""), MOTION),
-        "no inputs, a perfect trajectory, without forces": (plan(lambda u: 0.0 * u, **bare), MOTION),
+        "no inputs, a perfect trajectory, without forces": (
+            plan(lambda u: 0.0 * u, **bare),
+            MOTION,
+        ),
         "half the inputs, a perfect trajectory": (plan(lambda u: 0.5 * u, **bare), MOTION),
         "inputs turned round, a perfect trajectory": (plan(lambda u: -u, **bare), MOTION),
-        "noise for inputs, a perfect trajectory": (plan(lambda u: noise.uniform(-1, 1, u.shape) * np.abs(u).max(), **bare), MOTION),
+        "noise for inputs, a perfect trajectory": (
+            plan(lambda u: noise.uniform(-1, 1, u.shape) * np.abs(u).max(), **bare),
+            MOTION,
+        ),
     }
 
 
@@ -244,7 +301,11 @@ def _costly(reference: str) -> Plan:
     for share in np.linspace(0.0, 1.0, 81):
         u = np.tile([share * item.lower for item in scene.inputs], (len(t) - 1, 1))
         path = motion.run(t, u)
-        if limit is not None and limit.value is not None and 2.0 * limit.value < cost(scene, path, u) < 4.0 * limit.value:
+        if (
+            limit is not None
+            and limit.value is not None
+            and 2.0 * limit.value < cost(scene, path, u) < 4.0 * limit.value
+        ):
             return exact(path, t, u)
     raise NoPlanError("no constant input costs so much")
 
@@ -252,39 +313,85 @@ def _costly(reference: str) -> Plan:
 def cases(scenes: tuple[str, ...], folder: Path) -> Iterator[Case]:
     """folder: where scene files are written."""
 
-    def of(reference: str, made: dict[str, tuple[Callable[[], Plan], tuple[str, ...]]]) -> Iterator[Case]:
+    def of(
+        reference: str, made: dict[str, tuple[Callable[[], Plan], tuple[str, ...]]]
+    ) -> Iterator[Case]:
         for words, (plan, causes) in made.items():
             never = ELSEWHERE if MOTION[0] in causes and "relaxed" not in words else ()
-            yield Case(name=f"{Path(reference).stem}: {words}", scene=reference, plan=plan, expected=EXPECTED, causes=causes, never=never)
+            yield Case(
+                name=f"{Path(reference).stem}: {words}",
+                scene=reference,
+                plan=plan,
+                expected=EXPECTED,
+                causes=causes,
+                never=never,
+            )
 
     if "three_cart" in scenes:
-        bodies = {"bodies through each other, to the goal": (through, DEEP), "without forces": (lambda: through().but(lam=None), DEEP)}
-        bodies["inputs alone through each other"] = (lambda: Plan(t=through().t, u=through().u), DEEP)
+        bodies = {
+            "bodies through each other, to the goal": (through, DEEP),
+            "without forces": (lambda: through().but(lam=None), DEEP),
+        }
+        bodies["inputs alone through each other"] = (
+            lambda: Plan(t=through().t, u=through().u),
+            DEEP,
+        )
         yield from of("three_cart", bodies)
         others = {"wall_pendulum": ("column",), "hopper": ("column",), "cart_chain": ("column",)}
         for other, causes in others.items():
-            yield from of("three_cart", {f"the plan of {other}": (lambda other=other: _written_for(other), causes)})
+            yield from of(
+                "three_cart",
+                {f"the plan of {other}": (lambda other=other: _written_for(other), causes)},
+            )
     references = [name for name in BASES if name in scenes]
     if "slider" in scenes:
         try:
             references.append(slider(folder))
             scene_of(references[-1])
-        except (NoPlanError, TouchstoneError) as error:  # what the docs show is not read: that is not as expected either
+        except (
+            NoPlanError,
+            TouchstoneError,
+        ) as error:  # what the docs show is not read: that is not as expected either
             references = [item for item in references if item in BASES]
-            yield Case(name=f"slider: docs/extending.md: {error}", scene="slider.py", plan=lambda: through(), expected=("read",))
+            yield Case(
+                name=f"slider: docs/extending.md: {error}",
+                scene="slider.py",
+                plan=lambda: through(),
+                expected=("read",),
+            )
     for reference in references:
         yield from of(
             reference,
-            common(reference) | {"at full force into each other": (lambda reference=reference: rammed(reference), (*DEEP, *GOAL))},
+            common(reference)
+            | {
+                "at full force into each other": (
+                    lambda reference=reference: rammed(reference),
+                    (*DEEP, *GOAL),
+                )
+            },
         )
-    for reference in [*(name for name in RELAXED if name in scenes), *(item for item in references if item.endswith("slider.py"))]:
+    for reference in [
+        *(name for name in RELAXED if name in scenes),
+        *(item for item in references if item.endswith("slider.py")),
+    ]:
         yield from of(reference, relaxed(reference))
     if "wall_pendulum" in scenes:
-        yield from of("wall_pendulum", {"too costly, on a coarse grid": (lambda: _costly("wall_pendulum"), GOAL)})
+        yield from of(
+            "wall_pendulum",
+            {"too costly, on a coarse grid": (lambda: _costly("wall_pendulum"), GOAL)},
+        )
     for reference in (name for name in UNSTABLE if name in scenes):
         yield from of(reference, by_feedback(reference))
     if "two_discs_wall" in scenes:
-        yield from of("two_discs_wall", {"the plan of two_discs": (lambda: _without_forces("two_discs"), (*START, *MOTION, *GOAL))})
+        yield from of(
+            "two_discs_wall",
+            {
+                "the plan of two_discs": (
+                    lambda: _without_forces("two_discs"),
+                    (*START, *MOTION, *GOAL),
+                )
+            },
+        )
 
 
 def _without_forces(reference: str) -> Plan:
@@ -312,7 +419,10 @@ def relaxed(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ..
 
     def plan(**changes: object) -> Callable[[], Plan]:
         def make() -> Plan:
-            first = as_plan(found(reference, RELAXED.get(reference, "softplus_dc+strict"))[0], scene_of(reference))
+            first = as_plan(
+                found(reference, RELAXED.get(reference, "softplus_dc+strict"))[0],
+                scene_of(reference),
+            )
             return first.but(**changes)
 
         return make
@@ -327,7 +437,10 @@ def relaxed(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ..
         "relaxed, velocities deleted": (plan(v=None, scheme=""), (*FORCES, *astray)),
         "relaxed, velocities and forces deleted": (plan(v=None, **none), astray),
         "relaxed, states deleted": (plan(q=None, v=None, scheme=""), (*FORCES, *astray)),
-        "relaxed, inputs alone": (lambda: _that_fails(plan(q=None, v=None, **none)(), reference), astray),
+        "relaxed, inputs alone": (
+            lambda: _that_fails(plan(q=None, v=None, **none)(), reference),
+            astray,
+        ),
         "relaxed, printed with two decimals": (plan(digits=2, scheme=""), (*FORCES, *astray)),
         "relaxed, true forces of its states": (lambda: _law(plan(scheme="")(), reference), astray),
     }
@@ -346,18 +459,24 @@ def _law(plan: Plan, reference: str) -> Plan:
     return plan.but(lam=motion_of(reference).forces(plan.q)[:-1])
 
 
-# Bodies through each other: exact motions that the model does not mean, of inputs within their bounds
+# Bodies through each other: exact motions that the model does not mean, of inputs within their
+# bounds
 
 
 @cache
 def through() -> Plan:
     """Three carts: the outer ones squeeze the middle one until two carts are inside each other, and all of them end at the goal.
 
-    The squeeze is 10 N for a second; the inputs after it are steered home by Gauss and Newton's steps on a semi-implicit Euler of all their changes at once.
+    The squeeze is 10 N for a second; the inputs after it are steered home by Gauss and Newton's
+    steps on a semi-implicit Euler of all their changes at once.
     """
     scene, (t, u, _) = scene_of("three_cart"), based("three_cart")
     u, h, pieces = u.copy(), scene.task.step, 20
-    squeezed, start, goal = round(1.2 / h), np.array(scene.task.start), np.array(scene.task.goal, dtype=float)
+    squeezed, start, goal = (
+        round(1.2 / h),
+        np.array(scene.task.start),
+        np.array(scene.task.goal, dtype=float),
+    )
     u[:squeezed] = (10.0, -10.0)
     u[squeezed:] = u[squeezed:][:, :] * 0.0
     wide = (len(u) - squeezed) // pieces
@@ -396,17 +515,27 @@ def through() -> Plan:
     path = motion_of("three_cart").run(t, u)
     off = miss(scene, np.concatenate([path.q[-1], path.v[-1]]))
     if path.depth.max() < 0.51 or max(off) > 0.05:
-        raise NoPlanError(f"the carts are {path.depth.max():.3g} m inside each other and end {off[0]:.3g} m from the goal")
+        raise NoPlanError(
+            f"the carts are {path.depth.max():.3g} m inside each other and end {off[0]:.3g} m from the goal"
+        )
     return exact(path, t, u)
 
 
 def rammed(reference: str) -> Plan:
-    """All inputs at their bounds, against each other. Raises NoPlanError where the model allows it."""
+    """All inputs at their bounds, against each other.
+
+    Raises NoPlanError where the model allows it.
+    """
     scene = scene_of(reference)
     signs = np.array([1.0] + [-1.0] * (scene.nu - 1))
-    t, u = based(reference)[0], np.tile(signs * np.array([item.upper for item in scene.inputs]), (scene.task.steps, 1))
+    t, u = (
+        based(reference)[0],
+        np.tile(signs * np.array([item.upper for item in scene.inputs]), (scene.task.steps, 1)),
+    )
     path = motion_of(reference).run(t, u)
     depth = path.depth
     if not (depth > np.array(scene.depths)).any():
-        raise NoPlanError(f"at full force the bodies are {depth.max():.3g} m deep, which the model allows")
+        raise NoPlanError(
+            f"at full force the bodies are {depth.max():.3g} m deep, which the model allows"
+        )
     return exact(path, t, u)

@@ -1,17 +1,25 @@
 """A plan of three_cart by CasADi and Ipopt: contact as complementarity, relaxed and tightened step by step, written as a CSV.
 
-pip install casadi; python plan_from_casadi.py && python -m validate replay plan.csv --scene three_cart
+pip install casadi; python plan_from_casadi.py && python -m validate replay plan.csv --scene
+three_cart
 """
 
 import casadi as ca
 import numpy as np
 
-h, steps = 0.01, 500
-damping, stiffness, length = 2.0, 30.0, 0.5
+h = 0.01
+steps = 500
+damping = 2.0
+stiffness = 30.0
+length = 0.5
 opti = ca.Opti()
-q, v = opti.variable(3, steps + 1), opti.variable(3, steps + 1)
-u, force, eps = opti.variable(2, steps), opti.variable(2, steps), opti.parameter()
-now, after = slice(0, steps), slice(1, steps + 1)
+q = opti.variable(3, steps + 1)
+v = opti.variable(3, steps + 1)
+u = opti.variable(2, steps)
+force = opti.variable(2, steps)
+eps = opti.parameter()
+now = slice(0, steps)
+after = slice(1, steps + 1)
 
 push = ca.vertcat(u[0, :] - force[0, :], force[0, :] - force[1, :], u[1, :] + force[1, :])
 opti.subject_to(v[:, after] == v[:, now] + h * (push - damping * v[:, now]))
@@ -38,5 +46,13 @@ q, v, u, force = (solution.value(variable).T for variable in (q, v, u, force))
 with open("plan.csv", "w", encoding="utf-8") as file:
     print("# scheme: semi_implicit_euler\nt,q1,q2,q3,v1,v2,v3,u1,u3,lam_left,lam_right", file=file)
     for n in range(steps + 1):
-        cells = [h * n, *q[n], *v[n], *(u[n] if n < steps else ()), *(force[n] if n < steps else ())]
-        print(",".join(repr(float(cell)) for cell in cells) + ("" if n < steps else ",,,,"), file=file)
+        cells = [
+            h * n,
+            *q[n],
+            *v[n],
+            *(u[n] if n < steps else ()),
+            *(force[n] if n < steps else ()),
+        ]
+        print(
+            ",".join(repr(float(cell)) for cell in cells) + ("" if n < steps else ",,,,"), file=file
+        )

@@ -1,6 +1,9 @@
-"""A plan of three_cart by Drake: direct collocation, inputs as lines, contact made smooth; written as a CSV.
+"""A plan of three_cart by Drake: direct collocation, inputs as lines, contact made smooth.
 
-pip install drake; python plan_from_drake.py && python -m validate replay plan.csv --scene three_cart
+Written as a CSV.
+
+pip install drake; python plan_from_drake.py && python -m validate replay plan.csv --scene
+three_cart
 """
 
 import numpy as np
@@ -10,20 +13,36 @@ from pydrake.symbolic import Variable, exp, log
 from pydrake.systems.primitives import SymbolicVectorSystem
 from pydrake.trajectories import PiecewisePolynomial
 
-duration, nodes = 5.0, 101
-damping, stiffness, length = 2.0, 30.0, 0.5
-q, v, u = ([Variable(f"{name}{i}") for i in range(count)] for name, count in (("q", 3), ("v", 3), ("u", 2)))
-start, goal = np.array([2.0, 3, 4, 0, 0, 0]), np.array([2.5, 3.5, 4.5, 0, 0, 0])
+duration = 5.0
+nodes = 101
+damping = 2.0
+stiffness = 30.0
+length = 0.5
+q, v, u = (
+    [Variable(f"{name}{i}") for i in range(count)] for name, count in (("q", 3), ("v", 3), ("u", 2))
+)
+start = np.array([2.0, 3, 4, 0, 0, 0])
+goal = np.array([2.5, 3.5, 4.5, 0, 0, 0])
 
 
-def planned(sharpness: float, guess: tuple[PiecewisePolynomial, PiecewisePolynomial]) -> tuple[DirectCollocation, SymbolicVectorSystem]:
+def planned(
+    sharpness: float, guess: tuple[PiecewisePolynomial, PiecewisePolynomial]
+) -> tuple[DirectCollocation, SymbolicVectorSystem]:
     """The problem with a contact force k log(1 + exp(s depth))/s, which is the true one where s is large; and its system, to be kept while it is used."""
-    left, right = (stiffness / sharpness * log(1 + exp(sharpness * (length - (b - a)))) for a, b in ((q[0], q[1]), (q[1], q[2])))
+    left, right = (
+        stiffness / sharpness * log(1 + exp(sharpness * (length - (b - a))))
+        for a, b in ((q[0], q[1]), (q[1], q[2]))
+    )
     forces = [u[0] - left, left - right, u[1] + right]
     system = SymbolicVectorSystem(
-        state=[*q, *v], input=u, dynamics=[*v, *(f - damping * x for f, x in zip(forces, v, strict=True))], output=[]
+        state=[*q, *v],
+        input=u,
+        dynamics=[*v, *(f - damping * x for f, x in zip(forces, v, strict=True))],
+        output=[],
     )
-    problem = DirectCollocation(system, system.CreateDefaultContext(), nodes, duration / (nodes - 1), duration / (nodes - 1))
+    problem = DirectCollocation(
+        system, system.CreateDefaultContext(), nodes, duration / (nodes - 1), duration / (nodes - 1)
+    )
     problem.AddEqualTimeIntervalsConstraints()
     program = problem.prog()
     program.AddBoundingBoxConstraint(start, start, problem.initial_state())

@@ -6,9 +6,13 @@ python plan_from_mujoco.py && python -m validate replay plan.csv --scene three_c
 import mujoco
 import numpy as np
 
-h, steps, parts = 0.01, 500, 10  # inputs are held for h; MuJoCo makes ten steps in it
+# inputs are held for h; MuJoCo makes ten steps in it
+h = 0.01
+steps = 500
+parts = 10
 cart = '<body><joint name="q{0}" type="slide" axis="1 0 0" damping="2"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
-# A contact of 30 N/m between carts 0.5 m long: a tendon as long as the distance of their centres, which pushes where that is shorter.
+# A contact of 30 N/m between carts 0.5 m long: a tendon as long as the distance of their centres,
+# which pushes where that is shorter.
 contact = '<fixed stiffness="30" springlength="0.5 1e6"><joint joint="q{0}" coef="-1"/><joint joint="q{1}" coef="1"/></fixed>'
 model = mujoco.MjModel.from_xml_string(
     f'<mujoco><option integrator="RK4" gravity="0 0 0" timestep="{h / parts}"/><worldbody>{"".join(map(cart.format, (1, 2, 3)))}</worldbody>'
@@ -24,7 +28,14 @@ with open("plan.csv", "w", encoding="utf-8") as file:
         q, v = data.qpos, data.qvel
         # A cart that is let go of glides on by m v/c, and by what the contact gives as it opens.
         pushes = pushes and q[1] + v[1] / 2.0 < 3.39
-        u = np.clip([20.0 * ((2.0 + 0.7 * n * h if pushes else 2.5) - q[0]) - 6.0 * v[0], 20.0 * (4.5 - q[2]) - 6.0 * v[2]], -10.0, 10.0)
+        u = np.clip(
+            [
+                20.0 * ((2.0 + 0.7 * n * h if pushes else 2.5) - q[0]) - 6.0 * v[0],
+                20.0 * (4.5 - q[2]) - 6.0 * v[2],
+            ],
+            -10.0,
+            10.0,
+        )
         print(",".join(repr(float(number)) for number in (n * h, *q, *v, *u)), file=file)
         data.qfrc_applied[[0, 2]] = u
         mujoco.mj_step(model, data, parts)

@@ -10,13 +10,18 @@ _MEANING = re.compile(r"^([\w, ]+) : (.+)$(?!\n[ \t]+\S)", re.MULTILINE)
 
 
 class Docstrings(Extension):
-    """Fences each run of lines that begins with `>>>`; puts a meaning into the line below its name."""
+    """Fences each run of lines that begins with `>>>`.
+
+    Puts a meaning into the line below its name.
+    """
 
     def on_object(self, *, obj: Object, **kwargs: object) -> None:
         """Change the text before it is parsed."""
         if obj.docstring is None:
             return
-        text = _EXAMPLE.sub(lambda found: f"```pycon\n{found[0].rstrip()}\n```\n", obj.docstring.value)
+        text = _EXAMPLE.sub(
+            lambda found: f"```pycon\n{found[0].rstrip()}\n```\n", obj.docstring.value
+        )
         first = _HEADER.search(text)
         if first is not None:
             text = text[: first.start()] + _MEANING.sub(r"\1\n    \2", text[first.start() :])

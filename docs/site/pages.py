@@ -2,7 +2,8 @@
 
 pip install -e '.[docs]' && mkdocs build --strict
 
-The gallery shows plans in motion from a campaign that was run here: runs/all, or the folder that TOUCHSTONE_CAMPAIGN names.
+The gallery shows plans in motion from a campaign that was run here: runs/all, or the folder that
+TOUCHSTONE_CAMPAIGN names.
 """
 
 from __future__ import annotations
@@ -41,8 +42,10 @@ from validate.tasks.scene_record import scene_record
 ROOT = Path(__file__).parents[2]
 _LINK = re.compile(r"(!?\[[^\]]*\])\(([^)#\s]+)(#[^)]*)?\)")
 _FILE = re.compile(r"<!-- (?:file|into): ([\w./]+) -->\n```(\w+)\n")
-_WIDTH, _HEIGHT = 300.0, 170.0
-# Modules whose public names are the reference of `models`, and the objects of other pages, by their home.
+_WIDTH = 300.0
+_HEIGHT = 170.0
+# Modules whose public names are the reference of `models`, and the objects of other pages, by their
+# home.
 _MODELS = {
     "models.catalog": ("load_scene", "scene_names"),
     "models.scene": tuple(models.scene.__all__),
@@ -66,13 +69,19 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "methods.md": _methods(),
         "metrics.md": _metrics(),
         "reference/touchstone.md": _touchstone(),
-        "reference/models.md": _reference("models", [f"{home}.{name}" for home, names in _MODELS.items() for name in names]),
-        "reference/formulations.md": _reference("formulations", [_home(formulations, name) for name in formulations.__all__]),
+        "reference/models.md": _reference(
+            "models", [f"{home}.{name}" for home, names in _MODELS.items() for name in names]
+        ),
+        "reference/formulations.md": _reference(
+            "formulations", [_home(formulations, name) for name in formulations.__all__]
+        ),
         "reference/formulations.mpec.md": _reference(
-            "formulations.mpec", [_home(formulations.mpec, name) for name in formulations.mpec.__all__]
+            "formulations.mpec",
+            [_home(formulations.mpec, name) for name in formulations.mpec.__all__],
         ),
         "reference/formulations.ampl.md": _reference(
-            "formulations.ampl", [_home(formulations.ampl, name) for name in formulations.ampl.__all__]
+            "formulations.ampl",
+            [_home(formulations.ampl, name) for name in formulations.ampl.__all__],
         ),
     }
     pages |= _players(scenes, ROOT / config.extra["campaign"])
@@ -82,7 +91,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Links out of docs lead to what the site has of it, and are words where it has nothing; a file that the text writes bears its name."""
+    """Links out of docs lead to what the site has of it, and are words where it has nothing.
+
+    A file that the text writes bears its name.
+    """
 
     def link(found: re.Match[str]) -> str:
         words, target, anchor = found[1], found[2], found[3] or ""
@@ -106,18 +118,36 @@ def _in_site(path: str) -> str | None:
 
 def _from_root(text: str) -> str:
     """A text of the repository's root as a page of docs."""
-    return _LINK.sub(lambda found: found[0] if "://" in found[2] else f"{found[1]}(../{found[2]}{found[3] or ''})", text)
+    return _LINK.sub(
+        lambda found: (
+            found[0] if "://" in found[2] else f"{found[1]}(../{found[2]}{found[3] or ''})"
+        ),
+        text,
+    )
 
 
 def _table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     """A Markdown table; empty where there are no rows."""
-    lines = ["| " + " | ".join(str(cell).replace("|", "\\|").replace("\n", " ") for cell in row) + " |" for row in rows]
+    lines = [
+        "| " + " | ".join(str(cell).replace("|", "\\|").replace("\n", " ") for cell in row) + " |"
+        for row in rows
+    ]
     columns = list(head)
-    return "\n".join(["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns), *lines]) + "\n\n" if lines else ""
+    return (
+        "\n".join(["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns), *lines]) + "\n\n"
+        if lines
+        else ""
+    )
 
 
 def _number(value: object) -> str:
-    return "" if value is None or value == "" else f"{float(value):.7g}" if isinstance(value, (int, float)) else str(value)
+    return (
+        ""
+        if value is None or value == ""
+        else f"{float(value):.7g}"
+        if isinstance(value, (int, float))
+        else str(value)
+    )
 
 
 def _range(lower: float, upper: float) -> str:
@@ -126,7 +156,8 @@ def _range(lower: float, upper: float) -> str:
 
 def _gallery(scenes: list[Scene]) -> str:
     cards = "\n".join(
-        f'<div markdown="span">{_picture(scene)}[{scene.name}](scenes/{scene.name}.md)<br>{scene.title}</div>' for scene in scenes
+        f'<div markdown="span">{_picture(scene)}[{scene.name}](scenes/{scene.name}.md)<br>{scene.title}</div>'
+        for scene in scenes
     )
     lead = "What is there to plan on, each at its start. A scene of your own is [one file](extending.md)."
     return f'# Scenes\n\n{lead}\n\n<div class="gallery" markdown="1">\n{cards}\n</div>\n'
@@ -136,7 +167,10 @@ def _players(scenes: list[Scene], campaign: Path) -> dict[str, str]:
     """The gallery of plans in motion, and the page in each of its frames: as many as the campaign has scenes that can be drawn."""
     text = "# Plans in motion\n\n"
     if not (campaign / "campaign.json").is_file():
-        return {"players.md": text + "This site was built without a campaign. Run `python -m validate all`, and build it again.\n"}
+        return {
+            "players.md": text
+            + "This site was built without a campaign. Run `python -m validate all`, and build it again.\n"
+        }
     text += "The cheapest plan that holds on each scene, as it was planned (dashed) and as it was replayed through the FMU of the scene.\n"
     made = render_players(campaign)
     names = [scene.name for scene in scenes if scene.name in made]
@@ -151,7 +185,11 @@ def _picture(scene: Scene) -> str:
         return ""
     values = scene.parameter_values
     records = [
-        ShapeRecord(name=item.name, kind=item.kind, size=tuple(float(sp.sympify(size).subs(values)) for size in item.size))
+        ShapeRecord(
+            name=item.name,
+            kind=item.kind,
+            size=tuple(float(sp.sympify(size).subs(values)) for size in item.size),
+        )
         for item in scene.shapes
     ]
     columns = pose_columns(scene, np.array([scene.task.start[: scene.nq]]), "node")
@@ -161,7 +199,8 @@ def _picture(scene: Scene) -> str:
     high = np.max([pose[:2] + far for pose, far in zip(poses, reach, strict=True)], axis=0)
     scale = 0.85 * min(_WIDTH / max(high[0] - low[0], 1e-9), _HEIGHT / max(high[1] - low[1], 1e-9))
     drawn = "".join(
-        placed(item, pose, (low + high) / 2, scale, place % 6) for place, (item, pose) in enumerate(zip(records, poses, strict=True))
+        placed(item, pose, (low + high) / 2, scale, place % 6)
+        for place, (item, pose) in enumerate(zip(records, poses, strict=True))
     )
     box = f"{-_WIDTH / 2:g} {-_HEIGHT / 2:g} {_WIDTH:g} {_HEIGHT:g}"
     frame = f'<rect class="frame" x="{-_WIDTH / 2:g}" y="{-_HEIGHT / 2:g}" width="{_WIDTH:g}" height="{_HEIGHT:g}"/>'
@@ -174,13 +213,22 @@ def _scene(scene: Scene) -> str:
     goal = ["free" if value is None else _number(value) for value in task.goal]
     text = [f"# {scene.name}\n\n{scene.title}. Source: {scene.source}.\n\n{_picture(scene)}\n"]
     if scene.unstable:
-        text.append(f"Unstable in the open loop, so that a plan which holds with feedback is enough: {scene.unstable}.\n")
+        text.append(
+            f"Unstable in the open loop, so that a plan which holds with feedback is enough: {scene.unstable}.\n"
+        )
     text.append(
         f"From t = 0 in {task.steps} steps of {task.step:g} s. Cost: the sum over the steps of `{task.running_cost}`"
         + (f", and `{task.final_cost}` at the end.\n" if task.final_cost != 0 else ".\n")
     )
     coordinates = [
-        (f"`{item.name}`", item.unit, _number(task.start[place]), goal[place], _number(item.nominal), item.description)
+        (
+            f"`{item.name}`",
+            item.unit,
+            _number(task.start[place]),
+            goal[place],
+            _number(item.nominal),
+            item.description,
+        )
         for place, item in enumerate(scene.coordinates)
     ]
     velocities = [
@@ -193,10 +241,20 @@ def _scene(scene: Scene) -> str:
         )
         for place, item in enumerate(scene.coordinates)
     ]
-    text += ["## Coordinates\n", _table(("name", "unit", "start", "goal", "nominal", "meaning"), coordinates)]
+    text += [
+        "## Coordinates\n",
+        _table(("name", "unit", "start", "goal", "nominal", "meaning"), coordinates),
+    ]
     text.append(_table(("velocity", "unit", "start", "goal", "bounds"), velocities))
-    inputs = [(f"`{item.name}`", item.unit, _range(item.lower, item.upper), item.description) for item in scene.inputs]
-    text += ["## Inputs\n", _table(("name", "unit", "bounds", "meaning"), inputs) or "None: there is nothing to plan.\n"]
+    inputs = [
+        (f"`{item.name}`", item.unit, _range(item.lower, item.upper), item.description)
+        for item in scene.inputs
+    ]
+    text += [
+        "## Inputs\n",
+        _table(("name", "unit", "bounds", "meaning"), inputs)
+        or "None: there is nothing to plan.\n",
+    ]
     contacts = [
         (
             f"`{item.name}`",
@@ -211,7 +269,18 @@ def _scene(scene: Scene) -> str:
     ]
     text += [
         "## Contacts\n",
-        _table(("name", "between", "penetration [m]", "stiffness [N/m]", "damping", "nominal [m]", "the model ends at [m]"), contacts)
+        _table(
+            (
+                "name",
+                "between",
+                "penetration [m]",
+                "stiffness [N/m]",
+                "damping",
+                "nominal [m]",
+                "the model ends at [m]",
+            ),
+            contacts,
+        )
         or "None.\n",
     ]
     frictions = [
@@ -225,27 +294,64 @@ def _scene(scene: Scene) -> str:
         )
         for item in scene.frictions
     ]
-    text += ["## Friction\n", _table(("name", "slip [m/s]", "mu", "pressed by", "nominal slip [m/s]", "meaning"), frictions) or "None.\n"]
-    parameters = [
-        (f"`{item.name}`", _number(item.value), item.unit, _range(item.lower, item.upper), item.description) for item in scene.parameters
+    text += [
+        "## Friction\n",
+        _table(
+            ("name", "slip [m/s]", "mu", "pressed by", "nominal slip [m/s]", "meaning"), frictions
+        )
+        or "None.\n",
     ]
-    text += ["## Parameters\n", _table(("name", "value", "unit", "range", "meaning"), parameters) or "None.\n"]
-    limits = [(f"`{item.metric}`", "waived" if item.value is None else _number(item.value), item.reason) for item in scene.limits]
+    parameters = [
+        (
+            f"`{item.name}`",
+            _number(item.value),
+            item.unit,
+            _range(item.lower, item.upper),
+            item.description,
+        )
+        for item in scene.parameters
+    ]
+    text += [
+        "## Parameters\n",
+        _table(("name", "value", "unit", "range", "meaning"), parameters) or "None.\n",
+    ]
+    limits = [
+        (f"`{item.metric}`", "waived" if item.value is None else _number(item.value), item.reason)
+        for item in scene.limits
+    ]
     text += [
         "## Limits\n",
         _table(("metric", "limit", "reason"), limits) or "None of its own.\n",
         "All other metrics have [the limits of everybody](../metrics.md).\n",
     ]
-    answers = [(item.quantity, f"{float(item.value):.10g}", _number(item.tolerance), item.source) for item in scene.answers]
-    text += ["## Known answers\n", _table(("what", "value", "tolerance", "source"), answers) or "None is stored.\n"]
+    answers = [
+        (item.quantity, f"{float(item.value):.10g}", _number(item.tolerance), item.source)
+        for item in scene.answers
+    ]
+    text += [
+        "## Known answers\n",
+        _table(("what", "value", "tolerance", "source"), answers) or "None is stored.\n",
+    ]
     text.append("## Equations\n")
     for item in record.equations:
-        text.append(f"<p>{item.caption}</p>\n<div class='equation' tabindex='0'>{safe_mathml(item.mathml) or item.mathml}</div>\n")
+        text.append(
+            f"<p>{item.caption}</p>\n<div class='equation' tabindex='0'>{safe_mathml(item.mathml) or item.mathml}</div>\n"
+        )
     shapes = [
-        (item.name, item.kind, ", ".join(f"`{size}`" for size in item.size), f"`{item.x}`", f"`{item.y}`", f"`{item.angle}`")
+        (
+            item.name,
+            item.kind,
+            ", ".join(f"`{size}`" for size in item.size),
+            f"`{item.x}`",
+            f"`{item.y}`",
+            f"`{item.angle}`",
+        )
         for item in scene.shapes
     ]
-    text += ["## Shapes\n", _table(("name", "kind", "size [m]", "x [m]", "y [m]", "angle [rad]"), shapes) or "None.\n"]
+    text += [
+        "## Shapes\n",
+        _table(("name", "kind", "size [m]", "x [m]", "y [m]", "angle [rad]"), shapes) or "None.\n",
+    ]
     return "\n".join(text)
 
 
@@ -262,22 +368,47 @@ def _methods() -> str:
         "# Methods and pipelines\n",
         "A method finds a plan; a pipeline chains methods, each from the plan of the one before. [Adding one](extending.md) takes one file.\n",
     ]
-    pipelines = [(f"`{item.name}`", item.title, " → ".join(f"`{leg.method}`" for leg in item.legs), item.source) for item in PIPELINES]
-    text += ["## Pipelines\n", _table(("name", "what it is", "methods", "source"), pipelines), "## Methods\n"]
+    pipelines = [
+        (
+            f"`{item.name}`",
+            item.title,
+            " → ".join(f"`{leg.method}`" for leg in item.legs),
+            item.source,
+        )
+        for item in PIPELINES
+    ]
+    text += [
+        "## Pipelines\n",
+        _table(("name", "what it is", "methods", "source"), pipelines),
+        "## Methods\n",
+    ]
     for name in method_names():
         method = load_method(name)
         kind = "Exact contact" if method.kind.name == "DIRECT" else "Relaxed contact"
-        text.append(f"### {name}\n\n{method.title}. {kind}{', at a relaxation eps' if method.needs_eps else ''}.\n")
+        text.append(
+            f"### {name}\n\n{method.title}. {kind}{', at a relaxation eps' if method.needs_eps else ''}.\n"
+        )
         options = [
-            (f"`{item.name}`", f"`{item.default}`", item.metadata["unit"], _choices(item.metadata), item.metadata["description"])
+            (
+                f"`{item.name}`",
+                f"`{item.default}`",
+                item.metadata["unit"],
+                _choices(item.metadata),
+                item.metadata["description"],
+            )
             for item in fields(method.options)
         ]
-        text.append(_table(("option", "default", "unit", "values", "meaning"), options) or "It has no options.\n")
+        text.append(
+            _table(("option", "default", "unit", "values", "meaning"), options)
+            or "It has no options.\n"
+        )
     return "\n".join(text)
 
 
 def _choices(option: Mapping[str, Any]) -> str:
-    return ", ".join(f"`{item}`" for item in option["choices"]) or _range(option["lower"], option["upper"])
+    return ", ".join(f"`{item}`" for item in option["choices"]) or _range(
+        option["lower"], option["upper"]
+    )
 
 
 def _metrics() -> str:
@@ -287,12 +418,21 @@ def _metrics() -> str:
     ]
     for question in Question:
         entries = [entry for entry in (*TABLE, *FEEDBACK) if entry.question is question]
-        rows = [(f"`{entry.name}`", entry.meaning, "only the scene's" if entry.default is None else entry.default[1]) for entry in entries]
+        rows = [
+            (
+                f"`{entry.name}`",
+                entry.meaning,
+                "only the scene's" if entry.default is None else entry.default[1],
+            )
+            for entry in entries
+        ]
         shown = question is Question.SHOWN
         text += [
             f"## {question.value or 'Shown, and judging nothing'}\n",
             _table(
-                ("metric", "meaning") if shown else ("metric", "meaning", "limit where the scene sets none"),
+                ("metric", "meaning")
+                if shown
+                else ("metric", "meaning", "limit where the scene sets none"),
                 [row[:2] if shown else row for row in rows],
             ),
         ]
@@ -301,8 +441,14 @@ def _metrics() -> str:
 
 def _touchstone() -> str:
     elsewhere = {name for names in _MODELS.values() for name in names}
-    types = [".".join(touchstone._HOME[name]) for name in touchstone.__all__ if name in touchstone._HOME and name not in elsewhere]
-    functions = [f"touchstone.{name}" for name in touchstone.__all__ if name not in touchstone._HOME]
+    types = [
+        ".".join(touchstone._HOME[name])
+        for name in touchstone.__all__
+        if name in touchstone._HOME and name not in elsewhere
+    ]
+    functions = [
+        f"touchstone.{name}" for name in touchstone.__all__ if name not in touchstone._HOME
+    ]
     return (
         _reference("touchstone", functions)
         + "\n## What they give and take\n\nScenes and trajectories are those of [models](models.md).\n\n"

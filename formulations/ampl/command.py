@@ -1,10 +1,11 @@
 """`touchstone-mpec STUB -AMPL [name=value ..]`: the MPEC solver as AMPL calls its solvers.
 
-    touchstone-mpec bard1                        reads bard1.nl, prints how it ended
-    touchstone-mpec bard1 -AMPL strategy=scholtes    writes bard1.sol instead, for AMPL, JuMP (AmplNLWriter) or Pyomo (`SolverFactory("asl:touchstone-mpec")`)
-    touchstone-mpec -=                           names the options
+    touchstone-mpec bard1 reads bard1.nl, prints how it ended touchstone-mpec bard1 -AMPL
+    strategy=scholtes writes bard1.sol instead, for AMPL, JuMP (AmplNLWriter) or Pyomo
+    (`SolverFactory("asl:touchstone-mpec")`) touchstone-mpec -= names the options
 
-Options also come from the environment: `touchstone_mpec_options='strategy=scholtes max_iter=500'`; those of the command line count last.
+Options also come from the environment: `touchstone_mpec_options='strategy=scholtes max_iter=500'`;
+those of the command line count last.
 
 AMPL's `.sol` files: how a solve ended, duals, values and suffixes, in the order of the `.nl` file.
 """
@@ -44,9 +45,16 @@ _OWN = {
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the command; the exit code is 0 where an answer was written or printed, 2 for what cannot be read, 3 where the answer cannot be written."""
+    """Run the command.
+
+    The exit code is 0 where an answer was written or printed, 2 for what cannot be read, 3 where
+    the answer cannot be written.
+    """
     given = list(sys.argv[1:] if words is None else words)
-    flags, rest = [word for word in given if word.startswith("-")], [word for word in given if not word.startswith("-")]
+    flags, rest = (
+        [word for word in given if word.startswith("-")],
+        [word for word in given if not word.startswith("-")],
+    )
     if "-v" in flags or "--version" in flags:
         return _told(f"{NAME} {metadata.version('touchstone-contact')}")
     if "-=" in flags:
@@ -58,7 +66,11 @@ def main(words: Sequence[str] | None = None) -> int:
     for_ampl = bool({"-AMPL", "-s"} & set(flags))
     environment = next((os.environ[name] for name in _ENVIRONMENT if name in os.environ), "")
     try:
-        message = _solved(Path(stubs[0]), [*shlex.split(environment), *(word for word in rest if "=" in word)], for_ampl)
+        message = _solved(
+            Path(stubs[0]),
+            [*shlex.split(environment), *(word for word in rest if "=" in word)],
+            for_ampl,
+        )
     except _RefusedError as refused:
         print(f"{NAME}: {refused}", file=sys.stderr)
         return 2
@@ -76,7 +88,9 @@ def _told(text: str) -> int:
     try:
         print(text, flush=True)
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what the stream still holds is not tried again as Python ends
+        os.dup2(
+            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+        )  # what the stream still holds is not tried again as Python ends
         print(f"{NAME}: the answer cannot be written: {error.strerror}.", file=sys.stderr)
         return 3
     return 0
@@ -94,7 +108,9 @@ def _solved(stub: Path, words: list[str], for_ampl: bool) -> str:
     """Solve, and write the answer for AMPL; what is to be printed."""
     own, others = _split(words)
     try:
-        problem = read_problem(stub, objective=own["objno"], relax_integers=bool(own["relax_integers"]))
+        problem = read_problem(
+            stub, objective=own["objno"], relax_integers=bool(own["relax_integers"])
+        )
     except NlError as error:
         raise _RefusedError(str(error)) from error
     target = problem.file.with_suffix(".sol")
@@ -105,7 +121,11 @@ def _solved(stub: Path, words: list[str], for_ampl: bool) -> str:
         result = solve_mpec(problem.model, read_settings(others), time_limit=own["timelimit"])
         message, code = f"{NAME}: {_sentence(result)}", _code(result)
         if result.has_point:
-            duals, values, of_rows = _duals(problem, result), _values(problem, result), _suffixes(problem, result)
+            duals, values, of_rows = (
+                _duals(problem, result),
+                _values(problem, result),
+                _suffixes(problem, result),
+            )
     except (ModelRefusedError, MissingValueError, UnknownOptionError) as error:
         message, code = f"{NAME}: {error}", 500
         if not for_ampl:
@@ -113,7 +133,14 @@ def _solved(stub: Path, words: list[str], for_ampl: bool) -> str:
     if for_ampl:
         try:
             write_sol(
-                target, problem.header, message=message, code=code, duals=duals, values=values, objective=own["objno"], of_rows=of_rows
+                target,
+                problem.header,
+                message=message,
+                code=code,
+                duals=duals,
+                values=values,
+                objective=own["objno"],
+                of_rows=of_rows,
             )
         except OSError as error:
             raise _UnwrittenError(f"{target} cannot be written: {error.strerror}.") from error
@@ -121,13 +148,18 @@ def _solved(stub: Path, words: list[str], for_ampl: bool) -> str:
 
 
 def _split(words: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The command's own options, with their defaults, and the solver's. Raises _RefusedError for values that are none."""
+    """The command's own options, with their defaults, and the solver's.
+
+    Raises _RefusedError for values that are none.
+    """
     own: dict[str, Any] = {"objno": 1, "relax_integers": 0, "timelimit": None, "outlev": None}
     others: dict[str, Any] = {}
     for word in words:
         name, is_set, text = word.partition("=")
         if not name or not is_set or not text:
-            raise _RefusedError(f"'{word}' is no option: write name=value, without spaces around the sign.")
+            raise _RefusedError(
+                f"'{word}' is no option: write name=value, without spaces around the sign."
+            )
         value: Any = text
         for kind in (int, float):
             try:
@@ -137,7 +169,12 @@ def _split(words: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
                 continue
         if name not in own:
             others[name] = value
-        elif isinstance(value, str) or not math.isfinite(value) or value < 0 or (name != "timelimit" and not isinstance(value, int)):
+        elif (
+            isinstance(value, str)
+            or not math.isfinite(value)
+            or value < 0
+            or (name != "timelimit" and not isinstance(value, int))
+        ):
             raise _RefusedError(
                 f"the option '{name}' is {'a number of seconds' if name == 'timelimit' else 'a whole number'}, not '{text}'."
             )
@@ -150,12 +187,18 @@ def _split(words: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def _options_in_words() -> str:
     rows = [f"{name:28}{text}" for name, text in _OWN.items()]
-    rows += [f"{item.name:28}of mpec_ipopt ({item.default})" for item in fields(MpecSettings) if item.name != "ipopt"]
+    rows += [
+        f"{item.name:28}of mpec_ipopt ({item.default})"
+        for item in fields(MpecSettings)
+        if item.name != "ipopt"
+    ]
     return "\n".join([*rows, "and every option of Ipopt, as max_iter, tol, print_level"])
 
 
 def _sentence(result: MpecResult) -> str:
-    value = f"objective {result.objective:.12g}; " if result.has_point and result.has_objective else ""
+    value = (
+        f"objective {result.objective:.12g}; " if result.has_point and result.has_objective else ""
+    )
     return f"{result.outcome.name.lower().replace('_', ' ')}; {value}{result.message}"
 
 
@@ -175,14 +218,20 @@ def _code(result: MpecResult) -> int:
 
 
 def _values(problem: NlProblem, result: MpecResult) -> list[float]:
-    """(variables,) values in the order of the file; a variable that no row mentions keeps its start, within its bounds."""
+    """(variables,) values in the order of the file.
+
+    A variable that no row mentions keeps its start, within its bounds.
+    """
     found = dict(zip(map(id, result.variables), result.x.tolist(), strict=True))
     return [found.get(id(variable), _at_rest(variable)) for variable in problem.variables]
 
 
 def _at_rest(variable: Any) -> float:
     value = 0.0 if variable.value is None else float(variable.value)
-    return min(max(value, -math.inf if variable.lb is None else variable.lb), math.inf if variable.ub is None else variable.ub)
+    return min(
+        max(value, -math.inf if variable.lb is None else variable.lb),
+        math.inf if variable.ub is None else variable.ub,
+    )
 
 
 def _suffixes(problem: NlProblem, result: MpecResult) -> dict[str, dict[int, float]]:
@@ -223,7 +272,8 @@ def write_sol(
     path : the file
     header : of the `.nl` file
     message : sentences for the user; empty lines are left out, since the first one ends the message
-    code : AMPL's: 0 to 99 solved, 100 a point without its proof, 200 infeasible, 300 unbounded, 400 a limit, 500 a failure
+    code : AMPL's: 0 to 99 solved, 100 a point without its proof, 200 infeasible, 300 unbounded, 400
+        a limit, 500 a failure
     duals : (rows,) change of the objective by the right-hand side; empty if there are none
     values : (variables,) empty if there is no point
     objective : the objective that was solved, from 1
@@ -240,7 +290,12 @@ def write_sol(
     lines = [line for line in message.splitlines() if line.strip()]
     lines += ["", "Options", str(int(count) + 2 * has_tolerance), *options]
     lines += [str(number) for number in (header.rows, len(duals), header.variables, len(values))]
-    lines += [*tolerance, *map(_number, duals), *map(_number, values), f"objno {max(objective - 1, 0)} {code}"]
+    lines += [
+        *tolerance,
+        *map(_number, duals),
+        *map(_number, values),
+        f"objno {max(objective - 1, 0)} {code}",
+    ]
     for name, numbers in of_rows.items():
         lines += [
             f"suffix {_REAL_OF_ROWS} {len(numbers)} {len(name) + 1} 0 0",

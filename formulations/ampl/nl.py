@@ -1,14 +1,14 @@
 """A `.nl` file as a Pyomo model: text and binary of either byte order, with complementarity rows, common expressions, suffixes and ranges.
 
-    model = read_nl("bard1.nl")
-    model.x                 # variables, by the names of bard1.col if that file is there, else by number from 0
-    model.row, model.pair   # constraints and complementarities, by the names of bard1.row, else by number; a row is in one of the two
-    model.objective         # by number; one is active
-    model.defined           # common expressions, by number
-    model.dual, ..          # start values of duals, and the file's suffixes
+    model = read_nl("bard1.nl") model.x # variables, by the names of bard1.col if that file is
+    there, else by number from 0 model.row, model.pair # constraints and complementarities, by the
+    names of bard1.row, else by number; a row is in one of the two model.objective # by number; one
+    is active model.defined # common expressions, by number model.dual, .. # start values of duals,
+    and the file's suffixes
 
-The format is D. M. Gay's, "Writing .nl Files" (2005). A row `5 k i` says that its body complements variable i - 1:
-k = 1: `0 <= body  _|_  x >= lower`; k = 2: `0 >= body  _|_  x <= upper`; k = 3: `body  _|_  lower <= x <= upper`; k = 0: `body == 0`.
+The format is D. M. Gay's, "Writing .nl Files" (2005). A row `5 k i` says that its body complements
+variable i - 1: k = 1: `0 <= body _|_ x >= lower`; k = 2: `0 >= body _|_ x <= upper`; k = 3: `body
+_|_ lower <= x <= upper`; k = 0: `body == 0`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ from pyomo.mpec import Complementarity, complements
 from formulations.ampl.source import BinarySource, NlError, TextSource
 
 
-def read_nl(path: str | Path, *, objective: int = 1, relax_integers: bool = False) -> pyo.ConcreteModel:
+def read_nl(
+    path: str | Path, *, objective: int = 1, relax_integers: bool = False
+) -> pyo.ConcreteModel:
     """Read a problem as a model.
 
     Parameters
@@ -40,7 +42,8 @@ def read_nl(path: str | Path, *, objective: int = 1, relax_integers: bool = Fals
     Raises
     ------
     NlError
-        for a file that is not there, is cut off or damaged, or holds what cannot be expressed, with the place in the file
+        for a file that is not there, is cut off or damaged, or holds what cannot be expressed, with
+        the place in the file
     """
     return read_problem(path, objective=objective, relax_integers=relax_integers).model
 
@@ -59,7 +62,9 @@ class NlProblem:
     rows: Sequence[Any]
 
 
-def read_problem(path: str | Path, *, objective: int = 1, relax_integers: bool = False) -> NlProblem:
+def read_problem(
+    path: str | Path, *, objective: int = 1, relax_integers: bool = False
+) -> NlProblem:
     """Read a problem with the order of its file; parameters and errors as in `read_nl`."""
     file = Path(path)
     if not file.name:
@@ -105,7 +110,9 @@ def read_header(file: Path, data: bytes) -> tuple[Header, int]:
     lines = data.split(b"\n", _HEADER_LINES)
     letter = data[:1].decode("latin-1")
     if letter not in "gbz" or len(lines) <= _HEADER_LINES:
-        raise NlError(f"{file} is no .nl file: its first {_HEADER_LINES} lines should be a header that begins with g (text) or b (binary).")
+        raise NlError(
+            f"{file} is no .nl file: its first {_HEADER_LINES} lines should be a header that begins with g (text) or b (binary)."
+        )
     texts = [line.decode("latin-1").partition("#")[0].split() for line in lines[:_HEADER_LINES]]
 
     def numbers(line: int, least: int, most: int) -> list[int]:
@@ -114,7 +121,9 @@ def read_header(file: Path, data: bytes) -> tuple[Header, int]:
         except ValueError:
             found = []
         if len(found) < least or min(found, default=0) < 0:
-            raise NlError(f"{file}, line {line}: at least {least} whole numbers should stand here, not '{' '.join(texts[line - 1])}'.")
+            raise NlError(
+                f"{file}, line {line}: at least {least} whole numbers should stand here, not '{' '.join(texts[line - 1])}'."
+            )
         return found + [0] * (most - len(found))
 
     variables, rows, objectives, _, _, logical = numbers(2, 3, 6)
@@ -123,9 +132,13 @@ def read_header(file: Path, data: bytes) -> tuple[Header, int]:
     binaries, integers, *nonlinear_integers = numbers(7, 2, 5)
     jacobian, gradient = numbers(8, 2, 2)
     if logical:
-        raise NlError(f"{file} has {logical} logical constraints, which a smooth model cannot express. State them as equations or pairs.")
+        raise NlError(
+            f"{file} has {logical} logical constraints, which a smooth model cannot express. State them as equations or pairs."
+        )
     if arithmetic > 2:
-        raise NlError(f"{file}, line 6: arithmetic {arithmetic} is not IEEE's. Write the file as text (`-og`).")
+        raise NlError(
+            f"{file}, line 6: arithmetic {arithmetic} is not IEEE's. Write the file as text (`-og`)."
+        )
     if not variables:
         raise NlError(f"{file} has no variables.")
     if variables + rows > len(data):  # each has a bound of a byte at least
@@ -148,22 +161,37 @@ def read_header(file: Path, data: bytes) -> tuple[Header, int]:
     return header, sum(len(line) + 1 for line in lines[:_HEADER_LINES])
 
 
-# Opcodes with one, two, and any number of arguments; Gay's table 6. What is smooth, or may be at the answer.
+# Opcodes with one, two, and any number of arguments; Gay's table 6. What is smooth, or may be at
+# the answer.
 _UNARY: dict[int, Callable[[Any], Any]] = {
-    15: abs, 16: neg, 37: pyo.tanh, 38: pyo.tan, 39: pyo.sqrt, 40: pyo.sinh, 41: pyo.sin, 42: pyo.log10, 43: pyo.log, 44: pyo.exp, 45: pyo.cosh,
-    46: pyo.cos, 47: pyo.atanh, 49: pyo.atan, 50: pyo.asinh, 51: pyo.asin, 52: pyo.acosh, 53: pyo.acos, 77: lambda base: base**2,
+    15: abs, 16: neg, 37: pyo.tanh, 38: pyo.tan, 39: pyo.sqrt, 40: pyo.sinh, 41: pyo.sin,
+    42: pyo.log10, 43: pyo.log, 44: pyo.exp, 45: pyo.cosh,
+    46: pyo.cos, 47: pyo.atanh, 49: pyo.atan, 50: pyo.asinh, 51: pyo.asin, 52: pyo.acosh,
+    53: pyo.acos, 77: lambda base: base**2,
 }  # fmt: skip
-_BINARY: dict[int, Callable[[Any, Any], Any]] = {0: add, 1: sub, 2: mul, 3: truediv, 5: pow, 76: pow, 78: pow}
+_BINARY: dict[int, Callable[[Any, Any], Any]] = {
+    0: add,
+    1: sub,
+    2: mul,
+    3: truediv,
+    5: pow,
+    76: pow,
+    78: pow,
+}
 _ANY: dict[int, Callable[..., Any]] = {
     11: lambda *terms: MinExpression(terms),
     12: lambda *terms: MaxExpression(terms),
     54: lambda *terms: pyo.quicksum(terms),
 }
 _REFUSED = {
-    4: "rem", 6: "less", 13: "floor", 14: "ceil", 20: "or", 21: "and", 22: "<", 23: "<=", 24: "=", 28: ">=", 29: ">", 30: "!=",
-    34: "not", 35: "if", 48: "atan2", 55: "div", 56: "precision", 57: "round", 58: "trunc", 59: "count", 60: "numberof", 61: "numberof (symbolic)",
-    62: "atleast", 63: "atmost", 64: "piecewise-linear term", 65: "if (symbolic)", 66: "exactly", 67: "not atleast", 68: "not atmost",
-    69: "not exactly", 70: "forall", 71: "exists", 72: "implies", 73: "iff", 74: "alldiff", 75: "not alldiff",
+    4: "rem", 6: "less", 13: "floor", 14: "ceil", 20: "or", 21: "and", 22: "<", 23: "<=", 24: "=",
+    28: ">=", 29: ">", 30: "!=",
+    34: "not", 35: "if", 48: "atan2", 55: "div", 56: "precision", 57: "round", 58: "trunc",
+    59: "count", 60: "numberof", 61: "numberof (symbolic)",
+    62: "atleast", 63: "atmost", 64: "piecewise-linear term", 65: "if (symbolic)", 66: "exactly",
+    67: "not atleast", 68: "not atmost",
+    69: "not exactly", 70: "forall", 71: "exists", 72: "implies", 73: "iff", 74: "alldiff",
+    75: "not alldiff",
 }  # fmt: skip
 
 
@@ -178,7 +206,13 @@ class _Reader:
         if counts.letter == "g":
             self.source = TextSource(file, data, _HEADER_LINES)
         else:
-            self.source = BinarySource(file, data, begin, ">" if counts.arithmetic == 2 else "<", "h" if counts.letter == "z" else "i")
+            self.source = BinarySource(
+                file,
+                data,
+                begin,
+                ">" if counts.arithmetic == 2 else "<",
+                "h" if counts.letter == "z" else "i",
+            )
         self.model = pyo.ConcreteModel(name=file.stem)
         self.model.x = pyo.Var(names_beside(file, ".col", counts.variables))
         self.variables = list(self.model.x.values())
@@ -211,32 +245,51 @@ class _Reader:
                     self.objectives[number] = self._expression()
                 case "V":
                     number, terms, _ = source.values("iii")
-                    self._check(number - self.header.variables, self.header.defined, "common expression")
+                    self._check(
+                        number - self.header.variables, self.header.defined, "common expression"
+                    )
                     linear = self._pairs(terms, self.header.variables)
-                    self.model.defined[number - self.header.variables] = self._sum(self._expression(), linear)
+                    self.model.defined[number - self.header.variables] = self._sum(
+                        self._expression(), linear
+                    )
                     self.is_defined[number - self.header.variables] = True
                 case "J" | "G":
                     number, terms = source.values("ii")
-                    self._check(number, self.header.rows if code == "J" else self.header.objectives, "row" if code == "J" else "objective")
+                    self._check(
+                        number,
+                        self.header.rows if code == "J" else self.header.objectives,
+                        "row" if code == "J" else "objective",
+                    )
                     self.linear[code][number] = self._pairs(terms, self.header.variables)
                 case "r":
                     source.values("")
-                    self.row_bounds = [self._bounds(f"row {number}") for number in range(self.header.rows)]
+                    self.row_bounds = [
+                        self._bounds(f"row {number}") for number in range(self.header.rows)
+                    ]
                 case "b":
                     source.values("")
-                    self.bounds = [self._bounds(f"variable {number}") for number in range(self.header.variables)]
+                    self.bounds = [
+                        self._bounds(f"variable {number}")
+                        for number in range(self.header.variables)
+                    ]
                 case "x":
                     for number, value in self._pairs(source.values("i")[0], self.header.variables):
                         self.variables[number].set_value(value, skip_validation=True)
                 case "d":
                     self.duals = self._pairs(source.values("i")[0], self.header.rows)
                 case "k" | "K":
-                    for _ in range(source.values("i")[0]):  # lengths of the Jacobian's columns, which its rows say too
+                    for _ in range(
+                        source.values("i")[0]
+                    ):  # lengths of the Jacobian's columns, which its rows say too
                         source.values("i")
                 case "S":
                     kind, count, name = source.values("iis")
-                    most = (self.header.variables, self.header.rows, self.header.objectives, 1)[kind & 3]
-                    self.suffixes.append((name, kind, self._pairs(count, most, "d" if kind & 4 else "i")))
+                    most = (self.header.variables, self.header.rows, self.header.objectives, 1)[
+                        kind & 3
+                    ]
+                    self.suffixes.append(
+                        (name, kind, self._pairs(count, most, "d" if kind & 4 else "i"))
+                    )
                 case "F":
                     number, _, _, name = source.values("iiis")
                     self.functions[number] = name
@@ -250,15 +303,21 @@ class _Reader:
         lacking = [] if self.bounds else ["bounds of variables (b)"]
         if self.header.rows and not self.row_bounds:
             lacking.append("bounds of rows (r)")
-        for wanted, code, what in zip(self.header.nonzeros, "JG", ("the Jacobian (J)", "the gradients (G)"), strict=True):
+        for wanted, code, what in zip(
+            self.header.nonzeros, "JG", ("the Jacobian (J)", "the gradients (G)"), strict=True
+        ):
             found = sum(map(len, self.linear[code].values()))
             if found < wanted:
                 lacking.append(f"{wanted - found} of {wanted} entries of {what}")
         if lacking:
-            raise NlError(f"{self.file} lacks {', '.join(lacking)}: the file is cut off. Write it anew.")
+            raise NlError(
+                f"{self.file} lacks {', '.join(lacking)}: the file is cut off. Write it anew."
+            )
 
     def _damaged(self, what: str) -> NlError:
-        return NlError(f"{self.file}, {self.source.place}: {what}. The file is damaged, or of another byte order than its sixth line says.")
+        return NlError(
+            f"{self.file}, {self.source.place}: {what}. The file is damaged, or of another byte order than its sixth line says."
+        )
 
     def _refused(self, what: str) -> NlError:
         return NlError(
@@ -267,7 +326,11 @@ class _Reader:
 
     def _check(self, number: int, count: int, what: str) -> None:
         if not 0 <= number < count:
-            raise self._damaged(f"{what} {number} is not one of 0 to {count - 1}" if count else f"there is no {what}")
+            raise self._damaged(
+                f"{what} {number} is not one of 0 to {count - 1}"
+                if count
+                else f"there is no {what}"
+            )
 
     def _pairs(self, count: int, most: int, kind: str = "d") -> list[tuple[int, Any]]:
         if not 0 <= count <= most:
@@ -285,7 +348,9 @@ class _Reader:
         if kind == "5" and of.startswith("row"):
             sides, number = source.values("ii")
             if not 1 <= number <= self.header.variables:
-                raise self._damaged(f"{of} complements variable {number - 1}, and there are those from 0 to {self.header.variables - 1}")
+                raise self._damaged(
+                    f"{of} complements variable {number - 1}, and there are those from 0 to {self.header.variables - 1}"
+                )
             if not 0 <= sides <= 3:
                 raise self._damaged(f"{of} complements sides {sides}; they are 0, 1, 2 or 3")
             return _Bounds(lower, upper, sides, number - 1)
@@ -305,7 +370,9 @@ class _Reader:
         if math.isnan(lower) or math.isnan(upper):
             raise self._damaged(f"a bound of {of} is no number")
         if lower > upper or lower == math.inf or upper == -math.inf:
-            raise self._damaged(f"{of} has the bounds {lower:g} and {upper:g}, between which nothing lies")
+            raise self._damaged(
+                f"{of} has the bounds {lower:g} and {upper:g}, between which nothing lies"
+            )
         return _Bounds(lower, upper)
 
     def _expression(self) -> Any:
@@ -337,7 +404,9 @@ class _Reader:
                 try:
                     value = function(*arguments)
                 except (ArithmeticError, ValueError) as error:
-                    raise self._damaged(f"an expression of constants has no value ({error})") from None
+                    raise self._damaged(
+                        f"an expression of constants has no value ({error})"
+                    ) from None
             else:
                 return value
 
@@ -369,13 +438,20 @@ class _Reader:
         if not terms:
             return nonlinear
         variables, factors = zip(*terms, strict=True)
-        return nonlinear + LinearExpression(constant=0.0, linear_coefs=list(factors), linear_vars=list(variables))
+        return nonlinear + LinearExpression(
+            constant=0.0, linear_coefs=list(factors), linear_vars=list(variables)
+        )
 
     def complete(self, objective: int, relax_integers: bool) -> NlProblem:
-        """State bounds, rows, pairs, objectives and suffixes. Raises NlError for an objective there is not, or a pair without its bound."""
+        """State bounds, rows, pairs, objectives and suffixes.
+
+        Raises NlError for an objective there is not, or a pair without its bound.
+        """
         model, header = self.model, self.header
         if not 0 <= objective <= max(header.objectives, 1):
-            raise NlError(f"{self.file} has {header.objectives} objectives; {objective} is none of them. Name one from 1, or 0 for none.")
+            raise NlError(
+                f"{self.file} has {header.objectives} objectives; {objective} is none of them. Name one from 1, or 0 for none."
+            )
         for variable, bounds in zip(self.variables, self.bounds, strict=True):
             variable.setlb(bounds.lower if bounds.lower > -math.inf else None)
             variable.setub(bounds.upper if bounds.upper < math.inf else None)
@@ -383,40 +459,66 @@ class _Reader:
             for number in self._integers():
                 self.variables[number].domain = pyo.Integers
         names = names_beside(self.file, ".row", header.rows)
-        model.row, model.pair, model.objective = pyo.Constraint(pyo.Any), Complementarity(pyo.Any), pyo.Objective(pyo.Any)
+        model.row, model.pair, model.objective = (
+            pyo.Constraint(pyo.Any),
+            Complementarity(pyo.Any),
+            pyo.Objective(pyo.Any),
+        )
         stated: list[Any] = []
         for number, (name, bounds) in enumerate(zip(names, self.row_bounds, strict=True)):
             body = self._sum(self.rows[number], self.linear["J"].get(number, []))
             if bounds.sides:
                 stated.append(model.pair.add(name, self._complements(body, bounds, number)))
                 continue
-            if not is_potentially_variable(body):  # Pyomo refuses a row of constants; whether it holds is for the solver to say
-                body = LinearExpression(constant=pyo.value(body), linear_coefs=[0.0], linear_vars=[self.variables[0]])
+            if not is_potentially_variable(
+                body
+            ):  # Pyomo refuses a row of constants; whether it holds is for the solver to say
+                body = LinearExpression(
+                    constant=pyo.value(body), linear_coefs=[0.0], linear_vars=[self.variables[0]]
+                )
             lower, upper = (0.0, 0.0) if bounds.sides == 0 else (bounds.lower, bounds.upper)
             if lower == upper:
                 model.row[name] = body == lower
             else:
-                model.row[name] = (lower if lower > -math.inf else None, body, upper if upper < math.inf else None)
+                model.row[name] = (
+                    lower if lower > -math.inf else None,
+                    body,
+                    upper if upper < math.inf else None,
+                )
             stated.append(model.row[name])
         for number, sense in enumerate(self.senses):
-            model.objective[number + 1] = self._sum(self.objectives[number], self.linear["G"].get(number, []))
+            model.objective[number + 1] = self._sum(
+                self.objectives[number], self.linear["G"].get(number, [])
+            )
             model.objective[number + 1].sense = sense
             if number + 1 != objective:
                 model.objective[number + 1].deactivate()
         self._state_suffixes(stated)
-        return NlProblem(file=self.file, header=header, model=model, variables=self.variables, rows=stated)
+        return NlProblem(
+            file=self.file, header=header, model=model, variables=self.variables, rows=stated
+        )
 
     def _integers(self) -> Iterator[int]:
         """Numbers of the variables that are integer: those that stand linearly last of all, the others last in each block of nonlinear ones."""
         end = 0
-        for block, count in zip(self.header.nonlinear_blocks, self.header.nonlinear_integers, strict=True):
+        for block, count in zip(
+            self.header.nonlinear_blocks, self.header.nonlinear_integers, strict=True
+        ):
             end += block
             yield from range(end - count, end)
         yield from range(self.header.variables - self.header.integers, self.header.variables)
 
     def _complements(self, body: Any, bounds: _Bounds, number: int) -> Any:
-        variable, of, sides = self.variables[bounds.complements], self.bounds[bounds.complements], bounds.sides or 0
-        lacking = [word for bit, word, value in ((1, "lower", of.lower), (2, "upper", of.upper)) if sides & bit and math.isinf(value)]
+        variable, of, sides = (
+            self.variables[bounds.complements],
+            self.bounds[bounds.complements],
+            bounds.sides or 0,
+        )
+        lacking = [
+            word
+            for bit, word, value in ((1, "lower", of.lower), (2, "upper", of.upper))
+            if sides & bit and math.isinf(value)
+        ]
         if lacking:
             raise NlError(
                 f"{self.file}: row {number} complements the {lacking[0]} bound of variable {bounds.complements}, which has none. "
@@ -429,20 +531,34 @@ class _Reader:
         return complements(body, pyo.inequality(of.lower, variable, of.upper))
 
     def _state_suffixes(self, rows: Sequence[Any]) -> None:
-        kinds: tuple[Sequence[Any], ...] = (self.variables, rows, list(self.model.objective.values()), [self.model])
-        for name, kind, entries in (*self.suffixes, *([("dual", 1, self.duals)] if self.duals else [])):
+        kinds: tuple[Sequence[Any], ...] = (
+            self.variables,
+            rows,
+            list(self.model.objective.values()),
+            [self.model],
+        )
+        for name, kind, entries in (
+            *self.suffixes,
+            *([("dual", 1, self.duals)] if self.duals else []),
+        ):
             if isinstance(self.model.component(name), pyo.Suffix):
                 suffix = self.model.component(name)
             else:
                 suffix = pyo.Suffix(direction=pyo.Suffix.IMPORT_EXPORT)
-                self.model.add_component(name if not hasattr(self.model, name) else f"suffix_{name}", suffix)
+                self.model.add_component(
+                    name if not hasattr(self.model, name) else f"suffix_{name}", suffix
+                )
             for number, value in entries:
                 suffix[kinds[kind & 3][number]] = value
 
 
 @dataclass(frozen=True)
 class _Bounds:
-    """Of a variable or a row; of a row that complements a variable, which of its sides (1: lower, 2: upper, 3: both, 0: the row is an equation)."""
+    """Of a variable or a row.
+
+    Of a row that complements a variable, which of its sides (1: lower, 2: upper, 3: both, 0: the
+    row is an equation).
+    """
 
     lower: float
     upper: float
@@ -451,9 +567,16 @@ class _Bounds:
 
 
 def names_beside(file: Path, ending: str, count: int) -> Sequence[Any]:
-    """Names from the file beside a `.nl` file, a line each; numbers from 0 if it is not there or has another length."""
+    """Names from the file beside a `.nl` file, a line each.
+
+    Numbers from 0 if it is not there or has another length.
+    """
     try:
-        names = file.with_suffix(ending).read_text(encoding="utf-8", errors="replace").split("\n")[:count]
+        names = (
+            file.with_suffix(ending)
+            .read_text(encoding="utf-8", errors="replace")
+            .split("\n")[:count]
+        )
     except OSError:
         return range(count)
     return names if len(set(names)) == count else range(count)

@@ -1,4 +1,7 @@
-"""The two forms of a `.nl` file, read by the same three verbs: `code`, `values`, `at_end`; `place` says where in the file that is."""
+"""The two forms of a `.nl` file, read by the same three verbs: `code`, `values`, `at_end`.
+
+`place` says where in the file that is.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +18,16 @@ class NlError(TouchstoneError):
 
 
 class TextSource:
-    """Lines of a text file: a code is a line's first character; its values follow on that line, or are a line of their own."""
+    """Lines of a text file: a code is a line's first character.
+
+    Its values follow on that line, or are a line of their own.
+    """
 
     number = MappingProxyType({"n": "d", "s": "i", "l": "i"})
     _read = MappingProxyType({"i": int, "o": int, "d": float, "s": str})
-    _names = MappingProxyType({"i": "a whole number", "o": "an operator's number", "d": "a number", "s": "a name"})
+    _names = MappingProxyType(
+        {"i": "a whole number", "o": "an operator's number", "d": "a number", "s": "a name"}
+    )
 
     def __init__(self, file: Path, data: bytes, lines: int) -> None:
         self._file, self._next = file, lines
@@ -39,7 +47,9 @@ class TextSource:
 
     def _line(self) -> str:
         if self._next >= len(self._lines):
-            raise NlError(f"{self._file} ends after line {self._next}, where more should follow: the file is cut off. Write it anew.")
+            raise NlError(
+                f"{self._file} ends after line {self._next}, where more should follow: the file is cut off. Write it anew."
+            )
         self._next += 1
         return self._lines[self._next - 1].partition("#")[0]
 
@@ -50,15 +60,22 @@ class TextSource:
         return line[:1]
 
     def values(self, form: str) -> list[Any]:
-        """Numbers and names: i whole, o an operator's, d any, s a name; none: the line is done. Raises NlError for others, with the place."""
+        """Numbers and names: i whole, o an operator's, d any, s a name; none: the line is done.
+
+        Raises NlError for others, with the place.
+        """
         line = self._line() if self._rest is None else self._rest
         self._rest = None
         words = line.split()
         try:
-            return [self._read[kind](word) for kind, word in zip(form, words[: len(form)], strict=True)]
+            return [
+                self._read[kind](word) for kind, word in zip(form, words[: len(form)], strict=True)
+            ]
         except ValueError:
             wanted = ", ".join(self._names[kind] for kind in form)
-            raise NlError(f"{self._file}, {self.place}: {wanted} should stand here, not '{line.strip()}'. The file is damaged.") from None
+            raise NlError(
+                f"{self._file}, {self.place}: {wanted} should stand here, not '{line.strip()}'. The file is damaged."
+            ) from None
 
 
 class BinarySource:
@@ -68,7 +85,10 @@ class BinarySource:
 
     def __init__(self, file: Path, data: bytes, begin: int, order: str, operator: str) -> None:
         self._file, self._data, self._next = file, data, begin
-        self._kinds = {kind: struct.Struct(order + letter) for kind, letter in {"i": "i", "h": "h", "d": "d", "o": operator}.items()}
+        self._kinds = {
+            kind: struct.Struct(order + letter)
+            for kind, letter in {"i": "i", "h": "h", "d": "d", "o": operator}.items()
+        }
 
     def at_end(self) -> bool:
         """Whether no byte is left."""
@@ -93,7 +113,10 @@ class BinarySource:
         return self._take(1).decode("latin-1")
 
     def values(self, form: str) -> list[Any]:
-        """The same numbers and names, h a short one; a name begins with its length. Raises NlError at the end of the file."""
+        """The same numbers and names, h a short one; a name begins with its length.
+
+        Raises NlError at the end of the file.
+        """
         found: list[Any] = []
         for kind in form:
             if kind == "s":

@@ -1,6 +1,7 @@
 """`collocation` opened on a scene: modes read off a softplus homotopy, which contact is closed at which stage of a step, and the problem with these modes.
 
-With the modes fixed no complementarity is left, for a linear scene a convex QP, and the true contact law holds at every stage: lam = k phi or lam = 0.
+With the modes fixed no complementarity is left, for a linear scene a convex QP, and the true
+contact law holds at every stage: lam = k phi or lam = 0.
 """
 
 from __future__ import annotations
@@ -20,7 +21,12 @@ from formulations.solution import ModelSize, Outcome, Solution, checked
 from formulations.transcription.build import build_model, read_values, write_values
 from formulations.transcription.collocation import settle_forces, stage_penetration
 from formulations.transcription.compiled import CompiledModel
-from formulations.transcription.contact import ContactFormulation, hold_modes, release_modes, set_relaxation
+from formulations.transcription.contact import (
+    ContactFormulation,
+    hold_modes,
+    release_modes,
+    set_relaxation,
+)
 from formulations.transcription.method import SolveBudget
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.solving import nearest, out_of_reach
@@ -33,9 +39,11 @@ from models.trajectory import Trajectory
 
 # Stages of the homotopy whose modes are tried.
 _TRIED = 3
-# Modes that have a plan are solved in 5 to 60 iterations; more are spent only on proving that there is none.
+# Modes that have a plan are solved in 5 to 60 iterations; more are spent only on proving that there
+# is none.
 _MODE_ITERATIONS = 150
-# They start from a plan that is nearly theirs: Ipopt's own barrier (0.1) first pushes it away from every bound.
+# They start from a plan that is nearly theirs: Ipopt's own barrier (0.1) first pushes it away from
+# every bound.
 _NEAR = {"mu_init": 1e-4, "bound_push": 1e-6, "bound_frac": 1e-6, "bound_relax_factor": 0.0}
 # Bound of lam (lam - k phi) of the relaxed complementarity [N^2].
 _RELAXED = 1e-4
@@ -52,21 +60,35 @@ class StageModes:
     @classmethod
     def of(cls, model: Any) -> StageModes:
         """Read them off a solved model."""
-        found = {name: variable for name in _VARIABLES if (variable := model.component(f"variable_{name}")) is not None}
-        return cls({name: read_values(variable) for name, variable in found.items()}, stage_penetration(model) > 0.0)
+        found = {
+            name: variable
+            for name in _VARIABLES
+            if (variable := model.component(f"variable_{name}")) is not None
+        }
+        return cls(
+            {name: read_values(variable) for name, variable in found.items()},
+            stage_penetration(model) > 0.0,
+        )
 
 
 class CollocationSession(Session):
     """The models are built at the first solve, and serve those after it."""
 
-    def __init__(self, method: Method, scene: Scene, options: CollocationOptions, clock: Clock) -> None:
+    def __init__(
+        self, method: Method, scene: Scene, options: CollocationOptions, clock: Clock
+    ) -> None:
         self._method, self._scene, self._options = method, scene, options
         self._scheme = Scheme(options.scheme)
         self._kernel, self._residuals = load_kernel(scene), PlanResiduals(scene)
         self._clock = clock
 
-    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
-        """Find a plan of collocated steps; the models are built at the first solve. Raises TrajectoryError for a plan of another grid."""
+    def solve(
+        self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float
+    ) -> Solution:
+        """Find a plan of collocated steps; the models are built at the first solve.
+
+        Raises TrajectoryError for a plan of another grid.
+        """
         self._method.check_stage(eps, time_limit)
         budget = SolveBudget(time_limit, self._clock.pay())
         guesses, outcome, message = self._softened(budget, warm_start)
@@ -81,32 +103,50 @@ class CollocationSession(Session):
         else:
             result = self._from_relaxed(budget, guesses[0])
         if result.outcome is Outcome.SOLVED:
-            message = f"Modes of the stages were read off, the rest solved by Ipopt: {result.message}"
+            message = (
+                f"Modes of the stages were read off, the rest solved by Ipopt: {result.message}"
+            )
             return self._solution(budget, self._exact, Outcome.SOLVED, message)
         if budget.is_over:
-            return self._solution(budget, None, Outcome.TIME_LIMIT, "no feasible modes of the stages were found within the time limit.")
+            return self._solution(
+                budget,
+                None,
+                Outcome.TIME_LIMIT,
+                "no feasible modes of the stages were found within the time limit.",
+            )
         message = "no modes of the stages that were tried have a plan; a finer grid, or another start, may."
         return self._solution(budget, None, Outcome.STALLED, message)
 
-    # -- the models ---------------------------------------------------------------------------------------------------------------
+    # -- the models
+    #   ---------------------------------------------------------------------------------------------------------------
 
     @cached_property
     def _homotopy(self) -> SoftplusHomotopy:
         """The softplus model; it holds the last stage's plan."""
         own = self._options
         sharpnesses = schedule(own.first_sharpness, own.last_sharpness, own.sharpness_growth)
-        return SoftplusHomotopy(self._scene, 0.0, sharpnesses, scheme=self._scheme, integrate_cost=own.integrate_cost)
+        return SoftplusHomotopy(
+            self._scene, 0.0, sharpnesses, scheme=self._scheme, integrate_cost=own.integrate_cost
+        )
 
     @cached_property
     def _exact(self) -> CompiledModel:
         """The model with complementarity."""
         form, integrated = ContactFormulation.COMPLEMENTARITY, self._options.integrate_cost
-        return CompiledModel(build_model(self._scene, form, eps=0.0, scheme=self._scheme, integrate_cost=integrated))
+        return CompiledModel(
+            build_model(self._scene, form, eps=0.0, scheme=self._scheme, integrate_cost=integrated)
+        )
 
-    # -- modes, and what is left with them ----------------------------------------------------------------------------------------
+    # -- modes, and what is left with them
+    #   ----------------------------------------------------------------------------------------
 
-    def _softened(self, budget: SolveBudget, start: Trajectory | None) -> tuple[list[StageModes], Outcome, str]:
-        """The last stages of the homotopy, the sharpest first; where its first stage has no plan, from the plan that comes nearest to the goal."""
+    def _softened(
+        self, budget: SolveBudget, start: Trajectory | None
+    ) -> tuple[list[StageModes], Outcome, str]:
+        """The last stages of the homotopy, the sharpest first.
+
+        Where its first stage has no plan, from the plan that comes nearest to the goal.
+        """
         guesses: list[StageModes] = []
         with budget.building():
             homotopy = self._homotopy
@@ -115,10 +155,19 @@ class CollocationSession(Session):
             if self._scene.nc:
                 guesses.append(StageModes.of(homotopy.compiled.model))
 
-        options = {"tol": self._options.homotopy_tolerance, "max_iter": self._options.max_iterations, **band_options()}
+        options = {
+            "tol": self._options.homotopy_tolerance,
+            "max_iter": self._options.max_iterations,
+            **band_options(),
+        }
         outcome, message = homotopy.run(budget, options, start, keep, STAGE_ITERATIONS)
         if not guesses and outcome is not Outcome.SOLVED and not budget.is_over:
-            found = nearest(self._scene, budget, self._options.max_iterations, self._options.first_sharpness / self._scene.length)
+            found = nearest(
+                self._scene,
+                budget,
+                self._options.max_iterations,
+                self._options.first_sharpness / self._scene.length,
+            )
             if found.is_out_of_reach:
                 return [], Outcome.INFEASIBLE, out_of_reach(self._scene, found)
             if found.is_solved:
@@ -140,12 +189,21 @@ class CollocationSession(Session):
         _load(compiled, guess)
         release_modes(compiled.model)
         set_relaxation(compiled.model, _RELAXED)
-        options = {"tol": self._options.homotopy_tolerance, **band_options(), **_NEAR, "mu_init": 1e-2}
+        options = {
+            "tol": self._options.homotopy_tolerance,
+            **band_options(),
+            **_NEAR,
+            "mu_init": 1e-2,
+        }
         relaxed = CompiledModel(compiled.model)  # translated anew: the products are rows again
-        result = relaxed.run(budget, {**options, "max_iter": budget.iterations + self._options.max_iterations})
+        result = relaxed.run(
+            budget, {**options, "max_iter": budget.iterations + self._options.max_iterations}
+        )
         return self._with_modes(budget, StageModes.of(compiled.model)) if result.solved else result
 
-    def _solution(self, budget: SolveBudget, compiled: CompiledModel | None, outcome: Outcome, message: str) -> Solution:
+    def _solution(
+        self, budget: SolveBudget, compiled: CompiledModel | None, outcome: Outcome, message: str
+    ) -> Solution:
         plan, cost, residuals = None, None, {}
         if compiled is not None and outcome.has_answer:
             try:
@@ -154,7 +212,10 @@ class CollocationSession(Session):
                 outcome = Outcome.EVALUATION_ERROR
         if plan is not None:
             cost = self._residuals.cost(plan)
-            residuals = {**self._residuals.of(plan), "switch_error": switch_error(self._kernel, plan)}
+            residuals = {
+                **self._residuals.of(plan),
+                "switch_error": switch_error(self._kernel, plan),
+            }
             outcome, message = checked(outcome, message, residuals, self._options.promises())
         found = Solution(
             method=self._method.name,
@@ -172,14 +233,18 @@ class CollocationSession(Session):
     def _paper_size(self) -> ModelSize:
         """Unknowns and equations of the model with its modes, counted by hand.
 
-        Nodes, inputs, stages that are no node, forces and separation forces; ends, stages, nodes that are no stage, separation forces.
+        Nodes, inputs, stages that are no node, forces and separation forces; ends, stages, nodes
+        that are no stage, separation forces.
         """
         scene, table = self._scene, tableau(self._scheme)
         steps, given = scene.task.steps, sum(value is not None for value in scene.task.goal)
         own, ends = (table.stages - 1, 0) if table.is_stiffly_accurate else (table.stages, 1)
         return ModelSize(
-            unknowns=2 * scene.nq * (steps + 1) + (scene.nu + 2 * scene.nq * own + 2 * scene.nc * table.stages) * steps,
-            equations=2 * scene.nq + given + (2 * scene.nq * (table.stages + ends) + scene.nc * table.stages) * steps,
+            unknowns=2 * scene.nq * (steps + 1)
+            + (scene.nu + 2 * scene.nq * own + 2 * scene.nc * table.stages) * steps,
+            equations=2 * scene.nq
+            + given
+            + (2 * scene.nq * (table.stages + ends) + scene.nc * table.stages) * steps,
         )
 
 

@@ -1,15 +1,19 @@
 """Which conditions are active in the quadratic program of fixed modes (`quadratic`): by a dual active-set method, and by an interior-point method.
 
-The dual active-set method (Goldfarb and Idnani 1983) needs one factorisation, then one back substitution a condition. It starts from the plan that ignores
-all bounds, and imposes what is violated most, one condition at a time. The cost rises on the way and never exceeds the optimum: a search over modes stops
-it as soon as it passes the best cost known.
+The dual active-set method (Goldfarb and Idnani 1983) needs one factorisation, then one back
+substitution a condition. It starts from the plan that ignores all bounds, and imposes what is
+violated most, one condition at a time. The cost rises on the way and never exceeds the optimum: a
+search over modes stops it as soon as it passes the best cost known.
 
-No library does this as fast: over 229 questions of `mpcc` on four scenes PIQP (its multistage KKT) takes 0.9 to 3.2 times the CPU, Clarabel 1.7 to
-5.4, DAQP on the inputs alone 0.9 to 4.1, with the same answers. Two thirds of the questions are cut by the best cost known after a few conditions, which
-no library takes from us. On a few of them HiGHS took 59 times as long, OSQP reached 1e-6 in none in 4000 iterations, and ProxQP called all infeasible.
+No library does this as fast: over 229 questions of `mpcc` on four scenes PIQP (its multistage KKT)
+takes 0.9 to 3.2 times the CPU, Clarabel 1.7 to 5.4, DAQP on the inputs alone 0.9 to 4.1, with the
+same answers. Two thirds of the questions are cut by the best cost known after a few conditions,
+which no library takes from us. On a few of them HiGHS took 59 times as long, OSQP reached 1e-6 in
+none in 4000 iterations, and ProxQP called all infeasible.
 
-An interior-point method (Clarabel) does not mind how many conditions are active. Its answer is only used to name the active conditions, those whose
-multiplier exceeds their slack; the equality problem then solves exactly. On the questions that came here it took 0.1 to 0.7 of the CPU of an
+An interior-point method (Clarabel) does not mind how many conditions are active. Its answer is only
+used to name the active conditions, those whose multiplier exceeds their slack; the equality problem
+then solves exactly. On the questions that came here it took 0.1 to 0.7 of the CPU of an
 interior-point method of our own on the banded matrix, and found all that it found.
 """
 
@@ -23,16 +27,23 @@ import scipy.sparse as sp
 
 from formulations.contact_modes.linear import BandedKKT, LinearScene
 
-# Of the gap and of the conditions: Clarabel's own 1e-8 takes as long, and tells slack from multiplier less clearly.
+# Of the gap and of the conditions: Clarabel's own 1e-8 takes as long, and tells slack from
+# multiplier less clearly.
 _TOLERANCE = 1e-10
 _VIOLATED = 1e-11  # [m], [N]
-_DEPENDENT = 1e-11  # part of a condition's own curvature below which it depends on those imposed already
-_MOST = 80  # conditions imposed or dropped; a problem with more active bounds is one for the interior point
+_DEPENDENT = (
+    1e-11  # part of a condition's own curvature below which it depends on those imposed already
+)
+# conditions imposed or dropped; a problem with more active bounds is one for the interior point
+_MOST = 80
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WorkingSet:
-    """The active conditions: side (steps, nu), -1 on the lower bound, 1 on the upper, 0 free; touching (steps, nc), phi = 0 is imposed."""
+    """The active conditions: side (steps, nu), -1 on the lower bound, 1 on the upper, 0 free.
+
+    Touching (steps, nc), phi = 0 is imposed.
+    """
 
     side: np.ndarray
     touching: np.ndarray
@@ -40,7 +51,10 @@ class WorkingSet:
     @classmethod
     def none(cls, linear: LinearScene) -> WorkingSet:
         """No condition."""
-        return cls(side=np.zeros((linear.steps, linear.nu), dtype=int), touching=np.zeros((linear.steps, linear.nc), dtype=bool))
+        return cls(
+            side=np.zeros((linear.steps, linear.nu), dtype=int),
+            touching=np.zeros((linear.steps, linear.nc), dtype=bool),
+        )
 
     @property
     def count(self) -> int:
@@ -49,13 +63,18 @@ class WorkingSet:
 
     def same_as(self, other: WorkingSet) -> bool:
         """Whether the other set has the same conditions."""
-        return np.array_equal(self.side, other.side) and np.array_equal(self.touching, other.touching)
+        return np.array_equal(self.side, other.side) and np.array_equal(
+            self.touching, other.touching
+        )
 
 
-def interior_point_active_set(linear: LinearScene, closed: np.ndarray, ball: float, softness: float = 0.0) -> WorkingSet | None:
+def interior_point_active_set(
+    linear: LinearScene, closed: np.ndarray, ball: float, softness: float = 0.0
+) -> WorkingSet | None:
     """Name the active conditions by Clarabel.
 
-    The unknowns are z[0..T], u, and by how much z[T] leaves the goal: what a softness lets it, then what the ball does.
+    The unknowns are z[0..T], u, and by how much z[T] leaves the goal: what a softness lets it, then
+    what the ball does.
 
     Parameters
     ----------
@@ -76,20 +95,41 @@ def interior_point_active_set(linear: LinearScene, closed: np.ndarray, ball: flo
     aimed = np.flatnonzero(linear.aimed)
     m = len(aimed)
     soft, near = m * (softness > 0.0), m * (ball > 0.0)
-    each, now, later, inputs = sp.eye(T), sp.eye(T, T + 1), sp.eye(T, T + 1, k=1), sp.eye(T * nu, format="csr")
+    each, now, later, inputs = (
+        sp.eye(T),
+        sp.eye(T, T + 1),
+        sp.eye(T, T + 1, k=1),
+        sp.eye(T * nu, format="csr"),
+    )
 
-    states = sp.bmat([[sp.kron(now.T @ now, linear.H[:n, :n]), sp.kron(now.T, linear.H[:n, n:])], [None, sp.kron(each, linear.H[n:, n:])]])
+    states = sp.bmat(
+        [
+            [sp.kron(now.T @ now, linear.H[:n, :n]), sp.kron(now.T, linear.H[:n, n:])],
+            [None, sp.kron(each, linear.H[n:, n:])],
+        ]
+    )
     price = np.concatenate([np.full(soft, 1.0 / softness if soft else 0.0), np.zeros(near)])
-    slope = np.concatenate([np.tile(linear.g[:n], T), np.zeros(n), np.tile(linear.g[n:], T), np.zeros(soft + near)])
+    slope = np.concatenate(
+        [np.tile(linear.g[:n], T), np.zeros(n), np.tile(linear.g[n:], T), np.zeros(soft + near)]
+    )
 
     phi, pushed = sp.kron(now, linear.P, format="csr"), closed * linear.k
-    forward = sp.kron(later, np.eye(n)) - sp.kron(now, linear.A) - sp.kron(each, linear.E) @ sp.diags(pushed.ravel()) @ phi
+    forward = (
+        sp.kron(later, np.eye(n))
+        - sp.kron(now, linear.A)
+        - sp.kron(each, linear.E) @ sp.diags(pushed.ravel()) @ phi
+    )
     sign = np.where(closed[1:], 1.0, -1.0)  # the start decides phi there
     low, up = (np.tile(np.isfinite(bound), T) for bound in (linear.lower, linear.upper))
     blocks = [
         [sp.eye(n, (T + 1) * n), None, None, None],
         [forward, -sp.kron(each, linear.B), None, None],
-        [sp.eye((T + 1) * n, format="csr")[T * n + aimed], None, -sp.eye(m, soft), -sp.eye(m, near)],
+        [
+            sp.eye((T + 1) * n, format="csr")[T * n + aimed],
+            None,
+            -sp.eye(m, soft),
+            -sp.eye(m, near),
+        ],
         [-sp.diags(sign.ravel()) @ phi[nc:], None, None, None],
         [None, -inputs[low], None, None],
         [None, inputs[up], None, None],
@@ -106,14 +146,21 @@ def interior_point_active_set(linear: LinearScene, closed: np.ndarray, ball: flo
     ]
     fixed, free = (sum(len(part) for part in parts) for parts in (values[:3], values[3:6]))
     settings = clarabel.DefaultSettings()
-    settings.verbose, settings.direct_solve_method = False, "qdldl"  # one thread, the same bits in every run
+    settings.verbose, settings.direct_solve_method = (
+        False,
+        "qdldl",
+    )  # one thread, the same bits in every run
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _TOLERANCE
     found = clarabel.DefaultSolver(
         sp.triu(sp.block_diag([states, sp.diags(price)]), format="csc"),
         slope,
         sp.bmat(blocks, format="csc"),
         np.concatenate(values),
-        [clarabel.ZeroConeT(fixed), clarabel.NonnegativeConeT(free), clarabel.SecondOrderConeT(near + 1)],
+        [
+            clarabel.ZeroConeT(fixed),
+            clarabel.NonnegativeConeT(free),
+            clarabel.SecondOrderConeT(near + 1),
+        ],
         settings,
     ).solve()
     if str(found.status) not in ("Solved", "AlmostSolved"):
@@ -123,11 +170,17 @@ def interior_point_active_set(linear: LinearScene, closed: np.ndarray, ball: flo
     side = np.zeros(T * nu, dtype=int)
     side[low] -= on_lower
     side[up] += on_upper
-    return WorkingSet(side=side.reshape(T, nu), touching=np.vstack([np.zeros((1, nc), dtype=bool), touching.reshape(T - 1, nc)]))
+    return WorkingSet(
+        side=side.reshape(T, nu),
+        touching=np.vstack([np.zeros((1, nc), dtype=bool), touching.reshape(T - 1, nc)]),
+    )
 
 
 class DualActiveSet:
-    """The dual active-set method. A condition is (kind, t, column), kind -1 and 1 a bound of u, 0 the sign of phi."""
+    """The dual active-set method.
+
+    A condition is (kind, t, column), kind -1 and 1 a bound of u, 0 the sign of phi.
+    """
 
     def __init__(self, linear: LinearScene, kkt: BandedKKT) -> None:
         self._linear, self._kkt = linear, kkt
@@ -143,7 +196,8 @@ class DualActiveSet:
 
         Returns
         -------
-        The active conditions of the optimum, no condition where it was not found, or None where there is no plan or only dearer ones.
+        The active conditions of the optimum, no condition where it was not found, or None where
+            there is no plan or only dearer ones.
 
         Raises
         ------
@@ -152,7 +206,10 @@ class DualActiveSet:
         """
         lin, kkt = self._linear, self._kkt
         sign = np.where(closed, 1.0, -1.0)
-        none_u, none_c = np.zeros((lin.steps, lin.nu), dtype=bool), np.zeros((lin.steps, lin.nc), dtype=bool)
+        none_u, none_c = (
+            np.zeros((lin.steps, lin.nu), dtype=bool),
+            np.zeros((lin.steps, lin.nc), dtype=bool),
+        )
         if not kkt.factor(closed, none_u, none_c, softness=softness):
             return None
         right = kkt.right_side(closed, none_u, np.zeros(none_u.shape), none_c)
@@ -180,11 +237,15 @@ class DualActiveSet:
                 held = len(imposed)
                 try:
                     share = np.linalg.solve(gram, cross) if held else np.zeros(0)
-                except np.linalg.LinAlgError:  # conditions that depend on each other: left to the interior point
+                except (
+                    np.linalg.LinAlgError
+                ):  # conditions that depend on each other: left to the interior point
                     return WorkingSet.none(lin)
                 slope = own - float(cross @ share)
                 falling = np.flatnonzero(share > 1e-14)
-                drop = int(falling[np.argmin(force[falling] / share[falling])]) if falling.size else -1
+                drop = (
+                    int(falling[np.argmin(force[falling] / share[falling])]) if falling.size else -1
+                )
                 partial = float(force[drop] / share[drop]) if drop >= 0 else np.inf
                 full = -violation / slope if slope > _DEPENDENT * own else np.inf
                 step = min(partial, full)
@@ -213,12 +274,21 @@ class DualActiveSet:
         phi[1:] = sign[1:] * (x[self._kkt.rows_z[:-1]] @ self._linear.P.T)
         return np.concatenate([phi.ravel(), x[self._kkt.rows_u].ravel()])
 
-    def _worst(self, values: np.ndarray, imposed: list[tuple[int, int, int]]) -> tuple[tuple[int, int, int] | None, float]:
+    def _worst(
+        self, values: np.ndarray, imposed: list[tuple[int, int, int]]
+    ) -> tuple[tuple[int, int, int] | None, float]:
         """The most violated condition (phi weighted with its stiffness: newtons against newtons) and its value, negative."""
         lin = self._linear
-        phi, u = values[: lin.steps * lin.nc].reshape(lin.steps, lin.nc), values[lin.steps * lin.nc :].reshape(lin.steps, lin.nu)
+        phi, u = (
+            values[: lin.steps * lin.nc].reshape(lin.steps, lin.nc),
+            values[lin.steps * lin.nc :].reshape(lin.steps, lin.nu),
+        )
         found: tuple[float, tuple[int, int, int] | None, float] = (0.0, None, 0.0)
-        for kind, slack, weight in ((0, phi, lin.k), (-1, u - lin.lower, 1.0), (1, lin.upper - u, 1.0)):
+        for kind, slack, weight in (
+            (0, phi, lin.k),
+            (-1, u - lin.lower, 1.0),
+            (1, lin.upper - u, 1.0),
+        ):
             short = np.where(slack < -_VIOLATED, slack * weight, 0.0)
             for other in imposed:
                 if other[0] == kind:
@@ -241,4 +311,8 @@ class DualActiveSet:
         """How much the condition's value changes along what `_moved` gave."""
         kind, t, column = condition
         lin = self._linear
-        return float(moved[t * lin.nc + column] if kind == 0 else -kind * moved[lin.steps * lin.nc + t * lin.nu + column])
+        return float(
+            moved[t * lin.nc + column]
+            if kind == 0
+            else -kind * moved[lin.steps * lin.nc + t * lin.nu + column]
+        )

@@ -2,15 +2,20 @@
 
     rollout, u = correct_end(scene, kernel, u, ball)
 
-What a solver's plan misses the goal by in its replay is taken out by steps on the true rollout. Each step is the smallest change of the inputs that moves
-the end state where it should be, by the adjoint of the time step (Levenberg and Marquardt: a Newton step where that works, as it does for a miss of 1e-9;
-a shorter one, along which contacts may begin and end, from further off). Inputs on a bound are not pushed across it.
+What a solver's plan misses the goal by in its replay is taken out by steps on the true rollout.
+Each step is the smallest change of the inputs that moves the end state where it should be, by the
+adjoint of the time step (Levenberg and Marquardt: a Newton step where that works, as it does for a
+miss of 1e-9; a shorter one, along which contacts may begin and end, from further off). Inputs on a
+bound are not pushed across it.
 
-    answer = continue_to_goal(problem, closed, stride, is_over)          # closed: the modes of a rollout, whatever it ends at
+    answer = continue_to_goal(problem, closed, stride, is_over) # closed: the modes of a rollout,
+    whatever it ends at
 
-The modes of a rollout always have a plan if the goal need not be met. Its cost is sum_t cost + |z[T] - goal|^2 / (2 softness); mode sequences are searched
-for less of it, the softness falls, until the modes found have a plan that meets the goal. Correcting one rollout stops where a contact would have to begin
-or end; here that is a neighbour like any other, and the multipliers of touching pairs say which.
+The modes of a rollout always have a plan if the goal need not be met. Its cost is sum_t cost +
+|z[T] - goal|^2 / (2 softness); mode sequences are searched for less of it, the softness falls,
+until the modes found have a plan that meets the goal. Correcting one rollout stops where a contact
+would have to begin or end; here that is a neighbour like any other, and the multipliers of touching
+pairs say which.
 """
 
 from __future__ import annotations
@@ -27,17 +32,31 @@ from models.contact_law import ContactLaw
 from models.scene import Scene
 from models.scene.goal import distance, goal_state, miss
 
-_GOOD_ENOUGH = 1e-13  # relative to the size of the goal: what a rollout of some hundred steps rounds to
-_MOST = 150  # steps tried; the plan of a solver needs one or two, a softplus plan with many contacts up to a hundred
-# Damping after the first failure (part of the largest eigenvalue); its factor after failure and success.
-_FIRST_DAMPING, _CALMER, _BOLDER = 1e-4, 4.0, 0.2
-_LEAST, _LARGEST = 1e-10, 1e8  # damping below which it is none at all, and above which nothing is left to try
+_GOOD_ENOUGH = (
+    1e-13  # relative to the size of the goal: what a rollout of some hundred steps rounds to
+)
+# steps tried; the plan of a solver needs one or two, a softplus plan with many contacts up to a
+# hundred
+_MOST = 150
+# Damping after the first failure (part of the largest eigenvalue); its factor after failure and
+# success.
+_FIRST_DAMPING = 1e-4
+_CALMER = 4.0
+_BOLDER = 0.2
+# damping below which it is none at all, and above which nothing is left to try
+_LEAST = 1e-10
+_LARGEST = 1e8
 
-# By softplus: factor between two sharpnesses b L, the last (eps = exp(-b L) must be a number), steps tried at each, and the miss that is enough there.
-_SHARPER, _SHARPEST, _EACH, _ON_THE_WAY = 1.25, 700.0, 25, 1e-7
+# By softplus: factor between two sharpnesses b L, the last (eps = exp(-b L) must be a number),
+# steps tried at each, and the miss that is enough there.
+_SHARPER = 1.25
+_SHARPEST = 700.0
+_EACH = 25
+_ON_THE_WAY = 1e-7
 
 _FIRST = 0.05  # the first miss is worth twenty times the cost of the inputs
-_FALL, _LEVELS = 0.02, 4
+_FALL = 0.02
+_LEVELS = 4
 _TRIES = 120  # modes tried at a level
 
 
@@ -64,14 +83,20 @@ def correct_end(
 
     Returns
     -------
-    The rollout and its inputs (steps, nu) [N, N m]. It ends nearer to the goal than that of u, or is that of u.
+    The rollout and its inputs (steps, nu) [N, N m]. It ends nearer to the goal than that of u, or
+        is that of u.
 
     Raises
     ------
     KernelError
         Where the mass matrix is not positive definite along the rollout.
     """
-    start, goal, step, bounds = np.array(scene.task.start), goal_state(scene.task), scene.task.step, input_bounds(scene)
+    start, goal, step, bounds = (
+        np.array(scene.task.start),
+        goal_state(scene.task),
+        scene.task.step,
+        input_bounds(scene),
+    )
     u = np.clip(u, *bounds)
     best = kernel.rollout(start, u, step, law, eps)
     missed = ball_miss(best, goal, ball)
@@ -81,7 +106,9 @@ def correct_end(
         if best.diverged or np.linalg.norm(missed) <= near or damping > _LARGEST:
             break
         if slopes is None:
-            slopes = np.stack([kernel.adjoint(best, u, end_bar=component)[0] for component in np.eye(len(goal))])  # d(q, v)[T]/du
+            slopes = np.stack(
+                [kernel.adjoint(best, u, end_bar=component)[0] for component in np.eye(len(goal))]
+            )  # d(q, v)[T]/du
             slopes[np.isnan(goal)] = 0.0  # a free component does not ask for anything
         tried_u = np.clip(u + _change(slopes, missed, u, bounds, damping), *bounds)
         tried = kernel.rollout(start, tried_u, step, law, eps)
@@ -94,10 +121,13 @@ def correct_end(
     return best, u
 
 
-def correct_end_by_softplus(scene: Scene, kernel: Kernel, u: np.ndarray, ball: float, sharpness: float) -> tuple[Rollout, np.ndarray]:
+def correct_end_by_softplus(
+    scene: Scene, kernel: Kernel, u: np.ndarray, ball: float, sharpness: float
+) -> tuple[Rollout, np.ndarray]:
     """Do the same by way of softplus contact that grows sharper in small steps.
 
-    A contact that begins or ends on the way bends the path of the true law, and a miss may be smallest at such a bend; softplus has none.
+    A contact that begins or ends on the way bends the path of the true law, and a miss may be
+    smallest at such a bend; softplus has none.
 
     Parameters
     ----------
@@ -114,8 +144,19 @@ def correct_end_by_softplus(scene: Scene, kernel: Kernel, u: np.ndarray, ball: f
     KernelError
         Where the mass matrix is not positive definite along the rollout.
     """
-    for b in np.geomspace(sharpness, _SHARPEST, 2 + int(np.log(_SHARPEST / sharpness) / np.log(_SHARPER))):
-        _, u = correct_end(scene, kernel, u, ball, law=ContactLaw.SOFTPLUS, eps=float(np.exp(-b)), most=_EACH, enough=_ON_THE_WAY)
+    for b in np.geomspace(
+        sharpness, _SHARPEST, 2 + int(np.log(_SHARPEST / sharpness) / np.log(_SHARPER))
+    ):
+        _, u = correct_end(
+            scene,
+            kernel,
+            u,
+            ball,
+            law=ContactLaw.SOFTPLUS,
+            eps=float(np.exp(-b)),
+            most=_EACH,
+            enough=_ON_THE_WAY,
+        )
     return correct_end(scene, kernel, u, ball)
 
 
@@ -141,8 +182,17 @@ def ball_miss(rollout: Rollout, goal: np.ndarray, ball: float) -> np.ndarray:
     return error * (max(0.0, size - ball) / size) if size > 0.0 else error
 
 
-def _change(slopes: np.ndarray, missed: np.ndarray, u: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], damping: float) -> np.ndarray:
-    """The damped step of the inputs (steps, nu); those on a bound that it would push outwards are left out of it."""
+def _change(
+    slopes: np.ndarray,
+    missed: np.ndarray,
+    u: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
+    damping: float,
+) -> np.ndarray:
+    """The damped step of the inputs (steps, nu).
+
+    Those on a bound that it would push outwards are left out of it.
+    """
     free = np.ones(u.shape, dtype=bool)
     change = np.zeros(u.shape)
     for _ in range(2):
@@ -150,13 +200,19 @@ def _change(slopes: np.ndarray, missed: np.ndarray, u: np.ndarray, bounds: tuple
         gram = matrix @ matrix.T
         values, vectors = np.linalg.eigh(gram)
         shifted = values + damping * values[-1]
-        along = np.where(shifted > 1e-14 * values[-1], vectors.T @ -missed / np.where(shifted > 0.0, shifted, 1.0), 0.0)
+        along = np.where(
+            shifted > 1e-14 * values[-1],
+            vectors.T @ -missed / np.where(shifted > 0.0, shifted, 1.0),
+            0.0,
+        )
         change = (matrix.T @ (vectors @ along)).reshape(u.shape)
         free = ~(((u <= bounds[0]) & (change < 0.0)) | ((u >= bounds[1]) & (change > 0.0)))
     return change
 
 
-def continue_to_goal(problem: ModesProblem, closed: np.ndarray, stride: int, is_over: Callable[[], bool]) -> QuadraticAnswer | None:
+def continue_to_goal(
+    problem: ModesProblem, closed: np.ndarray, stride: int, is_over: Callable[[], bool]
+) -> QuadraticAnswer | None:
     """Find modes that meet the goal, from modes that miss it.
 
     Parameters
@@ -180,7 +236,11 @@ def continue_to_goal(problem: ModesProblem, closed: np.ndarray, stride: int, is_
         answer = problem.solve(closed)
         if answer is None:
             return None
-        problem.softness = _FIRST * distance(answer.point.z[-1], linear.goal) ** 2 / max(linear.cost(answer.point.z[:-1], answer.u), 1e-12)
+        problem.softness = (
+            _FIRST
+            * distance(answer.point.z[-1], linear.goal) ** 2
+            / max(linear.cost(answer.point.z[:-1], answer.u), 1e-12)
+        )
         for _ in range(_LEVELS):
             softness = problem.softness
             if not softness > 0.0:

@@ -3,20 +3,24 @@
     linear = linear_scene(scene)          # ask `why_not_linear(scene)` first
     linear.A @ z + linear.B @ u + linear.c + linear.E @ lam
 
-z = (q, v) moves by z[t+1] = A z[t] + B u[t] + c + E lam[t], and lam_i = k_i phi_i(z) where contact i is closed. The running cost is
-1/2 x' H x + g' x + constant with x = (q, v, u). With the contact modes fixed, what is left of the planning problem is a convex quadratic program.
+z = (q, v) moves by z[t+1] = A z[t] + B u[t] + c + E lam[t], and lam_i = k_i phi_i(z) where contact
+i is closed. The running cost is 1/2 x' H x + g' x + constant with x = (q, v, u). With the contact
+modes fixed, what is left of the planning problem is a convex quadratic program.
 
-    kkt = BandedKKT(linear)
-    kkt.factor(closed, held, touching)             # which contacts push, which inputs lie on a bound, where phi = 0 is imposed
-    point = kkt.point(kkt.solve(kkt.right_side(closed, held, bound, touching)))
+    kkt = BandedKKT(linear) kkt.factor(closed, held, touching) # which contacts push, which inputs
+    lie on a bound, where phi = 0 is imposed point = kkt.point(kkt.solve(kkt.right_side(closed,
+    held, bound, touching)))
 
-Unknowns, time by time: y[t] (multipliers of the time step), u[t], z[t+1], mu[t+1] (multipliers of phi = 0 where that is imposed), and w, the
-multipliers of the goal, last. All that a change of modes or active bounds does is change numbers in the band: its shape is settled once. Lagrangian:
+Unknowns, time by time: y[t] (multipliers of the time step), u[t], z[t+1], mu[t+1] (multipliers of
+phi = 0 where that is imposed), and w, the multipliers of the goal, last. All that a change of modes
+or active bounds does is change numbers in the band: its shape is settled once. Lagrangian:
 
-    L = sum_t cost(z[t], u[t]) + y[t]' (A[t] z[t] + B u[t] + c[t] - z[t+1]) + mu[t]' (P z[t] + p) + w' (z[T] - goal)
+    L = sum_t cost(z[t], u[t]) + y[t]' (A[t] z[t] + B u[t] + c[t] - z[t+1]) + mu[t]' (P z[t] + p) +
+    w' (z[T] - goal)
 
-The banded LU with row pivoting is compiled C, milliseconds for a plan of some hundred steps, always one thread. LAPACK's gbtrf and gbtrs do the same
-through SciPy. Measured on three_cart x mpcc_front they took 1.7 times the CPU of the whole solve: their loop over the columns calls the BLAS twice for
+The banded LU with row pivoting is compiled C, milliseconds for a plan of some hundred steps, always
+one thread. LAPACK's gbtrf and gbtrs do the same through SciPy. Measured on three_cart x mpcc_front
+they took 1.7 times the CPU of the whole solve: their loop over the columns calls the BLAS twice for
 each, for ten numbers; and where the threads of the BLAS are not limited, these spin, three times.
 """
 
@@ -38,13 +42,19 @@ from models.scene import Scene
 from models.scene.goal import goal_state, miss
 
 _SOURCE = Path(__file__).with_name("band.c")
-_SIGNATURES = {"band_factor": ("n", "nnpp"), "band_solve": ("", "nnppp"), "band_product": ("", "nnppp")}
+_SIGNATURES = {
+    "band_factor": ("n", "nnpp"),
+    "band_solve": ("", "nnppp"),
+    "band_product": ("", "nnppp"),
+}
 
 
 @lru_cache(maxsize=1)
 def _library() -> ctypes.CDLL:
     """Compiled once and cached on disk. Raises MachineError without a compiler."""
-    return load_library(cached_library({"band.c": _SOURCE.read_text(encoding="utf-8")}, ("-O3",)), _SIGNATURES)
+    return load_library(
+        cached_library({"band.c": _SOURCE.read_text(encoding="utf-8")}, ("-O3",)), _SIGNATURES
+    )
 
 
 class BandedLU:
@@ -54,14 +64,18 @@ class BandedLU:
         self._size, self._width = size, width
         self._library = _library()
         self._matrix = np.zeros((2 * width + 1, size), order="F")
-        self._factors, self._pivots = np.zeros((3 * width + 1, size), order="F"), np.zeros(size, dtype=np.intc)
+        self._factors, self._pivots = (
+            np.zeros((3 * width + 1, size), order="F"),
+            np.zeros(size, dtype=np.intc),
+        )
 
     def factor(self, matrix: np.ndarray) -> bool:
         """Factorise; False where a pivot is exactly zero.
 
         Parameters
         ----------
-        matrix : (2*width + 1, size) [-], in Fortran order; it is kept, and must not be written to afterwards
+        matrix : (2*width + 1, size) [-], in Fortran order; it is kept, and must not be written to
+            afterwards
 
         Raises
         ------
@@ -70,7 +84,12 @@ class BandedLU:
         """
         self._matrix = np.asfortranarray(matrix, dtype=np.float64)
         self._factors[: self._width], self._factors[self._width :] = 0.0, matrix
-        return self._library.band_factor(self._size, self._width, self._factors.ctypes.data, self._pivots.ctypes.data) == 0
+        return (
+            self._library.band_factor(
+                self._size, self._width, self._factors.ctypes.data, self._pivots.ctypes.data
+            )
+            == 0
+        )
 
     def solve(self, right: np.ndarray, *, refine: bool = True) -> np.ndarray:
         """Solve the factorised system for right (size,) or (size, m) [-], refined once by its own residual or not; the same shape [-]. Raises nothing: the size is not checked here."""
@@ -82,17 +101,30 @@ class BandedLU:
         columns = np.array(x.T, dtype=np.float64, order="C", ndmin=2)
         found = np.empty_like(columns)
         for column, row in zip(columns, found, strict=True):
-            self._library.band_product(self._size, self._width, self._matrix.ctypes.data, column.ctypes.data, row.ctypes.data)
+            self._library.band_product(
+                self._size,
+                self._width,
+                self._matrix.ctypes.data,
+                column.ctypes.data,
+                row.ctypes.data,
+            )
         return found.T.reshape(x.shape)
 
     def _back(self, right: np.ndarray) -> np.ndarray:
         columns = np.array(right.T, dtype=np.float64, order="C", ndmin=2)
         for column in columns:
-            self._library.band_solve(self._size, self._width, self._factors.ctypes.data, self._pivots.ctypes.data, column.ctypes.data)
+            self._library.band_solve(
+                self._size,
+                self._width,
+                self._factors.ctypes.data,
+                self._pivots.ctypes.data,
+                column.ctypes.data,
+            )
         return columns.T.reshape(right.shape)
 
 
-# A Hessian of the running cost counts as convex down to this part of its largest eigenvalue: rounding, and nothing more.
+# A Hessian of the running cost counts as convex down to this part of its largest eigenvalue:
+# rounding, and nothing more.
 _CONVEX = 1e-12
 
 
@@ -100,11 +132,13 @@ _CONVEX = 1e-12
 class LinearScene:
     """The matrices of a linear scene with n = 2*nq states z = (q, v).
 
-    A (n, n), B (n, nu), c (n,), E (n, nc) [per N]; phi = P z + p, P (nc, n), p (nc,) [m]; k (nc,) [N/m].
+    A (n, n), B (n, nu), c (n,), E (n, nc) [per N]; phi = P z + p, P (nc, n), p (nc,) [m]; k (nc,)
+    [N/m].
 
-    H (n+nu, n+nu), g (n+nu,), constant: the running cost; lower, upper (nu,); start, goal (n,), NaN where the end is free; step [s], steps.
-    The first `contacts` of the nc rows of P are contacts. The others are bounds of velocities, phi <= 0: contacts that push with no force
-    (E = 0) and are never closed.
+    H (n+nu, n+nu), g (n+nu,), constant: the running cost; lower, upper (nu,); start, goal (n,), NaN
+    where the end is free; step [s], steps. The first `contacts` of the nc rows of P are contacts.
+    The others are bounds of velocities, phi <= 0: contacts that push with no force (E = 0) and are
+    never closed.
     """
 
     A: np.ndarray
@@ -146,18 +180,28 @@ class LinearScene:
         return len(self.p)
 
     def penetration(self, z: np.ndarray) -> np.ndarray:
-        """Give phi (rows, nc) [m] at states z (rows, n) [m, rad, m/s, rad/s]. Raises ValueError for another number of states."""
+        """Give phi (rows, nc) [m] at states z (rows, n) [m, rad, m/s, rad/s].
+
+        Raises ValueError for another number of states.
+        """
         return z @ self.P.T + self.p
 
     def cost(self, z: np.ndarray, u: np.ndarray) -> float:
-        """Sum the running cost over z (steps, n) [m, rad, m/s, rad/s] and u (steps, nu) [N, N m]. Raises ValueError for an array of another shape."""
+        """Sum the running cost over z (steps, n) [m, rad, m/s, rad/s] and u (steps, nu) [N, N m].
+
+        Raises ValueError for an array of another shape.
+        """
         x = np.hstack([z, u])
         return float(0.5 * ((x @ self.H) * x).sum() + (x @ self.g).sum() + self.constant * len(x))
 
     def soft_cost(self, point: Point, softness: float) -> float:
         """The cost of a point, with what it misses of a goal of this softness, as in `ModesProblem`."""
         cost = self.cost(point.z[:-1], point.u)
-        return cost if softness == 0.0 else cost + 0.5 / softness * float((miss(point.z[-1], self.goal) ** 2).sum())
+        return (
+            cost
+            if softness == 0.0
+            else cost + 0.5 / softness * float((miss(point.z[-1], self.goal) ** 2).sum())
+        )
 
 
 def why_not_linear(scene: Scene) -> str | None:
@@ -170,7 +214,9 @@ def why_not_linear(scene: Scene) -> str | None:
     hessian = _cost_hessian(dynamics)
     if hessian.free_symbols:
         return f"the running cost of scene {scene.name} is not quadratic"
-    eigenvalues = np.linalg.eigvalsh(np.array(hessian, dtype=float)) if hessian.rows else np.zeros(1)
+    eigenvalues = (
+        np.linalg.eigvalsh(np.array(hessian, dtype=float)) if hessian.rows else np.zeros(1)
+    )
     if eigenvalues[0] < -_CONVEX * max(1.0, eigenvalues[-1]):
         return f"the running cost of scene {scene.name} is not convex"
     return None
@@ -180,11 +226,16 @@ def linear_scene(scene: Scene) -> LinearScene:
     """Give the matrices of a scene for which `why_not_linear` is None."""
     d, task, nq = derive(scene), scene.task, scene.nq
     inverse = np.linalg.inv(_numbers(d, d.mass_matrix))
-    slope = {name: inverse @ _slopes(d, d.tau, symbols) for name, symbols in (("q", d.q), ("v", d.v), ("u", d.u))}
+    slope = {
+        name: inverse @ _slopes(d, d.tau, symbols)
+        for name, symbols in (("q", d.q), ("v", d.v), ("u", d.u))
+    }
     rest = inverse @ _at_zero(d, d.tau)
     push = inverse @ _numbers(d, d.gap_jacobian).reshape(scene.nc, nq).T
     h, eye = task.step, np.eye(nq)
-    velocity = np.hstack([h * slope["q"], eye + h * slope["v"]])  # v[t+1] = velocity z + ..., q[t+1] = q + h v[t+1]
+    velocity = np.hstack(
+        [h * slope["q"], eye + h * slope["v"]]
+    )  # v[t+1] = velocity z + ..., q[t+1] = q + h v[t+1]
     position = np.hstack([eye, np.zeros((nq, nq))]) + h * velocity
     x = [*d.q, *d.v, *d.u]
     cost = sp.Matrix([d.running_cost])
@@ -231,7 +282,9 @@ def _numbers(d: Dynamics, matrix: sp.Matrix) -> np.ndarray:
 
 def _slopes(d: Dynamics, matrix: sp.Matrix, symbols: Sequence[sp.Symbol]) -> np.ndarray:
     """(rows, len(symbols)) derivatives of a column of affine expressions."""
-    return _numbers(d, matrix.jacobian(list(symbols))) if matrix.rows else np.zeros((0, len(symbols)))
+    return (
+        _numbers(d, matrix.jacobian(list(symbols))) if matrix.rows else np.zeros((0, len(symbols)))
+    )
 
 
 def _at_zero(d: Dynamics, matrix: sp.Matrix) -> np.ndarray:
@@ -250,7 +303,9 @@ class Point:
     w: np.ndarray
 
 
-def _block(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _block(
+    rows: np.ndarray, columns: np.ndarray, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows (times, m) and columns (times, m) of the m entries of a block (a, b) that are not zero, and these entries (m,)."""
     i, j = values.nonzero()
     return rows[:, i], columns[:, j], values[i, j]
@@ -266,9 +321,14 @@ class BandedKKT:
         self.size = T * self._block + n
         block = self._block * np.arange(T)[:, None]
         self._y, self.rows_u = block + np.arange(n), block + n + np.arange(nu)
-        self.rows_z, self.rows_mu = block + n + nu + np.arange(n), block + 2 * n + nu + np.arange(nc)  # row t: z[t+1], mu[t+1]
+        self.rows_z, self.rows_mu = (
+            block + n + nu + np.arange(n),
+            block + 2 * n + nu + np.arange(nc),
+        )  # row t: z[t+1], mu[t+1]
         self.rows_w = T * self._block + np.arange(n)
-        self._closing = np.einsum("ic,c,cj->cij", linear.E, linear.k, linear.P)  # what a closed contact adds to A
+        self._closing = np.einsum(
+            "ic,c,cj->cij", linear.E, linear.k, linear.P
+        )  # what a closed contact adds to A
         self._settle_band()
 
     def _settle_band(self) -> None:
@@ -281,7 +341,13 @@ class BandedKKT:
         def add(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> None:
             """Add the same dense block at each time: rows (times, a), columns (times, b) [-], values (a, b) [-]. Raises ValueError for values of another shape."""
             at_rows, at_columns, numbers = _block(rows, columns, values)
-            entries.append((at_rows.ravel(), at_columns.ravel(), np.broadcast_to(numbers, at_rows.shape).ravel()))
+            entries.append(
+                (
+                    at_rows.ravel(),
+                    at_columns.ravel(),
+                    np.broadcast_to(numbers, at_rows.shape).ravel(),
+                )
+            )
 
         add(self._y, self.rows_z, -ones)
         add(self.rows_z, self._y, -ones)
@@ -289,7 +355,9 @@ class BandedKKT:
         add(self.rows_z[:-1], self.rows_z[:-1], q)
         add(self.rows_z[:-1], self.rows_u[1:], s)
         add(self.rows_z[:-1], self.rows_mu[:-1], lin.P.T)
-        aimed = np.diag(lin.aimed.astype(float))  # a free component of the end has no multiplier: w = 0
+        aimed = np.diag(
+            lin.aimed.astype(float)
+        )  # a free component of the end has no multiplier: w = 0
         add(self.rows_z[-1:], self.rows_w[None], aimed)
         add(self.rows_w[None], self.rows_z[-1:], aimed)
         add(self.rows_w[None], self.rows_w[None], ones - aimed)
@@ -299,19 +367,35 @@ class BandedKKT:
         self._step = np.nonzero(pattern)
         i, j = self._step
         forward = self._y[1:, i], self.rows_z[:-1, j]
-        held = [(self.rows_u, self.rows_u, r), (self.rows_u, self._y, lin.B.T), (self.rows_u[1:], self.rows_z[:-1], s.T)]
+        held = [
+            (self.rows_u, self.rows_u, r),
+            (self.rows_u, self._y, lin.B.T),
+            (self.rows_u[1:], self.rows_z[:-1], s.T),
+        ]
         blocks = [(_block(*block), block[2].nonzero()[0]) for block in held]
         touch = _block(self.rows_mu[:-1], self.rows_z[:-1], lin.P)
-        moving = [forward, *((a, b) for (a, b, _), _ in blocks), (self.rows_u, self.rows_u), touch[:2], (self.rows_mu, self.rows_mu)]
+        moving = [
+            forward,
+            *((a, b) for (a, b, _), _ in blocks),
+            (self.rows_u, self.rows_u),
+            touch[:2],
+            (self.rows_mu, self.rows_mu),
+        ]
         distances = [rows - columns, *((a - b).ravel() for a, b in moving)]
         width = max(int(np.abs(part).max(initial=0)) for part in distances)
         self._width, self._height = width, 2 * width + 1  # as many diagonals below as above
         self._lu = BandedLU(self.size, width)
-        self.solve, self.product = self._lu.solve, self._lu.product  # as there, of the matrix that `factor` made last
+        self.solve, self.product = (
+            self._lu.solve,
+            self._lu.product,
+        )  # as there, of the matrix that `factor` made last
         self._constant = np.zeros((self._height, self.size), order="F")
         flat = self._constant.reshape(-1, order="F")
         np.add.at(flat, self._place(rows, columns), values)
-        self._at_forward, self._at_backward = self._place(*forward), self._place(forward[1], forward[0])
+        self._at_forward, self._at_backward = (
+            self._place(*forward),
+            self._place(forward[1], forward[0]),
+        )
         self._at_held = [(self._place(a, b), row, numbers) for (a, b, numbers), row in blocks]
         self._at_u = self._place(self.rows_u, self.rows_u)
         self._at_touch = self._place(*touch[:2])
@@ -322,8 +406,13 @@ class BandedKKT:
         """Positions in the band, column by column (Fortran order)."""
         return columns * self._height + self._width + rows - columns
 
-    def factor(self, closed: np.ndarray, held: np.ndarray, touching: np.ndarray, *, softness: float = 0.0) -> bool:
-        """Factorise; False where the matrix is singular: the goal cannot be steered to, or conditions contradict each other.
+    def factor(
+        self, closed: np.ndarray, held: np.ndarray, touching: np.ndarray, *, softness: float = 0.0
+    ) -> bool:
+        """Factorise.
+
+        False where the matrix is singular: the goal cannot be steered to, or conditions contradict
+        each other.
 
         Parameters
         ----------
@@ -355,7 +444,9 @@ class BandedKKT:
         flat[self._at_w] -= softness * self._linear.aimed
         return self._lu.factor(band)
 
-    def right_side(self, closed: np.ndarray, held: np.ndarray, bound: np.ndarray, touching: np.ndarray) -> np.ndarray:
+    def right_side(
+        self, closed: np.ndarray, held: np.ndarray, bound: np.ndarray, touching: np.ndarray
+    ) -> np.ndarray:
         """Give the right-hand side of the optimality system.
 
         Parameters
@@ -375,7 +466,9 @@ class BandedKKT:
         lin, n = self._linear, self._linear.n
         right = np.zeros(self.size)
         step = -(lin.c + (closed * (lin.k * lin.p)) @ lin.E.T)
-        step[0] -= (lin.A + np.tensordot(closed[0].astype(float), self._closing, axes=1)) @ lin.start
+        step[0] -= (
+            lin.A + np.tensordot(closed[0].astype(float), self._closing, axes=1)
+        ) @ lin.start
         slope = np.tile(-lin.g[n:], (lin.steps, 1))
         slope[0] -= lin.H[n:, :n] @ lin.start
         right[self._y], right[self.rows_u] = step, np.where(held, bound, slope)

@@ -1,4 +1,7 @@
-"""The options of methods by contact modes, and which scenes have only open and closed contacts. Light to import: no Pyomo."""
+"""The options of methods by contact modes, and which scenes have only open and closed contacts.
+
+Light to import: no Pyomo.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +20,17 @@ class MpccOptions(Options):
 
     search: bool = option(True, "search for cheaper contact modes around those found")
     search_windows: int = option(
-        2000, "most contact mode sequences that are tried; a twentieth of them where each is a run of Ipopt", lower=0, upper=10**9
+        2000,
+        "most contact mode sequences that are tried; a twentieth of them where each is a run of Ipopt",
+        lower=0,
+        upper=10**9,
     )
-    search_share: float = option(0.5, "part of the work that is left, and of the time, which this search may take", lower=0.0, upper=1.0)
+    search_share: float = option(
+        0.5,
+        "part of the work that is left, and of the time, which this search may take",
+        lower=0.0,
+        upper=1.0,
+    )
     work: float = option(
         100.0,
         "most work of all starts together: Ipopt iterations times nonzeros of its matrices, so that no clock decides",
@@ -39,17 +50,28 @@ class MpccOptions(Options):
         lower=0.0,
     )
     first_sharpness: float = option(
-        7.0, "sharpness of the first softplus stage, |ln eps|: b times the length that the scene counts it in", lower=1e-3, upper=700.0
+        7.0,
+        "sharpness of the first softplus stage, |ln eps|: b times the length that the scene counts it in",
+        lower=1e-3,
+        upper=700.0,
     )
     last_sharpness: float = option(
-        448.0, "no stage is sharper; modes read off much softer contact often have no plan", lower=1e-3, upper=700.0
+        448.0,
+        "no stage is sharper; modes read off much softer contact often have no plan",
+        lower=1e-3,
+        upper=700.0,
     )
     sharpness_growth: float = option(2.0, "factor between two stages", lower=1.01, upper=1e3)
     coarse_steps: int = option(
-        600, "a task of more steps is first solved on a grid of at most so many, whose contact modes are then refined", lower=2, upper=10**9
+        600,
+        "a task of more steps is first solved on a grid of at most so many, whose contact modes are then refined",
+        lower=2,
+        upper=10**9,
     )
     goal_tolerance: float = option(
-        0.0, "how far from the goal the plan may end, in the norm of (q, v): the cheapest end within this ball is chosen", lower=0.0
+        0.0,
+        "how far from the goal the plan may end, in the norm of (q, v): the cheapest end within this ball is chosen",
+        lower=0.0,
     )
     starts: int = option(
         1,
@@ -57,10 +79,21 @@ class MpccOptions(Options):
         lower=1,
         upper=10**6,
     )
-    first_start: int = option(0, "number of the first of these starts, so that others can be run elsewhere", lower=0, upper=10**6)
-    seed: int = option(0, "of random starts, also of those tried where the first guess leads nowhere", lower=0)
-    tolerance: float = option(1e-8, "Ipopt's tol for fixed modes of a nonlinear scene", lower=1e-12, upper=1e-2)
-    homotopy_tolerance: float = option(1e-6, "Ipopt's tol in the softplus stages", lower=1e-12, upper=1e-2)
+    first_start: int = option(
+        0,
+        "number of the first of these starts, so that others can be run elsewhere",
+        lower=0,
+        upper=10**6,
+    )
+    seed: int = option(
+        0, "of random starts, also of those tried where the first guess leads nowhere", lower=0
+    )
+    tolerance: float = option(
+        1e-8, "Ipopt's tol for fixed modes of a nonlinear scene", lower=1e-12, upper=1e-2
+    )
+    homotopy_tolerance: float = option(
+        1e-6, "Ipopt's tol in the softplus stages", lower=1e-12, upper=1e-2
+    )
     max_iterations: int = option(3000, "most Ipopt iterations of a solve", lower=1, upper=10**9)
     plan_tolerance: float = option(
         1e-6,
@@ -69,10 +102,15 @@ class MpccOptions(Options):
         upper=1.0,
     )
     terminal_tolerance: float = option(
-        1e-9, "solved only if the plan and its replay end this near to the goal (or the ball around it)", lower=0.0
+        1e-9,
+        "solved only if the plan and its replay end this near to the goal (or the ball around it)",
+        lower=0.0,
     )
     physics_tolerance: float = option(
-        1e-12, "solved only if the sum of abs(lam (lam - k phi)) is at most this; the method leaves exactly zero", unit="N^2", lower=0.0
+        1e-12,
+        "solved only if the sum of abs(lam (lam - k phi)) is at most this; the method leaves exactly zero",
+        unit="N^2",
+        lower=0.0,
     )
 
 
@@ -86,14 +124,25 @@ class CollocationOptions(TranscriptionOptions):
         choices=("radau_iia_2", "radau_iia_3", "implicit_midpoint"),
     )
     integrate_cost: bool = option(
-        False, "minimise the scheme's quadrature of the running cost instead of its sum over the starts of the steps, the task's own"
+        False,
+        "minimise the scheme's quadrature of the running cost instead of its sum over the starts of the steps, the task's own",
     )
     first_sharpness: float = option(
-        7.0, "sharpness of the first softplus stage, |ln eps|: b times the length that the scene counts it in", lower=1e-3, upper=700.0
+        7.0,
+        "sharpness of the first softplus stage, |ln eps|: b times the length that the scene counts it in",
+        lower=1e-3,
+        upper=700.0,
     )
-    last_sharpness: float = option(448.0, "sharpness from which on the modes of the contacts are read off", lower=1e-3, upper=700.0)
+    last_sharpness: float = option(
+        448.0,
+        "sharpness from which on the modes of the contacts are read off",
+        lower=1e-3,
+        upper=700.0,
+    )
     sharpness_growth: float = option(2.0, "factor between two stages", lower=1.01, upper=1e3)
-    homotopy_tolerance: float = option(1e-6, "Ipopt's tol in the softplus stages", lower=1e-12, upper=1e-2)
+    homotopy_tolerance: float = option(
+        1e-6, "Ipopt's tol in the softplus stages", lower=1e-12, upper=1e-2
+    )
 
 
 def why_not(scene: Scene) -> str | None:
@@ -106,7 +155,9 @@ def why_not(scene: Scene) -> str | None:
         names = ", ".join(scene.contacts[index].name for index in scene.damped)
         return f"scene {scene.name} has damped contacts ({names}), and open and closed contacts alone do not say where they are released; best_exact and strict_lcp plan it."
     try:
-        for field, expression, *_ in named_expressions(scene):  # what is smooth as it was written is so once it is derived
+        for field, expression, *_ in named_expressions(
+            scene
+        ):  # what is smooth as it was written is so once it is derived
             check_smooth(scene, field, (expression,))
     except SceneError as error:
         return str(error)

@@ -1,15 +1,20 @@
 """The planning problem of any scene with its contact modes fixed: a smooth problem without complementarity, solved by Ipopt.
 
-The same question as `quadratic` answers for linear scenes, at the price of an Ipopt run; its answers are local.
+The same question as `quadratic` answers for linear scenes, at the price of an Ipopt run; its
+answers are local.
 
-Where the contacts will be, from a cold start, is found by softplus contact that grows sharper, b L = 7, 14, .., 448. L is the length that the scene counts
-eps in, 1 m unless it says otherwise: a scene in other units, or a tenth as large, has the same schedule. Softplus acts at a distance with k ln 2 / b at the
-touch. Where that exceeds what the inputs can hold against, the contact begins softer: k is a hundredth, a fiftieth, .. of its value, and reaches it with
-the last stage. Each stage starts from the one before; multipliers are handed on once the plan no longer moves much. A plan is the last stage's, of a law
-that is nearly but not quite the true one: only its contact modes are used.
+Where the contacts will be, from a cold start, is found by softplus contact that grows sharper, b L
+= 7, 14, .., 448. L is the length that the scene counts eps in, 1 m unless it says otherwise: a
+scene in other units, or a tenth as large, has the same schedule. Softplus acts at a distance with k
+ln 2 / b at the touch. Where that exceeds what the inputs can hold against, the contact begins
+softer: k is a hundredth, a fiftieth, .. of its value, and reaches it with the last stage. Each
+stage starts from the one before; multipliers are handed on once the plan no longer moves much. A
+plan is the last stage's, of a law that is nearly but not quite the true one: only its contact modes
+are used.
 
-`SceneModels` holds the models that a search asks for, built and translated once for a scene: other starts and other radii of its goal change numbers in
-them. A model is put into the same state before every use: what is found with it does not depend on what it was used for before.
+`SceneModels` holds the models that a search asks for, built and translated once for a scene: other
+starts and other radii of its goal change numbers in them. A model is put into the same state before
+every use: what is found with it does not depend on what it was used for before.
 """
 
 from __future__ import annotations
@@ -37,22 +42,27 @@ from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory
 
-# From this sharpness b L on a stage takes the multipliers of the one before: earlier the plan still moves too far
-# for them (three carts: 64 iterations in all; 140 from the second stage on, 75 without any).
+# From this sharpness b L on a stage takes the multipliers of the one before: earlier the plan still
+# moves too far for them (three carts: 64 iterations in all; 140 from the second stage on, 75
+# without any).
 _DUALS_FROM = 100.0
-# Largest softplus force of touching bodies, in parts of the strongest input: 3 N of 10 N for the three carts, k = 30 and b = 7.
+# Largest softplus force of touching bodies, in parts of the strongest input: 3 N of 10 N for the
+# three carts, k = 30 and b = 7.
 _TOUCH = 0.3
-# Most iterations of a stage once there is a plan: those that ended well mostly took up to 83 (chains of 2 to 5 carts); one that needs more has
-# lost its way in restoration, and the plans before it are worth more than the time it takes.
+# Most iterations of a stage once there is a plan: those that ended well mostly took up to 83
+# (chains of 2 to 5 carts); one that needs more has lost its way in restoration, and the plans
+# before it are worth more than the time it takes.
 STAGE_ITERATIONS = 200
-_BIACTIVE = 1e-6  # [N] force and separation below which a pair touches without pressing; Ipopt keeps them to 1e-8
+# [N] force and separation below which a pair touches without pressing; Ipopt keeps them to 1e-8
+_BIACTIVE = 1e-6
 _NEIGHBOUR_ITERATIONS = 50  # most iterations for a neighbour of a plan: it needs 5 to 20
 
 
 class SoftplusHomotopy:
     """The softplus model of one scene, built once.
 
-    ball: radius of the goal, as in `quadratic`; schedule: b L of its stages; scheme, integrate_cost: as in `build_model`. compiled: the model, which holds the
+    ball: radius of the goal, as in `quadratic`; schedule: b L of its stages; scheme,
+        integrate_cost: as in `build_model`. compiled: the model, which holds the
     plan of the last stage.
     """
 
@@ -65,9 +75,19 @@ class SoftplusHomotopy:
         scheme: Scheme = Scheme.SEMI_IMPLICIT_EULER,
         integrate_cost: bool = False,
     ) -> None:
-        model = build_model(scene, ContactFormulation.SOFTPLUS, eps=_eps(schedule[0]), scheme=scheme, integrate_cost=integrate_cost)
+        model = build_model(
+            scene,
+            ContactFormulation.SOFTPLUS,
+            eps=_eps(schedule[0]),
+            scheme=scheme,
+            integrate_cost=integrate_cost,
+        )
         self._stiffness = _own_stiffness(scene)
-        self._stages = tuple(_stages(scene, schedule, bool(self._stiffness))) if scene.nc else ((schedule[0], 1.0),)
+        self._stages = (
+            tuple(_stages(scene, schedule, bool(self._stiffness)))
+            if scene.nc
+            else ((schedule[0], 1.0),)
+        )
         open_goal(model, ball)
         self.compiled = CompiledModel(model)
 
@@ -81,20 +101,31 @@ class SoftplusHomotopy:
     ) -> tuple[Outcome, str]:
         """Solve stage by stage; how the last one ended, and in words.
 
-        keep: called with the plan of every stage that was solved; most_iterations: of a stage once there is a plan.
+        keep: called with the plan of every stage that was solved; most_iterations: of a stage once
+            there is a plan.
         """
         model = self.compiled.model
         self.compiled.load(start)
         plan, before = None, None
         outcome, message = Outcome.FAILED, ""
-        options = {**options, "max_iter": budget.iterations + options["max_iter"]}  # those of other runs do not count
+        options = {
+            **options,
+            "max_iter": budget.iterations + options["max_iter"],
+        }  # those of other runs do not count
         for sharpness, share in self._stages:
             if len(self._stages) > 1:
                 set_relaxation(model, _eps(sharpness))
             for name, value in self._stiffness.items():
                 model.parameter_scene[name] = share * value
             warm = before if sharpness >= _DUALS_FROM else None
-            allowed = options if plan is None else {**options, "max_iter": min(options["max_iter"], budget.iterations + most_iterations)}
+            allowed = (
+                options
+                if plan is None
+                else {
+                    **options,
+                    "max_iter": min(options["max_iter"], budget.iterations + most_iterations),
+                }
+            )
             result = self.compiled.run(budget, allowed, warm)
             if not result.solved and warm is not None and plan is not None and not budget.is_over:
                 self.compiled.load(plan)
@@ -114,19 +145,42 @@ def schedule(first: float, last: float, growth: float) -> tuple[float, ...]:
 
 
 def _own_stiffness(scene: Scene) -> dict[str, float]:
-    """Parameters that are the stiffness of contacts and nothing else; empty unless all contacts have such."""
+    """Parameters that are the stiffness of contacts and nothing else.
+
+    Empty unless all contacts have such.
+    """
     symbols = {contact.stiffness for contact in scene.contacts}
     parameters = {parameter.symbol: parameter for parameter in scene.parameters}
-    physics = [scene.kinetic_energy, scene.potential_energy, *scene.forces, scene.task.running_cost, scene.task.final_cost]
-    elsewhere = set().union(*(sp.sympify(e).free_symbols for e in (*physics, *(contact.penetration for contact in scene.contacts))))
+    physics = [
+        scene.kinetic_energy,
+        scene.potential_energy,
+        *scene.forces,
+        scene.task.running_cost,
+        scene.task.final_cost,
+    ]
+    elsewhere = set().union(
+        *(
+            sp.sympify(e).free_symbols
+            for e in (*physics, *(contact.penetration for contact in scene.contacts))
+        )
+    )
     if not all(symbol in parameters and symbol not in elsewhere for symbol in symbols):
         return {}
-    return {parameters[symbol].name: parameters[symbol].value for symbol in parameters if symbol in symbols}
+    return {
+        parameters[symbol].name: parameters[symbol].value
+        for symbol in parameters
+        if symbol in symbols
+    }
 
 
-def _stages(scene: Scene, schedule: tuple[float, ...], may_soften: bool) -> Iterator[tuple[float, float]]:
+def _stages(
+    scene: Scene, schedule: tuple[float, ...], may_soften: bool
+) -> Iterator[tuple[float, float]]:
     """(sharpness b L, part of the stiffness) stage by stage."""
-    stiffest = max(float(sp.sympify(contact.stiffness).subs(scene.parameter_values)) for contact in scene.contacts)
+    stiffest = max(
+        float(sp.sympify(contact.stiffness).subs(scene.parameter_values))
+        for contact in scene.contacts
+    )
     strongest = max(max(abs(item.lower), abs(item.upper)) for item in scene.inputs)
     share = 1.0
     for sharpness in schedule:
@@ -156,7 +210,9 @@ class NonlinearModes:
     def __init__(self, scene: Scene, kernel: Kernel, ball: float) -> None:
         self._scene, self._kernel = scene, kernel
         # The bound is never used: products are switched off as soon as modes are held.
-        model = build_model(scene, ContactFormulation.COMPLEMENTARITY, eps=1.0 if scene.nc else None)
+        model = build_model(
+            scene, ContactFormulation.COMPLEMENTARITY, eps=1.0 if scene.nc else None
+        )
         open_goal(model, ball)
         self._compiled, self._residuals = CompiledModel(model), PlanResiduals(scene)
 
@@ -168,7 +224,9 @@ class NonlinearModes:
         self.solves, self.unsolved = 0, 0
         return self
 
-    def solve(self, closed: np.ndarray, near: NonlinearAnswer | None = None, below: float = np.inf) -> NonlinearAnswer | None:
+    def solve(
+        self, closed: np.ndarray, near: NonlinearAnswer | None = None, below: float = np.inf
+    ) -> NonlinearAnswer | None:
         """Find an optimum for these modes.
 
         Parameters
@@ -195,8 +253,14 @@ class NonlinearModes:
         if scene.nc:
             hold_modes(model, closed)
         self.solves += 1
-        most = self._options["max_iter"] if near is None else min(self._options["max_iter"], _NEIGHBOUR_ITERATIONS)
-        result = self._compiled.run(self._budget, {**self._options, "max_iter": self._budget.iterations + most})
+        most = (
+            self._options["max_iter"]
+            if near is None
+            else min(self._options["max_iter"], _NEIGHBOUR_ITERATIONS)
+        )
+        result = self._compiled.run(
+            self._budget, {**self._options, "max_iter": self._budget.iterations + most}
+        )
         if not result.solved:
             self.unsolved += 1
             return None
@@ -206,7 +270,9 @@ class NonlinearModes:
             return None
         of_force, of_separation = self._multipliers(result)
         phi = self._kernel.penetration(plan.q[:-1])
-        biactive = (plan.lam <= _BIACTIVE) & (plan.lam - self._kernel.stiffness() * phi <= _BIACTIVE)
+        biactive = (plan.lam <= _BIACTIVE) & (
+            plan.lam - self._kernel.stiffness() * phi <= _BIACTIVE
+        )
         biactive[:1] = False  # the start is no choice
         return NonlinearAnswer(
             closed=closed,
@@ -226,12 +292,17 @@ class NonlinearModes:
             return np.zeros((2, self._scene.task.steps, 0))
         model = self._compiled.model
         separations = [pair.v for pair in model.complementarity_contact.values()]
-        _, slope = self._compiled.ends(self._budget, result, [*model.variable_lam.values(), *separations])
+        _, slope = self._compiled.ends(
+            self._budget, result, [*model.variable_lam.values(), *separations]
+        )
         return slope.reshape(2, -1, self._scene.nc)
 
 
 class SceneModels:
-    """The models of one scene. A goal that is a point and one that is a ball are two models, balls of any radius one."""
+    """The models of one scene.
+
+    A goal that is a point and one that is a ball are two models, balls of any radius one.
+    """
 
     def __init__(self, scene: Scene, kernel: Kernel) -> None:
         self.scene, self.kernel = scene, kernel
@@ -254,8 +325,13 @@ class SceneModels:
         move_ball(self._homotopies[key].compiled.model, ball)
         return self._homotopies[key]
 
-    def modes(self, ball: float, budget: SolveBudget, options: Mapping[str, Any]) -> ModesProblem | NonlinearModes:
-        """Give the problem with modes fixed, with this ball; budget, options: of the runs of Ipopt that a nonlinear scene needs."""
+    def modes(
+        self, ball: float, budget: SolveBudget, options: Mapping[str, Any]
+    ) -> ModesProblem | NonlinearModes:
+        """Give the problem with modes fixed, with this ball.
+
+        budget, options: of the runs of Ipopt that a nonlinear scene needs.
+        """
         if self.is_linear:
             self._linear.ball = ball
             return self._linear

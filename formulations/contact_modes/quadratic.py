@@ -1,27 +1,32 @@
 """The planning problem of a linear scene with its contact modes fixed: a convex quadratic program, solved to rounding.
 
-    problem = ModesProblem(linear)
-    answer = problem.solve(closed)                       # closed (steps, nc): True where lam = k phi, False where lam = 0
-    answer.u, answer.cost, answer.point.z
+    problem = ModesProblem(linear) answer = problem.solve(closed) # closed (steps, nc): True where
+    lam = k phi, False where lam = 0 answer.u, answer.cost, answer.point.z
 
-    minimise sum_t cost   subject to   the time step,  lower <= u <= upper,  phi >= 0 where closed,  phi <= 0 where open,
+    minimise sum_t cost subject to the time step, lower <= u <= upper, phi >= 0 where closed, phi <=
+    0 where open,
                                        |z[T] - goal| <= ball   (ball = 0: z[T] = goal)
 
-A dual active-set method names the active conditions; where it finds too many of them an interior-point method does (`dual_active_set`). Then the
-equality problem is solved once more by a factorisation that holds them, and every sign is checked: the answer is exact or there is none.
+A dual active-set method names the active conditions; where it finds too many of them an
+interior-point method does (`dual_active_set`). Then the equality problem is solved once more by a
+factorisation that holds them, and every sign is checked: the answer is exact or there is none.
 
-The multipliers of the fixed modes say whether other modes are cheaper. With G = lam >= 0 and H = lam - k phi >= 0 and one of them zero at each step, the
-problem with fixed modes has multipliers s_G and s_H per newton (L = ... - s_G G - s_H H). Where one of G and H is positive its multiplier is zero and the
-other may have any sign. Where both are zero (a biactive pair: the bodies touch without pressing) the signs decide:
+The multipliers of the fixed modes say whether other modes are cheaper. With G = lam >= 0 and H =
+lam - k phi >= 0 and one of them zero at each step, the problem with fixed modes has multipliers s_G
+and s_H per newton (L = ... - s_G G - s_H H). Where one of G and H is positive its multiplier is
+zero and the other may have any sign. Where both are zero (a biactive pair: the bodies touch without
+pressing) the signs decide:
 
-    S  both >= 0: no mode of these pairs is cheaper to first order       M  both > 0, or one of them zero
-    C  the product is >= 0      A  one of them >= 0      W  neither
+    S both >= 0: no mode of these pairs is cheaper to first order M both > 0, or one of them zero C
+    the product is >= 0 A one of them >= 0 W neither
 
-The cheapest end state within a ball around the goal: with e = z[T] - goal the optimal cost is a convex quadratic of e,
+The cheapest end state within a ball around the goal: with e = z[T] - goal the optimal cost is a
+convex quadratic of e,
 
     J(e) = J(0) - w(0)' e - 1/2 e' W e,     w(e) = w(0) + W e the multipliers of the goal,
 
-so that |e| <= ball leaves a problem of 2*nq numbers, solved by one eigenvalue decomposition and one scalar equation.
+so that |e| <= ball leaves a problem of 2*nq numbers, solved by one eigenvalue decomposition and one
+scalar equation.
 """
 
 from __future__ import annotations
@@ -31,7 +36,11 @@ from hashlib import blake2b
 
 import numpy as np
 
-from formulations.contact_modes.dual_active_set import DualActiveSet, WorkingSet, interior_point_active_set
+from formulations.contact_modes.dual_active_set import (
+    DualActiveSet,
+    WorkingSet,
+    interior_point_active_set,
+)
 from formulations.contact_modes.linear import BandedKKT, LinearScene, Point
 
 _ZERO = 1e-6  # part of the largest multiplier that counts as zero
@@ -54,7 +63,9 @@ class ModeStationarity:
         return f"{self.letter}-stationary: {self.biactive} {pairs} without pressing, with multipliers of at least {self.least:.3g}."
 
 
-def classify(of_force: np.ndarray, of_separation: np.ndarray, biactive: np.ndarray) -> ModeStationarity:
+def classify(
+    of_force: np.ndarray, of_separation: np.ndarray, biactive: np.ndarray
+) -> ModeStationarity:
     """Say of which class the signs of the multipliers are.
 
     Parameters
@@ -73,7 +84,12 @@ def classify(of_force: np.ndarray, of_separation: np.ndarray, biactive: np.ndarr
     zero = _ZERO * max(1.0, float(np.abs(np.stack([of_force, of_separation])).max()))
     low, high = pairs.min(axis=0), pairs.max(axis=0)
     is_zero = (np.abs(pairs) <= zero).any(axis=0)
-    classes = (("S", low >= -zero), ("M", (low > zero) | is_zero), ("C", (low * high >= 0.0) | is_zero), ("A", high >= -zero))
+    classes = (
+        ("S", low >= -zero),
+        ("M", (low > zero) | is_zero),
+        ("C", (low * high >= 0.0) | is_zero),
+        ("A", high >= -zero),
+    )
     letter = next((letter for letter, holds in classes if holds.all()), "W")
     return ModeStationarity(letter=letter, biactive=int(biactive.sum()), least=float(low.min()))
 
@@ -109,17 +125,23 @@ def cheapest_in_ball(slope: np.ndarray, curvature: np.ndarray, radius: float) ->
     smallest = np.finfo(float).tiny + 1e-15 * values[-1]
     if length(smallest) <= radius:
         return -vectors @ (along / (values + smallest))
-    low, high = np.log(smallest), np.log(np.linalg.norm(along) / radius) + 1.0  # beyond the upper end the length is below the radius
+    low, high = (
+        np.log(smallest),
+        np.log(np.linalg.norm(along) / radius) + 1.0,
+    )  # beyond the upper end the length is below the radius
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if length(np.exp(middle)) > radius else (low, middle)
     return -vectors @ (along / (values + np.exp(high)))
 
 
-_ROUNDS = 12  # of the active set before it counts as going in circles; from a neighbour's set 2 to 4 are needed
-# From a neighbour's set so many rounds (a factorisation each), before the dual method is asked (one factorisation, and a back substitution for
-# each condition): worth it where that set has more conditions than this.
-_WARM_ROUNDS, _MANY = 5, 12
+# of the active set before it counts as going in circles; from a neighbour's set 2 to 4 are needed
+_ROUNDS = 12
+# From a neighbour's set so many rounds (a factorisation each), before the dual method is asked (one
+# factorisation, and a back substitution for each condition): worth it where that set has more
+# conditions than this.
+_WARM_ROUNDS = 5
+_MANY = 12
 _VIOLATED = 1e-12  # [m], [N]: rounding of the banded solution
 _WRONG_SIGN = 1e-9  # a multiplier below minus this asks for its condition to be dropped
 _BIACTIVE = 1e-11  # [m] penetration or gap below which a pair touches without pressing
@@ -132,8 +154,10 @@ _SOLVED = 1e-8  # largest residual of the linear system that still counts as a s
 class ModesAnswer:
     """An optimum for fixed modes: closed (steps, nc), u (steps, nu) [N, N m], its cost and phi (steps, nc) [m].
 
-    of_force, of_separation: (steps, nc) [1/N], multipliers s_G and s_H; biactive (steps, nc): pairs that touch without pressing, but for those of the
-    first step, which the start decides; dual_infeasibility: largest derivative of the Lagrangian that should be zero.
+    of_force, of_separation: (steps, nc) [1/N], multipliers s_G and s_H; biactive (steps, nc): pairs
+        that touch without pressing, but for those of the
+    first step, which the start decides; dual_infeasibility: largest derivative of the Lagrangian
+        that should be zero.
     """
 
     closed: np.ndarray
@@ -151,8 +175,13 @@ class ModesAnswer:
 
     @property
     def biactive_multiplier(self) -> np.ndarray:
-        """Smaller multiplier of a biactive pair where it is negative, else 0: (steps, nc) [1/N]. There the other mode is cheaper."""
-        return np.where(self.biactive, np.minimum(0.0, np.minimum(self.of_force, self.of_separation)), 0.0)
+        """Smaller multiplier of a biactive pair where it is negative, else 0: (steps, nc) [1/N].
+
+        There the other mode is cheaper.
+        """
+        return np.where(
+            self.biactive, np.minimum(0.0, np.minimum(self.of_force, self.of_separation)), 0.0
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -166,7 +195,8 @@ class QuadraticAnswer(ModesAnswer):
 class ModesProblem:
     """The quadratic program of one scene; `ball` and `softness` may be moved between solves.
 
-    softness: where positive, the goal need not be met: |z[T] - goal|^2 / (2 softness) is added to the cost. The modes of any rollout have a plan
+    softness: where positive, the goal need not be met: |z[T] - goal|^2 / (2 softness) is added to
+        the cost. The modes of any rollout have a plan
     then.
     """
 
@@ -174,13 +204,18 @@ class ModesProblem:
         self.linear, self.ball = linear, ball
         self.kkt = BandedKKT(linear)
         self.solves, self.softness = 0, 0.0
-        self._floors: dict[tuple[float, float, bytes], float] = {}  # by ball, softness and modes: no plan costs less
+        self._floors: dict[
+            tuple[float, float, bytes], float
+        ] = {}  # by ball, softness and modes: no plan costs less
         self._dual = DualActiveSet(linear, self.kkt)
 
-    def solve(self, closed: np.ndarray, near: QuadraticAnswer | None = None, below: float = np.inf) -> QuadraticAnswer | None:
+    def solve(
+        self, closed: np.ndarray, near: QuadraticAnswer | None = None, below: float = np.inf
+    ) -> QuadraticAnswer | None:
         """Find the optimum for these modes.
 
-        What modes were found to cost at least is remembered, since searches from other starts end among the same modes.
+        What modes were found to cost at least is remembered, since searches from other starts end
+        among the same modes.
 
         Parameters
         ----------
@@ -199,7 +234,11 @@ class ModesProblem:
         """
         closed = self._whole(closed)
         self.solves += 1
-        key = (self.ball, self.softness, blake2b(np.packbits(closed).tobytes(), digest_size=16).digest())
+        key = (
+            self.ball,
+            self.softness,
+            blake2b(np.packbits(closed).tobytes(), digest_size=16).digest(),
+        )
         floor = self._floors.get(key, -np.inf)
         if floor == np.inf or (np.isfinite(below) and floor >= below - _SAME * abs(below)):
             return None
@@ -207,7 +246,9 @@ class ModesProblem:
         self._floors[key] = max(floor, below if found is None else found.cost)
         return found
 
-    def _optimum(self, closed: np.ndarray, near: QuadraticAnswer | None, below: float) -> QuadraticAnswer | None:
+    def _optimum(
+        self, closed: np.ndarray, near: QuadraticAnswer | None, below: float
+    ) -> QuadraticAnswer | None:
         if near is not None and near.active.count > _MANY:
             found = self._rounds(closed, near.active, _WARM_ROUNDS, below)
             if found is not None:
@@ -215,7 +256,8 @@ class ModesProblem:
         softness = self.softness if self.ball == 0.0 or near is None else self._softness(near)
         guess: WorkingSet | None = WorkingSet.none(self.linear)
         if self.ball == 0.0 or softness > 0.0:
-            # with a ball: by weak duality cost + (|e|^2 - ball^2)/(2 softness) never exceeds the optimum, whatever the softness
+            # with a ball: by weak duality cost + (|e|^2 - ball^2)/(2 softness) never exceeds the
+            # optimum, whatever the softness
             credit = 0.5 * self.ball**2 / softness if softness > 0.0 else 0.0
             guess = self._dual.solve(closed, below + credit, softness)
             if guess is None:
@@ -234,7 +276,12 @@ class ModesProblem:
     def _whole(self, closed: np.ndarray) -> np.ndarray:
         """The same modes with those of the first step, which the start decides, and those of the bounds of velocities, never closed."""
         lin = self.linear
-        fixed = np.hstack([np.array(closed, dtype=bool), np.zeros((len(closed), lin.nc - lin.contacts), dtype=bool)])
+        fixed = np.hstack(
+            [
+                np.array(closed, dtype=bool),
+                np.zeros((len(closed), lin.nc - lin.contacts), dtype=bool),
+            ]
+        )
         fixed[0] = lin.penetration(lin.start[None])[0] > 0.0
         return fixed
 
@@ -244,21 +291,30 @@ class ModesProblem:
         x = np.hstack([point.z[:-1], point.u])
         return x @ lin.H[:, n:] + lin.g[n:] + point.y @ lin.B
 
-    def _rounds(self, closed: np.ndarray, active: WorkingSet, most: int = _ROUNDS, below: float = np.inf) -> QuadraticAnswer | None:
+    def _rounds(
+        self, closed: np.ndarray, active: WorkingSet, most: int = _ROUNDS, below: float = np.inf
+    ) -> QuadraticAnswer | None:
         """The optimum, from a guess of its active set; or None.
 
-        An answer of a cost of `below` or more may only be a lower bound: imposed conditions whose multipliers all have the right sign are those of a
-        problem with fewer.
+        An answer of a cost of `below` or more may only be a lower bound: imposed conditions whose
+        multipliers all have the right sign are those of a problem with fewer.
         """
         sign = np.where(closed, 1.0, -1.0)
-        active = WorkingSet(side=active.side, touching=active.touching & (np.arange(len(closed)) > 0)[:, None])
+        active = WorkingSet(
+            side=active.side, touching=active.touching & (np.arange(len(closed)) > 0)[:, None]
+        )
         for _ in range(most):
             point = self._equality(closed, active)
             if point is None:
                 return None
             better = self._next(point, sign, active)
-            is_bound = not ((better.side != active.side) & (active.side != 0)).any() and not (active.touching & ~better.touching).any()
-            if better.same_as(active) or (is_bound and self.linear.soft_cost(point, self.softness) >= below):
+            is_bound = (
+                not ((better.side != active.side) & (active.side != 0)).any()
+                and not (active.touching & ~better.touching).any()
+            )
+            if better.same_as(active) or (
+                is_bound and self.linear.soft_cost(point, self.softness) >= below
+            ):
                 return self._answer(closed, point, active)
             active = better
         return None
@@ -282,18 +338,28 @@ class ModesProblem:
             biactive=biactive,
             of_force=of_force[:, contacts],
             of_separation=(both - of_force)[:, contacts],
-            dual_infeasibility=float(np.abs(np.where(active.side == 0, self._slopes(point), 0.0)).max(initial=0.0)),
+            dual_infeasibility=float(
+                np.abs(np.where(active.side == 0, self._slopes(point), 0.0)).max(initial=0.0)
+            ),
         )
 
     def _next(self, point: Point, sign: np.ndarray, active: WorkingSet) -> WorkingSet:
         lin, side = self.linear, active.side
         slope = self._slopes(point)
-        keeps = side * slope <= _WRONG_SIGN  # the lower bound pushes up (slope >= 0), the upper one down
+        keeps = (
+            side * slope <= _WRONG_SIGN
+        )  # the lower bound pushes up (slope >= 0), the upper one down
         moved = np.where(
-            side == 0, np.sign((point.u > lin.upper + _VIOLATED).astype(int) - (point.u < lin.lower - _VIOLATED)), side * keeps
+            side == 0,
+            np.sign(
+                (point.u > lin.upper + _VIOLATED).astype(int) - (point.u < lin.lower - _VIOLATED)
+            ),
+            side * keeps,
         )
         separation = sign * lin.penetration(point.z[:-1])
-        touching = np.where(active.touching, -sign * point.mu >= -_WRONG_SIGN, separation < -_VIOLATED)
+        touching = np.where(
+            active.touching, -sign * point.mu >= -_WRONG_SIGN, separation < -_VIOLATED
+        )
         touching[0] = False
         return WorkingSet(side=moved.astype(int), touching=touching)
 
@@ -311,7 +377,9 @@ class ModesProblem:
                 return None
             place = np.nonzero(moved)[0]
             curvature = -columns[place]
-            e = cheapest_in_ball(-x[place], 0.5 * (curvature + curvature.T), self.ball)  # the goal moved to the cheapest end
+            e = cheapest_in_ball(
+                -x[place], 0.5 * (curvature + curvature.T), self.ball
+            )  # the goal moved to the cheapest end
             x, right = x + columns @ e, right + moved @ e
         residual = np.abs(self.kkt.product(x) - right).max()
         if not residual <= _SOLVED * max(1.0, np.abs(right).max()):  # NaN counts as no solution

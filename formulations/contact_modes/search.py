@@ -1,16 +1,21 @@
 """A local search over contact mode sequences: the first neighbour that is cheaper is taken, until there is none.
 
-A mode sequence says for each contact in which intervals of steps it is closed. An interval (first, stop) is a run of steps first <= t < stop.
+A mode sequence says for each contact in which intervals of steps it is closed. An interval (first,
+stop) is a run of steps first <= t < stop.
 
-    sequence = mode_sequence(closed)                                      # closed (steps, nc)
-    shift(0, 0, first=-2).apply(sequence, steps)            # the contact closes two steps earlier; None where that is not possible
+    sequence = mode_sequence(closed) # closed (steps, nc) shift(0, 0, first=-2).apply(sequence,
+    steps) # the contact closes two steps earlier; None where that is not possible
 
-Where a pair touches and its multiplier has the wrong sign, the other mode is cheaper to first order: such pairs are switched before anything is
-tried. Then intervals that are not needed are dropped, and long strides begin, halved whenever no shift helps. Between the longest stride and the others
-intervals are repeated (a second push costs less than one twice as strong): none of the small moves gets there. With a stride of one step intervals are
-also merged, dropped, split and added. A move that helped is tried again at once. At last detours: an interval is dropped, two are merged, or one is repeated,
-although that is dearer, and what is left is shifted for a while; two pushes become one that way, at another time, or one becomes two where that pays
-only once the other contact has moved. The search knows its problem by one question: is there a plan with these modes below this cost?
+Where a pair touches and its multiplier has the wrong sign, the other mode is cheaper to first
+order: such pairs are switched before anything is tried. Then intervals that are not needed are
+dropped, and long strides begin, halved whenever no shift helps. Between the longest stride and the
+others intervals are repeated (a second push costs less than one twice as strong): none of the small
+moves gets there. With a stride of one step intervals are also merged, dropped, split and added. A
+move that helped is tried again at once. At last detours: an interval is dropped, two are merged, or
+one is repeated, although that is dearer, and what is left is shifted for a while; two pushes become
+one that way, at another time, or one becomes two where that pays only once the other contact has
+moved. The search knows its problem by one question: is there a plan with these modes below this
+cost?
 """
 
 from __future__ import annotations
@@ -29,7 +34,9 @@ Row = tuple[Interval, ...]
 ModeSequence = tuple[Row, ...]
 
 _APART = (0.05, 0.1, 0.15, 0.2, 0.3)  # of the horizon: how far an interval is from its repetition
-_PLACES = tuple(0.05 * place for place in range(1, 20))  # of the horizon: where a first interval of a contact is tried
+_PLACES = tuple(
+    0.05 * place for place in range(1, 20)
+)  # of the horizon: where a first interval of a contact is tried
 
 
 def mode_sequence(closed: np.ndarray) -> ModeSequence:
@@ -86,7 +93,11 @@ def _replace(contact: int, index: int, others: Callable[..., Row], count: int = 
     """Others for `count` intervals from this index on."""
 
     def change(row: Row) -> Row | None:
-        return (*row[:index], *others(*row[index : index + count]), *row[index + count :]) if index + count <= len(row) else None
+        return (
+            (*row[:index], *others(*row[index : index + count]), *row[index + count :])
+            if index + count <= len(row)
+            else None
+        )
 
     return Move(contact, change)
 
@@ -116,12 +127,20 @@ def add(contact: int, first: int, stop: int) -> Move:
     return Move(contact, lambda row: tuple(sorted((*row, (first, stop)))))
 
 
-def onwards(before: ModeSequence, after: ModeSequence, times: int, steps: int) -> ModeSequence | None:
-    """Move every end on from `after` by so many times its way from `before`; None unless both have as many intervals and room is left."""
+def onwards(
+    before: ModeSequence, after: ModeSequence, times: int, steps: int
+) -> ModeSequence | None:
+    """Move every end on from `after` by so many times its way from `before`.
+
+    None unless both have as many intervals and room is left.
+    """
     if [len(row) for row in before] != [len(row) for row in after]:
         return None
     moved = tuple(
-        tuple((b[0] + times * (b[0] - a[0]), b[1] + times * (b[1] - a[1])) for a, b in zip(old, new, strict=True))
+        tuple(
+            (b[0] + times * (b[0] - a[0]), b[1] + times * (b[1] - a[1]))
+            for a, b in zip(old, new, strict=True)
+        )
         for old, new in zip(before, after, strict=True)
     )
     return moved if all(_fits(row, steps) for row in moved) else None
@@ -129,7 +148,9 @@ def onwards(before: ModeSequence, after: ModeSequence, times: int, steps: int) -
 
 def _fits(row: Row, steps: int) -> bool:
     """Whether intervals lie in the horizon, none empty, none overlapping or adjoining."""
-    return all(0 <= first < stop <= steps for first, stop in row) and all(before[1] < after[0] for before, after in pairwise(row))
+    return all(0 <= first < stop <= steps for first, stop in row) and all(
+        before[1] < after[0] for before, after in pairwise(row)
+    )
 
 
 def shifts(sequence: ModeSequence, stride: int) -> Iterator[Move]:
@@ -186,27 +207,43 @@ def repetitions(sequence: ModeSequence, steps: int) -> Iterator[Move]:
     lengths = sorted(stop - first for row in sequence for first, stop in row)
     usual = lengths[len(lengths) // 2] if lengths else max(1, steps // 20)
     for contact, row in enumerate(sequence):
-        wanted = [(first + sign * round(part * steps), stop - first) for first, stop in row for part in _APART for sign in (-1, 1)]
+        wanted = [
+            (first + sign * round(part * steps), stop - first)
+            for first, stop in row
+            for part in _APART
+            for sign in (-1, 1)
+        ]
         if not row:
             wanted = [(round(place * steps), usual) for place in _PLACES]
         for begin, length in wanted:
-            if begin >= 1 and begin + length <= steps and all(begin + length < before or begin > after for before, after in row):
+            if (
+                begin >= 1
+                and begin + length <= steps
+                and all(begin + length < before or begin > after for before, after in row)
+            ):
                 yield add(contact, first=begin, stop=begin + length)
 
 
-# A neighbour counts as cheaper by this part of the cost: well above the rounding of a solve (1e-13), far below what a step of an interval costs.
+# A neighbour counts as cheaper by this part of the cost: well above the rounding of a solve
+# (1e-13), far below what a step of an interval costs.
 _GAIN = 1e-10
 _NEGATIVE = 1e-6  # a multiplier [cost per N] that is clearly not zero
 _ALONE = 20  # pairs that are switched one by one where switching them together does not help
 _DETOUR = 40  # plans tried on a detour; from two pushes to one, 27 steps away, 20 are enough
 _STRETCH = 4  # of the longest stride: the first on a detour
-# Detours by a repetition: those that cost up to this part more, of these so many of the cheapest, each for so many plans before the best of them goes
-# on. Three carts moved by 0.6 m: two pushes on the left cost 1.4 and 2.2 % more than one, and less after one and two plans; 7.4 % less in the end.
-_DEARER, _REPEATED, _SHORT = 0.05, 3, 10
+# Detours by a repetition: those that cost up to this part more, of these so many of the cheapest,
+# each for so many plans before the best of them goes on. Three carts moved by 0.6 m: two pushes on
+# the left cost 1.4 and 2.2 % more than one, and less after one and two plans; 7.4 % less in the
+# end.
+_DEARER = 0.05
+_REPEATED = 3
+_SHORT = 10
 
 
 Answer = TypeVar("Answer", bound=ModesAnswer)
-Improve = Callable[[np.ndarray, Answer, float], Answer | None]  # (modes, neighbour, below) -> its optimum if that costs less, else None
+Improve = Callable[
+    [np.ndarray, Answer, float], Answer | None
+]  # (modes, neighbour, below) -> its optimum if that costs less, else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,13 +256,23 @@ class SearchResult(Generic[Answer]):
 
 
 def search_sequences(
-    best: Answer, improve: Improve[Answer], *, stride: int, is_over: Callable[[], bool], far: bool = True
+    best: Answer,
+    improve: Improve[Answer],
+    *,
+    stride: int,
+    is_over: Callable[[], bool],
+    far: bool = True,
 ) -> SearchResult[Answer]:
-    """Search downhill from `best`. stride: the first stride in steps; is_over: whether to stop; far: whether to look further than a move."""
+    """Search downhill from `best`. stride: the first stride in steps; is_over: whether to stop.
+
+    far: whether to look further than a move.
+    """
     return _Search(best, improve, is_over).run(stride, far)
 
 
-def flip_wrong_signs(best: Answer, improve: Improve[Answer], *, is_over: Callable[[], bool]) -> SearchResult[Answer]:
+def flip_wrong_signs(
+    best: Answer, improve: Improve[Answer], *, is_over: Callable[[], bool]
+) -> SearchResult[Answer]:
     """Only switch touching pairs whose multiplier has the wrong sign, until none helps."""
     search = _Search(best, improve, is_over)
     search.flip_wrong_signs()
@@ -233,7 +280,13 @@ def flip_wrong_signs(best: Answer, improve: Improve[Answer], *, is_over: Callabl
 
 
 class _Search(Generic[Answer]):
-    def __init__(self, best: Answer, improve: Improve[Answer], is_over: Callable[[], bool], most: float = np.inf) -> None:
+    def __init__(
+        self,
+        best: Answer,
+        improve: Improve[Answer],
+        is_over: Callable[[], bool],
+        most: float = np.inf,
+    ) -> None:
         self._best, self._improve, self._time_is_over, self._most = best, improve, is_over, most
         self._steps, self._tried = len(best.closed), 0
         self._seen = {best.closed.tobytes()}
@@ -270,7 +323,11 @@ class _Search(Generic[Answer]):
         """Only shifts, down to those by one step."""
         while stride and not self._is_over():
             self.flip_wrong_signs()
-            stride = stride if self._any(shifts(mode_sequence(self._best.closed), stride)) else stride // 2
+            stride = (
+                stride
+                if self._any(shifts(mode_sequence(self._best.closed), stride))
+                else stride // 2
+            )
         return self._best
 
     def _detours(self, stride: int) -> bool:
@@ -281,8 +338,15 @@ class _Search(Generic[Answer]):
             if start is not None and self._taken(self._shifted(start, stride, _DETOUR), begin):
                 return True
         most = (1.0 + _DEARER) * begin.cost if begin.cost > 0.0 else np.inf
-        starts = [start for move in repetitions(sequence, self._steps) if (start := self._moved(move, sequence, most)) is not None]
-        ways = [self._shifted(start, stride, _SHORT) for start in sorted(starts, key=lambda start: start.cost)[:_REPEATED]]
+        starts = [
+            start
+            for move in repetitions(sequence, self._steps)
+            if (start := self._moved(move, sequence, most)) is not None
+        ]
+        ways = [
+            self._shifted(start, stride, _SHORT)
+            for start in sorted(starts, key=lambda start: start.cost)[:_REPEATED]
+        ]
         if not ways:
             return False
         best = min(ways, key=lambda way: way.cost)
@@ -323,7 +387,11 @@ class _Search(Generic[Answer]):
         return self._lead(move.apply(sequence or mode_sequence(self._best.closed), self._steps))
 
     def _lead(self, moved: ModeSequence | None) -> bool:
-        return moved is not None and not self._is_over() and self._take(closed_steps(moved, self._steps))
+        return (
+            moved is not None
+            and not self._is_over()
+            and self._take(closed_steps(moved, self._steps))
+        )
 
     def _repeat(self) -> bool:
         """The cheapest of the plans with one interval repeated, if it is cheaper."""
@@ -335,17 +403,22 @@ class _Search(Generic[Answer]):
     def flip_wrong_signs(self) -> None:
         """Switch the touching pairs whose multiplier is negative: all of them, else the worst half, quarter .. of them, else one by one.
 
-        What helped once is tried again, ever further: every end of an interval as many steps on as it just went.
+        What helped once is tried again, ever further: every end of an interval as many steps on as
+        it just went.
         """
         times = 1
         while not self._is_over():
             before, multiplier = mode_sequence(self._best.closed), self._best.biactive_multiplier
             order = np.argsort(multiplier, axis=None)[: int((multiplier < -_NEGATIVE).sum())]
-            together = [order[: len(order) >> halvings] for halvings in range(len(order).bit_length())]
+            together = [
+                order[: len(order) >> halvings] for halvings in range(len(order).bit_length())
+            ]
             alone = [order[one : one + 1] for one in range(1, min(len(order), _ALONE))]
             if not any(self._switch(pairs) for pairs in (*together, *alone)):
                 return
-            helped = self._lead(onwards(before, mode_sequence(self._best.closed), times, self._steps))
+            helped = self._lead(
+                onwards(before, mode_sequence(self._best.closed), times, self._steps)
+            )
             times = 2 * times if helped else max(1, times // 2)
 
     def _switch(self, pairs: np.ndarray) -> bool:

@@ -1,6 +1,7 @@
 """`mpcc` opened on a scene: several starts, contact modes found from each, the cheapest plan kept, corrected to end on the goal, and checked.
 
-    softplus homotopy -> which contact is closed when -> exact optimum for these modes -> cheaper modes -> rollout of the inputs
+    softplus homotopy -> which contact is closed when -> exact optimum for these modes -> cheaper
+    modes -> rollout of the inputs
 
 Starts are numbered, so that some of them can be run here and the others elsewhere:
 
@@ -14,15 +15,18 @@ Starts are numbered, so that some of them can be run here and the others elsewhe
 
 The homotopy forgets where it began, modes do not: hence both.
 
-Throws: where the end is free and has a cost, a plan that touches nothing may be a local optimum from which no slope leads to a contact. A disc at rest,
-and another whose place at the end is paid for: nothing done costs 0.61, a throw off the wall 0.39, and all that lies between is dearer.
+Throws: where the end is free and has a cost, a plan that touches nothing may be a local optimum
+    from which no slope leads to a contact. A disc at rest,
+and another whose place at the end is paid for: nothing done costs 0.61, a throw off the wall 0.39,
+    and all that lies between is dearer.
 
-    constant inputs on a lattice -> those that press something and end at less final cost -> the cheapest, solved with their contact modes
+    constant inputs on a lattice -> those that press something and end at less final cost -> the
+    cheapest, solved with their contact modes
 
 Modes are then searched around the best of these plans as around any other.
 
-The plan is the rollout of its own inputs through the true contact law: complementarity is zero by construction, and what the solvers leave of
-the terminal error (1e-9) is taken out by Newton steps.
+The plan is the rollout of its own inputs through the true contact law: complementarity is zero by
+construction, and what the solvers leave of the terminal error (1e-9) is taken out by Newton steps.
 """
 
 from __future__ import annotations
@@ -38,7 +42,13 @@ from formulations.contact_modes.method import MpccOptions
 from formulations.contact_modes.nonlinear import STAGE_ITERATIONS, NonlinearModes, SceneModels
 from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
 from formulations.contact_modes.search import mode_sequence
-from formulations.contact_modes.starts import descended_plan, final_cost, mirrored, random_plan, thrown_plans
+from formulations.contact_modes.starts import (
+    descended_plan,
+    final_cost,
+    mirrored,
+    random_plan,
+    thrown_plans,
+)
 from formulations.grids import check_warm_start, input_bounds, plan_of, replayed_goal_error
 from formulations.method import Clock, Method, Session
 from formulations.mpec.certificate.certificate import Certificate
@@ -61,10 +71,15 @@ class MultiStart:
         self._scene, self._kernel = models.scene, models.kernel
         self._finder, self._options, self._models = finder, options, models
 
-    def run(self, budget: SolveBudget, numbers: range, warm_start: Trajectory | None) -> tuple[FinderResult, tuple[Attempt, ...]]:
-        """Try the starts of these numbers; the best, and what became of each. Starts for which there is no time are not among them.
+    def run(
+        self, budget: SolveBudget, numbers: range, warm_start: Trajectory | None
+    ) -> tuple[FinderResult, tuple[Attempt, ...]]:
+        """Try the starts of these numbers; the best, and what became of each.
 
-        A start may do half of the work that is left, the last one all of it: better some starts that come to their end than none.
+        Starts for which there is no time are not among them.
+
+        A start may do half of the work that is left, the last one all of it: better some starts
+        that come to their end than none.
         """
         best: FinderResult | None = None
         attempts: list[Attempt] = []
@@ -83,21 +98,36 @@ class MultiStart:
         began = process_time()
         thrown = self._thrown_instead(best, budget, (self._options.seed, numbers[0]))
         if thrown is not best:
-            place = min(range(len(attempts)), key=lambda place: (attempts[place].cost is None, attempts[place].cost or 0.0))
+            place = min(
+                range(len(attempts)),
+                key=lambda place: (attempts[place].cost is None, attempts[place].cost or 0.0),
+            )
             before, seconds = attempts[place], attempts[place].seconds + process_time() - began
-            attempts[place] = self._attempt(before.number, f"{before.start}, then throws", thrown, seconds)
+            attempts[place] = self._attempt(
+                before.number, f"{before.start}, then throws", thrown, seconds
+            )
         return thrown, tuple(attempts)
 
-    def _start(self, budget: SolveBudget, number: int, warm_start: Trajectory | None) -> tuple[str, Trajectory | None, bool]:
+    def _start(
+        self, budget: SolveBudget, number: int, warm_start: Trajectory | None
+    ) -> tuple[str, Trajectory | None, bool]:
         """A start in words, its plan, and whether the plan's own modes are tried first."""
         if number == 0:
-            return "the paper's first guess" if warm_start is None else "the plan given", warm_start, warm_start is not None
+            return (
+                "the paper's first guess" if warm_start is None else "the plan given",
+                warm_start,
+                warm_start is not None,
+            )
         plan, words = self._special(budget, number) if number <= 4 else (None, "")
         if plan is not None:
             return words, plan, True
         plan = random_plan(self._scene, self._kernel, (self._options.seed, number))
         for_modes = number % 2 == 0 and plan is not None
-        return "random inputs, steered to the goal" if for_modes else "random inputs", plan, for_modes
+        return (
+            "random inputs, steered to the goal" if for_modes else "random inputs",
+            plan,
+            for_modes,
+        )
 
     def _special(self, budget: SolveBudget, number: int) -> tuple[Trajectory | None, str]:
         """The starts 1 to 4, by name."""
@@ -131,14 +161,20 @@ class MultiStart:
     def _named_intervals(self, closed: np.ndarray) -> tuple[tuple[str, int, int], ...]:
         """(contact, first step, last step) of each time a contact is closed."""
         rows = zip(self._scene.contacts, mode_sequence(closed), strict=True)
-        return tuple((contact.name, first, stop - 1) for contact, row in rows for first, stop in row)
+        return tuple(
+            (contact.name, first, stop - 1) for contact, row in rows for first, stop in row
+        )
 
-    # -- throws -------------------------------------------------------------------------------------------------------------------
+    # -- throws
+    #   -------------------------------------------------------------------------------------------------------------------
 
-    def _thrown_instead(self, before: FinderResult, budget: SolveBudget, seed: tuple[int, ...]) -> FinderResult:
+    def _thrown_instead(
+        self, before: FinderResult, budget: SolveBudget, seed: tuple[int, ...]
+    ) -> FinderResult:
         """Find a cheaper plan that throws, or leave the one before.
 
-        It stays where there is a goal, where the end costs nothing, and where its inputs press a contact that is not pressed without them.
+        It stays where there is a goal, where the end costs nothing, and where its inputs press a
+        contact that is not pressed without them.
         """
         task = self._scene.task
         if task.has_goal or task.final_cost == 0 or not self._scene.nc or budget.is_late:
@@ -149,23 +185,41 @@ class MultiStart:
         planned = none if before.answer is None else before.answer.u
         if work == 0.0 or (self._pressed(planned) & ~idle).any():
             return before
-        budget.most_work = budget.work + work  # on top of what the starts were given: they may have spent it
+        budget.most_work = (
+            budget.work + work
+        )  # on top of what the starts were given: they may have spent it
         problem, best = self._best_throw(budget, planned, idle, seed)
         if best is None or (before.answer is not None and best.cost >= before.answer.cost):
             return before
-        found = self._finder.searched(budget, problem, best, max(1, task.steps // STRIDES), far=True)
-        first = "no plan was found" if before.answer is None else f"the best plan brought no contact about (cost {before.answer.cost:.6g})"
-        return replace(found, message=f"At first {first}; this one was found from throws by constant inputs. {found.message}")
+        found = self._finder.searched(
+            budget, problem, best, max(1, task.steps // STRIDES), far=True
+        )
+        first = (
+            "no plan was found"
+            if before.answer is None
+            else f"the best plan brought no contact about (cost {before.answer.cost:.6g})"
+        )
+        return replace(
+            found,
+            message=f"At first {first}; this one was found from throws by constant inputs. {found.message}",
+        )
 
     def _best_throw(
         self, budget: SolveBudget, planned: np.ndarray, idle: np.ndarray, seed: tuple[int, ...]
     ) -> tuple[ModesProblem | NonlinearModes, ModesAnswer | None]:
         """The problem with modes fixed, and the cheapest of its answers to the modes of throws."""
         with budget.building():
-            below = final_cost(self._kernel, self._kernel.rollout(np.array(self._scene.task.start), planned, self._scene.task.step))
+            below = final_cost(
+                self._kernel,
+                self._kernel.rollout(
+                    np.array(self._scene.task.start), planned, self._scene.task.step
+                ),
+            )
             plans = thrown_plans(self._scene, self._kernel, seed, idle, below)[:_SOLVED]
             most = min(self._options.max_iterations, STAGE_ITERATIONS)
-            problem = self._models.modes(0.0, budget, {"tol": self._options.tolerance, "max_iter": most})
+            problem = self._models.modes(
+                0.0, budget, {"tol": self._options.tolerance, "max_iter": most}
+            )
         answers: list[ModesAnswer] = []
         for plan in plans:
             if isinstance(problem, NonlinearModes):
@@ -188,7 +242,14 @@ def _cost(search: FinderResult) -> float:
 class MpccSession(Session):
     """`mpcc` on one scene. scene_models: those of another session on it, if there is one."""
 
-    def __init__(self, method: Method, scene: Scene, options: MpccOptions, clock: Clock, scene_models: SceneModels | None = None) -> None:
+    def __init__(
+        self,
+        method: Method,
+        scene: Scene,
+        options: MpccOptions,
+        clock: Clock,
+        scene_models: SceneModels | None = None,
+    ) -> None:
         self._method, self._scene, self._options = method, scene, options
         self._kernel, self._residuals = load_kernel(scene), PlanResiduals(scene)
         self._models = scene_models or SceneModels(scene, self._kernel)
@@ -196,28 +257,46 @@ class MpccSession(Session):
         self._clock = clock
 
     def within(self, goal_tolerance: float, *, from_a_plan: bool = True) -> MpccSession:
-        """Open a session for another radius of the goal on the models of this one; what starts without a plan may do `first_work` more."""
+        """Open a session for another radius of the goal on the models of this one.
+
+        What starts without a plan may do `first_work` more.
+        """
         more = 0.0 if from_a_plan else self._options.first_work
-        options = replace(self._options, goal_tolerance=goal_tolerance, work=self._options.work + more)
+        options = replace(
+            self._options, goal_tolerance=goal_tolerance, work=self._options.work + more
+        )
         clock = Clock()
         session = MpccSession(self._method, self._scene, options, clock, self._models)
         clock.stop()
         return session
 
-    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
-        """Find a plan from the starts asked for. Raises TrajectoryError for a plan of another scene or grid."""
+    def solve(
+        self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float
+    ) -> Solution:
+        """Find a plan from the starts asked for.
+
+        Raises TrajectoryError for a plan of another scene or grid.
+        """
         self._method.check_stage(eps, time_limit)
         check_warm_start(self._scene, warm_start)
         budget = SolveBudget(time_limit, self._clock.pay())
         budget.most_work = 1e6 * self._options.work
         first = self._options.first_start
-        search, attempts = self._starts.run(budget, range(first, first + self._options.starts), warm_start)
+        search, attempts = self._starts.run(
+            budget, range(first, first + self._options.starts), warm_start
+        )
         return self._solution(budget, search, attempts)
 
-    def _solution(self, budget: SolveBudget, search: FinderResult, attempts: tuple[Attempt, ...]) -> Solution:
+    def _solution(
+        self, budget: SolveBudget, search: FinderResult, attempts: tuple[Attempt, ...]
+    ) -> Solution:
         several = attempts if len(attempts) > 1 else ()
         empty = Solution(
-            method=self._method.name, outcome=search.outcome, message=search.message, options=asdict(self._options), starts=several
+            method=self._method.name,
+            outcome=search.outcome,
+            message=search.message,
+            options=asdict(self._options),
+            starts=several,
         )
         answer = search.answer
         if answer is None:
@@ -229,13 +308,18 @@ class MpccSession(Session):
         if several:
             optima = [attempt.cost for attempt in several if attempt.cost is not None]
             spread = f"costs from {min(optima):.6g} to {max(optima):.6g}"
-            search = replace(search, message=f"{len(optima)} of {self._options.starts} starts were solved, {spread}. {search.message}")
+            search = replace(
+                search,
+                message=f"{len(optima)} of {self._options.starts} starts were solved, {spread}. {search.message}",
+            )
             residuals |= {"starts_solved": float(len(optima)), "dearest_start": max(optima)}
         outcome, message = search.outcome, f"{search.message} {stationarity.sentence}"
         outcome, message = checked(outcome, message, residuals, self._promises())
         certificate = None
         if outcome is Outcome.SOLVED and stationarity.letter != "S":
-            certificate = self._models.judge.certify(plan, goal_tolerance=self._options.goal_tolerance)
+            certificate = self._models.judge.certify(
+                plan, goal_tolerance=self._options.goal_tolerance
+            )
             outcome, message = _stationary(certificate, message)
         residuals |= {
             "dual_infeasibility": answer.dual_infeasibility,
@@ -244,21 +328,50 @@ class MpccSession(Session):
             "windows_tried": float(search.tried),
         }
         cost = self._residuals.cost(plan)
-        found = replace(empty, outcome=outcome, message=message, trajectory=plan, cost=cost, residuals=residuals, certificate=certificate)
+        found = replace(
+            empty,
+            outcome=outcome,
+            message=message,
+            trajectory=plan,
+            cost=cost,
+            residuals=residuals,
+            certificate=certificate,
+        )
         return budget.spent_on(found)
 
     def _plan_residuals(self, plan: Trajectory) -> dict[str, float]:
-        """Residuals of the plan by name; complementarity with the penetration of the same compiled code that the forces come from."""
+        """Residuals of the plan by name.
+
+        Complementarity with the penetration of the same compiled code that the forces come from.
+        """
         found = self._residuals.of(plan)
         if self._scene.nc:
-            products = np.abs(plan.lam * (plan.lam - self._kernel.stiffness() * self._kernel.penetration(plan.q[:-1])))
+            products = np.abs(
+                plan.lam
+                * (plan.lam - self._kernel.stiffness() * self._kernel.penetration(plan.q[:-1]))
+            )
             found |= {"physics": float(products.sum()), "complementarity": float(products.max())}
-        return {**found, "discrete_terminal_error": replayed_goal_error(self._scene, self._kernel, plan)}
+        return {
+            **found,
+            "discrete_terminal_error": replayed_goal_error(self._scene, self._kernel, plan),
+        }
 
     def _promises(self) -> dict[str, float]:
-        plan, miss = self._options.plan_tolerance, self._options.terminal_tolerance + self._options.goal_tolerance
+        plan, miss = (
+            self._options.plan_tolerance,
+            self._options.terminal_tolerance + self._options.goal_tolerance,
+        )
         return {
-            **dict.fromkeys(("dynamics_defect", "start_error", "input_bound_excess", "velocity_bound_excess", "force_sign"), plan),
+            **dict.fromkeys(
+                (
+                    "dynamics_defect",
+                    "start_error",
+                    "input_bound_excess",
+                    "velocity_bound_excess",
+                    "force_sign",
+                ),
+                plan,
+            ),
             **dict.fromkeys(("terminal_error", "discrete_terminal_error"), miss),
             "physics": self._options.physics_tolerance,
         }
@@ -267,10 +380,14 @@ class MpccSession(Session):
 def _stationary(found: Certificate, message: str) -> tuple[Outcome, str]:
     """Multipliers of touching pairs have the wrong sign, and no other mode was found to be cheaper: whether the plan can be left downhill after all.
 
-    Where conditions depend on each other the multipliers are not the only ones, and others may have the right signs.
+    Where conditions depend on each other the multipliers are not the only ones, and others may have
+    the right signs.
     """
     if found.b_stationary:
-        return Outcome.SOLVED, f"{message} These multipliers are not the only ones: no direction leads downhill (B-stationary)."
+        return (
+            Outcome.SOLVED,
+            f"{message} These multipliers are not the only ones: no direction leads downhill (B-stationary).",
+        )
     known = (
         "it is not B-stationary, so that cheaper plans lie next to it"
         if found.b_stationary is False

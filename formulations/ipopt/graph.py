@@ -1,19 +1,23 @@
 """A hash-consed expression graph: the algebra in which the term shapes of a model are differentiated.
 
-A node is an integer. Its operands are always smaller integers, so ascending node number is an order of evaluation and descending
-node number an order of back-propagation: nothing here recurses, and an expression ten thousand operations deep is an ordinary one.
-Building the same operation on the same operands twice gives the same node, hence common subexpressions are shared for free.
+A node is an integer. Its operands are always smaller integers, so ascending node number is an order
+of evaluation and descending node number an order of back-propagation: nothing here recurses, and an
+expression ten thousand operations deep is an ordinary one. Building the same operation on the same
+operands twice gives the same node, hence common subexpressions are shared for free.
 
     graph = Graph()
     x, p = graph.variable(0), graph.datum(0)
     f = graph.mul(p, graph.call("exp", x))        # p * exp(x)
 
-Leaves: `variable(i)` is the i-th variable of the term, `datum(k)` its k-th number (a literal of the model, a Param, a fixed Var) and
-`constant(c)` a number that belongs to the structure (an exponent, the 1 of `log(1 + exp(z))`). A node that depends on no variable
+Leaves: `variable(i)` is the i-th variable of the term, `datum(k)` its k-th number (a literal of the
+    model, a Param, a fixed Var) and
+`constant(c)` a number that belongs to the structure (an exponent, the 1 of `log(1 + exp(z))`). A
+    node that depends on no variable
 is *data*: it is worth computing once per refresh and not once per evaluation.
 
-Exact derivatives on it - linear split, reverse-mode gradient, sparsity of the Hessian - walk the nodes in descending order once, so that their cost is
-proportional to the number of operations, however deep.
+Exact derivatives on it - linear split, reverse-mode gradient, sparsity of the Hessian - walk the
+nodes in descending order once, so that their cost is proportional to the number of operations,
+however deep.
 """
 
 from __future__ import annotations
@@ -23,13 +27,19 @@ from collections.abc import Callable
 
 import numpy as np
 
-VARIABLE, DATUM, CONSTANT, SEED = "variable", "datum", "constant", "seed"
+VARIABLE = "variable"
+DATUM = "datum"
+CONSTANT = "constant"
+SEED = "seed"
 
-# Functions of one argument that a Pyomo expression can hold, and the numbers they give on structural constants.
+# Functions of one argument that a Pyomo expression can hold, and the numbers they give on
+# structural constants.
 UNARY = {
     "exp": math.exp, "log": math.log, "log10": math.log10, "sqrt": math.sqrt,
-    "sin": math.sin, "cos": math.cos, "tan": math.tan, "asin": math.asin, "acos": math.acos, "atan": math.atan,
-    "sinh": math.sinh, "cosh": math.cosh, "tanh": math.tanh, "asinh": math.asinh, "acosh": math.acosh, "atanh": math.atanh,
+    "sin": math.sin, "cos": math.cos, "tan": math.tan, "asin": math.asin, "acos": math.acos,
+    "atan": math.atan,
+    "sinh": math.sinh, "cosh": math.cosh, "tanh": math.tanh, "asinh": math.asinh,
+    "acosh": math.acosh, "atanh": math.atanh,
 }  # fmt: skip
 
 
@@ -57,7 +67,8 @@ class Graph:
     def _operation(self, op: str, *operands: int) -> int:
         return self._node(op, operands, all(self.is_data[a] for a in operands))
 
-    # -- leaves ---------------------------------------------------------------------------------------------------------------
+    # -- leaves
+    #   ---------------------------------------------------------------------------------------------------------------
 
     def variable(self, index: int) -> int:
         """The i-th variable of the term."""
@@ -79,7 +90,8 @@ class Graph:
         """The number of a structural constant, None for every other node."""
         return self.args[node][0] if self.op[node] == CONSTANT else None
 
-    # -- arithmetic -------------------------------------------------------------------------------------------------------------
+    # -- arithmetic
+    #   -------------------------------------------------------------------------------------------------------------
 
     def add(self, a: int, b: int) -> int:
         """Node of a + b, simplified where structural constants or signs allow."""
@@ -150,7 +162,10 @@ class Graph:
         return self._operation("mul", *((a, b) if a <= b else (b, a)))
 
     def div(self, a: int, b: int) -> int:
-        """Node of a / b; a quotient by 1 + exp(z) is a product with a logistic function, which does not overflow."""
+        """Node of a / b.
+
+        A quotient by 1 + exp(z) is a product with a logistic function, which does not overflow.
+        """
         ca, cb = self.constant_value(a), self.constant_value(b)
         if ca == 0.0:
             return self.zero
@@ -171,15 +186,26 @@ class Graph:
         return self._operation("div", a, b)
 
     def pow(self, base: int, exponent: int) -> int:
-        """Node of base ** exponent. A structural exponent gives products, quotients and roots that are right at base 0."""
+        """Node of base ** exponent.
+
+        A structural exponent gives products, quotients and roots that are right at base 0.
+        """
         c = self.constant_value(exponent)
         if c is None:
-            return self.falling_power(base, exponent, 0) if self.is_data[exponent] else self._operation("pow", base, exponent)
+            return (
+                self.falling_power(base, exponent, 0)
+                if self.is_data[exponent]
+                else self._operation("pow", base, exponent)
+            )
         known = self.constant_value(base)
         if known is not None:
             try:
                 return self.constant(known**c)
-            except (ArithmeticError, TypeError, ValueError):  # 0**-1, or a complex root: let the evaluation report it
+            except (
+                ArithmeticError,
+                TypeError,
+                ValueError,
+            ):  # 0**-1, or a complex root: let the evaluation report it
                 return self._operation("pow", base, exponent)
         if c == 0.0:
             return self.one
@@ -187,16 +213,29 @@ class Graph:
             return self.call("sqrt", base)
         if c in (1.0, 2.0, 3.0, 4.0):
             square = base if c == 1.0 else self.mul(base, base)
-            return {1.0: lambda: base, 2.0: lambda: square, 3.0: lambda: self.mul(base, square), 4.0: lambda: self.mul(square, square)}[c]()
+            return {
+                1.0: lambda: base,
+                2.0: lambda: square,
+                3.0: lambda: self.mul(base, square),
+                4.0: lambda: self.mul(square, square),
+            }[c]()
         if c in (-1.0, -2.0):
             return self.div(self.one, self.pow(base, self.constant(-c)))
         return self._operation("pow", base, exponent)
 
     def falling_power(self, base: int, exponent: int, order: int) -> int:
-        """Derivative of order `order` of base**p for a data exponent p: p (p-1) .. (p-order+1) base**(p-order), and 0 where a factor is 0."""
-        return self._node("falling_power", (base, exponent, self.constant(order)), self.is_data[base] and self.is_data[exponent])
+        """Derivative of order `order` of base**p for a data exponent p: p (p-1) ..
 
-    # -- functions --------------------------------------------------------------------------------------------------------------
+        (p-order+1) base**(p-order), and 0 where a factor is 0.
+        """
+        return self._node(
+            "falling_power",
+            (base, exponent, self.constant(order)),
+            self.is_data[base] and self.is_data[exponent],
+        )
+
+    # -- functions
+    #   --------------------------------------------------------------------------------------------------------------
 
     def call(self, name: str, a: int) -> int:
         """One of `UNARY`, or the primitives the derivatives need: logistic, softplus, sech2."""
@@ -209,7 +248,11 @@ class Graph:
         if name in ("log", "log10") and self.op[a] == "add":
             smooth = self._log_of_sum(a)
             if smooth is not None:
-                return smooth if name == "log" else self.mul(self.constant(1.0 / math.log(10.0)), smooth)
+                return (
+                    smooth
+                    if name == "log"
+                    else self.mul(self.constant(1.0 / math.log(10.0)), smooth)
+                )
         return self._operation(name, a)
 
     def _one_plus_exp(self, node: int) -> int | None:
@@ -233,10 +276,16 @@ class Graph:
             return self.add(y, self._operation("softplus", self.sub(z, y)))
         return None
 
-    # -- questions --------------------------------------------------------------------------------------------------------------
+    # -- questions
+    #   --------------------------------------------------------------------------------------------------------------
 
-    def reachable(self, *roots: int, until: Callable[[int], bool] = lambda node: False) -> list[int]:
-        """Every node the roots depend on, the roots included, ascending: an order of evaluation. Behind a node `until` holds for nothing is looked at."""
+    def reachable(
+        self, *roots: int, until: Callable[[int], bool] = lambda node: False
+    ) -> list[int]:
+        """Every node the roots depend on, the roots included, ascending: an order of evaluation.
+
+        Behind a node `until` holds for nothing is looked at.
+        """
         seen = set(roots)
         stack = list(seen)
         while stack:
@@ -287,7 +336,8 @@ def _reciprocal_root(graph: Graph, inside: int) -> int:
     return graph.div(graph.one, graph.call("sqrt", inside))
 
 
-# d f(a) / d a, written so that the derivative keeps its relative accuracy and does not overflow where the function itself does not.
+# d f(a) / d a, written so that the derivative keeps its relative accuracy and does not overflow
+# where the function itself does not.
 _UNARY_DERIVATIVES = {
     "neg": lambda g, a, n: g.constant(-1.0),
     "exp": lambda g, a, n: n,
@@ -313,7 +363,10 @@ _UNARY_DERIVATIVES = {
 
 
 def gradient(graph: Graph, root: int) -> dict[int, int]:
-    """{variable index: node of d root / d variable}; a variable whose derivative is structurally zero is absent."""
+    """{variable index: node of d root / d variable}.
+
+    A variable whose derivative is structurally zero is absent.
+    """
     adjoint: dict[int, int] = {root: graph.one}
     found: dict[int, int] = {}
     for node in reversed(graph.reachable(root)):
@@ -378,7 +431,8 @@ _LINEAR_OPERATIONS = frozenset({"add", "sub", "neg"})
 def hessian_sparsity(graph: Graph, root: int) -> np.ndarray:
     """Pairs of variables between which the root can be curved; a superset of the true pattern.
 
-    Index sets are bit masks in Python integers: a nonlinear operation joins the variables of its operands. Raises nothing.
+    Index sets are bit masks in Python integers: a nonlinear operation joins the variables of its
+    operands. Raises nothing.
 
     Returns
     -------

@@ -1,8 +1,11 @@
 """Who factorises Ipopt's linear systems: our own L D L^T by fronts (`ldlt/`), or the MUMPS of the wheel.
 
-The wheel's Ipopt can be handed a library with the calls of HSL's MA27, solver by solver; ours stand behind those. An optimality system of a plan is
-a chain of small dense pieces: a general solver spends most of its time on itself there. An iteration but for its evaluations, with MUMPS and with
-ours: two_discs 53 and 14 ms (`python -m benchmarks suite -k linear_algebra` measures the paper's scene).
+The wheel's Ipopt can be handed a library with the calls of HSL's MA27, solver by solver; ours stand
+    behind those. An optimality system of a plan is
+a chain of small dense pieces: a general solver spends most of its time on itself there. An
+    iteration but for its evaluations, with MUMPS and with
+ours: two_discs 53 and 14 ms (`python -m benchmarks suite -k linear_algebra` measures the paper's
+    scene).
 """
 
 from __future__ import annotations
@@ -20,7 +23,8 @@ import numpy as np
 from models.codegen.compiler import cached_library
 from models.errors import MachineError
 
-LDLT, MUMPS = "ldlt", "mumps"
+LDLT = "ldlt"
+MUMPS = "mumps"
 LINEAR_SOLVERS = (LDLT, MUMPS)
 
 _FOLDER = Path(__file__).with_name("ldlt")
@@ -34,7 +38,9 @@ _known: dict[tuple[str | None, ...], Path | str] = {}
 
 
 def ldlt_library() -> Path:
-    """The compiled library, with the entry points ma27id_, ma27ad_, ma27bd_, ma27cd_; tried once, and again if it has gone.
+    """The compiled library, with the entry points ma27id_, ma27ad_, ma27bd_, ma27cd_.
+
+    Tried once, and again if it has gone.
 
     Raises
     ------
@@ -55,7 +61,9 @@ def ldlt_library() -> Path:
 
 
 def _compiled() -> Path:
-    path = cached_library({path.name: path.read_text(encoding="utf-8") for path in _FOLDER.glob("*.[ch]")}, _OPTIMISED)
+    path = cached_library(
+        {path.name: path.read_text(encoding="utf-8") for path in _FOLDER.glob("*.[ch]")}, _OPTIMISED
+    )
     try:
         loaded = ctypes.CDLL(str(path))
         for name in _CALLS:
@@ -97,7 +105,9 @@ def linear_solver(asked: str = "") -> str:
     if loads_solvers():
         return LDLT
     if insisted:
-        raise MachineError("the installed Ipopt was built without loading linear solvers at run time; use linear_solver 'mumps'.")
+        raise MachineError(
+            "the installed Ipopt was built without loading linear solvers at run time; use linear_solver 'mumps'."
+        )
     return MUMPS
 
 
@@ -126,11 +136,15 @@ def settings(name: str, value: str | int | float) -> tuple[tuple[str, str | int 
     return ((name, value),)
 
 
-# MUMPS permutes the KKT matrix before it orders it, unless told otherwise; where softplus' tiny slopes stand on the diagonal that destroys the band
-# of time steps: 10 carts at T = 500 take 0.04 instead of 1.1 CPU s an iteration, and 7 instead of 31 of them; three carts take the same.
+# MUMPS permutes the KKT matrix before it orders it, unless told otherwise; where softplus' tiny
+# slopes stand on the diagonal that destroys the band of time steps: 10 carts at T = 500 take 0.04
+# instead of 1.1 CPU s an iteration, and 7 instead of 31 of them; three carts take the same.
 _KEEP_THE_BAND = {"mumps_permuting_scaling": 0}
 
 
 def band_options() -> dict[str, Any]:
-    """What keeps the band of time steps where MUMPS factorises by default; nothing where our own does, because an option of MUMPS asks for MUMPS."""
+    """What keeps the band of time steps where MUMPS factorises by default.
+
+    Nothing where our own does, because an option of MUMPS asks for MUMPS.
+    """
     return dict(_KEEP_THE_BAND) if linear_solver() == MUMPS else {}

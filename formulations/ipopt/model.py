@@ -9,12 +9,28 @@ import math
 from typing import Any
 
 import numpy as np
-from pyomo.core.base import Block, Constraint, Expression, ExternalFunction, Objective, Param, RangeSet, Set, Suffix, Var, minimize
+from pyomo.core.base import (
+    Block,
+    Constraint,
+    Expression,
+    ExternalFunction,
+    Objective,
+    Param,
+    RangeSet,
+    Set,
+    Suffix,
+    Var,
+    minimize,
+)
 from pyomo.core.base.block import BlockData
 from pyomo.core.base.component import ActiveComponent
 from pyomo.core.expr import value
 from pyomo.core.expr.numvalue import is_potentially_variable
-from pyomo.core.expr.relational_expr import EqualityExpression, InequalityExpression, RangedExpression
+from pyomo.core.expr.relational_expr import (
+    EqualityExpression,
+    InequalityExpression,
+    RangedExpression,
+)
 
 from formulations.ipopt.graph import UNARY
 
@@ -24,7 +40,10 @@ class ModelRefusedError(ValueError):
 
 
 class NotSmoothError(ModelRefusedError):
-    """The model applies abs, min or max to variables; `mpec_ipopt` writes them as complementarities."""
+    """The model applies abs, min or max to variables.
+
+    `mpec_ipopt` writes them as complementarities.
+    """
 
 
 class MissingValueError(ValueError):
@@ -63,7 +82,10 @@ class EvaluatedExpression:
 
 
 def as_data(node: Any, where: Any) -> EvaluatedExpression:
-    """The node as data; raises ModelRefusedError naming the component `where` if it depends on a free variable."""
+    """The node as data.
+
+    Raises ModelRefusedError naming the component `where` if it depends on a free variable.
+    """
     if not node.is_fixed():
         name = node.getname() if hasattr(node, "getname") else type(node).__name__
         known = "known are + - * / ** and " + " ".join(sorted(UNARY))
@@ -74,13 +96,16 @@ def as_data(node: Any, where: Any) -> EvaluatedExpression:
     return EvaluatedExpression(node)
 
 
-_TREATED = frozenset({Block, Constraint, Objective, Var, Param, Expression, Set, RangeSet, Suffix, ExternalFunction})
+_TREATED = frozenset(
+    {Block, Constraint, Objective, Var, Param, Expression, Set, RangeSet, Suffix, ExternalFunction}
+)
 
-# A component of another kind changes the problem if it can be active, or if it is a special variable or expression (a derivative that has
-# not been discretised would be a free variable).
+# A component of another kind changes the problem if it can be active, or if it is a special
+# variable or expression (a derivative that has not been discretised would be a free variable).
 _MATTERS = (ActiveComponent, Var, Expression)
 
-# What Pyomo marks a row with that stands for a whole complementarity in a file for another solver: as a row it says only half.
+# What Pyomo marks a row with that stands for a whole complementarity in a file for another solver:
+# as a row it says only half.
 _HALF_COMPLEMENTARITY = ("_complementarity", "_complementarity_type")
 
 _WHAT_TO_DO = {
@@ -99,9 +124,13 @@ _WHAT_TO_DO = {
 def refuse_no_model(model: Any) -> None:
     """Raise ModelRefusedError for what is no Pyomo model, or an abstract one."""
     if not isinstance(model, BlockData):
-        raise ModelRefusedError(f"expected a Pyomo ConcreteModel or Block, got {type(model).__name__}")
+        raise ModelRefusedError(
+            f"expected a Pyomo ConcreteModel or Block, got {type(model).__name__}"
+        )
     if not model.is_constructed():
-        raise ModelRefusedError(f"the model '{model.name}' is abstract: call create_instance() first")
+        raise ModelRefusedError(
+            f"the model '{model.name}' is abstract: call create_instance() first"
+        )
 
 
 def refuse_unknown_components(model: Any, *, also: frozenset[type] = frozenset()) -> None:
@@ -120,7 +149,9 @@ def refuse_unknown_components(model: Any, *, also: frozenset[type] = frozenset()
             for component in block.component_data_objects(ctype, active=True, descend_into=False):
                 name = ctype.__name__
                 advice = _WHAT_TO_DO.get(name, "deactivate it, or transform it into Constraints")
-                raise ModelRefusedError(f"'{component.name}' is an active {name}, which Ipopt cannot treat: {advice}")
+                raise ModelRefusedError(
+                    f"'{component.name}' is an active {name}, which Ipopt cannot treat: {advice}"
+                )
     if not model.active:
         raise ModelRefusedError(f"the model '{model.name}' is deactivated")
     for row in active_constraints(model):
@@ -137,7 +168,10 @@ def active_constraints(model: Any) -> list[Any]:
 
 
 def active_objective(model: Any) -> Any | None:
-    """The one active objective; None for a feasibility problem. Raises ModelRefusedError where several are active."""
+    """The one active objective; None for a feasibility problem.
+
+    Raises ModelRefusedError where several are active.
+    """
     objectives = list(model.component_data_objects(Objective, active=True, descend_into=Block))
     if len(objectives) > 1:
         names = ", ".join(f"'{o.name}'" for o in objectives[:3])
@@ -178,7 +212,9 @@ def sides_of(constraint: Any) -> tuple[Any, Any | None, Any, Any]:
         lower, body, upper = expression.args
         for bound in (lower, upper):
             if is_potentially_variable(bound) and not bound.is_fixed():
-                raise ModelRefusedError(f"constraint '{constraint.name}' is a range with a variable bound: write it as two constraints")
+                raise ModelRefusedError(
+                    f"constraint '{constraint.name}' is a range with a variable bound: write it as two constraints"
+                )
         return body, None, lower, upper
     lower, body, upper = constraint.to_bounded_expression()
     if body is None:
@@ -204,7 +240,9 @@ def read_data(sources: tuple[Any, ...]) -> np.ndarray:
     """
     numbers = np.array([read_number(source) for source in sources], dtype=float)
     for k in np.flatnonzero(np.isnan(numbers)):
-        raise MissingValueError(f"'{sources[k].name}' has no value (or not a number), and the model needs one{_why_none(sources[k])}")
+        raise MissingValueError(
+            f"'{sources[k].name}' has no value (or not a number), and the model needs one{_why_none(sources[k])}"
+        )
     return numbers
 
 
@@ -236,12 +274,19 @@ def read_bounds(variables: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:
     MissingValueError
         where a bound has no value
     """
-    lower, upper = np.array([bounds_of(variable) for variable in variables], dtype=float).reshape(-1, 2).T.copy()
+    lower, upper = (
+        np.array([bounds_of(variable) for variable in variables], dtype=float)
+        .reshape(-1, 2)
+        .T.copy()
+    )
     return lower, upper
 
 
 def bounds_of(variable: Any) -> tuple[float, float]:
-    """Current bounds of a variable, infinite where there is none; MissingValueError where one has no value."""
+    """Current bounds of a variable, infinite where there is none.
+
+    MissingValueError where one has no value.
+    """
     try:
         low, high = variable.bounds
     except ValueError as error:
@@ -250,9 +295,14 @@ def bounds_of(variable: Any) -> tuple[float, float]:
 
 
 def read_bound(expression: Any, kind: str, component: Any, unbounded: float) -> float:
-    """Current number of a bound that is an expression of data, unbounded where it says None; MissingValueError where it has none."""
+    """Current number of a bound that is an expression of data, unbounded where it says None.
+
+    MissingValueError where it has none.
+    """
     try:
         number = value(expression)
     except (TypeError, ValueError, ArithmeticError) as error:
-        raise MissingValueError(f"a bound of {kind} '{component.name}' has no value ({' '.join(str(error).split())})") from error
+        raise MissingValueError(
+            f"a bound of {kind} '{component.name}' has no value ({' '.join(str(error).split())})"
+        ) from error
     return unbounded if number is None else float(number)

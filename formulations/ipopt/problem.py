@@ -2,11 +2,14 @@
 
     minimise f(x)   subject to   constraint_lower <= g(x) <= constraint_upper,   lower <= x <= upper
 
-Params, fixed values, bounds and starts are read as often as one likes. A maximised objective is handed on as -f (`sense` is -1). Evaluations return NaN or inf where the model does: Ipopt answers with a shorter step.
+Params, fixed values, bounds and starts are read as often as one likes. A maximised objective is
+handed on as -f (`sense` is -1). Evaluations return NaN or inf where the model does: Ipopt answers
+with a shorter step.
 
-`Evaluations` are the functions as cyipopt calls them: one evaluation a point, time counted. cyipopt forgets what the Hessian raises: Ctrl-C there is
-swallowed and the solve runs on. So the first unexpected error of any callback is kept, the solve is stopped at the next iteration, and `run` raises
-the error afterwards, as it was.
+`Evaluations` are the functions as cyipopt calls them: one evaluation a point, time counted. cyipopt
+forgets what the Hessian raises: Ctrl-C there is swallowed and the solve runs on. So the first
+unexpected error of any callback is kept, the solve is stopped at the next iteration, and `run`
+raises the error afterwards, as it was.
 """
 
 from __future__ import annotations
@@ -62,15 +65,20 @@ def _finite(values: Any, what: str) -> Any:
 
 
 class Evaluations:
-    """Caches values and first derivatives of the last point; `after` is asked after each iteration whether to go on.
+    """Caches values and first derivatives of the last point.
 
-    Each callback raises CyIpoptEvaluationError where a number is not finite: Ipopt then shortens its step.
+    `after` is asked after each iteration whether to go on.
+
+    Each callback raises CyIpoptEvaluationError where a number is not finite: Ipopt then shortens
+    its step.
     """
 
     def __init__(self, problem: IpoptProblem, after: Callable[..., bool]) -> None:
         self._problem = problem
         self._after = after
-        self._last: dict[str, tuple[np.ndarray, Any]] = dict.fromkeys(("values", "derivatives"), (np.full(problem.n, np.nan), None))
+        self._last: dict[str, tuple[np.ndarray, Any]] = dict.fromkeys(
+            ("values", "derivatives"), (np.full(problem.n, np.nan), None)
+        )
         self.error: BaseException | None = None
         self.seconds = 0.0
         self.calls = {"values": 0, "derivatives": 0, "hessians": 0}
@@ -91,12 +99,18 @@ class Evaluations:
 
     @_keeping
     def objective(self, x: np.ndarray) -> float:
-        """The minimised objective at x (n,) [units of the objective]. Raises CyIpoptEvaluationError where one is not finite."""
+        """The minimised objective at x (n,) [units of the objective].
+
+        Raises CyIpoptEvaluationError where one is not finite.
+        """
         return _finite(self._at(x, "values")[0], "the objective")
 
     @_keeping
     def constraints(self, x: np.ndarray) -> np.ndarray:
-        """Values (m,) of the constraints at x (n,) [units of the constraints]. Raises CyIpoptEvaluationError where one is not finite."""
+        """Values (m,) of the constraints at x (n,) [units of the constraints].
+
+        Raises CyIpoptEvaluationError where one is not finite.
+        """
         return _finite(self._at(x, "values")[1], "a constraint")
 
     @_keeping
@@ -121,7 +135,9 @@ class Evaluations:
 
         Raises CyIpoptEvaluationError where one is not finite.
         """
-        return _finite(self._counted("hessians", self._problem.hessian, x, lagrange, factor), "the Hessian")
+        return _finite(
+            self._counted("hessians", self._problem.hessian, x, lagrange, factor), "the Hessian"
+        )
 
     def intermediate(self, *numbers: Any) -> bool:
         """Ipopt's question after each iteration, whether to go on."""
@@ -134,10 +150,14 @@ class Evaluations:
 
 
 class IpoptProblem:
-    """A compiled model of n variables and m constraints, made by `compile_model`; values are current as of the last `refresh()` (compiling does the first).
+    """A compiled model of n variables and m constraints, made by `compile_model`.
 
-    model, objective_data: the Pyomo model and its active objective (None for a feasibility problem), of which sense * value is minimised
-    variables: Pyomo variables by column; equations: Pyomo constraints by row; trivial: constraints without a variable
+    Values are current as of the last `refresh()` (compiling does the first).
+
+    model, objective_data: the Pyomo model and its active objective (None for a feasibility
+        problem), of which sense * value is minimised
+    variables: Pyomo variables by column; equations: Pyomo constraints by row; trivial: constraints
+        without a variable
     lower, upper: (n,) bounds; constraint_lower, constraint_upper: (m,)
     """
 
@@ -149,21 +169,36 @@ class IpoptProblem:
         self.sense = sense_of(self.objective_data)
         self._rows = len(self._constraints) + 1  # the last row is the objective
         read = TermReader(self._rows)
-        sides = [_read_constraint(read, row, constraint) for row, constraint in enumerate(self._constraints)]
+        sides = [
+            _read_constraint(read, row, constraint)
+            for row, constraint in enumerate(self._constraints)
+        ]
         if self.objective_data is not None:
             read.read(self._rows - 1, self.objective_data, float(self.sense), self.objective_data)
-        self._row_bounds = _bounds([low for low, _ in sides], -np.inf), _bounds([high for _, high in sides], np.inf)
-        self.variables, self._data, self._named = tuple(read.variables), tuple(read.data), tuple(read.named.values())
+        self._row_bounds = (
+            _bounds([low for low, _ in sides], -np.inf),
+            _bounds([high for _, high in sides], np.inf),
+        )
+        self.variables, self._data, self._named = (
+            tuple(read.variables),
+            tuple(read.data),
+            tuple(read.named.values()),
+        )
         self.n = len(self.variables)
-        self._groups = [TermGroup(shape_of(signature), bucket) for signature, bucket in read.buckets.items()]
+        self._groups = [
+            TermGroup(shape_of(signature), bucket) for signature, bucket in read.buckets.items()
+        ]
         self._curved = [g for g in self._groups if g.is_curved]
         self._fixed_constants = np.array(read.constants, dtype=float)
         self._numeric_slopes = np.array(read.slopes, dtype=float)
-        self._settle_pattern(np.array(read.rows, dtype=np.intp), np.array(read.columns, dtype=np.intp))
+        self._settle_pattern(
+            np.array(read.rows, dtype=np.intp), np.array(read.columns, dtype=np.intp)
+        )
         self._settle_hessian()
         self.refresh(check=False)
 
-    # -- structure --------------------------------------------------------------------------------------------------------------
+    # -- structure
+    #   --------------------------------------------------------------------------------------------------------------
 
     def _settle_pattern(self, rows: np.ndarray, columns: np.ndarray) -> None:
         """One sorted list of (row, column) positions, and where each linear and nonlinear contribution lands in it."""
@@ -185,15 +220,22 @@ class IpoptProblem:
         renumbered = np.cumsum(used) - 1
         self._jacobian_rows = renumbered[self._entry_row[: self._objective_start]].astype(np.int32)
         self._jacobian_columns = self._entry_column[: self._objective_start].astype(np.int32)
-        self._value_rows = np.concatenate([g.rows for g in self._curved]) if self._curved else np.empty(0, dtype=np.intp)
+        self._value_rows = (
+            np.concatenate([g.rows for g in self._curved])
+            if self._curved
+            else np.empty(0, dtype=np.intp)
+        )
 
     def _settle_hessian(self) -> None:
-        keys = [r * self.n + c for r, c in (g.curvature_entries for g in self._curved)] or [np.empty(0, dtype=np.intp)]
+        keys = [r * self.n + c for r, c in (g.curvature_entries for g in self._curved)] or [
+            np.empty(0, dtype=np.intp)
+        ]
         unique, self._curvature_place = np.unique(np.concatenate(keys), return_inverse=True)
         rows, columns = np.divmod(unique, max(self.n, 1))
         self._hessian_rows, self._hessian_columns = rows.astype(np.int32), columns.astype(np.int32)
 
-    # -- values -----------------------------------------------------------------------------------------------------------------
+    # -- values
+    #   -----------------------------------------------------------------------------------------------------------------
 
     def refresh(self, *, check: bool = True) -> None:
         """Read Params, fixed values and bounds again.
@@ -201,8 +243,9 @@ class IpoptProblem:
         Raises
         ------
         StructureChangedError
-            if the structure is no longer the compiled one (a variable fixed or unfixed, a constraint or the objective added, removed, rewritten or
-            (de)activated, a named expression rewritten): then compile again
+            if the structure is no longer the compiled one (a variable fixed or unfixed, a
+            constraint or the objective added, removed, rewritten or (de)activated, a named
+            expression rewritten): then compile again
         MissingValueError
             where a Param, a fixed variable or a bound has no value
         """
@@ -218,8 +261,12 @@ class IpoptProblem:
             constants = self._fixed_constants.copy()
             for group in self._groups:
                 np.add.at(constants, group.rows, group.constants)
-            slopes = np.concatenate([self._numeric_slopes, *(g.affine_values for g in self._groups)])
-            self._affine = np.bincount(self._affine_place, weights=slopes, minlength=len(self._entry_row))
+            slopes = np.concatenate(
+                [self._numeric_slopes, *(g.affine_values for g in self._groups)]
+            )
+            self._affine = np.bincount(
+                self._affine_place, weights=slopes, minlength=len(self._entry_row)
+            )
         self._constants = constants
         self._require_finite()
         self._trivial_bounds = low[self._unsent], high[self._unsent]
@@ -229,49 +276,81 @@ class IpoptProblem:
         again = "compile the model again"
         constraints = active_constraints(self.model)
         if len(constraints) != len(self._constraints):
-            raise StructureChangedError(f"{len(constraints)} constraints are active, {len(self._constraints)} were compiled: {again}")
-        for now, then, expression in zip(constraints, self._constraints, self._expressions, strict=True):
+            raise StructureChangedError(
+                f"{len(constraints)} constraints are active, {len(self._constraints)} were compiled: {again}"
+            )
+        for now, then, expression in zip(
+            constraints, self._constraints, self._expressions, strict=True
+        ):
             if now is not then:
-                raise StructureChangedError(f"constraint '{now.name}' is active where '{then.name}' was compiled: {again}")
+                raise StructureChangedError(
+                    f"constraint '{now.name}' is active where '{then.name}' was compiled: {again}"
+                )
             if now.expr is not expression:
-                raise StructureChangedError(f"constraint '{now.name}' has another expression than the compiled one: {again}")
+                raise StructureChangedError(
+                    f"constraint '{now.name}' has another expression than the compiled one: {again}"
+                )
         objective = active_objective(self.model)
         if objective is not self.objective_data or sense_of(objective) != self.sense:
-            raise StructureChangedError(f"another objective (or sense) is active than the compiled one: {again}")
+            raise StructureChangedError(
+                f"another objective (or sense) is active than the compiled one: {again}"
+            )
         for named, inside in self._named:
             if named.args[0] is not inside:
-                raise StructureChangedError(f"expression '{named.name}' has another content than the compiled one: {again}")
+                raise StructureChangedError(
+                    f"expression '{named.name}' has another content than the compiled one: {again}"
+                )
         for variable in self.variables:
             if variable.fixed:
                 raise StructureChangedError(f"variable '{variable.name}' is fixed now: {again}")
         for source in self._data:
-            if source.__class__ is not EvaluatedExpression and source.is_variable_type() and not source.fixed:
-                raise StructureChangedError(f"variable '{source.name}' was fixed and is free now: {again}")
+            if (
+                source.__class__ is not EvaluatedExpression
+                and source.is_variable_type()
+                and not source.fixed
+            ):
+                raise StructureChangedError(
+                    f"variable '{source.name}' was fixed and is free now: {again}"
+                )
 
     def _read_row_bounds(self) -> list[np.ndarray]:
-        """Current lower and upper bounds (constraints,); MissingValueError where one has no value, or is infinite on the wrong side."""
+        """Current lower and upper bounds (constraints,).
+
+        MissingValueError where one has no value, or is infinite on the wrong side.
+        """
         known: dict[int, float] = {}
         sides = []
         for (numbers, later), unbounded in zip(self._row_bounds, (-np.inf, np.inf), strict=True):
             side = numbers.copy()
             for row, expression in later:
                 if id(expression) not in known:
-                    known[id(expression)] = read_bound(expression, "constraint", self._constraints[row], unbounded)
+                    known[id(expression)] = read_bound(
+                        expression, "constraint", self._constraints[row], unbounded
+                    )
                 side[row] = known[id(expression)]
             for row in np.flatnonzero(np.isnan(side) | (side == -unbounded)):
-                raise MissingValueError(f"constraint '{self._constraints[row].name}' has the bound {side[row]}")
+                raise MissingValueError(
+                    f"constraint '{self._constraints[row].name}' has the bound {side[row]}"
+                )
             sides.append(side)
         return sides
 
     def _require_finite(self) -> None:
-        bad = [*np.flatnonzero(~np.isfinite(self._constants)), *self._entry_row[~np.isfinite(self._affine)]]
+        bad = [
+            *np.flatnonzero(~np.isfinite(self._constants)),
+            *self._entry_row[~np.isfinite(self._affine)],
+        ]
         if bad:
             row = int(bad[0])
             where: Any = self.objective_data if row == self._rows - 1 else self._constraints[row]
-            raise MissingValueError(f"'{where.name}' has a coefficient that is not a finite number: check its Params and fixed variables")
+            raise MissingValueError(
+                f"'{where.name}' has a coefficient that is not a finite number: check its Params and fixed variables"
+            )
 
     def start(self) -> tuple[np.ndarray, int]:
-        """Current values of the variables; one without a value starts at the point of its bounds nearest 0.
+        """Current values of the variables.
+
+        One without a value starts at the point of its bounds nearest 0.
 
         Raises nothing: bounds that cross are for `solve` to tell.
 
@@ -286,16 +365,26 @@ class IpoptProblem:
         return np.array(values, dtype=float), len(missing)
 
     def violation(self, x: np.ndarray) -> float:
-        """Largest violation of a constraint or bound at x (n,) [units of the constraints]; what is not a number counts for nothing.
+        """Largest violation of a constraint or bound at x (n,) [units of the constraints].
+
+        What is not a number counts for nothing.
 
         Raises nothing.
         """
         g = self.constraints(x)
-        sides = (self.lower - x, x - self.upper, self.constraint_lower - g, g - self.constraint_upper)
+        sides = (
+            self.lower - x,
+            x - self.upper,
+            self.constraint_lower - g,
+            g - self.constraint_upper,
+        )
         return max((float(np.max(side)) for side in sides if side.size), default=0.0)
 
     def trivial_violation(self) -> tuple[float, str]:
-        """Largest violation of a constraint without variables, and its name; (0.0, "") where all hold."""
+        """Largest violation of a constraint without variables, and its name.
+
+        (0.0, "") where all hold.
+        """
         if not self.trivial:
             return 0.0, ""
         value, (low, high) = self._constants[self._unsent], self._trivial_bounds
@@ -303,7 +392,8 @@ class IpoptProblem:
         worst = int(np.argmax(violation))
         return float(violation[worst]), self.trivial[worst].name if violation[worst] > 0 else ""
 
-    # -- functions, under the names cyipopt asks for -----------------------------------------------------------------------------------
+    # -- functions, under the names cyipopt asks for
+    #   -----------------------------------------------------------------------------------
 
     def values(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """The functions at a point.
@@ -319,9 +409,15 @@ class IpoptProblem:
         the minimised objective, and the constraints (m,) [units of the constraints]
         """
         with np.errstate(all="ignore"):
-            total = self._constants + np.bincount(self._entry_row, self._affine * x[self._entry_column], self._rows)
+            total = self._constants + np.bincount(
+                self._entry_row, self._affine * x[self._entry_column], self._rows
+            )
             if self._curved:
-                total += np.bincount(self._value_rows, np.concatenate([g.values(x) for g in self._curved]), self._rows)
+                total += np.bincount(
+                    self._value_rows,
+                    np.concatenate([g.values(x) for g in self._curved]),
+                    self._rows,
+                )
         return float(total[-1]), total[self._sent]
 
     def derivatives(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -335,22 +431,33 @@ class IpoptProblem:
 
         Returns
         -------
-        gradient (n,) of the minimised objective, and entries (nonzeros,) of the Jacobian at the places of `jacobianstructure` [row per variable]
+        gradient (n,) of the minimised objective, and entries (nonzeros,) of the Jacobian at the
+            places of `jacobianstructure` [row per variable]
         """
         entries = self._affine
         if self._curved:
             with np.errstate(all="ignore"):
-                entries = entries + np.bincount(self._slope_place, np.concatenate([g.slopes(x) for g in self._curved]), len(entries))
+                entries = entries + np.bincount(
+                    self._slope_place,
+                    np.concatenate([g.slopes(x) for g in self._curved]),
+                    len(entries),
+                )
         gradient = np.zeros(self.n)
         gradient[self._entry_column[self._objective_start :]] = entries[self._objective_start :]
         return gradient, entries[: self._objective_start]
 
     def objective(self, x: np.ndarray) -> float:
-        """The minimised objective at x (n,) [units of the objective]. Raises nothing: NaN or inf where the model has no number."""
+        """The minimised objective at x (n,) [units of the objective].
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
         return self.values(x)[0]
 
     def constraints(self, x: np.ndarray) -> np.ndarray:
-        """Values (m,) of the constraints at x (n,) [units of the constraints]. Raises nothing: NaN or inf where the model has no number."""
+        """Values (m,) of the constraints at x (n,) [units of the constraints].
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
         return self.values(x)[1]
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
@@ -382,7 +489,9 @@ class IpoptProblem:
         (n,) gradient [objective per variable]
         """
         gradient, jacobian = self.derivatives(x)
-        return gradient + np.bincount(self._jacobian_columns, jacobian * lagrange[self._jacobian_rows], self.n)
+        return gradient + np.bincount(
+            self._jacobian_columns, jacobian * lagrange[self._jacobian_rows], self.n
+        )
 
     def jacobianstructure(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns (nonzeros,) of the Jacobian's entries [-]. Raises nothing."""
@@ -413,7 +522,10 @@ class IpoptProblem:
             return np.bincount(self._curvature_place, values, minlength=len(self._hessian_rows))
 
     def hessianstructure(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns (nonzeros,) of the Hessian's entries, rows >= columns [-]. Raises nothing."""
+        """Rows and columns (nonzeros,) of the Hessian's entries, rows >= columns [-].
+
+        Raises nothing.
+        """
         return self._hessian_rows, self._hessian_columns
 
     @property
@@ -425,13 +537,14 @@ class IpoptProblem:
 def compile_model(model: Any) -> IpoptProblem:
     """Translate a smooth Pyomo model; the model itself is not changed.
 
-    Variables come in order of first appearance, constraints in order of declaration; constraints without any variable are checked by
-    `IpoptProblem.trivial_violation`, not sent to Ipopt.
+    Variables come in order of first appearance, constraints in order of declaration; constraints
+    without any variable are checked by `IpoptProblem.trivial_violation`, not sent to Ipopt.
 
     Raises
     ------
     ModelRefusedError
-        for what Ipopt cannot treat (integer variables, untransformed Complementarity, abs of a variable, ..)
+        for what Ipopt cannot treat (integer variables, untransformed Complementarity, abs of a
+        variable, ..)
     MissingValueError
         where a Param or a fixed variable has no value
     """

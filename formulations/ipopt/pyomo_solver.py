@@ -6,30 +6,35 @@
     results = solver.solve(model, tee=True, timelimit=60)
     pyo.assert_optimal_termination(results)
 
-Suffixes as with Pyomo's ipopt: `dual`, `ipopt_zL_out`, `ipopt_zU_out` are filled where the model imports them; with warmstart=True (or the
-option warm_start_init_point=yes) `dual`, `ipopt_zL_in`, `ipopt_zU_in` start the next solve where the model exports them. After a solve
-`solver.last_result` is the IpoptResult: history, unscaled residuals, where the time went.
+Suffixes as with Pyomo's ipopt: `dual`, `ipopt_zL_out`, `ipopt_zU_out` are filled where the model
+imports them; with warmstart=True (or the option warm_start_init_point=yes) `dual`, `ipopt_zL_in`,
+`ipopt_zU_in` start the next solve where the model exports them. After a solve `solver.last_result`
+is the IpoptResult: history, unscaled residuals, where the time went.
 
-Where equations repeat each other Ipopt may miss an end by rounding: multipliers grow without one, or it gives up at a feasible point. Such a solve is
-made once more with its option perturb_always_cd, which its message says, and may take as many iterations again; setting the option to yes or no
-leaves it at one solve.
+Where equations repeat each other Ipopt may miss an end by rounding: multipliers grow without one,
+or it gives up at a feasible point. Such a solve is made once more with its option
+perturb_always_cd, which its message says, and may take as many iterations again; setting the option
+to yes or no leaves it at one solve.
 
-Signs of multipliers. Ipopt: L = sense*f + lagrange' g - zl' x + zu' x with zl, zu >= 0. Pyomo (as its ipopt interface reports them): a dual is the change of the
-model's objective when the constraint's bound grows by one, so that `min x, x >= 1` has dual +1; ipopt_zL_out and ipopt_zU_out likewise for
-the bounds of a variable, so zU is negative when minimising.
+Signs of multipliers. Ipopt: L = sense*f + lagrange' g - zl' x + zu' x with zl, zu >= 0. Pyomo (as
+its ipopt interface reports them): a dual is the change of the model's objective when the
+constraint's bound grows by one, so that `min x, x >= 1` has dual +1; ipopt_zL_out and ipopt_zU_out
+likewise for the bounds of a variable, so zU is negative when minimising.
 
-`PyomoAnswer` and `PyomoPlugin` are the outward manners of a Pyomo solver, shared by all that are registered here:
+`PyomoAnswer` and `PyomoPlugin` are the outward manners of a Pyomo solver, shared by all that are
+registered here:
 
     class Solver(PyomoPlugin):
         title = "name_in_the_factory"
         def run(self, model, *, options, timelimit, warmstart): -> (SolverResults, PyomoAnswer)
 
-`ContribSolver` is such a solver by Pyomo's second interface: results as an object, solutions loaded when asked for, errors unless the answer is optimal.
+`ContribSolver` is such a solver by Pyomo's second interface: results as an object, solutions loaded
+when asked for, errors unless the answer is optimal.
 
-    from pyomo.contrib.solver.common.factory import SolverFactory       # the names are those of the first interface
-    results = SolverFactory("mpec_ipopt").solve(model, time_limit=60, solver_options={"strategy": "scholtes"}, load_solutions=False)
-    results.termination_condition, results.solution_status, results.incumbent_objective
-    results.solution_loader.load_vars()
+    from pyomo.contrib.solver.common.factory import SolverFactory # the names are those of the first
+    interface results = SolverFactory("mpec_ipopt").solve(model, time_limit=60,
+    solver_options={"strategy": "scholtes"}, load_solutions=False) results.termination_condition,
+    results.solution_status, results.incumbent_objective results.solution_loader.load_vars()
 """
 
 from __future__ import annotations
@@ -72,7 +77,10 @@ from formulations.solution import Outcome
 
 
 def dual_start(problem: IpoptProblem) -> Start | None:
-    """The start that the model's values and export suffixes describe; None where they hold no multiplier."""
+    """The start that the model's values and export suffixes describe.
+
+    None where they hold no multiplier.
+    """
     found = {
         "lagrange": _exported(problem.model, "dual", problem.equations),
         "zl": _exported(problem.model, "ipopt_zL_in", problem.variables),
@@ -86,7 +94,10 @@ def dual_start(problem: IpoptProblem) -> Start | None:
 
 
 def _exported(model: Any, name: str, components: tuple[Any, ...]) -> np.ndarray | None:
-    """Values of the export suffixes of this name, on any active block; a component without entry has 0; None for no entry at all."""
+    """Values of the export suffixes of this name, on any active block.
+
+    A component without entry has 0; None for no entry at all.
+    """
     suffixes = [
         s
         for s in model.component_data_objects(Suffix, active=True, descend_into=Block)
@@ -103,7 +114,8 @@ def _exported(model: Any, name: str, components: tuple[Any, ...]) -> np.ndarray 
     return values
 
 
-# Outcome -> (status, termination condition); STALLED is refined in `PyomoAnswer`. "optimal" is what Pyomo's own ipopt reports for a KKT point.
+# Outcome -> (status, termination condition); STALLED is refined in `PyomoAnswer`. "optimal" is what
+# Pyomo's own ipopt reports for a KKT point.
 _CONDITIONS = MappingProxyType({
     Outcome.SOLVED: (SolverStatus.ok, TerminationCondition.optimal),
     Outcome.ITERATION_LIMIT: (SolverStatus.warning, TerminationCondition.maxIterations),
@@ -124,7 +136,8 @@ class PyomoAnswer:
     """What a solver found, as Pyomo's results, suffixes and models take it.
 
     found: the solver's own result, with outcome, message, objective and iterations
-    is_feasible: whether the point is known to satisfy the model; x (n,): values of `variables`, None for no point that is worth loading
+    is_feasible: whether the point is known to satisfy the model; x (n,): values of `variables`,
+        None for no point that is worth loading
     multipliers: dual (m,) of `equations`, zL, zU (n,), in Pyomo's signs; None where there are none
     pair_multipliers: (complementarity, (of its first argument, of its second)), in the same signs
     """
@@ -141,7 +154,10 @@ class PyomoAnswer:
     pair_multipliers: tuple[tuple[Any, tuple[float, float]], ...] = ()
 
     def results(self, solver: str, model: Any) -> SolverResults:
-        """Pyomo's report of the solve, without the point; a stalled solve is `feasible` only where its point is."""
+        """Pyomo's report of the solve, without the point.
+
+        A stalled solve is `feasible` only where its point is.
+        """
         results = SolverResults()
         facts = results.problem
         facts.name = model.name
@@ -150,7 +166,9 @@ class PyomoAnswer:
         facts.number_of_constraints = len(self.equations)
         facts.number_of_variables = facts.number_of_continuous_variables = len(self.variables)
         facts.number_of_binary_variables = facts.number_of_integer_variables = 0
-        if self.is_feasible and np.isfinite(self.found.objective):  # a feasible point bounds the optimum from one side
+        if self.is_feasible and np.isfinite(
+            self.found.objective
+        ):  # a feasible point bounds the optimum from one side
             if self.sense == 1:
                 facts.upper_bound = self.found.objective
             else:
@@ -174,7 +192,8 @@ class PyomoAnswer:
         if self.multipliers is not None:
             owners = (self.equations, self.variables, self.variables)
             found = {
-                name: zip(owner, values.tolist(), strict=True) for name, owner, values in zip(found, owners, self.multipliers, strict=True)
+                name: zip(owner, values.tolist(), strict=True)
+                for name, owner, values in zip(found, owners, self.multipliers, strict=True)
             }
         for name, values in {**found, "pair_dual": self.pair_multipliers}.items():
             suffix = model.component(name)
@@ -188,7 +207,11 @@ class PyomoAnswer:
             return results
         symbols, solution = SymbolMap(), Solution()
         label, row_label = NumericLabeler("x"), NumericLabeler("c")
-        solution.status = SolutionStatus.optimal if self.found.outcome is Outcome.SOLVED else SolutionStatus.unknown
+        solution.status = (
+            SolutionStatus.optimal
+            if self.found.outcome is Outcome.SOLVED
+            else SolutionStatus.unknown
+        )
         entries = [{"Value": value} for value in self.x.tolist()]
         if self.multipliers is not None:
             dual, lower, upper = (values.tolist() for values in self.multipliers)
@@ -203,7 +226,9 @@ class PyomoAnswer:
         return results
 
 
-def pyomo_multipliers(sense: int, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def pyomo_multipliers(
+    sense: int, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Multipliers in Pyomo's signs, from Ipopt's.
 
     Raises nothing.
@@ -223,18 +248,33 @@ def pyomo_multipliers(sense: int, lagrange: np.ndarray, zl: np.ndarray, zu: np.n
 
 logger = logging.getLogger(__name__)
 
-# Keywords of Pyomo's file-based solvers that have nothing to act on here: no file is written, no name is shortened.
+# Keywords of Pyomo's file-based solvers that have nothing to act on here: no file is written, no
+# name is shortened.
 _WITHOUT_EFFECT = frozenset(
-    {"keepfiles", "symbolic_solver_labels", "io_options", "report_timing", "suffixes", "solver_io", "use_signal_handling"}
+    {
+        "keepfiles",
+        "symbolic_solver_labels",
+        "io_options",
+        "report_timing",
+        "suffixes",
+        "solver_io",
+        "use_signal_handling",
+    }
 )
 
 
 class PyomoPlugin(ABC):
-    """What Pyomo asks of a solver; `options` stays from solve to solve, `last_result` is what the last one found, in this package's own words."""
+    """What Pyomo asks of a solver.
+
+    `options` stays from solve to solve, `last_result` is what the last one found, in this package's
+    own words.
+    """
 
     title: str
 
-    def __init__(self, *, options: Mapping[str, Any] | None = None, name: str = "", **ignored: Any) -> None:
+    def __init__(
+        self, *, options: Mapping[str, Any] | None = None, name: str = "", **ignored: Any
+    ) -> None:
         unknown = set(ignored) - _WITHOUT_EFFECT - {"type", "doc", "validate"}
         if unknown:
             raise TypeError(f"{self.title} takes no argument {', '.join(sorted(unknown))}")
@@ -242,7 +282,8 @@ class PyomoPlugin(ABC):
         self.options = Bunch(**(options or {}))
         self.last_result: Any = None
 
-    # -- what Pyomo asks of a solver ----------------------------------------------------------------------------------------------
+    # -- what Pyomo asks of a solver
+    #   ----------------------------------------------------------------------------------------------
 
     def available(self, exception_flag: bool = False) -> bool:
         """True: importing the package needs Ipopt."""
@@ -278,7 +319,8 @@ class PyomoPlugin(ABC):
     def __exit__(self, *exception: object) -> None:
         return None
 
-    # -- solving ------------------------------------------------------------------------------------------------------------------
+    # -- solving
+    #   ------------------------------------------------------------------------------------------------------------------
 
     def solve(
         self,
@@ -295,7 +337,8 @@ class PyomoPlugin(ABC):
     ) -> SolverResults:
         """Translate, solve and (by default) load. `logfile` takes Ipopt's log, and how it ended.
 
-        As with Pyomo's own solvers a result with a warning is loaded and logged. KeyboardInterrupt leaves the model as it was.
+        As with Pyomo's own solvers a result with a warning is loaded and logged. KeyboardInterrupt
+        leaves the model as it was.
 
         Raises
         ------
@@ -310,30 +353,51 @@ class PyomoPlugin(ABC):
         if unknown:
             raise TypeError(f"{self.title}.solve takes no argument {', '.join(sorted(unknown))}")
         if isinstance(options, str):
-            raise TypeError(f"{self.title}.solve takes options as a dict, not {options!r}; options_string takes a text")
+            raise TypeError(
+                f"{self.title}.solve takes options as a dict, not {options!r}; options_string takes a text"
+            )
         if timelimit is not None and (isinstance(timelimit, (bool, str)) or not timelimit > 0):
-            raise ValueError(f"{self.title}.solve: timelimit is a positive number of seconds, not {timelimit!r}")
+            raise ValueError(
+                f"{self.title}.solve: timelimit is a positive number of seconds, not {timelimit!r}"
+            )
         self.last_result = None
         chosen = {**self.options, **(options or {}), **_options_of_text(options_string)}
         chosen.pop("solver", None)
         with ExitStack() as stack:
-            log = None if logfile is None else stack.enter_context(Path(logfile).open("w", encoding="utf-8"))
-            streams = [stream for stream in (sys.stdout if tee else None, log) if stream is not None]
+            log = (
+                None
+                if logfile is None
+                else stack.enter_context(Path(logfile).open("w", encoding="utf-8"))
+            )
+            streams = [
+                stream for stream in (sys.stdout if tee else None, log) if stream is not None
+            ]
             with _shown_on(streams, chosen):
-                results, answer = self.run(model, options=chosen, timelimit=timelimit, warmstart=warmstart)
+                results, answer = self.run(
+                    model, options=chosen, timelimit=timelimit, warmstart=warmstart
+                )
             if log is not None:
                 log.write(f"{self.title}: {answer.found.message}\n")
         if not load_solutions:
             return answer.carry(results)
         if results.solver.status == SolverStatus.error:
-            raise ValueError(f"{self.title} has no solution to load for '{model.name}': {results.solver.message}")
+            raise ValueError(
+                f"{self.title} has no solution to load for '{model.name}': {results.solver.message}"
+            )
         if results.solver.status != SolverStatus.ok:
-            logger.warning("'%s' ended with %s: %s", model.name, results.solver.termination_condition, results.solver.message)
+            logger.warning(
+                "'%s' ended with %s: %s",
+                model.name,
+                results.solver.termination_condition,
+                results.solver.message,
+            )
         answer.load(model)
         return results
 
     @abstractmethod
-    def run(self, model: Any, *, options: dict[str, Any], timelimit: float | None, warmstart: bool) -> tuple[SolverResults, PyomoAnswer]:
+    def run(
+        self, model: Any, *, options: dict[str, Any], timelimit: float | None, warmstart: bool
+    ) -> tuple[SolverResults, PyomoAnswer]:
         """Solve, keep `last_result`, and say it in Pyomo's words. The model is only read."""
 
 
@@ -359,11 +423,16 @@ _AGAIN = "once more with perturb_always_cd='yes', because constraints may repeat
 
 
 class TouchstoneIpopt(PyomoPlugin):
-    """A Pyomo solver object. `options` holds Ipopt options; `last_result` is the IpoptResult of the last solve."""
+    """A Pyomo solver object.
+
+    `options` holds Ipopt options; `last_result` is the IpoptResult of the last solve.
+    """
 
     title = "touchstone_ipopt"
 
-    def run(self, model: Any, *, options: dict[str, Any], timelimit: float | None, warmstart: bool) -> tuple[SolverResults, PyomoAnswer]:
+    def run(
+        self, model: Any, *, options: dict[str, Any], timelimit: float | None, warmstart: bool
+    ) -> tuple[SolverResults, PyomoAnswer]:
         """Solve, and once more with `perturb_always_cd` where constraints may repeat each other."""
         problem = compile_model(model)
         primal_dual = warmstart or str(options.get("warm_start_init_point", "no")) == "yes"
@@ -371,8 +440,17 @@ class TouchstoneIpopt(PyomoPlugin):
         begin = perf_counter()
         result = solve(problem, options=options, warm_start=start, time_limit=timelimit)
         left = None if timelimit is None else timelimit - (perf_counter() - begin)
-        if repeats_constraints(result) and "perturb_always_cd" not in options and (left is None or left > 0):
-            again = solve(problem, options={**options, "perturb_always_cd": "yes"}, warm_start=start, time_limit=left)
+        if (
+            repeats_constraints(result)
+            and "perturb_always_cd" not in options
+            and (left is None or left > 0)
+        ):
+            again = solve(
+                problem,
+                options={**options, "perturb_always_cd": "yes"},
+                warm_start=start,
+                time_limit=left,
+            )
             if again.outcome is Outcome.SOLVED:
                 result = replace(again, message=f"{again.message}; {_AGAIN}")
         self.last_result = result
@@ -391,12 +469,18 @@ class TouchstoneIpopt(PyomoPlugin):
         results.problem.number_of_nonzeros = len(problem.jacobianstructure()[0])
         results.solver.return_code = result.status
         results.solver.user_time = result.seconds.cpu
-        results.solver.statistics.black_box.number_of_function_evaluations = result.calls.get("values", 0)
-        results.solver.statistics.black_box.number_of_gradient_evaluations = result.calls.get("derivatives", 0)
+        results.solver.statistics.black_box.number_of_function_evaluations = result.calls.get(
+            "values", 0
+        )
+        results.solver.statistics.black_box.number_of_gradient_evaluations = result.calls.get(
+            "derivatives", 0
+        )
         return results, answer
 
 
-_WITHOUT_POINT = frozenset({Outcome.EVALUATION_ERROR, Outcome.REFUSED, Outcome.CRASHED, Outcome.FAILED})
+_WITHOUT_POINT = frozenset(
+    {Outcome.EVALUATION_ERROR, Outcome.REFUSED, Outcome.CRASHED, Outcome.FAILED}
+)
 
 
 def _has_point(result: IpoptResult) -> bool:
@@ -430,18 +514,25 @@ class _Loader(SolutionLoader):
     def get_vars(self, vars_to_load: Sequence[Any] | None = None) -> Mapping[Any, float]:
         if self._answer.x is None:
             raise NoSolutionError
-        return _chosen(zip(self._answer.variables, self._answer.x.tolist(), strict=True), vars_to_load)
+        return _chosen(
+            zip(self._answer.variables, self._answer.x.tolist(), strict=True), vars_to_load
+        )
 
     def get_duals(self, cons_to_load: Sequence[Any] | None = None) -> Any:
         if self._answer.multipliers is None:
             raise NoDualsError
-        return _chosen(zip(self._answer.equations, self._answer.multipliers[0].tolist(), strict=True), cons_to_load)
+        return _chosen(
+            zip(self._answer.equations, self._answer.multipliers[0].tolist(), strict=True),
+            cons_to_load,
+        )
 
     def get_reduced_costs(self, vars_to_load: Sequence[Any] | None = None) -> Mapping[Any, float]:
         if self._answer.multipliers is None:
             raise NoReducedCostsError
         _, lower, upper = self._answer.multipliers
-        return _chosen(zip(self._answer.variables, np.add(lower, upper).tolist(), strict=True), vars_to_load)
+        return _chosen(
+            zip(self._answer.variables, np.add(lower, upper).tolist(), strict=True), vars_to_load
+        )
 
     def load_solution(self) -> None:
         self._answer.load(self._pyomo_model)
@@ -489,19 +580,37 @@ class ContribSolver(SolverBase):
         config = self.config(value=settings, preserve_implicit=True)
         options, plugin = config.solver_options.value(), self.plugin()
         with _shown_on(config.tee, options):
-            _, answer = plugin.run(model, options=options, timelimit=config.time_limit, warmstart=False)
+            _, answer = plugin.run(
+                model, options=options, timelimit=config.time_limit, warmstart=False
+            )
         self.last_result = plugin.last_result
         results = second.Results()
-        results.solver_name, results.solver_version, results.solver_config = self.name, self.version(), config
-        results.termination_condition = _SECOND_CONDITIONS.get(answer.found.outcome, second.TerminationCondition.error)
+        results.solver_name, results.solver_version, results.solver_config = (
+            self.name,
+            self.version(),
+            config,
+        )
+        results.termination_condition = _SECOND_CONDITIONS.get(
+            answer.found.outcome, second.TerminationCondition.error
+        )
         results.solution_status = _status(answer)
         results.solution_loader = _Loader(model, answer)
-        results.incumbent_objective = answer.found.objective if answer.is_feasible and answer.has_objective else None
+        results.incumbent_objective = (
+            answer.found.objective if answer.is_feasible and answer.has_objective else None
+        )
         results.extra_info.message = answer.found.message
         results.extra_info.iteration_count = answer.found.iterations
-        results.timing_info.start_timestamp, results.timing_info.wall_time = begun, perf_counter() - began
-        if config.raise_exception_on_nonoptimal_result and results.solution_status is not second.SolutionStatus.optimal:
-            raise NoOptimalSolutionError(f"{NoOptimalSolutionError.default_message} It ended with: {answer.found.message}")
+        results.timing_info.start_timestamp, results.timing_info.wall_time = (
+            begun,
+            perf_counter() - began,
+        )
+        if (
+            config.raise_exception_on_nonoptimal_result
+            and results.solution_status is not second.SolutionStatus.optimal
+        ):
+            raise NoOptimalSolutionError(
+                f"{NoOptimalSolutionError.default_message} It ended with: {answer.found.message}"
+            )
         if config.load_solutions:
             if answer.x is None:
                 raise NoFeasibleSolutionError
@@ -514,4 +623,6 @@ def _status(answer: PyomoAnswer) -> second.SolutionStatus:
         return second.SolutionStatus.noSolution
     if answer.found.outcome is Outcome.SOLVED:
         return second.SolutionStatus.optimal
-    return second.SolutionStatus.feasible if answer.is_feasible else second.SolutionStatus.infeasible
+    return (
+        second.SolutionStatus.feasible if answer.is_feasible else second.SolutionStatus.infeasible
+    )

@@ -2,11 +2,13 @@
 
     m.p * x[1] + 3 * x[2] - sin(x[1] * x[2]) + 4
 
-gives the triplet (row, x[2], 3), the constant 4, and two terms: ("*", "p", 0) with weight 1 (its slope is data, so it is read again at each
-refresh) and ("sin", "*", 0, 1) with weight -1. Terms of one signature are collected in one `Bucket`.
+gives the triplet (row, x[2], 3), the constant 4, and two terms: ("*", "p", 0) with weight 1 (its
+slope is data, so it is read again at each refresh) and ("sin", "*", 0, 1) with weight -1. Terms of
+one signature are collected in one `Bucket`.
 
-A term too long to be read as a tree is read with operands first and every shared subexpression once: `"shared"` in front, and `("ref", k)` for the
-k-th operation already written. Pyomo's classes are looked up exactly; a class met for the first time is asked what it is.
+A term too long to be read as a tree is read with operands first and every shared subexpression
+once: `"shared"` in front, and `("ref", k)` for the k-th operation already written. Pyomo's classes
+are looked up exactly; a class met for the first time is asked what it is.
 """
 
 from __future__ import annotations
@@ -27,7 +29,20 @@ from pyomo.core.expr.visitor import identify_variables
 from formulations.ipopt.graph import UNARY
 from formulations.ipopt.model import EvaluatedExpression, ModelRefusedError, as_data
 
-_NUMBER, _LEAF, _MONOMIAL, _SUM, _PRODUCT, _DIVISION, _NEGATION, _POWER, _FUNCTION, _NAMED, _OTHER, _READ = range(12)
+(
+    _NUMBER,
+    _LEAF,
+    _MONOMIAL,
+    _SUM,
+    _PRODUCT,
+    _DIVISION,
+    _NEGATION,
+    _POWER,
+    _FUNCTION,
+    _NAMED,
+    _OTHER,
+    _READ,
+) = range(12)
 
 
 class _Read(NamedTuple):
@@ -46,7 +61,8 @@ _KIND: dict[type, int] = {
     pe.NegationExpression: _NEGATION, pe.NPV_NegationExpression: _NEGATION,
     pe.PowExpression: _POWER, pe.NPV_PowExpression: _POWER,
     pe.UnaryFunctionExpression: _FUNCTION, pe.NPV_UnaryFunctionExpression: _FUNCTION,
-    ExpressionData: _NAMED, ScalarExpression: _NAMED, ObjectiveData: _NAMED, ScalarObjective: _NAMED,
+    ExpressionData: _NAMED, ScalarExpression: _NAMED, ObjectiveData: _NAMED,
+    ScalarObjective: _NAMED,
     _Read: _READ,
 }  # fmt: skip
 
@@ -63,7 +79,9 @@ def _classify(node: Any, cls: type) -> int:
         _KIND[cls] = _NUMBER
         return _NUMBER
     if not hasattr(node, "is_numeric_type") or not node.is_numeric_type():
-        raise ModelRefusedError(f"{str(node)!r} of type {cls.__name__} is not a number, a Param, a variable or a numeric expression")
+        raise ModelRefusedError(
+            f"{str(node)!r} of type {cls.__name__} is not a number, a Param, a variable or a numeric expression"
+        )
     if node.is_variable_type() or node.is_parameter_type():
         return _LEAF
     if node.is_named_expression_type():
@@ -72,14 +90,17 @@ def _classify(node: Any, cls: type) -> int:
 
 
 _ONE = ("c", 1.0)
-# A data factor is carried into a sum with more summands than this, so that p * (x1**2 + .. + x5000**2) is 5000 small terms, not a huge one.
+# A data factor is carried into a sum with more summands than this, so that p * (x1**2 + .. +
+# x5000**2) is 5000 small terms, not a huge one.
 _WIDE_SUM = 16
 _SHORT_LOOK = 64
-# A sum that is met again and again inside one expression (e = e + 0.1 * e, sixty times) is a small graph but an astronomically large tree:
-# after this many repeated summands, sums are handed on whole to the reader of shared terms.
+# A sum that is met again and again inside one expression (e = e + 0.1 * e, sixty times) is a small
+# graph but an astronomically large tree: after this many repeated summands, sums are handed on
+# whole to the reader of shared terms.
 _REPEATED = 100_000
-# A term longer than this is read again with every shared subexpression written once: expressions built by repeated substitution
-# (x_next = f(x), five hundred times) are small graphs but astronomically large trees.
+# A term longer than this is read again with every shared subexpression written once: expressions
+# built by repeated substitution (x_next = f(x), five hundred times) are small graphs but
+# astronomically large trees.
 _LONG_TERM = 4_000
 
 
@@ -95,12 +116,19 @@ class Bucket:
 
 
 class TermReader:
-    """Reads expressions of one model into so many rows. Variables get columns in order of first appearance; Params and fixed variables get data numbers."""
+    """Reads expressions of one model into so many rows.
+
+    Variables get columns in order of first appearance; Params and fixed variables get data numbers.
+    """
 
     def __init__(self, rows: int) -> None:
         self.variables: list[Any] = []
-        self.data: list[Any] = []  # Params, fixed variables, EvaluatedExpressions: all have `.value`
-        self.named: dict[int, tuple[Any, Any]] = {}  # named expressions and what they held when they were read
+        self.data: list[
+            Any
+        ] = []  # Params, fixed variables, EvaluatedExpressions: all have `.value`
+        self.named: dict[
+            int, tuple[Any, Any]
+        ] = {}  # named expressions and what they held when they were read
         self.buckets: dict[tuple, Bucket] = {}
         self.rows: list[int] = []
         self.columns: list[int] = []
@@ -110,10 +138,14 @@ class TermReader:
         self._domains: dict[int, tuple[Any, bool]] = {}
         self.where: Any = None
 
-    # -- leaves ---------------------------------------------------------------------------------------------------------------
+    # -- leaves
+    #   ---------------------------------------------------------------------------------------------------------------
 
     def place(self, leaf: Any) -> int:
-        """Column of a free variable, or ~k for the k-th datum. Raises ModelRefusedError for a variable that is not continuous."""
+        """Column of a free variable, or ~k for the k-th datum.
+
+        Raises ModelRefusedError for a variable that is not continuous.
+        """
         known = self._place.get(id(leaf))
         if known is not None:
             return known
@@ -140,7 +172,8 @@ class TermReader:
                 "(fix it, relax it with core.relax_integer_vars, or use a mixed-integer solver)"
             )
 
-    # -- top level: a sum of terms ------------------------------------------------------------------------------------------------
+    # -- top level: a sum of terms
+    #   ------------------------------------------------------------------------------------------------
 
     def read(self, row: int, expression: Any, sign: float, where: Any) -> None:
         """Add sign * expression to a row.
@@ -162,14 +195,18 @@ class TermReader:
         rows, columns, slopes = self.rows, self.columns, self.slopes
         met: set[int] = set()
         repeated = 0
-        stack: list[tuple[Any, float, Any]] = [(expression, sign, None)]  # (summand, number, data or None): their product
+        stack: list[tuple[Any, float, Any]] = [
+            (expression, sign, None)
+        ]  # (summand, number, data or None): their product
         while stack:
             node, weight, data = stack.pop()
             code = kind(node.__class__)
             if code is None:
                 code = _kind_of(node)
             if code == _MONOMIAL and data is None:
-                factor, variable = node._args_ if node.__class__ is pe.MonomialTermExpression else node.args
+                factor, variable = (
+                    node._args_ if node.__class__ is pe.MonomialTermExpression else node.args
+                )
                 if factor.__class__ in native_numeric_types:
                     column = place(id(variable))
                     if column is None:
@@ -210,7 +247,9 @@ class TermReader:
             else:
                 self._term(row, weight, node, data)
 
-    def _factor(self, row: int, node: Any, weight: float, data: Any, stack: list[tuple[Any, float, Any]]) -> None:
+    def _factor(
+        self, row: int, node: Any, weight: float, data: Any, stack: list[tuple[Any, float, Any]]
+    ) -> None:
         """A product or quotient on the top level: carry numbers into the weight, and data into wide sums."""
         inside, factor, divides = _data_factor(node)
         if factor.__class__ in native_numeric_types and not (divides and factor == 0):
@@ -229,7 +268,9 @@ class TermReader:
         inside = named.args[0]
         self.named[id(named)] = (named, inside)
         if inside is None:
-            raise ModelRefusedError(f"'{self.where.name}' uses the expression '{named.name}', which has not been given a value")
+            raise ModelRefusedError(
+                f"'{self.where.name}' uses the expression '{named.name}', which has not been given a value"
+            )
         return inside
 
     def _term(self, row: int, weight: float, node: Any, data: Any) -> None:
@@ -245,10 +286,16 @@ class TermReader:
         bucket.numbers += numbers
         bucket.params += params
 
-    # -- one term ---------------------------------------------------------------------------------------------------------------
+    # -- one term
+    #   ---------------------------------------------------------------------------------------------------------------
 
-    def _tokens(self, root: Any, *, shared: bool = False) -> tuple[tuple, list[int], list[float], list[int]]:
-        """Tokens, columns by slot, numbers and data numbers of a term; shared: operands first, and every subexpression once."""
+    def _tokens(
+        self, root: Any, *, shared: bool = False
+    ) -> tuple[tuple, list[int], list[float], list[int]]:
+        """Tokens, columns by slot, numbers and data numbers of a term.
+
+        shared: operands first, and every subexpression once.
+        """
         place, kind = self._place.get, _KIND.get
         tokens: list[Any] = ["shared"] if shared else []
         numbers: list[float] = []
@@ -276,7 +323,10 @@ class TermReader:
                 else:
                     tokens.append("n")
                     numbers.append(node)
-            elif not shared and code in (_PRODUCT, _MONOMIAL):  # here too, because they are most of all: a tenth of the whole translation
+            elif not shared and code in (
+                _PRODUCT,
+                _MONOMIAL,
+            ):  # here too, because they are most of all: a tenth of the whole translation
                 tokens.append("*")
                 stack.extend(reversed(node.args))
             elif code == _NAMED:
@@ -312,7 +362,11 @@ def _operator(node: Any, code: int) -> tuple[Any, Sequence[Any]] | None:
         return ("+", len(operands)), operands
     if code == _POWER:
         base, exponent = node.args
-        return (("^", float(exponent)), (base,)) if exponent.__class__ in native_numeric_types else ("^", (base, exponent))
+        return (
+            (("^", float(exponent)), (base,))
+            if exponent.__class__ in native_numeric_types
+            else ("^", (base, exponent))
+        )
     if code == _DIVISION:
         return "/", node.args
     if code == _NEGATION:
@@ -323,7 +377,10 @@ def _operator(node: Any, code: int) -> tuple[Any, Sequence[Any]] | None:
 
 
 def _data_factor(node: Any) -> tuple[Any, Any, bool]:
-    """(rest, data, whether it divides) of a product or quotient; (node, None, False) if neither operand is data."""
+    """(rest, data, whether it divides) of a product or quotient.
+
+    (node, None, False) if neither operand is data.
+    """
     left, right = node.args
     if _kind_of(node) == _DIVISION:
         return (node, None, False) if is_potentially_variable(right) else (left, right, True)
@@ -339,12 +396,17 @@ def _data_factor(node: Any) -> tuple[Any, Any, bool]:
 def _variable_and_wide_sum(node: Any) -> tuple[Any, Sequence[Any]] | None:
     """(variable, summands) of a variable times a wide sum; None for anything else.
 
-    A quadratic form x' A x is written as such products. Whole, each row of A is a shape of its own with a dense Hessian, to be generated and compiled:
-    with 100 variables that is 6 of 8 CPU s. Multiplied out they are terms of one shape.
+    A quadratic form x' A x is written as such products. Whole, each row of A is a shape of its own
+    with a dense Hessian, to be generated and compiled: with 100 variables that is 6 of 8 CPU s.
+    Multiplied out they are terms of one shape.
     """
     if _kind_of(node) == _PRODUCT:
         for variable, others in (node.args, node.args[::-1]):
-            if _kind_of(variable) == _LEAF and _kind_of(others) == _SUM and others.nargs() > _WIDE_SUM:
+            if (
+                _kind_of(variable) == _LEAF
+                and _kind_of(others) == _SUM
+                and others.nargs() > _WIDE_SUM
+            ):
                 return variable, others.args
     return None
 

@@ -1,8 +1,8 @@
 """What a solve hands back, frozen, and the explicit step that writes it into the Pyomo model.
 
 `STATUS` maps Ipopt's return codes to an Outcome; a code that is not in it is FAILED, never success.
-`residuals` says how far a point is from a KKT point of the model as it was written: no scaling, no relaxed bounds, nothing taken from Ipopt's
-report.
+`residuals` says how far a point is from a KKT point of the model as it was written: no scaling, no
+relaxed bounds, nothing taken from Ipopt's report.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from pyomo.core.staleflag import StaleFlagManager
 from formulations.ipopt.problem import IpoptProblem
 from formulations.solution import Outcome, Seconds
 
-# Ipopt's ApplicationReturnStatus (IpReturnCodes_inc.h), complete as of Ipopt 3.14. SOLVED here is Ipopt's opinion; `solve` keeps it only if the
-# unscaled residuals agree.
+# Ipopt's ApplicationReturnStatus (IpReturnCodes_inc.h), complete as of Ipopt 3.14. SOLVED here is
+# Ipopt's opinion; `solve` keeps it only if the unscaled residuals agree.
 STATUS = MappingProxyType({
     0: ("Solve_Succeeded", Outcome.SOLVED),
     1: ("Solved_To_Acceptable_Level", Outcome.SOLVED),
@@ -43,7 +43,8 @@ STATUS = MappingProxyType({
     -199: ("Internal_Error", Outcome.CRASHED),
 })  # fmt: skip
 
-# The status of a problem that was decided without Ipopt: nothing to optimise, contradicting bounds, a false constraint of numbers.
+# The status of a problem that was decided without Ipopt: nothing to optimise, contradicting bounds,
+# a false constraint of numbers.
 NOT_SENT = -1000
 
 
@@ -57,15 +58,22 @@ def name_of(status: int) -> str:
     return STATUS[status][0] if status in STATUS else f"unknown Ipopt status {status}"
 
 
-# Judging a point solved: violation of a constraint or bound relative to max(1, |bound|); stationarity relative to the largest term of its
-# own sum (at least 1); complementarity relative to max(1, |objective|). Ipopt stops at 1e-8 in *its* scaling, which is up to a factor 100
-# away from the model's, and relaxes bounds by 1e-8: hence 1e-6, which no true solution misses and no acceptable-level one meets by accident.
-FEASIBILITY, STATIONARITY, COMPLEMENTARITY = 1e-6, 1e-5, 1e-5
+# Judging a point solved: violation of a constraint or bound relative to max(1, |bound|);
+# stationarity relative to the largest term of its own sum (at least 1); complementarity relative to
+# max(1, |objective|). Ipopt stops at 1e-8 in *its* scaling, which is up to a factor 100 away from
+# the model's, and relaxes bounds by 1e-8: hence 1e-6, which no true solution misses and no
+# acceptable-level one meets by accident.
+FEASIBILITY = 1e-6
+STATIONARITY = 1e-5
+COMPLEMENTARITY = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Residuals:
-    """Largest absolute values, and the same relative to the scales named above (these are judged). All NaN if a function is."""
+    """Largest absolute values, and the same relative to the scales named above (these are judged).
+
+    All NaN if a function is.
+    """
 
     constraint_violation: float
     dual_infeasibility: float
@@ -75,7 +83,10 @@ class Residuals:
     relative_complementarity: float
 
     def meets(self, tolerance: float = 0.0) -> bool:
-        """Whether the point passes; `tolerance` loosens the limits where the caller asked Ipopt for less than they demand."""
+        """Whether the point passes.
+
+        `tolerance` loosens the limits where the caller asked Ipopt for less than they demand.
+        """
         return (
             self.relative_violation <= max(FEASIBILITY, tolerance)
             and self.relative_dual <= max(STATIONARITY, tolerance)
@@ -102,7 +113,13 @@ def _largest(values: np.ndarray) -> float:
 
 
 def bound_products(
-    problem: IpoptProblem, x: np.ndarray, g: np.ndarray, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray, rows: np.ndarray
+    problem: IpoptProblem,
+    x: np.ndarray,
+    g: np.ndarray,
+    lagrange: np.ndarray,
+    zl: np.ndarray,
+    zu: np.ndarray,
+    rows: np.ndarray,
 ) -> np.ndarray:
     """|distance to a bound * its multiplier| where the bound is finite, of the variables and of some constraints.
 
@@ -127,10 +144,14 @@ def bound_products(
         (g - low, np.maximum(-lagrange, 0.0), rows & np.isfinite(low)),
         (high - g, np.maximum(lagrange, 0.0), rows & np.isfinite(high)),
     )
-    return np.concatenate([np.abs(distance[where] * multiplier[where]) for distance, multiplier, where in sides])
+    return np.concatenate(
+        [np.abs(distance[where] * multiplier[where]) for distance, multiplier, where in sides]
+    )
 
 
-def residuals(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray) -> Residuals:
+def residuals(
+    problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray
+) -> Residuals:
     """Unscaled residuals of a point with multipliers in Ipopt's signs (L = f + lagrange' g - zl' x + zu' x).
 
     Raises nothing: NaN where a function has no number.
@@ -155,13 +176,23 @@ def residuals(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, zl: np
 
         products = jacobian * lagrange[rows]
         stationarity = gradient + np.bincount(columns, products, problem.n) - zl + zu
-        stationarity[problem.lower == problem.upper] = 0.0  # a bound on both sides takes any multiplier
+        stationarity[problem.lower == problem.upper] = (
+            0.0  # a bound on both sides takes any multiplier
+        )
         wrong_side = np.concatenate([
             np.maximum(-lagrange, 0.0)[np.isinf(problem.constraint_lower)],
             np.maximum(lagrange, 0.0)[np.isinf(problem.constraint_upper)],
         ])  # fmt: skip
-        dual = np.concatenate([np.abs(stationarity), wrong_side, np.maximum(-zl, 0.0), np.maximum(-zu, 0.0)])
-        terms = [1.0, _largest(np.abs(gradient)), _largest(np.abs(products)), _largest(np.abs(zl)), _largest(np.abs(zu))]
+        dual = np.concatenate(
+            [np.abs(stationarity), wrong_side, np.maximum(-zl, 0.0), np.maximum(-zu, 0.0)]
+        )
+        terms = [
+            1.0,
+            _largest(np.abs(gradient)),
+            _largest(np.abs(products)),
+            _largest(np.abs(zl)),
+            _largest(np.abs(zu)),
+        ]
 
         complementarity = bound_products(problem, x, g, lagrange, zl, zu, np.full(problem.m, True))
     worst_dual, worst_product = _largest(dual), _largest(complementarity)
@@ -208,7 +239,8 @@ class Iteration:
 class IpoptExit:
     """Where Ipopt ended: its status code (`NOT_SENT` if it was not needed), the point and its multipliers; a message only where Ipopt was not needed.
 
-    x: (n,) by `problem.variables`; lagrange: (m,) by `problem.equations`; zl, zu: (n,), all in Ipopt's signs, L = f + lagrange' g - zl' x + zu' x
+    x: (n,) by `problem.variables`; lagrange: (m,) by `problem.equations`; zl, zu: (n,), all in
+        Ipopt's signs, L = f + lagrange' g - zl' x + zu' x
     """
 
     status: int
@@ -223,7 +255,8 @@ class IpoptExit:
 class IpoptResult(IpoptExit):
     """How a solve ended.
 
-    outcome: after our own check; message: one sentence; objective: in the model's own sense; residuals: unscaled, at x; seconds: in the model's functions, in
+    outcome: after our own check; message: one sentence; objective: in the model's own sense;
+        residuals: unscaled, at x; seconds: in the model's functions, in
     the rest of Ipopt (its linear algebra), and in all
     """
 

@@ -2,15 +2,19 @@
 
     0.5 * k * (q[3] - q[1])**2   and   0.5 * k * (q[8] - q[2])**2
 
-have one signature: two variable slots, one Param slot. It is analysed once: the affine part goes to the sparse linear rows, what is
-left is differentiated exactly, and what depends on data alone is computed once per refresh.
+have one signature: two variable slots, one Param slot. It is analysed once: the affine part goes to
+the sparse linear rows, what is left is differentiated exactly, and what depends on data alone is
+computed once per refresh.
 
-A generated function is numpy source with one statement an operation, so that neither nesting nor recursion limits the size. It takes `x` (one row
-for each variable slot), `p` (one row for each hoisted data value) and writes `out`; every row is an array over the instances of the shape, so that a
-thousand equal terms cost as many numpy calls as one. `TermGroup` holds all terms of one shape in one model.
+A generated function is numpy source with one statement an operation, so that neither nesting nor
+recursion limits the size. It takes `x` (one row for each variable slot), `p` (one row for each
+hoisted data value) and writes `out`; every row is an array over the instances of the shape, so that
+a thousand equal terms cost as many numpy calls as one. `TermGroup` holds all terms of one shape in
+one model.
 
-Hessians of large terms are a generated Hessian-vector product, multiplied by few directions: columns that share no row are read off one product
-(Curtis, Powell and Reid, 1974), so that a sum of five thousand separate terms needs one direction, a dense Hessian as many as it has columns.
+Hessians of large terms are a generated Hessian-vector product, multiplied by few directions:
+columns that share no row are read off one product (Curtis, Powell and Reid, 1974), so that a sum of
+five thousand separate terms needs one direction, a dense Hessian as many as it has columns.
 """
 
 from __future__ import annotations
@@ -21,7 +25,17 @@ from functools import lru_cache
 
 import numpy as np
 
-from formulations.ipopt.graph import CONSTANT, DATUM, SEED, UNARY, VARIABLE, Graph, gradient, hessian_sparsity, split_linear
+from formulations.ipopt.graph import (
+    CONSTANT,
+    DATUM,
+    SEED,
+    UNARY,
+    VARIABLE,
+    Graph,
+    gradient,
+    hessian_sparsity,
+    split_linear,
+)
 from formulations.ipopt.read import Bucket
 
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
@@ -44,7 +58,11 @@ def _sech2(z):
 
 
 def _falling_power(base, exponent, order):
-    """Derivative of base**p of this order: p (p-1) .. (p-order+1) base**(p-order), and 0 where the factor is 0 (so that x**p at x = 0 is right for p = 0, 1, 2, ..)."""
+    """Derivative of base**p of this order: p (p-1) ..
+
+    (p-order+1) base**(p-order), and 0 where the factor is 0 (so that x**p at x = 0 is right for p =
+    0, 1, 2, ..).
+    """
     factor = np.ones_like(exponent)
     for k in range(int(order)):
         factor = factor * (exponent - k)
@@ -52,7 +70,8 @@ def _falling_power(base, exponent, order):
 
 
 _NAMESPACE = {
-    "softplus": _softplus, "logistic": _logistic, "sech2": _sech2, "falling_power": _falling_power, "pow": np.power, "div": np.divide,
+    "softplus": _softplus, "logistic": _logistic, "sech2": _sech2, "falling_power": _falling_power,
+    "pow": np.power, "div": np.divide,
     "neg": np.negative, "inf": np.inf, "nan": np.nan, **{name: getattr(np, name) for name in UNARY},
 }  # fmt: skip
 
@@ -81,30 +100,51 @@ def _statement(graph: Graph, node: int, hoisted: Mapping[int, int], row: Mapping
 def hoist(graph: Graph, roots: Sequence[int]) -> dict[int, int]:
     """{data node, structural constants apart, that the roots use directly: its place in `p`}: computed once per refresh and handed in."""
     found = graph.reachable(*roots, until=lambda node: graph.is_data[node])
-    return {node: k for k, node in enumerate(node for node in found if graph.is_data[node] and graph.op[node] != CONSTANT)}
+    return {
+        node: k
+        for k, node in enumerate(
+            node for node in found if graph.is_data[node] and graph.op[node] != CONSTANT
+        )
+    }
 
 
-def generate(graph: Graph, outputs: Sequence[int], hoisted: Mapping[int, int], row: Mapping[int, int], name: str) -> Callable[..., None]:
+def generate(
+    graph: Graph,
+    outputs: Sequence[int],
+    hoisted: Mapping[int, int],
+    row: Mapping[int, int],
+    name: str,
+) -> Callable[..., None]:
     """A function `(x, p, out, seed=None)` that writes outputs[k] to out[k].
 
-    `hoisted[node]` is the row of p that holds a data node; `row[i]` is the row of x (and of seed) that holds variable i.
+    `hoisted[node]` is the row of p that holds a data node; `row[i]` is the row of x (and of seed)
+    that holds variable i.
     """
-    order = [n for n in graph.reachable(*outputs, until=hoisted.__contains__) if n not in hoisted and graph.op[n] != CONSTANT]
+    order = [
+        n
+        for n in graph.reachable(*outputs, until=hoisted.__contains__)
+        if n not in hoisted and graph.op[n] != CONSTANT
+    ]
     for node in order:
         if graph.op[node] == DATUM:
-            raise ValueError(f"datum {graph.args[node][0]} is used by a generated function but was not hoisted")
+            raise ValueError(
+                f"datum {graph.args[node][0]} is used by a generated function but was not hoisted"
+            )
     lines = [f"def {name}(x, p, out, seed=None):"]
     lines += [f"    {_statement(graph, node, hoisted, row)}" for node in order]
     lines += [f"    out[{k}] = {_name(graph, node, hoisted)}" for k, node in enumerate(outputs)]
     lines.append("    return")
     namespace = dict(_NAMESPACE)
-    exec(compile("\n".join(lines), f"<term shape: {name}>", "exec"), namespace)  # source made above from numbers and known names
+    exec(
+        compile("\n".join(lines), f"<term shape: {name}>", "exec"), namespace
+    )  # source made above from numbers and known names
     return namespace[name]
 
 
 # Working set of one block of directions [numbers]: 64 MB.
 _BLOCK = 8_000_000
-# A pattern with a larger filled share than this is taken as dense: looking for columns without a common row would cost and find none.
+# A pattern with a larger filled share than this is taken as dense: looking for columns without a
+# common row would cost and find none.
 _DENSE_SHARE = 0.1
 
 
@@ -138,7 +178,9 @@ def column_groups(pairs: np.ndarray, size: int) -> np.ndarray:
         rows_of[j].append(i)
         if i != j:
             rows_of[i].append(j)
-    taken: list[set[int]] = [set() for _ in range(size)]  # groups that already have an entry in this row
+    taken: list[set[int]] = [
+        set() for _ in range(size)
+    ]  # groups that already have an entry in this row
     for column in range(size):
         group = 0
         while any(group in taken[row] for row in rows_of[column]):
@@ -150,11 +192,17 @@ def column_groups(pairs: np.ndarray, size: int) -> np.ndarray:
 
 
 def _generate_by_products(
-    graph: Graph, products: dict[int, int], pairs: np.ndarray, hoisted: Mapping[int, int], row: dict[int, int], operations: int
+    graph: Graph,
+    products: dict[int, int],
+    pairs: np.ndarray,
+    hoisted: Mapping[int, int],
+    row: dict[int, int],
+    operations: int,
 ) -> Callable[..., None]:
     """A function `(x, p, out)` that writes the Hessian entry of local pair pairs[:, k] to out[k].
 
-    x (curved variables, instances) and out (entries, instances) as in `generate`; pairs (2, entries) [-].
+    x (curved variables, instances) and out (entries, instances) as in `generate`; pairs (2,
+    entries) [-].
     """
     order = list(products)
     product = generate(graph, [products[i] for i in order], hoisted, row, "hessian_product")
@@ -186,8 +234,9 @@ def _generate_by_products(
     return hessian
 
 
-# Above this product of variables and operations a symbolic Hessian would cost more source than it saves; the Hessian is then evaluated
-# through one generated Hessian-vector product. 20 000 operations compile in about 0.3 s.
+# Above this product of variables and operations a symbolic Hessian would cost more source than it
+# saves; the Hessian is then evaluated through one generated Hessian-vector product. 20 000
+# operations compile in about 0.3 s.
 _SYMBOLIC_HESSIAN_LIMIT = 20_000
 
 Signature = tuple[Hashable, ...]
@@ -195,13 +244,18 @@ Signature = tuple[Hashable, ...]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExpressionShape:
-    """One analysed signature. Slots number the variables of a term; functions take rows over instances (see codegen).
+    """One analysed signature.
 
-    prepare(None, data, out) fills out (1 + len(linear) + number of hoisted values, instances): constant, linear coefficients, hoisted values.
+    Slots number the variables of a term; functions take rows over instances (see codegen).
+
+    prepare(None, data, out) fills out (1 + len(linear) + number of hoisted values, instances):
+    constant, linear coefficients, hoisted values.
     """
 
     linear: tuple[int, ...]  # slots with a linear coefficient
-    curved: tuple[int, ...]  # slots of the nonlinear part: row k of `x` in the functions below is slot curved[k]
+    curved: tuple[
+        int, ...
+    ]  # slots of the nonlinear part: row k of `x` in the functions below is slot curved[k]
     hoisted: int
     prepare: Callable[..., None]
     value: Callable[..., None] | None  # None: the term is affine
@@ -211,7 +265,9 @@ class ExpressionShape:
     hessian: Callable[..., None] | None
 
 
-@lru_cache(maxsize=20_000)  # a process that builds new models for ever must not keep every shape it met; a scene needs about fifteen
+@lru_cache(
+    maxsize=20_000
+)  # a process that builds new models for ever must not keep every shape it met; a scene needs about fifteen
 def shape_of(signature: Signature) -> ExpressionShape:
     """The compiled shape of a signature, the same in the whole process."""
     return _compile_shape(*parse(signature))
@@ -222,7 +278,8 @@ def parse(signature: Signature) -> tuple[Graph, int]:
     graph = Graph()
     numbers = params = 0
     shared = signature[0] == "shared"
-    # Operator-first text is read backwards, so that operands are ready when their operator comes; then data slots count backwards too.
+    # Operator-first text is read backwards, so that operands are ready when their operator comes;
+    # then data slots count backwards too.
     tokens = signature[1:] if shared else signature[::-1]
     total_numbers, total_params = tokens.count("n"), tokens.count("p")
     values: list[int] = []
@@ -328,7 +385,8 @@ def _symbolic_hessian(graph: Graph, slopes: dict[int, int]) -> dict[tuple[int, i
 class TermGroup:
     """N instances of a shape. Arrays over instances are the last axis.
 
-    rows, weights: (N,) the row of the model each term belongs to, and the number it is multiplied by there
+    rows, weights: (N,) the row of the model each term belongs to, and the number it is multiplied
+        by there
     columns: (slots, N) the variable in each slot
     """
 
@@ -344,7 +402,8 @@ class TermGroup:
         self._prepared = np.empty((1 + len(shape.linear) + shape.hoisted, count))
         self._hoisted: list[np.ndarray] = []
 
-    # -- structure --------------------------------------------------------------------------------------------------------------
+    # -- structure
+    #   --------------------------------------------------------------------------------------------------------------
 
     @property
     def affine_entries(self) -> tuple[np.ndarray, np.ndarray]:
@@ -385,7 +444,8 @@ class TermGroup:
         first, second = (self._curved[slots].ravel() for slots in self.shape.hessian_pairs)
         return np.maximum(first, second), np.minimum(first, second)
 
-    # -- values -----------------------------------------------------------------------------------------------------------------
+    # -- values
+    #   -----------------------------------------------------------------------------------------------------------------
 
     def refresh(self, data: np.ndarray) -> None:
         """Compute everything that depends on data alone, from all data of the model (data,) [units of the data].

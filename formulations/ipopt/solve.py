@@ -15,7 +15,12 @@ import cyipopt
 import numpy as np
 
 from formulations.ipopt.linear_solver import MUMPS, linear_solver, settings
-from formulations.ipopt.options import DEFAULTS, WARM_START_DEFAULTS, UnknownOptionError, checked_options
+from formulations.ipopt.options import (
+    DEFAULTS,
+    WARM_START_DEFAULTS,
+    UnknownOptionError,
+    checked_options,
+)
 from formulations.ipopt.problem import Evaluations, IpoptProblem
 from formulations.ipopt.result import (
     FEASIBILITY,
@@ -32,13 +37,18 @@ from formulations.ipopt.result import (
 )
 from formulations.solution import Outcome, Seconds
 
-# Limits of the barrier parameter that a primal-dual start begins with: Ipopt's own first value, and about its last.
-_MU_LARGEST, _MU_SMALLEST = 0.1, 1e-9
+# Limits of the barrier parameter that a primal-dual start begins with: Ipopt's own first value, and
+# about its last.
+_MU_LARGEST = 0.1
+_MU_SMALLEST = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """x (n,); multipliers lagrange (m,), zl, zu (n,) in Ipopt's signs, or None for a primal start."""
+    """x (n,).
+
+    Multipliers lagrange (m,), zl, zu (n,) in Ipopt's signs, or None for a primal start.
+    """
 
     x: np.ndarray
     lagrange: np.ndarray | None = None
@@ -49,7 +59,8 @@ class Start:
 def _complete_start(problem: IpoptProblem, given: Start | None) -> tuple[Start, int]:
     """The start with all multipliers or none, and the number of variables that had no value.
 
-    Missing lagrange are 0; missing zl and zu are what stationarity leaves to them. Raises ValueError for a wrong shape or a NaN.
+    Missing lagrange are 0; missing zl and zu are what stationarity leaves to them. Raises
+    ValueError for a wrong shape or a NaN.
     """
     if given is None:
         x, missing = problem.start()
@@ -57,11 +68,17 @@ def _complete_start(problem: IpoptProblem, given: Start | None) -> tuple[Start, 
     x = _checked("x", given.x, problem.n)
     if given.lagrange is None and given.zl is None and given.zu is None:
         return Start(x=x), 0
-    lagrange = np.zeros(problem.m) if given.lagrange is None else _checked("lagrange", given.lagrange, problem.m)
+    lagrange = (
+        np.zeros(problem.m)
+        if given.lagrange is None
+        else _checked("lagrange", given.lagrange, problem.m)
+    )
     zl = None if given.zl is None else _checked("zl", given.zl, problem.n)
     zu = None if given.zu is None else _checked("zu", given.zu, problem.n)
     if zl is None or zu is None:
-        slope = np.nan_to_num(problem.lagrangian_gradient(x, lagrange), nan=0.0, posinf=0.0, neginf=0.0)
+        slope = np.nan_to_num(
+            problem.lagrangian_gradient(x, lagrange), nan=0.0, posinf=0.0, neginf=0.0
+        )
         if zl is None:
             zl = np.where(np.isfinite(problem.lower), np.maximum(slope, 0.0), 0.0)
         if zu is None:
@@ -79,11 +96,22 @@ def _checked(name: str, values: np.ndarray, size: int) -> np.ndarray:
 
 
 def _warm_options(problem: IpoptProblem, start: Start) -> dict[str, str | int | float]:
-    """Options of a primal-dual start; the barrier parameter is the mean complementarity of what was given."""
+    """Options of a primal-dual start.
+
+    The barrier parameter is the mean complementarity of what was given.
+    """
     if start.lagrange is None or start.zl is None or start.zu is None:
         return {}
     inequality = problem.constraint_lower < problem.constraint_upper
-    products = bound_products(problem, start.x, problem.constraints(start.x), start.lagrange, start.zl, start.zu, inequality)
+    products = bound_products(
+        problem,
+        start.x,
+        problem.constraints(start.x),
+        start.lagrange,
+        start.zl,
+        start.zu,
+        inequality,
+    )
     products = products[np.isfinite(products)]
     mean = float(np.mean(products)) if products.size else _MU_SMALLEST
     return {**WARM_START_DEFAULTS, "mu_init": min(_MU_LARGEST, max(_MU_SMALLEST, mean))}
@@ -99,7 +127,12 @@ def version() -> str:
     return f"cyipopt {cyipopt.__version__}, Ipopt {'.'.join(str(part) for part in ipopt_version())}"
 
 
-def run(problem: IpoptProblem, functions: Evaluations, start: Start, options: Mapping[str, str | int | float]) -> IpoptExit:
+def run(
+    problem: IpoptProblem,
+    functions: Evaluations,
+    start: Start,
+    options: Mapping[str, str | int | float],
+) -> IpoptExit:
     """One run of Ipopt, from a complete start.
 
     Raises
@@ -124,8 +157,14 @@ def run(problem: IpoptProblem, functions: Evaluations, start: Start, options: Ma
                 try:
                     nlp.add_option(part, setting)
                 except TypeError as error:
-                    raise UnknownOptionError(f"Ipopt does not accept {value!r} for the option '{name}'") from error
-        duals = {} if start.lagrange is None else {"lagrange": start.lagrange, "zl": start.zl, "zu": start.zu}
+                    raise UnknownOptionError(
+                        f"Ipopt does not accept {value!r} for the option '{name}'"
+                    ) from error
+        duals = (
+            {}
+            if start.lagrange is None
+            else {"lagrange": start.lagrange, "zl": start.zl, "zu": start.zu}
+        )
         x, info = nlp.solve(start.x, **duals)
     finally:
         nlp.close()
@@ -140,11 +179,13 @@ def run(problem: IpoptProblem, functions: Evaluations, start: Start, options: Ma
     )
 
 
-# Multipliers of constraints that repeat each other grow without end where rounding hides it. Of 1210 solves of random quadratic programs with repeated
-# equations 21 did not end, 18 of them with more than this; of those that ended one did. With perturb_always_cd all ended.
+# Multipliers of constraints that repeat each other grow without end where rounding hides it. Of
+# 1210 solves of random quadratic programs with repeated equations 21 did not end, 18 of them with
+# more than this; of those that ended one did. With perturb_always_cd all ended.
 _ENDLESS = 1e8
 _RESTORATION = -2
-# Ipopt stops as diverging where a variable passes 1e20: an objective that went along is below this, in any unit.
+# Ipopt stops as diverging where a variable passes 1e20: an objective that went along is below this,
+# in any unit.
 _UNBOUNDED = 1e8
 
 Callback = Callable[[Iteration], "bool | None"]
@@ -158,14 +199,18 @@ def solve(
     callback: Callback | None = None,
     time_limit: float | None = None,
 ) -> IpoptResult:
-    """Minimise from `warm_start` (default: the current values of the model's variables); the model is left as it is.
+    """Minimise from `warm_start` (default: the current values of the model's variables).
+
+    The model is left as it is.
 
     Parameters
     ----------
     problem : the compiled model
     options : Ipopt options by name; one of MUMPS asks for MUMPS, unless linear_solver is given
-    warm_start : with multipliers (some or all), Ipopt starts primal-dual; `mu_init` defaults to the mean complementarity given
-    callback : called after each iteration; returning False stops (Outcome.INTERRUPTED), an exception propagates
+    warm_start : with multipliers (some or all), Ipopt starts primal-dual; `mu_init` defaults to the
+        mean complementarity given
+    callback : called after each iteration; returning False stops (Outcome.INTERRUPTED), an
+        exception propagates
     time_limit : wall time [s], checked once an iteration
 
     Raises
@@ -173,15 +218,23 @@ def solve(
     UnknownOptionError
         for an unknown option, before anything runs
     ValueError
-        for a start of another shape or with numbers that are not finite, and for a time limit that is not positive
+        for a start of another shape or with numbers that are not finite, and for a time limit that
+        is not positive
     MachineError
         where a linear solver is insisted on that cannot be had
     """
     asked = checked_options(options or {})
-    factorised_by = linear_solver(_asked_for(asked))  # compiled at its first use, which no solve is to blame for
+    factorised_by = linear_solver(
+        _asked_for(asked)
+    )  # compiled at its first use, which no solve is to blame for
     begin, cpu = time.perf_counter(), time.process_time()
     start, missing = _complete_start(problem, warm_start)
-    used: dict[str, str | int | float] = {**DEFAULTS, "linear_solver": factorised_by, **_warm_options(problem, start), **asked}
+    used: dict[str, str | int | float] = {
+        **DEFAULTS,
+        "linear_solver": factorised_by,
+        **_warm_options(problem, start),
+        **asked,
+    }
     if time_limit is not None:
         if not time_limit > 0:
             raise ValueError(f"time_limit is a positive number of seconds, not {time_limit!r}")
@@ -218,7 +271,10 @@ def solve(
 
 def _asked_for(options: Mapping[str, Any]) -> str:
     """The linear solver that is named, or whose own options are."""
-    return str(options.get("linear_solver", "") or (MUMPS if any(name.startswith("mumps_") for name in options) else ""))
+    return str(
+        options.get("linear_solver", "")
+        or (MUMPS if any(name.startswith("mumps_") for name in options) else "")
+    )
 
 
 class _Recorder:
@@ -232,7 +288,13 @@ class _Recorder:
 
     def __call__(self, mode: int, iteration: int, objective: float, *others: float) -> bool:
         *measures, trials = others
-        line = Iteration(int(iteration), bool(mode), self._sense * float(objective), *map(float, measures), trials=int(trials))
+        line = Iteration(
+            int(iteration),
+            bool(mode),
+            self._sense * float(objective),
+            *map(float, measures),
+            trials=int(trials),
+        )
         self.lines.append(line)
         if self._callback is None:
             return True
@@ -259,10 +321,19 @@ def _decided_without_ipopt(problem: IpoptProblem, start: Start) -> IpoptExit | N
     if message is None:
         return None
     zero = np.zeros(problem.n)
-    return IpoptExit(status=NOT_SENT, message=message, x=start.x, lagrange=np.zeros(problem.m), zl=zero, zu=zero.copy())
+    return IpoptExit(
+        status=NOT_SENT,
+        message=message,
+        x=start.x,
+        lagrange=np.zeros(problem.m),
+        zl=zero,
+        zu=zero.copy(),
+    )
 
 
-def _judge(problem: IpoptProblem, answer: IpoptExit, options: Mapping[str, Any]) -> tuple[Outcome, str, Residuals]:
+def _judge(
+    problem: IpoptProblem, answer: IpoptExit, options: Mapping[str, Any]
+) -> tuple[Outcome, str, Residuals]:
     """Ipopt's claim, checked: no 'solved' without residuals that say so."""
     vectors = (answer.x, answer.lagrange, answer.zl, answer.zu)
     finite = all(np.isfinite(v).all() for v in vectors)
@@ -271,22 +342,40 @@ def _judge(problem: IpoptProblem, answer: IpoptExit, options: Mapping[str, Any])
         if answer.message:
             return Outcome.INFEASIBLE, answer.message, certificate
         if not np.isfinite(problem.objective(answer.x)):
-            return Outcome.EVALUATION_ERROR, "there is no free variable, and the objective is not a finite number", certificate
+            return (
+                Outcome.EVALUATION_ERROR,
+                "there is no free variable, and the objective is not a finite number",
+                certificate,
+            )
         return Outcome.SOLVED, "there is no free variable; all constraints hold", certificate
     outcome = outcome_of(answer.status)
     message = f"{name_of(answer.status)}: {certificate.sentence}"
     if outcome is Outcome.EVALUATION_ERROR:
         message += _undefined(problem, answer.x)
     if outcome is Outcome.DIVERGED and not (finite and _is_unbounded(problem, answer.x)):
-        return Outcome.STALLED, f"{message}; the objective does not fall without end there at feasible points", certificate
+        return (
+            Outcome.STALLED,
+            f"{message}; the objective does not fall without end there at feasible points",
+            certificate,
+        )
     if outcome is not Outcome.SOLVED:
         return outcome, message, certificate
     if not finite or certificate.constraint_violation != certificate.constraint_violation:
-        return Outcome.EVALUATION_ERROR, f"{name_of(answer.status)}, but the point holds numbers that are not finite", certificate
-    tolerance = 10.0 * float(options.get("tol", 0.0))  # a caller who asks for less is judged by what was asked
+        return (
+            Outcome.EVALUATION_ERROR,
+            f"{name_of(answer.status)}, but the point holds numbers that are not finite",
+            certificate,
+        )
+    tolerance = 10.0 * float(
+        options.get("tol", 0.0)
+    )  # a caller who asks for less is judged by what was asked
     if certificate.meets(tolerance):
         return outcome, message, certificate
-    return Outcome.STALLED, f"{name_of(answer.status)}, but {certificate.sentence} does not meet the tolerances", certificate
+    return (
+        Outcome.STALLED,
+        f"{name_of(answer.status)}, but {certificate.sentence} does not meet the tolerances",
+        certificate,
+    )
 
 
 def _undefined(problem: IpoptProblem, x: np.ndarray) -> str:
@@ -299,7 +388,9 @@ def _undefined(problem: IpoptProblem, x: np.ndarray) -> str:
         more = f" and {undefined.size - 1} more" if undefined.size > 1 else ""
         return f"; constraint '{problem.equations[undefined[0]].name}'{more} has no finite value there: start where it has, or bound what it takes"
     if not np.isfinite(problem.objective(x)):
-        return "; the objective has no finite value there: start where it has, or bound what it takes"
+        return (
+            "; the objective has no finite value there: start where it has, or bound what it takes"
+        )
     return "; all functions have finite values there, so that one of their derivatives has none"
 
 
@@ -315,7 +406,9 @@ def repeats_constraints(result: IpoptResult) -> bool:
 
 
 def _is_endless(outcome: Outcome, lagrange: np.ndarray) -> bool:
-    return outcome in (Outcome.STALLED, Outcome.ITERATION_LIMIT) and bool(np.max(np.abs(lagrange), initial=0.0) > _ENDLESS)
+    return outcome in (Outcome.STALLED, Outcome.ITERATION_LIMIT) and bool(
+        np.max(np.abs(lagrange), initial=0.0) > _ENDLESS
+    )
 
 
 def _hint(outcome: Outcome, lagrange: np.ndarray, options: Mapping[str, Any]) -> str:
@@ -329,11 +422,19 @@ def _hint(outcome: Outcome, lagrange: np.ndarray, options: Mapping[str, Any]) ->
 def _is_unbounded(problem: IpoptProblem, x: np.ndarray) -> bool:
     """Whether iterates that left for infinity took the objective down with them, along points that are feasible but for rounding.
 
-    Of a row that is the rounding of its terms: where it levels off far out, as exp(-x) >= 1e-3 does, they are small, and it is violated there.
+    Of a row that is the rounding of its terms: where it levels off far out, as exp(-x) >= 1e-3
+    does, they are small, and it is violated there.
     """
     row, column = problem.jacobianstructure()
     with np.errstate(all="ignore"):  # what is no number, or infinite, is not below
-        g, terms = problem.constraints(x), np.bincount(row, np.abs(problem.jacobian(x) * x[column]), problem.m)
-        rows = np.maximum(problem.constraint_lower - g, g - problem.constraint_upper) < FEASIBILITY * np.maximum(1.0, terms)
-        bounds = np.maximum(problem.lower - x, x - problem.upper) < FEASIBILITY * np.maximum(1.0, np.abs(x))
+        g, terms = (
+            problem.constraints(x),
+            np.bincount(row, np.abs(problem.jacobian(x) * x[column]), problem.m),
+        )
+        rows = np.maximum(
+            problem.constraint_lower - g, g - problem.constraint_upper
+        ) < FEASIBILITY * np.maximum(1.0, terms)
+        bounds = np.maximum(problem.lower - x, x - problem.upper) < FEASIBILITY * np.maximum(
+            1.0, np.abs(x)
+        )
     return problem.objective(x) < -_UNBOUNDED and bool(np.all(rows) and np.all(bounds))

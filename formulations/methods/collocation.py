@@ -1,11 +1,13 @@
 """Exact contact on a coarse grid: collocation of order 2 to 5 instead of semi-implicit Euler, contact modes by a softplus homotopy.
 
-    softplus homotopy -> which contact is closed at which stage -> lam = k phi or lam = 0 there, solved
+    softplus homotopy -> which contact is closed at which stage -> lam = k phi or lam = 0 there,
+    solved
 
-Modes are read off the last stages of the homotopy, the sharpest first; where none has a plan, from a relaxed complementarity that starts at the
-sharpest (`contact_modes.collocation`).
+Modes are read off the last stages of the homotopy, the sharpest first; where none has a plan, from
+a relaxed complementarity that starts at the sharpest (`contact_modes.collocation`).
 
-Contacts open and close within steps, not at nodes. What that costs is bounded: residual `switch_error` (models.collocation).
+Contacts open and close within steps, not at nodes. What that costs is bounded: residual
+`switch_error` (models.collocation).
 """
 
 from __future__ import annotations

@@ -17,7 +17,9 @@ class _FreeMotionSession(Session):
     def __init__(self, method: FreeMotion, kernel: Kernel) -> None:
         self._method, self._kernel = method, kernel
 
-    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+    def solve(
+        self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float
+    ) -> Solution:
         self._method.check_eps(eps)
         scene, task = self._kernel.scene, self._kernel.scene.task
         if warm_start is not None:
@@ -29,10 +31,10 @@ class _FreeMotionSession(Session):
         wall, cpu = clock.pay()
         seconds = Seconds(evaluate=wall, wall=wall, cpu=cpu)
         if motion.diverged:
-            message = (
-                f"the time step of {task.step:g} s let the motion grow without bound by step {motion.finite_steps}; use a smaller one."
+            message = f"the time step of {task.step:g} s let the motion grow without bound by step {motion.finite_steps}; use a smaller one."
+            return Solution(
+                method=self._method.name, outcome=Outcome.DIVERGED, message=message, seconds=seconds
             )
-            return Solution(method=self._method.name, outcome=Outcome.DIVERGED, message=message, seconds=seconds)
         plan = plan_of(scene, motion, u)
         return Solution(
             method=self._method.name,
@@ -55,7 +57,9 @@ class FreeMotion(Method):
 
     def accepts(self, scene: Scene) -> str | None:
         """Refuse scenes with inputs, whose motion is to be planned."""
-        return f"scene {scene.name} has inputs, so its motion is to be planned." if scene.nu else None
+        return (
+            f"scene {scene.name} has inputs, so its motion is to be planned." if scene.nu else None
+        )
 
     def session(self, scene: Scene, options: Options, clock: Clock) -> Session:
         """Open a session with the compiled time step."""

@@ -17,7 +17,8 @@ from formulations.transcription.residuals import PlanResiduals
 from models.scene import Scene
 from models.trajectory import Trajectory
 
-# Contact decisions beyond which nothing is begun: 38 of three carts (20 steps) are proved in seconds, 98 (50 steps) leave most of the gap open.
+# Contact decisions beyond which nothing is begun: 38 of three carts (20 steps) are proved in
+# seconds, 98 (50 steps) leave most of the gap open.
 _MOST = 60
 
 
@@ -25,24 +26,35 @@ _MOST = 60
 class GlobalOptions(Options):
     """Options of `global`."""
 
-    seconds: float = option(200.0, "time after which the best bound is reported", unit="s", lower=1e-3, upper=1e7)
+    seconds: float = option(
+        200.0, "time after which the best bound is reported", unit="s", lower=1e-3, upper=1e7
+    )
 
 
 class GlobalSession(Session):
     """A proof each time it is asked: nothing is shared between stages."""
 
     def __init__(self, method: Global, scene: Scene, options: GlobalOptions, clock: Clock) -> None:
-        from formulations.proof import prove  # imports Pyomo: 0.9 s that planning a campaign does without
+        from formulations.proof import (
+            prove,
+        )  # imports Pyomo: 0.9 s that planning a campaign does without
 
         self._method, self._scene, self._options, self._prove = method, scene, options, prove
         self._clock = clock
 
-    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
-        """Prove a bound; warm_start: the incumbent. Raises TrajectoryError for a plan of another scene or grid."""
+    def solve(
+        self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float
+    ) -> Solution:
+        """Prove a bound; warm_start: the incumbent.
+
+        Raises TrajectoryError for a plan of another scene or grid.
+        """
         self._method.check_stage(eps, time_limit)
         check_warm_start(self._scene, warm_start)
         build, build_cpu = self._clock.pay()
-        proof = self._prove(self._scene, incumbent=warm_start, time_limit=min(time_limit, self._options.seconds))
+        proof = self._prove(
+            self._scene, incumbent=warm_start, time_limit=min(time_limit, self._options.seconds)
+        )
         return Solution(
             method=self._method.name,
             outcome=proof.outcome,
@@ -50,12 +62,19 @@ class GlobalSession(Session):
             trajectory=proof.plan,
             cost=proof.cost,
             iterations=proof.nodes,
-            seconds=Seconds(build=build, linear_algebra=proof.seconds, wall=build + proof.seconds, cpu=build_cpu + proof.cpu),
+            seconds=Seconds(
+                build=build,
+                linear_algebra=proof.seconds,
+                wall=build + proof.seconds,
+                cpu=build_cpu + proof.cpu,
+            ),
             residuals={} if proof.plan is None else PlanResiduals(self._scene).of(proof.plan),
             options=asdict(self._options),
             solver=proof.solver,
             history={
-                name: (value,) for name, value in (("cost", proof.cost), ("bound", proof.bound)) if value is not None and np.isfinite(value)
+                name: (value,)
+                for name, value in (("cost", proof.cost), ("bound", proof.bound))
+                if value is not None and np.isfinite(value)
             },
             bound=proof.known_bound,
         )

@@ -1,7 +1,8 @@
 """The exact contact problem by its contact modes: softplus homotopy, modes read off, what is left solved exactly, mode sequences searched.
 
-Where the end is free and has a cost, a plan that touches nothing is a local optimum from which no slope leads to a contact (two_discs_wall: nothing
-done costs 0.61, a throw off the wall 0.39). There throws by constant inputs are tried, and the cheapest are solved with their contact modes.
+Where the end is free and has a cost, a plan that touches nothing is a local optimum from which no
+slope leads to a contact (two_discs_wall: nothing done costs 0.61, a throw off the wall 0.39). There
+throws by constant inputs are tried, and the cheapest are solved with their contact modes.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ class Mpcc(Method[MpccOptions]):
 
     def session(self, scene: Scene, options: MpccOptions, clock: Clock) -> Session:
         """Open a session on the scene."""
-        from formulations.contact_modes.session import MpccSession  # imports Pyomo and Ipopt: 1 s that planning a campaign does without
+        from formulations.contact_modes.session import (
+            MpccSession,
+        )  # imports Pyomo and Ipopt: 1 s that planning a campaign does without
 
         return MpccSession(self, scene, options, clock)
 

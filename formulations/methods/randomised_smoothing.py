@@ -16,10 +16,19 @@ from models.scene import Scene
 class RandomisedSmoothingOptions(SearchOptions, WeightOptions):
     """Options of `randomised_smoothing`."""
 
-    samples: int = option(16, "rollouts with noise; an even number, in pairs of opposite noise", lower=2, upper=10**6)
-    pieces: int = option(5, "noise is held over so many equal parts of the horizon", lower=1, upper=10**9)
+    samples: int = option(
+        16, "rollouts with noise; an even number, in pairs of opposite noise", lower=2, upper=10**6
+    )
+    pieces: int = option(
+        5, "noise is held over so many equal parts of the horizon", lower=1, upper=10**9
+    )
     seed: int = option(0, "of the noise", lower=0)
-    unbounded: float = option(1.0, "what stands for half the range of an input without bounds, in its unit", lower=1e-12, upper=1e12)
+    unbounded: float = option(
+        1.0,
+        "what stands for half the range of an input without bounds, in its unit",
+        lower=1e-12,
+        upper=1e12,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -38,12 +47,23 @@ class RandomisedSmoothing(Method[RandomisedSmoothingOptions]):
 
     def session(self, scene: Scene, options: RandomisedSmoothingOptions, clock: Clock) -> Session:
         """Open a session, which imports PyTorch."""
-        from formulations.shooting.session import ShootingSession, noise, paper_objective  # imports PyTorch
+        from formulations.shooting.session import (
+            ShootingSession,
+            noise,
+            paper_objective,
+        )  # imports PyTorch
 
         drawn = partial(
-            noise, scene, unbounded=options.unbounded, samples=options.samples, pieces=options.pieces, seed=options.seed
+            noise,
+            scene,
+            unbounded=options.unbounded,
+            samples=options.samples,
+            pieces=options.pieces,
+            seed=options.seed,
         )  # of the deviation
-        return ShootingSession(self, scene, options, clock, paper_objective(options, ContactLaw.RELU, noise=drawn))
+        return ShootingSession(
+            self, scene, options, clock, paper_objective(options, ContactLaw.RELU, noise=drawn)
+        )
 
 
 METHOD = RandomisedSmoothing()

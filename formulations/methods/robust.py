@@ -1,7 +1,8 @@
 """Inputs that reach the goal in several worlds at once: what is otherwise there, the plan given misses least on the way down by L-BFGS.
 
-The loss is that of formulations.shooting.worlds. The exact plan before it in the pipeline says what cost is compared with; what comes out is a motion of the
-true contact law that meets the goal itself.
+The loss is that of formulations.shooting.worlds. The exact plan before it in the pipeline says what
+cost is compared with; what comes out is a motion of the true contact law that meets the goal
+itself.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ class Robust(Method[RobustOptions]):
         """Refuse scenes without inputs, scenes that need feedback whatever their plan, and those that limit no end."""
         if scene.unstable:
             return f"scene {scene.name} needs feedback whatever its plan ({scene.unstable.rstrip('.')}), so no inputs alone are robust."
-        if not any(scene.limit(f"replay_terminal_{name}_error") for name in ("position", "velocity")):
+        if not any(
+            scene.limit(f"replay_terminal_{name}_error") for name in ("position", "velocity")
+        ):
             return f"scene {scene.name} limits no end, so in another world its plan costs more or less, which no inputs mend."
         return super().accepts(scene)
 

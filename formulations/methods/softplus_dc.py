@@ -1,7 +1,8 @@
 """Direct transcription with softplus contact: smooth forces that act at a distance, tightened by their sharpness |ln eps|.
 
-A stage from a plan gets a bounded amount of work, and what it leaves is handed on only if it is a plan. A cold start whose multipliers run away is begun
-again with its goal let go (`transcription.solving`).
+A stage from a plan gets a bounded amount of work, and what it leaves is handed on only if it is a
+plan. A cold start whose multipliers run away is begun again with its goal let go
+(`transcription.solving`).
 """
 
 from __future__ import annotations
@@ -10,15 +11,24 @@ from dataclasses import dataclass
 
 from formulations.method import Clock, Kind, Method, Session
 from formulations.solution import Solution
-from formulations.transcription.method import StageRules, TranscriptionOptions, Work, duals_option, first_eps_option
+from formulations.transcription.method import (
+    StageRules,
+    TranscriptionOptions,
+    Work,
+    duals_option,
+    first_eps_option,
+)
 from models.contact_law import sharpness
 from models.scene import Scene
 from models.trajectory import Trajectory
 
-# Of a stage that starts from a plan, in nonzeros, which is what an iteration's time grows with: friction and many contacts have three times as many a
-# unknown. Those of the bank that ended well took up to 6.3e6 (transport: 951 iterations, of 6608), and where they were larger up to 136 iterations.
+# Of a stage that starts from a plan, in nonzeros, which is what an iteration's time grows with:
+# friction and many contacts have three times as many a unknown. Those of the bank that ended well
+# took up to 6.3e6 (transport: 951 iterations, of 6608), and where they were larger up to 136
+# iterations.
 _WORK = Work(6.5e6, 130)
-# A last iterate that misses its own time step [m/s], contact or friction law [N] by more is no plan: the next stage starts better from the one before.
+# A last iterate that misses its own time step [m/s], contact or friction law [N] by more is no
+# plan: the next stage starts better from the one before.
 _BROKEN = 1e-2
 
 
@@ -33,17 +43,27 @@ class SoftplusDCOptions(TranscriptionOptions):
 class SoftplusDCSession(Session):
     """The model is built once; each eps moves its sharpness, and starts warm."""
 
-    def __init__(self, method: SoftplusDC, scene: Scene, options: SoftplusDCOptions, clock: Clock) -> None:
-        from formulations.transcription import homotopy  # imports Pyomo and Ipopt: 0.9 s that planning a campaign does without
+    def __init__(
+        self, method: SoftplusDC, scene: Scene, options: SoftplusDCOptions, clock: Clock
+    ) -> None:
+        from formulations.transcription import (
+            homotopy,
+        )  # imports Pyomo and Ipopt: 0.9 s that planning a campaign does without
 
         self._scene, self._options = scene, options
         self._band = homotopy.band_options()
-        self._homotopy = homotopy.Homotopy(method, scene, homotopy.ContactFormulation.SOFTPLUS, options, clock, self._rules)
+        self._homotopy = homotopy.Homotopy(
+            method, scene, homotopy.ContactFormulation.SOFTPLUS, options, clock, self._rules
+        )
 
-    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+    def solve(
+        self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float
+    ) -> Solution:
         """Solve at this eps. Raises TrajectoryError for a plan of another grid."""
         first = self._options.first_eps
-        return self._homotopy.solve(eps, warm_start, time_limit, first, lambda stage, eps: stage.reach(eps, warm_start))
+        return self._homotopy.solve(
+            eps, warm_start, time_limit, first, lambda stage, eps: stage.reach(eps, warm_start)
+        )
 
     def _rules(self, eps: float) -> StageRules:
         scene, options = self._scene, self._options
@@ -54,8 +74,13 @@ class SoftplusDCSession(Session):
             warm_work=_WORK,
             takes_duals=eps <= options.duals_from,
             sharpest=sharpness(eps, scene.length),
-            plan_limits=dict.fromkeys(("dynamics_defect", "contact_law", "regularised_friction"), _BROKEN),
-            promises={**options.promises(), **dict.fromkeys(("contact_law", "regularised_friction"), options.plan_tolerance)},
+            plan_limits=dict.fromkeys(
+                ("dynamics_defect", "contact_law", "regularised_friction"), _BROKEN
+            ),
+            promises={
+                **options.promises(),
+                **dict.fromkeys(("contact_law", "regularised_friction"), options.plan_tolerance),
+            },
         )
 
 

@@ -1,12 +1,15 @@
 """Every pair decided: which side is 0 is fixed, and what remains is a smooth problem, solved exactly. Pairs with both sides 0 branch.
 
-At a solution of a branch a pair with v = 0 = w has a multiplier on the side that is held at 0. Where it is negative, the other branch goes
-down to first order. Those pairs are switched, all at once, then one by one, then - where there are few - in every combination, and the best
-branch is kept.
+At a solution of a branch a pair with v = 0 = w has a multiplier on the side that is held at 0.
+Where it is negative, the other branch goes down to first order. Those pairs are switched, all at
+once, then one by one, then - where there are few - in every combination, and the best branch is
+kept.
 
-A branch is refined from Ipopt's answer to the vertex or face it stands beside, where active bounds and rows hold to rounding, multipliers too:
-Ipopt stops at about 1e-9 from its bounds, and at 1e-5 from those whose multiplier is zero. Here the active set is guessed, variables with an
-active bound are put on it, and Newton's method solves the equations that remain. A guess is taken only where it makes the point better.
+A branch is refined from Ipopt's answer to the vertex or face it stands beside, where active bounds
+and rows hold to rounding, multipliers too: Ipopt stops at about 1e-9 from its bounds, and at 1e-5
+from those whose multiplier is zero. Here the active set is guessed, variables with an active bound
+are put on it, and Newton's method solves the equations that remain. A guess is taken only where it
+makes the point better.
 """
 
 from __future__ import annotations
@@ -25,9 +28,12 @@ from formulations.ipopt import IpoptProblem, IpoptResult, Start
 from formulations.mpec.homotopy import Columns, Workspace
 from formulations.solution import Outcome
 
-# A pair counts as biactive where both sides are below this, and as wanting the other branch where its multiplier is below -_WANTING.
-_BIACTIVE, _WANTING = 1e-6, 1e-6
-# Where nothing feasible is known so many branches are tried, until one is: of 8 pairs all. They cost some 10 ms each where a problem is small.
+# A pair counts as biactive where both sides are below this, and as wanting the other branch where
+# its multiplier is below -_WANTING.
+_BIACTIVE = 1e-6
+_WANTING = 1e-6
+# Where nothing feasible is known so many branches are tried, until one is: of 8 pairs all. They
+# cost some 10 ms each where a problem is small.
 NEAREST = 256
 # What counts as a better objective, relative to max(1, |objective|).
 BETTER = 1e-9
@@ -41,30 +47,39 @@ _LOOSELY_HELD = {"fixed_variable_treatment": "relax_bounds", "bound_relax_factor
 
 # Newton's steps of one guess: it converges quadratically or not at all.
 _STEPS = 6
-# Up to this many unknowns a dense least-squares solve, which does not mind dependent rows or flat directions.
+# Up to this many unknowns a dense least-squares solve, which does not mind dependent rows or flat
+# directions.
 _DENSE = 150
-# Regularisation of the sparse solve: small steps are repeated, so it costs iterations and no accuracy.
+# Regularisation of the sparse solve: small steps are repeated, so it costs iterations and no
+# accuracy.
 _DELTA = 1e-9
-# A refined point is the same solution: its objective may differ by this (relative to max(1, |objective|)), and each step by _LONGEST.
-_SAME, _LONGEST = 1e-5, 1e-1
+# A refined point is the same solution: its objective may differ by this (relative to max(1,
+# |objective|)), and each step by _LONGEST.
+_SAME = 1e-5
+_LONGEST = 1e-1
 # A guess that leaves no more than this is not improved on.
 _GOOD_ENOUGH = 1e-13
 # A refined point may violate rows and bounds by this, or by as much as Ipopt's did.
 _STAYS_FEASIBLE = 1e-9
-# Where more than this is left, Ipopt's tolerance was too loose to tell what is active: once more from there with a tighter one, by this at least, and by
-# more where the objective is flat.
-_UNREFINED, _TIGHTER, _TIGHTEST = 1e-6, 1e-3, 1e-14
+# Where more than this is left, Ipopt's tolerance was too loose to tell what is active: once more
+# from there with a tighter one, by this at least, and by more where the objective is flat.
+_UNREFINED = 1e-6
+_TIGHTER = 1e-3
+_TIGHTEST = 1e-14
 # The barrier that a solve begins with which goes on from a solution.
 _SMALL_BARRIER = 1e-10
-# A curvature below this, of the sum of what its terms are without their signs, is more than rounding and the errors of multipliers.
+# A curvature below this, of the sum of what its terms are without their signs, is more than
+# rounding and the errors of multipliers.
 _CURVED = 1e-6
 # Multipliers of a point with a larger error say too little about what is active.
 _EXACT = 1e-9
-# The step along a direction of negative curvature: of its largest component, relative to max(1, |x|).
+# The step along a direction of negative curvature: of its largest component, relative to max(1,
+# |x|).
 _ASIDE = 0.1
 # Steps of Lanczos's method, each two solves with one factorisation.
 _LANCZOS = 20
-# A vector of which no more than this is left spans nothing new, and a direction of length 1 that changes a row by no more keeps it.
+# A vector of which no more than this is left spans nothing new, and a direction of length 1 that
+# changes a row by no more keeps it.
 _EXHAUSTED = 1e-6
 
 
@@ -78,23 +93,34 @@ class Refined:
 
 
 def refined(problem: IpoptProblem, result: IpoptResult, size: float = 1.0) -> Refined:
-    """The best of the given point and three guesses of what is active. Bounds are those of the problem as it stands.
+    """The best of the given point and three guesses of what is active.
+
+    Bounds are those of the problem as it stands.
 
     Raises nothing.
 
     Parameters
     ----------
     problem, result : a problem, and where Ipopt ended
-    size : of the objective's derivatives, by which errors are measured where those at the point are smaller [objective per variable]
+    size : of the objective's derivatives, by which errors are measured where those at the point are
+        smaller [objective per variable]
     """
-    best = Refined(x=result.x, lagrange=result.lagrange, error=_kkt_error(problem, result.x, result.lagrange, size))
+    best = Refined(
+        x=result.x,
+        lagrange=result.lagrange,
+        error=_kkt_error(problem, result.x, result.lagrange, size),
+    )
     limit = _SAME * max(1.0, abs(result.objective))
     feasible = max(
         _STAYS_FEASIBLE, problem.violation(result.x)
     )  # slopes are of the objective's unit: what they gain is no price for feasibility
     for near, by_multiplier in ((1e-5, True), (1e-3, False), (1e-3, True)):
         candidate = _newton(problem, result, near, by_multiplier, size)
-        if candidate is None or not candidate.error < best.error or problem.violation(candidate.x) > feasible:
+        if (
+            candidate is None
+            or not candidate.error < best.error
+            or problem.violation(candidate.x) > feasible
+        ):
             continue
         if abs(problem.sense * problem.objective(candidate.x) - result.objective) <= limit:
             best = candidate
@@ -117,7 +143,10 @@ def _size_of_slopes(problem: IpoptProblem, x: np.ndarray) -> float:
 
 
 def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, size: float) -> float:
-    """Largest of: violation, slope of a free variable, slope or multiplier with the wrong sign. Slopes relative to the objective's."""
+    """Largest of: violation, slope of a free variable, slope or multiplier with the wrong sign.
+
+    Slopes relative to the objective's.
+    """
     low, high = problem.lower, problem.upper
     slope = problem.lagrangian_gradient(x, lagrange)
     wrong = np.abs(slope)
@@ -136,7 +165,9 @@ def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, size:
     return error if np.isfinite(error) and np.isfinite(g).all() else float("inf")
 
 
-def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multiplier: bool, floor: float) -> Refined | None:
+def _newton(
+    problem: IpoptProblem, result: IpoptResult, near: float, by_multiplier: bool, floor: float
+) -> Refined | None:
     """Newton on what is active if everything within `near` of its limit is (and, by_multiplier, pulls harder than it is far)."""
     x, y = result.x.copy(), result.lagrange.copy()
     low, high = problem.lower, problem.upper
@@ -144,8 +175,15 @@ def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multipli
     size = min(1.0, slope_size(problem, x))
 
     def active(gap: np.ndarray, multiplier: np.ndarray) -> np.ndarray:
-        """Mask (k,) of the limits at distance gap (k,) with multiplier (k,) that are active [-]. Raises nothing."""
-        return (gap <= near) & ((multiplier > size * np.minimum(gap, near)) | (gap <= 1e-12)) if by_multiplier else gap <= near
+        """Mask (k,) of the limits at distance gap (k,) with multiplier (k,) that are active [-].
+
+        Raises nothing.
+        """
+        return (
+            (gap <= near) & ((multiplier > size * np.minimum(gap, near)) | (gap <= 1e-12))
+            if by_multiplier
+            else gap <= near
+        )
 
     at_low = active(x - low, result.zl) | (low == high)
     at_high = active(high - x, result.zu) & ~at_low
@@ -163,29 +201,49 @@ def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multipli
         if (
             step is None
             or not np.all(np.isfinite(step))
-            or np.max(np.abs(step[: len(free)]), initial=0.0) > _LONGEST * (1 + np.max(np.abs(x), initial=0.0))
+            or np.max(np.abs(step[: len(free)]), initial=0.0)
+            > _LONGEST * (1 + np.max(np.abs(x), initial=0.0))
         ):
             return None
         x[free] += step[: len(free)]
         y[rows] = step[len(free) :]
-        if np.max(np.abs(step[: len(free)]), initial=0.0) < 1e-15 * (1 + np.max(np.abs(x), initial=0.0)):
+        if np.max(np.abs(step[: len(free)]), initial=0.0) < 1e-15 * (
+            1 + np.max(np.abs(x), initial=0.0)
+        ):
             break
     return Refined(x=x, lagrange=y, error=_kkt_error(problem, x, y, floor))
 
 
-def _step(problem: IpoptProblem, x: np.ndarray, y: np.ndarray, free: np.ndarray, rows: np.ndarray, target: np.ndarray) -> np.ndarray | None:
+def _step(
+    problem: IpoptProblem,
+    x: np.ndarray,
+    y: np.ndarray,
+    free: np.ndarray,
+    rows: np.ndarray,
+    target: np.ndarray,
+) -> np.ndarray | None:
     """(step of the free variables, new multipliers of the active rows)."""
     row, column = problem.jacobianstructure()
-    jacobian = sparse.csr_matrix((problem.jacobian(x), (row, column)), shape=(problem.m, problem.n))[rows][:, free]
+    jacobian = sparse.csr_matrix(
+        (problem.jacobian(x), (row, column)), shape=(problem.m, problem.n)
+    )[rows][:, free]
     hessian = _hessian(problem, x, y)[free][:, free]
     right = np.concatenate([-problem.gradient(x)[free], target - problem.constraints(x)[rows]])
     if not np.all(np.isfinite(right)):
         return None
-    system = sparse.bmat([[hessian, jacobian.T], [jacobian, sparse.csr_matrix((len(rows), len(rows)))]], format="csc")
+    system = sparse.bmat(
+        [[hessian, jacobian.T], [jacobian, sparse.csr_matrix((len(rows), len(rows)))]], format="csc"
+    )
     if system.shape[0] <= _DENSE:
-        return np.linalg.lstsq(system.toarray(), right, rcond=1e-12)[0] if system.shape[0] else np.zeros(0)
+        return (
+            np.linalg.lstsq(system.toarray(), right, rcond=1e-12)[0]
+            if system.shape[0]
+            else np.zeros(0)
+        )
     signs = np.concatenate([np.full(len(free), _DELTA), np.full(len(rows), -_DELTA)])
-    right[len(free) :] -= _DELTA * y[rows]  # a proximal step: the regularisation vanishes as the multipliers settle
+    right[len(free) :] -= (
+        _DELTA * y[rows]
+    )  # a proximal step: the regularisation vanishes as the multipliers settle
     try:
         return splu((system + sparse.diags(signs)).tocsc()).solve(right)
     except RuntimeError:  # singular in spite of the regularisation
@@ -194,11 +252,15 @@ def _step(problem: IpoptProblem, x: np.ndarray, y: np.ndarray, free: np.ndarray,
 
 def _hessian(problem: IpoptProblem, x: np.ndarray, y: np.ndarray) -> sparse.csr_matrix:
     """Of the Lagrangian, both triangles (n, n)."""
-    lower = sparse.csr_matrix((problem.hessian(x, y, 1.0), problem.hessianstructure()), shape=(problem.n, problem.n))
+    lower = sparse.csr_matrix(
+        (problem.hessian(x, y, 1.0), problem.hessianstructure()), shape=(problem.n, problem.n)
+    )
     return (lower + sparse.tril(lower, -1).T).tocsr()
 
 
-def step_aside(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, weak: float) -> np.ndarray | None:
+def step_aside(
+    problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, weak: float
+) -> np.ndarray | None:
     """A step (n,) by which the Lagrangian falls to second order, while what is active keeps its value to first order; None where none is found.
 
     Raises nothing.
@@ -206,23 +268,31 @@ def step_aside(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, weak:
     Parameters
     ----------
     problem : with the bounds as they are to hold
-    x, lagrange : (n,), (m,) a point that is stationary with these multipliers [units of the variables, objective per constraint]
-    weak : an inequality need not keep its value where its multiplier is no more than this [objective per variable]
+    x, lagrange : (n,), (m,) a point that is stationary with these multipliers [units of the
+        variables, objective per constraint]
+    weak : an inequality need not keep its value where its multiplier is no more than this
+        [objective per variable]
     """
     slope, g = np.abs(problem.lagrangian_gradient(x, lagrange)), problem.constraints(x)
     at_bound = np.minimum(x - problem.lower, problem.upper - x)
     at_row = np.minimum(g - problem.constraint_lower, problem.constraint_upper - g)
     is_held = (problem.lower == problem.upper) | ((at_bound <= _BIACTIVE) & (slope > weak))
-    is_kept = (problem.constraint_lower == problem.constraint_upper) | ((at_row <= _BIACTIVE) & (np.abs(lagrange) > weak))
+    is_kept = (problem.constraint_lower == problem.constraint_upper) | (
+        (at_row <= _BIACTIVE) & (np.abs(lagrange) > weak)
+    )
     free, rows = np.flatnonzero(~is_held), np.flatnonzero(is_kept)
     hessian = _hessian(problem, x, lagrange)[free][:, free]
-    jacobian = sparse.csr_matrix((problem.jacobian(x), problem.jacobianstructure()), shape=(problem.m, problem.n))[rows][:, free]
+    jacobian = sparse.csr_matrix(
+        (problem.jacobian(x), problem.jacobianstructure()), shape=(problem.m, problem.n)
+    )[rows][:, free]
     if not np.all(np.isfinite(hessian.data)) or not np.all(np.isfinite(jacobian.data)):
         return None
     ways = _curving_down(hessian, jacobian)
     if not ways.shape[1]:
         return None
-    direction = ways @ np.random.default_rng(0).normal(size=ways.shape[1])  # along one alone the others would be left at their maximum
+    direction = ways @ np.random.default_rng(0).normal(
+        size=ways.shape[1]
+    )  # along one alone the others would be left at their maximum
     step = np.zeros(problem.n)
     step[free] = direction * (_ASIDE / np.max(np.abs(direction) / np.maximum(1.0, np.abs(x[free]))))
     gain = -0.5 * float(step[free] @ (hessian @ step[free]))
@@ -234,7 +304,13 @@ def _curving_down(hessian: sparse.csr_matrix, jacobian: sparse.csr_matrix) -> np
     n, m = hessian.shape[0], jacobian.shape[0]
     length = np.sqrt(np.asarray(jacobian.multiply(jacobian).sum(axis=1)).ravel())
     rows = sparse.diags(1.0 / np.where(length > 0.0, length, 1.0)) @ jacobian
-    span = _krylov(hessian, rows) if n > _DENSE else null_space(rows.toarray(), rcond=1e-10) if m else np.eye(n)
+    span = (
+        _krylov(hessian, rows)
+        if n > _DENSE
+        else null_space(rows.toarray(), rcond=1e-10)
+        if m
+        else np.eye(n)
+    )
     if not span.shape[1]:
         return span
     curvatures, mixed = eigh(span.T @ (hessian @ span))
@@ -247,14 +323,18 @@ def _krylov(hessian: sparse.csr_matrix, rows: sparse.csr_matrix) -> np.ndarray:
     """Orthogonal directions (n, k) of length 1 that keep the rows: a random one, and what the Hessian makes of it again and again."""
     n, m = hessian.shape[0], rows.shape[0]
     try:
-        factors = splu(sparse.bmat([[sparse.eye(n), rows.T], [rows, -_DELTA * sparse.eye(m)]], format="csc"))
+        factors = splu(
+            sparse.bmat([[sparse.eye(n), rows.T], [rows, -_DELTA * sparse.eye(m)]], format="csc")
+        )
     except RuntimeError:  # singular in spite of the regularisation
         return np.zeros((n, 0))
     span = np.zeros((n, 0))
     vector = np.random.default_rng(0).normal(size=n)
     for _ in range(_LANCZOS):
         size = np.linalg.norm(vector)
-        for _ in range(2):  # once leaves of the rows and of the others what the regularisation and rounding do
+        for _ in range(
+            2
+        ):  # once leaves of the rows and of the others what the regularisation and rounding do
             vector = factors.solve(np.append(vector, np.zeros(m)))[:n]
             vector = vector - span @ (span.T @ vector)
         if not np.linalg.norm(vector) > _EXHAUSTED * size:
@@ -268,7 +348,8 @@ def _krylov(hessian: sparse.csr_matrix, rows: sparse.csr_matrix) -> np.ndarray:
 class Branch:
     """A solved branch.
 
-    closed: (pairs,) True where v is held at 0, else w; x (n,), lagrange (m,) refined; biactive: (pairs,) both sides 0; multipliers: (pairs,) of the held
+    closed: (pairs,) True where v is held at 0, else w; x (n,), lagrange (m,) refined; biactive:
+        (pairs,) both sides 0; multipliers: (pairs,) of the held
     side of each pair; slope (n,): `_bound_multipliers`
     """
 
@@ -300,11 +381,14 @@ class Branching:
         self._known: dict[bytes, Branch | None] = {}
         self.last: IpoptResult | None = None
         self.unbounded = False  # whether some branch turned out to be
-        self.curves_down = False  # whether the branch last given to `past_saddle` does, and it found none that is better
+        # whether the branch last given to `past_saddle` does, and it found none that is better
+        self.curves_down = False
         self._size = _size_of_slopes(work.branches.problem, work.branch_point(start))
 
     def polish(self, x: np.ndarray) -> Branch | None:
-        """The best branch reached from a point of the relaxation; None if the branch read off has no solution.
+        """The best branch reached from a point of the relaxation.
+
+        None if the branch read off has no solution.
 
         Raises what `formulations.ipopt.solve` does.
 
@@ -327,7 +411,8 @@ class Branching:
         Parameters
         ----------
         branch : where to begin
-        start : (n,) where the user started, in the relaxation's columns [units of the variables]; the branch found is solved from there too, since it may be
+        start : (n,) where the user started, in the relaxation's columns [units of the variables];
+            the branch found is solved from there too, since it may be
             curved
         """
         if len(branch.closed) > self._settings.search:
@@ -345,7 +430,8 @@ class Branching:
     def past_saddle(self, branch: Branch) -> Branch | None:
         """A better point of the same branch where its Lagrangian curves downwards (a maximum, a saddle); None where it does not, or none is found.
 
-        `curves_down` says afterwards whether it does, in both senses of a direction that keeps all that is active, and none was found.
+        `curves_down` says afterwards whether it does, in both senses of a direction that keeps all
+        that is active, and none was found.
 
         Raises what `formulations.ipopt.solve` does.
 
@@ -362,10 +448,17 @@ class Branching:
             if step is None:  # nor is there one that keeps more
                 return None
             if tried is None or not np.array_equal(step, tried):
-                found = [self._solve_anew(branch.closed, branch.x + sign * step) for sign in (1.0, -1.0) if not self._budget.is_over]
-                better = [other for other in found if other is not None and self._is_better(other, branch)]
+                found = [
+                    self._solve_anew(branch.closed, branch.x + sign * step)
+                    for sign in (1.0, -1.0)
+                    if not self._budget.is_over
+                ]
+                better = [
+                    other for other in found if other is not None and self._is_better(other, branch)
+                ]
                 if better:
-                    self._known.clear()  # solved from the saddle other branches may end at saddles too
+                    # solved from the saddle other branches may end at saddles too
+                    self._known.clear()
                     return min((self._improve(other) for other in better), key=self._sense)
             tried = step
         self.curves_down = True
@@ -382,13 +475,17 @@ class Branching:
 
         Returns
         -------
-        branch or None, and outcome: DIVERGED where a branch is; INFEASIBLE only where each is from every start
+        branch or None, and outcome: DIVERGED where a branch is; INFEASIBLE only where each is from
+            every start
         """
         best, outcomes = None, set[Outcome]()
         for closed in itertools.product((True, False), repeat=len(self._columns.first)):
             for start in starts:
                 if self._budget.is_over:
-                    return best, Outcome.TIME_LIMIT if self._budget.is_late else Outcome.ITERATION_LIMIT
+                    return (
+                        best,
+                        Outcome.TIME_LIMIT if self._budget.is_late else Outcome.ITERATION_LIMIT,
+                    )
                 branch = self._solve_anew(np.array(closed), start)
                 assert self.last is not None
                 outcomes.add(self.last.outcome)
@@ -401,7 +498,9 @@ class Branching:
             return self._improve(best), Outcome.SOLVED
         return None, Outcome.INFEASIBLE if outcomes == {Outcome.INFEASIBLE} else Outcome.STALLED
 
-    def nearest_branch(self, start: np.ndarray, iterations: float) -> tuple[Branch | None, Outcome, int]:
+    def nearest_branch(
+        self, start: np.ndarray, iterations: float
+    ) -> tuple[Branch | None, Outcome, int]:
         """The first branch that has a solution, of the NEAREST to a point, how it ended, as in `every_branch`, and how many were tried.
 
         Raises what `formulations.ipopt.solve` does.
@@ -425,14 +524,21 @@ class Branching:
                 return self._improve(branch), Outcome.SOLVED, tried
             assert self.last is not None
             outcomes.add(self.last.outcome)
-        return None, Outcome.INFEASIBLE if outcomes == {Outcome.INFEASIBLE} else Outcome.STALLED, tried
+        return (
+            None,
+            Outcome.INFEASIBLE if outcomes == {Outcome.INFEASIBLE} else Outcome.STALLED,
+            tried,
+        )
 
-    # -- branches -----------------------------------------------------------------------------------------------------------------
+    # -- branches
+    #   -----------------------------------------------------------------------------------------------------------------
 
     def _repair(self, first: np.ndarray, second: np.ndarray, point: np.ndarray) -> Branch | None:
         """The branch read off has no solution: decide the least clear pairs otherwise."""
         closed = first < second
-        ambiguous = np.argsort(np.maximum(first, second) + np.abs(first - second))[: self._settings.max_biactive]
+        ambiguous = np.argsort(np.maximum(first, second) + np.abs(first - second))[
+            : self._settings.max_biactive
+        ]
         ambiguous = [k for k in ambiguous if max(first[k], second[k]) < 1e-2]
         for k in ambiguous:
             branch = self._solve(_switched(closed, [k]), point)
@@ -457,8 +563,14 @@ class Branching:
         found = [single for single in singles if single is not None]
         biactive = np.flatnonzero(branch.biactive)
         if not found and len(biactive) <= self._settings.max_biactive:
-            subsets = itertools.chain.from_iterable(itertools.combinations(biactive, size) for size in range(1, len(biactive) + 1))
-            found = [other for other in (self._try(branch, list(subset)) for subset in subsets) if other is not None]
+            subsets = itertools.chain.from_iterable(
+                itertools.combinations(biactive, size) for size in range(1, len(biactive) + 1)
+            )
+            found = [
+                other
+                for other in (self._try(branch, list(subset)) for subset in subsets)
+                if other is not None
+            ]
         return min(found, key=self._sense, default=None)
 
     def _sense(self, branch: Branch) -> float:
@@ -486,12 +598,18 @@ class Branching:
         low, high, row_low, row_high = (bound.copy() for bound in self._columns.bounds)
         held = np.where(closed, columns.first, columns.second)
         high[held] = np.minimum(high[held], 0.0)
-        # Where v equals a variable u of the user both are held and the row between them says nothing more: a row holds within a tolerance
-        # only, and x = 5e-13 beside y = 2e12 would satisfy x y >= 1. (It also makes them one side, with one multiplier.)
+        # Where v equals a variable u of the user both are held and the row between them says
+        # nothing more: a row holds within a tolerance only, and x = 5e-13 beside y = 2e12 would
+        # satisfy x y >= 1. (It also makes them one side, with one multiplier.)
         twins = closed & (columns.twin >= 0)
         high[columns.twin[twins]] = np.minimum(high[columns.twin[twins]], 0.0)
         row_low[columns.twin_row[twins]], row_high[columns.twin_row[twins]] = -np.inf, np.inf
-        problem.lower, problem.upper, problem.constraint_lower, problem.constraint_upper = low, high, row_low, row_high
+        problem.lower, problem.upper, problem.constraint_lower, problem.constraint_upper = (
+            low,
+            high,
+            row_low,
+            row_high,
+        )
         return problem, held
 
     def _solve_anew(self, closed: np.ndarray, point: np.ndarray) -> Branch | None:
@@ -505,20 +623,36 @@ class Branching:
         start = Start(x=np.clip(point, problem.lower, np.maximum(problem.lower, problem.upper)))
         result = self._budget.run(problem, options, start)
         if not result.solved and result.status in _CLAIMS_SUCCESS and not self._budget.is_over:
-            # Rows that say the same twice (a pair stated twice, held on the same side): multipliers of 1e17 that cancel, and a point off the
-            # solution. With the rows' block always regularised they stay finite. Where they make as many equations as free variables, Ipopt
-            # takes the objective for settled; with the held ones a little loose, as it does itself where there are more, it does not.
-            free, equal = problem.lower < problem.upper, problem.constraint_lower == problem.constraint_upper
-            anew = _LOOSELY_HELD if np.count_nonzero(free) == np.count_nonzero(equal) else {"perturb_always_cd": "yes"}
+            # Rows that say the same twice (a pair stated twice, held on the same side): multipliers
+            # of 1e17 that cancel, and a point off the solution. With the rows' block always
+            # regularised they stay finite. Where they make as many equations as free variables,
+            # Ipopt takes the objective for settled; with the held ones a little loose, as it does
+            # itself where there are more, it does not.
+            free, equal = (
+                problem.lower < problem.upper,
+                problem.constraint_lower == problem.constraint_upper,
+            )
+            anew = (
+                _LOOSELY_HELD
+                if np.count_nonzero(free) == np.count_nonzero(equal)
+                else {"perturb_always_cd": "yes"}
+            )
             again = self._budget.run(problem, {**options, **anew, **self._settings.ipopt}, start)
             result = again if again.solved else result
         self.last = result
         self.unbounded = self.unbounded or result.outcome is Outcome.DIVERGED
-        # Where a branch has a single point, say, its multipliers may not exist: the point counts, and the certificate judges it.
+        # Where a branch has a single point, say, its multipliers may not exist: the point counts,
+        # and the certificate judges it.
         if result.solved or (result.status in _CLAIMS_SUCCESS and result.residuals.feasible):
             better = self._refined(problem, result, options)
-        elif result.outcome in (Outcome.ITERATION_LIMIT, Outcome.STALLED) and result.residuals.feasible and not self._budget.is_over:
-            better = refined(problem, result, self._size)  # Ipopt's steps are short near a maximum: a point that Newton's make exact is one
+        elif (
+            result.outcome in (Outcome.ITERATION_LIMIT, Outcome.STALLED)
+            and result.residuals.feasible
+            and not self._budget.is_over
+        ):
+            better = refined(
+                problem, result, self._size
+            )  # Ipopt's steps are short near a maximum: a point that Newton's make exact is one
             if better.error > _EXACT:
                 return None
         else:
@@ -536,13 +670,21 @@ class Branching:
             slope=slope,
         )
 
-    def _refined(self, problem: IpoptProblem, result: IpoptResult, options: dict[str, Any]) -> Refined:
+    def _refined(
+        self, problem: IpoptProblem, result: IpoptResult, options: dict[str, Any]
+    ) -> Refined:
         better = refined(problem, result, self._size)
         size = min(self._size, slope_size(problem, better.x))
         if better.error <= _UNREFINED or not size > 0.0 or self._budget.is_over:
             return better
-        tight = {**options, "tol": max(_TIGHTEST, options["tol"] * min(size**2, _TIGHTER)), "mu_init": _SMALL_BARRIER}
-        scaled = self._budget.run(problem, tight, Start(x=result.x, lagrange=result.lagrange, zl=result.zl, zu=result.zu))
+        tight = {
+            **options,
+            "tol": max(_TIGHTEST, options["tol"] * min(size**2, _TIGHTER)),
+            "mu_init": _SMALL_BARRIER,
+        }
+        scaled = self._budget.run(
+            problem, tight, Start(x=result.x, lagrange=result.lagrange, zl=result.zl, zu=result.zu)
+        )
         again = refined(problem, scaled, self._size) if scaled.solved else better
         return again if again.error < better.error else better
 

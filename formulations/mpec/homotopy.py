@@ -1,6 +1,7 @@
 """Follow a relaxation as its eps goes to 0: how far a step goes is learnt from the steps before, and a failed one is taken again, shorter.
 
-`Workspace` holds the numbers of one solve: the compiled relaxation, the compiled problem without products, and the columns of the pairs in both.
+`Workspace` holds the numbers of one solve: the compiled relaxation, the compiled problem without
+products, and the columns of the pairs in both.
 """
 
 from __future__ import annotations
@@ -14,21 +15,37 @@ from typing import Any
 import numpy as np
 import pyomo.environ as pyo
 
-from formulations.ipopt import IpoptProblem, IpoptResult, MissingValueError, Start, compile_model, solve
+from formulations.ipopt import (
+    IpoptProblem,
+    IpoptResult,
+    MissingValueError,
+    Start,
+    compile_model,
+    solve,
+)
 from formulations.ipopt.solve import repeats_constraints
 from formulations.mpec.lifted import Lifted
 from formulations.mpec.strategies import MpecSettings, Strategy
 from formulations.solution import Outcome
 
-# eps goes down by this at first; a step of few iterations makes the next one bolder, one of many makes it more careful.
-_FIRST_FACTOR, _BOLDEST, _MOST_CAREFUL = 0.1, 1e-3, 0.5
-_FEW, _MANY = 15, 120
-# eps does nothing where it is this much larger than all products; after two such steps in a row it goes to the products at once. (After one the same
-# problem, begun anew, may have a better solution: water-net ends at 909.0 instead of 927.3.)
+# eps goes down by this at first; a step of few iterations makes the next one bolder, one of many
+# makes it more careful.
+_FIRST_FACTOR = 0.1
+_BOLDEST = 1e-3
+_MOST_CAREFUL = 0.5
+_FEW = 15
+_MANY = 120
+# eps does nothing where it is this much larger than all products; after two such steps in a row it
+# goes to the products at once. (After one the same problem, begun anew, may have a better solution:
+# water-net ends at 909.0 instead of 927.3.)
 _IDLE = 1e-2
-# Failed steps in a row, and in all, before the path is given up; the factors by which a first step that fails is tried again: a looser
-# relaxation is easier to satisfy, a tighter one is bounded where a looser one is not.
-_RETRIES, _FAILURES, _LOOSER, _TIGHTER = 3, 8, 100.0, 1e-2
+# Failed steps in a row, and in all, before the path is given up; the factors by which a first step
+# that fails is tried again: a looser relaxation is easier to satisfy, a tighter one is bounded
+# where a looser one is not.
+_RETRIES = 3
+_FAILURES = 8
+_LOOSER = 100.0
+_TIGHTER = 1e-2
 # Iterations of the first step of a path that is only tried.
 _TRIAL = 100
 
@@ -36,17 +53,28 @@ _TRIAL = 100
 class Columns:
     """Where things are in a compiled problem.
 
-    bounds: of variables and rows as the problem was compiled, (n,), (n,), (m,), (m,); first[k], second[k]: columns of pair k; twin[k]: the column of the
+    bounds: of variables and rows as the problem was compiled, (n,), (n,), (m,), (m,); first[k],
+        second[k]: columns of pair k; twin[k]: the column of the
     user's variable which first[k] equals, or -1; twin_row[k]: the row that says so
     """
 
     def __init__(self, problem: IpoptProblem, lifted: Lifted) -> None:
         self.problem = problem
-        self.bounds = (problem.lower.copy(), problem.upper.copy(), problem.constraint_lower.copy(), problem.constraint_upper.copy())
+        self.bounds = (
+            problem.lower.copy(),
+            problem.upper.copy(),
+            problem.constraint_lower.copy(),
+            problem.constraint_upper.copy(),
+        )
         self.place = {id(variable): column for column, variable in enumerate(problem.variables)}
         self.first = np.array([self.place[id(pair.first)] for pair in lifted.pairs], dtype=np.intp)
-        self.second = np.array([self.place[id(pair.second)] for pair in lifted.pairs], dtype=np.intp)
-        self.twin = np.array([-1 if pair.twin is None else self.place[id(pair.twin)] for pair in lifted.pairs], dtype=np.intp)
+        self.second = np.array(
+            [self.place[id(pair.second)] for pair in lifted.pairs], dtype=np.intp
+        )
+        self.twin = np.array(
+            [-1 if pair.twin is None else self.place[id(pair.twin)] for pair in lifted.pairs],
+            dtype=np.intp,
+        )
         row = {id(equation): number for number, equation in enumerate(problem.equations)}
         self.twin_row = np.array([row[id(pair.data.ve)] for pair in lifted.pairs], dtype=np.intp)
 
@@ -68,19 +96,37 @@ def natural_residual(first: np.ndarray, second: np.ndarray) -> float:
 
 
 class Workspace:
-    """Compiled once per strategy, `branches` once for all; only numbers change afterwards. own: `id`s of the variables that the user does not have.
+    """Compiled once per strategy, `branches` once for all.
+
+    Only numbers change afterwards. own: `id`s of the variables that the user does not have.
 
     settings, budget: of the whole solve
     """
 
-    def __init__(self, lifted: Lifted, branches: Columns, strategy: Strategy, settings: MpecSettings, budget: WorkBudget) -> None:
-        self.lifted, self.branches, self.strategy, self.settings, self.budget = lifted, branches, strategy, settings, budget
+    def __init__(
+        self,
+        lifted: Lifted,
+        branches: Columns,
+        strategy: Strategy,
+        settings: MpecSettings,
+        budget: WorkBudget,
+    ) -> None:
+        self.lifted, self.branches, self.strategy, self.settings, self.budget = (
+            lifted,
+            branches,
+            strategy,
+            settings,
+            budget,
+        )
         self._steered = strategy.attach(lifted)
         self.relaxed = Columns(compile_model(lifted.shadow), lifted)
         added = lifted.shadow.relaxation.component_data_objects(pyo.Var)
         self.own = {id(variable) for variable in (*self._slacks(), *added)}
         known = self.relaxed.place
-        self._to_branch = np.array([known.get(id(variable), -1) for variable in self.branches.problem.variables], dtype=np.intp)
+        self._to_branch = np.array(
+            [known.get(id(variable), -1) for variable in self.branches.problem.variables],
+            dtype=np.intp,
+        )
 
     def set(self, eps: float) -> None:
         """Move the relaxation to eps."""
@@ -88,7 +134,9 @@ class Workspace:
         self.relaxed.problem.refresh(check=False)
 
     def start(self, number: int = 0) -> np.ndarray:
-        """A start in the relaxation's columns; every slack at the value that its own equation asks for, at least its bound.
+        """A start in the relaxation's columns.
+
+        Every slack at the value that its own equation asks for, at least its bound.
 
         Parameters
         ----------
@@ -106,7 +154,9 @@ class Workspace:
         problem = self.relaxed.problem
         x, _ = problem.start()
         for k in np.flatnonzero(~np.isfinite(x)):
-            raise MissingValueError(f"variable '{problem.variables[k].name}' starts at {x[k]}: give it a finite value, or none")
+            raise MissingValueError(
+                f"variable '{problem.variables[k].name}' starts at {x[k]}: give it a finite value, or none"
+            )
         if number:
             x = _random_start(problem, x, np.random.default_rng(number))
         settle(self.relaxed, x, self._slacks())
@@ -127,7 +177,10 @@ class Workspace:
 
 
 def _random_start(problem: IpoptProblem, x: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """A point (n,) around x: uniform between two finite bounds, else normal with the size of x; never beyond a bound."""
+    """A point (n,) around x: uniform between two finite bounds, else normal with the size of x.
+
+    Never beyond a bound.
+    """
     low, high = problem.lower, problem.upper
     around = np.clip(x + np.maximum(1.0, np.abs(x)) * random.normal(size=len(x)), low, high)
     share = random.uniform(size=len(x))
@@ -153,19 +206,27 @@ def settle(relaxed: Columns, x: np.ndarray, slacks: list[Any]) -> None:
         return
     x[columns] = np.clip(0.0, problem.lower[columns], problem.upper[columns])
     rows, entries = problem.jacobianstructure()
-    for _ in range(2):  # slacks of user expressions first, then v == expression, which may hold such a slack
+    for _ in range(
+        2
+    ):  # slacks of user expressions first, then v == expression, which may hold such a slack
         values, slopes = problem.constraints(x), problem.jacobian(x)
         is_equality = problem.constraint_lower == problem.constraint_upper
         wanted = np.full(problem.n, np.nan)
         pick = np.isin(entries, columns) & is_equality[rows] & (slopes != 0.0)
         with np.errstate(all="ignore"):
-            wanted[entries[pick]] = x[entries[pick]] + (problem.constraint_lower[rows[pick]] - values[rows[pick]]) / slopes[pick]
+            wanted[entries[pick]] = (
+                x[entries[pick]]
+                + (problem.constraint_lower[rows[pick]] - values[rows[pick]]) / slopes[pick]
+            )
         chosen = np.where(np.isfinite(wanted[columns]), wanted[columns], x[columns])
         x[columns] = np.clip(chosen, problem.lower[columns], problem.upper[columns])
 
 
 def compile_branches(lifted: Lifted) -> Columns:
-    """The problem without products, to be compiled before any relaxation. A side that stands nowhere else keeps its row w >= 0, so that it has a column."""
+    """The problem without products, to be compiled before any relaxation.
+
+    A side that stands nowhere else keeps its row w >= 0, so that it has a column.
+    """
     lifted.products(active=False)
     problem = compile_model(lifted.shadow)
     present = {id(variable) for variable in problem.variables}
@@ -233,7 +294,12 @@ class WorkBudget:
     def run(self, problem: Any, options: dict[str, Any], start: Start) -> IpoptResult:
         """Solve within the time and the iterations that are left, and count them."""
         if math.isfinite(self.most_iterations):
-            options = {**options, "max_iter": int(min(options["max_iter"], max(1.0, self.most_iterations - self.iterations)))}
+            options = {
+                **options,
+                "max_iter": int(
+                    min(options["max_iter"], max(1.0, self.most_iterations - self.iterations))
+                ),
+            }
         result = solve(problem, options=options, warm_start=start, time_limit=self.remaining)
         self.iterations += result.iterations
         self.solves += 1
@@ -247,21 +313,30 @@ class Path:
     """
 
     def __init__(self, work: Workspace, steps: list[Step]) -> None:
-        self._work, self._strategy, self._settings, self._budget, self._steps = work, work.strategy, work.settings, work.budget, steps
+        self._work, self._strategy, self._settings, self._budget, self._steps = (
+            work,
+            work.strategy,
+            work.settings,
+            work.budget,
+            steps,
+        )
         self._regularised: dict[str, Any] = {}
         self.gave_up = False
         self.last_outcome = Outcome.SOLVED
         self.last_message = ""
 
     def points(self, start: np.ndarray, *, is_tried: bool = False) -> Iterator[PathPoint]:
-        """Points of smaller and smaller eps; ends at the last eps, at a limit, or where no shorter step helps either.
+        """Points of smaller and smaller eps.
+
+        Ends at the last eps, at a limit, or where no shorter step helps either.
 
         Raises what `formulations.ipopt.solve` does.
 
         Parameters
         ----------
         start : (n,) point of the relaxation [units of the variables]
-        is_tried : whether others are left to go, so that a first step may take _TRIAL iterations, and is not taken again from another eps
+        is_tried : whether others are left to go, so that a first step may take _TRIAL iterations,
+            and is not taken again from another eps
         """
         settings, strategy = self._settings, self._strategy
         first = settings.eps_start or strategy.first
@@ -269,7 +344,9 @@ class Path:
         good: PathPoint | None = None
         eps, factor, failures, tried, was_idle = first, _FIRST_FACTOR, 0, {first}, False
         while True:
-            result = self._take(eps, start, good, _TRIAL if is_tried and good is None else settings.step_iterations)
+            result = self._take(
+                eps, start, good, _TRIAL if is_tried and good is None else settings.step_iterations
+            )
             if _is_usable(result):
                 self.gave_up = False
                 good, failures = PathPoint(eps=eps, x=result.x, result=result), max(0, failures - 1)
@@ -286,7 +363,11 @@ class Path:
             failures += 1
             self.gave_up = True
             self.last_outcome, self.last_message = result.outcome, result.told
-            if self._budget.is_over or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT) or failures > _FAILURES:
+            if (
+                self._budget.is_over
+                or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT)
+                or failures > _FAILURES
+            ):
                 return
             if good is None:
                 if is_tried:
@@ -304,19 +385,32 @@ class Path:
     def _largest_product(self, good: PathPoint) -> float:
         """Largest v w of a pair where eps bounds it; infinite for other strategies."""
         first, second = self._work.relaxed.pair_values(good.x)
-        return float(np.max(first * second, initial=0.0)) if self._strategy.bounds_products else math.inf
+        return (
+            float(np.max(first * second, initial=0.0))
+            if self._strategy.bounds_products
+            else math.inf
+        )
 
-    def _take(self, eps: float, start: np.ndarray, good: PathPoint | None, most: int) -> IpoptResult:
+    def _take(
+        self, eps: float, start: np.ndarray, good: PathPoint | None, most: int
+    ) -> IpoptResult:
         begin = time.perf_counter()
         self._work.set(eps)
-        options: dict[str, Any] = {"max_iter": min(most, self._settings.step_iterations), "bound_relax_factor": 0.0}
+        options: dict[str, Any] = {
+            "max_iter": min(most, self._settings.step_iterations),
+            "bound_relax_factor": 0.0,
+        }
         begins = Start(x=start if good is None else good.x)
         if good is not None and eps <= self._strategy.warm_below and good.result.solved:
-            # Multipliers are worth keeping only where the solution hardly moves any more; earlier they mislead.
+            # Multipliers are worth keeping only where the solution hardly moves any more; earlier
+            # they mislead.
             before = good.result
             begins = Start(x=before.x, lagrange=before.lagrange, zl=before.zl, zu=before.zu)
             options["mu_init"] = min(1e-4, max(1e-11, 1e-2 * eps))
-        problem, options = self._work.relaxed.problem, {**options, **self._regularised, **self._settings.ipopt}
+        problem, options = (
+            self._work.relaxed.problem,
+            {**options, **self._regularised, **self._settings.ipopt},
+        )
         result = self._budget.run(problem, options, begins)
         if not self._regularised and repeats_constraints(result) and not self._budget.is_over:
             self._regularised = {
@@ -340,7 +434,9 @@ class Path:
 
 def _is_usable(result: IpoptResult) -> bool:
     """Solved, or stalled at a feasible point: good enough to go on from, since every later step is judged again."""
-    return result.solved or (result.outcome in (Outcome.STALLED, Outcome.ITERATION_LIMIT) and result.residuals.feasible)
+    return result.solved or (
+        result.outcome in (Outcome.STALLED, Outcome.ITERATION_LIMIT) and result.residuals.feasible
+    )
 
 
 def _next_factor(factor: float, iterations: int) -> float:

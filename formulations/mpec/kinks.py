@@ -1,9 +1,11 @@
 """Absolute values, minima and maxima of variables, written as complementarities in a copy of the model.
 
-    e = p - n,  0 <= p  complementary to  n >= 0:      |e| = p + n,   max(a, b) = b + p with e = a - b,   min(a, b) = a - p
+    e = p - n, 0 <= p complementary to n >= 0: |e| = p + n, max(a, b) = b + p with e = a - b, min(a,
+    b) = a - p
 
-p is the positive part of e and n its negative part, so that the copy has the same points with the same objective; where e is not 0 at the answer
-the pair is decided there and the answer is that of a smooth problem.
+p is the positive part of e and n its negative part, so that the copy has the same points with the
+same objective; where e is not 0 at the answer the pair is decided there and the answer is that of a
+smooth problem.
 """
 
 from __future__ import annotations
@@ -21,7 +23,10 @@ from pyomo.mpec import Complementarity, complements
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SmoothCopy:
-    """A copy without kinks; the user's components by the `id` of those of the copy; the block that holds what was added."""
+    """A copy without kinks; the user's components by the `id` of those of the copy.
+
+    The block that holds what was added.
+    """
 
     model: Any
     users: dict[int, Any]
@@ -31,27 +36,48 @@ class SmoothCopy:
 def has_kinks(model: Any) -> bool:
     """Whether an active objective, constraint or complementarity has an absolute value, a minimum or a maximum of variables."""
     kinds = (pyo.Objective, pyo.Constraint, Complementarity)
-    return any(_has_kink(side) for data in model.component_data_objects(kinds, active=True, descend_into=Block) for side in _sides(data))
+    return any(
+        _has_kink(side)
+        for data in model.component_data_objects(kinds, active=True, descend_into=Block)
+        for side in _sides(data)
+    )
 
 
 def smooth_copy(model: Any) -> SmoothCopy:
-    """A copy of the model without absolute values, minima and maxima of its variables. The model is only read."""
+    """A copy of the model without absolute values, minima and maxima of its variables.
+
+    The model is only read.
+    """
     with PauseGC():
         copy = model.clone()
         both = [
-            zip(*(list(one.component_data_objects(kind, descend_into=Block)) for one in (copy, model)), strict=True)
+            zip(
+                *(
+                    list(one.component_data_objects(kind, descend_into=Block))
+                    for one in (copy, model)
+                ),
+                strict=True,
+            )
             for kind in (pyo.Var, pyo.Constraint, Complementarity)
         ]
         users = {id(mine): theirs for pairs in both for mine, theirs in pairs}
         block = pyo.Block(concrete=True)
         copy.add_component(_free_name(model), block)
-        block.positive, block.negative = (pyo.VarList(domain=pyo.NonNegativeReals) for _ in range(2))
+        block.positive, block.negative = (
+            pyo.VarList(domain=pyo.NonNegativeReals) for _ in range(2)
+        )
         block.parts, block.pair = pyo.ConstraintList(), Complementarity(pyo.Any)
         visitor = _Replacing(block)
-        for data in list(copy.component_data_objects((pyo.Objective, pyo.Constraint), active=True, descend_into=Block)):
+        for data in list(
+            copy.component_data_objects(
+                (pyo.Objective, pyo.Constraint), active=True, descend_into=Block
+            )
+        ):
             if data.parent_block() is not block:
                 data.set_value(visitor.walk_expression(data.expr))
-        for data in list(copy.component_data_objects(Complementarity, active=True, descend_into=Block)):
+        for data in list(
+            copy.component_data_objects(Complementarity, active=True, descend_into=Block)
+        ):
             if data.parent_block() is not block:
                 data._args = tuple(visitor.walk_expression(side) for side in data._args)
     return SmoothCopy(model=copy, users=users, block=block)

@@ -1,15 +1,19 @@
 """A shadow of the user's model, in which every complementarity is a pair of variables.
 
-    0 <= v,  0 <= w,  v w = 0        v: Pyomo's own variable of the pair (v == first);  w: the user's variable where it is one, else a slack
+    0 <= v, 0 <= w, v w = 0 v: Pyomo's own variable of the pair (v == first); w: the user's variable
+    where it is one, else a slack
 
-The shadow is a ConcreteModel of its own whose rows are the user's (by reference) and whose pairs went through Pyomo's own
-`mpec.simple_nonlinear`: each has `v`, its equation `ve`, and the product `ccon`: v w <= mpec_bound, a mutable Param. The user's model is
+The shadow is a ConcreteModel of its own whose rows are the user's (by reference) and whose pairs
+    went through Pyomo's own
+`mpec.simple_nonlinear`: each has `v`, its equation `ve`, and the product `ccon`: v w <= mpec_bound,
+    a mutable Param. The user's model is
 read and never written, so there is nothing to undo after a failure or Ctrl-C.
 
-What a Complementarity says: complements(a, b), both relations hold, and at least one of the inequalities holds as an equality. Pyomo accepts two
-finite bounds in all: one on each side (two expressions of which none is negative and one is zero), both on one side (a box:
-l <= body <= u complements a free expression that is >= 0 at l, <= 0 at u and 0 between), or an equality (it always holds as an equality,
-hence nothing is left to choose; the other side holds as it is written).
+What a Complementarity says: complements(a, b), both relations hold, and at least one of the
+inequalities holds as an equality. Pyomo accepts two finite bounds in all: one on each side (two
+expressions of which none is negative and one is zero), both on one side (a box: l <= body <= u
+complements a free expression that is >= 0 at l, <= 0 at u and 0 between), or an equality (it always
+holds as an equality, hence nothing is left to choose; the other side holds as it is written).
 """
 
 from __future__ import annotations
@@ -24,11 +28,20 @@ from pyomo.common.numeric_types import native_numeric_types
 from pyomo.core.base import Block
 from pyomo.core.base.var import VarData
 from pyomo.core.expr.numvalue import is_potentially_variable
-from pyomo.core.expr.relational_expr import EqualityExpression, InequalityExpression, RangedExpression
+from pyomo.core.expr.relational_expr import (
+    EqualityExpression,
+    InequalityExpression,
+    RangedExpression,
+)
 from pyomo.mpec import Complementarity, complements
 
 from formulations.ipopt import MissingValueError, ModelRefusedError
-from formulations.ipopt.model import active_constraints, active_objective, read_bound, refuse_unknown_components
+from formulations.ipopt.model import (
+    active_constraints,
+    active_objective,
+    read_bound,
+    refuse_unknown_components,
+)
 
 Relation = tuple[Any, Any, Any]
 Sides = tuple[tuple[int, float], tuple[int, float]]
@@ -40,7 +53,8 @@ def relation_of(side: Any, data: Any) -> Relation:
     Raises
     ------
     ModelRefusedError
-        for a strict inequality, a range with variable bounds, and what is neither an expression nor a relation
+        for a strict inequality, a range with variable bounds, and what is neither an expression nor
+        a relation
     MissingValueError
         where a bound has no value
     """
@@ -50,7 +64,9 @@ def relation_of(side: Any, data: Any) -> Relation:
     if kind is InequalityExpression or kind is RangedExpression:
         strict = side.strict if isinstance(side.strict, (tuple, list)) else (side.strict,)
         if any(strict):
-            raise ModelRefusedError(f"complementarity '{data.name}' has a strict inequality ({side}): write <= or >=")
+            raise ModelRefusedError(
+                f"complementarity '{data.name}' has a strict inequality ({side}): write <= or >="
+            )
         if kind is RangedExpression:
             lower, body, upper = side.args
             return _finite(lower, data, -math.inf), body, _finite(upper, data, math.inf)
@@ -60,9 +76,13 @@ def relation_of(side: Any, data: Any) -> Relation:
         if not is_potentially_variable(left):
             return _finite(left, data, -math.inf), right, None
         return 0.0, right - left, None
-    if side.__class__ in native_numeric_types or (hasattr(side, "is_numeric_type") and side.is_numeric_type()):
+    if side.__class__ in native_numeric_types or (
+        hasattr(side, "is_numeric_type") and side.is_numeric_type()
+    ):
         return None, side, None
-    raise ModelRefusedError(f"complementarity '{data.name}' has {side!r} on one side, which is neither an expression nor a relation")
+    raise ModelRefusedError(
+        f"complementarity '{data.name}' has {side!r} on one side, which is neither an expression nor a relation"
+    )
 
 
 def _finite(bound: Any, data: Any, unbounded: float) -> Any:
@@ -85,7 +105,9 @@ def _distance(relation: Relation) -> tuple[Any, float]:
     """(how far the body is inside its one bound, sign of the body in it)."""
     lower, body, upper = relation
     if upper is None:
-        return (body if lower.__class__ in native_numeric_types and lower == 0 else body - lower), 1.0
+        return (
+            body if lower.__class__ in native_numeric_types and lower == 0 else body - lower
+        ), 1.0
     return upper - body, -1.0
 
 
@@ -93,9 +115,12 @@ def _distance(relation: Relation) -> tuple[Any, float]:
 class LiftedPair:
     """Two variables v, w of the shadow of which none is negative and one is 0.
 
-    data: the transformed Complementarity with `v`, `ve`, `ccon`; second: w; condition: what the user wrote
-    twin: the user's variable that v equals, where the first side is a variable with lower bound 0 itself; swapped: whether v is the second
-    argument's side; sides: of v and of w, which argument of `complements` its multiplier belongs to, and with which sign (0: to none)
+    data: the transformed Complementarity with `v`, `ve`, `ccon`; second: w; condition: what the
+        user wrote
+    twin: the user's variable that v equals, where the first side is a variable with lower bound 0
+        itself; swapped: whether v is the second
+    argument's side; sides: of v and of w, which argument of `complements` its multiplier belongs
+        to, and with which sign (0: to none)
     """
 
     data: Any
@@ -115,7 +140,8 @@ class LiftedPair:
 class Lifted:
     """The shadow and its pairs.
 
-    conditions: what the user wrote, as Complementarity data; imposed: (one of them, number of its argument, row) for what holds without a choice
+    conditions: what the user wrote, as Complementarity data; imposed: (one of them, number of its
+        argument, row) for what holds without a choice
     """
 
     shadow: Any
@@ -124,7 +150,10 @@ class Lifted:
     imposed: tuple[tuple[Any, int, Any], ...]
 
     def relaxation(self) -> Any:
-        """A new empty block for a relaxation; products and what was written for another relaxation are no part of the shadow any more."""
+        """A new empty block for a relaxation.
+
+        Products and what was written for another relaxation are no part of the shadow any more.
+        """
         shadow = self.shadow
         shadow.del_component("relaxation")
         shadow.relaxation = pyo.Block()
@@ -163,19 +192,27 @@ def lift(model: Any) -> Lifted:
             shadow.user_objective = pyo.Objective(expr=objective.expr, sense=objective.sense)
         shadow.slack = pyo.VarList(domain=pyo.Reals)
         shadow.slack_rows = pyo.ConstraintList()
-        conditions = tuple(model.component_data_objects(Complementarity, active=True, descend_into=Block))
+        conditions = tuple(
+            model.component_data_objects(Complementarity, active=True, descend_into=Block)
+        )
         found: list[tuple[Any, Any, Any, bool, Sides]] = []
         held: list[tuple[Any, int, Relation]] = []
         for condition in conditions:
             choices, relations = _read(shadow, condition)
             found += [(condition, *choice) for choice in choices]
             held += [(condition, argument, relation) for argument, relation in relations]
-        imposed = [(condition, argument, _impose(shadow, *relation)) for condition, argument, relation in held]
-        shadow.pair = Complementarity(range(len(found)), rule=lambda _, k: complements(found[k][1] >= 0, found[k][2] >= 0))
+        imposed = [
+            (condition, argument, _impose(shadow, *relation))
+            for condition, argument, relation in held
+        ]
+        shadow.pair = Complementarity(
+            range(len(found)), rule=lambda _, k: complements(found[k][1] >= 0, found[k][2] >= 0)
+        )
         transformed = tuple(shadow.pair[k] for k in range(len(found)))
         pyo.TransformationFactory("mpec.simple_nonlinear").apply_to(shadow, mpec_bound=1.0)
         for data in transformed:
-            data.c.deactivate()  # w >= 0 is the bound of w already; as a row it would cost a slack each
+            # w >= 0 is the bound of w already; as a row it would cost a slack each
+            data.c.deactivate()
     pairs = tuple(
         LiftedPair(
             data=data,
@@ -187,22 +224,33 @@ def lift(model: Any) -> Lifted:
         )
         for data, (condition, first, second, swapped, sides) in zip(transformed, found, strict=True)
     )
-    return Lifted(shadow=shadow, conditions=conditions, pairs=pairs, imposed=tuple(item for item in imposed if item[2] is not None))
+    return Lifted(
+        shadow=shadow,
+        conditions=conditions,
+        pairs=pairs,
+        imposed=tuple(item for item in imposed if item[2] is not None),
+    )
 
 
-def _read(shadow: Any, data: Any) -> tuple[list[tuple[Any, Any, bool, Sides]], list[tuple[int, Relation]]]:
+def _read(
+    shadow: Any, data: Any
+) -> tuple[list[tuple[Any, Any, bool, Sides]], list[tuple[int, Relation]]]:
     """What a Complementarity says: the choices that it leaves, and what must hold without one.
 
-    A choice is (expression, variable with lower bound 0, whether swapped, sides); the rest is (number of the argument, relation).
-    ModelRefusedError names one that cannot be understood.
+    A choice is (expression, variable with lower bound 0, whether swapped, sides); the rest is
+    (number of the argument, relation). ModelRefusedError names one that cannot be understood.
     """
     arguments = getattr(data, "_args", None)
     if not arguments:
-        raise ModelRefusedError(f"complementarity '{data.name}' holds no condition: give it complements(.., ..), or deactivate it")
+        raise ModelRefusedError(
+            f"complementarity '{data.name}' holds no condition: give it complements(.., ..), or deactivate it"
+        )
     relations = tuple(relation_of(side, data) for side in arguments)
     if any(isinstance(side, EqualityExpression) for side in arguments):
         return [], list(enumerate(relations))
-    bounds = tuple(sum(bound is not None for bound in (lower, upper)) for lower, _, upper in relations)
+    bounds = tuple(
+        sum(bound is not None for bound in (lower, upper)) for lower, _, upper in relations
+    )
     if sum(bounds) != 2:
         raise ModelRefusedError(
             f"complementarity '{data.name}' has {sum(bounds)} finite bounds, but needs two in all: 'expr >= l' on each side, or 'l <= expr <= u' "
@@ -215,7 +263,14 @@ def _read(shadow: Any, data: Any) -> tuple[list[tuple[Any, Any, bool, Sides]], l
         if swapped:
             first, second, sides = second, first, (sides[1], sides[0])
         first = _expression(shadow, first)
-        return [(first, second if _is_nonnegative_variable(second) else _slack(shadow, second), swapped, sides)], []
+        return [
+            (
+                first,
+                second if _is_nonnegative_variable(second) else _slack(shadow, second),
+                swapped,
+                sides,
+            )
+        ], []
     box, other = (0, 1) if bounds == (2, 0) else (1, 0)
     (lower, body, upper), (_, free, _) = relations[box], relations[other]
     if _number(lower, data) == _number(upper, data):
@@ -234,7 +289,11 @@ def _impose(shadow: Any, lower: Any, body: Any, upper: Any) -> Any | None:
     """The row lower <= body <= upper; None without bounds."""
     body = _expression(shadow, body)
     if lower is not None and upper is not None:
-        return shadow.slack_rows.add(body == lower if pyo.value(lower) == pyo.value(upper) else pyo.inequality(lower, body, upper))
+        return shadow.slack_rows.add(
+            body == lower
+            if pyo.value(lower) == pyo.value(upper)
+            else pyo.inequality(lower, body, upper)
+        )
     if lower is not None:
         return shadow.slack_rows.add(body >= lower)
     return None if upper is None else shadow.slack_rows.add(body <= upper)
@@ -249,7 +308,12 @@ def _slack(shadow: Any, expression: Any) -> Any:
 
 def _is_nonnegative_variable(expression: Any) -> bool:
     """Whether it is a free variable that its own bounds keep from being negative: then it can be a side of a pair itself."""
-    return isinstance(expression, VarData) and not expression.fixed and expression.lb is not None and expression.lb >= 0.0
+    return (
+        isinstance(expression, VarData)
+        and not expression.fixed
+        and expression.lb is not None
+        and expression.lb >= 0.0
+    )
 
 
 def _expression(shadow: Any, expression: Any) -> Any:

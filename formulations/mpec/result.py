@@ -21,10 +21,14 @@ from formulations.mpec.lifted import relation_of
 from formulations.solution import Outcome
 
 
-def verdict(candidate: Candidate, residual: float, certificate: Certificate | None) -> tuple[Outcome, str]:
+def verdict(
+    candidate: Candidate, residual: float, certificate: Certificate | None
+) -> tuple[Outcome, str]:
     """Outcome and sentence of a candidate that has a point."""
     summary = f"{candidate.work.strategy.name}: " + (
-        certificate.sentence if certificate else f"complementarity {residual:.1e}, no certificate asked for"
+        certificate.sentence
+        if certificate
+        else f"complementarity {residual:.1e}, no certificate asked for"
     )
     if candidate.branch is None and candidate.outcome is not Outcome.SOLVED:
         return candidate.outcome, f"{candidate.message}; {summary}"
@@ -44,7 +48,10 @@ def verdict(candidate: Candidate, residual: float, certificate: Certificate | No
         summary = f"{summary}; its Lagrangian curves downwards along a direction, but no better point was found there"
     if certificate is not None and certificate.b_stationary is False:
         if candidate.unbounded:
-            return Outcome.DIVERGED, f"a branch of the problem is unbounded, and a direction goes down towards it; {summary}"
+            return (
+                Outcome.DIVERGED,
+                f"a branch of the problem is unbounded, and a direction goes down towards it; {summary}",
+            )
         return Outcome.STALLED, f"the point is feasible, but a direction goes down; {summary}"
     return Outcome.SOLVED, summary
 
@@ -52,7 +59,10 @@ def verdict(candidate: Candidate, residual: float, certificate: Certificate | No
 def outcome_without_point(candidate: Candidate) -> tuple[Outcome, str]:
     """Outcome and sentence where no relaxation could be solved."""
     if candidate.work.budget.is_late:
-        return Outcome.TIME_LIMIT, f"the time limit was reached before any relaxation was solved; {candidate.message}"
+        return (
+            Outcome.TIME_LIMIT,
+            f"the time limit was reached before any relaxation was solved; {candidate.message}",
+        )
     if candidate.outcome is Outcome.SOLVED:
         return Outcome.FAILED, "no relaxation was solved, for no known reason"
     return candidate.outcome, candidate.message
@@ -62,7 +72,8 @@ def outcome_without_point(candidate: Candidate) -> tuple[Outcome, str]:
 class Candidate:
     """What one strategy found: a branch, or only a point of its relaxation, or neither.
 
-    unbounded: whether it met a branch without a lower bound; curves_down: whether the Lagrangian curves downwards at the branch, and no better one was found
+    unbounded: whether it met a branch without a lower bound; curves_down: whether the Lagrangian
+        curves downwards at the branch, and no better one was found
     """
 
     work: Workspace
@@ -76,7 +87,11 @@ class Candidate:
     @property
     def columns(self) -> Columns:
         """The columns that the point is in."""
-        return self.work.relaxed if self.branch is None and self.point is not None else self.work.branches
+        return (
+            self.work.relaxed
+            if self.branch is None and self.point is not None
+            else self.work.branches
+        )
 
     @property
     def sense(self) -> int:
@@ -85,14 +100,25 @@ class Candidate:
 
     @property
     def objective(self) -> float:
-        """Of the point, in the model's own sense, without a strategy's penalty; NaN without a point."""
+        """Of the point, in the model's own sense, without a strategy's penalty.
+
+        NaN without a point.
+        """
         if self.branch is not None:
             return self.branch.objective
-        return math.nan if self.point is None else self.sense * self.work.branches.problem.objective(self.work.branch_point(self.point.x))
+        return (
+            math.nan
+            if self.point is None
+            else self.sense
+            * self.work.branches.problem.objective(self.work.branch_point(self.point.x))
+        )
 
     @property
     def x(self) -> np.ndarray | None:
-        """Where the point is (columns,) [units of the variables]; None if there is none. Raises nothing."""
+        """Where the point is (columns,) [units of the variables]; None if there is none.
+
+        Raises nothing.
+        """
         found = self.branch or self.point
         return None if found is None else found.x
 
@@ -101,7 +127,8 @@ class Candidate:
 class StrategyAttempt:
     """What one strategy found from one start (0: the user's, else the seed).
 
-    objective: in the model's own sense, NaN without a point; outcome: SOLVED where a branch was found; only points that are better than those of the
+    objective: in the model's own sense, NaN without a point; outcome: SOLVED where a branch was
+        found; only points that are better than those of the
     attempts before are certified, and SOLVED is withdrawn where the certificate says no
     """
 
@@ -116,7 +143,8 @@ class StrategyAttempt:
 class PairState:
     """How one complementarity ended: the values of its two sides, and their multipliers (NaN without polish).
 
-    For a box l <= body <= u the sides are the distance to the nearer bound and the free expression towards it.
+    For a box l <= body <= u the sides are the distance to the nearer bound and the free expression
+    towards it.
     """
 
     name: str
@@ -130,11 +158,15 @@ class PairState:
 class MpecResult:
     """How a solve ended; objective in the model's own sense.
 
-    variables, x (n,): the user's variables and their values; rows, lagrange (m,): the user's constraints and their multipliers (Ipopt's signs); zl, zu
+    variables, x (n,): the user's variables and their values; rows, lagrange (m,): the user's
+        constraints and their multipliers (Ipopt's signs); zl, zu
     (n,): of bounds; all NaN where there are none
-    polished: every pair decided, and what remained solved exactly; has_multipliers: false without polish, and where those of the branch do not belong
-    to the point; residual: largest min of a pair; pair_multipliers: (complementarity, (of its first argument, of its second)), the change of the
-    objective when what the argument is compared with grows; attempts: what each strategy and start found, the answer is the best; steps: their paths
+    polished: every pair decided, and what remained solved exactly; has_multipliers: false without
+        polish, and where those of the branch do not belong
+    to the point; residual: largest min of a pair; pair_multipliers: (complementarity, (of its first
+        argument, of its second)), the change of the
+    objective when what the argument is compared with grows; attempts: what each strategy and start
+        found, the answer is the best; steps: their paths
     certificate: recomputed from the model (None if switched off)
     """
 
@@ -171,13 +203,19 @@ class MpecResult:
     @property
     def spread(self) -> float:
         """Between the best and the worst objective of the attempts that found a solution [units of the objective]; 0 for one."""
-        found = [attempt.objective for attempt in self.attempts if attempt.outcome is Outcome.SOLVED]
+        found = [
+            attempt.objective for attempt in self.attempts if attempt.outcome is Outcome.SOLVED
+        ]
         return max(found) - min(found) if found else 0.0
 
     @property
     def has_point(self) -> bool:
         """Whether x is a point worth loading."""
-        return self.x.size == len(self.variables) and bool(np.all(np.isfinite(self.x))) and self.outcome.has_answer
+        return (
+            self.x.size == len(self.variables)
+            and bool(np.all(np.isfinite(self.x)))
+            and self.outcome.has_answer
+        )
 
 
 def is_feasible(result: MpecResult) -> bool:
@@ -199,7 +237,9 @@ def result_of(
     certificate: Certificate | None = None,
     multipliers: Multipliers | None = None,
 ) -> MpecResult:
-    """The result of a candidate, by the user's variables and rows; steps and what was spent are those of the whole solve, and not known here.
+    """The result of a candidate, by the user's variables and rows.
+
+    Steps and what was spent are those of the whole solve, and not known here.
 
     Parameters
     ----------
@@ -209,19 +249,34 @@ def result_of(
     certificate : of the point
     multipliers : those of its branch, where they belong to the point
     """
-    work, branch, x, settings = candidate.work, candidate.branch, candidate.x, candidate.work.settings
+    work, branch, x, settings = (
+        candidate.work,
+        candidate.branch,
+        candidate.x,
+        candidate.work.settings,
+    )
     problem = candidate.columns.problem
-    keep = np.array([k for k, variable in enumerate(problem.variables) if id(variable) not in work.own], dtype=np.intp)
+    keep = np.array(
+        [k for k, variable in enumerate(problem.variables) if id(variable) not in work.own],
+        dtype=np.intp,
+    )
     rows = _user_rows(candidate)
     point = np.full(len(keep), np.nan) if x is None else x[keep]
-    lagrange, zl, zu = np.full(len(rows), np.nan), np.full(len(keep), np.nan), np.full(len(keep), np.nan)
+    lagrange, zl, zu = (
+        np.full(len(rows), np.nan),
+        np.full(len(keep), np.nan),
+        np.full(len(keep), np.nan),
+    )
     if branch is not None and multipliers is not None:
         given = dict(zip((id(row) for row in problem.equations), branch.lagrange, strict=True))
         lagrange = np.array([given.get(id(row), 0.0) for row in rows])
         slope = branch.slope[keep]
         # a side held at 0 keeps its sign: that is what classes look at
         held_low = np.isclose(point, problem.lower[keep], rtol=0.0, atol=1e-9)
-        zl, zu = np.where(held_low, slope, np.maximum(slope, 0.0)), np.where(held_low, 0.0, np.maximum(-slope, 0.0))
+        zl, zu = (
+            np.where(held_low, slope, np.maximum(slope, 0.0)),
+            np.where(held_low, 0.0, np.maximum(-slope, 0.0)),
+        )
     return MpecResult(
         outcome=outcome,
         message=message,
@@ -239,17 +294,21 @@ def result_of(
         has_multipliers=multipliers is not None,
         residual=residual,
         pairs=() if x is None else _pair_states(candidate, x, multipliers is not None),
-        pair_multipliers=() if multipliers is None else _pair_multipliers(candidate.sense, multipliers),
+        pair_multipliers=() if multipliers is None else _pair_multipliers(candidate.sense,
+            multipliers),
         certificate=certificate,
         options=MappingProxyType({
-            **{item.name: getattr(settings, item.name) for item in fields(settings) if item.name != "ipopt"},
+            **{item.name: getattr(settings,
+                                  item.name) for item in fields(settings) if item.name != "ipopt"},
             "strategy": work.strategy.name, "eps_start": settings.eps_start or work.strategy.first,
             "eps_end": settings.eps_end or work.strategy.last, **settings.ipopt,
         }),
     )  # fmt: skip
 
 
-def _pair_states(candidate: Candidate, x: np.ndarray, with_multipliers: bool) -> tuple[PairState, ...]:
+def _pair_states(
+    candidate: Candidate, x: np.ndarray, with_multipliers: bool
+) -> tuple[PairState, ...]:
     """One per pair of the shadow: a box has two."""
     lifted, columns = candidate.work.lifted, candidate.columns
     first, second = columns.pair_values(x)
@@ -260,18 +319,35 @@ def _pair_states(candidate: Candidate, x: np.ndarray, with_multipliers: bool) ->
     for k, pair in enumerate(lifted.pairs):
         sides = ((first[k], nu[k]), (second[k], mu[k]))
         (a, a_multiplier), (b, b_multiplier) = sides[::-1] if pair.swapped else sides
-        states.append(PairState(name=pair.condition.name, first=a, second=b, first_multiplier=a_multiplier, second_multiplier=b_multiplier))
+        states.append(
+            PairState(
+                name=pair.condition.name,
+                first=a,
+                second=b,
+                first_multiplier=a_multiplier,
+                second_multiplier=b_multiplier,
+            )
+        )
     return tuple(states)
 
 
 def multipliers_of(candidate: Candidate) -> Multipliers:
     """The branch's multipliers by the user's components, in the certificate's signs."""
-    branch, lifted, columns, mine = candidate.branch, candidate.work.lifted, candidate.work.branches, candidate.work.own
+    branch, lifted, columns, mine = (
+        candidate.branch,
+        candidate.work.lifted,
+        candidate.work.branches,
+        candidate.work.own,
+    )
     assert branch is not None
     slope, users = branch.slope, {id(row) for row in _user_rows(candidate)}
     of_rows = list(zip(columns.problem.equations, (-branch.lagrange).tolist(), strict=True))
     rows = ComponentMap((row, multiplier) for row, multiplier in of_rows if id(row) in users)
-    bounds = ComponentMap((v, z) for v, z in zip(columns.problem.variables, slope.tolist(), strict=True) if id(v) not in mine)
+    bounds = ComponentMap(
+        (v, z)
+        for v, z in zip(columns.problem.variables, slope.tolist(), strict=True)
+        if id(v) not in mine
+    )
     by_row = {id(row): multiplier for row, multiplier in of_rows}
     pairs: Any = ComponentMap((condition, (0.0, 0.0)) for condition in lifted.conditions)
 
@@ -284,7 +360,9 @@ def multipliers_of(candidate: Candidate) -> Multipliers:
         add(condition, argument, by_row.get(id(row), 0.0))
     for k, pair in enumerate(lifted.pairs):
         nu, mu = float(slope[columns.first[k]]), float(slope[columns.second[k]])
-        if id(pair.second) not in mine:  # the user's own variable: its multiplier belongs to the first pair it is in, once
+        if (
+            id(pair.second) not in mine
+        ):  # the user's own variable: its multiplier belongs to the first pair it is in, once
             mu = bounds.pop(pair.second, 0.0)
         if pair.twin is not None:
             nu = bounds.pop(pair.twin, 0.0)
@@ -294,8 +372,13 @@ def multipliers_of(candidate: Candidate) -> Multipliers:
     return Multipliers(rows=rows, bounds=bounds, pairs=pairs)
 
 
-def _pair_multipliers(sense: int, found: Multipliers) -> tuple[tuple[Any, tuple[float, float]], ...]:
-    """Of each complementarity, in the model's own sense; a side that is a variable's own bound once more has the multiplier of that bound too."""
+def _pair_multipliers(
+    sense: int, found: Multipliers
+) -> tuple[tuple[Any, tuple[float, float]], ...]:
+    """Of each complementarity, in the model's own sense.
+
+    A side that is a variable's own bound once more has the multiplier of that bound too.
+    """
     told = []
     bounds = ComponentMap(found.bounds.items())
     for condition, sides in found.pairs.items():
@@ -303,7 +386,9 @@ def _pair_multipliers(sense: int, found: Multipliers) -> tuple[tuple[Any, tuple[
         for k, side in enumerate(condition._args):
             lower, body, upper = relation_of(side, condition)
             z = bounds.get(body, 0.0) if isinstance(body, VarData) else 0.0
-            bound, own = (lower, body.lb) if z > 0.0 else (upper, body.ub) if z < 0.0 else (None, None)
+            bound, own = (
+                (lower, body.lb) if z > 0.0 else (upper, body.ub) if z < 0.0 else (None, None)
+            )
             if bound is not None and value(bound) == own:
                 both[k] += z
                 del bounds[body]  # of two pairs with this side one has it

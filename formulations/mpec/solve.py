@@ -5,15 +5,13 @@ load(result)                                      # writes the variables
 
 The same behind Pyomo's own solver interface:
 
-    import formulations
-    solver = pyo.SolverFactory("mpec_ipopt")
-    solver.options["strategy"] = "scholtes"           # its own options; others go to Ipopt
-    results = solver.solve(model)
-    pyo.assert_optimal_termination(results)           # B-stationary, certified by residuals recomputed from the model
-    solver.last_result.certificate.sentence
+    import formulations solver = pyo.SolverFactory("mpec_ipopt") solver.options["strategy"] =
+    "scholtes" # its own options; others go to Ipopt results = solver.solve(model)
+    pyo.assert_optimal_termination(results) # B-stationary, certified by residuals recomputed from
+    the model solver.last_result.certificate.sentence
 
-The model keeps its components as they were (nothing is transformed in place); values, and the suffixes `dual`, `ipopt_zL_out`,
-`ipopt_zU_out` where the model imports them, are loaded.
+The model keeps its components as they were (nothing is transformed in place); values, and the
+suffixes `dual`, `ipopt_zL_out`, `ipopt_zU_out` where the model imports them, are loaded.
 """
 
 from __future__ import annotations
@@ -33,7 +31,15 @@ from formulations.ipopt.pyomo_solver import PyomoAnswer, PyomoPlugin, pyomo_mult
 from formulations.mpec.branching import BETTER, Branch, Branching
 from formulations.mpec.certificate.certificate import certify
 from formulations.mpec.certificate.derivatives import values_set
-from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget, Workspace, compile_branches, natural_residual
+from formulations.mpec.homotopy import (
+    Path,
+    PathPoint,
+    Step,
+    WorkBudget,
+    Workspace,
+    compile_branches,
+    natural_residual,
+)
 from formulations.mpec.kinks import SmoothCopy, smooth_copy
 from formulations.mpec.lifted import lift
 from formulations.mpec.result import (
@@ -51,24 +57,32 @@ from formulations.solution import Outcome
 
 logger = logging.getLogger(__name__)
 
-# The pairs are decided early where two steps in a row agree on all of them, below this eps; the branch is believed where it is strongly
-# stationary and its objective is this near to the relaxation's, relative to max(1, |objective|).
-_EARLY_EPS, _NEAR = 1e-3, 1e-2
-# Of a penalty, whose eps says nothing about a distance, the same where no pair's smaller side is above this.
+# The pairs are decided early where two steps in a row agree on all of them, below this eps; the
+# branch is believed where it is strongly stationary and its objective is this near to the
+# relaxation's, relative to max(1, |objective|).
+_EARLY_EPS = 1e-3
+_NEAR = 1e-2
+# Of a penalty, whose eps says nothing about a distance, the same where no pair's smaller side is
+# above this.
 _EARLY_RESIDUAL = 1e-3
-# A step whose multipliers do not fit has decided the pairs where their smaller sides are below this.
+# A step whose multipliers do not fit has decided the pairs where their smaller sides are below
+# this.
 _DECIDED = 1e-6
 # Multipliers with a larger residual (relative) are not handed out.
 _WRONG_MULTIPLIERS = 1e-4
-# Iterations for what comes after the first success, as a multiple of those up to there and of the starts: with at most `search` pairs, and with more.
-# With more than LARGE it is 1 a further start, and nothing follows where there is one: of 8 problems with 832 to 1748 pairs none had a better answer by
-# another strategy.
-_SMALL_WORK, _WORK = 1.0, 3.0
-# But no more than this, iterations times entries of derivatives: some 8 CPU s. Nor of the nearest branches, where no other was found.
+# Iterations for what comes after the first success, as a multiple of those up to there and of the
+# starts: with at most `search` pairs, and with more. With more than LARGE it is 1 a further start,
+# and nothing follows where there is one: of 8 problems with 832 to 1748 pairs none had a better
+# answer by another strategy.
+_SMALL_WORK = 1.0
+_WORK = 3.0
+# But no more than this, iterations times entries of derivatives: some 8 CPU s. Nor of the nearest
+# branches, where no other was found.
 _ENTRIES = 1e7
 # An attempt is begun where at least this share of the iterations of the first success is left.
 _WORTHWHILE = 0.5
-# So many maxima and saddles are left on the way down, one lower than the other: more than anybody has, so that it ends.
+# So many maxima and saddles are left on the way down, one lower than the other: more than anybody
+# has, so that it ends.
 _SADDLES = 100
 # The first rank of `_rank` without a feasible point.
 _WITHOUT = 3
@@ -76,8 +90,12 @@ _WITHOUT = 3
 _ON_KINK = 1e-6
 
 
-def solve_mpec(model: Any, settings: MpecSettings | None = None, *, time_limit: float | None = None) -> MpecResult:
-    """Solve from the current values of the model's variables. The model is only read, also by the certificate.
+def solve_mpec(
+    model: Any, settings: MpecSettings | None = None, *, time_limit: float | None = None
+) -> MpecResult:
+    """Solve from the current values of the model's variables.
+
+    The model is only read, also by the certificate.
 
     Parameters
     ----------
@@ -105,8 +123,13 @@ def solve_mpec(model: Any, settings: MpecSettings | None = None, *, time_limit: 
 
 def _by_users(result: MpecResult, smooth: SmoothCopy) -> MpecResult:
     """The result of a copy by the user's variables and rows, and a word about the kinks."""
-    kept = np.array([k for k, variable in enumerate(result.variables) if id(variable) in smooth.users], dtype=np.intp)
-    rows = np.array([k for k, row in enumerate(result.rows) if id(row) in smooth.users], dtype=np.intp)
+    kept = np.array(
+        [k for k, variable in enumerate(result.variables) if id(variable) in smooth.users],
+        dtype=np.intp,
+    )
+    rows = np.array(
+        [k for k, row in enumerate(result.rows) if id(row) in smooth.users], dtype=np.intp
+    )
     own = [pair for pair in result.pairs if pair.name.startswith(f"{smooth.block.name}.")]
     on_kink = sum(max(pair.first, pair.second) <= _ON_KINK for pair in own)
     words = f"{len(smooth.block.pair)} absolute values, minima and maxima written as pairs, {on_kink} of them on their kink"
@@ -120,7 +143,11 @@ def _by_users(result: MpecResult, smooth: SmoothCopy) -> MpecResult:
         rows=tuple(smooth.users[id(result.rows[k])] for k in rows),
         lagrange=result.lagrange[rows],
         pairs=tuple(pair for pair in result.pairs if pair not in own),
-        pair_multipliers=tuple((smooth.users[id(pair)], both) for pair, both in result.pair_multipliers if id(pair) in smooth.users),
+        pair_multipliers=tuple(
+            (smooth.users[id(pair)], both)
+            for pair, both in result.pair_multipliers
+            if id(pair) in smooth.users
+        ),
     )
 
 
@@ -140,29 +167,52 @@ def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResul
         if name not in works:
             works[name] = Workspace(lifted, branches, STRATEGIES[name], settings, budget)
         is_tried = len(lifted.pairs) > LARGE and best is None and len(strategies) > 1
-        is_last = len(attempts) == settings.starts * len(strategies) - 1 and (best is None or _rank(best)[0] >= _WITHOUT)
-        candidate = _run_strategy(works[name], start, steps, searched, is_tried=is_tried, is_last=is_last)
-        outcome, objective = candidate.outcome if candidate.branch is None else Outcome.SOLVED, candidate.objective
-        if best is None or not best.solved or candidate.sense * objective < candidate.sense * best.objective - _better(best.objective):
+        is_last = len(attempts) == settings.starts * len(strategies) - 1 and (
+            best is None or _rank(best)[0] >= _WITHOUT
+        )
+        candidate = _run_strategy(
+            works[name], start, steps, searched, is_tried=is_tried, is_last=is_last
+        )
+        outcome, objective = (
+            candidate.outcome if candidate.branch is None else Outcome.SOLVED,
+            candidate.objective,
+        )
+        if (
+            best is None
+            or not best.solved
+            or candidate.sense * objective
+            < candidate.sense * best.objective - _better(best.objective)
+        ):
             result = _judged(model, candidate)
             logger.info("%s from start %d on '%s': %s", name, start, model.name, result.message)
             outcome = result.outcome
             if best is None or _rank(result) < _rank(best):
                 best = result
         attempts.append(
-            StrategyAttempt(strategy=name, start=start, outcome=outcome, objective=objective, iterations=budget.iterations - before)
+            StrategyAttempt(
+                strategy=name,
+                start=start,
+                outcome=outcome,
+                objective=objective,
+                iterations=budget.iterations - before,
+            )
         )
         if budget.is_over or outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT):
             break
         if best.solved and math.isinf(budget.most_iterations):
             first_success = budget.iterations
-            budget.most_iterations = first_success + _further_iterations(candidate.work, first_success)
+            budget.most_iterations = first_success + _further_iterations(
+                candidate.work, first_success
+            )
         if budget.most_iterations - budget.iterations < _WORTHWHILE * first_success:
             break
     assert best is not None  # there is always a strategy
-    message = best.message if len(attempts) == 1 else f"{best.message}; {_attempts_in_words(attempts)}"
+    message = (
+        best.message if len(attempts) == 1 else f"{best.message}; {_attempts_in_words(attempts)}"
+    )
     return replace(
-        best, message=message, attempts=tuple(attempts), steps=tuple(steps), iterations=budget.iterations, solves=budget.solves,
+        best, message=message, attempts=tuple(attempts), steps=tuple(steps),
+        iterations=budget.iterations, solves=budget.solves,
         seconds=time.perf_counter() - begin,
     )  # fmt: skip
 
@@ -172,7 +222,13 @@ def _further_iterations(work: Workspace, first_success: int) -> float:
     if settings.work is not None:
         return settings.work * first_success
     pairs, starts = len(work.lifted.pairs), settings.starts
-    multiple = starts * _SMALL_WORK if pairs <= settings.search else starts * _WORK if pairs <= LARGE else starts - 1
+    multiple = (
+        starts * _SMALL_WORK
+        if pairs <= settings.search
+        else starts * _WORK
+        if pairs <= LARGE
+        else starts - 1
+    )
     return min(multiple * first_success, starts * _ENTRIES / work.branches.problem.nonzeros)
 
 
@@ -183,17 +239,32 @@ def _better(objective: float) -> float:
 def _attempts_in_words(attempts: list[StrategyAttempt]) -> str:
     words = []
     for attempt in attempts:
-        told = f"{attempt.objective:.6g}" if attempt.outcome is Outcome.SOLVED else attempt.outcome.name.lower().replace("_", " ")
+        told = (
+            f"{attempt.objective:.6g}"
+            if attempt.outcome is Outcome.SOLVED
+            else attempt.outcome.name.lower().replace("_", " ")
+        )
         if attempt.outcome is Outcome.REFUSED:
             told += f" (more equations than variables{', each pair is one' if attempt.strategy == 'smoothing' else ''})"
-        words.append(f"{attempt.strategy}{f' from start {attempt.start}' if attempt.start else ''} {told}")
+        words.append(
+            f"{attempt.strategy}{f' from start {attempt.start}' if attempt.start else ''} {told}"
+        )
     return f"best of {len(attempts)}: {', '.join(words)}"
 
 
-def _run_strategy(work: Workspace, number: int, steps: list[Step], searched: list[Branch], *, is_tried: bool, is_last: bool) -> Candidate:
+def _run_strategy(
+    work: Workspace,
+    number: int,
+    steps: list[Step],
+    searched: list[Branch],
+    *,
+    is_tried: bool,
+    is_last: bool,
+) -> Candidate:
     """One strategy from one start: its path, whose steps are added to those before, and the branch it leads to.
 
-    searched: branches around which others were tried before, which is not done again; is_tried: as of `Path.points`; is_last: whether nothing feasible
+    searched: branches around which others were tried before, which is not done again; is_tried: as
+        of `Path.points`; is_last: whether nothing feasible
     was found before, and nothing comes after
     """
     strategy, settings = work.strategy, work.settings
@@ -211,10 +282,21 @@ def _run_strategy(work: Workspace, number: int, steps: list[Step], searched: lis
             closed, residual = first < second, natural_residual(first, second)
             clear = before is not None and np.array_equal(closed, before)
             before = closed
-            is_early = last.eps <= _EARLY_EPS or (strategy.eps_is_weight and residual <= _EARLY_RESIDUAL)
-            if settings.polish and is_early and clear and (last.result.solved or residual <= _DECIDED):
+            is_early = last.eps <= _EARLY_EPS or (
+                strategy.eps_is_weight and residual <= _EARLY_RESIDUAL
+            )
+            if (
+                settings.polish
+                and is_early
+                and clear
+                and (last.result.solved or residual <= _DECIDED)
+            ):
                 branch = branching.polish(last.x)
-                if branch is not None and branch.is_strong and _agrees(branch.objective, last.result.objective):
+                if (
+                    branch is not None
+                    and branch.is_strong
+                    and _agrees(branch.objective, last.result.objective)
+                ):
                     break
         else:
             if last is not None and settings.polish:
@@ -222,7 +304,9 @@ def _run_strategy(work: Workspace, number: int, steps: list[Step], searched: lis
     if branch is not None:
         branch = _settled(branching, branch, start, searched)
     elif work.lifted.pairs:
-        branch, outcome, message = _without_branch(work, start, branching, path, last, is_last=is_last)
+        branch, outcome, message = _without_branch(
+            work, start, branching, path, last, is_last=is_last
+        )
     else:
         assert branching.last is not None
         outcome, message = branching.last.outcome, branching.last.told
@@ -237,7 +321,9 @@ def _run_strategy(work: Workspace, number: int, steps: list[Step], searched: lis
     )
 
 
-def _settled(branching: Branching, branch: Branch, start: np.ndarray, searched: list[Branch]) -> Branch:
+def _settled(
+    branching: Branching, branch: Branch, start: np.ndarray, searched: list[Branch]
+) -> Branch:
     """Where no neighbour of a branch is better, and no direction along which it curves downwards leads to a better one."""
     for _ in range(_SADDLES):
         if not any(_is_same(branch, known) for known in searched):
@@ -252,23 +338,41 @@ def _settled(branching: Branching, branch: Branch, start: np.ndarray, searched: 
 
 
 def _is_same(branch: Branch, known: Branch) -> bool:
-    return np.array_equal(branch.closed, known.closed) and abs(branch.objective - known.objective) <= _better(known.objective)
+    return np.array_equal(branch.closed, known.closed) and abs(
+        branch.objective - known.objective
+    ) <= _better(known.objective)
 
 
 def _without_branch(
-    work: Workspace, start: np.ndarray, branching: Branching, path: Path, last: PathPoint | None, *, is_last: bool
+    work: Workspace,
+    start: np.ndarray,
+    branching: Branching,
+    path: Path,
+    last: PathPoint | None,
+    *,
+    is_last: bool,
 ) -> tuple[Branch | None, Outcome, str]:
     """What to make of a path that led to no branch: all branches are tried where there are few, else it is told why the path ended."""
     settings, budget = work.settings, work.budget
     pairs = len(work.lifted.pairs)
     is_small = pairs <= settings.max_biactive
-    if settings.polish and not budget.is_over and (is_small or (is_last and pairs <= settings.search)):
-        starts = [work.branch_point(start)] if last is None else [work.branch_point(x) for x in (last.x, start)]
+    if (
+        settings.polish
+        and not budget.is_over
+        and (is_small or (is_last and pairs <= settings.search))
+    ):
+        starts = (
+            [work.branch_point(start)]
+            if last is None
+            else [work.branch_point(x) for x in (last.x, start)]
+        )
         count = tried = 2**pairs
         if is_small:
             branch, outcome = branching.every_branch(starts)
         else:
-            branch, outcome, tried = branching.nearest_branch(starts[0], _ENTRIES / work.branches.problem.nonzeros)
+            branch, outcome, tried = branching.nearest_branch(
+                starts[0], _ENTRIES / work.branches.problem.nonzeros
+            )
         reason = f"{path.last_message}; " if path.last_outcome is Outcome.INFEASIBLE else ""
         if outcome is Outcome.INFEASIBLE and (tried == count or reason):
             which = f"the {'' if tried == count else f'nearest {tried} of the '}{count} branches"
@@ -278,9 +382,17 @@ def _without_branch(
     if budget.is_late:
         return None, Outcome.TIME_LIMIT, "the time limit was reached before the last eps"
     if budget.is_over:
-        return None, Outcome.ITERATION_LIMIT, "the work that is allowed after the first success was done before the last eps"
+        return (
+            None,
+            Outcome.ITERATION_LIMIT,
+            "the work that is allowed after the first success was done before the last eps",
+        )
     if branching.unbounded:
-        return None, Outcome.DIVERGED, "a branch of the problem is unbounded: its objective falls without end at feasible points"
+        return (
+            None,
+            Outcome.DIVERGED,
+            "a branch of the problem is unbounded: its objective falls without end at feasible points",
+        )
     if last is None or path.gave_up:
         return None, path.last_outcome, path.last_message
     if not last.result.solved:
@@ -289,7 +401,10 @@ def _without_branch(
 
 
 def _judged(model: Any, candidate: Candidate) -> MpecResult:
-    """The result of a candidate; nothing is `solved` without residuals and a certificate that say so."""
+    """The result of a candidate.
+
+    Nothing is `solved` without residuals and a certificate that say so.
+    """
     x = candidate.x
     if x is None:
         return result_of(candidate, *outcome_without_point(candidate))
@@ -298,10 +413,14 @@ def _judged(model: Any, candidate: Candidate) -> MpecResult:
     if candidate.work.settings.certificate:
         with values_set(candidate.columns.problem.variables, x.tolist()):
             certificate = certify(model, multipliers)
-            if certificate.given_dual > _WRONG_MULTIPLIERS:  # the branch has none where it is degenerate; the certificate found its own
+            if (
+                certificate.given_dual > _WRONG_MULTIPLIERS
+            ):  # the branch has none where it is degenerate; the certificate found its own
                 multipliers, certificate = None, replace(certificate, given_dual=math.nan)
     ended = verdict(candidate, residual, certificate)
-    return result_of(candidate, *ended, residual=residual, certificate=certificate, multipliers=multipliers)
+    return result_of(
+        candidate, *ended, residual=residual, certificate=certificate, multipliers=multipliers
+    )
 
 
 def _agrees(objective: float, relaxed: float) -> bool:
@@ -309,7 +428,10 @@ def _agrees(objective: float, relaxed: float) -> bool:
 
 
 def _rank(result: MpecResult) -> tuple[int, float]:
-    """Solved first, by objective; then unbounded; points that are feasible; infeasible; and whatever else there is, by residual."""
+    """Solved first, by objective; then unbounded; points that are feasible; infeasible.
+
+    And whatever else there is, by residual.
+    """
     if result.solved or (is_feasible(result) and result.outcome is not Outcome.DIVERGED):
         return 0 if result.solved else 2, result.sense * result.objective
     order = {Outcome.DIVERGED: 1, Outcome.INFEASIBLE: 3}.get(result.outcome, 4)
@@ -317,14 +439,18 @@ def _rank(result: MpecResult) -> tuple[int, float]:
 
 
 class MpecIpopt(PyomoPlugin):
-    """A Pyomo solver object; `last_result` is the MpecResult of the last solve. A start is always taken from the model's values.
+    """A Pyomo solver object; `last_result` is the MpecResult of the last solve.
+
+    A start is always taken from the model's values.
 
     "optimal" is a B-stationary point here, not a proved global optimum.
     """
 
     title = "mpec_ipopt"
 
-    def run(self, model: Any, *, options: dict[str, Any], timelimit: float | None, warmstart: bool) -> tuple[SolverResults, PyomoAnswer]:
+    def run(
+        self, model: Any, *, options: dict[str, Any], timelimit: float | None, warmstart: bool
+    ) -> tuple[SolverResults, PyomoAnswer]:
         """Solve with `solve_mpec`."""
         result = self.last_result = solve_mpec(model, read_settings(options), time_limit=timelimit)
         answer = PyomoAnswer(
@@ -335,7 +461,9 @@ class MpecIpopt(PyomoPlugin):
             equations=result.rows,
             variables=result.variables,
             x=result.x if result.has_point else None,
-            multipliers=pyomo_multipliers(result.sense, result.lagrange, result.zl, result.zu) if result.has_multipliers else None,
+            multipliers=pyomo_multipliers(result.sense, result.lagrange, result.zl, result.zu)
+            if result.has_multipliers
+            else None,
             wall=result.seconds,
             pair_multipliers=result.pair_multipliers,
         )

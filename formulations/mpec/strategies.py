@@ -3,8 +3,8 @@
 steered = STRATEGIES["scholtes"].attach(lifted)        # once, before the shadow is compiled
 steered.value = STRATEGIES["scholtes"].number(eps)
 
-`MpecSettings` are the options of a solve: `mpec_ipopt` reads its own by name, everything else goes to Ipopt (and is refused there if Ipopt does not
-have it).
+`MpecSettings` are the options of a solve: `mpec_ipopt` reads its own by name, everything else goes
+to Ipopt (and is refused there if Ipopt does not have it).
 """
 
 from __future__ import annotations
@@ -27,8 +27,10 @@ from models.errors import nearest
 class Strategy(ABC):
     """A way to make all pairs smooth.
 
-    name: as chosen by option; first, last: where eps starts and ends unless the caller says otherwise; warm_below: from which eps on a step starts from
-    the multipliers of the step before; bounds_products: whether eps is an upper bound of v w; eps_is_weight: whether 1 / eps is the weight of a penalty
+    name: as chosen by option; first, last: where eps starts and ends unless the caller says
+        otherwise; warm_below: from which eps on a step starts from
+    the multipliers of the step before; bounds_products: whether eps is an upper bound of v w;
+        eps_is_weight: whether 1 / eps is the weight of a penalty
     """
 
     name: str
@@ -40,7 +42,10 @@ class Strategy(ABC):
 
     @abstractmethod
     def attach(self, lifted: Lifted) -> Any:
-        """Write the relaxation into the shadow, in place of another. Returns the mutable Param that steers it."""
+        """Write the relaxation into the shadow, in place of another.
+
+        Returns the mutable Param that steers it.
+        """
 
     def number(self, eps: float) -> float:
         """What the Param is at this eps."""
@@ -85,7 +90,10 @@ class Smoothing(Strategy):
 
 
 class L1Penalty(Strategy):
-    """f + (1 / eps) sum v w: the products in the objective. Exact: a finite weight is enough where the solution is strongly stationary."""
+    """f + (1 / eps) sum v w: the products in the objective.
+
+    Exact: a finite weight is enough where the solution is strongly stationary.
+    """
 
     name = "l1_penalty"
     last = 1e-8
@@ -113,19 +121,27 @@ class Direct(Scholtes):
     """v w <= 0 at once: what an NLP solver makes of the problem as it stands."""
 
     name = "direct"
-    first = last = 1e-8  # Ipopt's own tolerance: a bound of 0 would leave its iterates no interior at all
+    first = last = (
+        1e-8  # Ipopt's own tolerance: a bound of 0 would leave its iterates no interior at all
+    )
 
 
-STRATEGIES: dict[str, Strategy] = {item.name: item for item in (Scholtes(), Smoothing(), L1Penalty(), Direct())}
+STRATEGIES: dict[str, Strategy] = {
+    item.name: item for item in (Scholtes(), Smoothing(), L1Penalty(), Direct())
+}
 STRATEGY_NAMES = tuple(STRATEGIES)
-# The order of "auto". Measured on 87 MacMPEC problems (solved, at the published optimum without `search`, iterations) and on three_cart with
-# 500 steps (cost, iterations; scholtes from eps 1): smoothing 87, 81, 6573 and 490.600, 173; scholtes 87, 82, 6997 and 490.624, 815; direct 87, 82, 4478;
-# l1_penalty 86, 77, 5424. Two more never were the best of any: the elastic mode (85, 78, 10350), and the path of smoothing by the equation of Chen, Harker,
-# Kanzow and Smale (85, 78, 6432).
+# The order of "auto". Measured on 87 MacMPEC problems (solved, at the published optimum without
+# `search`, iterations) and on three_cart with 500 steps (cost, iterations; scholtes from eps 1):
+# smoothing 87, 81, 6573 and 490.600, 173; scholtes 87, 82, 6997 and 490.624, 815; direct 87, 82,
+# 4478; l1_penalty 86, 77, 5424. Two more never were the best of any: the elastic mode (85, 78,
+# 10350), and the path of smoothing by the equation of Chen, Harker, Kanzow and Smale (85, 78,
+# 6432).
 FALLBACKS = ("smoothing", "scholtes", "l1_penalty")
-# With more pairs than LARGE smoothing is only tried (`Path.points`), and l1_penalty is next. Smoothing's first step takes 16 to 40 iterations on a membrane
-# of 1024 pairs and on three_cart, which nothing else solves as fast; on MacMPEC's packings of 961 pairs it finds nothing in 240 to 500, four times over
-# (24 CPU s), where l1_penalty has decided the pairs after 80 to 220 (6 to 15 CPU s). scholtes takes 7 CPU s on some of them and 44 in vain on others.
+# With more pairs than LARGE smoothing is only tried (`Path.points`), and l1_penalty is next.
+# Smoothing's first step takes 16 to 40 iterations on a membrane of 1024 pairs and on three_cart,
+# which nothing else solves as fast; on MacMPEC's packings of 961 pairs it finds nothing in 240 to
+# 500, four times over (24 CPU s), where l1_penalty has decided the pairs after 80 to 220 (6 to 15
+# CPU s). scholtes takes 7 CPU s on some of them and 44 in vain on others.
 LARGE = 300
 _OF_LARGE = ("smoothing", "l1_penalty", "scholtes")
 
@@ -134,15 +150,22 @@ _OF_LARGE = ("smoothing", "l1_penalty", "scholtes")
 class MpecSettings:
     """How an MPEC is solved.
 
-    strategy: how pairs are made smooth; "auto" takes FALLBACKS in order and keeps the best certified answer
-    starts: so many starts: the model's values, then random points around them, by seed; all strategies from each
-    work: Ipopt's iterations for what comes after the first success, as a multiple of those up to there; 0: the first success is the answer;
-    None: 1 a start with at most `search` pairs, 3 with up to LARGE, but some 8 CPU s a start (counted in iterations, not by a clock); then 1 a further start
+    strategy: how pairs are made smooth; "auto" takes FALLBACKS in order and keeps the best
+        certified answer
+    starts: so many starts: the model's values, then random points around them, by seed; all
+        strategies from each
+    work: Ipopt's iterations for what comes after the first success, as a multiple of those up to
+        there; 0: the first success is the answer;
+    None: 1 a start with at most `search` pairs, 3 with up to LARGE, but some 8 CPU s a start
+        (counted in iterations, not by a clock); then 1 a further start
     eps_start, eps_end: where the relaxation starts and ends (None: the strategy's own)
-    complementarity_tolerance: largest min(v, w) of a pair that counts as complementary without polish
-    polish: decide every pair and solve what remains exactly; certificate: recompute residuals and stationarity from the model
+    complementarity_tolerance: largest min(v, w) of a pair that counts as complementary without
+        polish
+    polish: decide every pair and solve what remains exactly; certificate: recompute residuals and
+        stationarity from the model
     max_biactive: up to how many undecided pairs every combination is tried
-    search: with up to this many pairs, neighbouring branches are tried as well (each pair in turn decided otherwise), biactive or not
+    search: with up to this many pairs, neighbouring branches are tried as well (each pair in turn
+        decided otherwise), biactive or not
     step_iterations: iterations of Ipopt for one eps
     ipopt: options for Ipopt
     """
@@ -161,10 +184,15 @@ class MpecSettings:
     ipopt: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def order(self, pairs: int) -> tuple[str, ...]:
-        """Names of the strategies to try, in order, of a problem with so many pairs [-]. Raises nothing."""
+        """Names of the strategies to try, in order, of a problem with so many pairs [-].
+
+        Raises nothing.
+        """
         if self.strategy != "auto":
             return (self.strategy,)
-        return FALLBACKS[: None if pairs else 1] if pairs <= LARGE else _OF_LARGE  # without pairs all are the same
+        return (
+            FALLBACKS[: None if pairs else 1] if pairs <= LARGE else _OF_LARGE
+        )  # without pairs all are the same
 
 
 _OWN = {item.name: item for item in fields(MpecSettings) if item.name != "ipopt"}
@@ -179,25 +207,43 @@ def read_settings(options: Mapping[str, Any]) -> MpecSettings:
         for a name there is not, or a value that cannot be used, with what to write instead
     """
     own = {name: value for name, value in options.items() if name in _OWN}
-    ipopt = {name: value for name, value in options.items() if name not in _OWN and name != "solver"}
+    ipopt = {
+        name: value for name, value in options.items() if name not in _OWN and name != "solver"
+    }
     for name in ipopt:
         if name not in known_options():
             near = nearest(name, [*_OWN, *known_options()])
             if near in _OWN:
                 raise UnknownOptionError(f"there is no option '{name}': did you mean {near}?")
             if near is None:
-                raise UnknownOptionError(f"there is no option '{name}', neither Ipopt's nor one of mpec_ipopt: {', '.join(_OWN)}")
+                raise UnknownOptionError(
+                    f"there is no option '{name}', neither Ipopt's nor one of mpec_ipopt: {', '.join(_OWN)}"
+                )
     checked_options(ipopt)
-    return MpecSettings(**{name: _checked(name, value) for name, value in own.items()}, ipopt=MappingProxyType(ipopt))
+    return MpecSettings(
+        **{name: _checked(name, value) for name, value in own.items()},
+        ipopt=MappingProxyType(ipopt),
+    )
 
 
 def _checked(name: str, value: Any) -> Any:
     if name == "strategy":
         if value not in ("auto", *STRATEGY_NAMES):
-            raise UnknownOptionError(f"the option 'strategy' is one of auto, {', '.join(STRATEGY_NAMES)}, not {value!r}")
+            raise UnknownOptionError(
+                f"the option 'strategy' is one of auto, {', '.join(STRATEGY_NAMES)}, not {value!r}"
+            )
         return value
     if name in ("polish", "certificate"):
-        words = {True: True, False: False, "yes": True, "no": False, "true": True, "false": False, "True": True, "False": False}
+        words = {
+            True: True,
+            False: False,
+            "yes": True,
+            "no": False,
+            "true": True,
+            "false": False,
+            "True": True,
+            "False": False,
+        }
         if not isinstance(value, (bool, str)) or value not in words:
             raise UnknownOptionError(f"the option '{name}' is True or False, not {value!r}")
         return words[value]
@@ -207,13 +253,26 @@ def _checked(name: str, value: Any) -> Any:
 
 
 def _number(name: str, value: Any) -> float | int:
-    whole, least = name in ("max_biactive", "search", "step_iterations", "starts"), int(name == "starts")
+    whole, least = (
+        name in ("max_biactive", "search", "step_iterations", "starts"),
+        int(name == "starts"),
+    )
     try:
         number = float(value)
     except (TypeError, ValueError):
         number = math.nan
-    fits = number >= least and number.is_integer() if whole else 0.0 < number < math.inf or (number == 0.0 and name == "work")
+    fits = (
+        number >= least and number.is_integer()
+        if whole
+        else 0.0 < number < math.inf or (number == 0.0 and name == "work")
+    )
     if isinstance(value, bool) or not fits:
-        kind = f"a whole number of at least {least}" if whole else "a number of at least 0" if name == "work" else "a positive number"
+        kind = (
+            f"a whole number of at least {least}"
+            if whole
+            else "a number of at least 0"
+            if name == "work"
+            else "a positive number"
+        )
         raise UnknownOptionError(f"the option '{name}' is {kind}, not {value!r}")
     return int(number) if whole else number

@@ -9,8 +9,19 @@ import numpy as np
 
 from formulations.grids import input_bounds, plan_of
 from formulations.method import Clock, Method, Session
-from formulations.multiple_shooting.solver import Costs, MultipleShootingOptions, Solver, SolverResult
-from formulations.shooting.stage import arrived, given_inputs, measure_growth, plan_residuals, stage_seconds
+from formulations.multiple_shooting.solver import (
+    Costs,
+    MultipleShootingOptions,
+    Solver,
+    SolverResult,
+)
+from formulations.shooting.stage import (
+    arrived,
+    given_inputs,
+    measure_growth,
+    plan_residuals,
+    stage_seconds,
+)
 from formulations.solution import Solution
 from models.codegen.kernel import load_kernel
 from models.codegen.steps import load_steps
@@ -23,22 +34,41 @@ from models.trajectory import Trajectory, uniform_grid
 class MultipleShootingSession(Session):
     """Multiple shooting on one scene: its steps are compiled once and serve every eps."""
 
-    def __init__(self, method: MultipleShootingMethod, scene: Scene, options: MultipleShootingOptions, clock: Clock) -> None:
+    def __init__(
+        self,
+        method: MultipleShootingMethod,
+        scene: Scene,
+        options: MultipleShootingOptions,
+        clock: Clock,
+    ) -> None:
         self._method, self._scene, self._options = method, scene, options
         self._kernel, self._steps, self._costs = load_kernel(scene), load_steps(scene), Costs(scene)
         self._clock = clock
 
-    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
-        """Shoot from the nodes of the warm start. Raises TrajectoryError for a plan of another scene or grid."""
+    def solve(
+        self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float
+    ) -> Solution:
+        """Shoot from the nodes of the warm start.
+
+        Raises TrajectoryError for a plan of another scene or grid.
+        """
         stage, started = Clock(), perf_counter()
         self._method.check_stage(eps, time_limit)
         x, u = self._first_guess(warm_start)
-        solver = Solver(steps=self._steps, costs=self._costs, law=self._method.law, eps=eps, options=self._options)
+        solver = Solver(
+            steps=self._steps,
+            costs=self._costs,
+            law=self._method.law,
+            eps=eps,
+            options=self._options,
+        )
         solving = perf_counter()
         found = solver.solve(x, u, started + time_limit)
         solving = perf_counter() - solving
         solution = self._solution(found, eps)
-        return replace(solution, seconds=stage_seconds(stage, self._clock, solver.evaluate_seconds, solving))
+        return replace(
+            solution, seconds=stage_seconds(stage, self._clock, solver.evaluate_seconds, solving)
+        )
 
     def _first_guess(self, warm_start: Trajectory | None) -> tuple[np.ndarray, np.ndarray]:
         """Nodes (steps+1, 2*nq) from the start on, and inputs (steps, nu) within their bounds."""
@@ -48,7 +78,10 @@ class MultipleShootingSession(Session):
         if warm_start is not None:
             x = np.hstack([warm_start.q, warm_start.v])
         else:
-            end = [begin if goal is None or self._options.guess == "start" else goal for begin, goal in zip(start, task.goal, strict=True)]
+            end = [
+                begin if goal is None or self._options.guess == "start" else goal
+                for begin, goal in zip(start, task.goal, strict=True)
+            ]
             x = start + np.linspace(0.0, 1.0, task.steps + 1)[:, None] * (np.array(end) - start)
         x[0] = start
         return x, u
@@ -70,7 +103,12 @@ class MultipleShootingSession(Session):
             linear = self._steps.linearise(found.x[:-1], u, task.step, law, eps)
             lam = np.zeros((task.steps, scene.nl)) if linear is None else linear.lam
             plan = Trajectory(
-                t=uniform_grid(task.step, task.steps), q=found.x[:, :nq], v=found.x[:, nq:], u=u, lam=lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+                t=uniform_grid(task.step, task.steps),
+                q=found.x[:, :nq],
+                v=found.x[:, nq:],
+                u=u,
+                lam=lam,
+                scheme=Scheme.SEMI_IMPLICIT_EULER,
             )
         else:
             plan = plan_of(scene, run, u)
@@ -82,9 +120,19 @@ class MultipleShootingSession(Session):
             **({} if growth is None else growth.residuals()),
         }
         outcome, message = found.outcome, found.message
-        open_gap = f"the nodes are up to {found.gap:.2g} apart from the motion" if found.gap > self._options.gap_tolerance else ""
+        open_gap = (
+            f"the nodes are up to {found.gap:.2g} apart from the motion"
+            if found.gap > self._options.gap_tolerance
+            else ""
+        )
         message = "; ".join(part for part in (message, open_gap) if part)
-        outcome, message = arrived(scene, outcome, f"{message}." if message else "", residuals, "a larger goal_weight or more iterations")
+        outcome, message = arrived(
+            scene,
+            outcome,
+            f"{message}." if message else "",
+            residuals,
+            "a larger goal_weight or more iterations",
+        )
         return Solution(
             outcome=outcome,
             message=message,

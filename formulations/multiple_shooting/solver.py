@@ -1,9 +1,10 @@
 """Multiple shooting by sequential linear-quadratic programming, with the steps run through the scene's own time step under feedback.
 
-Unknowns are the inputs u and the states x at every node; gap[t] = f(x[t], u[t]) - x[t+1]. In each iteration the linear-quadratic subproblem gives inputs
-and feedback, and the plan is rolled out with both, the gaps closed by the length of the step. A step is taken if it lowers the exact penalty function
-cost + goal term + nu sum |gap|,  nu above the multipliers of the gaps. The goal is met by an augmented Lagrangian (`GoalTerm`): its multipliers are
-updated where the iterations have settled.
+Unknowns are the inputs u and the states x at every node; gap[t] = f(x[t], u[t]) - x[t+1]. In each
+iteration the linear-quadratic subproblem gives inputs and feedback, and the plan is rolled out with
+both, the gaps closed by the length of the step. A step is taken if it lowers the exact penalty
+function cost + goal term + nu sum |gap|, nu above the multipliers of the gaps. The goal is met by
+an augmented Lagrangian (`GoalTerm`): its multipliers are updated where the iterations have settled.
 
 The subproblem is solved in compiled C (riccati.c), linear in the number of stages:
 
@@ -12,10 +13,12 @@ The subproblem is solved in compiled C (riccati.c), linear in the number of stag
     if stages.backward(u, lower, upper, shift=0.0): stages.k, stages.K, stages.Vx
     dx, du = stages.forward()
 
-The recursion is that of iLQR with gaps between the nodes; the bounds of the inputs are met stage by stage by a small quadratic program
-(Tassa, Mansard and Todorov, Control-Limited Differential Dynamic Programming, ICRA 2014; gaps as in Mastalli et al., Crocoddyl, ICRA 2020).
+The recursion is that of iLQR with gaps between the nodes; the bounds of the inputs are met stage by
+stage by a small quadratic program (Tassa, Mansard and Todorov, Control-Limited Differential Dynamic
+Programming, ICRA 2014; gaps as in Mastalli et al., Crocoddyl, ICRA 2020).
 
-`Costs` are the running and final cost of a scene with first and second derivatives, for all steps at once.
+`Costs` are the running and final cost of a scene with first and second derivatives, for all steps
+at once.
 """
 
 from __future__ import annotations
@@ -59,16 +62,26 @@ class MultipleShootingOptions(Options):
         lower=1e-6,
         upper=1e9,
     )
-    goal_tolerance: float = option(1e-6, "solved only if the plan ends this near to its goal, in (q, v)", lower=1e-12)
+    goal_tolerance: float = option(
+        1e-6, "solved only if the plan ends this near to its goal, in (q, v)", lower=1e-12
+    )
     gap_tolerance: float = option(
-        1e-9, "solved only if every step ends this near to the next node; below it the plan is one simulation", lower=1e-14, upper=1e-3
+        1e-9,
+        "solved only if every step ends this near to the next node; below it the plan is one simulation",
+        lower=1e-14,
+        upper=1e-3,
     )
     tolerance: float = option(
-        1e-6, "relative decrease of cost and goal term still promised by the subproblem that counts as none", lower=1e-12, upper=1.0
+        1e-6,
+        "relative decrease of cost and goal term still promised by the subproblem that counts as none",
+        lower=1e-12,
+        upper=1.0,
     )
     max_iterations: int = option(300, "most linear-quadratic subproblems", lower=1, upper=10**9)
     guess: str = option(
-        "line", "the nodes without a warm start: on the line from start to goal, or all at the start", choices=("line", "start")
+        "line",
+        "the nodes without a warm start: on the line from start to goal, or all at the start",
+        choices=("line", "start"),
     )
 
 
@@ -82,11 +95,17 @@ class GoalTerm:
         self.weight = weight
 
     def miss(self, end: np.ndarray) -> np.ndarray:
-        """Give end - goal (2*nq,) [m, rad, m/s, rad/s] of an end (2*nq,) [m, rad, m/s, rad/s]. Raises ValueError for another length."""
+        """Give end - goal (2*nq,) [m, rad, m/s, rad/s] of an end (2*nq,) [m, rad, m/s, rad/s].
+
+        Raises ValueError for another length.
+        """
         return miss(end, self._goal)
 
     def value(self, end: np.ndarray) -> float:
-        """Evaluate the term at an end (2*nq,) [m, rad, m/s, rad/s]. Raises ValueError for another length."""
+        """Evaluate the term at an end (2*nq,) [m, rad, m/s, rad/s].
+
+        Raises ValueError for another length.
+        """
         m = self.miss(end)
         return float(self.multipliers @ m + 0.5 * self.weight * m @ m)
 
@@ -110,7 +129,10 @@ class Costs:
         d = derive(scene)
         state, inputs = [*d.q, *d.v], list(d.u)
         values = scene.parameter_values
-        running, final = sp.sympify(d.running_cost).xreplace(values), sp.sympify(d.final_cost).xreplace(values)
+        running, final = (
+            sp.sympify(d.running_cost).xreplace(values),
+            sp.sympify(d.final_cost).xreplace(values),
+        )
         self._running = _Derivatives(running, [*state, *inputs])
         self._final = _Derivatives(final, state)
 
@@ -119,7 +141,9 @@ class Costs:
 
         Raises ValueError where their lengths do not fit.
         """
-        return float(self._running.value(np.hstack([x[:-1], u])).sum() + self._final.value(x[-1:])[0])
+        return float(
+            self._running.value(np.hstack([x[:-1], u])).sum() + self._final.value(x[-1:])[0]
+        )
 
     def running(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Give the slope (steps, nx+nu) [-] and Hessian (steps, nx+nu, nx+nu) [-] of the running cost at x (steps, nx), u (steps, nu) [SI].
@@ -146,11 +170,16 @@ class _Derivatives:
         slope = [sp.diff(expression, symbol) for symbol in symbols]
         hessian = [sp.diff(entry, symbol) for entry in slope for symbol in symbols]
         self._n = n
-        self._value, self.slope, self._hessian = (rows_of(entries, symbols) for entries in ([expression], slope, hessian))
+        self._value, self.slope, self._hessian = (
+            rows_of(entries, symbols) for entries in ([expression], slope, hessian)
+        )
         self._quadratic = not any(entry.free_symbols for entry in hessian)
 
     def value(self, point: np.ndarray) -> np.ndarray:
-        """Evaluate at points (n, symbols) [SI]: (n,) [-]. Raises nothing: NaN or inf where it has no number."""
+        """Evaluate at points (n, symbols) [SI]: (n,) [-].
+
+        Raises nothing: NaN or inf where it has no number.
+        """
         return self._value(point)[:, 0]
 
     def hessian(self, point: np.ndarray) -> np.ndarray:
@@ -160,31 +189,50 @@ class _Derivatives:
         """
         rows = self._hessian(point[:1] if self._quadratic else point).reshape(-1, self._n, self._n)
         value, vectors = np.linalg.eigh(rows)
-        convex = (vectors * np.maximum(value, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1) if (value < 0.0).any() else rows
+        convex = (
+            (vectors * np.maximum(value, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
+            if (value < 0.0).any()
+            else rows
+        )
         return np.broadcast_to(convex, (len(point), self._n, self._n))
 
 
 @lru_cache(maxsize=1)
 def _library() -> ctypes.CDLL:
     """Compiled once and cached on disk. Raises MachineError without a compiler."""
-    return load_library(cached_library({_SOURCE.name: _SOURCE.read_text(encoding="utf-8")}), _SIGNATURES)
+    return load_library(
+        cached_library({_SOURCE.name: _SOURCE.read_text(encoding="utf-8")}), _SIGNATURES
+    )
 
 
 class Stages:
     """The data of the subproblem, and its solution (riccati.c).
 
-    A (steps, nx, nx), B (steps, nx, nu), gap (steps, nx): the linearised steps; lx (steps, nx), lu (steps, nu), lxx (steps, nx, nx),
-    lux (steps, nu, nx), luu (steps, nu, nu): the cost of the stages; px (nx,), pxx (nx, nx): that of the end.
-    k (steps, nu), K (steps, nu, nx): du = k + K dx; Vx (steps+1, nx): slope of the value, which is the multiplier of each gap.
+    A (steps, nx, nx), B (steps, nx, nu), gap (steps, nx): the linearised steps; lx (steps, nx), lu
+    (steps, nu), lxx (steps, nx, nx), lux (steps, nu, nx), luu (steps, nu, nu): the cost of the
+    stages; px (nx,), pxx (nx, nx): that of the end. k (steps, nu), K (steps, nu, nx): du = k + K
+    dx; Vx (steps+1, nx): slope of the value, which is the multiplier of each gap.
     """
 
     def __init__(self, steps: int, nx: int, nu: int) -> None:
         self.steps, self.nx, self.nu = steps, nx, nu
-        self.A, self.B, self.gap = np.zeros((steps, nx, nx)), np.zeros((steps, nx, nu)), np.zeros((steps, nx))
+        self.A, self.B, self.gap = (
+            np.zeros((steps, nx, nx)),
+            np.zeros((steps, nx, nu)),
+            np.zeros((steps, nx)),
+        )
         self.lx, self.lu = np.zeros((steps, nx)), np.zeros((steps, nu))
-        self.lxx, self.lux, self.luu = np.zeros((steps, nx, nx)), np.zeros((steps, nu, nx)), np.zeros((steps, nu, nu))
+        self.lxx, self.lux, self.luu = (
+            np.zeros((steps, nx, nx)),
+            np.zeros((steps, nu, nx)),
+            np.zeros((steps, nu, nu)),
+        )
         self.px, self.pxx = np.zeros(nx), np.zeros((nx, nx))
-        self.k, self.K, self.Vx = np.zeros((steps, nu)), np.zeros((steps, nu, nx)), np.zeros((steps + 1, nx))
+        self.k, self.K, self.Vx = (
+            np.zeros((steps, nu)),
+            np.zeros((steps, nu, nx)),
+            np.zeros((steps + 1, nx)),
+        )
         self._library = _library()
         self._room = np.zeros(self._library.riccati_work(nx, nu))
         self._held = np.zeros(nu, dtype=np.intc)
@@ -192,7 +240,8 @@ class Stages:
     def backward(self, u: np.ndarray, lower: np.ndarray, upper: np.ndarray, shift: float) -> bool:
         """Fill k, K, Vx for inputs u (steps, nu) [N, N m] within bounds (nu,) [N, N m].
 
-        shift: added to the inputs' Hessian. False where a Hessian is not positive definite (try a larger shift).
+        shift: added to the inputs' Hessian. False where a Hessian is not positive definite (try a
+            larger shift).
         Raises nothing: sizes are not checked.
         """
         self.Vx[-1] = self.px
@@ -201,7 +250,12 @@ class Stages:
         inputs = [np.ascontiguousarray(array, dtype=np.float64) for array in (u, lower, upper)]
         rest = (*inputs, self.Vx, hessian, self.k, self.K, self._room, self._held)
         failed = self._library.riccati_backward(
-            self.steps, self.nx, self.nu, *(a.ctypes.data for a in given), shift, *(a.ctypes.data for a in rest)
+            self.steps,
+            self.nx,
+            self.nu,
+            *(a.ctypes.data for a in given),
+            shift,
+            *(a.ctypes.data for a in rest),
         )
         return failed == 0
 
@@ -213,26 +267,46 @@ class Stages:
         dx, du = np.zeros((self.steps + 1, self.nx)), np.zeros((self.steps, self.nu))
         arrays = (self.A, self.B, self.gap, self.k, self.K, dx, du)
         if gap is not None:
-            arrays = (self.A, self.B, np.ascontiguousarray(gap), np.zeros_like(self.k), self.K, dx, du)
-        self._library.riccati_forward(self.steps, self.nx, self.nu, *(array.ctypes.data for array in arrays))
+            arrays = (
+                self.A,
+                self.B,
+                np.ascontiguousarray(gap),
+                np.zeros_like(self.k),
+                self.K,
+                dx,
+                du,
+            )
+        self._library.riccati_forward(
+            self.steps, self.nx, self.nu, *(array.ctypes.data for array in arrays)
+        )
         return dx, du
 
 
 _SUFFICIENT = 1e-4  # of the decrease that the linearised penalty function promises
 _SHORTEST = 2.0**-12  # step length; below, the subproblem is damped instead
 _NU = 1.5  # nu over the largest multiplier of a gap
-_FIRST_SHIFT, _LARGEST_SHIFT, _SHIFT_GROWTH = 1e-6, 1e12, 10.0  # of the inputs' Hessian, relative to its size
-_SLOW = 0.25  # a miss that shrinks by less than this from update to update gets ten times the weight
+# of the inputs' Hessian, relative to its size
+_FIRST_SHIFT = 1e-6
+_LARGEST_SHIFT = 1e12
+_SHIFT_GROWTH = 10.0
+_SLOW = (
+    0.25  # a miss that shrinks by less than this from update to update gets ten times the weight
+)
 _HEAVIEST = 1e12
-_CRAWL, _CRAWLS = 10, 1e-2  # so many steps in a row that gain less than this share of the precision: a kink, and no way on
-_FIRST_PRECISION = 1e-3  # before the first update of the multipliers; each one asks for ten times more
+# so many steps in a row that gain less than this share of the precision: a kink, and no way on
+_CRAWL = 10
+_CRAWLS = 1e-2
+_FIRST_PRECISION = (
+    1e-3  # before the first update of the multipliers; each one asks for ten times more
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SolverResult:
     """How it ended: x (steps+1, 2*nq), u (steps, nu), the last nodes and inputs.
 
-    gap: largest entry; slope: promised decrease of the penalty function; history: columns of equal length, one row an
+    gap: largest entry; slope: promised decrease of the penalty function; history: columns of equal
+        length, one row an
     iteration.
     """
 
@@ -246,7 +320,9 @@ class SolverResult:
     history: dict[str, list[float]]
 
 
-_Taken = tuple[np.ndarray, np.ndarray, Linearised, float]  # nodes, inputs and their linearised steps, at the end of a step of this length
+_Taken = tuple[
+    np.ndarray, np.ndarray, Linearised, float
+]  # nodes, inputs and their linearised steps, at the end of a step of this length
 
 
 @dataclass(eq=False)
@@ -260,7 +336,13 @@ class Solver:
     options: MultipleShootingOptions
     evaluate_seconds: float = 0.0
     _history: dict[str, list[float]] = field(
-        default_factory=lambda: {"penalty": [], "cost": [], "terminal_error": [], "gap": [], "length": []}
+        default_factory=lambda: {
+            "penalty": [],
+            "cost": [],
+            "terminal_error": [],
+            "gap": [],
+            "length": [],
+        }
     )
 
     def solve(self, x: np.ndarray, u: np.ndarray, deadline: float) -> SolverResult:
@@ -278,32 +360,56 @@ class Solver:
         goal = GoalTerm(scene, options.goal_weight)
         self._lower, self._upper = input_bounds(scene)
         self._stages = Stages(len(u), 2 * scene.nq, scene.nu)
-        shift, slope, last_miss, iteration, crawling, nu, settled = 0.0, -np.inf, np.inf, 0, 0, 0.0, False
-        precision = max(options.tolerance, _FIRST_PRECISION) if scene.task.has_goal else options.tolerance
+        shift, slope, last_miss, iteration, crawling, nu, settled = (
+            0.0,
+            -np.inf,
+            np.inf,
+            0,
+            0,
+            0.0,
+            False,
+        )
+        precision = (
+            max(options.tolerance, _FIRST_PRECISION) if scene.task.has_goal else options.tolerance
+        )
         lin = self._linearise(x, u)
 
         def ended(outcome: Outcome, message: str) -> SolverResult:
             gap = np.inf if lin is None else float(np.abs(lin.next - x[1:]).max())
             return SolverResult(
-                outcome=outcome, message=message, x=x, u=u, gap=gap, slope=slope, iterations=iteration, history=self._history
+                outcome=outcome,
+                message=message,
+                x=x,
+                u=u,
+                gap=gap,
+                slope=slope,
+                iterations=iteration,
+                history=self._history,
             )
 
         if lin is None:
             return ended(
-                Outcome.EVALUATION_ERROR, "a time step from the first guess is not finite; start, parameters and inputs must allow one"
+                Outcome.EVALUATION_ERROR,
+                "a time step from the first guess is not finite; start, parameters and inputs must allow one",
             )
         while True:
             if iteration >= options.max_iterations:
-                return ended(Outcome.ITERATION_LIMIT, f"stopped at max_iterations = {options.max_iterations}")
+                return ended(
+                    Outcome.ITERATION_LIMIT, f"stopped at max_iterations = {options.max_iterations}"
+                )
             if perf_counter() >= deadline:
-                return ended(Outcome.TIME_LIMIT, f"stopped after {iteration} iterations at its time limit")
+                return ended(
+                    Outcome.TIME_LIMIT, f"stopped after {iteration} iterations at its time limit"
+                )
             self._fill(x, u, lin, goal)
             size = float(np.abs(self._stages.luu).max(initial=0.0)) or 1.0
             taken = None
             while taken is None and shift <= _LARGEST_SHIFT:
                 if self._stages.backward(u, self._lower, self._upper, shift * size):
                     slope, nu = self._slope()
-                    settled = -slope <= precision * max(abs(self._penalty(x, u, goal, nu, self._stages.gap)), 1e-12)
+                    settled = -slope <= precision * max(
+                        abs(self._penalty(x, u, goal, nu, self._stages.gap)), 1e-12
+                    )
                     if settled or crawling >= _CRAWL:
                         break
                     taken = self._search(x, u, goal, nu, slope)
@@ -316,22 +422,37 @@ class Solver:
                 x, u, lin, length = taken
                 won = before - self._penalty(x, u, goal, nu, lin.next - x[1:])
                 crawling = crawling + 1 if won <= _CRAWLS * precision * abs(before) else 0
-                shift = shift / _SHIFT_GROWTH if length == 1.0 and shift > _FIRST_SHIFT else 0.0 if length == 1.0 else shift
+                shift = (
+                    shift / _SHIFT_GROWTH
+                    if length == 1.0 and shift > _FIRST_SHIFT
+                    else 0.0
+                    if length == 1.0
+                    else shift
+                )
                 self._note(x, u, goal, lin, length)
                 continue
             miss = float(np.linalg.norm(goal.miss(x[-1])))
             if shift > _LARGEST_SHIFT:
                 return ended(
-                    Outcome.STALLED, "no step along the subproblem's direction lowers the penalty function, however short or damped"
+                    Outcome.STALLED,
+                    "no step along the subproblem's direction lowers the penalty function, however short or damped",
                 )
-            if miss <= options.goal_tolerance and gap <= options.gap_tolerance and precision <= options.tolerance:
+            if (
+                miss <= options.goal_tolerance
+                and gap <= options.gap_tolerance
+                and precision <= options.tolerance
+            ):
                 if settled:
                     return ended(Outcome.SOLVED, "")
                 return ended(
-                    Outcome.STALLED, f"the last {_CRAWL} steps gained next to nothing, although the subproblem promises {-slope:.2g}"
+                    Outcome.STALLED,
+                    f"the last {_CRAWL} steps gained next to nothing, although the subproblem promises {-slope:.2g}",
                 )
             if goal.weight > _HEAVIEST:
-                return ended(Outcome.STALLED, f"the goal is still missed by {miss:.3g} although its weight has grown to {goal.weight:.1g}")
+                return ended(
+                    Outcome.STALLED,
+                    f"the goal is still missed by {miss:.3g} although its weight has grown to {goal.weight:.1g}",
+                )
             goal.update(x[-1])
             if miss > max(options.goal_tolerance, _SLOW * last_miss):
                 goal.weight *= 10.0
@@ -350,7 +471,11 @@ class Solver:
         np.subtract(lin.next, x[1:], out=stages.gap)
         slope, hessian = self.costs.running(x[:-1], u)
         stages.lx[:], stages.lu[:] = slope[:, :nx], slope[:, nx:]
-        stages.lxx[:], stages.lux[:], stages.luu[:] = hessian[:, :nx, :nx], hessian[:, nx:, :nx], hessian[:, nx:, nx:]
+        stages.lxx[:], stages.lux[:], stages.luu[:] = (
+            hessian[:, :nx, :nx],
+            hessian[:, nx:, :nx],
+            hessian[:, nx:, nx:],
+        )
         slope_end, hessian_end = self.costs.final(x[-1])
         stages.px[:], stages.pxx[:] = slope_end + goal.slope(x[-1]), hessian_end + goal.hessian()
 
@@ -362,14 +487,19 @@ class Solver:
         along = float((stages.lx * dx[:-1]).sum() + (stages.lu * du).sum() + stages.px @ dx[-1])
         return along - nu * float(np.abs(stages.gap).sum()), nu
 
-    def _penalty(self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, nu: float, gap: np.ndarray) -> float:
+    def _penalty(
+        self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, nu: float, gap: np.ndarray
+    ) -> float:
         return self.costs.value(x, u) + goal.value(x[-1]) + nu * float(np.abs(gap).sum())
 
-    def _search(self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, nu: float, slope: float) -> _Taken | None:
+    def _search(
+        self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, nu: float, slope: float
+    ) -> _Taken | None:
         """The longest step that lowers the penalty function enough; None if none does.
 
-        While there are gaps the nodes move along the subproblem's step, so that no error grows over more than one time step; without
-        gaps, or where that fails, the plan is rolled out under the subproblem's feedback.
+        While there are gaps the nodes move along the subproblem's step, so that no error grows over
+        more than one time step; without gaps, or where that fails, the plan is rolled out under the
+        subproblem's feedback.
         """
         before = self._penalty(x, u, goal, nu, self._stages.gap)
         dx, du = self._stages.forward()
@@ -378,35 +508,68 @@ class Solver:
             length = 1.0
             while length >= _SHORTEST:
                 limit = before + _SUFFICIENT * length * slope
-                trial = self._rolled(x, u, length) if rolled else self._moved(x, u, length * dx, length * du)
+                trial = (
+                    self._rolled(x, u, length)
+                    if rolled
+                    else self._moved(x, u, length * dx, length * du)
+                )
                 lin = None if trial is None else self._linearise(*trial)
                 if trial is not None and lin is not None:
                     if self._penalty(*trial, goal, nu, lin.next - trial[0][1:]) <= limit:
                         return *trial, lin, length
-                    if not rolled:  # what the step leaves open because the scene is not linear, closed by one more linear step
-                        ddx, ddu = self._stages.forward(lin.next - trial[0][1:] - (1.0 - length) * self._stages.gap)
+                    # what the step leaves open because the scene is not linear, closed by one more
+                    # linear step
+                    if not rolled:
+                        ddx, ddu = self._stages.forward(
+                            lin.next - trial[0][1:] - (1.0 - length) * self._stages.gap
+                        )
                         trial = self._moved(*trial, ddx, ddu)
                         lin = self._linearise(*trial)
-                        if lin is not None and self._penalty(*trial, goal, nu, lin.next - trial[0][1:]) <= limit:
+                        if (
+                            lin is not None
+                            and self._penalty(*trial, goal, nu, lin.next - trial[0][1:]) <= limit
+                        ):
                             return *trial, lin, length
                 length *= 0.5
         return None
 
-    def _moved(self, x: np.ndarray, u: np.ndarray, dx: np.ndarray, du: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _moved(
+        self, x: np.ndarray, u: np.ndarray, dx: np.ndarray, du: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         return x + dx, np.clip(u + du, self._lower, self._upper)
 
-    def _rolled(self, x: np.ndarray, u: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray] | None:
-        """Nodes and inputs of the scene's own motion under the subproblem's inputs and feedback; the gaps closed by `length`."""
+    def _rolled(
+        self, x: np.ndarray, u: np.ndarray, length: float
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Nodes and inputs of the scene's own motion under the subproblem's inputs and feedback.
+
+        The gaps closed by `length`.
+        """
         stages = self._stages
         started = perf_counter()
         run = self.steps.follow(
-            x[0], x[:-1], u + length * stages.k, stages.K, self.steps.scene.task.step, self.law, self.eps, (length - 1.0) * stages.gap
+            x[0],
+            x[:-1],
+            u + length * stages.k,
+            stages.K,
+            self.steps.scene.task.step,
+            self.law,
+            self.eps,
+            (length - 1.0) * stages.gap,
         )
         self.evaluate_seconds += perf_counter() - started
         return None if run.diverged else (run.x, run.u)
 
-    def _note(self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, lin: Linearised, length: float) -> None:
+    def _note(
+        self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, lin: Linearised, length: float
+    ) -> None:
         cost = self.costs.value(x, u)
-        row = (cost + goal.value(x[-1]), cost, float(np.linalg.norm(goal.miss(x[-1]))), float(np.abs(lin.next - x[1:]).max()), length)
+        row = (
+            cost + goal.value(x[-1]),
+            cost,
+            float(np.linalg.norm(goal.miss(x[-1]))),
+            float(np.abs(lin.next - x[1:]).max()),
+            length,
+        )
         for column, value in zip(self._history.values(), row, strict=True):
             column.append(value)

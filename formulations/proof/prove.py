@@ -3,22 +3,25 @@
     proof = prove(scene, incumbent=mpcc.trajectory, time_limit=200.0)
     proof.cost, proof.bound, proof.gap, proof.seconds, proof.nodes
 
-The plan is never SCIP's own: its contact modes are taken, the convex program with these modes is solved exactly (`contact_modes.quadratic`), its
-inputs are rolled out through the true contact law, and its residuals recomputed. The bound is the least of SCIP's and of the ceiling under which
-the big-M hold. It is true up to floating point: Clarabel's bounds are lowered by 1e-6, SCIP works to its 1e-6 of feasibility and 1e-9 of
-optimality.
+The plan is never SCIP's own: its contact modes are taken, the convex program with these modes is
+solved exactly (`contact_modes.quadratic`), its inputs are rolled out through the true contact law,
+and its residuals recomputed. The bound is the least of SCIP's and of the ceiling under which the
+big-M hold. It is true up to floating point: Clarabel's bounds are lowered by 1e-6, SCIP works to
+its 1e-6 of feasibility and 1e-9 of optimality.
 
 The solver of the extra `[global]`; where it is missing one sentence says so.
 
-The exact planning problem of a linear scene as a mixed-integer quadratic program in Pyomo, with one binary variable a pair.
+The exact planning problem of a linear scene as a mixed-integer quadratic program in Pyomo, with one
+binary variable a pair.
 
     model = build_miqp(scene, bounds)
     pyo.SolverFactory("scip_direct").solve(model)          # or Gurobi, or whatever Pyomo knows
 
-    lam <= k h+ b,     lam - k phi <= -k l- (1 - b),     lam >= 0,     lam - k phi >= 0,     b in {0, 1}
+    lam <= k h+ b, lam - k phi <= -k l- (1 - b), lam >= 0, lam - k phi >= 0, b in {0, 1}
 
-on top of the plain model of `build_model` (same names). `mpec.simple_disjunction` and a big-M transformation make two binaries a pair and one
-M for all; `python -m benchmarks proof --disjunction` says what that costs.
+on top of the plain model of `build_model` (same names). `mpec.simple_disjunction` and a big-M
+transformation make two binaries a pair and one M for all; `python -m benchmarks proof
+--disjunction` says what that costs.
 """
 
 from __future__ import annotations
@@ -93,7 +96,10 @@ def _add_pairs(model: Any, scene: Scene, bounds: PairBounds) -> None:
         phi = law.penetration([model.variable_q[t, name] for name in model.set_coordinates], p)
         for i, name in enumerate(model.set_contacts):
             force, closed = model.variable_lam[t, name], model.variable_closed[t, name]
-            low, high = k[i] * min(float(bounds.lower[t, i]), 0.0), k[i] * max(float(bounds.upper[t, i]), 0.0)
+            low, high = (
+                k[i] * min(float(bounds.lower[t, i]), 0.0),
+                k[i] * max(float(bounds.upper[t, i]), 0.0),
+            )
             force.setub(high)
             if bounds.decided[t, i]:
                 closed.fix(1 if bounds.lower[t, i] >= 0.0 and bounds.upper[t, i] > 0.0 else 0)
@@ -103,8 +109,11 @@ def _add_pairs(model: Any, scene: Scene, bounds: PairBounds) -> None:
             model.constraint_pair.add(separation <= -low * (1 - closed))
 
 
-GAP = 1e-5  # relative, below which a plan counts as proved optimal: SCIP keeps the quadratic cost row to 1e-6 of its size
-_CEILING = 1e-5  # relative: by so much plans may be dearer than the one known, so that rounding does not cut it off
+# relative, below which a plan counts as proved optimal: SCIP keeps the quadratic cost row to 1e-6
+# of its size
+GAP = 1e-5
+# relative: by so much plans may be dearer than the one known, so that rounding does not cut it off
+_CEILING = 1e-5
 _SCOUTING = 0.1  # part of the time given to SCIP for a first plan, where none is known
 EXACT = 1e-8  # largest residual [m, rad, N, ..] of a plan that counts
 
@@ -130,8 +139,10 @@ _OUTCOMES = {
 class Proof:
     """What is proved of a scene.
 
-    plan, cost: the cheapest exact plan known (None: none); bound: no plan costs less (inf: there is none at all); gap: (cost - bound)/cost, None without
-    a plan; seconds: wall; cpu: CPU seconds; nodes: of SCIP's tree; binaries: pairs that bounds alone did not decide; solver: names and versions; trouble:
+    plan, cost: the cheapest exact plan known (None: none); bound: no plan costs less (inf: there is
+        none at all); gap: (cost - bound)/cost, None without
+    a plan; seconds: wall; cpu: CPU seconds; nodes: of SCIP's tree; binaries: pairs that bounds
+        alone did not decide; solver: names and versions; trouble:
     what SCIP said where it broke off
     """
 
@@ -150,7 +161,11 @@ class Proof:
     @property
     def gap(self) -> float | None:
         """Cost above the bound, relative to the cost; None without a plan."""
-        return None if self.cost is None else max(0.0, (self.cost - self.bound) / max(abs(self.cost), 1e-12))
+        return (
+            None
+            if self.cost is None
+            else max(0.0, (self.cost - self.bound) / max(abs(self.cost), 1e-12))
+        )
 
     @property
     def outcome(self) -> Outcome:
@@ -179,7 +194,9 @@ class Proof:
 
 
 def prove(scene: Scene, *, incumbent: Trajectory | None = None, time_limit: float = 600.0) -> Proof:
-    """The cheapest exact plan found, and a cost below which no plan exists; see the module docstring.
+    """The cheapest exact plan found, and a cost below which no plan exists.
+
+    See the module docstring.
 
     Parameters
     ----------
@@ -206,7 +223,11 @@ def prove(scene: Scene, *, incumbent: Trajectory | None = None, time_limit: floa
 class _Prover:
     def __init__(self, scene: Scene, time_limit: float) -> None:
         self._scene, self._linear = scene, linear_scene(scene)
-        self._modes, self._kernel, self._residuals = ModesProblem(self._linear), load_kernel(scene), PlanResiduals(scene)
+        self._modes, self._kernel, self._residuals = (
+            ModesProblem(self._linear),
+            load_kernel(scene),
+            PlanResiduals(scene),
+        )
         self._begin, self._cpu, self._limit = perf_counter(), process_time(), time_limit
         self._plan: Trajectory | None = None
         self._cost = np.inf
@@ -222,7 +243,9 @@ class _Prover:
         bounds = self._bounds()
         if np.isfinite(self._cost):
             return self._proof(bounds, self._branch(bounds, self._left))
-        bound = self._branch(bounds, _SCOUTING * self._left)  # any plan will do: with its cost the bounds are much tighter
+        bound = self._branch(
+            bounds, _SCOUTING * self._left
+        )  # any plan will do: with its cost the bounds are much tighter
         if np.isfinite(self._cost) and bound < self._cost * (1.0 - GAP) and self._left > 0.0:
             bounds = self._bounds()
             bound = max(bound, self._branch(bounds, self._left))
@@ -231,11 +254,17 @@ class _Prover:
         return self._proof(bounds, bound)
 
     def _bounds(self) -> PairBounds:
-        return pair_bounds(self._scene, self._linear, self._ceiling, is_over=lambda: self._left <= 0.0)
+        return pair_bounds(
+            self._scene, self._linear, self._ceiling, is_over=lambda: self._left <= 0.0
+        )
 
     @property
     def _ceiling(self) -> float:
-        return self._cost + _CEILING * max(abs(self._cost), 1e-3) if np.isfinite(self._cost) else np.inf
+        return (
+            self._cost + _CEILING * max(abs(self._cost), 1e-3)
+            if np.isfinite(self._cost)
+            else np.inf
+        )
 
     def adopt(self, closed: np.ndarray) -> None:
         """Keep the optimum of these modes, closed (steps, nc) [-], if it is exact and cheaper than what is known.
@@ -264,10 +293,16 @@ class _Prover:
         except Exception as error:  # noqa: BLE001 - what goes wrong inside SCIP comes as a bare Exception; nothing is proved then
             self._trouble = f" {error}"
             return -np.inf
-        self._solver, self._nodes = f"SCIP {'.'.join(map(str, result.solver_version))}", self._nodes + int(result.extra_info["NNodes"])
+        self._solver, self._nodes = (
+            f"SCIP {'.'.join(map(str, result.solver_version))}",
+            self._nodes + int(result.extra_info["NNodes"]),
+        )
         if result.incumbent_objective is not None:
             result.solution_loader.load_vars()
-            closed = [[(model.variable_closed[t, c].value or 0.0) > 0.5 for c in model.set_contacts] for t in model.set_steps]
+            closed = [
+                [(model.variable_closed[t, c].value or 0.0) > 0.5 for c in model.set_contacts]
+                for t in model.set_steps
+            ]
             self.adopt(np.array(closed))
         if "infeasible" in result.termination_condition.name.lower():
             return self._of_nothing_left(bounds)
@@ -276,7 +311,9 @@ class _Prover:
     def _of_nothing_left(self, bounds: PairBounds) -> float:
         """The bound where a solver says that no plan costs less than the ceiling: no proof if it has thereby lost the plan that is known."""
         if np.isfinite(self._cost):
-            self._trouble = " A solver found no plan at all where there is one, which is its rounding."
+            self._trouble = (
+                " A solver found no plan at all where there is one, which is its rounding."
+            )
             return -np.inf
         return bounds.ceiling
 
@@ -315,12 +352,17 @@ def why_no_proof(scene: Scene) -> str | None:
         else why_not_linear(scene)
     )
     return (
-        None if reason is None else f"{reason}, and a proof needs a linear scene with contacts alone and a convex quadratic running cost."
+        None
+        if reason is None
+        else f"{reason}, and a proof needs a linear scene with contacts alone and a convex quadratic running cost."
     )
 
 
 def _exact_plan(scene: Scene, u: np.ndarray) -> Trajectory | None:
-    """The rollout of these inputs through the true contact law, landed on the goal; None unless it is exact to `EXACT` by its own residuals."""
+    """The rollout of these inputs through the true contact law, landed on the goal.
+
+    None unless it is exact to `EXACT` by its own residuals.
+    """
     rollout, u = correct_end(scene, load_kernel(scene), u)
     if rollout.diverged:
         return None
@@ -331,13 +373,25 @@ def _exact_plan(scene: Scene, u: np.ndarray) -> Trajectory | None:
 def is_exact(scene: Scene, plan: Trajectory) -> bool:
     """Whether a plan meets the strict problem: time step, start, goal, bounds, and complementarity, by its own residuals; knows no solver."""
     found = PlanResiduals(scene).of(plan)
-    names = ("dynamics_defect", "start_error", "input_bound_excess", "velocity_bound_excess", "force_sign", "complementarity")
-    return distance(plan.end, goal_state(scene.task)) <= EXACT and all(found.get(name, 0.0) <= EXACT for name in names)
+    names = (
+        "dynamics_defect",
+        "start_error",
+        "input_bound_excess",
+        "velocity_bound_excess",
+        "force_sign",
+        "complementarity",
+    )
+    return distance(plan.end, goal_state(scene.task)) <= EXACT and all(
+        found.get(name, 0.0) <= EXACT for name in names
+    )
 
 
 def scip(model: Any, seconds: float) -> Any:
     """SCIP by Pyomo. Its log must be off: it deadlocks on 64 KB of it."""
     options = {"display/verblevel": 0, "limits/time": max(seconds, 1e-3), "limits/gap": 0.01 * GAP}
     return SolverFactory("scip_direct").solve(
-        model, load_solutions=False, raise_exception_on_nonoptimal_result=False, solver_options=options
+        model,
+        load_solutions=False,
+        raise_exception_on_nonoptimal_result=False,
+        solver_options=options,
     )

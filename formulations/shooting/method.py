@@ -19,19 +19,27 @@ _Weighted = TypeVar("_Weighted", bound=DescentOptions | QuasiNewtonOptions)
 
 
 class ShootingMethod(Method[_Weighted]):
-    """Single shooting under one contact law. PyTorch is imported when a session is opened: 1.7 s that planning a campaign does without."""
+    """Single shooting under one contact law.
+
+    PyTorch is imported when a session is opened: 1.7 s that planning a campaign does without.
+    """
 
     law: ContactLaw
 
     def loss(self, scene: Scene) -> Loss | None:
-        """Give a loss of one's own, of a rollout and its inputs (formulations.shooting.objective); None: the paper's, by the weights among the options."""
+        """Give a loss of one's own, of a rollout and its inputs (formulations.shooting.objective).
+
+        None: the paper's, by the weights among the options.
+        """
         return None
 
     def session(self, scene: Scene, options: _Weighted, clock: Clock) -> Session:
         """Open a session, which imports PyTorch."""
         from formulations.shooting import session as opened
 
-        return opened.ShootingSession(self, scene, options, clock, opened.paper_objective(options, self.law, self.loss(scene)))
+        return opened.ShootingSession(
+            self, scene, options, clock, opened.paper_objective(options, self.law, self.loss(scene))
+        )
 
 
 class DescentMethod(ShootingMethod[DescentOptions]):

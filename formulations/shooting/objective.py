@@ -2,26 +2,32 @@
 
     loss = terminal_weight * mean((x_T - x_f)^2) + input_weight * sum of the running cost
 
-The paper prints no loss; terminal_weight = 1, input_weight = 5e-6 and the mean over all positions and velocities reproduce its rows.
+The paper prints no loss; terminal_weight = 1, input_weight = 5e-6 and the mean over all positions
+and velocities reproduce its rows.
 
     objective = Objective(load_kernel(scene), law=ContactLaw.SOFTPLUS, eps=1e-3)
-    objective(u).backward()                                      # u (steps, nu), a tensor that requires a gradient
+    objective(u).backward() # u (steps, nu), a tensor that requires a gradient
 
-A loss of one's own is any function of a rollout (RolloutTensors) and its inputs that returns one number for each plan:
+A loss of one's own is any function of a rollout (RolloutTensors) and its inputs that returns one
+number for each plan:
 
     def calm(plan, u):
         return (plan.end - goal).square().mean(-1) + 1e-5 * u.diff(dim=-2).square().sum((-2, -1))
 
     objective = Objective(load_kernel(scene), law=ContactLaw.RELU, loss=calm)
 
-The loss may be averaged over random inputs: contact that only some samples make still has a gradient then.
+The loss may be averaged over random inputs: contact that only some samples make still has a
+gradient then.
 
-    objective = Objective(kernel, law=ContactLaw.RELU, noise=noise(scene, 1.0, unbounded=1.0, samples=16, pieces=5, seed=0))
+    objective = Objective(kernel, law=ContactLaw.RELU, noise=noise(scene, 1.0, unbounded=1.0,
+    samples=16, pieces=5, seed=0))
 
-F(u) = mean over i of loss(u + w_i), with rollouts through the true contact law and first-order gradients, averaged ("bundled": Suh, Pang,
-Tedrake, Bundled Gradients through Contact via Randomized Smoothing, RA-L 2022). The w_i are drawn once, in pairs w and -w, and are the
-same in every evaluation: F is one function, its minimisation deterministic, and its curvature can be learned. Each w_i is held over a
-piece of the horizon, because noise that changes with every step averages out before it moves a body.
+F(u) = mean over i of loss(u + w_i), with rollouts through the true contact law and first-order
+gradients, averaged ("bundled": Suh, Pang, Tedrake, Bundled Gradients through Contact via Randomized
+Smoothing, RA-L 2022). The w_i are drawn once, in pairs w and -w, and are the same in every
+evaluation: F is one function, its minimisation deterministic, and its curvature can be learned.
+Each w_i is held over a piece of the horizon, because noise that changes with every step averages
+out before it moves a body.
 """
 
 from __future__ import annotations
@@ -54,7 +60,9 @@ class Weights:
 class GoalLoss:
     """The paper's loss: (..) of the rollouts of inputs u (.., steps, nu). goal (2*nq,): None or NaN where the end is free."""
 
-    def __init__(self, goal: Sequence[float | None] | np.ndarray, weights: Weights | None = None) -> None:
+    def __init__(
+        self, goal: Sequence[float | None] | np.ndarray, weights: Weights | None = None
+    ) -> None:
         given = np.array(goal, dtype=float)
         self.weights = Weights() if weights is None else weights
         self._goal = torch.from_numpy(np.nan_to_num(given))
@@ -68,15 +76,20 @@ class GoalLoss:
         error = plan.end - self._goal
         if self._asked is not None:
             error = torch.where(self._asked, error, 0.0)
-        squares = (error * error).cumsum(-1)[..., -1]  # added up from the first to the last, so that no processor does it otherwise
+        squares = (error * error).cumsum(-1)[
+            ..., -1
+        ]  # added up from the first to the last, so that no processor does it otherwise
         return self.weights.terminal * squares / len(self._goal) + self.weights.running * plan.cost
 
 
 class Objective:
-    """A loss as a function of inputs (steps, nu) alone; facts of the last evaluation stand beside it.
+    """A loss as a function of inputs (steps, nu) alone.
 
-    goal (2*nq,): what terminal_error is measured from, and what the loss aims at unless `loss` is given (`aim`); NaN where free. noise (samples, steps, nu): the
-    loss is its mean over inputs u + noise[i]; plan is still that of u. plan: the last rollout; seconds: wall seconds spent so far.
+    Facts of the last evaluation stand beside it.
+
+    goal (2*nq,): what terminal_error is measured from, and what the loss aims at unless `loss` is
+    given (`aim`); NaN where free. noise (samples, steps, nu): the loss is its mean over inputs u +
+    noise[i]; plan is still that of u. plan: the last rollout; seconds: wall seconds spent so far.
     """
 
     def __init__(
@@ -92,7 +105,11 @@ class Objective:
         task = kernel.scene.task
         self.kernel, self.law, self.eps = kernel, law, eps
         self.start = torch.tensor(task.start, dtype=torch.float64)
-        self.noise = None if noise is None else torch.from_numpy(np.ascontiguousarray(noise, dtype=np.float64))
+        self.noise = (
+            None
+            if noise is None
+            else torch.from_numpy(np.ascontiguousarray(noise, dtype=np.float64))
+        )
         self.seconds = 0.0
         self._own = loss
         self._inputs = torch.zeros(task.steps, kernel.scene.nu, dtype=torch.float64)
@@ -100,21 +117,29 @@ class Objective:
         self.aim(goal_state(task), Weights() if weights is None else weights)
 
     def aim(self, goal: np.ndarray, weights: Weights) -> None:
-        """Change the goal (2*nq,) [m, rad, m/s, rad/s] and the weights; a loss of one's own stays as it is. Raises ValueError for a goal that holds no numbers."""
+        """Change the goal (2*nq,) [m, rad, m/s, rad/s] and the weights.
+
+        A loss of one's own stays as it is. Raises ValueError for a goal that holds no numbers.
+        """
         self.goal, self.weights = goal, weights
         self.loss = GoalLoss(goal, weights) if self._own is None else self._own
 
     def __call__(self, u: Tensor) -> Tensor:
-        """The loss at inputs u (steps, nu), a scalar that can be differentiated; not finite if the rollout diverges.
+        """The loss at inputs u (steps, nu), a scalar that can be differentiated.
 
-        Raises ShootingError for a loss of one's own that is not a number for each plan, or does not depend on it.
+        Not finite if the rollout diverges.
+
+        Raises ShootingError for a loss of one's own that is not a number for each plan, or does not
+        depend on it.
         """
         mean = None
         if self.noise is not None:
             mean = self._loss(u + self.noise).cumsum(0)[-1] / len(self.noise)
             u = u.detach()
         value = self._loss(u)
-        return value if mean is None else mean + 0.0 * value  # not finite where the plan without noise is not
+        return (
+            value if mean is None else mean + 0.0 * value
+        )  # not finite where the plan without noise is not
 
     def _loss(self, u: Tensor) -> Tensor:
         plan = rollout(self.kernel, u, self.start, law=self.law, eps=self.eps)
@@ -128,9 +153,15 @@ class Objective:
     def _check(self, value: object, u: Tensor) -> None:
         where = f"scene {self.kernel.scene.name}: the loss"
         if not isinstance(value, Tensor):
-            raise ShootingError(f"{where} returned a {type(value).__name__}, but must return a PyTorch tensor, one number for each plan.")
+            raise ShootingError(
+                f"{where} returned a {type(value).__name__}, but must return a PyTorch tensor, one number for each plan."
+            )
         if value.shape != u.shape[:-2]:
-            wanted = "a single number" if u.dim() == 2 else f"shape {tuple(u.shape[:-2])}, one number for each plan"
+            wanted = (
+                "a single number"
+                if u.dim() == 2
+                else f"shape {tuple(u.shape[:-2])}, one number for each plan"
+            )
             raise ShootingError(
                 f"{where} returned a tensor of shape {tuple(value.shape)}, but {wanted} is needed; sum or average over the rest."
             )
@@ -150,7 +181,11 @@ class Objective:
         if self.plan is None or not math.isnan(self.plan.cost.item()):
             return len(self._inputs)
         rows = torch.isfinite(self.plan.q).all(-1) & torch.isfinite(self.plan.v).all(-1)
-        return max(0, int(rows.to(torch.int8).argmin()) - 1) if not bool(rows.all()) else len(self._inputs)
+        return (
+            max(0, int(rows.to(torch.int8).argmin()) - 1)
+            if not bool(rows.all())
+            else len(self._inputs)
+        )
 
     @property
     def aims(self) -> bool:
@@ -164,7 +199,10 @@ class Objective:
 
     @property
     def error(self) -> np.ndarray:
-        """x_T minus the goal aimed at: (2*nq,) [m, rad, m/s, rad/s], 0 where it is free. Raises AssertionError before the first evaluation."""
+        """x_T minus the goal aimed at: (2*nq,) [m, rad, m/s, rad/s], 0 where it is free.
+
+        Raises AssertionError before the first evaluation.
+        """
         return self.missed(self.goal)
 
     @property
@@ -180,7 +218,10 @@ class Objective:
         return self.plan.cost.item()
 
     def value(self, u: np.ndarray) -> float:
-        """Evaluate the loss at inputs u (steps, nu) [N, N m]; infinite if the rollout diverges. Raises ShootingError as `__call__` does."""
+        """Evaluate the loss at inputs u (steps, nu) [N, N m]; infinite if the rollout diverges.
+
+        Raises ShootingError as `__call__` does.
+        """
         began = perf_counter()
         self._inputs = torch.tensor(u, dtype=torch.float64, requires_grad=True)
         self._value = self(self._inputs)
@@ -196,7 +237,9 @@ class Objective:
         return found.numpy()
 
 
-def noise(scene: Scene, deviation: float, *, unbounded: float, samples: int, pieces: int, seed: int) -> np.ndarray:
+def noise(
+    scene: Scene, deviation: float, *, unbounded: float, samples: int, pieces: int, seed: int
+) -> np.ndarray:
     """Draw Gaussian noise in pairs w and -w.
 
     Parameters
@@ -224,11 +267,15 @@ def noise(scene: Scene, deviation: float, *, unbounded: float, samples: int, pie
 
 
 def paper_objective(
-    options: WeightOptions, law: ContactLaw, loss: Loss | None = None, noise: Callable[[float], np.ndarray] | None = None
+    options: WeightOptions,
+    law: ContactLaw,
+    loss: Loss | None = None,
+    noise: Callable[[float], np.ndarray] | None = None,
 ) -> Callable[[Kernel, float | None, np.ndarray], Objective]:
     """Give what makes the objective of a kernel at an eps, from any first inputs (steps, nu) [N, N m]: the paper's loss, or one's own.
 
-    noise: at an eps, what it is averaged over (samples, steps, nu) [N, N m]. Raises nothing; what it gives raises what Objective does.
+    noise: at an eps, what it is averaged over (samples, steps, nu) [N, N m]. Raises nothing; what
+        it gives raises what Objective does.
     """
 
     def objective(kernel: Kernel, eps: float | None, _: np.ndarray) -> Objective:

@@ -11,8 +11,12 @@ from formulations.method import OptionError, Options, option
 class WeightOptions(Options):
     """The weights of the paper's loss."""
 
-    input_weight: float = option(5e-6, "weight of the running cost in the loss", lower=0.0, upper=1e12)
-    terminal_weight: float = option(1.0, "weight of the mean squared terminal error in the loss", lower=1e-12, upper=1e12)
+    input_weight: float = option(
+        5e-6, "weight of the running cost in the loss", lower=0.0, upper=1e12
+    )
+    terminal_weight: float = option(
+        1.0, "weight of the mean squared terminal error in the loss", lower=1e-12, upper=1e12
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +24,10 @@ class DescentOptions(WeightOptions):
     """Options of gradient descent."""
 
     learning_rate: float = option(
-        500.0, "step along the gradient; 500 is the paper's scene's, other scenes and horizons may need less", lower=1e-12, upper=1e12
+        500.0,
+        "step along the gradient; 500 is the paper's scene's, other scenes and horizons may need less",
+        lower=1e-12,
+        upper=1e12,
     )
     iterations: int | None = option(
         None,
@@ -28,7 +35,9 @@ class DescentOptions(WeightOptions):
         lower=1,
         upper=10**9,
     )
-    max_iterations: int = option(20000, "most iterations under our stopping rule", lower=1, upper=10**9)
+    max_iterations: int = option(
+        20000, "most iterations under our stopping rule", lower=1, upper=10**9
+    )
     tolerance: float = option(
         1e-4,
         "our stopping rule: relative decrease of the loss over the last quarter of the iterations that counts as none",
@@ -39,19 +48,28 @@ class DescentOptions(WeightOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.iterations is not None and not isinstance(self.iterations, int):
-            raise OptionError(f"option iterations is {self.iterations!r}, but must be a whole number or left out.")
+            raise OptionError(
+                f"option iterations is {self.iterations!r}, but must be a whole number or left out."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchOptions(Options):
     """Options of L-BFGS itself."""
 
-    goal_rounds, goal_tolerance = 0, 0.0  # no options yet: the goal is not displaced
+    # no options yet: the goal is not displaced
+    goal_rounds = 0
+    goal_tolerance = 0.0
 
-    memory: int = option(20, "pairs of steps and gradient differences that are kept", lower=1, upper=1000)
+    memory: int = option(
+        20, "pairs of steps and gradient differences that are kept", lower=1, upper=1000
+    )
     max_iterations: int = option(2000, "most iterations, over all rounds", lower=1, upper=10**9)
     tolerance: float = option(
-        1e-4, "our stopping rule: relative decrease of the loss over 20 iterations that counts as none", lower=0.0, upper=1.0
+        1e-4,
+        "our stopping rule: relative decrease of the loss over 20 iterations that counts as none",
+        lower=0.0,
+        upper=1.0,
     )
 
 
@@ -65,7 +83,9 @@ class GoalOptions(SearchOptions):
         lower=0,
         upper=1000,
     )
-    goal_tolerance: float = option(1e-6, "no more rounds where the goal is missed by less than this", lower=0.0)
+    goal_tolerance: float = option(
+        1e-6, "no more rounds where the goal is missed by less than this", lower=0.0
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,5 +98,10 @@ class RobustOptions(GoalOptions):
     """Options of L-BFGS for several worlds at once."""
 
     worlds: int = option(64, "how many worlds are drawn", lower=1, upper=10**5)
-    weight: float = option(12.0, "what a mean miss of its limit costs, as a share of what the first inputs cost", lower=0.0, upper=1e12)
+    weight: float = option(
+        12.0,
+        "what a mean miss of its limit costs, as a share of what the first inputs cost",
+        lower=0.0,
+        upper=1e12,
+    )
     seed: int = option(1, "of the worlds; a campaign tries plans in those of another", lower=0)

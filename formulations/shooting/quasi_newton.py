@@ -2,9 +2,11 @@
 
     found = minimise(objective, u0, QuasiNewtonOptions(), time_limit=60.0)
 
-SciPy's, because `torch.optim.LBFGS` knows no bounds. The loss is that of gradient descent, through the same `rollout`; it weighs the goal against the
-cost and so the plan ends a little beside the goal. Each round after the first displaces the goal that is aimed at by what was missed: goal - s with
-s <- s + (x_T - goal). That is the method of multipliers, since w |m + s|^2 = w |m|^2 + 2 w s'm + constant, with 2 w s as multipliers.
+SciPy's, because `torch.optim.LBFGS` knows no bounds. The loss is that of gradient descent, through
+the same `rollout`; it weighs the goal against the cost and so the plan ends a little beside the
+goal. Each round after the first displaces the goal that is aimed at by what was missed: goal - s
+with s <- s + (x_T - goal). That is the method of multipliers, since w |m + s|^2 = w |m|^2 + 2 w s'm
++ constant, with 2 w s as multipliers.
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ from formulations.shooting.options import SearchOptions
 from formulations.solution import Outcome, ended
 
 _JUDGED_OVER = 20  # iterations over which the decrease is judged
-_SHRINKS, _HEAVIER = 0.25, 5.0  # a round that misses by more than this share of the least before makes the goal heavier
+# a round that misses by more than this share of the least before makes the goal heavier
+_SHRINKS = 0.25
+_HEAVIER = 5.0
 _STALLS = 0.9  # three rounds in a row that miss by more than this share of the least are enough
 _FLAT = 1e-5  # a gradient of this share of the first one is none, where no step lowers the loss
 
@@ -31,27 +35,51 @@ class _Run:
     """One minimisation for a fixed aim: the function in units of its first value, its best point, and when to stop."""
 
     def __init__(
-        self, objective: Objective, goal: np.ndarray, options: SearchOptions, deadline: float, history: dict[str, list[float]]
+        self,
+        objective: Objective,
+        goal: np.ndarray,
+        options: SearchOptions,
+        deadline: float,
+        history: dict[str, list[float]],
     ) -> None:
-        self._objective, self._goal, self._options, self._deadline, self._history = objective, goal, options, deadline, history
+        self._objective, self._goal, self._options, self._deadline, self._history = (
+            objective,
+            goal,
+            options,
+            deadline,
+            history,
+        )
         self._shape = (objective.kernel.scene.task.steps, objective.kernel.scene.nu)
-        self._last: tuple[np.ndarray, float, np.ndarray, float, float] | None = None  # point, loss, gradient, miss, cost
+        self._last: tuple[np.ndarray, float, np.ndarray, float, float] | None = (
+            None  # point, loss, gradient, miss, cost
+        )
         self._scale = 1.0
         self.losses: list[float] = []
         self.ending = ""
         self._norm = 0.0  # of the projected gradient at the last iterate
 
     def start(self, u: np.ndarray) -> float:
-        """Scale by the loss at u (steps, nu) [N, N m], and give it. Raises ShootingError for a loss of one's own that cannot be differentiated."""
+        """Scale by the loss at u (steps, nu) [N, N m], and give it.
+
+        Raises ShootingError for a loss of one's own that cannot be differentiated.
+        """
         value = self._objective.value(u)
         self._scale = value if np.isfinite(value) and value > 0.0 else 1.0
         if np.isfinite(value):
-            self._norm = float(np.linalg.norm(projected(self._objective, u, self._objective.gradient())))
+            self._norm = float(
+                np.linalg.norm(projected(self._objective, u, self._objective.gradient()))
+            )
         return value
 
     def minimised(self, u: np.ndarray) -> np.ndarray:
-        """The inputs (steps, nu) [N, N m] where L-BFGS from u ends, which `ending` names. Raises what `function` does."""
-        lower, upper = (np.broadcast_to(bound, u.shape).ravel() for bound in input_bounds(self._objective.kernel.scene))
+        """The inputs (steps, nu) [N, N m] where L-BFGS from u ends, which `ending` names.
+
+        Raises what `function` does.
+        """
+        lower, upper = (
+            np.broadcast_to(bound, u.shape).ravel()
+            for bound in input_bounds(self._objective.kernel.scene)
+        )
         options = self._options
         result = minimize(
             self.function,
@@ -60,9 +88,18 @@ class _Run:
             method="L-BFGS-B",
             bounds=Bounds(lower, upper),
             callback=self.monitor,
-            options={"maxcor": options.memory, "maxiter": options.max_iterations, "maxfun": 10**9, "ftol": 0.0, "gtol": 0.0, "maxls": 40},
+            options={
+                "maxcor": options.memory,
+                "maxiter": options.max_iterations,
+                "maxfun": 10**9,
+                "ftol": 0.0,
+                "gtol": 0.0,
+                "maxls": 40,
+            },
         )
-        if not self.ending:  # nothing is left of the projected gradient that the first point had, or no step lowers the loss
+        # nothing is left of the projected gradient that the first point had, or no step lowers the
+        # loss
+        if not self.ending:
             norms = self._history["gradient_norm"]
             self.ending = "flat" if self._norm <= _FLAT * (norms[0] if norms else 0.0) else "search"
         return np.clip(result.x.reshape(u.shape), lower.reshape(u.shape), upper.reshape(u.shape))
@@ -95,7 +132,9 @@ class _Run:
             self.ending = "limit"
         elif perf_counter() >= self._deadline:
             self.ending = "time"
-        elif len(self.losses) > _JUDGED_OVER and (earlier := self.losses[-1 - _JUDGED_OVER]) - value <= options.tolerance * abs(earlier):
+        elif len(self.losses) > _JUDGED_OVER and (
+            earlier := self.losses[-1 - _JUDGED_OVER]
+        ) - value <= options.tolerance * abs(earlier):
             self.ending = "settled"
         if self.ending:
             raise StopIteration
@@ -108,15 +147,24 @@ def projected(objective: Objective, u: np.ndarray, gradient: np.ndarray) -> np.n
     return np.where(beyond, 0.0, gradient)
 
 
-def minimise(objective: Objective, u0: np.ndarray, options: SearchOptions, time_limit: float) -> Descent:
-    """Minimise from u0 (steps, nu) [N, N m] within the bounds; the objective's goal is left where it was.
+def minimise(
+    objective: Objective, u0: np.ndarray, options: SearchOptions, time_limit: float
+) -> Descent:
+    """Minimise from u0 (steps, nu) [N, N m] within the bounds.
 
-    Of the answer, gradient_norm is without entries that point beyond a bound. time_limit: wall seconds. Raises ShootingError for a loss of one's own that
-    cannot be differentiated.
+    The objective's goal is left where it was.
+
+    Of the answer, gradient_norm is without entries that point beyond a bound. time_limit: wall
+    seconds. Raises ShootingError for a loss of one's own that cannot be differentiated.
     """
     deadline = perf_counter() + time_limit
     goal, weights = objective.goal, objective.weights
-    history: dict[str, list[float]] = {"loss": [], "terminal_error": [], "cost": [], "gradient_norm": []}
+    history: dict[str, list[float]] = {
+        "loss": [],
+        "terminal_error": [],
+        "cost": [],
+        "gradient_norm": [],
+    }
     u = np.clip(u0, *input_bounds(objective.kernel.scene))
     try:
         run, u, missed, rounds = _rounds(objective, u, options, deadline, history)
@@ -125,19 +173,32 @@ def minimise(objective: Objective, u0: np.ndarray, options: SearchOptions, time_
     if run is None:
         steps = objective.finite_steps
         message = f"at the first guess the rollout is no longer finite beyond step {steps} (t = {steps * objective.kernel.scene.task.step:.3g} s)."
-        return Descent(outcome=Outcome.EVALUATION_ERROR, message=message, u=None, iterations=0, gradient_norm=0.0, history=history)
+        return Descent(
+            outcome=Outcome.EVALUATION_ERROR,
+            message=message,
+            u=None,
+            iterations=0,
+            gradient_norm=0.0,
+            history=history,
+        )
     iterations = len(history["loss"])
     objective.value(u)
     gradient = float(np.linalg.norm(projected(objective, u, objective.gradient())))
     endings = {
         "limit": (Outcome.ITERATION_LIMIT, f"stopped at max_iterations = {options.max_iterations}"),
-        "time": (Outcome.TIME_LIMIT, f"stopped after {iterations} iterations at the time limit of {time_limit:g} s"),
+        "time": (
+            Outcome.TIME_LIMIT,
+            f"stopped after {iterations} iterations at the time limit of {time_limit:g} s",
+        ),
         "settled": (
             Outcome.SOLVED,
             f"the loss fell by less than {100.0 * options.tolerance:.2g} % over the last {_JUDGED_OVER} iterations",
         ),
         "flat": (Outcome.SOLVED, f"the gradient has fallen to less than {_FLAT:g} of what it was"),
-        "search": (Outcome.STALLED, "no step along the search direction lowers the loss: a kink of the contact forces, or rounding"),
+        "search": (
+            Outcome.STALLED,
+            "no step along the search direction lowers the loss: a kink of the contact forces, or rounding",
+        ),
     }
     outcome, message = endings[run.ending]
     if rounds:
@@ -148,15 +209,39 @@ def minimise(objective: Objective, u0: np.ndarray, options: SearchOptions, time_
         objective.value(u)
         dead = dead_contact_message(objective, u, rate)
     if dead:
-        outcome, message = (Outcome.STALLED if outcome is Outcome.SOLVED else outcome), f"{message}; {dead}"
-    return Descent(outcome=outcome, message=ended(message), u=u, iterations=iterations, gradient_norm=gradient, history=history)
+        outcome, message = (
+            (Outcome.STALLED if outcome is Outcome.SOLVED else outcome),
+            f"{message}; {dead}",
+        )
+    return Descent(
+        outcome=outcome,
+        message=ended(message),
+        u=u,
+        iterations=iterations,
+        gradient_norm=gradient,
+        history=history,
+    )
 
 
 def _rounds(
-    objective: Objective, u: np.ndarray, options: SearchOptions, deadline: float, history: dict[str, list[float]]
+    objective: Objective,
+    u: np.ndarray,
+    options: SearchOptions,
+    deadline: float,
+    history: dict[str, list[float]],
 ) -> tuple[_Run | None, np.ndarray, float, int]:
-    """Minimise, displace the goal by what was missed, and again; the last run, the best inputs, what they miss, and how often displaced."""
-    goal, best, least, displaced, weight, slow = objective.goal, u, np.inf, 0, objective.weights.terminal, 0
+    """Minimise, displace the goal by what was missed, and again.
+
+    The last run, the best inputs, what they miss, and how often displaced.
+    """
+    goal, best, least, displaced, weight, slow = (
+        objective.goal,
+        u,
+        np.inf,
+        0,
+        objective.weights.terminal,
+        0,
+    )
     shift, most = np.zeros(len(goal)), options.goal_rounds if objective.aims else 0
     while True:
         objective.aim(goal - shift, replace(objective.weights, terminal=weight))
@@ -173,6 +258,11 @@ def _rounds(
             weight, shift = weight * _HEAVIER, shift / _HEAVIER
         if missed < least:
             best, least = u, missed
-        if run.ending in ("limit", "time") or missed <= options.goal_tolerance or displaced >= most or slow > 2:
+        if (
+            run.ending in ("limit", "time")
+            or missed <= options.goal_tolerance
+            or displaced >= most
+            or slow > 2
+        ):
             return run, best, least, displaced
         displaced += 1

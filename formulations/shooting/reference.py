@@ -2,17 +2,22 @@
 
     q, v, lam = reference_rollout(scene, u, start)
 
-It shares nothing with the compiled kernel but the equations themselves, and is what the kernel's values and gradients are
-tested against. About a thousand times slower: use `formulations.shooting.rollout` to plan. Many plans at once (leading dimensions of u and start)
-cost little more than one, and it runs where the tensors are: it is the rollout on devices that the compiled one does not reach.
+It shares nothing with the compiled kernel but the equations themselves, and is what the kernel's
+values and gradients are tested against. About a thousand times slower: use
+`formulations.shooting.rollout` to plan. Many plans at once (leading dimensions of u and start) cost
+little more than one, and it runs where the tensors are: it is the rollout on devices that the
+compiled one does not reach.
 
-Dry friction acts by the forces of one time step, with their derivatives by the implicit function theorem. With s(f) = s0 + h W f the slips at the end of the step, W = S M^-1 S', and the limits mu N:
+Dry friction acts by the forces of one time step, with their derivatives by the implicit function
+theorem. With s(f) = s0 + h W f the slips at the end of the step, W = S M^-1 S', and the limits mu
+N:
 
     Coulomb        |f| <= mu N,  f minimises f's / 2 + s0' f:   s = 0, or f = -mu N sign(s)
     regularised    f = -mu N tanh(c s),                         c = |ln eps| / (2 nominal)
 
-Which forces stick, and roughly how large they are, is found without derivatives by sweeps over single forces; the equations that then hold are
-solved once more by a Newton step that PyTorch differentiates: exact first and second derivatives, away from the corners between stick and slip.
+Which forces stick, and roughly how large they are, is found without derivatives by sweeps over
+single forces; the equations that then hold are solved once more by a Newton step that PyTorch
+differentiates: exact first and second derivatives, away from the corners between stick and slip.
 """
 
 from __future__ import annotations
@@ -51,7 +56,9 @@ def friction_forces(s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor | N
     nf = s0.shape[-1]
     rows = [
         coulomb(s, w, most) if steepness is None else regularised(s, w, most, steepness)
-        for s, w, most in zip(s0.reshape(-1, nf), hw.reshape(-1, nf, nf), limit.reshape(-1, nf), strict=True)
+        for s, w, most in zip(
+            s0.reshape(-1, nf), hw.reshape(-1, nf, nf), limit.reshape(-1, nf), strict=True
+        )
     ]
     return torch.stack(rows).reshape(s0.shape)
 
@@ -78,7 +85,9 @@ def regularised(s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor) -> Ten
     return f
 
 
-def _swept(s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor | None) -> tuple[Tensor, Tensor]:
+def _swept(
+    s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor | None
+) -> tuple[Tensor, Tensor]:
     """Forces by sweeps over single ones, and which of them stick (Coulomb)."""
     f = torch.zeros_like(s0)
     for _ in range(_SWEEPS):
@@ -89,7 +98,11 @@ def _swept(s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor | None) -> t
             w = hw[j, j]
             rest = s0[j] + hw[j] @ f - w * f[j]
             if steepness is None:
-                f[j] = torch.clamp(-rest / w, -limit[j], limit[j]) if w > 0.0 else -torch.sign(rest) * limit[j]
+                f[j] = (
+                    torch.clamp(-rest / w, -limit[j], limit[j])
+                    if w > 0.0
+                    else -torch.sign(rest) * limit[j]
+                )
             else:
                 f[j] = _root(float(rest), float(w), float(limit[j]), float(steepness[j]))
         if bool(((f - before).abs() <= _SETTLED * limit).all()):
@@ -104,7 +117,11 @@ def _root(rest: float, w: float, limit: float, c: float) -> float:
         middle = 0.5 * (low + high)
         if middle in (low, high):
             break
-        if middle + limit * float(torch.tanh(torch.tensor(c * (rest + w * middle), dtype=torch.float64))) > 0.0:
+        if (
+            middle
+            + limit * float(torch.tanh(torch.tensor(c * (rest + w * middle), dtype=torch.float64)))
+            > 0.0
+        ):
             high = middle
         else:
             low = middle
@@ -122,7 +139,8 @@ def reference_rollout(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Simulate lam[t] = L(phi(q[t])), v[t+1] = v[t] + h M^-1 (tau + J' lam), q[t+1] = q[t] + h v[t+1].
 
-    All is computed in the dtype of start: float64, unless it is to be seen what float32 loses; and on its device.
+    All is computed in the dtype of start: float64, unless it is to be seen what float32 loses; and
+    on its device.
 
     Parameters
     ----------
@@ -133,14 +151,18 @@ def reference_rollout(
 
     Returns
     -------
-    q (.., steps+1, nq) [m, rad], v (.., steps+1, nq) [m/s, rad/s] and lam (.., steps, nc+nf) [N], contact and then friction forces
+    q (.., steps+1, nq) [m, rad], v (.., steps+1, nq) [m/s, rad/s] and lam (.., steps, nc+nf) [N],
+        contact and then friction forces
     """
     h = scene.task.step if step is None else step
     force = _contact_law(law, eps, scene.length)
     d = derive(scene)
     arguments = (d.q, d.v, d.u, (*d.lam, *d.f))
     kind = {"dtype": start.dtype, "device": start.device}
-    penetration, stiffness = _torch_function(scene, d.penetration, d.q, **kind), _torch_function(scene, d.stiffness, **kind)()
+    penetration, stiffness = (
+        _torch_function(scene, d.penetration, d.q, **kind),
+        _torch_function(scene, d.stiffness, **kind)(),
+    )
     acceleration = _acceleration(scene, arguments, **kind)
     damped = _damped_forces(scene, law, eps, **kind) if scene.damped else None
     friction = _friction_forces(scene, law, eps, h, acceleration, **kind) if scene.nf else None
@@ -154,7 +176,11 @@ def reference_rollout(
             lam[-1] = torch.cat([lam[-1], friction(q[-1], v[-1], inputs, lam[-1])], -1)
         v.append(v[-1] + h * acceleration(q[-1], v[-1], inputs, lam[-1]))
         q.append(q[-1] + h * v[-1])
-    return torch.stack(q, -2), torch.stack(v, -2), torch.stack(lam, -2) if lam else start.new_zeros((*start.shape[:-1], 0, scene.nl))
+    return (
+        torch.stack(q, -2),
+        torch.stack(v, -2),
+        torch.stack(lam, -2) if lam else start.new_zeros((*start.shape[:-1], 0, scene.nl)),
+    )
 
 
 def reference_cost(scene: Scene, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
@@ -173,10 +199,14 @@ def reference_cost(scene: Scene, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
     kind = {"dtype": q.dtype, "device": q.device}
     running = _torch_function(scene, sp.Matrix([d.running_cost]), d.q, d.v, d.u, **kind)
     final = _torch_function(scene, sp.Matrix([d.final_cost]), d.q, d.v, **kind)
-    return running(q[..., :-1, :], v[..., :-1, :], u).sum((-2, -1)) + final(q[..., -1, :], v[..., -1, :]).sum(-1)
+    return running(q[..., :-1, :], v[..., :-1, :], u).sum((-2, -1)) + final(
+        q[..., -1, :], v[..., -1, :]
+    ).sum(-1)
 
 
-def _contact_law(law: ContactLaw, eps: float | None, length: float) -> Callable[[Tensor, Tensor], Tensor]:
+def _contact_law(
+    law: ContactLaw, eps: float | None, length: float
+) -> Callable[[Tensor, Tensor], Tensor]:
     if law is ContactLaw.RELU:
         return lambda phi, k: k * torch.relu(phi)
     b = sharpness(eps if eps is not None else 0.0, length)
@@ -184,14 +214,21 @@ def _contact_law(law: ContactLaw, eps: float | None, length: float) -> Callable[
     return lambda phi, k: k / b * torch.logaddexp(b * phi, torch.zeros_like(phi))
 
 
-def _damped_forces(scene: Scene, law: ContactLaw, eps: float | None, **kind: Any) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
+def _damped_forces(
+    scene: Scene, law: ContactLaw, eps: float | None, **kind: Any
+) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
     """(lam, q, v) -> lam with the forces of the damped contacts (laws and smoothing: models.scene.contacts, models/codegen/damping.h)."""
     d = derive(scene)
     rate = -d.gap_jacobian * sp.Matrix(d.v)
     quantities = (sp.Matrix([d.penetration, d.stiffness, d.damping, rate]), d.q, d.v)
     evaluate, nc = _torch_function(scene, *quantities, **kind), scene.nc
-    is_linear = torch.tensor([contact.damping_law is DampingLaw.KELVIN_VOIGT for contact in scene.contacts], device=kind["device"])
-    is_damped = torch.tensor([contact.is_damped for contact in scene.contacts], device=kind["device"])
+    is_linear = torch.tensor(
+        [contact.damping_law is DampingLaw.KELVIN_VOIGT for contact in scene.contacts],
+        device=kind["device"],
+    )
+    is_damped = torch.tensor(
+        [contact.is_damped for contact in scene.contacts], device=kind["device"]
+    )
     soft = _contact_law(law, eps, scene.length)  # k times the smoothed positive part
     pure = _contact_law(law, eps, 1.0)  # of a number, with b L
 
@@ -202,19 +239,37 @@ def _damped_forces(scene: Scene, law: ContactLaw, eps: float | None, **kind: Any
             if law is ContactLaw.RELU
             else torch.sigmoid(sharpness(eps if eps is not None else 0.0, scene.length) * phi)
         )
-        kelvin_voigt = soft(phi + closed * c * r / k, k) if law is ContactLaw.SOFTPLUS else closed * soft(phi + c * r / k, k)
+        kelvin_voigt = (
+            soft(phi + closed * c * r / k, k)
+            if law is ContactLaw.SOFTPLUS
+            else closed * soft(phi + c * r / k, k)
+        )
         one = torch.ones_like(k)
-        return torch.where(is_damped, torch.where(is_linear, kelvin_voigt, soft(phi, k) * pure(1 + c * r, one) / pure(one, one)), lam)
+        return torch.where(
+            is_damped,
+            torch.where(
+                is_linear, kelvin_voigt, soft(phi, k) * pure(1 + c * r, one) / pure(one, one)
+            ),
+            lam,
+        )
 
     return forces
 
 
 def _friction_forces(
-    scene: Scene, law: ContactLaw, eps: float | None, h: float, acceleration: Callable[..., Tensor], **kind: Any
+    scene: Scene,
+    law: ContactLaw,
+    eps: float | None,
+    h: float,
+    acceleration: Callable[..., Tensor],
+    **kind: Any,
 ) -> Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]:
     """(q, v, u, lam) -> f (.., nf) [N], of the slips at the end of the step."""
     d = derive(scene)
-    slip, limit = _torch_function(scene, d.slip, d.q, d.v, **kind), _torch_function(scene, d.friction_limit, d.q, d.lam, **kind)
+    slip, limit = (
+        _torch_function(scene, d.slip, d.q, d.v, **kind),
+        _torch_function(scene, d.friction_limit, d.q, d.lam, **kind),
+    )
     steepness = None
     if law is ContactLaw.SOFTPLUS:
         nominal = torch.tensor([friction.nominal for friction in scene.frictions], **kind)
@@ -234,7 +289,10 @@ def _friction_forces(
 
 
 def _acceleration(
-    scene: Scene, arguments: tuple[Sequence[sp.Symbol], ...], dtype: torch.dtype, device: torch.device | str = "cpu"
+    scene: Scene,
+    arguments: tuple[Sequence[sp.Symbol], ...],
+    dtype: torch.dtype,
+    device: torch.device | str = "cpu",
 ) -> Callable[..., Tensor]:
     d = derive(scene)
     if d.acceleration is not None:
@@ -244,7 +302,9 @@ def _acceleration(
         _torch_function(scene, d.generalised_force, *arguments, dtype=dtype, device=device),
     )
     square = (scene.nq, scene.nq)
-    return lambda q, v, u, lam: torch.linalg.solve(mass(q).unflatten(-1, square), force(q, v, u, lam).unsqueeze(-1)).squeeze(-1)
+    return lambda q, v, u, lam: torch.linalg.solve(
+        mass(q).unflatten(-1, square), force(q, v, u, lam).unsqueeze(-1)
+    ).squeeze(-1)
 
 
 def _torch_function(
@@ -254,28 +314,48 @@ def _torch_function(
     dtype: torch.dtype = torch.float64,
     device: torch.device | str = "cpu",
 ) -> Callable[..., Tensor]:
-    """Entries of a matrix, flattened row by row, as a function of vectors (.., n); parameters have the scene's values."""
+    """Entries of a matrix, flattened row by row, as a function of vectors (.., n).
+
+    Parameters have the scene's values.
+    """
     parameters = tuple(parameter.symbol for parameter in scene.parameters)
-    compiled = _compiled((parameters, *(tuple(group) for group in groups)), tuple(sp.sympify(entry) for entry in expressions))
-    values = [torch.tensor(parameter.value, dtype=dtype, device=device) for parameter in scene.parameters]
+    compiled = _compiled(
+        (parameters, *(tuple(group) for group in groups)),
+        tuple(sp.sympify(entry) for entry in expressions),
+    )
+    values = [
+        torch.tensor(parameter.value, dtype=dtype, device=device) for parameter in scene.parameters
+    ]
 
     def function(*vectors: Tensor) -> Tensor:
         rows = torch.broadcast_shapes(*(vector.shape[:-1] for vector in vectors))
         results = compiled(values, *(vector.unbind(-1) for vector in vectors))
         if not results:
             return torch.zeros(*rows, 0, dtype=dtype, device=device)
-        return torch.stack([torch.as_tensor(result, dtype=dtype, device=device).expand(rows) for result in results], -1)
+        return torch.stack(
+            [
+                torch.as_tensor(result, dtype=dtype, device=device).expand(rows)
+                for result in results
+            ],
+            -1,
+        )
 
     return function
 
 
 @lru_cache(maxsize=128)
-def _compiled(groups: tuple[tuple[sp.Symbol, ...], ...], entries: tuple[sp.Expr, ...]) -> Callable[..., list[Any]]:
+def _compiled(
+    groups: tuple[tuple[sp.Symbol, ...], ...], entries: tuple[sp.Expr, ...]
+) -> Callable[..., list[Any]]:
     """Values of the entries, of one sequence of tensors a group.
 
-    Cached, because a descent calls for the same ones in each iteration: they take 10 ms to make (three carts) or 50 (two fingers), the loop over 500 steps
-    100 or 650.
-    Parameters enter as tensors and constants as floats, because PyTorch's functions take tensors only (`torch.sqrt(2)` fails).
+    Cached, because a descent calls for the same ones in each iteration: they take 10 ms to make
+    (three carts) or 50 (two fingers), the loop over 500 steps 100 or 650. Parameters enter as
+    tensors and constants as floats, because PyTorch's functions take tensors only (`torch.sqrt(2)`
+    fails).
     """
-    plain = [entry.replace(lambda e: e.is_number and not e.is_Number, lambda e: sp.Float(e, 17)) for entry in entries]
+    plain = [
+        entry.replace(lambda e: e.is_number and not e.is_Number, lambda e: sp.Float(e, 17))
+        for entry in entries
+    ]
     return sp.lambdify([list(group) for group in groups], plain, modules="torch", cse=True)

@@ -3,16 +3,20 @@
     q, v, lam, cost, end = rollout(scene, u)                                  # true (ReLU) contact
     plan = rollout(scene, u, start, law=ContactLaw.SOFTPLUS, eps=1e-3)
 
-Values come from the C kernel, gradients with respect to `u` and `start` from its adjoint. Any loss of the outputs may be built
-on top. Decisions:
+Values come from the C kernel, gradients with respect to `u` and `start` from its adjoint. Any loss
+of the outputs may be built on top. Decisions:
 
-- Leading dimensions are plans of their own: u (B, steps, nu) gives q (B, steps+1, nq) and a cost (B,), in one call, each row as if alone.
-- The compiled code computes in float64 on the CPU. Another type is refused, not converted in silence: `rollout(scene, u.double())` lets
+- Leading dimensions are plans of their own: u (B, steps, nu) gives q (B, steps+1, nq) and a cost
+  (B,), in one call, each row as if alone.
+- The compiled code computes in float64 on the CPU. Another type is refused, not converted in
+  silence: `rollout(scene, u.double())` lets
   gradients flow back to a float32 tensor, and says in the caller's code where precision changes.
-- Tensors on another device (CUDA) never visit the CPU: the same time step is then a loop of PyTorch operations on that device, in the tensors'
-  own float type (formulations/shooting/reference.py). One plan is a thousand times slower so; thousands at once are what it is for. Scenes with friction
-  are refused there.
-- First derivatives only on the CPU; `create_graph=True` followed by a second backward raises ShootingError.
+- Tensors on another device (CUDA) never visit the CPU: the same time step is then a loop of PyTorch
+  operations on that device, in the tensors'
+  own float type (formulations/shooting/reference.py). One plan is a thousand times slower so;
+  thousands at once are what it is for. Scenes with friction are refused there.
+- First derivatives only on the CPU; `create_graph=True` followed by a second backward raises
+  ShootingError.
 - At a penetration of exactly zero the ReLU has slope 0, as in `torch.relu`.
 - A rollout that diverges gives NaN from there on, and NaN gradients, as PyTorch functions do.
 """
@@ -39,7 +43,8 @@ class ShootingError(TouchstoneError):
 class RolloutTensors(NamedTuple):
     """A rollout: q, v (.., steps+1, nq) [m, rad, m/s, rad/s]; lam (.., steps, nc+nf) [N].
 
-    cost: (..) sum of the scene's running cost over the steps, and the final one; end: (.., 2*nq) the last positions and velocities, once more: a gradient
+    cost: (..) sum of the scene's running cost over the steps, and the final one; end: (.., 2*nq)
+        the last positions and velocities, once more: a gradient
     of them alone is cheaper.
     """
 
@@ -80,12 +85,24 @@ def rollout(
     task = kernel.scene.task
     step = task.step if step is None else step
     if not isinstance(start, Tensor):
-        like = u if isinstance(u, Tensor) and u.device.type != "cpu" else torch.zeros((), dtype=torch.float64, device="cpu")
-        start = torch.tensor(task.start if start is None else start, dtype=like.dtype, device=like.device)
+        like = (
+            u
+            if isinstance(u, Tensor) and u.device.type != "cpu"
+            else torch.zeros((), dtype=torch.float64, device="cpu")
+        )
+        start = torch.tensor(
+            task.start if start is None else start, dtype=like.dtype, device=like.device
+        )
     _check(kernel.scene, u, start)
     if u.device.type != "cpu":
         q, v, lam = reference_rollout(kernel.scene, u, start, step=step, law=law, eps=eps)
-        return RolloutTensors(q, v, lam, reference_cost(kernel.scene, q, v, u), torch.cat([q[..., -1, :], v[..., -1, :]], -1))
+        return RolloutTensors(
+            q,
+            v,
+            lam,
+            reference_cost(kernel.scene, q, v, u),
+            torch.cat([q[..., -1, :], v[..., -1, :]], -1),
+        )
     if u.shape[:-2] != start.shape[:-1]:
         rows = torch.broadcast_shapes(u.shape[:-2], start.shape[:-1])
         u, start = u.expand(*rows, *u.shape[-2:]), start.expand(*rows, start.shape[-1])
@@ -100,9 +117,13 @@ def _check(scene: Scene, u: Tensor, start: Tensor) -> None:
                 f"{where} is a {type(tensor).__name__}, but the rollout takes PyTorch tensors; use torch.as_tensor(..., dtype=torch.float64)."
             )
         if tensor.dim() < dimensions:
-            raise ShootingError(f"{where} has {tensor.dim()} dimensions, but needs {dimensions} or, for several plans, more.")
+            raise ShootingError(
+                f"{where} has {tensor.dim()} dimensions, but needs {dimensions} or, for several plans, more."
+            )
         if tensor.device.type == "cpu" and tensor.dtype != torch.float64:
-            raise ShootingError(f"{where} is {tensor.dtype}, but the compiled rollout computes in torch.float64; pass {name}.double().")
+            raise ShootingError(
+                f"{where} is {tensor.dtype}, but the compiled rollout computes in torch.float64; pass {name}.double()."
+            )
     if (u.device, u.dtype) != (start.device, start.dtype):
         raise ShootingError(
             f"scene {scene.name}: u is {u.dtype} on {u.device}, start {start.dtype} on {start.device}; pass start.to(u.device, u.dtype)."
@@ -123,13 +144,33 @@ class _Rollout(torch.autograd.Function):
     """Of u (.., steps, nu) and start (.., 2*nq), whose leading dimensions are equal."""
 
     @staticmethod
-    def forward(ctx: Any, u: Tensor, start: Tensor, kernel: Kernel, step: float, law: ContactLaw, eps: float | None) -> tuple[Tensor, ...]:
+    def forward(
+        ctx: Any,
+        u: Tensor,
+        start: Tensor,
+        kernel: Kernel,
+        step: float,
+        law: ContactLaw,
+        eps: float | None,
+    ) -> tuple[Tensor, ...]:
         scene, rows, steps = kernel.scene, u.shape[:-2], u.shape[-2]
         u, start = u.contiguous(), start.contiguous()
-        shapes = ((steps + 1, scene.nq), (steps + 1, scene.nq), (steps, scene.nl), (), (2 * scene.nq,))
+        shapes = (
+            (steps + 1, scene.nq),
+            (steps + 1, scene.nq),
+            (steps, scene.nl),
+            (),
+            (2 * scene.nq,),
+        )
         outputs = tuple(u.new_empty((*rows, *shape)) for shape in shapes)
         head = kernel.head(steps, step, law, eps)
-        kernel.library.kernel_rollouts(rows.numel(), *head, start.data_ptr(), u.data_ptr(), *(tensor.data_ptr() for tensor in outputs))
+        kernel.library.kernel_rollouts(
+            rows.numel(),
+            *head,
+            start.data_ptr(),
+            u.data_ptr(),
+            *(tensor.data_ptr() for tensor in outputs),
+        )
         ctx.save_for_backward(u, *outputs[:3])
         ctx.set_materialize_grads(False)
         ctx.head, ctx.kernel = head, kernel
@@ -144,15 +185,24 @@ class _Rollout(torch.autograd.Function):
         addresses = (None if tensor is None else tensor.data_ptr() for tensor in tensors)
         done = ctx.kernel.library.kernel_adjoints(rows, *ctx.head, *addresses)
         if done < rows:
-            raise KernelError(f"scene {ctx.kernel.scene.name}: the mass matrix is not positive definite along rollout {done}.")
-        if torch.is_grad_enabled():  # create_graph=True: whoever differentiates these again shall be told
-            parents = [tensor for tensor in (u, q, *bars) if tensor is not None and tensor.requires_grad]
+            raise KernelError(
+                f"scene {ctx.kernel.scene.name}: the mass matrix is not positive definite along rollout {done}."
+            )
+        if (
+            torch.is_grad_enabled()
+        ):  # create_graph=True: whoever differentiates these again shall be told
+            parents = [
+                tensor for tensor in (u, q, *bars) if tensor is not None and tensor.requires_grad
+            ]
             gradients = [_FirstDerivativeOnly.apply(gradient, *parents) for gradient in gradients]
         return (*gradients, None, None, None, None)
 
 
 class _FirstDerivativeOnly(torch.autograd.Function):
-    """The identity on a gradient that cannot be differentiated again; depends on what it came from, so that trying raises."""
+    """The identity on a gradient that cannot be differentiated again.
+
+    Depends on what it came from, so that trying raises.
+    """
 
     @staticmethod
     def forward(ctx: Any, gradient: Tensor, *parents: Tensor) -> Tensor:

@@ -14,7 +14,14 @@ from formulations.shooting.descent import Descent, descend
 from formulations.shooting.objective import Objective, noise, paper_objective
 from formulations.shooting.options import DescentOptions, SearchOptions
 from formulations.shooting.quasi_newton import minimise
-from formulations.shooting.stage import arrived, given_inputs, measure_growth, plan_residuals, stage_seconds, with_growth
+from formulations.shooting.stage import (
+    arrived,
+    given_inputs,
+    measure_growth,
+    plan_residuals,
+    stage_seconds,
+    with_growth,
+)
 from formulations.solution import Outcome, Solution
 from models.codegen.kernel import Kernel, load_kernel
 from models.codegen.steps import load_steps
@@ -28,7 +35,8 @@ __all__ = ["ShootingSession", "noise", "paper_objective"]
 class ShootingSession(Session):
     """One method on one scene, by gradient descent or by L-BFGS, as its options say.
 
-    clock: of the opening; objective: the loss on a kernel, at an eps, from first inputs (steps, nu) [N, N m].
+    clock: of the opening; objective: the loss on a kernel, at an eps, from first inputs (steps, nu)
+        [N, N m].
     """
 
     def __init__(
@@ -39,12 +47,22 @@ class ShootingSession(Session):
         clock: Clock,
         objective: Callable[[Kernel, float | None, np.ndarray], Objective],
     ) -> None:
-        self._method, self._scene, self._options, self._objective = method, scene, options, objective
+        self._method, self._scene, self._options, self._objective = (
+            method,
+            scene,
+            options,
+            objective,
+        )
         self._kernel, self._steps = load_kernel(scene), load_steps(scene)
         self._clock = clock
 
-    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
-        """Descend from the inputs of the warm start. Raises TrajectoryError for a plan of another scene or grid."""
+    def solve(
+        self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float
+    ) -> Solution:
+        """Descend from the inputs of the warm start.
+
+        Raises TrajectoryError for a plan of another scene or grid.
+        """
         stage = Clock()
         self._method.check_stage(eps, time_limit)
         u0, options = given_inputs(self._scene, warm_start), self._options
@@ -58,8 +76,13 @@ class ShootingSession(Session):
         solution = self._solution(descent, u0, objective.law, objective.eps)
         return replace(solution, seconds=stage_seconds(stage, self._clock, evaluating, descending))
 
-    def _solution(self, descent: Descent, u0: np.ndarray, law: ContactLaw, eps: float | None) -> Solution:
-        """The plan simulated once more by the kernel, and its residuals recomputed from that; without a plan, the growth at the first guess."""
+    def _solution(
+        self, descent: Descent, u0: np.ndarray, law: ContactLaw, eps: float | None
+    ) -> Solution:
+        """The plan simulated once more by the kernel, and its residuals recomputed from that.
+
+        Without a plan, the growth at the first guess.
+        """
         task = self._scene.task
         empty = Solution(
             method=self._method.name,
@@ -71,11 +94,27 @@ class ShootingSession(Session):
         )
         u = u0 if descent.u is None else descent.u
         plan = self._kernel.rollout(np.array(task.start), u, task.step, law, eps)
-        growth = None if plan.diverged else measure_growth(self._steps, np.hstack([plan.q, plan.v]), u, law, eps)
+        growth = (
+            None
+            if plan.diverged
+            else measure_growth(self._steps, np.hstack([plan.q, plan.v]), u, law, eps)
+        )
         if descent.u is None:
-            return empty if growth is None else replace(empty, message=with_growth(descent.message, growth), residuals=growth.residuals())
+            return (
+                empty
+                if growth is None
+                else replace(
+                    empty,
+                    message=with_growth(descent.message, growth),
+                    residuals=growth.residuals(),
+                )
+            )
         if plan.diverged:  # of a loss of one's own, which may be a number where the motion has none
-            return replace(empty, outcome=Outcome.EVALUATION_ERROR, message="the plan could not be simulated again.")
+            return replace(
+                empty,
+                outcome=Outcome.EVALUATION_ERROR,
+                message="the plan could not be simulated again.",
+            )
         trajectory = plan_of(self._scene, plan, u)
         residuals = {
             "gradient_norm": descent.gradient_norm,
@@ -86,7 +125,9 @@ class ShootingSession(Session):
         return replace(
             empty,
             outcome=outcome,
-            message=message if outcome is Outcome.SOLVED or growth is None else with_growth(message, growth),
+            message=message
+            if outcome is Outcome.SOLVED or growth is None
+            else with_growth(message, growth),
             trajectory=trajectory,
             cost=self._kernel.cost(plan.q, plan.v, u),
             residuals=residuals,

@@ -4,9 +4,10 @@
     growth.factor, growth.rate                      # |d x_T/d x_0| and its exponent [1/s]
     growth.sentence()                               # "" while it is harmless
 
-The derivative of a loss with respect to x_t is (d x_T/d x_t)' times that with respect to x_T, so that the spectral norm of d x_T/d x_t is
-the factor by which shooting's gradients may grow on their way back from the end to t. It is the product of the exact Jacobians of the
-time steps from t on, kept with its exponent apart, so that no horizon is too long.
+The derivative of a loss with respect to x_t is (d x_T/d x_t)' times that with respect to x_T, so
+that the spectral norm of d x_T/d x_t is the factor by which shooting's gradients may grow on their
+way back from the end to t. It is the product of the exact Jacobians of the time steps from t on,
+kept with its exponent apart, so that no horizon is too long.
 """
 
 from __future__ import annotations
@@ -33,7 +34,10 @@ _LARGEST_EXPONENT = 690.0  # exp of it is still a float
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GradientGrowth:
-    """exponents (steps+1,): natural logarithm of the spectral norm of d x_T/d x_t, 0 at the end; step [s]."""
+    """exponents (steps+1,): natural logarithm of the spectral norm of d x_T/d x_t, 0 at the end.
+
+    Step [s].
+    """
 
     exponents: np.ndarray
     step: float
@@ -76,7 +80,11 @@ def _power(exponent: float) -> str:
 
 
 def measure_growth(
-    steps: Steps, x: np.ndarray, u: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
+    steps: Steps,
+    x: np.ndarray,
+    u: np.ndarray,
+    law: ContactLaw = ContactLaw.RELU,
+    eps: float | None = None,
 ) -> GradientGrowth | None:
     """Measure the growth along a plan; None where a step is not finite.
 
@@ -107,7 +115,9 @@ def measure_growth(
         products[t], scales[t] = product / size, scales[t + 1] + math.log(size)
     norms = np.linalg.norm(products, 2, axis=(1, 2))
     with np.errstate(divide="ignore"):
-        return GradientGrowth(exponents=np.maximum(np.log(norms), -_LARGEST_EXPONENT) + scales, step=step)
+        return GradientGrowth(
+            exponents=np.maximum(np.log(norms), -_LARGEST_EXPONENT) + scales, step=step
+        )
 
 
 # Beyond a velocity bound by less [m/s, rad/s] is rounding.
@@ -115,7 +125,10 @@ _TOLERANCE = 1e-6
 
 
 def given_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
-    """Give the inputs (steps, nu) [N, N m] of the warm start, or zeros. Raises TrajectoryError for a plan of another scene or grid."""
+    """Give the inputs (steps, nu) [N, N m] of the warm start, or zeros.
+
+    Raises TrajectoryError for a plan of another scene or grid.
+    """
     task = scene.task
     check_warm_start(scene, warm_start)
     return np.zeros((task.steps, scene.nu)) if warm_start is None else np.array(warm_start.u)
@@ -133,7 +146,11 @@ def plan_residuals(scene: Scene, plan: Trajectory) -> dict[str, float]:
 
 
 def arrived(
-    scene: Scene, outcome: Outcome, message: str, residuals: Mapping[str, float], advice: str = "a larger terminal_weight"
+    scene: Scene,
+    outcome: Outcome,
+    message: str,
+    residuals: Mapping[str, float],
+    advice: str = "a larger terminal_weight",
 ) -> tuple[Outcome, str]:
     """Turn SOLVED into STALLED, and say why, where the plan converged away from the goal or beyond a velocity bound.
 
@@ -141,16 +158,28 @@ def arrived(
     """
     for name in ("terminal_position_error", "terminal_velocity_error"):
         limit = scene.limit(name)
-        if outcome is Outcome.SOLVED and limit is not None and limit.value is not None and residuals[name] > limit.value:
+        if (
+            outcome is Outcome.SOLVED
+            and limit is not None
+            and limit.value is not None
+            and residuals[name] > limit.value
+        ):
             missed = f"{name} is {residuals[name]:.3g}, the scene asks for {limit.value:g}; {advice} brings it nearer"
-            outcome, message = Outcome.STALLED, f"{message} It converged away from the goal: {missed}.".strip()
+            outcome, message = (
+                Outcome.STALLED,
+                f"{message} It converged away from the goal: {missed}.".strip(),
+            )
     excess = residuals.get("velocity_bound_excess", 0.0)
     if outcome is Outcome.SOLVED and excess > _TOLERANCE:
         outcome, message = (
             Outcome.STALLED,
             f"{message} A velocity exceeds its bound by {excess:.3g}: this method does not know such bounds.".strip(),
         )
-    goal = f" The goal is missed by {residuals['terminal_error']:.3g} in the plan's own contact model." if scene.task.has_goal else ""
+    goal = (
+        f" The goal is missed by {residuals['terminal_error']:.3g} in the plan's own contact model."
+        if scene.task.has_goal
+        else ""
+    )
     return outcome, f"{message}{goal}".strip()
 
 
@@ -158,4 +187,10 @@ def stage_seconds(stage: Clock, opening: Clock, evaluate: float, solving: float)
     """Give the seconds of a stage, and of opening its session if it is the first. solving: wall seconds of the solve, of which evaluate in the scene's code."""
     stage.stop()
     (wall, cpu), (build, build_cpu) = stage.pay(), opening.pay()
-    return Seconds(build=build, evaluate=evaluate, linear_algebra=max(0.0, solving - evaluate), wall=build + wall, cpu=build_cpu + cpu)
+    return Seconds(
+        build=build,
+        evaluate=evaluate,
+        linear_algebra=max(0.0, solving - evaluate),
+        wall=build + wall,
+        cpu=build_cpu + cpu,
+    )

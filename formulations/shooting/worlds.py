@@ -1,12 +1,14 @@
 """Inputs for several worlds at once: L-BFGS on the true contact law, whose loss counts how far the same inputs end from the goal where numbers are otherwise.
 
-    loss = cost + weight * C * mean over worlds of (sqrt(1 + m) - 1)  +  the goal of the scene itself, met by multipliers
-    m    = |position error|^2 / limit^2 + |velocity error|^2 / limit^2, at the end of a world; C: what the first inputs cost, in size
+    loss = cost + weight * C * mean over worlds of (sqrt(1 + m) - 1) + the goal of the scene itself,
+    met by multipliers m = |position error|^2 / limit^2 + |velocity error|^2 / limit^2, at the end
+    of a world; C: what the first inputs cost, in size
 
-A world that misses by far counts by its distance, not by its square: it is lost, and the plan is not bent for it. On `transport`, whose friction no inputs
-undo, the square leaves feedback 67 % of the worlds instead of 89 % (weight 3).
-Parameters, gains of the inputs, the start, noise and a delay are otherwise by up to the sizes of models.scene.uncertainty, all at once. A delay of a part
-of a step is what it does to the mean over each step.
+A world that misses by far counts by its distance, not by its square: it is lost, and the plan is
+not bent for it. On `transport`, whose friction no inputs undo, the square leaves feedback 67 % of
+the worlds instead of 89 % (weight 3). Parameters, gains of the inputs, the start, noise and a delay
+are otherwise by up to the sizes of models.scene.uncertainty, all at once. A delay of a part of a
+step is what it does to the mean over each step.
 """
 
 from __future__ import annotations
@@ -31,13 +33,17 @@ from models.scene.goal import goal_state
 from models.scene.uncertainty import DELAY, GAIN, NOISE, START, size_of
 from models.trajectory import Trajectory
 
-# What a mean square of a miss of the goal itself weighs, in squares of its smaller limit and in C, before multipliers meet it.
+# What a mean square of a miss of the goal itself weighs, in squares of its smaller limit and in C,
+# before multipliers meet it.
 _NOMINAL = 120.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrawnWorld:
-    """A world to plan for: kernel of its parameters; start (2*nq,); gain (nu,) [-], noise (steps, nu) [N, N m] and delay [steps] of the inputs."""
+    """A world to plan for: kernel of its parameters; start (2*nq,).
+
+    Gain (nu,) [-], noise (steps, nu) [N, N m] and delay [steps] of the inputs.
+    """
 
     kernel: Kernel
     start: Tensor
@@ -46,7 +52,10 @@ class DrawnWorld:
     delay: float
 
     def end(self, u: Tensor) -> Tensor:
-        """Last state (2*nq,) by inputs u (steps, nu) [N, N m]. Raises ShootingError for a tensor of another shape or type."""
+        """Last state (2*nq,) by inputs u (steps, nu) [N, N m].
+
+        Raises ShootingError for a tensor of another shape or type.
+        """
         late = torch.cat([u[:1], u[:-1]])
         driven = ((1.0 - self.delay) * u + self.delay * late) * self.gain + self.noise
         return rollout(self.kernel, driven, self.start).end
@@ -58,9 +67,15 @@ def drawn(kernel: Kernel, u: np.ndarray, samples: int, seed: int) -> list[DrawnW
 
     scene = kernel.scene
     parts = [len(scene.parameters), scene.nu, 2 * scene.nq, 1]
-    points = 2.0 * qmc.Sobol(sum(parts), seed=seed).random_base2(int(np.ceil(np.log2(samples))))[:samples] - 1.0
+    points = (
+        2.0
+        * qmc.Sobol(sum(parts), seed=seed).random_base2(int(np.ceil(np.log2(samples))))[:samples]
+        - 1.0
+    )
     lower, upper = input_bounds(scene)
-    width = np.where(np.isfinite(upper - lower), upper - lower, 2.0 * np.abs(u).max(axis=0, initial=0.0))
+    width = np.where(
+        np.isfinite(upper - lower), upper - lower, 2.0 * np.abs(u).max(axis=0, initial=0.0)
+    )
     away = START * np.tile([item.nominal for item in scene.coordinates], 2)
     noise = NOISE * width * np.random.default_rng(seed).standard_normal((samples, *u.shape))
     worlds = []
@@ -87,14 +102,26 @@ class WorldsObjective(Objective):
 
     def __init__(self, kernel: Kernel, u: np.ndarray, options: RobustOptions) -> None:
         scene = kernel.scene
-        goal, limits = goal_state(scene.task), [scene.limit(f"replay_terminal_{name}_error") for name in ("position", "velocity")]
-        scale = np.repeat([1.0 / limit.value if limit and limit.value else 0.0 for limit in limits], scene.nq)
-        self._goal, self._shares = torch.from_numpy(np.nan_to_num(goal)), torch.from_numpy(np.where(np.isnan(goal), 0.0, scale))
+        goal, limits = (
+            goal_state(scene.task),
+            [scene.limit(f"replay_terminal_{name}_error") for name in ("position", "velocity")],
+        )
+        scale = np.repeat(
+            [1.0 / limit.value if limit and limit.value else 0.0 for limit in limits], scene.nq
+        )
+        self._goal, self._shares = (
+            torch.from_numpy(np.nan_to_num(goal)),
+            torch.from_numpy(np.where(np.isnan(goal), 0.0, scale)),
+        )
         self._worlds = drawn(kernel, u, options.worlds, options.seed)
         motion = kernel.rollout(np.array(scene.task.start), u, scene.task.step)
         price = abs(kernel.cost(motion.q, motion.v, u)) or 1.0
         self._price = options.weight * price
-        super().__init__(kernel, law=ContactLaw.RELU, weights=Weights(terminal=_NOMINAL * price * float(scale.max()) ** 2, running=1.0))
+        super().__init__(
+            kernel,
+            law=ContactLaw.RELU,
+            weights=Weights(terminal=_NOMINAL * price * float(scale.max()) ** 2, running=1.0),
+        )
 
     def _loss(self, u: Tensor) -> Tensor:
         ends = torch.stack([world.end(u) for world in self._worlds])
@@ -111,8 +138,13 @@ class WorldsSession(ShootingSession):
 
         super().__init__(method, scene, options, clock, objective)
 
-    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
-        """Descend from the inputs of the warm start, on its own steps where those are finer. Raises TrajectoryError for a plan of another scene or grid."""
+    def solve(
+        self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float
+    ) -> Solution:
+        """Descend from the inputs of the warm start, on its own steps where those are finer.
+
+        Raises TrajectoryError for a plan of another scene or grid.
+        """
         scene = self._scene if warm_start is None else scene_of(self._scene, warm_start)
         if scene is self._scene:
             return super().solve(eps=eps, warm_start=warm_start, time_limit=time_limit)

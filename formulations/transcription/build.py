@@ -1,10 +1,11 @@
-"""Scene -> Pyomo model: a plain ConcreteModel, or a Block of the user's own model. And how a plan gets into it and out.
+"""Scene -> Pyomo model: a plain ConcreteModel, or a Block of the user's own model.
+
+And how a plan gets into it and out.
 
     model = build_model("three_cart", contact=ContactFormulation.SOFTPLUS, eps=1e-3)
-    model.parameter_scene["k"] = 300.0                               # no rebuilding
-    model.own = pyo.Constraint(expr=model.variable_q[250, "q2"] >= 3.2)
-    load_plan(model, plan)                                           # a Trajectory as first guess
-    plan = read_plan(model)                                          # the model's values as a Trajectory
+    model.parameter_scene["k"] = 300.0 # no rebuilding model.own =
+    pyo.Constraint(expr=model.variable_q[250, "q2"] >= 3.2) load_plan(model, plan) # a Trajectory as
+    first guess plan = read_plan(model) # the model's values as a Trajectory
 
 What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
 
@@ -29,8 +30,8 @@ What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
 | constraint_friction_regularised, or constraint_slip and complementarity_friction | t in steps, friction (, way) | the friction law |
 | expression_cost, objective_cost | | sum of the running cost, and the final cost; the objective exists in `build_model` only |
 
-What the scene does not need is not there: no variable_u without inputs, no variable_lam without contacts, no
-variable_friction without friction, no variable_spring without damping.
+What the scene does not need is not there: no variable_u without inputs, no variable_lam without
+contacts, no variable_friction without friction, no variable_spring without damping.
 """
 
 from __future__ import annotations
@@ -44,7 +45,12 @@ from pyomo.common.gc_manager import PauseGC
 
 from formulations.grids import check_grid
 from formulations.transcription import equations
-from formulations.transcription.collocation import add_collocation, forces_at_nodes, is_collocated, settle_stages
+from formulations.transcription.collocation import (
+    add_collocation,
+    forces_at_nodes,
+    is_collocated,
+    settle_stages,
+)
 from formulations.transcription.contact import (
     ContactFormulation,
     ModelError,
@@ -82,11 +88,14 @@ def build_model(
     ----------
     scene : a Scene, its name, or the path of its file
     contact : how contact is written
-    eps : with SOFTPLUS needed, 0 < eps < 1; with COMPLEMENTARITY None leaves pyomo.mpec's `Complementarity` untransformed (for solvers and
-        transformations of your own), a number applies Pyomo's `mpec.simple_nonlinear` with that bound [N^2]
-    steps, step : another grid than the task's [s]; the plan lasts steps * step, so that either alone changes how long
-    scheme : the time step, semi-implicit Euler or a collocation of higher order (`collocation` says what its block has)
-    integrate_cost : with a collocation, weigh the running cost of the stages as its quadrature does instead of summing that of the nodes
+    eps : with SOFTPLUS needed, 0 < eps < 1; with COMPLEMENTARITY None leaves pyomo.mpec's
+        `Complementarity` untransformed (for solvers and
+        transformations of your own), a number applies Pyomo's `mpec.simple_nonlinear` with that
+        bound [N^2]
+    steps, step : another grid than the task's [s]; the plan lasts steps * step, so that either
+    alone changes how long scheme : the time step, semi-implicit Euler or a collocation of higher
+    order (`collocation` says what its block has) integrate_cost : with a collocation, weigh the
+    running cost of the stages as its quadrature does instead of summing that of the nodes
 
     Raises
     ------
@@ -110,7 +119,16 @@ def build_model(
     """
     chosen = as_scene(scene)
     model = pyo.ConcreteModel(name=chosen.name)
-    build_block(model, chosen, contact, eps=eps, steps=steps, step=step, scheme=scheme, integrate_cost=integrate_cost)
+    build_block(
+        model,
+        chosen,
+        contact,
+        eps=eps,
+        steps=steps,
+        step=step,
+        scheme=scheme,
+        integrate_cost=integrate_cost,
+    )
     model.objective_cost = pyo.Objective(expr=model.expression_cost, sense=pyo.minimize)
     return model
 
@@ -139,16 +157,26 @@ def build_block(
     """
     chosen = as_scene(scene)
     if hasattr(block, "set_nodes"):
-        raise ModelError(f"{block.name} holds a plan already; build each plan into a Block of its own.")
+        raise ModelError(
+            f"{block.name} holds a plan already; build each plan into a Block of its own."
+        )
     if not isinstance(contact, ContactFormulation):
-        raise ModelError(f"contact is {contact!r}, but must be one of {', '.join(str(law) for law in ContactFormulation)}.")
+        raise ModelError(
+            f"contact is {contact!r}, but must be one of {', '.join(str(law) for law in ContactFormulation)}."
+        )
     if not isinstance(scheme, Scheme):
-        raise ModelError(f"scheme is {scheme!r}, but must be one of {', '.join(str(item) for item in Scheme)}.")
+        raise ModelError(
+            f"scheme is {scheme!r}, but must be one of {', '.join(str(item) for item in Scheme)}."
+        )
     if steps is not None or step is not None:
         task = chosen.task
-        chosen = chosen.with_task(steps=task.steps if steps is None else steps, step=task.step if step is None else step)
+        chosen = chosen.with_task(
+            steps=task.steps if steps is None else steps, step=task.step if step is None else step
+        )
     b = (
-        sharpness(cast(float, eps), chosen.length) if contact is ContactFormulation.SOFTPLUS else None
+        sharpness(cast(float, eps), chosen.length)
+        if contact is ContactFormulation.SOFTPLUS
+        else None
     )  # checks eps before anything is built
     with PauseGC():
         _add_sets(block, chosen)
@@ -168,7 +196,9 @@ def build_block(
 def _add_sets(block: Any, scene: Scene) -> None:
     block.set_nodes = pyo.RangeSet(0, scene.task.steps)
     block.set_steps = pyo.RangeSet(0, scene.task.steps - 1)
-    block.set_coordinates = pyo.Set(initialize=[coordinate.name for coordinate in scene.coordinates])
+    block.set_coordinates = pyo.Set(
+        initialize=[coordinate.name for coordinate in scene.coordinates]
+    )
     if scene.nu:
         block.set_inputs = pyo.Set(initialize=[item.name for item in scene.inputs])
     if scene.nc:
@@ -182,19 +212,33 @@ def _add_parameters(block: Any, scene: Scene) -> None:
         block.parameter_scene = pyo.Param(list(values), initialize=values, mutable=True)
     for end, state in (("start", scene.task.start), ("goal", scene.task.goal)):
         for part, values in (("position", state[:nq]), ("velocity", state[nq:])):
-            table = {name: value for name, value in zip(names, values, strict=True) if value is not None}
+            table = {
+                name: value for name, value in zip(names, values, strict=True) if value is not None
+            }
             index = block.set_coordinates if len(table) == nq else list(table)
             if table:
-                block.add_component(f"parameter_{end}_{part}", pyo.Param(index, initialize=table, mutable=True))
+                block.add_component(
+                    f"parameter_{end}_{part}", pyo.Param(index, initialize=table, mutable=True)
+                )
     block.parameter_step = pyo.Param(initialize=scene.task.step, mutable=True)
 
 
 def _add_variables(block: Any, scene: Scene) -> None:
     """Created at the paper's first guess: the start held, no inputs, no contact forces."""
     nodes, steps = block.set_nodes, block.set_steps
-    start = dict(zip(block.set_coordinates, zip(scene.task.start[: scene.nq], scene.task.start[scene.nq :], strict=True), strict=True))
-    block.variable_q = pyo.Var(nodes, block.set_coordinates, initialize=lambda b, t, name: start[name][0])
-    block.variable_v = pyo.Var(nodes, block.set_coordinates, initialize=lambda b, t, name: start[name][1])
+    start = dict(
+        zip(
+            block.set_coordinates,
+            zip(scene.task.start[: scene.nq], scene.task.start[scene.nq :], strict=True),
+            strict=True,
+        )
+    )
+    block.variable_q = pyo.Var(
+        nodes, block.set_coordinates, initialize=lambda b, t, name: start[name][0]
+    )
+    block.variable_v = pyo.Var(
+        nodes, block.set_coordinates, initialize=lambda b, t, name: start[name][1]
+    )
     for coordinate in scene.coordinates:
         for t in range(scene.task.steps) if coordinate.has_velocity_bounds else ():
             block.variable_v[t, coordinate.name].setlb(coordinate.velocity_lower)
@@ -203,7 +247,10 @@ def _add_variables(block: Any, scene: Scene) -> None:
         bounds = {item.name: (item.lower, item.upper) for item in scene.inputs}
         first = {name: min(max(0.0, lower), upper) for name, (lower, upper) in bounds.items()}
         block.variable_u = pyo.Var(
-            steps, block.set_inputs, bounds=lambda b, t, name: bounds[name], initialize=lambda b, t, name: first[name]
+            steps,
+            block.set_inputs,
+            bounds=lambda b, t, name: bounds[name],
+            initialize=lambda b, t, name: first[name],
         )
 
 
@@ -215,7 +262,9 @@ def _add_ends(block: Any, scene: Scene) -> None:
                 continue
             rows = pyo.Constraint(
                 value.index_set(),
-                rule=lambda b, name, node=node, variable=variable, value=value: variable[node, name] == value[name],
+                rule=lambda b, name, node=node, variable=variable, value=value: (
+                    variable[node, name] == value[name]
+                ),
             )
             block.add_component(f"constraint_{end}_{part}", rows)
 
@@ -224,7 +273,10 @@ def _add_steps(block: Any, scene: Scene, contact: ContactFormulation, b: float |
     law = SceneExpressions(derive(scene))
     nq, h = scene.nq, block.parameter_step
     p = list(block.parameter_scene.values()) if scene.parameters else []
-    q, v = rows_by_time(block.variable_q, scene.task.steps + 1), rows_by_time(block.variable_v, scene.task.steps + 1)
+    q, v = (
+        rows_by_time(block.variable_q, scene.task.steps + 1),
+        rows_by_time(block.variable_v, scene.task.steps + 1),
+    )
     u = rows_by_time(block.variable_u, scene.task.steps) if scene.nu else [[]] * scene.task.steps
     place = {name: index for index, name in enumerate(block.set_coordinates)}
     lam: list[list[Any]] = [[]] * scene.task.steps
@@ -242,18 +294,37 @@ def _add_steps(block: Any, scene: Scene, contact: ContactFormulation, b: float |
 
     def velocity(_: Any, t: int, name: str) -> Any:
         i = place[name]
-        return equations.constraint_velocity_step(mass[t][i * nq : (i + 1) * nq], v[t + 1], v[t], force[t][i], h)
+        return equations.constraint_velocity_step(
+            mass[t][i * nq : (i + 1) * nq], v[t + 1], v[t], force[t][i], h
+        )
 
-    block.constraint_position_step = pyo.Constraint(block.set_steps, block.set_coordinates, rule=position)
-    block.constraint_velocity_step = pyo.Constraint(block.set_steps, block.set_coordinates, rule=velocity)
-    costs = [law.running_cost(*arguments, p)[0] for arguments in zip(q[:-1], v[:-1], u, strict=True)]
-    block.expression_cost = pyo.Expression(expr=equations.expression_cost([*costs, *law.final_cost(q[-1], v[-1], p)]))
+    block.constraint_position_step = pyo.Constraint(
+        block.set_steps, block.set_coordinates, rule=position
+    )
+    block.constraint_velocity_step = pyo.Constraint(
+        block.set_steps, block.set_coordinates, rule=velocity
+    )
+    costs = [
+        law.running_cost(*arguments, p)[0] for arguments in zip(q[:-1], v[:-1], u, strict=True)
+    ]
+    block.expression_cost = pyo.Expression(
+        expr=equations.expression_cost([*costs, *law.final_cost(q[-1], v[-1], p)])
+    )
 
 
 def _add_contact(
-    block: Any, scene: Scene, contact: ContactFormulation, b: float | None, law: SceneExpressions, states: tuple[list, list], p: list[Any]
+    block: Any,
+    scene: Scene,
+    contact: ContactFormulation,
+    b: float | None,
+    law: SceneExpressions,
+    states: tuple[list, list],
+    p: list[Any],
 ) -> list[list[Any]]:
-    """The contact forces and their law; states: q, v as rows of variables; returns the variables lam[t][contact]."""
+    """The contact forces and their law; states: q, v as rows of variables.
+
+    Returns the variables lam[t][contact].
+    """
     q, v = states
     place = {name: index for index, name in enumerate(block.set_contacts)}
     block.variable_lam = pyo.Var(block.set_steps, block.set_contacts, initialize=0.0)
@@ -269,8 +340,12 @@ def _add_contact(
         i = place[name]
         if i in scene.damped:
             rate = law.penetration_rate(q[t], v[t], p)[i]
-            return lam[t][i] == damped_softplus(scene, i, phi[t][i], rate, k[i], law.damping(p)[i], block.parameter_sharpness)
-        return equations.constraint_contact_softplus(lam[t][i], phi[t][i], k[i], block.parameter_sharpness)
+            return lam[t][i] == damped_softplus(
+                scene, i, phi[t][i], rate, k[i], law.damping(p)[i], block.parameter_sharpness
+            )
+        return equations.constraint_contact_softplus(
+            lam[t][i], phi[t][i], k[i], block.parameter_sharpness
+        )
 
     def push(t: int, name: str) -> Any:
         i = place[name]
@@ -281,28 +356,43 @@ def _add_contact(
 
 
 def open_goal(model: Any, ball: float) -> None:
-    """Let the plan end within `ball` of the goal, in the norm of (q, v); 0 leaves the goal as it is, and a free end stays free."""
+    """Let the plan end within `ball` of the goal, in the norm of (q, v).
+
+    0 leaves the goal as it is, and a free end stays free.
+    """
     if ball == 0.0:
         return
     given = release_goal(model)
     if given:
-        # in units of the ball: its multiplier then has the size of the cost, however small the ball is
+        # in units of the ball: its multiplier then has the size of the cost, however small the ball
+        # is
         model.parameter_goal_ball = radius = pyo.Param(initialize=ball, mutable=True)
-        model.constraint_goal_ball = pyo.Constraint(expr=sum(((state - goal) / radius) ** 2 for state, goal, _ in given) <= 1.0)
+        model.constraint_goal_ball = pyo.Constraint(
+            expr=sum(((state - goal) / radius) ** 2 for state, goal, _ in given) <= 1.0
+        )
 
 
 def move_ball(model: Any, ball: float) -> None:
-    """Another radius for the ball that `open_goal` has put around the goal; nothing where there is none."""
+    """Another radius for the ball that `open_goal` has put around the goal.
+
+    Nothing where there is none.
+    """
     if model.component("parameter_goal_ball") is not None:
         model.parameter_goal_ball.value = ball
 
 
 def release_goal(model: Any) -> list[tuple[Any, Any, str]]:
-    """Take the goal's constraints out; returns (last state, goal, coordinate) of every component that was given."""
+    """Take the goal's constraints out.
+
+    Returns (last state, goal, coordinate) of every component that was given.
+    """
     last = max(model.set_nodes)
     given = []
     for part, variable in (("position", model.variable_q), ("velocity", model.variable_v)):
-        constraint, goal = model.component(f"constraint_goal_{part}"), model.component(f"parameter_goal_{part}")
+        constraint, goal = (
+            model.component(f"constraint_goal_{part}"),
+            model.component(f"parameter_goal_{part}"),
+        )
         if constraint is not None:
             constraint.deactivate()
             given += [(variable[last, name], goal[name], name) for name in goal]
@@ -310,7 +400,9 @@ def release_goal(model: Any) -> list[tuple[Any, Any, str]]:
 
 
 def load_plan(block: Any, plan: Trajectory) -> None:
-    """Write a plan into the variables of a block, as first guess. Its ends need not be those of the task.
+    """Write a plan into the variables of a block, as first guess.
+
+    Its ends need not be those of the task.
 
     Raises
     ------
@@ -328,14 +420,22 @@ def load_plan(block: Any, plan: Trajectory) -> None:
     friction = block.component("variable_friction")
     nf = 0 if friction is None else len(friction) // steps
     nc = plan.lam.shape[1] - nf
-    arrays = {"q": plan.q, "v": plan.v, "u": plan.u, "lam": plan.lam[:, : max(nc, 0)], "friction": plan.lam[:, max(nc, 0) :]}
+    arrays = {
+        "q": plan.q,
+        "v": plan.v,
+        "u": plan.u,
+        "lam": plan.lam[:, : max(nc, 0)],
+        "friction": plan.lam[:, max(nc, 0) :],
+    }
     for name, values in arrays.items():
         variable = block.component(f"variable_{name}")
         columns = 0 if variable is None else len(variable) // len(values)
         if name == "lam" and is_collocated(block):
             columns //= len(block.set_stages)
         if values.shape[1] != columns:
-            raise TrajectoryError(f"warm start: {name} has {values.shape[1]} columns, but model {block.name} has {columns}.")
+            raise TrajectoryError(
+                f"warm start: {name} has {values.shape[1]} columns, but model {block.name} has {columns}."
+            )
         if variable is not None and not (name == "lam" and is_collocated(block)):
             write_values(variable, values)
     if is_collocated(block):
@@ -346,7 +446,9 @@ def load_plan(block: Any, plan: Trajectory) -> None:
 def _steps_of(block: Any) -> int:
     steps = getattr(block, "set_steps", None)
     if steps is None:
-        raise ModelError(f"model {getattr(block, 'name', repr(block))} holds no plan: it must come from build_model or build_block.")
+        raise ModelError(
+            f"model {getattr(block, 'name', repr(block))} holds no plan: it must come from build_model or build_block."
+        )
     return len(steps)
 
 
@@ -358,7 +460,11 @@ def load_first_guess(block: Any) -> None:
     if block.component("variable_u") is not None:
         for data in block.variable_u.values():
             data.set_value(
-                min(max(0.0, -np.inf if data.lb is None else data.lb), np.inf if data.ub is None else data.ub), skip_validation=True
+                min(
+                    max(0.0, -np.inf if data.lb is None else data.lb),
+                    np.inf if data.ub is None else data.ub,
+                ),
+                skip_validation=True,
             )
     for name in ("variable_lam", "variable_friction"):
         if block.component(name) is not None:
@@ -369,24 +475,45 @@ def load_first_guess(block: Any) -> None:
 
 
 def read_plan(block: Any) -> Trajectory:
-    """The plan that the block's variables hold now. Raises TrajectoryError where one has no finite value, ModelError for a model of something else."""
+    """The plan that the block's variables hold now.
+
+    Raises TrajectoryError where one has no finite value, ModelError for a model of something else.
+    """
     steps = _steps_of(block)
     arrays, scheme = {}, Scheme.SEMI_IMPLICIT_EULER
-    for name, rows in (("q", steps + 1), ("v", steps + 1), ("u", steps), ("lam", steps), ("friction", steps)):
+    for name, rows in (
+        ("q", steps + 1),
+        ("v", steps + 1),
+        ("u", steps),
+        ("lam", steps),
+        ("friction", steps),
+    ):
         variable = block.component(f"variable_{name}")
-        arrays[name] = np.zeros((rows, 0)) if variable is None else read_values(variable).reshape(rows, -1)
+        arrays[name] = (
+            np.zeros((rows, 0)) if variable is None else read_values(variable).reshape(rows, -1)
+        )
     if is_collocated(block):
         arrays["lam"], scheme = forces_at_nodes(block), block.scheme
     arrays["lam"] = np.hstack([arrays["lam"], arrays.pop("friction")])
-    return Trajectory(t=uniform_grid(pyo.value(block.parameter_step), steps), scheme=scheme, **arrays)
+    return Trajectory(
+        t=uniform_grid(pyo.value(block.parameter_step), steps), scheme=scheme, **arrays
+    )
 
 
 def read_values(variable: Any) -> np.ndarray:
     """Values (n,) of an indexed variable in its own order, NaN where there is none [units of the variable]."""
-    return np.array([np.nan if data.value is None else data.value for data in variable.values()], dtype=float)
+    return np.array(
+        [np.nan if data.value is None else data.value for data in variable.values()], dtype=float
+    )
 
 
 def write_values(variable: Any, values: np.ndarray) -> None:
-    """Set an indexed variable from values (n,) in its own order [units of the variable]; one outside the bounds is a guess like any other. Raises ValueError for another number of values."""
-    for data, value in zip(variable.values(), np.asarray(values, dtype=float).ravel().tolist(), strict=True):
+    """Set an indexed variable from values (n,) in its own order [units of the variable].
+
+    One outside the bounds is a guess like any other. Raises ValueError for another number of
+    values.
+    """
+    for data, value in zip(
+        variable.values(), np.asarray(values, dtype=float).ravel().tolist(), strict=True
+    ):
         data.set_value(value, skip_validation=True)

@@ -1,8 +1,10 @@
 """Collocation in a plan's model: the scene's own equations at the stages of each step, one input held over all of them.
 
-    model = build_model("three_cart", contact=ContactFormulation.SOFTPLUS, eps=1e-5, steps=100, step=0.05, scheme=Scheme.RADAU_IIA_2)
+    model = build_model("three_cart", contact=ContactFormulation.SOFTPLUS, eps=1e-5, steps=100,
+    step=0.05, scheme=Scheme.RADAU_IIA_2)
 
-Beside the nodes of `build` a block then has, i in 1..s (`set_stages`; of Radau IIA the last stage is the next node and has no variable of its own):
+Beside the nodes of `build` a block then has, i in 1..s (`set_stages`; of Radau IIA the last stage
+is the next node and has no variable of its own):
 
 | name | index | what |
 |---|---|---|
@@ -13,7 +15,8 @@ Beside the nodes of `build` a block then has, i in 1..s (`set_stages`; of Radau 
 | constraint_contact_softplus or complementarity_contact | t in steps, i, contact | the contact law at the stages |
 | expression_penetration, expression_stage_penetration | t in steps (, i), contact | phi at the node and at the stages [m] |
 
-What a plan says of its contact forces, `lam` at the start of each step, is the contact law at the node: of Radau IIA a stage's own force.
+What a plan says of its contact forces, `lam` at the start of each step, is the contact law at the
+node: of Radau IIA a stage's own force.
 """
 
 from __future__ import annotations
@@ -39,7 +42,13 @@ from models.schemes import Scheme, Tableau, tableau
 
 
 def add_collocation(
-    block: Any, scene: Scene, contact: ContactFormulation, b: float | None, scheme: Scheme, *, integrate_cost: bool = False
+    block: Any,
+    scene: Scene,
+    contact: ContactFormulation,
+    b: float | None,
+    scheme: Scheme,
+    *,
+    integrate_cost: bool = False,
 ) -> None:
     """Stages, dynamics, contact law and cost of a block that has its nodes, inputs and ends.
 
@@ -69,12 +78,21 @@ def add_collocation(
             for i, weight in enumerate(table.b)
         ]
     else:
-        weighed = [law.running_cost(*arguments, p)[0] for arguments in zip(q[:-1], v[:-1], u, strict=True)]
-    block.expression_cost = pyo.Expression(expr=equations.expression_cost([*weighed, *law.final_cost(q[-1], v[-1], p)]))
+        weighed = [
+            law.running_cost(*arguments, p)[0] for arguments in zip(q[:-1], v[:-1], u, strict=True)
+        ]
+    block.expression_cost = pyo.Expression(
+        expr=equations.expression_cost([*weighed, *law.final_cost(q[-1], v[-1], p)])
+    )
 
 
-def _add_stages(block: Any, table: Tableau, q: list, v: list) -> tuple[list[list[list[Any]]], list[list[list[Any]]]]:
-    """Stage positions and velocities [t][i][coordinate]; what is a node already has no variable of its own."""
+def _add_stages(
+    block: Any, table: Tableau, q: list, v: list
+) -> tuple[list[list[list[Any]]], list[list[list[Any]]]]:
+    """Stage positions and velocities [t][i][coordinate].
+
+    What is a node already has no variable of its own.
+    """
     own = table.stages - 1 if table.is_stiffly_accurate else table.stages
     found = []
     for name, nodes in (("q", q), ("v", v)):
@@ -82,7 +100,12 @@ def _add_stages(block: Any, table: Tableau, q: list, v: list) -> tuple[list[list
         if own:
             first = {data.index()[1]: data.value for data in nodes[0]}
             inner = pyo.RangeSet(1, own)
-            variable = pyo.Var(block.set_steps, inner, block.set_coordinates, initialize=lambda _, t, i, c, first=first: first[c])
+            variable = pyo.Var(
+                block.set_steps,
+                inner,
+                block.set_coordinates,
+                initialize=lambda _, t, i, c, first=first: first[c],
+            )
             block.add_component(f"variable_stage_{name}", variable)
             for (t, i, _), data in variable.items():
                 rows[t][i - 1].append(data)
@@ -92,27 +115,47 @@ def _add_stages(block: Any, table: Tableau, q: list, v: list) -> tuple[list[list
     return found[0], found[1]
 
 
-def _add_motion(block: Any, table: Tableau, law: SceneExpressions, nodes: tuple, stages: tuple, p: list[Any]) -> None:
+def _add_motion(
+    block: Any, table: Tableau, law: SceneExpressions, nodes: tuple, stages: tuple, p: list[Any]
+) -> None:
     (q, v, u), (stage_q, stage_v, lam), nq, h = nodes, stages, law.nq, block.parameter_step
     place = {name: index for index, name in enumerate(block.set_coordinates)}
     mass = [[law.mass(at, p) for at in row] for row in stage_q]
-    force = [[law.force(stage_q[t][i], stage_v[t][i], u[t], lam[t][i], p) for i in range(table.stages)] for t in range(len(stage_q))]
+    force = [
+        [law.force(stage_q[t][i], stage_v[t][i], u[t], lam[t][i], p) for i in range(table.stages)]
+        for t in range(len(stage_q))
+    ]
 
     def gained(rows: list, now: list, t: int, i: int, weights: np.ndarray) -> list[Any]:
         """The sum over j of D_ij (X_j - x[t]) of every coordinate (nq,), with weights D (stages, stages) [-]."""
-        return [sum(float(weight) * (rows[t][j][c] - now[t][c]) for j, weight in enumerate(weights[i]) if weight != 0.0) for c in range(nq)]
+        return [
+            sum(
+                float(weight) * (rows[t][j][c] - now[t][c])
+                for j, weight in enumerate(weights[i])
+                if weight != 0.0
+            )
+            for c in range(nq)
+        ]
 
     def position(_: Any, t: int, i: int, name: str) -> Any:
         c = place[name]
-        return equations.constraint_position_stage(gained(stage_q, q, t, i - 1, table.inverse)[c], stage_v[t][i - 1][c], h)
+        return equations.constraint_position_stage(
+            gained(stage_q, q, t, i - 1, table.inverse)[c], stage_v[t][i - 1][c], h
+        )
 
     def velocity(_: Any, t: int, i: int, name: str) -> Any:
         c = place[name]
         row = mass[t][i - 1][c * nq : (c + 1) * nq]
-        return equations.constraint_velocity_stage(row, gained(stage_v, v, t, i - 1, table.inverse), force[t][i - 1][c], h)
+        return equations.constraint_velocity_stage(
+            row, gained(stage_v, v, t, i - 1, table.inverse), force[t][i - 1][c], h
+        )
 
-    block.constraint_position_step = pyo.Constraint(block.set_steps, block.set_stages, block.set_coordinates, rule=position)
-    block.constraint_velocity_step = pyo.Constraint(block.set_steps, block.set_stages, block.set_coordinates, rule=velocity)
+    block.constraint_position_step = pyo.Constraint(
+        block.set_steps, block.set_stages, block.set_coordinates, rule=position
+    )
+    block.constraint_velocity_step = pyo.Constraint(
+        block.set_steps, block.set_stages, block.set_coordinates, rule=velocity
+    )
     if table.is_stiffly_accurate:
         return
     for name, rows, now in (("position", stage_q, q), ("velocity", stage_v, v)):
@@ -120,41 +163,65 @@ def _add_motion(block: Any, table: Tableau, law: SceneExpressions, nodes: tuple,
             block.set_steps,
             block.set_coordinates,
             rule=lambda _, t, coordinate, rows=rows, now=now: equations.constraint_step_end(
-                now[t + 1][place[coordinate]], now[t][place[coordinate]], gained(rows, now, t, 0, table.ends[None])[place[coordinate]]
+                now[t + 1][place[coordinate]],
+                now[t][place[coordinate]],
+                gained(rows, now, t, 0, table.ends[None])[place[coordinate]],
             ),
         )
         block.add_component(f"constraint_{name}_end", end)
 
 
 def _add_contact(
-    block: Any, scene: Scene, contact: ContactFormulation, b: float | None, law: SceneExpressions, states: tuple, p: list[Any]
+    block: Any,
+    scene: Scene,
+    contact: ContactFormulation,
+    b: float | None,
+    law: SceneExpressions,
+    states: tuple,
+    p: list[Any],
 ) -> list[list[list[Any]]]:
-    """The contact forces and their law; states: nodes q, stages q; returns the variables lam[t][i][contact]."""
+    """The contact forces and their law; states: nodes q, stages q.
+
+    Returns the variables lam[t][i][contact].
+    """
     q, stage_q = states
     place = {name: index for index, name in enumerate(block.set_contacts)}
-    block.variable_lam = pyo.Var(block.set_steps, block.set_stages, block.set_contacts, initialize=0.0)
+    block.variable_lam = pyo.Var(
+        block.set_steps, block.set_stages, block.set_contacts, initialize=0.0
+    )
     lam: list[list[list[Any]]] = [[[] for _ in row] for row in stage_q]
     for (t, i, _), data in block.variable_lam.items():
         lam[t][i - 1].append(data)
     k = law.stiffness(p)
     phi = [[law.penetration(at, p) for at in row] for row in stage_q]
     at_nodes = [law.penetration(at, p) for at in q[:-1]]
-    block.expression_penetration = pyo.Expression(block.set_steps, block.set_contacts, rule=lambda _, t, name: at_nodes[t][place[name]])
-    block.expression_stage_penetration = pyo.Expression(
-        block.set_steps, block.set_stages, block.set_contacts, rule=lambda _, t, i, name: phi[t][i - 1][place[name]]
+    block.expression_penetration = pyo.Expression(
+        block.set_steps, block.set_contacts, rule=lambda _, t, name: at_nodes[t][place[name]]
     )
-    block.expression_stiffness = pyo.Expression(block.set_contacts, rule=lambda _, name: k[place[name]])
+    block.expression_stage_penetration = pyo.Expression(
+        block.set_steps,
+        block.set_stages,
+        block.set_contacts,
+        rule=lambda _, t, i, name: phi[t][i - 1][place[name]],
+    )
+    block.expression_stiffness = pyo.Expression(
+        block.set_contacts, rule=lambda _, name: k[place[name]]
+    )
     if contact is ContactFormulation.COMPLEMENTARITY:
         block.variable_lam.setlb(0.0)
 
     def softplus(t: int, i: int, name: str) -> Any:
         c = place[name]
-        return equations.constraint_contact_softplus(lam[t][i - 1][c], phi[t][i - 1][c], k[c], block.parameter_sharpness)
+        return equations.constraint_contact_softplus(
+            lam[t][i - 1][c], phi[t][i - 1][c], k[c], block.parameter_sharpness
+        )
 
     def push(t: int, i: int, name: str) -> Any:
         return k[place[name]] * phi[t][i - 1][place[name]]
 
-    add_contact_law(block, (block.set_steps, block.set_stages, block.set_contacts), contact, b, softplus, push)
+    add_contact_law(
+        block, (block.set_steps, block.set_stages, block.set_contacts), contact, b, softplus, push
+    )
     return lam
 
 
@@ -167,7 +234,10 @@ def settle_stages(block: Any) -> None:
     """Give stages the values on the straight line between their nodes, and every force what the contact law says of its stage."""
     table = tableau(block.scheme)
     for name in ("q", "v"):
-        variable, nodes = block.component(f"variable_stage_{name}"), block.component(f"variable_{name}")
+        variable, nodes = (
+            block.component(f"variable_stage_{name}"),
+            block.component(f"variable_{name}"),
+        )
         for (t, i, coordinate), data in variable.items() if variable is not None else ():
             before, after = pyo.value(nodes[t, coordinate]), pyo.value(nodes[t + 1, coordinate])
             data.set_value(before + float(table.c[i - 1]) * (after - before), skip_validation=True)
@@ -178,20 +248,30 @@ def settle_forces(block: Any) -> None:
     """Give every force what the contact law says of its stage."""
     if block.component("variable_lam") is None:
         return
-    for data, force in zip(block.variable_lam.values(), _forces(block, stage_penetration(block)).ravel().tolist(), strict=True):
+    for data, force in zip(
+        block.variable_lam.values(),
+        _forces(block, stage_penetration(block)).ravel().tolist(),
+        strict=True,
+    ):
         data.set_value(force, skip_validation=True)
     settle_separation(block)
 
 
 def forces_at_nodes(block: Any) -> np.ndarray:
-    """Contact forces (steps, nc) at the start of each step [N], by the block's contact law. Raises ValueError where a variable has no value."""
+    """Contact forces (steps, nc) at the start of each step [N], by the block's contact law.
+
+    Raises ValueError where a variable has no value.
+    """
     if block.component("variable_lam") is None:
         return np.zeros((len(block.set_steps), 0))
     return _forces(block, _values(block.expression_penetration).reshape(len(block.set_steps), -1))
 
 
 def stage_penetration(block: Any) -> np.ndarray:
-    """Penetrations (steps, s * nc) at the stages [m], those of the first stage first. Raises ValueError where a variable has no value."""
+    """Penetrations (steps, s * nc) at the stages [m], those of the first stage first.
+
+    Raises ValueError where a variable has no value.
+    """
     return _values(block.expression_stage_penetration).reshape(len(block.set_steps), -1)
 
 

@@ -1,35 +1,42 @@
-"""Dry friction in a plan's model. Its forces belong to the slip speed at the end of the step, s = S(q[t]) v[t+1]: only so can a step stick.
+"""Dry friction in a plan's model.
+
+Its forces belong to the slip speed at the end of the step, s = S(q[t]) v[t+1]: only so can a step
+stick.
 
     variable_friction[t, name]       the friction force f [N]
-    regularised (softplus):          f = -mu N tanh(|ln eps| s / (2 nominal)), a logistic function of the slip
-    complementarity:                 s = s_forward - s_backward,  0 <= s_forward  complements  mu N + f >= 0,
-                                                                  0 <= s_backward complements  mu N - f >= 0
+    regularised (softplus): f = -mu N tanh(|ln eps| s / (2 nominal)), a logistic function of the
+        slip
+    complementarity: s = s_forward - s_backward, 0 <= s_forward complements mu N + f >= 0,
+                                                                  0 <= s_backward complements mu N -
+                                                                  f >= 0
 
-In the plane this is the model of Stewart and Trinkle (maximal dissipation) with one variable less: whoever slips forward is held back
-by all of mu N, and whoever is held by less does not slip.
+In the plane this is the model of Stewart and Trinkle (maximal dissipation) with one variable less:
+whoever slips forward is held back by all of mu N, and whoever is held by less does not slip.
 
 SymPy equations of a scene -> functions of Pyomo variables and Params.
 
     equations = SceneExpressions(derive(scene))
     equations.penetration(q, p)        # [Pyomo expression per contact]
 
-Arguments are sequences in the scene's order: q, v (nq), u (nu), lam (nc), p (np). Entries that are zero for the scene are the number 0,
-so that nothing is written for what is not there.
+Arguments are sequences in the scene's order: q, v (nq), u (nu), lam (nc), p (np). Entries that are
+zero for the scene are the number 0, so that nothing is written for what is not there.
 
 How a plan's model writes contact, and how it is tightened without building the model again.
 
-Damped contacts in a plan's model. Their rates of penetration r are those at the start of the step, as their penetrations are.
+Damped contacts in a plan's model. Their rates of penetration r are those at the start of the step,
+as their penetrations are.
 
-    variable_lam[t, name]            the contact force: 0 <= lam  complements  lam - push >= 0, so lam = max(push, 0)
-    variable_spring[t, name]         sigma = k max(phi, 0) [N]
-    variable_touch[t, name]          w, Kelvin-Voigt only: 1 where phi > 0, 0 where phi < 0, and between where it touches
+    variable_lam[t, name] the contact force: 0 <= lam complements lam - push >= 0, so lam =
+    max(push, 0) variable_spring[t, name] sigma = k max(phi, 0) [N] variable_touch[t, name] w,
+    Kelvin-Voigt only: 1 where phi > 0, 0 where phi < 0, and between where it touches
 
-    Hunt-Crossley    push = sigma (1 + d r)       0 <= sigma  complements  sigma - k phi >= 0
-    Kelvin-Voigt     push = sigma + c w r         0 <= sigma  complements  1 - w >= 0,    0 <= w  complements  sigma - k phi >= 0
+    Hunt-Crossley push = sigma (1 + d r) 0 <= sigma complements sigma - k phi >= 0 Kelvin-Voigt push
+    = sigma + c w r 0 <= sigma complements 1 - w >= 0, 0 <= w complements sigma - k phi >= 0
 
-The force of Kelvin-Voigt jumps where it touches, so no formulation without a switch is exact: k phi + c r may be positive before anything
-touches. What the two pairs of the switch say: where sigma > 0, w = 1; where w > 0, sigma = k phi; so phi > 0 gives sigma = k phi and w = 1, and
-phi < 0 gives w = 0 and sigma = 0. Softplus (models/codegen/damping.h) needs neither variable.
+The force of Kelvin-Voigt jumps where it touches, so no formulation without a switch is exact: k phi
++ c r may be positive before anything touches. What the two pairs of the switch say: where sigma >
+0, w = 1; where w > 0, sigma = k phi; so phi > 0 gives sigma = k phi and w = 1, and phi < 0 gives w
+= 0 and sigma = 0. Softplus (models/codegen/damping.h) needs neither variable.
 """
 
 from __future__ import annotations
@@ -69,21 +76,42 @@ class SceneExpressions:
     def __init__(self, dynamics: Dynamics) -> None:
         d = dynamics
         self.nq = len(d.q)
-        self.mass = _function(d, "the mass matrix", list(d.mass_matrix), d.q, d.p)  # row by row, nq*nq entries
-        self.force = _function(d, "the generalised force", list(d.generalised_force), d.q, d.v, d.u, (*d.lam, *d.f), d.p)
+        self.mass = _function(
+            d, "the mass matrix", list(d.mass_matrix), d.q, d.p
+        )  # row by row, nq*nq entries
+        self.force = _function(
+            d,
+            "the generalised force",
+            list(d.generalised_force),
+            d.q,
+            d.v,
+            d.u,
+            (*d.lam, *d.f),
+            d.p,
+        )
         self.penetration = _function(d, "a penetration", list(d.penetration), d.q, d.p)
         self.stiffness = _function(d, "a stiffness", list(d.stiffness), d.p)
         self.damping = _function(d, "a damping", list(d.damping), d.p)
-        self.penetration_rate = _function(d, "a rate of penetration", list(-d.gap_jacobian * sp.Matrix(d.v)), d.q, d.v, d.p)
+        self.penetration_rate = _function(
+            d, "a rate of penetration", list(-d.gap_jacobian * sp.Matrix(d.v)), d.q, d.v, d.p
+        )
         self.slip = _function(d, "a slip", list(d.slip), d.q, d.v, d.p)
-        self.friction_limit = _function(d, "a friction coefficient or normal force", list(d.friction_limit), d.q, d.lam, d.p)
+        self.friction_limit = _function(
+            d, "a friction coefficient or normal force", list(d.friction_limit), d.q, d.lam, d.p
+        )
         self.running_cost = _function(d, "the running cost", [d.running_cost], d.q, d.v, d.u, d.p)
-        self.final_cost = _function(d, "the final cost", [] if d.final_cost == 0 else [d.final_cost], d.q, d.v, d.p)  # 0 or 1 entry
+        self.final_cost = _function(
+            d, "the final cost", [] if d.final_cost == 0 else [d.final_cost], d.q, d.v, d.p
+        )  # 0 or 1 entry
 
 
-def _function(dynamics: Dynamics, what: str, expressions: list[sp.Expr], *groups: Sequence[sp.Symbol]) -> Entries:
+def _function(
+    dynamics: Dynamics, what: str, expressions: list[sp.Expr], *groups: Sequence[sp.Symbol]
+) -> Entries:
     check_smooth(dynamics.scene, what, expressions)
-    return sp.lambdify([list(group) for group in groups], expressions, modules=[_NAMESPACE], cse=True)
+    return sp.lambdify(
+        [list(group) for group in groups], expressions, modules=[_NAMESPACE], cse=True
+    )
 
 
 def rows_by_time(variable: Any, count: int) -> list[list[Any]]:
@@ -95,44 +123,56 @@ def rows_by_time(variable: Any, count: int) -> list[list[Any]]:
 
 
 class ContactFormulation(Enum):
-    """SOFTPLUS: smooth force at a distance, eps in (0, 1). COMPLEMENTARITY: lam (lam - k phi) <= eps [N^2], eps = 0 is the true law."""
+    """SOFTPLUS: smooth force at a distance, eps in (0, 1).
+
+    COMPLEMENTARITY: lam (lam - k phi) <= eps [N^2], eps = 0 is the true law.
+    """
 
     SOFTPLUS = "softplus"
     COMPLEMENTARITY = "complementarity"
 
 
 class ModelError(TouchstoneError):
-    """A model is asked for something it was not built for; one sentence says what and what to do instead."""
+    """A model is asked for something it was not built for.
+
+    One sentence says what and what to do instead.
+    """
 
 
 def relax(block: Any, eps: float) -> None:
     """Replace the complementarity of a built block by Pyomo's own relaxation lam * v <= mpec_bound, v = lam - k phi (mpec.simple_nonlinear).
 
-    In place, once. To keep the untransformed model, relax a clone: `relaxed = model.clone(); relax(relaxed, 1e-2)`.
+    In place, once. To keep the untransformed model, relax a clone: `relaxed = model.clone();
+    relax(relaxed, 1e-2)`.
 
     Raises
     ------
     ModelError
-        where there is nothing to relax, and for a second time: the transformation would silently disconnect the first bound
+        where there is nothing to relax, and for a second time: the transformation would silently
+        disconnect the first bound
     """
     if not _families(block):
         raise ModelError(
             f"model {block.name} has no complementarity to relax; build it with contact=ContactFormulation.COMPLEMENTARITY and eps=None."
         )
     if hasattr(block, "mpec_bound"):
-        raise ModelError(f"model {block.name} is relaxed already; move its bound with set_relaxation(model, eps).")
+        raise ModelError(
+            f"model {block.name} is relaxed already; move its bound with set_relaxation(model, eps)."
+        )
     bound = _checked_bound(block, eps)
     pyo.TransformationFactory("mpec.simple_nonlinear").apply_to(block, mpec_bound=bound)
     for _, pair in pairs(block):
-        pair.c.deactivate()  # that a force or slip is not negative is its bound already; as a row it would cost a slack each
+        # that a force or slip is not negative is its bound already; as a row it would cost a slack
+        # each
+        pair.c.deactivate()
     settle_separation(block)  # the transformation leaves v without a value
 
 
 def settle_separation(block: Any) -> None:
     """Give every variable that a pair brings with it the value that its own equation asks for.
 
-    That is the separation force v = lam - k phi (friction: the reserve mu N - |f| either way) of each relaxed pair, at least 0, and slip speeds and
-    springs.
+    That is the separation force v = lam - k phi (friction: the reserve mu N - |f| either way) of
+    each relaxed pair, at least 0, and slip speeds and springs.
     """
     _settle_slip(block)
     _settle_springs(block)
@@ -140,7 +180,9 @@ def settle_separation(block: Any) -> None:
         return
     for _, pair in pairs(block):
         pair.v.set_value(0.0, skip_validation=True)
-        pair.v.set_value(max(0.0, -pyo.value(pair.ve.body)), skip_validation=True)  # ve: v - (lam - k phi) == 0
+        pair.v.set_value(
+            max(0.0, -pyo.value(pair.ve.body)), skip_validation=True
+        )  # ve: v - (lam - k phi) == 0
 
 
 def set_relaxation(block: Any, eps: float) -> None:
@@ -156,7 +198,9 @@ def set_relaxation(block: Any, eps: float) -> None:
     elif hasattr(block, "mpec_bound"):
         block.mpec_bound.value = _checked_bound(block, eps)
     else:
-        raise ModelError(f"model {block.name} has no relaxation to tighten; build it with an eps, or relax(model, eps) first.")
+        raise ModelError(
+            f"model {block.name} has no relaxation to tighten; build it with an eps, or relax(model, eps) first."
+        )
 
 
 def pairs(block: Any) -> list[tuple[Any, Any]]:
@@ -164,18 +208,26 @@ def pairs(block: Any) -> list[tuple[Any, Any]]:
 
     Contacts come first, then frictions, then springs and switches of damped contacts.
     """
-    return [item for family in _families(block) for item in zip(family[0].values(), family[1].values(), strict=True)]
+    return [
+        item
+        for family in _families(block)
+        for item in zip(family[0].values(), family[1].values(), strict=True)
+    ]
 
 
 def sides(block: Any) -> list[tuple[Any, Any]]:
     """The two variables of every pair of a relaxed block, of which one is zero, step by step as in `hold_modes`.
 
-    (lam, lam - k phi) of the contacts, then (slip forward, mu N + f), (slip backward, mu N - f) of the frictions, then the pairs of springs and of switches.
+    (lam, lam - k phi) of the contacts, then (slip forward, mu N + f), (slip backward, mu N - f) of
+    the frictions, then the pairs of springs and of switches.
     """
     steps = len(block.set_steps)
     rows: list[list[tuple[Any, Any]]] = [[] for _ in range(steps)]
     for variables, components in _families(block):
-        couples = [(variable, pair.v) for variable, pair in zip(variables.values(), components.values(), strict=True)]
+        couples = [
+            (variable, pair.v)
+            for variable, pair in zip(variables.values(), components.values(), strict=True)
+        ]
         width = len(couples) // steps
         for t, row in enumerate(rows):
             row += couples[t * width : (t + 1) * width]
@@ -192,14 +244,17 @@ def _families(block: Any) -> list[tuple[Any, Any]]:
 def hold_modes(block: Any, closed: np.ndarray) -> None:
     """Decide every pair of a relaxed block; the products are switched off.
 
-    What is left has no complementarity: for a linear scene without friction a convex quadratic program. Of a friction whose contact is open nothing is
-    decided, whatever `closed` says: it has no force, and slips as it will.
+    What is left has no complementarity: for a linear scene without friction a convex quadratic
+    program. Of a friction whose contact is open nothing is decided, whatever `closed` says: it has
+    no force, and slips as it will.
 
     Parameters
     ----------
     block : a relaxed block
-    closed : (steps, nc + 2 nf + springs + switches) [-]: True where a contact is closed (lam = k phi; else lam = 0); then, for each friction, where it may
-        slip forward against f = -mu N (else it does not), and where backward; then whether each damped contact touches, for its spring and its switch
+    closed : (steps, nc + 2 nf + springs + switches) [-]: True where a contact is closed (lam = k
+        phi; else lam = 0); then, for each friction, where it may
+        slip forward against f = -mu N (else it does not), and where backward; then whether each
+        damped contact touches, for its spring and its switch
 
     Raises
     ------
@@ -235,7 +290,12 @@ def _checked_bound(block: Any, eps: Any) -> float:
 
 
 def add_contact_law(
-    block: Any, index: tuple[Any, ...], contact: ContactFormulation, b: float | None, softplus: Callable[..., Any], push: Callable[..., Any]
+    block: Any,
+    index: tuple[Any, ...],
+    contact: ContactFormulation,
+    b: float | None,
+    softplus: Callable[..., Any],
+    push: Callable[..., Any],
 ) -> None:
     """The law of the forces of a block.
 
@@ -248,10 +308,14 @@ def add_contact_law(
     """
     if contact is ContactFormulation.SOFTPLUS:
         block.parameter_sharpness = pyo.Param(initialize=b, mutable=True)
-        block.constraint_contact_softplus = pyo.Constraint(*index, rule=lambda _, *at: softplus(*at))
+        block.constraint_contact_softplus = pyo.Constraint(
+            *index, rule=lambda _, *at: softplus(*at)
+        )
         return
     lam = block.variable_lam
-    block.complementarity_contact = Complementarity(*index, rule=lambda _, *at: equations.complementarity_contact(lam[at], push(*at)))
+    block.complementarity_contact = Complementarity(
+        *index, rule=lambda _, *at: equations.complementarity_contact(lam[at], push(*at))
+    )
 
 
 def damped_softplus(scene: Scene, contact: int, phi: Any, rate: Any, k: Any, c: Any, b: Any) -> Any:
@@ -262,7 +326,13 @@ def damped_softplus(scene: Scene, contact: int, phi: Any, rate: Any, k: Any, c: 
 
 
 def add_springs(
-    block: Any, scene: Scene, law: SceneExpressions, phi: list[Any], q: list[Any], v: list[Any], parameters: list[Any]
+    block: Any,
+    scene: Scene,
+    law: SceneExpressions,
+    phi: list[Any],
+    q: list[Any],
+    v: list[Any],
+    parameters: list[Any],
 ) -> list[dict[int, Any]]:
     """Variables and pairs of the damped contacts.
 
@@ -277,24 +347,39 @@ def add_springs(
     the push of each damped contact, by step
     """
     names = [scene.contacts[index].name for index in scene.damped]
-    switched = [scene.contacts[index].name for index in scene.damped if scene.contacts[index].damping_law is DampingLaw.KELVIN_VOIGT]
+    switched = [
+        scene.contacts[index].name
+        for index in scene.damped
+        if scene.contacts[index].damping_law is DampingLaw.KELVIN_VOIGT
+    ]
     k, c = law.stiffness(parameters), law.damping(parameters)
-    rate = [law.penetration_rate(q_now, v_now, parameters) for q_now, v_now in zip(q[:-1], v[:-1], strict=True)]
+    rate = [
+        law.penetration_rate(q_now, v_now, parameters)
+        for q_now, v_now in zip(q[:-1], v[:-1], strict=True)
+    ]
     place = {contact.name: index for index, contact in enumerate(scene.contacts)}
     block.set_damped = pyo.Set(initialize=names)
-    block.variable_spring = pyo.Var(block.set_steps, block.set_damped, bounds=(0.0, None), initialize=0.0)
+    block.variable_spring = pyo.Var(
+        block.set_steps, block.set_damped, bounds=(0.0, None), initialize=0.0
+    )
     block.expression_spring = pyo.Expression(
-        block.set_steps, block.set_damped, rule=lambda _, t, name: k[place[name]] * phi[t][place[name]]
+        block.set_steps,
+        block.set_damped,
+        rule=lambda _, t, name: k[place[name]] * phi[t][place[name]],
     )
     if switched:
         block.set_switched = pyo.Set(initialize=switched)
-        block.variable_touch = pyo.Var(block.set_steps, block.set_switched, bounds=(0.0, None), initialize=0.0)
+        block.variable_touch = pyo.Var(
+            block.set_steps, block.set_switched, bounds=(0.0, None), initialize=0.0
+        )
 
     def spring(b: Any, t: int, name: str) -> Any:
         i = place[name]
         force = b.variable_spring[t, name]
         if name in switched:
-            return equations.complementarity_reserve(force, 1 - b.variable_touch[t, name])  # a spring that is compressed touches
+            return equations.complementarity_reserve(
+                force, 1 - b.variable_touch[t, name]
+            )  # a spring that is compressed touches
         return equations.complementarity_contact(force, k[i] * phi[t][i])
 
     def touch(b: Any, t: int, name: str) -> Any:
@@ -305,14 +390,18 @@ def add_springs(
 
     block.complementarity_spring = Complementarity(block.set_steps, block.set_damped, rule=spring)
     if switched:
-        block.complementarity_touch = Complementarity(block.set_steps, block.set_switched, rule=touch)
+        block.complementarity_touch = Complementarity(
+            block.set_steps, block.set_switched, rule=touch
+        )
     pushes: list[dict[int, Any]] = []
     for t in block.set_steps:
         row = {}
         for name in names:
             i, force = place[name], block.variable_spring[t, name]
             if name in switched:
-                row[i] = equations.expression_kelvin_voigt(force, block.variable_touch[t, name], c[i], rate[t][i])
+                row[i] = equations.expression_kelvin_voigt(
+                    force, block.variable_touch[t, name], c[i], rate[t][i]
+                )
             else:
                 row[i] = equations.expression_hunt_crossley(force, c[i], rate[t][i])
         pushes.append(row)
@@ -330,11 +419,17 @@ def _settle_springs(block: Any) -> None:
             block.variable_touch[index].set_value(1.0 if force > 0.0 else 0.0, skip_validation=True)
 
 
-FORWARD, BACKWARD = "forward", "backward"
+FORWARD = "forward"
+BACKWARD = "backward"
 
 
 def add_friction(
-    block: Any, scene: Scene, law: SceneExpressions, sharpness: float | None, plan: tuple[list, list, list], parameters: list[Any]
+    block: Any,
+    scene: Scene,
+    law: SceneExpressions,
+    sharpness: float | None,
+    plan: tuple[list, list, list],
+    parameters: list[Any],
 ) -> list[list[Any]]:
     """The friction forces and their law.
 
@@ -351,11 +446,21 @@ def add_friction(
     q, v, lam = plan
     names = [friction.name for friction in scene.frictions]
     block.set_frictions = pyo.Set(initialize=names)
-    block.set_pressed = pyo.Set(initialize=[(item.name, item.contact) for item in scene.frictions if item.contact is not None], dimen=2)
+    block.set_pressed = pyo.Set(
+        initialize=[
+            (item.name, item.contact) for item in scene.frictions if item.contact is not None
+        ],
+        dimen=2,
+    )
     block.variable_friction = pyo.Var(block.set_steps, block.set_frictions, initialize=0.0)
     force = rows_by_time(block.variable_friction, scene.task.steps)
-    slip = [law.slip(q_now, v_next, parameters) for q_now, v_next in zip(q[:-1], v[1:], strict=True)]
-    limit = [law.friction_limit(q_now, lam_now, parameters) for q_now, lam_now in zip(q[:-1], lam, strict=True)]
+    slip = [
+        law.slip(q_now, v_next, parameters) for q_now, v_next in zip(q[:-1], v[1:], strict=True)
+    ]
+    limit = [
+        law.friction_limit(q_now, lam_now, parameters)
+        for q_now, lam_now in zip(q[:-1], lam, strict=True)
+    ]
     place = {name: index for index, name in enumerate(names)}
     if sharpness is not None:
         nominal = {friction.name: friction.nominal for friction in scene.frictions}
@@ -365,13 +470,19 @@ def add_friction(
         def regularised(b: Any, t: int, name: str) -> Any:
             i = place[name]
             steepness = b.parameter_sharpness / (2.0 * nominal[name] / scene.length)
-            return equations.constraint_friction_regularised(force[t][i], limit[t][i], slip[t][i], steepness)
+            return equations.constraint_friction_regularised(
+                force[t][i], limit[t][i], slip[t][i], steepness
+            )
 
-        block.constraint_friction_regularised = pyo.Constraint(block.set_steps, block.set_frictions, rule=regularised)
+        block.constraint_friction_regularised = pyo.Constraint(
+            block.set_steps, block.set_frictions, rule=regularised
+        )
         return force
 
     block.set_ways = pyo.Set(initialize=[FORWARD, BACKWARD])
-    block.variable_slip = pyo.Var(block.set_steps, block.set_frictions, block.set_ways, bounds=(0.0, None), initialize=0.0)
+    block.variable_slip = pyo.Var(
+        block.set_steps, block.set_frictions, block.set_ways, bounds=(0.0, None), initialize=0.0
+    )
 
     def split(b: Any, t: int, name: str) -> Any:
         forward, backward = b.variable_slip[t, name, FORWARD], b.variable_slip[t, name, BACKWARD]
@@ -380,10 +491,14 @@ def add_friction(
     def complementarity(b: Any, t: int, name: str, way: str) -> Any:
         i = place[name]
         against = force[t][i] if way == FORWARD else -force[t][i]
-        return equations.complementarity_reserve(b.variable_slip[t, name, way], limit[t][i] + against)
+        return equations.complementarity_reserve(
+            b.variable_slip[t, name, way], limit[t][i] + against
+        )
 
     block.constraint_slip = pyo.Constraint(block.set_steps, block.set_frictions, rule=split)
-    block.complementarity_friction = Complementarity(block.set_steps, block.set_frictions, block.set_ways, rule=complementarity)
+    block.complementarity_friction = Complementarity(
+        block.set_steps, block.set_frictions, block.set_ways, rule=complementarity
+    )
     return force
 
 
@@ -405,19 +520,27 @@ def pressed_columns(block: Any) -> list[tuple[int, int]]:
     if block.component("set_pressed") is None:
         return []
     contacts, frictions = list(block.component("set_contacts") or ()), list(block.set_frictions)
-    return [(contacts.index(contact), len(contacts) + 2 * frictions.index(friction)) for friction, contact in block.set_pressed]
+    return [
+        (contacts.index(contact), len(contacts) + 2 * frictions.index(friction))
+        for friction, contact in block.set_pressed
+    ]
 
 
 def _free_unpressed(block: Any, couples: list[tuple[Any, Any]], closed: np.ndarray) -> None:
-    """Bounds of frictions whose contact is open; couples: (slip, reserve) of all pairs and closed as in `hold_modes`.
+    """Bounds of frictions whose contact is open.
 
-    One equation for the force, mu N + f = 0 with N = 0, and one variable for the slip, of either sign. That mu N - f >= 0 then follows; kept as a
-    bound it would leave an interior-point method no interior, and a way decided for a slip that nothing holds would be a constraint on
-    the flight.
+    couples: (slip, reserve) of all pairs and closed as in `hold_modes`.
+
+    One equation for the force, mu N + f = 0 with N = 0, and one variable for the slip, of either
+    sign. That mu N - f >= 0 then follows; kept as a bound it would leave an interior-point method
+    no interior, and a way decided for a slip that nothing holds would be a constraint on the
+    flight.
     """
     for contact, forward in pressed_columns(block):
         for t in np.flatnonzero(~closed[:, contact]).tolist():
-            (slip, reserve), (other_slip, other_reserve) = couples[t * closed.shape[1] + forward : t * closed.shape[1] + forward + 2]
+            (slip, reserve), (other_slip, other_reserve) = couples[
+                t * closed.shape[1] + forward : t * closed.shape[1] + forward + 2
+            ]
             slip.setlb(None)
             slip.setub(None)
             reserve.setub(0.0)

@@ -1,7 +1,11 @@
-"""The equations of the transcription: one function, one equation. They fetch nothing; whoever calls them brings the quantities.
+"""The equations of the transcription: one function, one equation.
 
-Semi-implicit Euler with the paper's indices: contact force and damping belong to the *start* of a step, the new position to the
-new velocity; the equations of stages are those of collocation (models.schemes). Units: q [m, rad], v [m/s, rad/s], h [s], forces [N, N m], k [N/m], phi [m] (positive in contact), b [1/m].
+They fetch nothing; whoever calls them brings the quantities.
+
+Semi-implicit Euler with the paper's indices: contact force and damping belong to the *start* of a
+step, the new position to the new velocity; the equations of stages are those of collocation
+(models.schemes). Units: q [m, rad], v [m/s, rad/s], h [s], forces [N, N m], k [N/m], phi [m]
+(positive in contact), b [1/m].
 """
 
 from __future__ import annotations
@@ -18,12 +22,18 @@ def constraint_position_step(q_next: Any, q_now: Any, v_next: Any, h: Any) -> An
     return q_next == q_now + h * v_next
 
 
-def constraint_velocity_step(mass_row: Sequence[Any], v_next: Sequence[Any], v_now: Sequence[Any], force: Any, h: Any) -> Any:
+def constraint_velocity_step(
+    mass_row: Sequence[Any], v_next: Sequence[Any], v_now: Sequence[Any], force: Any, h: Any
+) -> Any:
     """sum_j M_ij(q[t]) (v_j[t+1] - v_j[t]) = h (tau_i(q[t], v[t], u[t]) + (J(q[t])' lam[t])_i)   [N s, N m s].
 
     No mass matrix is ever inverted, and entries that are zero for the scene are left out.
     """
-    momentum = sum(mass * (after - before) for mass, after, before in zip(mass_row, v_next, v_now, strict=True) if not _is_zero(mass))
+    momentum = sum(
+        mass * (after - before)
+        for mass, after, before in zip(mass_row, v_next, v_now, strict=True)
+        if not _is_zero(mass)
+    )
     return momentum == h * force
 
 
@@ -32,9 +42,18 @@ def constraint_position_stage(gained: Any, v_stage: Any, h: Any) -> Any:
     return gained == h * v_stage
 
 
-def constraint_velocity_stage(mass_row: Sequence[Any], gained: Sequence[Any], force: Any, h: Any) -> Any:
+def constraint_velocity_stage(
+    mass_row: Sequence[Any], gained: Sequence[Any], force: Any, h: Any
+) -> Any:
     """sum_k M_ik(Q_i) sum_j D_ij (V_j - v[t])_k = h (tau(Q_i, V_i, u[t]) + J(Q_i)' lam_i)   [N s, N m s]: no mass matrix is inverted here either."""
-    return sum(mass * change for mass, change in zip(mass_row, gained, strict=True) if not _is_zero(mass)) == h * force
+    return (
+        sum(
+            mass * change
+            for mass, change in zip(mass_row, gained, strict=True)
+            if not _is_zero(mass)
+        )
+        == h * force
+    )
 
 
 def constraint_step_end(x_next: Any, x_now: Any, gained: Any) -> Any:
@@ -43,19 +62,35 @@ def constraint_step_end(x_next: Any, x_now: Any, gained: Any) -> Any:
 
 
 def constraint_contact_softplus(lam: Any, phi: Any, k: Any, b: Any) -> Any:
-    """lam[t] = (k / b) log(1 + exp(b phi(q[t])))   [N],   b = |ln eps| / L   (paper, eq. 5, sign corrected)."""
+    """lam[t] = (k / b) log(1 + exp(b phi(q[t])))   [N],   b = |ln eps| / L   (paper, eq.
+
+    5, sign corrected).
+    """
     return lam == (k / b) * pyo.log(1 + pyo.exp(b * phi))
 
 
 def expression_kelvin_voigt_softplus(phi: Any, rate: Any, k: Any, c: Any, b: Any) -> Any:
-    """(k / b) log(1 + exp(b (phi + w c r / k))),  w = 1 / (1 + exp(-b phi))   [N]; r [m/s] the rate of phi, c [N s/m]."""
+    """(k / b) log(1 + exp(b (phi + w c r / k))),  w = 1 / (1 + exp(-b phi))   [N].
+
+    R [m/s] the rate of phi, c [N s/m].
+    """
     return (k / b) * pyo.log(1 + pyo.exp(b * (phi + c * rate / (k * (1 + pyo.exp(-b * phi))))))
 
 
-def expression_hunt_crossley_softplus(phi: Any, rate: Any, k: Any, c: Any, b: Any, length: float) -> Any:
-    """(k / b) log(1 + exp(b phi)) log(1 + exp(b L (1 + c r))) / log(1 + exp(b L))   [N]; r [m/s] the rate of phi, c [s/m]; L the scene's length [m]."""
+def expression_hunt_crossley_softplus(
+    phi: Any, rate: Any, k: Any, c: Any, b: Any, length: float
+) -> Any:
+    """(k / b) log(1 + exp(b phi)) log(1 + exp(b L (1 + c r))) / log(1 + exp(b L))   [N].
+
+    R [m/s] the rate of phi, c [s/m]; L the scene's length [m].
+    """
     bl = b * length
-    return (k / b) * pyo.log(1 + pyo.exp(b * phi)) * pyo.log(1 + pyo.exp(bl * (1 + c * rate))) / pyo.log(1 + pyo.exp(bl))
+    return (
+        (k / b)
+        * pyo.log(1 + pyo.exp(b * phi))
+        * pyo.log(1 + pyo.exp(bl * (1 + c * rate)))
+        / pyo.log(1 + pyo.exp(bl))
+    )
 
 
 def expression_kelvin_voigt(spring: Any, touch: Any, c: Any, rate: Any) -> Any:
@@ -69,10 +104,13 @@ def expression_hunt_crossley(spring: Any, c: Any, rate: Any) -> Any:
 
 
 def complementarity_contact(lam: Any, push: Any) -> Any:
-    """0 <= lam[t]  complements  lam[t] - push >= 0   [N];  push = k phi(q[t]) without damping   (paper, eq. 7).
+    """0 <= lam[t]  complements  lam[t] - push >= 0   [N].
 
-    The separation force lam - k phi comes first: Pyomo gives the first expression a variable of its own (`v`) and multiplies it
-    with the second, so that the product is lam * v, of two variables. The other order would copy lam.
+    push = k phi(q[t]) without damping (paper, eq. 7).
+
+    The separation force lam - k phi comes first: Pyomo gives the first expression a variable of its
+    own (`v`) and multiplies it with the second, so that the product is lam * v, of two variables.
+    The other order would copy lam.
     """
     return complements(lam - push >= 0, lam >= 0)
 

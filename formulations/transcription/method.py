@@ -23,11 +23,30 @@ if TYPE_CHECKING:
     from formulations.ipopt import IpoptProblem, IpoptResult
 
 
-SMOOTH = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "exp", "log", "sqrt")
+SMOOTH = (
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+    "exp",
+    "log",
+    "sqrt",
+)
 
 
 def check_smooth(scene: Scene, what: str, expressions: Iterable[Any]) -> None:
-    """Raises SceneError for a function that Pyomo does not have (erf, atan2 ..); scenes have none with corners (models.scene.functions)."""
+    """Raises SceneError for a function that Pyomo does not have (erf, atan2 ..).
+
+    Scenes have none with corners (models.scene.functions).
+    """
     for expression in expressions:
         for call in sp.sympify(expression).atoms(sp.Function):
             if call.func.__name__ not in SMOOTH:
@@ -67,7 +86,13 @@ class TranscriptionOptions(Options):
 
     def promises(self) -> dict[str, float]:
         """Largest residuals with which the outcome may be SOLVED, whatever the contact law."""
-        names = ("dynamics_defect", "start_error", "terminal_error", "input_bound_excess", "velocity_bound_excess")
+        names = (
+            "dynamics_defect",
+            "start_error",
+            "terminal_error",
+            "input_bound_excess",
+            "velocity_bound_excess",
+        )
         return dict.fromkeys(names, self.plan_tolerance)
 
 
@@ -83,14 +108,19 @@ def first_eps_option(upper: float, unit: str = "1") -> Any:
     return option(0.0, words, unit=unit, lower=0.0, upper=upper)
 
 
-# Ipopt's own 0.1 and 0.01 start a complementarity model so close to its bounds (no force, no separation) that it crawls along them: 428
-# iterations to the first relaxed plan of the three carts, 78 from a start well inside.
+# Ipopt's own 0.1 and 0.01 start a complementarity model so close to its bounds (no force, no
+# separation) that it crawls along them: 428 iterations to the first relaxed plan of the three
+# carts, 78 from a start well inside.
 @dataclass(frozen=True, kw_only=True)
 class BarrierOptions(TranscriptionOptions):
     """Options of a complementarity model: further, how far inside its bounds Ipopt starts."""
 
-    barrier_start: float = option(10.0, "Ipopt's mu_init of a start without a plan", lower=1e-9, upper=1e9)
-    bound_push: float = option(1.0, "Ipopt's bound_push of a start without a plan", lower=1e-9, upper=1e9)
+    barrier_start: float = option(
+        10.0, "Ipopt's mu_init of a start without a plan", lower=1e-9, upper=1e9
+    )
+    bound_push: float = option(
+        1.0, "Ipopt's bound_push of a start without a plan", lower=1e-9, upper=1e9
+    )
 
     def ipopt(self) -> dict[str, object]:
         """Relaxed bounds (Ipopt's default) would let a force be -1e-8 N and a product exceed its bound."""
@@ -98,7 +128,11 @@ class BarrierOptions(TranscriptionOptions):
 
     def cold_barrier(self) -> dict[str, object]:
         """Ipopt's options of a complementarity model without a plan to start from."""
-        return {"mu_init": self.barrier_start, "bound_push": self.bound_push, "bound_frac": min(0.5, self.bound_push)}
+        return {
+            "mu_init": self.barrier_start,
+            "bound_push": self.bound_push,
+            "bound_frac": min(0.5, self.bound_push),
+        }
 
 
 @dataclass(frozen=True)
@@ -117,9 +151,12 @@ class Work:
 class StageRules:
     """What a method asks of a stage at one eps.
 
-    ipopt: options of every solve; cold: further ones for a start without a plan; cold_work, warm_work: of one solve, None: as much as `max_iter` says;
-    takes_duals: whether a stage that follows another of the session starts with its multipliers too; sharpest: sharpness b [1/m] of softplus contact that
-    goes as far from the true law as the method's own contact; plan_limits: largest residuals of a last iterate that was not solved and is handed on all the
+    ipopt: options of every solve; cold: further ones for a start without a plan; cold_work,
+        warm_work: of one solve, None: as much as `max_iter` says;
+    takes_duals: whether a stage that follows another of the session starts with its multipliers
+        too; sharpest: sharpness b [1/m] of softplus contact that
+    goes as far from the true law as the method's own contact; plan_limits: largest residuals of a
+        last iterate that was not solved and is handed on all the
     same; promises: largest residuals with which the outcome may be SOLVED.
     """
 
@@ -137,9 +174,12 @@ _COLUMNS = ("objective", "inf_pr", "inf_du", "mu")
 
 
 class SolveBudget:
-    """Where one stage spends its iterations, work and seconds. `opened`: wall and CPU seconds spent before the stage that belong to it.
+    """Where one stage spends its iterations, work and seconds.
 
-    work: iterations of Ipopt times nonzeros of the Jacobian and the Hessian, which is what an iteration's time grows with; most_work: of it there
+    `opened`: wall and CPU seconds spent before the stage that belong to it.
+
+    work: iterations of Ipopt times nonzeros of the Jacobian and the Hessian, which is what an
+        iteration's time grows with; most_work: of it there
     may be so much. It is the same whatever else the machine does.
     """
 
@@ -169,7 +209,11 @@ class SolveBudget:
 
     def iterations_left(self, problem: IpoptProblem) -> float:
         """Iterations of Ipopt on a problem until the work is over."""
-        return max(0, math.ceil((self.most_work - self.work) / problem.nonzeros)) if math.isfinite(self.most_work) else math.inf
+        return (
+            max(0, math.ceil((self.most_work - self.work) / problem.nonzeros))
+            if math.isfinite(self.most_work)
+            else math.inf
+        )
 
     def add(self, result: IpoptResult, problem: IpoptProblem) -> None:
         """Count one solve of a problem."""
@@ -202,15 +246,23 @@ class SolveBudget:
                 wall=perf_counter() - self._wall,
                 cpu=process_time() - self._cpu,
             ),
-            residuals={name: value for name, value in solution.residuals.items() if math.isfinite(value)},
+            residuals={
+                name: value for name, value in solution.residuals.items() if math.isfinite(value)
+            },
             solver=self.solver,
             history={name: tuple(values) for name, values in self.history.items()},
         )
 
     def told(self, found: Solution) -> None:
-        """What the stage of another method spent in this budget's time; its own rules limit its work."""
+        """What the stage of another method spent in this budget's time.
+
+        Its own rules limit its work.
+        """
         self.iterations += found.iterations
         self.solver = self.solver or found.solver
         for name in ("build", "translate", "evaluate", "linear_algebra"):
             setattr(self, name, getattr(self, name) + getattr(found.seconds, name))
-        self.history = {name: values + list(found.history.get(name, ())) for name, values in self.history.items()}
+        self.history = {
+            name: values + list(found.history.get(name, ()))
+            for name, values in self.history.items()
+        }

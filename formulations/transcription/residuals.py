@@ -27,7 +27,10 @@ from models.trajectory import Trajectory
 
 
 class PlanResiduals:
-    """Residual functions of one scene, compiled once for numpy; all arrays have the steps as first axis."""
+    """Residual functions of one scene, compiled once for numpy.
+
+    All arrays have the steps as first axis.
+    """
 
     def __init__(self, scene: Scene | str | Path) -> None:
         self._scene = scene = as_scene(scene)
@@ -40,7 +43,10 @@ class PlanResiduals:
         self._slip_nominal = np.array([friction.nominal for friction in scene.frictions])
         self._cost = _function(scene, sp.Matrix([d.running_cost]), d.q, d.v, d.u)
         self._final_cost = _function(scene, sp.Matrix([d.final_cost]), d.q, d.v)
-        self._push, self._rate = _function(scene, d.push, d.q, d.v), _function(scene, -d.gap_jacobian * sp.Matrix(d.v), d.q, d.v)
+        self._push, self._rate = (
+            _function(scene, d.push, d.q, d.v),
+            _function(scene, -d.gap_jacobian * sp.Matrix(d.v), d.q, d.v),
+        )
         self._damping = np.array(d.damping.subs(scene.parameter_values), dtype=float).ravel()
         self._stiffness = np.array(d.stiffness.subs(scene.parameter_values), dtype=float).ravel()
 
@@ -49,7 +55,9 @@ class PlanResiduals:
         phi, damped = self._penetration(plan.q[:-1]), list(self._scene.damped)
         push = self._stiffness * phi
         if damped:
-            push[:, damped] = np.where(phi > 0.0, self._push(plan.q[:-1], plan.v[:-1]), push)[:, damped]
+            push[:, damped] = np.where(phi > 0.0, self._push(plan.q[:-1], plan.v[:-1]), push)[
+                :, damped
+            ]
         return plan.lam[:, : self._scene.nc] - push
 
     def modes(self, plan: Trajectory) -> np.ndarray:
@@ -57,8 +65,10 @@ class PlanResiduals:
 
         Returns
         -------
-        (steps, nc + 2 nf + springs + switches) [-]: whether a contact is closed - its force is larger than its separation force - and, for each friction,
-        whether it slips forward and whether backward: its slip (in its nominal) is larger than what is left of its force (in mu N); then, for the spring and
+        (steps, nc + 2 nf + springs + switches) [-]: whether a contact is closed - its force is
+            larger than its separation force - and, for each friction,
+        whether it slips forward and whether backward: its slip (in its nominal) is larger than what
+            is left of its force (in mu N); then, for the spring and
         for the switch of each damped contact, whether it touches
 
         Raises
@@ -69,25 +79,42 @@ class PlanResiduals:
         closed = plan.lam[:, : self._scene.nc] > np.maximum(self.separation(plan), 0.0)
         slip, force, limit = self.friction(plan)
         scale = np.maximum(limit, np.finfo(float).tiny)
-        ways = [sign * slip / self._slip_nominal > np.maximum(1.0 + sign * force / scale, 0.0) for sign in (1.0, -1.0)]
+        ways = [
+            sign * slip / self._slip_nominal > np.maximum(1.0 + sign * force / scale, 0.0)
+            for sign in (1.0, -1.0)
+        ]
         scene, touches = self._scene, self._penetration(plan.q[:-1]) > 0.0
-        switched = [index for index in scene.damped if scene.contacts[index].damping_law is DampingLaw.KELVIN_VOIGT]
+        switched = [
+            index
+            for index in scene.damped
+            if scene.contacts[index].damping_law is DampingLaw.KELVIN_VOIGT
+        ]
         springs = touches[:, [*scene.damped, *switched]]
         return np.hstack([closed, np.stack(ways, axis=2).reshape(len(closed), -1), springs])
 
     def friction(self, plan: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Slip at the end of each step [m/s], friction force and its limit mu N [N], each (steps, nf). Raises ValueError for a plan of another scene."""
         nc = self._scene.nc
-        return self._slip(plan.q[:-1], plan.v[1:]), plan.lam[:, nc:], self._limit(plan.q[:-1], plan.lam[:, :nc])
+        return (
+            self._slip(plan.q[:-1], plan.v[1:]),
+            plan.lam[:, nc:],
+            self._limit(plan.q[:-1], plan.lam[:, :nc]),
+        )
 
     def cost(self, plan: Trajectory) -> float:
         """Sum of the running cost over the steps, and the final cost."""
-        return float(self._cost(plan.q[:-1], plan.v[:-1], plan.u).sum() + self._final_cost(plan.q[-1:], plan.v[-1:]).sum())
+        return float(
+            self._cost(plan.q[:-1], plan.v[:-1], plan.u).sum()
+            + self._final_cost(plan.q[-1:], plan.v[-1:]).sum()
+        )
 
     def dynamics_defect(self, plan: Trajectory) -> float:
-        """Largest miss of the plan's own time step, in velocity [m/s, rad/s] or position [m, rad]; a collocation's is taken with the true contact law.
+        """Largest miss of the plan's own time step, in velocity [m/s, rad/s] or position [m, rad].
 
-        A plan that declares no scheme is asked for the step of the transcription, semi-implicit Euler.
+        A collocation's is taken with the true contact law.
+
+        A plan that declares no scheme is asked for the step of the transcription, semi-implicit
+        Euler.
         """
         if plan.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
             return float(defect(load_kernel(self._scene), plan).max())
@@ -95,9 +122,14 @@ class PlanResiduals:
         mass = self._mass(plan.q[:-1]).reshape(-1, self._scene.nq, self._scene.nq)
         force = self._force(plan.q[:-1], plan.v[:-1], plan.u, plan.lam)
         acceleration = np.linalg.solve(mass, force[..., None])[..., 0]
-        return max(_largest(np.diff(plan.v, axis=0) - h * acceleration), _largest(np.diff(plan.q, axis=0) - h * plan.v[1:]))
+        return max(
+            _largest(np.diff(plan.v, axis=0) - h * acceleration),
+            _largest(np.diff(plan.q, axis=0) - h * plan.v[1:]),
+        )
 
-    def of(self, plan: Trajectory, law: ContactLaw = ContactLaw.RELU, eps: float | None = None) -> dict[str, float]:
+    def of(
+        self, plan: Trajectory, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
+    ) -> dict[str, float]:
         """Largest absolute values, held against a contact law.
 
         Parameters
@@ -110,16 +142,15 @@ class PlanResiduals:
         -------
         by name, those that the scene and the law have
 
-        dynamics_defect : largest miss of the time step, in velocity [m/s, rad/s] or position [m, rad]
-        start_error, terminal_error : norm of x[0] - start; of x[T] - goal, over the components that are given
-        input_bound_excess : by how much an input leaves its bounds [N, N m]
+        dynamics_defect : largest miss of the time step, in velocity [m/s, rad/s] or position [m,
+        rad] start_error, terminal_error : norm of x[0] - start; of x[T] - goal, over the components
+        that are given input_bound_excess : by how much an input leaves its bounds [N, N m]
         velocity_bound_excess : by how much a velocity leaves its bounds at the start of a step
-        physics : sum over steps and contacts of abs(lam (lam - k phi)) [N^2], k phi with its damping (paper, eq. 10)
-        complementarity : largest abs(lam (lam - k phi)) [N^2]
-        force_sign : by how much lam or lam - k phi is negative [N]
-        contact_law : largest miss of the softplus law [N]
-        friction_cone : by how much a friction force exceeds mu N [N]
-        friction_law : largest mu N abs(s) + f s: what the friction dissipates less than maximal dissipation asks for [W]
+        physics : sum over steps and contacts of abs(lam (lam - k phi)) [N^2], k phi with its
+        damping (paper, eq. 10) complementarity : largest abs(lam (lam - k phi)) [N^2] force_sign :
+        by how much lam or lam - k phi is negative [N] contact_law : largest miss of the softplus
+        law [N] friction_cone : by how much a friction force exceeds mu N [N] friction_law : largest
+        mu N abs(s) + f s: what the friction dissipates less than maximal dissipation asks for [W]
         regularised_friction : largest miss of the regularised friction law [N]
         """
         scene = self._scene
@@ -138,36 +169,58 @@ class PlanResiduals:
         found["physics"] = float(products.sum())
         if law is ContactLaw.RELU:
             found["complementarity"] = _largest(products)
-            found["force_sign"] = max(_largest(np.maximum(-lam, 0.0)), _largest(np.maximum(-separation, 0.0)))
+            found["force_sign"] = max(
+                _largest(np.maximum(-lam, 0.0)), _largest(np.maximum(-separation, 0.0))
+            )
         else:
             found["contact_law"] = _largest(lam - self._relaxed(plan, law, eps))
         return found
 
     def _relaxed(self, plan: Trajectory, law: ContactLaw, eps: float | None) -> np.ndarray:
-        """(steps, nc) the smoothed contact forces at the plan's states; damped ones by models/codegen/damping.h."""
+        """(steps, nc) the smoothed contact forces at the plan's states.
+
+        Damped ones by models/codegen/damping.h.
+        """
         phi, k = self._penetration(plan.q[:-1]), self._stiffness
-        lam, b = contact_force(phi, k, law, eps, self._scene.length), sharpness(eps if eps is not None else 0.0, self._scene.length)
+        lam, b = (
+            contact_force(phi, k, law, eps, self._scene.length),
+            sharpness(eps if eps is not None else 0.0, self._scene.length),
+        )
         for i in self._scene.damped:
             share = self._damping[i] * self._rate(plan.q[:-1], plan.v[:-1])[:, i]
             if self._scene.contacts[i].damping_law is DampingLaw.KELVIN_VOIGT:
                 lam[:, i] = contact_force(
-                    phi[:, i] + share / k[i] * np.exp(-np.logaddexp(0.0, -b * phi[:, i])), k[i], law, eps, self._scene.length
+                    phi[:, i] + share / k[i] * np.exp(-np.logaddexp(0.0, -b * phi[:, i])),
+                    k[i],
+                    law,
+                    eps,
+                    self._scene.length,
                 )
             else:
                 bl = b * self._scene.length
                 lam[:, i] *= np.logaddexp(0.0, bl * (1.0 + share)) / np.logaddexp(0.0, bl)
         return lam
 
-    def _friction_residuals(self, plan: Trajectory, law: ContactLaw, eps: float | None) -> dict[str, float]:
+    def _friction_residuals(
+        self, plan: Trajectory, law: ContactLaw, eps: float | None
+    ) -> dict[str, float]:
         slip, force, limit = self.friction(plan)
         cone = _largest(np.maximum(np.abs(force) - limit, 0.0))
         if law is ContactLaw.RELU:
-            return {"friction_cone": cone, "friction_law": _largest(limit * np.abs(slip) + force * slip)}
+            return {
+                "friction_cone": cone,
+                "friction_law": _largest(limit * np.abs(slip) + force * slip),
+            }
         steepness = sharpness(eps if eps is not None else 0.0) / (2.0 * self._slip_nominal)
-        return {"friction_cone": cone, "regularised_friction": _largest(force + limit * np.tanh(steepness * slip))}
+        return {
+            "friction_cone": cone,
+            "regularised_friction": _largest(force + limit * np.tanh(steepness * slip)),
+        }
 
 
-def _function(scene: Scene, matrix: sp.Matrix, *groups: Sequence[sp.Symbol]) -> Callable[..., np.ndarray]:
+def _function(
+    scene: Scene, matrix: sp.Matrix, *groups: Sequence[sp.Symbol]
+) -> Callable[..., np.ndarray]:
     """As `rows_of`, at the scene's parameter values."""
     return rows_of(list(matrix.subs(scene.parameter_values)), *groups)
 

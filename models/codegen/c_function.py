@@ -2,16 +2,19 @@
 
 The argument vectors of the generated C, and a scene's equations written in their entries.
 
-Derivatives of a column of expressions by the chain rule over what its entries share, as definitions to be evaluated in order.
+Derivatives of a column of expressions by the chain rule over what its entries share, as definitions
+to be evaluated in order.
 
-    definitions, df = push_forward(f, [x])         # df = (df/dx) dx, forward: one tangent for each shared subexpression
-    definitions, columns = pull_back(f, w, [x])    # (df/dx)' w, backward: one adjoint for each shared subexpression
-    forward_function("void name", (x, p, tangent(x)), "df", f, [x])       # the same as C functions
-    backward_function("void name", (x, p, w), f, w, [x])                  # this one adds to x_bar
+    definitions, df = push_forward(f, [x]) # df = (df/dx) dx, forward: one tangent for each shared
+    subexpression definitions, columns = pull_back(f, w, [x]) # (df/dx)' w, backward: one adjoint
+    for each shared subexpression forward_function("void name", (x, p, tangent(x)), "df", f, [x]) #
+    the same as C functions backward_function("void name", (x, p, w), f, w, [x]) # this one adds to
+    x_bar
 
-Differentiated whole, an expression whose parts are shared many times is written out once for each of them: minutes of computer algebra for a box
-pushed by a finger, and thousands of operations that are found to be equal again afterwards.
-Griewank and Walther, Evaluating Derivatives (2008), sections 3.1 and 3.2.
+Differentiated whole, an expression whose parts are shared many times is written out once for each
+of them: minutes of computer algebra for a box pushed by a finger, and thousands of operations that
+are found to be equal again afterwards. Griewank and Walther, Evaluating Derivatives (2008),
+sections 3.1 and 3.2.
 """
 
 from __future__ import annotations
@@ -30,7 +33,8 @@ from models.dynamics import Dynamics
 class SceneVectors:
     """The argument vectors of one scene, and its equations written in their entries.
 
-    lam holds all contact forces, then all friction forces: both act linearly, so the accelerations treat them alike.
+    lam holds all contact forces, then all friction forces: both act linearly, so the accelerations
+    treat them alike.
     """
 
     dynamics: Dynamics
@@ -47,8 +51,19 @@ class SceneVectors:
         def vector(name: str, symbols: Sequence[sp.Symbol]) -> Vector:
             return Vector.of(name, [symbol.name for symbol in symbols])
 
-        lam = Vector.of("lam", [contact.name for contact in d.scene.contacts] + [friction.force_name for friction in d.scene.frictions])
-        return cls(d, q=vector("q", d.q), v=vector("v", d.v), u=vector("u", d.u), lam=lam, p=vector("p", d.p))
+        lam = Vector.of(
+            "lam",
+            [contact.name for contact in d.scene.contacts]
+            + [friction.force_name for friction in d.scene.frictions],
+        )
+        return cls(
+            d,
+            q=vector("q", d.q),
+            v=vector("v", d.v),
+            u=vector("u", d.u),
+            lam=lam,
+            p=vector("p", d.p),
+        )
 
     @property
     def arguments(self) -> tuple[Vector, ...]:
@@ -63,7 +78,11 @@ class SceneVectors:
     def local(self, expression: sp.Expr | sp.Matrix) -> sp.Matrix:
         """An expression or matrix of the scene, in the entries of these vectors."""
         d = self.dynamics
-        pairs = zip((*d.q, *d.v, *d.u, *d.lam, *d.f, *d.p), (s for vector in self.arguments for s in vector.symbols), strict=True)
+        pairs = zip(
+            (*d.q, *d.v, *d.u, *d.lam, *d.f, *d.p),
+            (s for vector in self.arguments for s in vector.symbols),
+            strict=True,
+        )
         matrix = expression if isinstance(expression, sp.MatrixBase) else sp.Matrix([[expression]])
         return matrix.xreplace(dict(pairs))
 
@@ -75,7 +94,11 @@ Definitions = Sequence[tuple[sp.Symbol, sp.Expr]]
 def push_forward(function: sp.Matrix, vectors: Sequence[Vector]) -> tuple[Definitions, sp.Matrix]:
     """(df/dx) dx of a column f (m, 1) along the `tangent` dx of each x of `vectors`: definitions, and in their symbols one column (m, 1)."""
     shared, entries = _shared(function)
-    moving: dict[sp.Symbol, sp.Expr] = {x: dx for vector in vectors for x, dx in zip(vector.symbols, tangent(vector).symbols, strict=True)}
+    moving: dict[sp.Symbol, sp.Expr] = {
+        x: dx
+        for vector in vectors
+        for x, dx in zip(vector.symbols, tangent(vector).symbols, strict=True)
+    }
     definitions: list[tuple[sp.Symbol, sp.Expr]] = []
     for number, (symbol, value) in enumerate(shared):
         definitions.append((symbol, value))
@@ -86,7 +109,9 @@ def push_forward(function: sp.Matrix, vectors: Sequence[Vector]) -> tuple[Defini
     return definitions, sp.Matrix(len(entries), 1, [_along(entry, moving) for entry in entries])
 
 
-def pull_back(function: sp.Matrix, weights: Vector, vectors: Sequence[Vector]) -> tuple[Definitions, list[sp.Matrix]]:
+def pull_back(
+    function: sp.Matrix, weights: Vector, vectors: Sequence[Vector]
+) -> tuple[Definitions, list[sp.Matrix]]:
     """(df/dx)' w of a column f (m, 1) with weights w (m entries): definitions, and in their symbols a column for each x of `vectors`."""
     shared, entries = _shared(function)
     wanted = {symbol for vector in vectors for symbol in vector.symbols}
@@ -108,7 +133,10 @@ def pull_back(function: sp.Matrix, weights: Vector, vectors: Sequence[Vector]) -
         bar = sp.Symbol(f"adjoint{number}", real=True)
         backward.append((bar, adjoint[symbol]))
         distribute(value, bar)
-    return [*shared, *backward], [sp.Matrix(len(vector.symbols), 1, [adjoint[symbol] for symbol in vector.symbols]) for vector in vectors]
+    return [*shared, *backward], [
+        sp.Matrix(len(vector.symbols), 1, [adjoint[symbol] for symbol in vector.symbols])
+        for vector in vectors
+    ]
 
 
 def tangent(vector: Vector) -> Vector:
@@ -117,7 +145,12 @@ def tangent(vector: Vector) -> Vector:
 
 
 def forward_function(
-    head: str, arguments: Sequence[Vector], output: str | None, function: sp.Matrix, vectors: Sequence[Vector], tail: str = ""
+    head: str,
+    arguments: Sequence[Vector],
+    output: str | None,
+    function: sp.Matrix,
+    vectors: Sequence[Vector],
+    tail: str = "",
 ) -> str:
     """The C function `head` (its type and name): Jacobian-vector product of a column along d<vector> of each of `vectors`."""
     definitions, column = push_forward(function, vectors)
@@ -126,13 +159,22 @@ def forward_function(
 
 
 def backward_function(
-    head: str, arguments: Sequence[Vector], function: sp.Matrix, weights: Vector, vectors: Sequence[Vector], tail: str = ""
+    head: str,
+    arguments: Sequence[Vector],
+    function: sp.Matrix,
+    weights: Vector,
+    vectors: Sequence[Vector],
+    tail: str = "",
 ) -> str:
     """The C function `head`: it adds Jacobian' weights to <vector>_bar of each of `vectors`."""
     definitions, columns = pull_back(function, weights, vectors)
     result, name = head.split()
-    outputs = [(f"{vector.name}_bar", column) for vector, column in zip(vectors, columns, strict=True)]
-    return c_function(result, name, arguments, outputs, operator="+=", tail=tail, definitions=definitions)
+    outputs = [
+        (f"{vector.name}_bar", column) for vector, column in zip(vectors, columns, strict=True)
+    ]
+    return c_function(
+        result, name, arguments, outputs, operator="+=", tail=tail, definitions=definitions
+    )
 
 
 def _shared(function: sp.Matrix) -> tuple[list[tuple[sp.Symbol, sp.Expr]], list[sp.Expr]]:
@@ -142,16 +184,23 @@ def _shared(function: sp.Matrix) -> tuple[list[tuple[sp.Symbol, sp.Expr]], list[
 
 def _along(value: sp.Expr, moving: dict[sp.Symbol, sp.Expr]) -> sp.Expr:
     """The derivative of `value` where its symbols change by `moving`."""
-    symbols = sorted((symbol for symbol in value.free_symbols if symbol in moving), key=lambda symbol: symbol.name)
+    symbols = sorted(
+        (symbol for symbol in value.free_symbols if symbol in moving),
+        key=lambda symbol: symbol.name,
+    )
     return sp.Add(*(sp.diff(value, symbol) * moving[symbol] for symbol in symbols))
 
 
-# Integer powers up to this one are written as products: exact, faster than pow(), and equal on every libm.
+# Integer powers up to this one are written as products: exact, faster than pow(), and equal on
+# every libm.
 _LARGEST_PRODUCT = 4
 
 
 class _Printer(C99CodePrinter):
-    """Of one function. What is multiplied with itself is computed once: it becomes a constant of its own, in `lines`."""
+    """Of one function.
+
+    What is multiplied with itself is computed once: it becomes a constant of its own, in `lines`.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -193,7 +242,11 @@ class Vector:
     @classmethod
     def of(cls, name: str, entries: Sequence[str]) -> Vector:
         """A vector of real symbols `<name>_<entry>`."""
-        return cls(name, tuple(entries), tuple(sp.Symbol(f"{name}_{entry}", real=True) for entry in entries))
+        return cls(
+            name,
+            tuple(entries),
+            tuple(sp.Symbol(f"{name}_{entry}", real=True) for entry in entries),
+        )
 
     def like(self, name: str) -> Vector:
         """A vector of the same entries under another name (a tangent or an adjoint of this one)."""
@@ -218,24 +271,40 @@ def c_function(
 ) -> str:
     """A static inline C function.
 
-    output: the name of the array written from `expressions`; or several (name, column) pairs; or None to return the one
-    expression. operator: "=" or "+=". tail: a last statement. definitions: of symbols in which the expressions are written.
+    output: the name of the array written from `expressions`; or several (name, column) pairs; or
+        None to return the one
+    expression. operator: "=" or "+=". tail: a last statement. definitions: of symbols in which the
+        expressions are written.
     """
     outputs = [(output, expressions)] if output is None or isinstance(output, str) else output
     columns = [sp.Matrix(column) for _, column in outputs]
     entries = [entry for column in columns for entry in column]
     values = [value for _, value in definitions]
-    shared, reduced = sp.cse([*values, *entries], symbols=sp.numbered_symbols("shared"), order="canonical")
+    shared, reduced = sp.cse(
+        [*values, *entries], symbols=sp.numbered_symbols("shared"), order="canonical"
+    )
     symbols, reduced = [symbol for symbol, _ in definitions], list(reduced)
-    shared = _needed([*shared, *zip(symbols, reduced[: len(symbols)], strict=True)], reduced[len(symbols) :]) if symbols else shared
+    shared = (
+        _needed(
+            [*shared, *zip(symbols, reduced[: len(symbols)], strict=True)], reduced[len(symbols) :]
+        )
+        if symbols
+        else shared
+    )
     reduced = reduced[len(symbols) :]
-    used = set().union(*(entry.free_symbols for entry in [*reduced, *(value for _, value in shared)]))
+    used = set().union(
+        *(entry.free_symbols for entry in [*reduced, *(value for _, value in shared)])
+    )
 
-    parameters = [f"const double *{vector.name}" for vector in arguments] + [f"double *{target}" for target, _ in outputs if target]
+    parameters = [f"const double *{vector.name}" for vector in arguments] + [
+        f"double *{target}" for target, _ in outputs if target
+    ]
     lines = [f"SCENE_FUNCTION {result} {name}({', '.join(parameters)})", "{"]
     for vector in arguments:
         entries = [(index, symbol) for index, symbol in enumerate(vector.symbols) if symbol in used]
-        lines += [f"    const double {symbol.name} = {vector.name}[{index}];" for index, symbol in entries]
+        lines += [
+            f"    const double {symbol.name} = {vector.name}[{index}];" for index, symbol in entries
+        ]
         if not entries:
             lines.append(f"    (void){vector.name};")
     printer = _Printer()
@@ -246,14 +315,18 @@ def c_function(
         statements = []
         for index, expression in zip(range(len(column)), remaining, strict=False):
             if operator == "=" or expression != 0:
-                statements += printer.statements(f"{target}[{index}] {operator}" if target else "return", expression)
+                statements += printer.statements(
+                    f"{target}[{index}] {operator}" if target else "return", expression
+                )
         lines += statements or [f"    (void){target};"]
     if tail:
         lines.append(f"    {tail}")
     return "\n".join([*lines, "}", ""])
 
 
-def _needed(definitions: Definitions, entries: Sequence[sp.Expr]) -> list[tuple[sp.Symbol, sp.Expr]]:
+def _needed(
+    definitions: Definitions, entries: Sequence[sp.Expr]
+) -> list[tuple[sp.Symbol, sp.Expr]]:
     """Those definitions of which the entries make use, each after those in whose symbols it is written."""
     values, ordered = dict(definitions), {}
     waiting = [(symbol, False) for entry in reversed(entries) for symbol in _by_name(entry)]

@@ -41,7 +41,9 @@ def cache_folder() -> Path:
             f"the cache folder {folder} cannot be created ({error.strerror}); set TOUCHSTONE_CACHE to a folder you can write."
         ) from error
     if not os.access(folder, os.W_OK):
-        raise MachineError(f"the cache folder {folder} cannot be written; set TOUCHSTONE_CACHE to a folder you can write.")
+        raise MachineError(
+            f"the cache folder {folder} cannot be written; set TOUCHSTONE_CACHE to a folder you can write."
+        )
     return folder
 
 
@@ -51,15 +53,20 @@ def _remove_what_the_dead_left(folder: Path) -> None:
 
     for left in folder.glob(f"{_BUILDING}*"):
         number, _, rest = left.name.removeprefix(_BUILDING).partition("-")
-        if rest.rpartition("-")[0] == socket.gethostname() and number.isdigit() and not psutil.pid_exists(int(number)):
+        if (
+            rest.rpartition("-")[0] == socket.gethostname()
+            and number.isdigit()
+            and not psutil.pid_exists(int(number))
+        ):
             shutil.rmtree(left, ignore_errors=True)
 
 
 def cached(key_text: str, suffix: str, build: Callable[[Path], object]) -> Path:
     """The file for this content: found, be it in a folder that cannot be written, or made by `build(path)` in a temporary place and renamed.
 
-    Two processes may build the same file at once; both end with a whole one. What a process left that was killed while it built goes with
-    the next one that builds. Raises MachineError when the disk refuses.
+    Two processes may build the same file at once; both end with a whole one. What a process left
+    that was killed while it built goes with the next one that builds. Raises MachineError when the
+    disk refuses.
     """
     key = hashlib.sha256(key_text.encode()).hexdigest()
     target = _place() / f"{key[:32]}{suffix}"
@@ -68,7 +75,9 @@ def cached(key_text: str, suffix: str, build: Callable[[Path], object]) -> Path:
     cache_folder()
     _remove_what_the_dead_left(target.parent)
     try:
-        with tempfile.TemporaryDirectory(dir=target.parent, prefix=f"{_BUILDING}{os.getpid()}-{socket.gethostname()}-") as folder:
+        with tempfile.TemporaryDirectory(
+            dir=target.parent, prefix=f"{_BUILDING}{os.getpid()}-{socket.gethostname()}-"
+        ) as folder:
             made = Path(folder) / target.name
             build(made)
             os.replace(made, target)

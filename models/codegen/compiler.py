@@ -20,12 +20,26 @@ from pathlib import Path
 from models.codegen.cache import cached
 from models.errors import MachineError
 
-# -O2 always: at -O0 zig traps undefined behaviour. No contraction to fused multiply-add, so that the same expression
-# gives the same bits in the rollout, in the score and on every machine. -s keeps the files small and free of paths.
-FLAGS = ("-O2", "-s", "-std=c99", "-fPIC", "-shared", "-ffp-contract=off", "-fvisibility=hidden", "-Wall", "-Wextra", "-Werror")
+# -O2 always: at -O0 zig traps undefined behaviour. No contraction to fused multiply-add, so that
+#   the same expression
+# gives the same bits in the rollout, in the score and on every machine. -s keeps the files small
+# and free of paths.
+FLAGS = (
+    "-O2",
+    "-s",
+    "-std=c99",
+    "-fPIC",
+    "-shared",
+    "-ffp-contract=off",
+    "-fvisibility=hidden",
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+)
 
-# Results and arguments of C functions: n a count, d a double, p the address of doubles. Addresses are passed as plain integers: a ctypes pointer
-# object for each of them would cost more than a rollout itself.
+# Results and arguments of C functions: n a count, d a double, p the address of doubles. Addresses
+# are passed as plain integers: a ctypes pointer object for each of them would cost more than a
+# rollout itself.
 _TYPES = {"n": ctypes.c_int, "d": ctypes.c_double, "p": ctypes.c_void_p, "": None}
 
 
@@ -53,10 +67,14 @@ def _find(cc: str, path: str) -> Compiler:
             ) from None
         version = _version(command)
         if version is None:
-            raise MachineError(f"no C compiler: the environment variable CC is {cc!r}, which does not run; correct it or unset it.")
+            raise MachineError(
+                f"no C compiler: the environment variable CC is {cc!r}, which does not run; correct it or unset it."
+            )
         return Compiler(command, version)
     candidates: list[tuple[str, ...]] = [
-        (found,) for found in (shutil.which(name, path=path or None) for name in ("cc", "gcc", "clang")) if found
+        (found,)
+        for found in (shutil.which(name, path=path or None) for name in ("cc", "gcc", "clang"))
+        if found
     ]
     if importlib.util.find_spec("ziglang") is not None:
         candidates.append((sys.executable, "-m", "ziglang", "cc"))
@@ -64,22 +82,31 @@ def _find(cc: str, path: str) -> Compiler:
         version = _version(command)
         if version is not None:
             return Compiler(command, version)
-    raise MachineError("no C compiler was found; install one with: pip install ziglang (or set CC to a compiler you have).")
+    raise MachineError(
+        "no C compiler was found; install one with: pip install ziglang (or set CC to a compiler you have)."
+    )
 
 
 def zig_compiler(target: str) -> Compiler:
-    """The cross-compiler of the `[compiler]` extra for a target such as x86_64-linux-gnu.2.17. Raises MachineError if it does not run."""
+    """The cross-compiler of the `[compiler]` extra for a target such as x86_64-linux-gnu.2.17.
+
+    Raises MachineError if it does not run.
+    """
     command = (sys.executable, "-m", "ziglang", "cc")
     version = _version(command)
     if version is None:
-        raise MachineError("the cross-compiler does not run; reinstall it with: pip install --force-reinstall ziglang")
+        raise MachineError(
+            "the cross-compiler does not run; reinstall it with: pip install --force-reinstall ziglang"
+        )
     return Compiler((*command, "-target", target), f"{version} for {target}")
 
 
 @lru_cache(maxsize=8)
 def _version(command: tuple[str, ...]) -> str | None:
     try:
-        done = subprocess.run([*command, "--version"], capture_output=True, text=True, timeout=120, check=False)
+        done = subprocess.run(
+            [*command, "--version"], capture_output=True, text=True, timeout=120, check=False
+        )
     except (OSError, subprocess.TimeoutExpired):
         return None
     lines = done.stdout.strip().splitlines()
@@ -108,17 +135,35 @@ def compile_shared(
             place.write_text(text, encoding="utf-8")
         units = sorted(name for name in sources if name.endswith(".c"))
         paths = [f"-I{path}" for path in include_dirs]
-        command = [*compiler.command, *flags, *extra_flags, "-I.", *paths, *units, "-o", str(output), "-lm"]
+        command = [
+            *compiler.command,
+            *flags,
+            *extra_flags,
+            "-I.",
+            *paths,
+            *units,
+            "-o",
+            str(output),
+            "-lm",
+        ]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode != 0 or not output.exists():
-        lines = "; ".join(done.stderr.strip().splitlines()[:3]) or "it ended without writing a library"
+        lines = (
+            "; ".join(done.stderr.strip().splitlines()[:3]) or "it ended without writing a library"
+        )
         if os.strerror(errno.ENOSPC) in done.stderr:
-            raise MachineError(f"the C compiler ({compiler.version}) had no room for its files ({lines}); make room there.")
-        raise MachineError(f"the C compiler ({compiler.version}) refused the generated code of {', '.join(units)}: {lines}")
+            raise MachineError(
+                f"the C compiler ({compiler.version}) had no room for its files ({lines}); make room there."
+            )
+        raise MachineError(
+            f"the C compiler ({compiler.version}) refused the generated code of {', '.join(units)}: {lines}"
+        )
 
 
 def cached_library(sources: Mapping[str, str], extra_flags: Sequence[str] = ()) -> Path:
-    """The shared library of `compile_shared`, found in the cache or made there; machines of several kinds may share the cache.
+    """The shared library of `compile_shared`, found in the cache or made there.
+
+    Machines of several kinds may share the cache.
 
     Raises MachineError without a compiler, or a cache that can be written.
     """
@@ -133,5 +178,8 @@ def load_library(path: Path, signatures: Mapping[str, tuple[str, str]]) -> ctype
     library = ctypes.CDLL(str(path))
     for name, (result, arguments) in signatures.items():
         function = getattr(library, name)
-        function.restype, function.argtypes = _TYPES[result], [_TYPES[letter] for letter in arguments]
+        function.restype, function.argtypes = (
+            _TYPES[result],
+            [_TYPES[letter] for letter in arguments],
+        )
     return library

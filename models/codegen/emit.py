@@ -1,23 +1,28 @@
 """Scene -> `scene_model.h`: static inline C functions, common subexpressions eliminated, names as the scene has them.
 
-The text depends on the scene alone (no date, no random names), so that equal scenes give equal bytes. What the scene
-does not need is not written: a constant mass matrix is inverted here, symbolically, and only a scene whose mass matrix
-depends on q gets a Cholesky factorisation.
+The text depends on the scene alone (no date, no random names), so that equal scenes give equal
+bytes. What the scene does not need is not written: a constant mass matrix is inverted here,
+symbolically, and only a scene whose mass matrix depends on q gets a Cholesky factorisation.
 
-Within the C functions every entry of a vector has a name of its own, `<vector>_<name>`: `q_q1`, `lam_left`, `p_k`.
+Within the C functions every entry of a vector has a name of its own, `<vector>_<name>`: `q_q1`,
+`lam_left`, `p_k`.
 
-The Cholesky factorisation is written out for the entries that are not always zero: two fingers and a disc have seven coordinates, but only two blocks of two
-in their mass matrix. The order of operations is that of the usual loops.
+The Cholesky factorisation is written out for the entries that are not always zero: two fingers and
+a disc have seven coordinates, but only two blocks of two in their mass matrix. The order of
+operations is that of the usual loops.
 
-Hand-written C has what damped contacts need between `#ifdef DAMPING` and `#else` or `#endif`, or in one line as `DAMPED(statement;)`. `for_scene` leaves that
-out of the sources of a scene that has none, so that they are the same, byte for byte, as if there were no damping at all.
+Hand-written C has what damped contacts need between `#ifdef DAMPING` and `#else` or `#endif`, or in
+one line as `DAMPED(statement;)`. `for_scene` leaves that out of the sources of a scene that has
+none, so that they are the same, byte for byte, as if there were no damping at all.
 
-How much arithmetic the equations cost (`step_operations`) is counted in that C, function by function:
+How much arithmetic the equations cost (`step_operations`) is counted in that C, function by
+function:
 
-    count_operations(emit_model(scene))["scene_acceleration"]      # Counter({"add": 6, "multiply": 6, "divide": 1})
+    count_operations(emit_model(scene))["scene_acceleration"] # Counter({"add": 6, "multiply": 6,
+    "divide": 1})
 
-A sign is not counted (it becomes a subtraction or goes into a constant), nor is arithmetic among numbers, which the compiler does. A power written as a
-product counts its multiplications.
+A sign is not counted (it becomes a subtraction or goes into a constant), nor is arithmetic among
+numbers, which the compiler does. A power written as a product counts its multiplications.
 """
 
 from __future__ import annotations
@@ -30,7 +35,14 @@ from pathlib import Path
 import sympy as sp
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
-from models.codegen.c_function import SceneVectors, Vector, backward_function, c_function, forward_function, tangent
+from models.codegen.c_function import (
+    SceneVectors,
+    Vector,
+    backward_function,
+    c_function,
+    forward_function,
+    tangent,
+)
 from models.codegen.text_cache import cached_text
 from models.dynamics import derive
 from models.errors import SceneError
@@ -54,7 +66,11 @@ def cholesky_function(mass: sp.Matrix) -> str:
         lines += [f"if (!(M[{j}][{j}] > 0.0)) return 1;", f"M[{j}][{j}] = sqrt(M[{j}][{j}]);"]
         for i in range(j + 1, n):
             if (i, j) in lower:
-                lines += [f"M[{i}][{j}] -= M[{i}][{k}]*M[{j}][{k}];" for k in range(j) if (i, k) in lower and (j, k) in lower]
+                lines += [
+                    f"M[{i}][{j}] -= M[{i}][{k}]*M[{j}][{k}];"
+                    for k in range(j)
+                    if (i, k) in lower and (j, k) in lower
+                ]
                 lines.append(f"M[{i}][{j}] /= M[{j}][{j}];")
     for i in range(n):
         lines += [f"b[{i}] -= M[{i}][{k}]*b[{k}];" for k in range(i) if (i, k) in lower]
@@ -75,7 +91,11 @@ def _factor_pattern(mass: sp.Matrix) -> set[tuple[int, int]]:
     return lower
 
 
-_OPEN, _OPEN_WITHOUT, _ELSE, _CLOSE, _LINE = "#ifdef DAMPING", "#ifndef DAMPING", "#else", "#endif", "DAMPED("
+_OPEN = "#ifdef DAMPING"
+_OPEN_WITHOUT = "#ifndef DAMPING"
+_ELSE = "#else"
+_CLOSE = "#endif"
+_LINE = "DAMPED("
 
 
 def for_scene(scene: Scene, text: str) -> str:
@@ -110,11 +130,16 @@ def penetration_rate(x: SceneVectors) -> sp.Matrix:
 
 
 def damping_functions(x: SceneVectors) -> list[str]:
-    """Laws, coefficients, and derivatives of the rates of penetration; nothing for a scene without a damped contact."""
+    """Laws, coefficients, and derivatives of the rates of penetration.
+
+    Nothing for a scene without a damped contact.
+    """
     d = x.dynamics
     if not d.structure.contact_damping:
         return []
-    laws = ", ".join(str(contact.damping_law.value if contact.is_damped else 0) for contact in d.scene.contacts)
+    laws = ", ".join(
+        str(contact.damping_law.value if contact.is_damped else 0) for contact in d.scene.contacts
+    )
     rate, rate_bar = penetration_rate(x), Vector.of("rate_bar", x.contacts)
     state = (x.q, x.v)
     return [
@@ -126,19 +151,32 @@ def damping_functions(x: SceneVectors) -> list[str]:
         f"static const int scene_damped[] SCENE_UNUSED = {{{', '.join(map(str, d.scene.damped))}}};",
         "",
         c_function("void", "scene_damping", (x.p,), "c", x.local(d.damping)),
-        forward_function("void scene_penetration_rate_jvp", (*state, x.p, *map(tangent, state)), "d_rate", rate, state),
-        backward_function("void scene_penetration_rate_vjp", (*state, x.p, rate_bar), rate, rate_bar, state),
+        forward_function(
+            "void scene_penetration_rate_jvp",
+            (*state, x.p, *map(tangent, state)),
+            "d_rate",
+            rate,
+            state,
+        ),
+        backward_function(
+            "void scene_penetration_rate_vjp", (*state, x.p, rate_bar), rate, rate_bar, state
+        ),
     ]
 
 
 def force_sources(scene: Scene) -> dict[str, str]:
     """File name -> text of the hand-written laws that a scene has: friction within a time step, the force of a damped contact."""
-    names = [name for name, present in (("friction.h", scene.nf), ("damping.h", scene.damped)) if present]
+    names = [
+        name for name, present in (("friction.h", scene.nf), ("damping.h", scene.damped)) if present
+    ]
     return {name: Path(__file__).with_name(name).read_text(encoding="utf-8") for name in names}
 
 
 def friction_functions(x: SceneVectors) -> list[str]:
-    """Slip speeds and the limits mu N of the friction forces; nothing for a scene without friction."""
+    """Slip speeds and the limits mu N of the friction forces.
+
+    Nothing for a scene without friction.
+    """
     d = x.dynamics
     if not d.structure.friction:
         return []
@@ -149,9 +187,17 @@ def friction_functions(x: SceneVectors) -> list[str]:
     return [
         c_function("void", "scene_slip", (x.q, x.v, x.p), "slip", slip),
         c_function("void", "scene_slip_rate", (x.q, x.v, a, x.p), "rate", slip_rate(x, a)),
-        backward_function("void scene_slip_vjp", (x.q, x.v, x.p, slip_bar), slip, slip_bar, [x.q, x.v]),
+        backward_function(
+            "void scene_slip_vjp", (x.q, x.v, x.p, slip_bar), slip, slip_bar, [x.q, x.v]
+        ),
         c_function("void", "scene_friction_limit", (x.q, x.lam, x.p), "limit", limit),
-        backward_function("void scene_friction_limit_vjp", (x.q, x.lam, x.p, limit_bar), limit, limit_bar, [x.q, x.lam]),
+        backward_function(
+            "void scene_friction_limit_vjp",
+            (x.q, x.lam, x.p, limit_bar),
+            limit,
+            limit_bar,
+            [x.q, x.lam],
+        ),
     ]
 
 
@@ -170,11 +216,17 @@ def emit_model(scene: Scene) -> str:
             *_contact_functions(vectors),
             *damping_functions(vectors),
             *friction_functions(vectors),
-            *(_factorised_acceleration(vectors) if vectors.dynamics.acceleration is None else _closed_acceleration(vectors)),
+            *(
+                _factorised_acceleration(vectors)
+                if vectors.dynamics.acceleration is None
+                else _closed_acceleration(vectors)
+            ),
             *_energy_functions(vectors),
         ]
     except PrintMethodNotImplementedError as error:
-        function = str(error).splitlines()[0].rpartition(": ")[2].rpartition(".")[2].rstrip("'>")  # a name, or the whole of a class
+        function = (
+            str(error).splitlines()[0].rpartition(": ")[2].rpartition(".")[2].rstrip("'>")
+        )  # a name, or the whole of a class
         raise SceneError(
             f"scene {scene.name}: its equations or their derivatives contain {function}, which has no form in C; "
             "use smooth elementary functions (sin, exp, sqrt, tanh ..)."
@@ -188,7 +240,13 @@ def model_source(scene: Scene) -> str:
 
 
 def _head(scene: Scene) -> str:
-    sizes = {"NQ": scene.nq, "NU": scene.nu, "NC": scene.nc, "NF": scene.nf, "NP": len(scene.parameters)}
+    sizes = {
+        "NQ": scene.nq,
+        "NU": scene.nu,
+        "NC": scene.nc,
+        "NF": scene.nf,
+        "NP": len(scene.parameters),
+    }
     lines = [
         f"/* Equations of motion of the scene {scene.name}; generated from its SymPy source. */",
         "#ifndef SCENE_MODEL_H",
@@ -212,7 +270,10 @@ def _head(scene: Scene) -> str:
     ]
     if scene.nf:
         nominals = ", ".join(repr(float(friction.nominal)) for friction in scene.frictions)
-        lines += [f"static const double scene_friction_nominals[] SCENE_UNUSED = {{{nominals}}};", ""]
+        lines += [
+            f"static const double scene_friction_nominals[] SCENE_UNUSED = {{{nominals}}};",
+            "",
+        ]
     if scene.nf or scene.damped:
         lines += [f"#define SCENE_LENGTH {scene.length!r}", ""]
     return "\n".join(lines)
@@ -225,7 +286,9 @@ def _contact_functions(x: SceneVectors) -> list[str]:
     return [
         c_function("void", "scene_penetration", (x.q, x.p), "phi", phi),
         c_function("void", "scene_stiffness", (x.p,), "k", stiffness),
-        forward_function("void scene_penetration_jvp", (x.q, x.p, tangent(x.q)), "d_phi", phi, [x.q]),
+        forward_function(
+            "void scene_penetration_jvp", (x.q, x.p, tangent(x.q)), "d_phi", phi, [x.q]
+        ),
         backward_function("void scene_penetration_vjp", (x.q, x.p, phi_bar), phi, phi_bar, [x.q]),
     ]
 
@@ -234,12 +297,26 @@ def _energy_functions(x: SceneVectors) -> list[str]:
     d = x.dynamics
     cost, cost_bar = x.local(d.running_cost), Vector.of("cost", ["bar"])
     return [
-        c_function("double", "scene_kinetic_energy", (x.q, x.v, x.p), None, x.local(d.kinetic_energy)),
-        c_function("double", "scene_potential_energy", (x.q, x.p), None, x.local(d.potential_energy)),
-        c_function("double", "scene_input_power", (x.q, x.v, x.u, x.p), None, x.local(d.input_power)),
-        c_function("double", "scene_dissipated_power", (x.q, x.v, x.p), None, x.local(d.dissipated_power)),
+        c_function(
+            "double", "scene_kinetic_energy", (x.q, x.v, x.p), None, x.local(d.kinetic_energy)
+        ),
+        c_function(
+            "double", "scene_potential_energy", (x.q, x.p), None, x.local(d.potential_energy)
+        ),
+        c_function(
+            "double", "scene_input_power", (x.q, x.v, x.u, x.p), None, x.local(d.input_power)
+        ),
+        c_function(
+            "double", "scene_dissipated_power", (x.q, x.v, x.p), None, x.local(d.dissipated_power)
+        ),
         c_function("double", "scene_running_cost", (x.q, x.v, x.u, x.p), None, cost),
-        backward_function("void scene_running_cost_vjp", (x.q, x.v, x.u, x.p, cost_bar), cost, cost_bar, [x.q, x.v, x.u]),
+        backward_function(
+            "void scene_running_cost_vjp",
+            (x.q, x.v, x.u, x.p, cost_bar),
+            cost,
+            cost_bar,
+            [x.q, x.v, x.u],
+        ),
         *_final_cost_functions(x, cost_bar),
     ]
 
@@ -252,17 +329,32 @@ def _final_cost_functions(x: SceneVectors, cost_bar: Vector) -> list[str]:
     return [
         "#define FINAL_COST",
         c_function("double", "scene_final_cost", (x.q, x.v, x.p), None, cost),
-        backward_function("void scene_final_cost_vjp", (x.q, x.v, x.p, cost_bar), cost, cost_bar, [x.q, x.v]),
+        backward_function(
+            "void scene_final_cost_vjp", (x.q, x.v, x.p, cost_bar), cost, cost_bar, [x.q, x.v]
+        ),
     ]
 
 
 def _closed_acceleration(x: SceneVectors) -> list[str]:
-    acceleration, a_bar, moving = x.local(x.dynamics.acceleration), x.q.like("a_bar"), (x.q, x.v, x.u, x.lam)
+    acceleration, a_bar, moving = (
+        x.local(x.dynamics.acceleration),
+        x.q.like("a_bar"),
+        (x.q, x.v, x.u, x.lam),
+    )
     along = (*x.arguments, *map(tangent, moving))
     return [
         c_function("int", "scene_acceleration", x.arguments, "a", acceleration, tail="return 0;"),
-        forward_function("int scene_acceleration_jvp", along, "d_a", acceleration, moving, tail="return 0;"),
-        backward_function("int scene_acceleration_vjp", (*x.arguments, a_bar), acceleration, a_bar, moving, tail="return 0;"),
+        forward_function(
+            "int scene_acceleration_jvp", along, "d_a", acceleration, moving, tail="return 0;"
+        ),
+        backward_function(
+            "int scene_acceleration_vjp",
+            (*x.arguments, a_bar),
+            acceleration,
+            a_bar,
+            moving,
+            tail="return 0;",
+        ),
     ]
 
 
@@ -311,17 +403,36 @@ def _factorised_acceleration(x: SceneVectors) -> list[str]:
     return [
         cholesky_function(d.mass_matrix),
         c_function("void", "scene_mass", (x.q, x.p), "M", sp.Matrix(list(mass))),
-        # As scene_solve, what an FMU has inlined in its accelerations (fmu/shell/model.h), which share their sines.
-        c_function("void", "scene_force", x.arguments, "f", force).replace("SCENE_FUNCTION", "SCENE_INLINE", 1),
-        forward_function("void scene_force_jvp", (*x.arguments, a, *map(tangent, moving)), "d_f", residual, moving),
+        # As scene_solve, what an FMU has inlined in its accelerations (fmu/shell/model.h), which
+        # share their sines.
+        c_function("void", "scene_force", x.arguments, "f", force).replace(
+            "SCENE_FUNCTION", "SCENE_INLINE", 1
+        ),
+        forward_function(
+            "void scene_force_jvp",
+            (*x.arguments, a, *map(tangent, moving)),
+            "d_f",
+            residual,
+            moving,
+        ),
         backward_function("void scene_force_vjp", (*x.arguments, a, w), residual, w, moving),
         _SOLVES,
     ]
 
 
-_FUNCTION = re.compile(r"^SCENE_(?:FUNCTION|INLINE) \w+ (\w+)\([^)]*\)\n\{\n(.*?)^\}$", re.MULTILINE | re.DOTALL)
+_FUNCTION = re.compile(
+    r"^SCENE_(?:FUNCTION|INLINE) \w+ (\w+)\([^)]*\)\n\{\n(.*?)^\}$", re.MULTILINE | re.DOTALL
+)
 # What a time step evaluates once, before the contact law and the two updates.
-_OF_A_STEP = ("scene_penetration", "scene_slip", "scene_friction_limit", "scene_mass", "scene_force", "scene_solve", "scene_acceleration")
+_OF_A_STEP = (
+    "scene_penetration",
+    "scene_slip",
+    "scene_friction_limit",
+    "scene_mass",
+    "scene_force",
+    "scene_solve",
+    "scene_acceleration",
+)
 
 
 # Additions and subtractions, multiplications, divisions, and calls (square roots, sines ..).
@@ -331,7 +442,8 @@ _KINDS = {ast.Add: "add", ast.Sub: "add", ast.Mult: "multiply", ast.Div: "divide
 def step_operations(scene: Scene) -> dict[str, int]:
     """How many operations of each kind (add, multiply, divide, call) the equations have that one time step evaluates: gaps, slips, and accelerations.
 
-    The contact law (two operations a contact) and the updates of v and q (four a coordinate) are the same for every scene, and not in it.
+    The contact law (two operations a contact) and the updates of v and q (four a coordinate) are
+    the same for every scene, and not in it.
     """
     found = count_operations(model_source(scene))
     total = sum((found[name] for name in _OF_A_STEP if name in found), Counter())
@@ -339,12 +451,21 @@ def step_operations(scene: Scene) -> dict[str, int]:
 
 
 def count_operations(source: str) -> dict[str, Counter[str]]:
-    """The operations of every function of `emit_model`'s text, by its name and their kind; calls of functions of this text are left out."""
-    return {name: sum(map(_of_statement, body.splitlines()), Counter()) for name, body in _FUNCTION.findall(source)}
+    """The operations of every function of `emit_model`'s text, by its name and their kind.
+
+    Calls of functions of this text are left out.
+    """
+    return {
+        name: sum(map(_of_statement, body.splitlines()), Counter())
+        for name, body in _FUNCTION.findall(source)
+    }
 
 
 def _of_statement(line: str) -> Counter[str]:
-    """Of what stands right of `=` or `return`, and of `+=`, `-=` and `/=`; declarations, casts to void and braces have none."""
+    """Of what stands right of `=` or `return`, and of `+=`, `-=` and `/=`.
+
+    declarations, casts to void and braces have none.
+    """
     match = re.match(r"(?!if |for )(?:return |.*? ([-+/]?)= )(.*);", line.strip())
     if match is None:
         return Counter()
@@ -353,19 +474,27 @@ def _of_statement(line: str) -> Counter[str]:
 
 
 def _of_expression(node: ast.expr) -> tuple[Counter[str], bool]:
-    """Of numbers, names, subscripts, calls and + - * /, which C writes as Python does; and whether it is a number."""
+    """Of numbers, names, subscripts, calls and + - * /, which C writes as Python does.
+
+    And whether it is a number.
+    """
     match node:
         case ast.UnaryOp():
             return _of_expression(node.operand)
         case ast.BinOp():
-            (left, is_left), (right, is_right) = _of_expression(node.left), _of_expression(node.right)
+            (left, is_left), (right, is_right) = (
+                _of_expression(node.left),
+                _of_expression(node.right),
+            )
             own = () if is_left and is_right else (_KINDS[type(node.op)],)
             return left + right + Counter(own), is_left and is_right
         case ast.Call():
             found = [_of_expression(argument) for argument in node.args]
             is_number = all(is_one for _, is_one in found)
             ours = is_number or ast.unparse(node.func).startswith("scene_")
-            return sum((inside for inside, _ in found), Counter(() if ours else ("call",))), is_number
+            return sum(
+                (inside for inside, _ in found), Counter(() if ours else ("call",))
+            ), is_number
         case ast.Subscript():
             return _of_expression(node.slice)[0], False
     return Counter(), isinstance(node, ast.Constant)

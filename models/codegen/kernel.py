@@ -1,12 +1,13 @@
 """The compiled time step of a scene and its adjoint, as numpy functions.
 
-    kernel = load_kernel(scene)
-    rollout = kernel.rollout(scene.task.start, u, step=0.01)                     # true (ReLU) contact
-    rollout = kernel.rollout(start, u, step=0.01, law=ContactLaw.SOFTPLUS, eps=1e-3)
-    u_bar, start_bar = kernel.adjoint(rollout, u, q_bar=..., v_bar=...)          # gradient of any loss of q, v, lam
+    kernel = load_kernel(scene) rollout = kernel.rollout(scene.task.start, u, step=0.01) # true
+    (ReLU) contact rollout = kernel.rollout(start, u, step=0.01, law=ContactLaw.SOFTPLUS, eps=1e-3)
+    u_bar, start_bar = kernel.adjoint(rollout, u, q_bar=..., v_bar=...) # gradient of any loss of q,
+    v, lam
 
-Semi-implicit Euler with the paper's indices: lam[t] = L(phi(q[t])), v[t+1] = v[t] + h a[t], q[t+1] = q[t] + h v[t+1];
-friction forces belong to the slip at the end of the step (friction.h) and stand behind the contact forces in lam.
+Semi-implicit Euler with the paper's indices: lam[t] = L(phi(q[t])), v[t+1] = v[t] + h a[t], q[t+1]
+= q[t] + h v[t+1]; friction forces belong to the slip at the end of the step (friction.h) and stand
+behind the contact forces in lam.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from models.errors import TouchstoneError
 from models.scene import Scene
 
 _SOURCE = Path(__file__).with_name("rollout.c")
-# The adjoint takes 0.6 of its time at -O2, and the same operations in the same order: equal bits. Compiling takes a fifth longer.
+# The adjoint takes 0.6 of its time at -O2, and the same operations in the same order: equal bits.
+# Compiling takes a fifth longer.
 _OPTIMISED = ("-O3",)
 
 # Result and arguments of the C functions (models.codegen.compiler); n stands for a law, too.
@@ -42,7 +44,10 @@ _SIGNATURES = {
     "kernel_cost": ("d", "npppp"),
 }
 _FRICTION_SIGNATURES = {"kernel_slip": ("", "npppp"), "kernel_friction_limit": ("", "npppp")}
-_DAMPING_SIGNATURES = {"kernel_damped_contact_force": ("", "npndppp"), "kernel_contact_push": ("", "npppp")}
+_DAMPING_SIGNATURES = {
+    "kernel_damped_contact_force": ("", "npndppp"),
+    "kernel_contact_push": ("", "npppp"),
+}
 
 
 class KernelError(TouchstoneError):
@@ -51,7 +56,9 @@ class KernelError(TouchstoneError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rollout:
-    """q, v: (steps+1, nq); lam: (steps, nc+nf) contact, then friction forces; finite_steps: how many steps stayed finite (all, unless it diverged).
+    """q, v: (steps+1, nq); lam: (steps, nc+nf) contact, then friction forces.
+
+    finite_steps: how many steps stayed finite (all, unless it diverged).
 
     step [s], law and eps are those it was made with; rows after a divergence are NaN.
     """
@@ -71,7 +78,10 @@ class Rollout:
 
 
 def load_kernel(scene: Scene) -> Kernel:
-    """Compile (or find in the cache) the kernel of a scene. Raises MachineError without a compiler."""
+    """Compile (or find in the cache) the kernel of a scene.
+
+    Raises MachineError without a compiler.
+    """
     return Kernel(scene, cached_library(kernel_sources(scene), _OPTIMISED))
 
 
@@ -82,15 +92,22 @@ def kernel_sources(scene: Scene) -> dict[str, str]:
 
 
 class Kernel:
-    """Numpy functions over the compiled kernel of one scene; see the module docstring. All arrays are float64.
+    """Numpy functions over the compiled kernel of one scene; see the module docstring.
 
-    library: its C functions, for callers that keep buffers and addresses of their own (formulations.shooting.rollout, validate.judge.replay.tracking).
+    All arrays are float64.
+
+    library: its C functions, for callers that keep buffers and addresses of their own
+        (formulations.shooting.rollout, validate.judge.replay.tracking).
     """
 
     def __init__(self, scene: Scene, library: Path) -> None:
         self.scene = scene
         self.path = library
-        signatures = _SIGNATURES | (_FRICTION_SIGNATURES if scene.nf else {}) | (_DAMPING_SIGNATURES if scene.damped else {})
+        signatures = (
+            _SIGNATURES
+            | (_FRICTION_SIGNATURES if scene.nf else {})
+            | (_DAMPING_SIGNATURES if scene.damped else {})
+        )
         self.library = load_library(library, signatures)
         self._columns = {"q": scene.nq, "v": scene.nq, "u": scene.nu, "lam": scene.nl}
         self._p = np.array([parameter.value for parameter in scene.parameters] or [0.0])
@@ -115,7 +132,10 @@ class Kernel:
             For another number of values.
         """
         other = copy(self)
-        other._p, other._p_of_step = self._array("parameters", values, len(self.scene.parameters)).copy(), {}
+        other._p, other._p_of_step = (
+            self._array("parameters", values, len(self.scene.parameters)).copy(),
+            {},
+        )
         return other
 
     def parameters_of(self, step: float) -> np.ndarray:
@@ -166,7 +186,12 @@ class Kernel:
         return k
 
     def contact_force(
-        self, q: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None, *, v: np.ndarray | None = None
+        self,
+        q: np.ndarray,
+        law: ContactLaw = ContactLaw.RELU,
+        eps: float | None = None,
+        *,
+        v: np.ndarray | None = None,
     ) -> np.ndarray:
         """Contact forces under a law.
 
@@ -194,7 +219,13 @@ class Kernel:
         law_of = (law.value, law_sharpness(law, eps, self.scene.length))
         if not self.scene.damped:
             return self._by_row("kernel_contact_force", self.scene.nc, *law_of, q=q)
-        return self._by_row("kernel_damped_contact_force", self.scene.nc, *law_of, q=q, v=np.zeros_like(q) if v is None else v)
+        return self._by_row(
+            "kernel_damped_contact_force",
+            self.scene.nc,
+            *law_of,
+            q=q,
+            v=np.zeros_like(q) if v is None else v,
+        )
 
     def contact_push(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """What the true contact force is the positive part of: k phi without damping.
@@ -264,7 +295,9 @@ class Kernel:
         """
         return self._by_row("kernel_friction_limit", self.scene.nf, q=q, lam=lam)
 
-    def acceleration(self, q: np.ndarray, v: np.ndarray, u: np.ndarray, lam: np.ndarray) -> np.ndarray:
+    def acceleration(
+        self, q: np.ndarray, v: np.ndarray, u: np.ndarray, lam: np.ndarray
+    ) -> np.ndarray:
         """Accelerations dv/dt of M dv/dt = tau(q, v, u) + J' lam + S' f, row by row.
 
         Parameters
@@ -291,7 +324,12 @@ class Kernel:
         return self._by_row("kernel_acceleration", self.scene.nq, q=q, v=v, u=u, lam=lam)
 
     def rollout(
-        self, start: np.ndarray, u: np.ndarray, step: float, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
+        self,
+        start: np.ndarray,
+        u: np.ndarray,
+        step: float,
+        law: ContactLaw = ContactLaw.RELU,
+        eps: float | None = None,
     ) -> Rollout:
         """Simulate with inputs that are held over each step.
 
@@ -318,20 +356,32 @@ class Kernel:
         RelaxationError
             Unless 0 < eps < 1, of a relaxed law.
         """
-        u, start = self._array("u", u, None, self.scene.nu), self._array("start", start, 2 * self.scene.nq)
+        u, start = (
+            self._array("u", u, None, self.scene.nu),
+            self._array("start", start, 2 * self.scene.nq),
+        )
         steps = len(u)
         q, v = np.empty((steps + 1, self.scene.nq)), np.empty((steps + 1, self.scene.nq))
         lam = np.empty((steps, self.scene.nl))
         done = self.library.kernel_rollout(
-            *self.head(steps, step, law, eps), address(start), address(u), address(q), address(v), address(lam)
+            *self.head(steps, step, law, eps),
+            address(start),
+            address(u),
+            address(q),
+            address(v),
+            address(lam),
         )
         if done < steps:
             q[done + 1 :] = v[done + 1 :] = np.nan
             lam[done + 1 :] = np.nan
         return Rollout(q=q, v=v, lam=lam, finite_steps=done, step=step, law=law, eps=eps)
 
-    def rollouts(self, start: np.ndarray, u: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-        """Simulate several motions under the true contact law; a row that diverges is NaN from there on.
+    def rollouts(
+        self, start: np.ndarray, u: np.ndarray, step: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Simulate several motions under the true contact law.
+
+        A row that diverges is NaN from there on.
 
         Parameters
         ----------
@@ -355,11 +405,20 @@ class Kernel:
             Where an array has another shape.
         """
         rows, steps, _ = u.shape
-        start, u = self._array("start", start, rows, 2 * self.scene.nq), self._array("u", u, rows, steps, self.scene.nu)
+        start, u = (
+            self._array("start", start, rows, 2 * self.scene.nq),
+            self._array("u", u, rows, steps, self.scene.nu),
+        )
         q, v = (np.empty((rows, steps + 1, self.scene.nq)) for _ in range(2))
-        lam, costs, ends = np.empty((rows, steps, self.scene.nl)), np.empty(rows), np.empty((rows, 2 * self.scene.nq))
+        lam, costs, ends = (
+            np.empty((rows, steps, self.scene.nl)),
+            np.empty(rows),
+            np.empty((rows, 2 * self.scene.nq)),
+        )
         arrays = (start, u, q, v, lam, costs, ends)
-        self.library.kernel_rollouts(rows, *self.head(steps, step, ContactLaw.RELU, None), *map(address, arrays))
+        self.library.kernel_rollouts(
+            rows, *self.head(steps, step, ContactLaw.RELU, None), *map(address, arrays)
+        )
         return lam, ends
 
     def adjoint(
@@ -372,7 +431,9 @@ class Kernel:
         cost_bar: float = 0.0,
         end_bar: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients of a loss along a rollout, from its derivatives by what the rollout gave; None where it does not depend on that.
+        """Gradients of a loss along a rollout, from its derivatives by what the rollout gave.
+
+        None where it does not depend on that.
 
         Parameters
         ----------
@@ -381,7 +442,8 @@ class Kernel:
         u
             Its inputs (steps, nu) [N, N m].
         q_bar, v_bar
-            Derivatives (steps+1, nq) by positions and velocities [1/m, s/m and so on, per unit of the loss].
+            Derivatives (steps+1, nq) by positions and velocities [1/m, s/m and so on, per unit of
+            the loss].
         lam_bar
             Derivatives (steps, nc+nf) by forces [1/N].
         cost_bar
@@ -408,17 +470,25 @@ class Kernel:
             ("lam_bar", lam_bar, rollout.lam.shape),
             ("end_bar", end_bar, (2 * self.scene.nq,)),
         )
-        bars = [None if bar is None else self._array(name, bar, *shape) for name, bar, shape in given]
+        bars = [
+            None if bar is None else self._array(name, bar, *shape) for name, bar, shape in given
+        ]
         u_bar, start_bar = np.empty_like(u), np.empty(2 * self.scene.nq)
         failed = self.library.kernel_adjoint(
-            *self.head(len(u), rollout.step, rollout.law, rollout.eps), address(rollout.q), address(rollout.v), address(rollout.lam), address(u),
-            *(None if bar is None else address(bar) for bar in bars), cost_bar, address(u_bar), address(start_bar),
+            *self.head(len(u), rollout.step, rollout.law, rollout.eps), address(rollout.q),
+            address(rollout.v), address(rollout.lam), address(u),
+            *(None if bar is None else address(bar) for bar in bars), cost_bar, address(u_bar),
+            address(start_bar),
         )  # fmt: skip
         if failed:
-            raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite along the rollout.")
+            raise KernelError(
+                f"scene {self.scene.name}: the mass matrix is not positive definite along the rollout."
+            )
         return u_bar, start_bar
 
-    def end_derivatives(self, start: np.ndarray, u: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    def end_derivatives(
+        self, start: np.ndarray, u: np.ndarray, step: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the state in which a motion under the true contact law ends.
 
         Parameters
@@ -440,23 +510,29 @@ class Kernel:
         Raises
         ------
         KernelError
-            Where the motion leaves every bound, M is not positive definite along it, or an array has another shape.
+            Where the motion leaves every bound, M is not positive definite along it, or an array
+            has another shape.
         """
         rollout, states = self.rollout(start, u, step), 2 * self.scene.nq
         if rollout.diverged:
-            raise KernelError(f"scene {self.scene.name}: the true contact law leads out of every bound from {start.tolist()}.")
+            raise KernelError(
+                f"scene {self.scene.name}: the true contact law leads out of every bound from {start.tolist()}."
+            )
         u = self._array("u", u, None, self.scene.nu)
         by_start, by_inputs = np.empty((states, states)), np.empty((states, self.scene.nu))
         end_bar, start_bar, u_bar = np.zeros(states), np.empty(states), np.empty_like(u)
         # Looked up once for all rows: `adjoint` row by row takes three times as long.
         given = (
-            *self.head(len(u), step, rollout.law, rollout.eps), address(rollout.q), address(rollout.v), address(rollout.lam), address(u), None, None, None,
+            *self.head(len(u), step, rollout.law, rollout.eps), address(rollout.q),
+            address(rollout.v), address(rollout.lam), address(u), None, None, None,
             address(end_bar), 0.0, address(u_bar), address(start_bar),
         )  # fmt: skip
         for row in range(states):
             end_bar[row] = 1.0
             if self.library.kernel_adjoint(*given):
-                raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite along the rollout.")
+                raise KernelError(
+                    f"scene {self.scene.name}: the mass matrix is not positive definite along the rollout."
+                )
             end_bar[row] = 0.0
             by_start[row], by_inputs[row] = start_bar, u_bar.sum(axis=0)
         return by_start, by_inputs
@@ -530,32 +606,65 @@ class Kernel:
             Where an array has another shape.
         """
         u = self._array("u", u, None, self.scene.nu)
-        q, v = self._array("q", q, len(u) + 1, self.scene.nq), self._array("v", v, len(u) + 1, self.scene.nq)
-        return float(self.library.kernel_cost(len(u), address(self._p), address(q), address(v), address(u)))
+        q, v = (
+            self._array("q", q, len(u) + 1, self.scene.nq),
+            self._array("v", v, len(u) + 1, self.scene.nq),
+        )
+        return float(
+            self.library.kernel_cost(len(u), address(self._p), address(q), address(v), address(u))
+        )
 
-    def head(self, n: int, step: float, law: ContactLaw, eps: float | None) -> tuple[int, float, int, int, float]:
-        """What every C function of n time steps takes first; those of several plans after their number."""
-        return (n, step, address(self.parameters_of(step)), law.value, law_sharpness(law, eps, self.scene.length))
+    def head(
+        self, n: int, step: float, law: ContactLaw, eps: float | None
+    ) -> tuple[int, float, int, int, float]:
+        """What every C function of n time steps takes first.
 
-    def _by_row(self, function: str, columns: int, *settings: float, **given: np.ndarray) -> np.ndarray:
-        """What a C function writes (n, columns) of given arrays by name, row by row; without columns there may be no such function."""
+        Those of several plans after their number.
+        """
+        return (
+            n,
+            step,
+            address(self.parameters_of(step)),
+            law.value,
+            law_sharpness(law, eps, self.scene.length),
+        )
+
+    def _by_row(
+        self, function: str, columns: int, *settings: float, **given: np.ndarray
+    ) -> np.ndarray:
+        """What a C function writes (n, columns) of given arrays by name, row by row.
+
+        Without columns there may be no such function.
+        """
         n: int | None = None
         arrays: list[np.ndarray] = []
         for name, value in given.items():
             arrays.append(self._array(name, value, n, self._columns[name]))
             n = len(arrays[0])
         found = np.empty((len(arrays[0]), columns))
-        done = getattr(self.library, function)(n, address(self._p), *settings, *map(address, arrays), address(found)) if columns else None
+        done = (
+            getattr(self.library, function)(
+                n, address(self._p), *settings, *map(address, arrays), address(found)
+            )
+            if columns
+            else None
+        )
         if done is not None and done < len(found):
-            raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite at q = {arrays[0][done].tolist()}.")
+            raise KernelError(
+                f"scene {self.scene.name}: the mass matrix is not positive definite at q = {arrays[0][done].tolist()}."
+            )
         return found
 
     def _array(self, name: str, value: np.ndarray, *shape: int | None) -> np.ndarray:
         """As the C functions take it; shape: None where any size will do."""
         array = np.ascontiguousarray(value, dtype=np.float64)
-        if array.ndim != len(shape) or any(size not in (None, found) for size, found in zip(shape, array.shape, strict=True)):
+        if array.ndim != len(shape) or any(
+            size not in (None, found) for size, found in zip(shape, array.shape, strict=True)
+        ):
             expected = str(tuple("n" if size is None else size for size in shape)).replace("'", "")
-            raise KernelError(f"scene {self.scene.name}: {name} has shape {array.shape}, but {expected} is needed.")
+            raise KernelError(
+                f"scene {self.scene.name}: {name} has shape {array.shape}, but {expected} is needed."
+            )
         return array
 
 
@@ -565,5 +674,8 @@ def address(array: np.ndarray) -> int:
 
 
 def law_sharpness(law: ContactLaw, eps: float | None, length: float) -> float:
-    """Sharpness [1/m] of a relaxed law, as the C functions take it; 0 of the true one. Raises RelaxationError unless 0 < eps < 1."""
+    """Sharpness [1/m] of a relaxed law, as the C functions take it; 0 of the true one.
+
+    Raises RelaxationError unless 0 < eps < 1.
+    """
     return 0.0 if law is ContactLaw.RELU else sharpness(eps if eps is not None else 0.0, length)

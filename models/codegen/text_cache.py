@@ -1,7 +1,7 @@
 """Generated text, cached between processes: deriving and printing the equations of a large scene takes seconds, reading them back none.
 
-cached_text(scene, "scene_model.h", lambda: emit_model(scene))
-cached_text(scene, "reference.csv", lambda: motion_as_text(scene), whole=True)      # of the values and the task, too
+cached_text(scene, "scene_model.h", lambda: emit_model(scene)) cached_text(scene, "reference.csv",
+lambda: motion_as_text(scene), whole=True) # of the values and the task, too
 """
 
 from __future__ import annotations
@@ -19,7 +19,14 @@ from models.scene.text import equations_text, scene_text
 
 _MODELS = Path(__file__).parents[1]
 # Whatever decides the text beside the scene's own equations.
-_GENERATORS = ("codegen/*.py", "contact*.py", "dynamics.py", "fmu/sensitivity.py", "fmu/structure.py", "fmu/variables.py")
+_GENERATORS = (
+    "codegen/*.py",
+    "contact*.py",
+    "dynamics.py",
+    "fmu/sensitivity.py",
+    "fmu/structure.py",
+    "fmu/variables.py",
+)
 # And of a text that is computed from its values.
 _COMPUTED = ("fmu/description.py", "fmu/reference.py", "scene/*.py")
 # And of an FMU: all but the scenes, whose text is in the key.
@@ -52,7 +59,9 @@ def cached_text(scene: Scene, name: str, make: Callable[[], str], *, whole: bool
     else:
         content = [_generators(), equations_text(scene)]
     key = "\n".join([name, sp.__version__, *content])
-    return cached(key, f".{name}", lambda path: path.write_text(make(), encoding="utf-8")).read_text(encoding="utf-8")
+    return cached(
+        key, f".{name}", lambda path: path.write_text(make(), encoding="utf-8")
+    ).read_text(encoding="utf-8")
 
 
 def generators(*, whole: bool = False) -> str:
@@ -69,5 +78,7 @@ def _versions() -> list[str]:
 @lru_cache(maxsize=3)
 def _generators(patterns: tuple[str, ...] = _GENERATORS) -> str:
     """Digest of the code that writes the text."""
-    paths = sorted(path for pattern in patterns for path in _MODELS.glob(pattern) if path.suffix != ".pyc")
+    paths = sorted(
+        path for pattern in patterns for path in _MODELS.glob(pattern) if path.suffix != ".pyc"
+    )
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in paths)).hexdigest()

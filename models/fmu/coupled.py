@@ -1,20 +1,25 @@
 """A scene as several coupled FMUs: one for each body, one for each contact, and how they are connected (SSP).
 
-    parts = split(load_scene("three_cart"))
-    [body.name for body in parts.bodies]        three_cart_q1, three_cart_q2, three_cart_q3: each a Scene
-    [part.name for part in parts.contacts]      three_cart_left, three_cart_right
-    path = build_part(parts.contacts[0])        the FMU of a part
-    path = build_ssp(scene)                     all FMUs and how they are connected in one .ssp (System Structure and Parameterization 1.0)
+    parts = split(load_scene("three_cart")) [body.name for body in parts.bodies] three_cart_q1,
+    three_cart_q2, three_cart_q3: each a Scene [part.name for part in parts.contacts]
+    three_cart_left, three_cart_right path = build_part(parts.contacts[0]) the FMU of a part path =
+    build_ssp(scene) all FMUs and how they are connected in one .ssp (System Structure and
+    Parameterization 1.0)
 
-This is how systems are split every day - the contact in a model of its own - and what that costs is measured by `python -m benchmarks cosim`.
+This is how systems are split every day - the contact in a model of its own - and what that costs is
+measured by `python -m benchmarks cosim`.
 
-A body is a smallest set of coordinates that neither the mass matrix nor the forces couple to the others; it goes through the exporter of scenes. It
-gets the generalised force of each contact on each of its coordinates as an input, `lam_left_q1` = J[left, q1] lam_left. A contact takes the positions
-and velocities of the coordinates its gap depends on, and gives those forces: the velocities for the power that it hands over, which masters that watch
-the energy (ECCO) connect as a power bond. It has no state, so its FMU (FMI 2.0 for Co-Simulation) is algebraic: `coupled.c` around generated functions.
+A body is a smallest set of coordinates that neither the mass matrix nor the forces couple to the
+others; it goes through the exporter of scenes. It gets the generalised force of each contact on
+each of its coordinates as an input, `lam_left_q1` = J[left, q1] lam_left. A contact takes the
+positions and velocities of the coordinates its gap depends on, and gives those forces: the
+velocities for the power that it hands over, which masters that watch the energy (ECCO) connect as a
+power bond. It has no state, so its FMU (FMI 2.0 for Co-Simulation) is algebraic: `coupled.c` around
+generated functions.
 
-In the .ssp SystemStructure.ssd also leads the scene's inputs and outputs to the border of the system. PartsOnly.ssd leaves that out, for masters that
-know connections between components only (libcosim refuses any other).
+In the .ssp SystemStructure.ssd also leads the scene's inputs and outputs to the border of the
+system. PartsOnly.ssd leaves that out, for masters that know connections between components only
+(libcosim refuses any other).
 """
 
 from __future__ import annotations
@@ -31,16 +36,32 @@ from models.codegen.c_function import Vector, c_function
 from models.codegen.cache import cached
 from models.dynamics import Dynamics, derive
 from models.errors import SceneError
-from models.fmu.description import Unknown, find_standard, generation_date, render, standard_headers, unit_table
+from models.fmu.description import (
+    Unknown,
+    find_standard,
+    generation_date,
+    render,
+    standard_headers,
+    unit_table,
+)
 from models.fmu.package import binaries, build_fmu, find_platforms, icons, pack, platform_compiler
-from models.fmu.variables import Variable, VariableKind, numbered, parameter_variables, variable_table
+from models.fmu.variables import (
+    Variable,
+    VariableKind,
+    numbered,
+    parameter_variables,
+    variable_table,
+)
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactPart:
-    """A contact as a model of its own. gradient: the gap's derivative along each of `coordinates`; start: their positions, then velocities."""
+    """A contact as a model of its own. gradient: the gap's derivative along each of `coordinates`.
+
+    start: their positions, then velocities.
+    """
 
     name: str
     contact: Contact
@@ -80,7 +101,10 @@ def force_unit(coordinate: Coordinate) -> str:
 
 
 def split(scene: Scene) -> Parts:
-    """The parts of a scene, in continuous time. Raises SceneError for a scene with friction, with damped contacts or without contacts."""
+    """The parts of a scene, in continuous time.
+
+    Raises SceneError for a scene with friction, with damped contacts or without contacts.
+    """
     scene = scene.continuous()
     if scene.frictions:
         raise SceneError(
@@ -92,7 +116,9 @@ def split(scene: Scene) -> Parts:
             f"scene {scene.name}: it has damped contacts ({names}), and its parts would exchange forces of springs only; export it as one FMU."
         )
     if not scene.contacts:
-        raise SceneError(f"scene {scene.name}: it has no contacts, so there is nothing to split; export it as one FMU.")
+        raise SceneError(
+            f"scene {scene.name}: it has no contacts, so there is nothing to split; export it as one FMU."
+        )
     d = derive(scene)
     contacts = tuple(_contact(d, index) for index in range(scene.nc))
     bodies = tuple(_body(d, block, contacts) for block in _blocks(d))
@@ -102,18 +128,29 @@ def split(scene: Scene) -> Parts:
         raise SceneError(
             f"scene {scene.name}: a body and a contact would both be called {twice}; rename the contact, which has the name of a coordinate."
         )
-    return Parts(scene=scene, bodies=bodies, contacts=contacts, connections=tuple(_connections(bodies, contacts)))
+    return Parts(
+        scene=scene,
+        bodies=bodies,
+        contacts=contacts,
+        connections=tuple(_connections(bodies, contacts)),
+    )
 
 
 def _blocks(d: Dynamics) -> list[list[int]]:
     """Indices of the coordinates of each body."""
     used = [sp.Matrix([*d.mass_matrix[i, :], d.tau[i]]).free_symbols for i in range(d.scene.nq)]
-    joined = sp.Matrix(d.scene.nq, d.scene.nq, lambda i, j: int(d.mass_matrix[i, j] != 0 or bool(used[i] & {d.q[j], d.v[j]})))
+    joined = sp.Matrix(
+        d.scene.nq,
+        d.scene.nq,
+        lambda i, j: int(d.mass_matrix[i, j] != 0 or bool(used[i] & {d.q[j], d.v[j]})),
+    )
     return sorted(map(sorted, joined.connected_components()))
 
 
 def _used(scene: Scene, expressions: Iterable[sp.Expr]) -> tuple[Parameter, ...]:
-    symbols: set[sp.Basic] = set().union(*(expression.free_symbols for expression in expressions), set())
+    symbols: set[sp.Basic] = set().union(
+        *(expression.free_symbols for expression in expressions), set()
+    )
     return tuple(parameter for parameter in scene.parameters if parameter.symbol in symbols)
 
 
@@ -138,8 +175,18 @@ def _body(d: Dynamics, block: list[int], contacts: tuple[ContactPart, ...]) -> S
     own = {d.q[i] for i in block}
     others = {d.v[i]: 0 for i in range(scene.nq) if i not in block}
     kinetic = scene.kinetic_energy.subs(others)
-    potential = sp.Add(*(term for term in sp.Add.make_args(sp.expand(scene.potential_energy)) if term.free_symbols & own))
-    inputs = tuple(item for item in scene.inputs if any(item.symbol in scene.forces[i].free_symbols for i in block))
+    potential = sp.Add(
+        *(
+            term
+            for term in sp.Add.make_args(sp.expand(scene.potential_energy))
+            if term.free_symbols & own
+        )
+    )
+    inputs = tuple(
+        item
+        for item in scene.inputs
+        if any(item.symbol in scene.forces[i].free_symbols for i in block)
+    )
     forces, pushes = [scene.forces[i] for i in block], []
     for part in contacts:
         for place, coordinate in enumerate(coordinates):
@@ -148,7 +195,9 @@ def _body(d: Dynamics, block: list[int], contacts: tuple[ContactPart, ...]) -> S
                 forces[place] += push
                 words = f"force of the contact {part.contact.name} on {coordinate.name}"
                 pushes.append(Input(symbol=push, unit=force_unit(coordinate), description=words))
-    start = tuple(scene.task.start[i] for i in block) + tuple(scene.task.start[scene.nq + i] for i in block)
+    start = tuple(scene.task.start[i] for i in block) + tuple(
+        scene.task.start[scene.nq + i] for i in block
+    )
     what = ", ".join(coordinate.description or coordinate.name for coordinate in coordinates)
     return Scene(
         name=f"{scene.name}_{'_'.join(coordinate.name for coordinate in coordinates)}",
@@ -161,11 +210,19 @@ def _body(d: Dynamics, block: list[int], contacts: tuple[ContactPart, ...]) -> S
         potential_energy=potential,
         forces=tuple(forces),
         contacts=(),
-        task=Task(start=start, goal=(None,) * len(start), running_cost=sp.S.Zero, step=scene.task.step, steps=scene.task.steps),
+        task=Task(
+            start=start,
+            goal=(None,) * len(start),
+            running_cost=sp.S.Zero,
+            step=scene.task.step,
+            steps=scene.task.steps,
+        ),
     )
 
 
-def _connections(bodies: tuple[Scene, ...], contacts: tuple[ContactPart, ...]) -> Iterable[Connection]:
+def _connections(
+    bodies: tuple[Scene, ...], contacts: tuple[ContactPart, ...]
+) -> Iterable[Connection]:
     home = {coordinate: body.name for body in bodies for coordinate in body.coordinates}
     for part in contacts:
         for coordinate in part.coordinates:
@@ -177,7 +234,10 @@ def _connections(bodies: tuple[Scene, ...], contacts: tuple[ContactPart, ...]) -
 
 
 def contact_table(part: ContactPart) -> tuple[Variable, ...]:
-    """Every variable of the contact's FMU; the position in the table is the value reference: time, inputs, parameters, outputs."""
+    """Every variable of the contact's FMU.
+
+    The position in the table is the value reference: time, inputs, parameters, outputs.
+    """
     return (
         Variable(name="time", kind=VariableKind.TIME, unit="s", description="time"),
         *_inputs(part),
@@ -187,19 +247,35 @@ def contact_table(part: ContactPart) -> tuple[Variable, ...]:
 
 
 def build_part(part: Scene | ContactPart) -> Path:
-    """The FMU of a body or of a contact (FMI 2.0), found in the cache or built there. Raises as build_fmu."""
+    """The FMU of a body or of a contact (FMI 2.0), found in the cache or built there.
+
+    Raises as build_fmu.
+    """
     if isinstance(part, Scene):
         return build_fmu(part)
     if not part.name.isascii():
-        raise SceneError(f"contact {part.name}: an FMU needs a name of ASCII letters, digits and _; rename the scene or the contact.")
+        raise SceneError(
+            f"contact {part.name}: an FMU needs a name of ASCII letters, digits and _; rename the scene or the contact."
+        )
     compilers = {platform: platform_compiler(platform) for platform in find_platforms(())}
     standard = find_standard("2.0")
     texts = contact_texts(part)
-    key = "\n".join([*(item.version for item in compilers.values()), *(f"{name}\0{text}" for name, text in sorted(texts.items()))])
+    key = "\n".join(
+        [
+            *(item.version for item in compilers.values()),
+            *(f"{name}\0{text}" for name, text in sorted(texts.items())),
+        ]
+    )
 
     def build(path: Path) -> None:
         content = {name: text.encode() for name, text in texts.items()}
-        pack(path, content | icons(standard) | binaries(texts, standard, part.name, compilers, path.parent), first="modelDescription.xml")
+        pack(
+            path,
+            content
+            | icons(standard)
+            | binaries(texts, standard, part.name, compilers, path.parent),
+            first="modelDescription.xml",
+        )
 
     return cached(key, f".{part.name}.fmu", build)
 
@@ -232,18 +308,31 @@ def contact_texts(part: ContactPart) -> dict[str, str]:
     return marked(content.hexdigest()) | {
         "sources/contact.c": code,
         "sources/buildDescription.xml": render(
-            "buildDescription.xml.j2", identifier=part.name, source_files=["contact.c"], standard=standard
+            "buildDescription.xml.j2",
+            identifier=part.name,
+            source_files=["contact.c"],
+            standard=standard,
         ),
         "documentation/index.html": render("contact.xml.j2", "page", **shared),
-        "documentation/licenses/license.txt": render("licenses.txt.j2", header_names=standard.headers),
+        "documentation/licenses/license.txt": render(
+            "licenses.txt.j2", header_names=standard.headers
+        ),
         **{f"sources/{name}": text for name, text in standard_headers(standard).items()},
     }
 
 
 def _inputs(part: ContactPart) -> list[Variable]:
-    rows = [(item.name, item.unit, item.description or f"coordinate {item.name}") for item in part.coordinates]
-    rows += [(item.velocity_name, item.velocity_unit, f"velocity of {item.name}") for item in part.coordinates]
-    return numbered(VariableKind.INPUT, [(*row, start) for row, start in zip(rows, part.start, strict=True)])
+    rows = [
+        (item.name, item.unit, item.description or f"coordinate {item.name}")
+        for item in part.coordinates
+    ]
+    rows += [
+        (item.velocity_name, item.velocity_unit, f"velocity of {item.name}")
+        for item in part.coordinates
+    ]
+    return numbered(
+        VariableKind.INPUT, [(*row, start) for row, start in zip(rows, part.start, strict=True)]
+    )
 
 
 def _outputs(part: ContactPart) -> list[Variable]:
@@ -253,28 +342,61 @@ def _outputs(part: ContactPart) -> list[Variable]:
     rows = [
         (contact.force_name, VariableKind.FORCE, "N", size, "contact force"),
         (contact.gap_name, VariableKind.GAP, "m", contact.nominal, "gap, negative in contact"),
-        ("contact_energy", VariableKind.CONTACT_ENERGY, "J", size * contact.nominal, "energy stored in the contact, k/2 max(phi, 0)^2"),
-        ("contact_power", VariableKind.INPUT_POWER, "W", size, "power that the contact hands to the bodies"),
+        (
+            "contact_energy",
+            VariableKind.CONTACT_ENERGY,
+            "J",
+            size * contact.nominal,
+            "energy stored in the contact, k/2 max(phi, 0)^2",
+        ),
+        (
+            "contact_power",
+            VariableKind.INPUT_POWER,
+            "W",
+            size,
+            "power that the contact hands to the bodies",
+        ),
     ]
     rows += [
-        (part.force_name(item), VariableKind.FORCE, force_unit(item), size, f"generalised force of the contact on {item.name}")
+        (
+            part.force_name(item),
+            VariableKind.FORCE,
+            force_unit(item),
+            size,
+            f"generalised force of the contact on {item.name}",
+        )
         for item in part.coordinates
     ]
-    return [Variable(name=name, kind=kind, unit=unit, nominal=nominal, description=text) for name, kind, unit, nominal, text in rows]
+    return [
+        Variable(name=name, kind=kind, unit=unit, nominal=nominal, description=text)
+        for name, kind, unit, nominal, text in rows
+    ]
 
 
 def _expressions(part: ContactPart, mode: sp.Expr) -> sp.Matrix:
     """The outputs, in the order of the table; mode: 1 in contact, 0 else."""
     phi = part.contact.penetration
     force = mode * part.contact.stiffness * phi
-    power = force * sum((slope * item.velocity for slope, item in zip(part.gradient, part.coordinates, strict=True)), sp.S.Zero)
-    return sp.Matrix([force, -phi, force * phi / 2, power, *(slope * force for slope in part.gradient)])
+    power = force * sum(
+        (
+            slope * item.velocity
+            for slope, item in zip(part.gradient, part.coordinates, strict=True)
+        ),
+        sp.S.Zero,
+    )
+    return sp.Matrix(
+        [force, -phi, force * phi / 2, power, *(slope * force for slope in part.gradient)]
+    )
 
 
 def _symbols(part: ContactPart) -> list[sp.Symbol]:
     """x: positions, velocities, parameters."""
     moving = part.coordinates
-    return [*(item.symbol for item in moving), *(item.velocity for item in moving), *(item.symbol for item in part.parameters)]
+    return [
+        *(item.symbol for item in moving),
+        *(item.velocity for item in moving),
+        *(item.symbol for item in part.parameters),
+    ]
 
 
 def _functions(part: ContactPart) -> str:
@@ -285,9 +407,17 @@ def _functions(part: ContactPart) -> str:
     y = _expressions(part, mode.symbols[0]).xreplace(local)
     return "\n".join(
         [
-            c_function("double", "contact_penetration", (x,), None, sp.Matrix([part.contact.penetration.xreplace(local)])),
+            c_function(
+                "double",
+                "contact_penetration",
+                (x,),
+                None,
+                sp.Matrix([part.contact.penetration.xreplace(local)]),
+            ),
             c_function("void", "contact_outputs", (x, mode), "y", y),
-            c_function("void", "contact_tangent", (x, mode, dx), "d_y", y.jacobian(x.column) * dx.column),
+            c_function(
+                "void", "contact_tangent", (x, mode, dx), "d_y", y.jacobian(x.column) * dx.column
+            ),
         ]
     )
 
@@ -297,20 +427,35 @@ def _unknowns(part: ContactPart, table: tuple[Variable, ...]) -> dict[str, list[
     symbols, y = _symbols(part), _expressions(part, sp.S.One)
 
     def rows(knowns: list[sp.Symbol]) -> list[Unknown]:
-        used = (tuple(place for place, symbol in enumerate(knowns, 2) if symbol in entry.free_symbols) for entry in y)
-        return [Unknown(place, places) for place, places in enumerate(used, len(table) - len(y) + 1)]
+        used = (
+            tuple(place for place, symbol in enumerate(knowns, 2) if symbol in entry.free_symbols)
+            for entry in y
+        )
+        return [
+            Unknown(place, places) for place, places in enumerate(used, len(table) - len(y) + 1)
+        ]
 
     return {"Outputs": rows(symbols[: 2 * len(part.coordinates)]), "InitialUnknowns": rows(symbols)}
 
 
-STRUCTURE, PARTS_ONLY = "SystemStructure.ssd", "PartsOnly.ssd"
+STRUCTURE = "SystemStructure.ssd"
+PARTS_ONLY = "PartsOnly.ssd"
 
 
 def build_ssp(scene: Scene) -> Path:
-    """The scene as coupled FMUs in one file, found in the cache or built there. Raises SceneError as `split` and MachineError as build_fmu."""
+    """The scene as coupled FMUs in one file, found in the cache or built there.
+
+    Raises SceneError as `split` and MachineError as build_fmu.
+    """
     parts = split(scene)
-    content = {f"resources/{part.name}.fmu": build_part(part).read_bytes() for part in (*parts.bodies, *parts.contacts)}
-    content |= {STRUCTURE: system_structure(parts).encode(), PARTS_ONLY: system_structure(parts, border=False).encode()}
+    content = {
+        f"resources/{part.name}.fmu": build_part(part).read_bytes()
+        for part in (*parts.bodies, *parts.contacts)
+    }
+    content |= {
+        STRUCTURE: system_structure(parts).encode(),
+        PARTS_ONLY: system_structure(parts, border=False).encode(),
+    }
     key = "\n".join(f"{name}\0{data.hex()}" for name, data in sorted(content.items()))
     return cached(key, f".{scene.name}.ssp", lambda path: pack(path, content, first=STRUCTURE))
 
@@ -320,12 +465,32 @@ def system_structure(parts: Parts, border: bool = True) -> str:
     components = {part.name: _connectors(variable_table(part)) for part in parts.bodies}
     components |= {part.name: _connectors(contact_table(part)) for part in parts.contacts}
     system = _connectors(variable_table(parts.scene))
-    inputs = [("", item.name, body.name, item.name) for item in parts.scene.inputs for body in parts.bodies if item in body.inputs]
-    homes = {variable.name: name for name, connectors in components.items() for variable in connectors if variable.causality == "output"}
-    # Energies are sums over the parts: what the system gives is what one part has under the same name.
-    given = [variable for variable in system if variable.causality == "input" or (variable.name in homes and "energy" not in variable.name)]
+    inputs = [
+        ("", item.name, body.name, item.name)
+        for item in parts.scene.inputs
+        for body in parts.bodies
+        if item in body.inputs
+    ]
+    homes = {
+        variable.name: name
+        for name, connectors in components.items()
+        for variable in connectors
+        if variable.causality == "output"
+    }
+    # Energies are sums over the parts: what the system gives is what one part has under the same
+    # name.
+    given = [
+        variable
+        for variable in system
+        if variable.causality == "input"
+        or (variable.name in homes and "energy" not in variable.name)
+    ]
     given = [variable for variable in given if "power" not in variable.name]
-    outputs = [(homes[variable.name], variable.name, "", variable.name) for variable in given if variable.causality == "output"]
+    outputs = [
+        (homes[variable.name], variable.name, "", variable.name)
+        for variable in given
+        if variable.causality == "output"
+    ]
     return render(
         "SystemStructure.xml.j2",
         scene=parts.scene,

@@ -1,13 +1,17 @@
 """Scene -> the generated texts of its FMU: C configuration, modelDescription.xml, build description, documentation.
 
-The output depends on the scene and the version of FMI alone: no date but SOURCE_DATE_EPOCH's, and a GUID that is a hash of everything else.
+The output depends on the scene and the version of FMI alone: no date but SOURCE_DATE_EPOCH's, and a
+GUID that is a hash of everything else.
 
-Reference results are inside by the layered standard FMI-LS-REF: an experiment, its inputs, and the true motion. The inputs push and pull so that
-contacts close and open; they are constant between knots, at which the CSV has the time twice. The results are those of `reference.py`, not of the
-FMU. They are cached: to integrate two fingers takes several CPU s, and FMUs of every version and platform have the same. Where the motion cannot be
-followed within the budget there are none, and the description says why.
+Reference results are inside by the layered standard FMI-LS-REF: an experiment, its inputs, and the
+true motion. The inputs push and pull so that contacts close and open; they are constant between
+knots, at which the CSV has the time twice. The results are those of `reference.py`, not of the FMU.
+They are cached: to integrate two fingers takes several CPU s, and FMUs of every version and
+platform have the same. Where the motion cannot be followed within the budget there are none, and
+the description says why.
 
-Templates are strict: an undefined name stops the build, numbers are written so that they read back bit for bit.
+Templates are strict: an undefined name stops the build, numbers are written so that they read back
+bit for bit.
 """
 
 from __future__ import annotations
@@ -30,7 +34,13 @@ from models.dynamics import derive
 from models.errors import MachineError, TouchstoneError, UnknownNameError
 from models.fmu.reference import Equations, MotionError, Piece, true_motion
 from models.fmu.structure import Dependency, dependencies
-from models.fmu.variables import INTEGRATORS, Variable, VariableKind, friction_nominals, variable_table
+from models.fmu.variables import (
+    INTEGRATORS,
+    Variable,
+    VariableKind,
+    friction_nominals,
+    variable_table,
+)
 from models.scene import Input, Scene
 from models.scene.values import base_exponents
 
@@ -64,17 +74,26 @@ def _engine() -> jinja2.Environment:
 
 
 def render(template: str, block: str = "", **context: Any) -> str:
-    """The text of `templates/<template>`, or of a block of it; raises jinja2.UndefinedError if the template names something not given."""
+    """The text of `templates/<template>`, or of a block of it.
+
+    Raises jinja2.UndefinedError if the template names something not given.
+    """
     found = _engine().get_template(template)
-    return "".join(found.blocks[block](found.new_context(context))) if block else found.render(**context)
+    return (
+        "".join(found.blocks[block](found.new_context(context)))
+        if block
+        else found.render(**context)
+    )
 
 
 @dataclass(frozen=True)
 class Standard:
     """One version of FMI and how its files differ.
 
-    prefix: of its functions and of the shell's files; headers: names of the standard's files; header_folder: where they lie
-    within `sources` ("" or with a slash at its end); first_index: number of the first variable in the ModelStructure.
+    prefix: of its functions and of the shell's files; headers: names of the standard's files;
+        header_folder: where they lie
+    within `sources` ("" or with a slash at its end); first_index: number of the first variable in
+        the ModelStructure.
     """
 
     version: str
@@ -84,12 +103,21 @@ class Standard:
     first_index: int
 
 
-# FMI 3.0 wants its headers from the importer: ours stay in a folder of their own, which an importer may leave out.
+# FMI 3.0 wants its headers from the importer: ours stay in a folder of their own, which an importer
+# may leave out.
 STANDARDS = {
     standard.version: standard
     for standard in (
-        Standard("2.0", "fmi2", ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"), "", 1),
-        Standard("3.0", "fmi3", ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"), "standard/", 0),
+        Standard(
+            "2.0", "fmi2", ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"), "", 1
+        ),
+        Standard(
+            "3.0",
+            "fmi3",
+            ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+            "standard/",
+            0,
+        ),
     )
 }
 
@@ -97,15 +125,22 @@ STANDARDS = {
 def find_standard(version: str) -> Standard:
     """The standard of a version, "2.0" or "3.0". Raises UnknownNameError for another one."""
     if version not in STANDARDS:
-        raise UnknownNameError(f"FMI version {version!r} is not offered; choose {' or '.join(STANDARDS)}.")
+        raise UnknownNameError(
+            f"FMI version {version!r} is not offered; choose {' or '.join(STANDARDS)}."
+        )
     return STANDARDS[version]
 
 
 def standard_headers(standard: Standard) -> dict[str, str]:
-    """The headers of the FMI standard, taken from the FMPy package. Raises MachineError if it is not installed."""
+    """The headers of the FMI standard, taken from the FMPy package.
+
+    Raises MachineError if it is not installed.
+    """
     spec = importlib.util.find_spec("fmpy")
     if spec is None or spec.origin is None:
-        raise MachineError("the headers of the FMI standard are missing: they come with FMPy; install it with: pip install fmpy")
+        raise MachineError(
+            "the headers of the FMI standard are missing: they come with FMPy; install it with: pip install fmpy"
+        )
     folder = Path(spec.origin).parent / "c-code"
     try:
         return {name: (folder / name).read_text(encoding="utf-8") for name in standard.headers}
@@ -116,11 +151,14 @@ def standard_headers(standard: Standard) -> dict[str, str]:
 
 
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
-# Rows of the results, about: the experiment lasts as long as the task, in steps that are whole multiples of the task's.
+# Rows of the results, about: the experiment lasts as long as the task, in steps that are whole
+# multiples of the task's.
 _ROWS = 200
-# Inputs in each quarter of the experiment, as a share of `_strength`; the next input has them with the other sign.
+# Inputs in each quarter of the experiment, as a share of `_strength`; the next input has them with
+# the other sign.
 _SHARES = (1.0, -0.5, 0.0, 0.75)
-# Largest difference that a right simulation should have from the results, relative to the nominal of a state.
+# Largest difference that a right simulation should have from the results, relative to the nominal
+# of a state.
 ACCURACY = 1e-6
 _RATES = (VariableKind.POSITION_RATE, VariableKind.VELOCITY_RATE)
 _UNWANTED = "this FMU was made to replay a plan, which needs none."
@@ -133,13 +171,24 @@ def experiment_texts(scene: Scene, results: bool = True) -> dict[str, str]:
     pieces = _pieces(scene, step, count)
     text = _UNWANTED
     if results:
-        text = cached_text(scene, "reference.csv", lambda: _results(scene, pieces, np.arange(count + 1) * step), whole=True)
+        text = cached_text(
+            scene,
+            "reference.csv",
+            lambda: _results(scene, pieces, np.arange(count + 1) * step),
+            whole=True,
+        )
     # The first line says how the results came about, or why there are none.
     summary, _, csv = text.partition("\n")
     texts = {
         "fmi-ls-manifest.xml": render("fmi_ls_ref.xml.j2", "manifest", scene=scene, results=csv),
         "validation.exp": render(
-            "fmi_ls_ref.xml.j2", "experiment", scene=scene, stop=step * count, step=step, accuracy=ACCURACY, results=csv
+            "fmi_ls_ref.xml.j2",
+            "experiment",
+            scene=scene,
+            stop=step * count,
+            step=step,
+            accuracy=ACCURACY,
+            results=csv,
         ),
     }
     if csv:
@@ -147,7 +196,15 @@ def experiment_texts(scene: Scene, results: bool = True) -> dict[str, str]:
     if scene.inputs:
         texts["validation_inputs.csv"] = _inputs(scene, pieces)
     files = {f"{FOLDER}/{name}": text for name, text in texts.items()}
-    page = render("fmi_ls_ref.xml.j2", "page", scene=scene, accuracy=ACCURACY, folder=FOLDER, results=csv, summary=summary)
+    page = render(
+        "fmi_ls_ref.xml.j2",
+        "page",
+        scene=scene,
+        accuracy=ACCURACY,
+        folder=FOLDER,
+        results=csv,
+        summary=summary,
+    )
     return files | {"documentation/fmi-ls-ref.html": page}
 
 
@@ -158,7 +215,9 @@ def _strength(item: Input) -> float:
 
 
 def _pieces(scene: Scene, step: float, count: int) -> list[Piece]:
-    strength = np.array([_strength(item) * (-1) ** index for index, item in enumerate(scene.inputs)])
+    strength = np.array(
+        [_strength(item) * (-1) ** index for index, item in enumerate(scene.inputs)]
+    )
     if not scene.inputs:
         return [Piece(step * count, strength)]
     ends = [step * round(count * (quarter + 1) / len(_SHARES)) for quarter in range(len(_SHARES))]
@@ -180,8 +239,12 @@ def _results(scene: Scene, pieces: Sequence[Piece], times: np.ndarray) -> str:
         states, method = true_motion(equations, pieces, times)
     except MotionError as error:
         return f"{error}\n"
-    outputs = [variable.name for variable in variable_table(scene) if variable.causality == "output"]
-    names = [coordinate.name for coordinate in scene.coordinates] + [coordinate.velocity_name for coordinate in scene.coordinates]
+    outputs = [
+        variable.name for variable in variable_table(scene) if variable.causality == "output"
+    ]
+    names = [coordinate.name for coordinate in scene.coordinates] + [
+        coordinate.velocity_name for coordinate in scene.coordinates
+    ]
     # At a knot the inputs are those that end there, as in a simulation that has just reached it.
     held = [next((piece.u for piece in pieces if t <= piece.end), pieces[-1].u) for t in times]
     rows = []
@@ -201,7 +264,8 @@ def _csv(header: Sequence[str], rows: Iterable[Sequence[float]]) -> str:
 
 # 1980-01-01, the earliest date a zip file can hold: the date of a build that was given none.
 DEFAULT_EPOCH = 315532800
-# Relative tolerance proposed to importers: the reference replay's, far below the error of any plan it judges.
+# Relative tolerance proposed to importers: the reference replay's, far below the error of any plan
+# it judges.
 TOLERANCE = 1e-8
 
 
@@ -224,7 +288,10 @@ def generation_date() -> str:
 
 @dataclass(frozen=True)
 class Unknown:
-    """A row of the ModelStructure: numbers of variables as the standard counts them; without dependencies it may depend on every known."""
+    """A row of the ModelStructure: numbers of variables as the standard counts them.
+
+    Without dependencies it may depend on every known.
+    """
 
     index: int
     dependencies: tuple[int, ...] | None = None
@@ -237,47 +304,88 @@ def model_structure(scene: Scene, standard: Standard) -> dict[str, list[Unknown]
     Parameters are knowns during initialization; in FMI 3.0 always.
     """
     table = variable_table(scene)
-    number = {variable.name: position for position, variable in enumerate(table, start=standard.first_index)}
+    number = {
+        variable.name: position
+        for position, variable in enumerate(table, start=standard.first_index)
+    }
     parameters = {variable.name for variable in table if variable.kind is VariableKind.PARAMETER}
     left_out = parameters if standard.version == "2.0" else set[str]()
     depends = dependencies(scene)
 
     def unknown(variable: Variable, *, initially: bool = False) -> Unknown:
-        rows = {number[name]: kind for name, kind in depends[variable.name].items() if initially or name not in left_out}
-        # A factor that is a fixed parameter is itself a known during initialization, hence plainly dependent.
-        kinds = [Dependency.DEPENDENT if initially and kind is Dependency.FIXED else kind for kind in rows.values()]
+        rows = {
+            number[name]: kind
+            for name, kind in depends[variable.name].items()
+            if initially or name not in left_out
+        }
+        # A factor that is a fixed parameter is itself a known during initialization, hence plainly
+        # dependent.
+        kinds = [
+            Dependency.DEPENDENT if initially and kind is Dependency.FIXED else kind
+            for kind in rows.values()
+        ]
         return Unknown(number[variable.name], tuple(rows), tuple(kinds))
 
     indicators = (VariableKind.GAP, VariableKind.RESERVE, VariableKind.PRESSING)
     return {
         "outputs": [unknown(variable) for variable in table if variable.causality == "output"],
         "derivatives": [unknown(variable) for variable in table if variable.kind in _RATES],
-        "initial": [unknown(variable, initially=True) for variable in table if variable.initial == "calculated"],
+        "initial": [
+            unknown(variable, initially=True)
+            for variable in table
+            if variable.initial == "calculated"
+        ],
         "indicators": [unknown(variable) for variable in table if variable.kind in indicators],
     }
 
 
 def unit_table(variables: Iterable[Variable]) -> dict[str, dict[str, int]]:
     """Every unit of the variables -> exponents of its base units, sorted by name."""
-    return {unit: base_exponents(unit) for unit in sorted({variable.unit for variable in variables if variable.unit})}
+    return {
+        unit: base_exponents(unit)
+        for unit in sorted({variable.unit for variable in variables if variable.unit})
+    }
 
 
 def stamped(
-    content: Mapping[str, str], standard: Standard, config: Callable[[str], str], *, table: Sequence[Variable], **shared: Any
+    content: Mapping[str, str],
+    standard: Standard,
+    config: Callable[[str], str],
+    *,
+    table: Sequence[Variable],
+    **shared: Any,
 ) -> tuple[str, str]:
     """C configuration and model description, which carry the GUID, a hash of all content.
 
-    content: all other texts by their names; config: GUID -> C configuration; shared: what else the template of the model description needs, exchange: whether
-    there is Model Exchange, and events: whether there are events, adjoint derivatives and inputs that slope.
+    content: all other texts by their names; config: GUID -> C configuration; shared: what else the
+        template of the model description needs, exchange: whether
+    there is Model Exchange, and events: whether there are events, adjoint derivatives and inputs
+        that slope.
     """
-    numbers = {variable.name: position for position, variable in enumerate(table, start=standard.first_index)}
-    state_of = {variable.name: numbers[variable.name[4:-1]] for variable in table if variable.kind in _RATES}
-    given = {**shared, "table": table, "state_of": state_of, "units": unit_table(table), "date": generation_date()}
+    numbers = {
+        variable.name: position
+        for position, variable in enumerate(table, start=standard.first_index)
+    }
+    state_of = {
+        variable.name: numbers[variable.name[4:-1]] for variable in table if variable.kind in _RATES
+    }
+    given = {
+        **shared,
+        "table": table,
+        "state_of": state_of,
+        "units": unit_table(table),
+        "date": generation_date(),
+    }
 
     def marked(guid: str) -> tuple[str, str]:
-        return config(guid), render(f"modelDescription_{standard.prefix}.xml.j2", guid=guid, **given)
+        return config(guid), render(
+            f"modelDescription_{standard.prefix}.xml.j2", guid=guid, **given
+        )
 
-    found, texts = hashlib.sha256(), dict(zip(("model_config.h", "modelDescription.xml"), marked(""), strict=True))
+    found, texts = (
+        hashlib.sha256(),
+        dict(zip(("model_config.h", "modelDescription.xml"), marked(""), strict=True)),
+    )
     for name, text in sorted({**content, **texts}.items()):
         found.update(f"{name}\0{text}\0".encode())
     return marked(found.hexdigest())
@@ -285,22 +393,33 @@ def stamped(
 
 def describe(scene: Scene, sources: Mapping[str, str], standard: Standard) -> dict[str, str]:
     """The generated texts of the FMU made of these sources (file name -> text), by their paths inside."""
-    table, nominals = variable_table(scene), [coordinate.nominal for coordinate in scene.coordinates]
+    table, nominals = (
+        variable_table(scene),
+        [coordinate.nominal for coordinate in scene.coordinates],
+    )
     shared = {
         "identifier": scene.name, "table": table, "integrators": INTEGRATORS,
         "source_files": sorted(name for name in sources if name.endswith(".c")),
     }  # fmt: skip
     of_config = {
-        "state_nominals": [*nominals, *nominals], "contact_nominals": [contact.nominal for contact in scene.contacts] or [1.0],
+        "state_nominals": [*nominals, *nominals],
+        "contact_nominals": [contact.nominal for contact in scene.contacts] or [1.0],
         "friction_nominals": friction_nominals(scene),
     }  # fmt: skip
     header, xml = stamped(
-        sources, standard, lambda guid: render("model_config.h.j2", guid=guid, **of_config, **shared), title=scene.title, license="MIT",
-        exchange=True, events=True, stop=scene.task.horizon, step=scene.task.step, tolerance=TOLERANCE, structure=model_structure(scene, standard), **shared,
+        sources, standard,
+        lambda guid: render("model_config.h.j2", guid=guid, **of_config, **shared),
+        title=scene.title, license="MIT",
+        exchange=True, events=True, stop=scene.task.horizon, step=scene.task.step,
+        tolerance=TOLERANCE, structure=model_structure(scene, standard), **shared,
     )  # fmt: skip
     return {
         "modelDescription.xml": xml,
-        "documentation/index.html": render("index.html.j2", scene=scene, absent=derive(scene).absent, standard=standard, **shared),
+        "documentation/index.html": render(
+            "index.html.j2", scene=scene, absent=derive(scene).absent, standard=standard, **shared
+        ),
         "sources/model_config.h": header,
-        "sources/buildDescription.xml": render("buildDescription.xml.j2", standard=standard, **shared),
+        "sources/buildDescription.xml": render(
+            "buildDescription.xml.j2", standard=standard, **shared
+        ),
     }

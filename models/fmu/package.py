@@ -1,12 +1,13 @@
 """Scene -> FMU file: the sources are put together, compiled, packed and cached by content.
 
-    build_fmu(scene)                                                     ->  .../a1b2....three_cart.fmu
-    build_fmu(scene, version="3.0", platforms=("x86_64-linux", "win64"))
+    build_fmu(scene) -> .../a1b2....three_cart.fmu build_fmu(scene, version="3.0",
+    platforms=("x86_64-linux", "win64"))
 
-Equal scenes give equal bytes wherever and whenever they are built: fixed time stamps, sorted names, no path of this machine inside.
+Equal scenes give equal bytes wherever and whenever they are built: fixed time stamps, sorted names,
+no path of this machine inside.
 
-The binaries of this machine's platform need any C compiler; those of others, and Linux binaries that run on any glibc since
-2.17, need the cross-compiler of the `[compiler]` extra.
+The binaries of this machine's platform need any C compiler; those of others, and Linux binaries
+that run on any glibc since 2.17, need the cross-compiler of the `[compiler]` extra.
 """
 
 from __future__ import annotations
@@ -43,7 +44,10 @@ from models.scene.text import scene_text
 
 @dataclass(frozen=True)
 class Platform:
-    """name: FMI 3.0's platform tuple; fmi2: FMI 2.0's name; suffix of shared libraries; target: in the cross-compiler's words."""
+    """name: FMI 3.0's platform tuple; fmi2: FMI 2.0's name; suffix of shared libraries.
+
+    target: in the cross-compiler's words.
+    """
 
     name: str
     fmi2: str
@@ -56,7 +60,10 @@ class Platform:
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """Compiler flags; on Windows all code is position-independent, and the flag that says so is an error."""
+        """Compiler flags.
+
+        On Windows all code is position-independent, and the flag that says so is an error.
+        """
         return tuple(flag for flag in FLAGS if flag != "-fPIC") if self.suffix == ".dll" else FLAGS
 
 
@@ -79,16 +86,24 @@ def this_platform() -> str | None:
 
 
 def find_platforms(names: Iterable[str]) -> tuple[Platform, ...]:
-    """The platforms of these names (of FMI 2.0 or 3.0), each once, in the order of PLATFORMS; this machine's if none is named.
+    """The platforms of these names (of FMI 2.0 or 3.0), each once, in the order of PLATFORMS.
 
-    Raises UnknownNameError for an unknown name, MachineError if this machine is none of them and none is named.
+    This machine's if none is named.
+
+    Raises UnknownNameError for an unknown name, MachineError if this machine is none of them and
+    none is named.
     """
     wanted = list(names) or [this_platform()]
     if None in wanted:
-        raise MachineError(f"this machine ({sys.platform} {machine.machine()}) is no platform of FMI; name one with --platform.")
+        raise MachineError(
+            f"this machine ({sys.platform} {machine.machine()}) is no platform of FMI; name one with --platform."
+        )
     for name in wanted:
         if not any(name in (known.name, known.fmi2) for known in PLATFORMS):
-            choice = ", ".join(f"{known.name} ({known.fmi2})" if known.name != known.fmi2 else known.name for known in PLATFORMS)
+            choice = ", ".join(
+                f"{known.name} ({known.fmi2})" if known.name != known.fmi2 else known.name
+                for known in PLATFORMS
+            )
             raise UnknownNameError(f"platform {name!r} is not offered; choose from {choice}.")
     return tuple(known for known in PLATFORMS if known.name in wanted or known.fmi2 in wanted)
 
@@ -105,11 +120,16 @@ def platform_compiler(platform: Platform) -> Compiler:
         return zig_compiler(platform.target)
     if own:
         return find_compiler()
-    raise MachineError(f"binaries for {platform.name} need a cross-compiler; install one with: pip install ziglang")
+    raise MachineError(
+        f"binaries for {platform.name} need a cross-compiler; install one with: pip install ziglang"
+    )
 
 
 def pack(path: Path, content: Mapping[str, bytes], first: str) -> None:
-    """Write `content` (name inside -> bytes) as a zip; the file `first` comes first, so that a reader of the stream finds it at once."""
+    """Write `content` (name inside -> bytes) as a zip.
+
+    The file `first` comes first, so that a reader of the stream finds it at once.
+    """
     stamp = datetime.fromtimestamp(source_epoch(), UTC).timetuple()[:6]
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name in sorted(content, key=lambda name: (name != first, name)):
@@ -125,24 +145,44 @@ _SHELL = _HERE / "shell"
 _ICON = _HERE / "icon"
 
 
-def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = (), results: bool = True) -> Path:
-    """The FMU of a scene, in continuous time: Co-Simulation and Model Exchange in one file; found in the cache or built there.
+def build_fmu(
+    scene: Scene, version: str = "2.0", platforms: Sequence[str] = (), results: bool = True
+) -> Path:
+    """The FMU of a scene, in continuous time: Co-Simulation and Model Exchange in one file.
 
-    platforms: names of FMI 2.0 or 3.0 (`linux64` or `x86_64-linux`); without any, this machine's. results: whether it carries reference
-    results, which take seconds to integrate and which no replay needs. Raises UnknownNameError for an FMI version or platform that is not
-    offered, SceneError for a scene whose names an FMU cannot carry, MachineError without a compiler or a cache folder that can be written.
+    Found in the cache or built there.
+
+    platforms: names of FMI 2.0 or 3.0 (`linux64` or `x86_64-linux`); without any, this machine's.
+        results: whether it carries reference
+    results, which take seconds to integrate and which no replay needs. Raises UnknownNameError for
+        an FMI version or platform that is not
+    offered, SceneError for a scene whose names an FMU cannot carry, MachineError without a compiler
+        or a cache folder that can be written.
     """
     standard = find_standard(version)
     scene = scene.continuous()
     compilers = {platform: platform_compiler(platform) for platform in find_platforms(platforms)}
-    made_by = [f"{platform.name} {' '.join(platform.flags)} {compiler.version}" for platform, compiler in compilers.items()]
-    made_by += [f"FMI {version}, {'with' if results else 'without'} reference results, dated {source_epoch()}"]
+    made_by = [
+        f"{platform.name} {' '.join(platform.flags)} {compiler.version}"
+        for platform, compiler in compilers.items()
+    ]
+    made_by += [
+        f"FMI {version}, {'with' if results else 'without'} reference results, dated {source_epoch()}"
+    ]
     made_by += [generators(whole=results), *standard_headers(standard).values(), scene_text(scene)]
 
     def build(path: Path) -> None:
         files = fmu_texts(scene, standard)
-        content = {name: text.encode() for name, text in (files | experiment_texts(scene, results)).items()}
-        pack(path, content | icons(standard) | binaries(files, standard, scene.name, compilers, path.parent), first="modelDescription.xml")
+        content = {
+            name: text.encode() for name, text in (files | experiment_texts(scene, results)).items()
+        }
+        pack(
+            path,
+            content
+            | icons(standard)
+            | binaries(files, standard, scene.name, compilers, path.parent),
+            first="modelDescription.xml",
+        )
 
     return cached("\n".join(made_by), f".{scene.name}.fmu", build)
 
@@ -150,16 +190,25 @@ def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = (),
 def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
     """Every text file of the FMU, by its path inside."""
     sources = {
-        path.name: for_scene(scene, path.read_text(encoding="utf-8")) for path in sorted(_SHELL.iterdir()) if belongs(path, standard)
+        path.name: for_scene(scene, path.read_text(encoding="utf-8"))
+        for path in sorted(_SHELL.iterdir())
+        if belongs(path, standard)
     }
-    sources |= {f"{standard.header_folder}{name}": text for name, text in standard_headers(standard).items()}
+    sources |= {
+        f"{standard.header_folder}{name}": text for name, text in standard_headers(standard).items()
+    }
     laws = force_sources(scene)
     absent = {f"{law}_modes.h" for law in ("friction", "damping") if f"{law}.h" not in laws}
     sources = {name: text for name, text in sources.items() if name not in absent} | laws
-    sources |= {"scene_model.h": model_source(scene), "scene_sensitivity.h": sensitivity_source(scene)}
+    sources |= {
+        "scene_model.h": model_source(scene),
+        "scene_sensitivity.h": sensitivity_source(scene),
+    }
     return {
         **describe(scene, sources, standard),
-        "documentation/licenses/license.txt": render("licenses.txt.j2", header_names=standard.headers),
+        "documentation/licenses/license.txt": render(
+            "licenses.txt.j2", header_names=standard.headers
+        ),
         "terminalsAndIcons/terminalsAndIcons.xml": render("terminalsAndIcons.xml.j2", scene=scene),
         **{f"sources/{name}": text for name, text in sources.items()},
     }
@@ -167,7 +216,9 @@ def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
 
 def belongs(path: Path, standard: Standard) -> bool:
     """Whether a file of the shell is C of this version, or of all of them."""
-    return path.suffix in (".c", ".h") and (not path.name.startswith("fmi") or path.name.startswith(standard.prefix))
+    return path.suffix in (".c", ".h") and (
+        not path.name.startswith("fmi") or path.name.startswith(standard.prefix)
+    )
 
 
 def icons(standard: Standard) -> dict[str, bytes]:
@@ -186,11 +237,24 @@ def binaries(
     extra_flags: Sequence[str] = (),
 ) -> dict[str, bytes]:
     """The FMU's libraries, by their paths inside, compiled in a folder below `place`, which goes with it if we are killed."""
-    sources = {name.removeprefix("sources/"): text for name, text in files.items() if name.startswith("sources/")}
+    sources = {
+        name.removeprefix("sources/"): text
+        for name, text in files.items()
+        if name.startswith("sources/")
+    }
     libraries = {}
     with tempfile.TemporaryDirectory(prefix="touchstone-fmu-", dir=place) as temporary:
         for platform, compiler in compilers.items():
             library = Path(temporary) / f"{platform.name}{platform.suffix}"
-            compile_shared(compiler, sources, library, extra_flags, include_dirs=[Path(standard.header_folder)], flags=platform.flags)
-            libraries[f"binaries/{platform.folder(standard)}/{identifier}{platform.suffix}"] = library.read_bytes()
+            compile_shared(
+                compiler,
+                sources,
+                library,
+                extra_flags,
+                include_dirs=[Path(standard.header_folder)],
+                flags=platform.flags,
+            )
+            libraries[f"binaries/{platform.folder(standard)}/{identifier}{platform.suffix}"] = (
+                library.read_bytes()
+            )
     return libraries

@@ -1,9 +1,13 @@
 """The true continuous motion of a scene under inputs that are constant piece by piece, without any C.
 
-It is integrated by scipy's DOP853 on the scene's equations as numpy functions, restarted at every change of an input, a contact, its damping or a
-friction: what the FMU's own numbers are compared with, by users and by our tests. What is stiff for an explicit method - without inertia, or
-because it does not come to the end within a budget of evaluations - is integrated by the implicit Radau IIA, within the same budget. What sticks
-and what slips is found by trying every combination for one that contradicts nothing - another road than the one the FMU takes.
+It is integrated by scipy's DOP853 on the scene's equations as numpy functions, restarted at every
+    change of an input, a contact, its damping or a
+friction: what the FMU's own numbers are compared with, by users and by our tests. What is stiff for
+    an explicit method - without inertia, or
+because it does not come to the end within a budget of evaluations - is integrated by the implicit
+    Radau IIA, within the same budget. What sticks
+and what slips is found by trying every combination for one that contradicts nothing - another road
+    than the one the FMU takes.
 """
 
 from __future__ import annotations
@@ -22,9 +26,11 @@ from models.fmu.variables import friction_nominals
 from models.scene import Scene
 from models.scene.contacts import DampingLaw
 
-# Evaluations of the equations before a method is given up, about ten seconds of them; the scenes of the bank take 300 to 44,000.
+# Evaluations of the equations before a method is given up, about ten seconds of them; the scenes of
+# the bank take 300 to 44,000.
 BUDGET = 200_000
-# A penetration below this share of the contact's nominal is on the boundary: there the direction of motion decides the mode.
+# A penetration below this share of the contact's nominal is on the boundary: there the direction of
+# motion decides the mode.
 _BOUNDARY = 1e-10
 # Contact changes within one piece before the motion is given up.
 _MOST_SWITCHES = 10_000
@@ -36,7 +42,10 @@ class MotionError(SceneError):
 
 @dataclass(frozen=True)
 class ReferenceIntegrator:
-    """name: scipy's; tolerance: relative, the absolute one is this times the nominal of each state; words: what the user is told of it."""
+    """name: scipy's; tolerance: relative, the absolute one is this times the nominal of each state.
+
+    words: what the user is told of it.
+    """
 
     name: str
     tolerance: float
@@ -58,7 +67,10 @@ class Piece:
 
 @dataclass(frozen=True)
 class Modes:
-    """closed, pushes (nc,) bool: a damped contact may be closed and released; slips (nf,): -1 or 1, the way it slips, or 0 where it sticks."""
+    """closed, pushes (nc,) bool: a damped contact may be closed and released.
+
+    Slips (nf,): -1 or 1, the way it slips, or 0 where it sticks.
+    """
 
     closed: np.ndarray
     pushes: np.ndarray
@@ -72,19 +84,34 @@ class Equations:
         d = derive(scene)
         self.scene, self.n = scene, scene.nq
         share = pressing_shares(d)
-        slip_rate = d.slip.jacobian(d.q) * sp.Matrix(d.v) if scene.nf else d.slip  # at no acceleration
+        slip_rate = (
+            d.slip.jacobian(d.q) * sp.Matrix(d.v) if scene.nf else d.slip
+        )  # at no acceleration
         parts = {
             "mass": d.mass_matrix, "jacobian": d.gap_jacobian, "direction": d.slip_jacobian,
-            "phi": d.penetration, "push": d.push, "slip": d.slip, "slip_rate": slip_rate, "share": share,
+            "phi": d.penetration, "push": d.push, "slip": d.slip, "slip_rate": slip_rate,
+            "share": share,
         }  # fmt: skip
-        # One function for all of them, kept at the last state: a call costs more than what it computes.
-        self._all, self._last = _quick(d, [entry for matrix in parts.values() for entry in matrix], d.q, d.v), (b"", {})
+        # One function for all of them, kept at the last state: a call costs more than what it
+        # computes.
+        self._all, self._last = (
+            _quick(d, [entry for matrix in parts.values() for entry in matrix], d.q, d.v),
+            (b"", {}),
+        )
         ends = np.cumsum([0, *(len(matrix) for matrix in parts.values())]).tolist()
-        shapes = [matrix.shape if name in ("mass", "jacobian", "direction") else (-1,) for name, matrix in parts.items()]
+        shapes = [
+            matrix.shape if name in ("mass", "jacobian", "direction") else (-1,)
+            for name, matrix in parts.items()
+        ]
         self._places = list(zip(parts, ends, ends[1:], shapes, strict=False))
-        self._tau, self._limit = _quick(d, list(d.tau), d.q, d.v, d.u), _quick(d, list(d.friction_limit), d.q, d.lam)
+        self._tau, self._limit = (
+            _quick(d, list(d.tau), d.q, d.v, d.u),
+            _quick(d, list(d.friction_limit), d.q, d.lam),
+        )
         self.stiffness = d.function(d.stiffness)().ravel()
-        slopes = [share.jacobian(group) if scene.damped else sp.zeros(0, self.n) for group in (d.q, d.v)]
+        slopes = [
+            share.jacobian(group) if scene.damped else sp.zeros(0, self.n) for group in (d.q, d.v)
+        ]
         self._share_slopes = [d.function(slope, d.q, d.v) for slope in slopes]
         self._slip_band = _BOUNDARY * np.array([friction.nominal for friction in scene.frictions])
         self._band = _BOUNDARY * np.array([contact.nominal for contact in scene.contacts])
@@ -98,13 +125,21 @@ class Equations:
     def at(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """What depends on the state x (2*nq,) [m, rad, m/s, rad/s] alone, by name.
 
-        mass, jacobian, direction: the matrices M, J and S; phi (nc,) penetrations [m]; push (nc,) forces of closed contacts [N]; slip (nf,) [m/s]; slip_rate
-        (nf,) [m/s^2]; share: what each damped contact would push with if it is closed, as a share of a typical push [-]. Raises nothing.
+        mass, jacobian, direction: the matrices M, J and S; phi (nc,) penetrations [m]; push (nc,)
+            forces of closed contacts [N]; slip (nf,) [m/s]; slip_rate
+        (nf,) [m/s^2]; share: what each damped contact would push with if it is closed, as a share
+            of a typical push [-]. Raises nothing.
         """
         key = x.tobytes()
         if key != self._last[0]:
             values = self._all(x[: self.n], x[self.n :])
-            self._last = key, {name: values[first:last].reshape(shape) for name, first, last, shape in self._places}
+            self._last = (
+                key,
+                {
+                    name: values[first:last].reshape(shape)
+                    for name, first, last, shape in self._places
+                },
+            )
         return self._last[1]
 
     def modes(self, x: np.ndarray, u: np.ndarray) -> Modes:
@@ -132,19 +167,28 @@ class Equations:
         slip = self.at(x)["slip"]
         limit = self.limit(x, pushes)
         decided = np.abs(slip) > self._slip_band
-        ways = [[0, 1, -1] if pressed else [1, -1] for pressed in limit > 0]  # what nothing presses does not stick
-        choices = [[1 if value >= 0 else -1] if known else way for value, known, way in zip(slip, decided, ways, strict=True)]
+        ways = [
+            [0, 1, -1] if pressed else [1, -1] for pressed in limit > 0
+        ]  # what nothing presses does not stick
+        choices = [
+            [1 if value >= 0 else -1] if known else way
+            for value, known, way in zip(slip, decided, ways, strict=True)
+        ]
         for slips in product(*choices):
             modes = Modes(closed, pushes, np.array(slips, dtype=int))
             acceleration, force = self.motion(x, u, modes)
             change = self.at(x)["slip_rate"] + self.at(x)["direction"] @ acceleration
-            holds = np.abs(force) <= limit * (1 + _BOUNDARY / 2)  # less than what ends sticking: whoever has just left does not stick
+            holds = np.abs(force) <= limit * (
+                1 + _BOUNDARY / 2
+            )  # less than what ends sticking: whoever has just left does not stick
             if np.all(decided | np.where(modes.slips == 0, holds, modes.slips * change >= 0)):
                 return modes
         return Modes(closed, pushes, np.where(decided, np.where(slip >= 0, 1, -1), 0))
 
     def closed(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Which contacts are closed: by penetration; on its boundary by the direction of motion, or of the acceleration of a body at rest there.
+        """Which contacts are closed: by penetration.
+
+        On its boundary by the direction of motion, or of the acceleration of a body at rest there.
 
         Parameters
         ----------
@@ -200,7 +244,10 @@ class Equations:
             if closed[contact] and share <= _BOUNDARY:
                 free = Modes(closed, closed, np.ones(len(self._slip_band), dtype=int))
                 by_q, by_v = (slope(x[: self.n], x[self.n :])[row] for slope in self._share_slopes)
-                result[contact] = share >= -_BOUNDARY and by_q @ x[self.n :] + by_v @ self.motion(x, u, free)[0] > 0
+                result[contact] = (
+                    share >= -_BOUNDARY
+                    and by_q @ x[self.n :] + by_v @ self.motion(x, u, free)[0] > 0
+                )
         return result
 
     def limit(self, x: np.ndarray, pushes: np.ndarray) -> np.ndarray:
@@ -332,7 +379,10 @@ class Equations:
         """
         if modes.slips[index]:
             return float(modes.slips[index] * self.at(x)["slip"][index])
-        return float(self.limit(x, modes.pushes)[index] * (1 + _BOUNDARY) - abs(self.motion(x, u, modes)[1][index]))
+        return float(
+            self.limit(x, modes.pushes)[index] * (1 + _BOUNDARY)
+            - abs(self.motion(x, u, modes)[1][index])
+        )
 
     def outputs(self, x: np.ndarray, u: np.ndarray) -> dict[str, float]:
         """What the FMU gives besides positions and velocities, by the FMU's names.
@@ -358,22 +408,43 @@ class Equations:
         spring = self.stiffness * np.maximum(phi, 0.0)
         lam = np.maximum(self.contact_force(x, phi > 0), 0.0)
         parts = {"q": x[: self.n], "v": x[self.n :], "u": u}
-        values = {contact.force_name: lam[index] for index, contact in enumerate(self.scene.contacts)}
+        values = {
+            contact.force_name: lam[index] for index, contact in enumerate(self.scene.contacts)
+        }
         rate = -self.at(x)["jacobian"] @ x[self.n :]
         for row, contact in enumerate(self.scene.damped):
-            values[self.scene.contacts[contact].pressing_name] = float(self.at(x)["share"][row]) if phi[contact] > 0 else 1.0
+            values[self.scene.contacts[contact].pressing_name] = (
+                float(self.at(x)["share"][row]) if phi[contact] > 0 else 1.0
+            )
         friction, slip = self.motion(x, u, modes)[1], self.at(x)["slip"]
-        values |= {contact.gap_name: -phi[index] for index, contact in enumerate(self.scene.contacts)}
-        values |= {name: function(*(parts[letter] for letter in letters)).item() for name, (function, letters) in self._energies.items()}
-        for index, (item, force) in enumerate(zip(self.scene.frictions, friction_nominals(self.scene), strict=True)):
-            reserve = self.reserve(x, u, modes, index) / (item.nominal if modes.slips[index] else force)
-            values |= {item.force_name: friction[index], item.slip_name: slip[index], f"reserve_{item.name}": reserve}
+        values |= {
+            contact.gap_name: -phi[index] for index, contact in enumerate(self.scene.contacts)
+        }
+        values |= {
+            name: function(*(parts[letter] for letter in letters)).item()
+            for name, (function, letters) in self._energies.items()
+        }
+        for index, (item, force) in enumerate(
+            zip(self.scene.frictions, friction_nominals(self.scene), strict=True)
+        ):
+            reserve = self.reserve(x, u, modes, index) / (
+                item.nominal if modes.slips[index] else force
+            )
+            values |= {
+                item.force_name: friction[index],
+                item.slip_name: slip[index],
+                f"reserve_{item.name}": reserve,
+            }
         values["dissipated_power"] -= float(friction @ slip)
-        values["dissipated_power"] += sum(float((lam - spring)[contact] * rate[contact]) for contact in self.scene.damped)
+        values["dissipated_power"] += sum(
+            float((lam - spring)[contact] * rate[contact]) for contact in self.scene.damped
+        )
         return values | {"contact_energy": float(np.sum(spring * phi) / 2)}
 
 
-def _quick(d: Dynamics, entries: Sequence[sp.Expr], *groups: Sequence[sp.Symbol]) -> Callable[..., np.ndarray]:
+def _quick(
+    d: Dynamics, entries: Sequence[sp.Expr], *groups: Sequence[sp.Symbol]
+) -> Callable[..., np.ndarray]:
     """A function of vectors for inner loops: of Python's floats, which are three times as fast as numpy's; what has no value is NaN in all entries."""
     expressions = [sp.sympify(entry).subs(d.scene.parameter_values) for entry in entries]
     compiled = sp.lambdify([list(group) for group in groups], expressions, modules="math", cse=True)
@@ -388,16 +459,25 @@ def _quick(d: Dynamics, entries: Sequence[sp.Expr], *groups: Sequence[sp.Symbol]
 
 
 def pressing_shares(d: Dynamics) -> sp.Matrix:
-    """Of each damped contact what its push is a share of k times the nominal penetration; Hunt-Crossley: of its spring's push."""
+    """Of each damped contact what its push is a share of k times the nominal penetration.
+
+    Hunt-Crossley: of its spring's push.
+    """
     shares = []
     for index in d.scene.damped:
         contact, rate = d.scene.contacts[index], -(d.gap_jacobian[index, :] * sp.Matrix(d.v))[0]
         is_linear = contact.damping_law is DampingLaw.KELVIN_VOIGT
-        shares.append(d.push[index] / (d.stiffness[index] * contact.nominal) if is_linear else 1 + contact.damping * rate)
+        shares.append(
+            d.push[index] / (d.stiffness[index] * contact.nominal)
+            if is_linear
+            else 1 + contact.damping * rate
+        )
     return sp.Matrix(len(shares), 1, shares)
 
 
-def true_motion(equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> tuple[np.ndarray, ReferenceIntegrator]:
+def true_motion(
+    equations: Equations, pieces: Sequence[Piece], times: np.ndarray
+) -> tuple[np.ndarray, ReferenceIntegrator]:
     """States of the true motion from the task's start, and the method that came to the end.
 
     Parameters
@@ -419,24 +499,32 @@ def true_motion(equations: Equations, pieces: Sequence[Piece], times: np.ndarray
     MotionError
         If neither method can follow it within the budget.
     """
-    # Without inertia velocities settle within the lag, which explicit steps would have to follow all the way.
+    # Without inertia velocities settle within the lag, which explicit steps would have to follow
+    # all the way.
     if equations.scene.lag is None:
         with contextlib.suppress(MotionError):
             return _motion_by(EXPLICIT, equations, pieces, times), EXPLICIT
     return _motion_by(IMPLICIT, equations, pieces, times), IMPLICIT
 
 
-def _motion_by(method: ReferenceIntegrator, equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> np.ndarray:
+def _motion_by(
+    method: ReferenceIntegrator, equations: Equations, pieces: Sequence[Piece], times: np.ndarray
+) -> np.ndarray:
     scene, left = equations.scene, BUDGET
     x, t = np.array(scene.task.start, dtype=float), 0.0
     nominal = np.tile([coordinate.nominal for coordinate in scene.coordinates], 2)
     result = np.full((len(times), x.size), np.nan)
     result[times <= t] = x
 
-    from scipy.integrate import solve_ivp  # 0.3 CPU s to import, which a replay of a plan would pay for nothing
+    from scipy.integrate import (
+        solve_ivp,
+    )  # 0.3 CPU s to import, which a replay of a plan would pay for nothing
 
     def rate(at: float, y: np.ndarray, u: np.ndarray, modes: Modes) -> np.ndarray:
-        """The derivative (2*nq,) [m/s, rad/s, m/s^2, rad/s^2]. Raises MotionError beyond the budget."""
+        """The derivative (2*nq,) [m/s, rad/s, m/s^2, rad/s^2].
+
+        Raises MotionError beyond the budget.
+        """
         nonlocal left
         left -= 1
         if left < 0:
@@ -462,7 +550,9 @@ def _motion_by(method: ReferenceIntegrator, equations: Equations, pieces: Sequen
                 events=_leaving(equations, modes, piece.u),
             )
             if not found.success or not np.isfinite(found.y[:, -1]).all():
-                raise MotionError(f"scene {scene.name}: its motion cannot be followed beyond t = {found.t[-1]:.6g} s ({found.message}).")
+                raise MotionError(
+                    f"scene {scene.name}: its motion cannot be followed beyond t = {found.t[-1]:.6g} s ({found.message})."
+                )
             inside = (times > t) & (times <= found.t[-1])
             if inside.any():
                 result[inside] = found.sol(times[inside]).T
@@ -470,18 +560,26 @@ def _motion_by(method: ReferenceIntegrator, equations: Equations, pieces: Sequen
     return result
 
 
-def _leaving(equations: Equations, modes: Modes, u: np.ndarray) -> list[Callable[[float, np.ndarray], float]]:
+def _leaving(
+    equations: Equations, modes: Modes, u: np.ndarray
+) -> list[Callable[[float, np.ndarray], float]]:
     """Event functions that fall through zero where a contact or a friction leaves its mode."""
 
     def contact(name: str, index: int, *, positive: bool) -> Callable[[float, np.ndarray], float]:
-        return lambda _, y: float(equations.at(y)[name][index] if positive else -equations.at(y)[name][index])
+        return lambda _, y: float(
+            equations.at(y)[name][index] if positive else -equations.at(y)[name][index]
+        )
 
     def friction(index: int) -> Callable[[float, np.ndarray], float]:
         return lambda _, y: equations.reserve(y, u, modes, index)
 
     events = [contact("phi", index, positive=mode) for index, mode in enumerate(modes.closed)]
     damped = enumerate(equations.scene.damped)
-    events += [contact("share", row, positive=modes.pushes[index]) for row, index in damped if modes.closed[index]]
+    events += [
+        contact("share", row, positive=modes.pushes[index])
+        for row, index in damped
+        if modes.closed[index]
+    ]
     events += [friction(index) for index in range(len(modes.slips))]
     for event in events:
         event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined] - how scipy is told

@@ -1,14 +1,15 @@
 """Scene -> `scene_sensitivity.h`: the derivatives an FMU must offer beyond those of `scene_model.h`.
 
-Jacobian-vector products of energies and powers, and of everything with respect to parameters, and their transposes, which
-add to the adjoints (q, v, u, p)_bar:
+Jacobian-vector products of energies and powers, and of everything with respect to parameters, and
+their transposes, which add to the adjoints (q, v, u, p)_bar:
 
     scene_<quantity>_jvp            energies and powers along (dq, dv, du, dp)
     scene_<quantity>_vjp            the same backwards, times the weight w
     scene_<quantity>_parameter_jvp  penetration, stiffness and acceleration along dp
     scene_<quantity>_parameter_vjp  the same backwards
 
-and, in scenes with damped contacts, those of the rates of penetration and coefficients; in scenes with friction, those of slips, of their rates and of the limits mu N.
+and, in scenes with damped contacts, those of the rates of penetration and coefficients; in scenes
+with friction, those of slips, of their rates and of the limits mu N.
 """
 
 from __future__ import annotations
@@ -17,7 +18,13 @@ from collections.abc import Sequence
 
 import sympy as sp
 
-from models.codegen.c_function import SceneVectors, Vector, backward_function, forward_function, tangent
+from models.codegen.c_function import (
+    SceneVectors,
+    Vector,
+    backward_function,
+    forward_function,
+    tangent,
+)
 from models.codegen.emit import penetration_rate, slip_rate
 from models.codegen.text_cache import cached_text
 from models.dynamics import derive
@@ -77,25 +84,48 @@ def sensitivity_source(scene: Scene) -> str:
 
 
 def _by_parameters(
-    x: SceneVectors, head: str, arguments: Sequence[Vector], output: str, function: sp.Matrix, weights: Vector, tail: str = ""
+    x: SceneVectors,
+    head: str,
+    arguments: Sequence[Vector],
+    output: str,
+    function: sp.Matrix,
+    weights: Vector,
+    tail: str = "",
 ) -> list[str]:
-    """The products of a column along dp, forward and backward; head: type and name without what they end in."""
+    """The products of a column along dp, forward and backward.
+
+    head: type and name without what they end in.
+    """
     return [
-        forward_function(f"{head}_parameter_jvp", (*arguments, tangent(x.p)), output, function, [x.p], tail=tail),
-        backward_function(f"{head}_parameter_vjp", (*arguments, weights), function, weights, [x.p], tail=tail),
+        forward_function(
+            f"{head}_parameter_jvp", (*arguments, tangent(x.p)), output, function, [x.p], tail=tail
+        ),
+        backward_function(
+            f"{head}_parameter_vjp", (*arguments, weights), function, weights, [x.p], tail=tail
+        ),
     ]
 
 
 def _parameter_functions(x: SceneVectors) -> list[str]:
     d, a = x.dynamics, x.q.like("a")
     phi, stiffness, by_a = x.local(d.penetration), x.local(d.stiffness), (*x.arguments, a)
-    functions = _by_parameters(x, "void scene_penetration", (x.q, x.p), "d_phi", phi, Vector.of("phi_bar", x.contacts))
-    functions += _by_parameters(x, "void scene_stiffness", (x.p,), "d_k", stiffness, Vector.of("k_bar", x.contacts))
+    functions = _by_parameters(
+        x, "void scene_penetration", (x.q, x.p), "d_phi", phi, Vector.of("phi_bar", x.contacts)
+    )
+    functions += _by_parameters(
+        x, "void scene_stiffness", (x.p,), "d_k", stiffness, Vector.of("k_bar", x.contacts)
+    )
     if d.acceleration is not None:
         closed = x.local(d.acceleration)
-        return functions + _by_parameters(x, "int scene_acceleration", by_a, "d_a", closed, x.q.like("a_bar"), "return 0;")
+        return functions + _by_parameters(
+            x, "int scene_acceleration", by_a, "d_a", closed, x.q.like("a_bar"), "return 0;"
+        )
     residual = x.local(d.generalised_force) - x.local(d.mass_matrix) * a.column
-    return [*functions, *_by_parameters(x, "void scene_residual", by_a, "d_f", residual, x.q.like("w")), _SOLVES]
+    return [
+        *functions,
+        *_by_parameters(x, "void scene_residual", by_a, "d_f", residual, x.q.like("w")),
+        _SOLVES,
+    ]
 
 
 def _damping_functions(x: SceneVectors) -> list[str]:
@@ -103,30 +133,56 @@ def _damping_functions(x: SceneVectors) -> list[str]:
     if not x.dynamics.structure.contact_damping:
         return []
     rate_bar, c_bar = (Vector.of(name, x.contacts) for name in ("rate_bar", "c_bar"))
-    rates = _by_parameters(x, "void scene_penetration_rate", (x.q, x.v, x.p), "d_rate", penetration_rate(x), rate_bar)
-    return rates + _by_parameters(x, "void scene_damping", (x.p,), "d_c", x.local(x.dynamics.damping), c_bar)
+    rates = _by_parameters(
+        x, "void scene_penetration_rate", (x.q, x.v, x.p), "d_rate", penetration_rate(x), rate_bar
+    )
+    return rates + _by_parameters(
+        x, "void scene_damping", (x.p,), "d_c", x.local(x.dynamics.damping), c_bar
+    )
 
 
 def _friction_functions(x: SceneVectors) -> list[str]:
-    """Slip, its rate and the limit mu N along everything; backwards what scene_model.h leaves out."""
+    """Slip, its rate and the limit mu N along everything.
+
+    Backwards what scene_model.h leaves out.
+    """
     d = x.dynamics
     if not d.structure.friction:
         return []
     names = [friction.name for friction in d.scene.frictions]
-    a, slip_bar, rate_bar, limit_bar = x.q.like("a"), *(Vector.of(name, names) for name in ("slip_bar", "rate_bar", "limit_bar"))
+    a, slip_bar, rate_bar, limit_bar = (
+        x.q.like("a"),
+        *(Vector.of(name, names) for name in ("slip_bar", "rate_bar", "limit_bar")),
+    )
     slip, rate, limit = x.local(d.slip), slip_rate(x, a), x.local(d.friction_limit)
     moving, turning, pressing = (x.q, x.v, x.p), (x.q, x.v, a, x.p), (x.q, x.lam, x.p)
 
     def jvp(name: str, function: sp.Matrix, vectors: Sequence[Vector], result: str) -> str:
-        return forward_function(f"void {name}", (*vectors, *(tangent(vector) for vector in vectors)), result, function, vectors)
+        return forward_function(
+            f"void {name}",
+            (*vectors, *(tangent(vector) for vector in vectors)),
+            result,
+            function,
+            vectors,
+        )
 
     return [
         jvp("scene_slip_jvp", slip, moving, "d_slip"),
-        backward_function("void scene_slip_parameter_vjp", (*moving, slip_bar), slip, slip_bar, [x.p]),
+        backward_function(
+            "void scene_slip_parameter_vjp", (*moving, slip_bar), slip, slip_bar, [x.p]
+        ),
         jvp("scene_slip_rate_jvp", rate, turning, "d_rate"),
-        backward_function("void scene_slip_rate_vjp", (*turning, rate_bar), rate, rate_bar, turning),
+        backward_function(
+            "void scene_slip_rate_vjp", (*turning, rate_bar), rate, rate_bar, turning
+        ),
         jvp("scene_friction_limit_jvp", limit, pressing, "d_limit"),
-        backward_function("void scene_friction_limit_parameter_vjp", (*pressing, limit_bar), limit, limit_bar, [x.p]),
+        backward_function(
+            "void scene_friction_limit_parameter_vjp",
+            (*pressing, limit_bar),
+            limit,
+            limit_bar,
+            [x.p],
+        ),
     ]
 
 
@@ -142,6 +198,10 @@ def _energy_functions(x: SceneVectors) -> list[str]:
     ):
         local = x.local(expression)
         arguments = (*vectors, *(tangent(vector) for vector in vectors))
-        functions.append(forward_function(f"double scene_{name}_jvp", arguments, None, local, vectors))
-        functions.append(backward_function(f"void scene_{name}_vjp", (*vectors, w), local, w, vectors))
+        functions.append(
+            forward_function(f"double scene_{name}_jvp", arguments, None, local, vectors)
+        )
+        functions.append(
+            backward_function(f"void scene_{name}_vjp", (*vectors, w), local, w, vectors)
+        )
     return functions

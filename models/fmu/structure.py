@@ -32,10 +32,16 @@ class Dependency(StrEnum):
 def dependencies(scene: Scene) -> dict[str, dict[str, Dependency]]:
     """Of each calculated variable and each state: the knowns it depends on (states, inputs, parameters), in table order.
 
-    Differentiating the energies of a large scene for it takes seconds: it is cached, as the generated C is.
+    Differentiating the energies of a large scene for it takes seconds: it is cached, as the
+    generated C is.
     """
-    found = json.loads(cached_text(scene, "structure.json", lambda: json.dumps(derived_dependencies(scene))))
-    return {name: {known: Dependency(kind) for known, kind in knowns.items()} for name, knowns in found.items()}
+    found = json.loads(
+        cached_text(scene, "structure.json", lambda: json.dumps(derived_dependencies(scene)))
+    )
+    return {
+        name: {known: Dependency(kind) for known, kind in knowns.items()}
+        for name, knowns in found.items()
+    }
 
 
 def derived_dependencies(scene: Scene) -> dict[str, dict[str, Dependency]]:
@@ -78,7 +84,12 @@ def _knowns(d: Dynamics, variable: Variable) -> dict[sp.Symbol, Dependency] | No
         case VariableKind.DISSIPATED_POWER if d.f:
             return _of_everything(d)
         case VariableKind.DISSIPATED_POWER:
-            return _merge([_of_expression(d, d.dissipated_power), *(_of_contact(d, contact) for contact in d.scene.damped)])
+            return _merge(
+                [
+                    _of_expression(d, d.dissipated_power),
+                    *(_of_contact(d, contact) for contact in d.scene.damped),
+                ]
+            )
         case _:
             return None
 
@@ -94,24 +105,44 @@ def _of_expression(d: Dynamics, expression: sp.Expr) -> dict[sp.Symbol, Dependen
             found[symbol] = Dependency.DEPENDENT
             continue
         left = sp.expand(slope).free_symbols  # what cancels is no dependence
-        found[symbol] = Dependency.DEPENDENT if left - parameters else Dependency.FIXED if left else Dependency.CONSTANT
+        found[symbol] = (
+            Dependency.DEPENDENT
+            if left - parameters
+            else Dependency.FIXED
+            if left
+            else Dependency.CONSTANT
+        )
     return found
 
 
-def _seen_to_vary(slopes: Mapping[sp.Symbol, sp.Expr], parameters: set[sp.Symbol]) -> set[sp.Symbol]:
+def _seen_to_vary(
+    slopes: Mapping[sp.Symbol, sp.Expr], parameters: set[sp.Symbol]
+) -> set[sp.Symbol]:
     """Those whose slope has clearly different values at two points that differ in more than parameters.
 
-    That proves it without any expansion, which takes minutes for the energies of several bodies. What is not seen here may vary all the same.
+    That proves it without any expansion, which takes minutes for the energies of several bodies.
+    What is not seen here may vary all the same.
     """
     symbols = sorted(set().union(*(slope.free_symbols for slope in slopes.values())), key=str)
     points = []
     for place in range(2):
         # multiples of the golden ratio: no two alike, none special to an angle or a length
-        points.append([0.3 + (_GOLDEN * (k + 1 + (0 if symbol in parameters else 100 * place))) % 1.0 for k, symbol in enumerate(symbols)])
+        points.append(
+            [
+                0.3 + (_GOLDEN * (k + 1 + (0 if symbol in parameters else 100 * place))) % 1.0
+                for k, symbol in enumerate(symbols)
+            ]
+        )
     try:
         values = sp.lambdify(symbols, list(slopes.values()), modules="math", cse=True)
         first, second = (values(*point) for point in points)
-    except (ArithmeticError, ValueError, TypeError, NameError, SyntaxError):  # a function that Python has not, or a point outside of one
+    except (
+        ArithmeticError,
+        ValueError,
+        TypeError,
+        NameError,
+        SyntaxError,
+    ):  # a function that Python has not, or a point outside of one
         return set()
     return {
         symbol
@@ -134,7 +165,10 @@ def _all_dependent(d: Dynamics, entries: Iterable[sp.Expr]) -> dict[sp.Symbol, D
 
 
 def _of_contact(d: Dynamics, contact: int) -> dict[sp.Symbol, Dependency]:
-    """A contact force follows its penetration in one mode and nothing in the other; a damped one follows the rate too."""
+    """A contact force follows its penetration in one mode and nothing in the other.
+
+    A damped one follows the rate too.
+    """
     if not d.scene.contacts[contact].is_damped:
         return _of_spring(d, contact)
     return _all_dependent(d, [d.push[contact]])
@@ -146,7 +180,10 @@ def _of_spring(d: Dynamics, contact: int) -> dict[sp.Symbol, Dependency]:
 
 def _of_everything(d: Dynamics) -> dict[sp.Symbol, Dependency]:
     """A friction force holds against everything that moves: while it sticks, it depends on all that accelerates the bodies."""
-    return _all_dependent(d, [*d.generalised_force, *d.mass_matrix, *d.slip, *d.friction_limit, *d.penetration, *d.push])
+    return _all_dependent(
+        d,
+        [*d.generalised_force, *d.mass_matrix, *d.slip, *d.friction_limit, *d.penetration, *d.push],
+    )
 
 
 def _merge(parts: Iterable[dict[sp.Symbol, Dependency]]) -> dict[sp.Symbol, Dependency]:
@@ -159,15 +196,24 @@ def _merge(parts: Iterable[dict[sp.Symbol, Dependency]]) -> dict[sp.Symbol, Depe
 
 
 def _of_acceleration(d: Dynamics, index: int) -> dict[sp.Symbol, Dependency]:
-    """Row `index` of M^-1 (tau + J' lam): exact where M is constant; otherwise all that stands in the rows M couples it to."""
+    """Row `index` of M^-1 (tau + J' lam): exact where M is constant.
+
+    Otherwise all that stands in the rows M couples it to.
+    """
     if d.f:
         return _of_everything(d)
     if d.acceleration is not None:
         entries = [d.acceleration[index]]
         own = _of_expression(d, *entries)
     else:
-        rows = next(sorted(block) for block in d.mass_matrix.connected_components() if index in block)
-        entries = [d.generalised_force[i] for i in rows] + [d.mass_matrix[i, j] for i in rows for j in rows]
+        rows = next(
+            sorted(block) for block in d.mass_matrix.connected_components() if index in block
+        )
+        entries = [d.generalised_force[i] for i in rows] + [
+            d.mass_matrix[i, j] for i in rows for j in rows
+        ]
         own = _all_dependent(d, entries)
     touched = _symbols(entries)
-    return _merge([own, *(_of_contact(d, contact) for contact, force in enumerate(d.lam) if force in touched)])
+    return _merge(
+        [own, *(_of_contact(d, contact) for contact, force in enumerate(d.lam) if force in touched)]
+    )

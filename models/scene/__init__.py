@@ -1,7 +1,22 @@
-"""A scene: the physics of a few bodies in contact, and the task to plan, written once in SymPy; what is checked of it, and where scenes are found."""
+"""A scene: the physics of a few bodies in contact, and the task to plan, written once in SymPy.
+
+What is checked of it, and where scenes are found.
+"""
 
 from models.scene.contacts import Contact, Friction
 from models.scene.parts import Answer, Coordinate, Input, Limit, Parameter, Shape, Task, goal_limits
 from models.scene.scene import Scene
 
-__all__ = ["Answer", "Contact", "Coordinate", "Friction", "Input", "Limit", "Parameter", "Scene", "Shape", "Task", "goal_limits"]
+__all__ = [
+    "Answer",
+    "Contact",
+    "Coordinate",
+    "Friction",
+    "Input",
+    "Limit",
+    "Parameter",
+    "Scene",
+    "Shape",
+    "Task",
+    "goal_limits",
+]

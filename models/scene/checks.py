@@ -2,15 +2,17 @@
 
 What needs no computer algebra is checked when a scene is created (models.scene.scene).
 
-Of the file it is in is checked (`step_problem`) that no parameter is made of the task's step: the step is a choice of whoever plans, the physics is not.
+Of the file it is in is checked (`step_problem`) that no parameter is made of the task's step: the
+step is a choice of whoever plans, the physics is not.
 
     STEP, DAMPING = 0.02, 10.0
     .. Parameter(symbol=m, value=STEP * DAMPING, unit="kg") .. Task(step=STEP, ..)        # refused
-    STEP = 0.1 * math.sqrt(MASS / STIFFNESS)                                              # fine: the step follows the physics
-    STEP = HORIZON / STEPS  ..  value=LENGTH / HORIZON                                    # fine: the duration is what the task asks
+    STEP = 0.1 * math.sqrt(MASS / STIFFNESS) # fine: the step follows the physics
+    STEP = HORIZON / STEPS .. value=LENGTH / HORIZON # fine: the duration is what the task asks
 
-Read off the file's text: the names that hold the step, and what is computed of them. Values are not compared: m = 0.02 kg beside a damping of 2 N s/m
-and a step of 0.01 s is honest chance. So what names no step is not found: a product written out as a number, or computed in another module.
+Read off the file's text: the names that hold the step, and what is computed of them. Values are not
+compared: m = 0.02 kg beside a damping of 2 N s/m and a step of 0.01 s is honest chance. So what
+names no step is not found: a product written out as a number, or computed in another module.
 """
 
 from __future__ import annotations
@@ -30,7 +32,10 @@ _PASSED: WeakSet[Scene] = WeakSet()
 
 
 def check_expressions(scene: Scene) -> None:
-    """What takes computer algebra, up to a third of a second of it, once for each scene object. Raises SceneError."""
+    """What takes computer algebra, up to a third of a second of it, once for each scene object.
+
+    Raises SceneError.
+    """
     if scene in _PASSED:
         return
     problem = function_problem(scene)
@@ -60,23 +65,42 @@ def _start(scene: Scene) -> dict[sp.Symbol, sp.Float]:
 
 def _check_finite(scene: Scene) -> None:
     """Energy, forces and running cost at the start, inputs at zero or at the bound nearest to it."""
-    start, inputs = _start(scene), {item.symbol: sp.Float(min(max(0.0, item.lower), item.upper)) for item in scene.inputs}
-    fields = [("potential_energy", scene.potential_energy), ("task.running_cost", scene.task.running_cost)]
-    fields += [(f"forces[{coordinate.name}]", force) for coordinate, force in zip(scene.coordinates, scene.forces, strict=True)]
+    start, inputs = (
+        _start(scene),
+        {item.symbol: sp.Float(min(max(0.0, item.lower), item.upper)) for item in scene.inputs},
+    )
+    fields = [
+        ("potential_energy", scene.potential_energy),
+        ("task.running_cost", scene.task.running_cost),
+    ]
+    fields += [
+        (f"forces[{coordinate.name}]", force)
+        for coordinate, force in zip(scene.coordinates, scene.forces, strict=True)
+    ]
     for field, expression in fields:
         value = expression.xreplace(start).xreplace(inputs)  # the state first: 0 u / 0 is no 0
         if value.has(sp.nan, sp.zoo, sp.oo, -sp.oo, sp.I):
-            raise _fail(scene, f"{field} is {value} at the start (inputs at zero), but must be a finite real number there.")
+            raise _fail(
+                scene,
+                f"{field} is {value} at the start (inputs at zero), but must be a finite real number there.",
+            )
 
 
 def _check_mass(scene: Scene) -> None:
     velocities = [coordinate.velocity for coordinate in scene.coordinates]
     mass = sp.hessian(scene.kinetic_energy, velocities)
     if any(entry.free_symbols & set(velocities) for entry in mass):
-        raise _fail(scene, "kinetic_energy is not quadratic in the velocities, so there is no mass matrix M(q).")
-    rest = sp.expand(scene.kinetic_energy - (sp.Matrix([velocities]) * mass * sp.Matrix(velocities))[0] / 2)
+        raise _fail(
+            scene,
+            "kinetic_energy is not quadratic in the velocities, so there is no mass matrix M(q).",
+        )
+    rest = sp.expand(
+        scene.kinetic_energy - (sp.Matrix([velocities]) * mass * sp.Matrix(velocities))[0] / 2
+    )
     if rest != 0 and sp.simplify(rest) != 0:
-        raise _fail(scene, f"kinetic_energy contains {rest}, which is not quadratic in the velocities.")
+        raise _fail(
+            scene, f"kinetic_energy contains {rest}, which is not quadratic in the velocities."
+        )
     numeric = mass.xreplace(_start(scene))
     for size in range(1, scene.nq + 1):
         minor = numeric[:size, :size].det()
@@ -93,20 +117,33 @@ def _check_contacts(scene: Scene) -> None:
     for contact in scene.contacts:
         stiffness = contact.stiffness.xreplace(start).evalf()
         if not (stiffness.is_real and float(stiffness) > 0):
-            raise _fail(scene, f"contact {contact.name}: the stiffness is {stiffness}, but must be positive.")
+            raise _fail(
+                scene,
+                f"contact {contact.name}: the stiffness is {stiffness}, but must be positive.",
+            )
         damping = contact.damping.xreplace(start).evalf()
         if not (damping.is_real and float(damping) >= 0):
             unit = contact.damping_law.unit
             raise _fail(
-                scene, f"contact {contact.name}: the damping is {damping} {unit}, but must not be negative; 0 is a contact without damping."
+                scene,
+                f"contact {contact.name}: the damping is {damping} {unit}, but must not be negative; 0 is a contact without damping.",
             )
-        gradient = [sp.diff(contact.penetration, coordinate.symbol).xreplace(start).evalf() for coordinate in scene.coordinates]
+        gradient = [
+            sp.diff(contact.penetration, coordinate.symbol).xreplace(start).evalf()
+            for coordinate in scene.coordinates
+        ]
         if not all(entry.is_number and entry.is_real and entry.is_finite for entry in gradient):
             raise _fail(
-                scene, f"contact {contact.name}: the penetration is not differentiable at the start; its gradient there is {gradient}."
+                scene,
+                f"contact {contact.name}: the penetration is not differentiable at the start; its gradient there is {gradient}.",
             )
-        if not contact.penetration.free_symbols & {coordinate.symbol for coordinate in scene.coordinates}:
-            raise _fail(scene, f"contact {contact.name}: the penetration depends on no coordinate, so the contact has no direction.")
+        if not contact.penetration.free_symbols & {
+            coordinate.symbol for coordinate in scene.coordinates
+        }:
+            raise _fail(
+                scene,
+                f"contact {contact.name}: the penetration depends on no coordinate, so the contact has no direction.",
+            )
 
 
 def _check_frictions(scene: Scene) -> None:
@@ -117,18 +154,32 @@ def _check_frictions(scene: Scene) -> None:
         where = f"friction {friction.name}"
         if friction.contact is not None and friction.contact not in contacts:
             known = f"its contacts are {', '.join(contacts)}" if contacts else "it has no contacts"
-            raise _fail(scene, f"{where}: there is no contact {friction.contact!r} to press the surfaces together; {known}.")
+            raise _fail(
+                scene,
+                f"{where}: there is no contact {friction.contact!r} to press the surfaces together; {known}.",
+            )
         slope = [sp.diff(friction.slip, velocity) for velocity in velocities]
         at_rest = friction.slip.subs(dict.fromkeys(velocities, 0))
-        if any(entry.free_symbols & set(velocities) for entry in slope) or (at_rest != 0 and sp.simplify(at_rest) != 0):
-            raise _fail(scene, f"{where}: the slip {friction.slip} is not linear in the velocities, so there is no direction of friction.")
+        if any(entry.free_symbols & set(velocities) for entry in slope) or (
+            at_rest != 0 and sp.simplify(at_rest) != 0
+        ):
+            raise _fail(
+                scene,
+                f"{where}: the slip {friction.slip} is not linear in the velocities, so there is no direction of friction.",
+            )
         if all(entry == 0 for entry in slope):
-            raise _fail(scene, f"{where}: the slip depends on no velocity, so the friction has no direction.")
+            raise _fail(
+                scene,
+                f"{where}: the slip depends on no velocity, so the friction has no direction.",
+            )
         for field in ("coefficient", "normal_force"):
             value = getattr(friction, field)
             number = None if value is None else value.xreplace(start).evalf()
             if number is not None and not (number.is_real and float(number) >= 0):
-                raise _fail(scene, f"{where}: the {field} is {number} at the start, but must not be negative.")
+                raise _fail(
+                    scene,
+                    f"{where}: the {field} is {number} at the start, but must not be negative.",
+                )
 
 
 _FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)
@@ -136,7 +187,10 @@ _SCOPES = (*_FUNCTIONS, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorEx
 
 
 def step_problem(source: str | bytes) -> tuple[int, str] | None:
-    """Line of the first parameter of a file that is made of the step, and what to do; None: there is none."""
+    """Line of the first parameter of a file that is made of the step, and what to do.
+
+    None: there is none.
+    """
     found = _Reading()
     try:
         found.read(ast.parse(source), ())
@@ -146,14 +200,22 @@ def step_problem(source: str | bytes) -> tuple[int, str] | None:
 
 
 def _first(found: _Reading) -> tuple[int, str] | None:
-    steps = {_key(value, scopes) for value, scopes in found.steps if not isinstance(value, ast.Constant)}
+    steps = {
+        _key(value, scopes) for value, scopes in found.steps if not isinstance(value, ast.Constant)
+    }
     changed = bool(steps)
     while changed:  # STEP = H: then H is the step, too
-        also = {_key(value, scopes) for names, value, scopes in found.bindings if names & steps and isinstance(value, ast.Name)}
+        also = {
+            _key(value, scopes)
+            for names, value, scopes in found.bindings
+            if names & steps and isinstance(value, ast.Name)
+        }
         changed = not also <= steps
         steps |= also
     made, changed = set(steps), bool(steps)
-    parts = [(names, _keys(value, scopes)) for names, value, scopes in found.bindings] if steps else []
+    parts = (
+        [(names, _keys(value, scopes)) for names, value, scopes in found.bindings] if steps else []
+    )
     while changed:
         also = {name for names, keys in parts if keys & made for name in names}
         changed = not also <= made
@@ -167,7 +229,8 @@ def _first(found: _Reading) -> tuple[int, str] | None:
     return None
 
 
-# Functions and comprehensions around a node, the outermost first, each with the names that are its own.
+# Functions and comprehensions around a node, the outermost first, each with the names that are its
+# own.
 _Scopes = tuple[tuple[ast.AST, frozenset[str]], ...]
 
 
@@ -187,14 +250,21 @@ class _Reading:
         if isinstance(node, ast.Assign):
             for target in node.targets:
                 self._bind(target, node.value, scopes)
-        elif isinstance(node, (ast.AnnAssign, ast.AugAssign, ast.NamedExpr)) and node.value is not None:
+        elif (
+            isinstance(node, (ast.AnnAssign, ast.AugAssign, ast.NamedExpr))
+            and node.value is not None
+        ):
             self._bind(node.target, node.value, scopes)
         elif isinstance(node, (ast.For, ast.comprehension)):
             self._bind(node.target, node.iter, scopes)
         elif isinstance(node, ast.Call):
             called = getattr(node.func, "id", None) or getattr(node.func, "attr", None)
             given = [(item.arg, item.value) for item in node.keywords]
-            self.steps += [(value, scopes) for name, value in given if called in ("Task", "with_task") and name == "step"]
+            self.steps += [
+                (value, scopes)
+                for name, value in given
+                if called in ("Task", "with_task") and name == "step"
+            ]
             if called == "Parameter":
                 symbol = next((ast.unparse(value) for name, value in given if name == "symbol"), "")
                 self.values += [(symbol, value, scopes) for name, value in given if name == "value"]
@@ -205,22 +275,34 @@ class _Reading:
 
     def _bind(self, target: ast.expr, value: ast.expr, scopes: _Scopes) -> None:
         """Entry by entry, where both sides are written as tuples."""
-        sides = [side.elts if isinstance(side, (ast.Tuple, ast.List)) else [] for side in (target, value)]
-        if len(sides[0]) == len(sides[1]) > 0 and not any(isinstance(entry, ast.Starred) for side in sides for entry in side):
+        sides = [
+            side.elts if isinstance(side, (ast.Tuple, ast.List)) else [] for side in (target, value)
+        ]
+        if len(sides[0]) == len(sides[1]) > 0 and not any(
+            isinstance(entry, ast.Starred) for side in sides for entry in side
+        ):
             for one, its in zip(*sides, strict=True):
                 self._bind(one, its, scopes)
         else:
-            self.bindings.append((frozenset(_name(name, scopes) for name in _stored(target)), value, scopes))
+            self.bindings.append(
+                (frozenset(_name(name, scopes) for name in _stored(target)), value, scopes)
+            )
 
 
 def _stored(node: ast.AST) -> Iterator[str]:
-    return (name.id for name in ast.walk(node) if isinstance(name, ast.Name) and isinstance(name.ctx, ast.Store))
+    return (
+        name.id
+        for name in ast.walk(node)
+        if isinstance(name, ast.Name) and isinstance(name.ctx, ast.Store)
+    )
 
 
 def _own(scope: ast.AST) -> frozenset[str]:
     """Names that belong to a function or comprehension: its arguments and what it assigns."""
     arguments = (
-        {argument.arg for argument in ast.walk(scope.args) if isinstance(argument, ast.arg)} if isinstance(scope, _FUNCTIONS) else set()
+        {argument.arg for argument in ast.walk(scope.args) if isinstance(argument, ast.arg)}
+        if isinstance(scope, _FUNCTIONS)
+        else set()
     )
     return frozenset(arguments | set(_stored(scope)))
 
@@ -240,5 +322,7 @@ def _keys(value: ast.AST, scopes: _Scopes) -> set[str]:
     """Of all expressions within a value, or in the body of a function."""
     if isinstance(value, _SCOPES):
         scopes = (*scopes, (value, _own(value)))
-    found = {_key(value, scopes)} if isinstance(value, (ast.Name, ast.Attribute, ast.BinOp)) else set()
+    found = (
+        {_key(value, scopes)} if isinstance(value, (ast.Name, ast.Attribute, ast.BinOp)) else set()
+    )
     return found.union(*(_keys(child, scopes) for child in ast.iter_child_nodes(value)))

@@ -1,22 +1,25 @@
 """Contacts and dry friction of a scene.
 
-    Contact(name="left", bodies=("left", "middle"), penetration=d - (q2 - q1), stiffness=k, depth=d, depth_reason="the carts' length")
-    Contact(name="pad", .., damping=c)                                          # Kelvin-Voigt, c [N s/m]
-    Contact(name="ball", .., damping=d, damping_law=DampingLaw.HUNT_CROSSLEY)   # d [s/m]
-    Friction(name="left", slip=v1 - v2, coefficient=mu, contact="left")         # pressed by the force of the contact "left"
-    Friction(name="belt", slip=v_cargo - v_cart, coefficient=mu, normal_force=m * g)   # pressed by a given force
+    Contact(name="left", bodies=("left", "middle"), penetration=d - (q2 - q1), stiffness=k, depth=d,
+    depth_reason="the carts' length") Contact(name="pad", .., damping=c) # Kelvin-Voigt, c [N s/m]
+    Contact(name="ball", .., damping=d, damping_law=DampingLaw.HUNT_CROSSLEY) # d [s/m]
+    Friction(name="left", slip=v1 - v2, coefficient=mu, contact="left") # pressed by the force of
+    the contact "left" Friction(name="belt", slip=v_cargo - v_cart, coefficient=mu, normal_force=m *
+    g) # pressed by a given force
 
-Friction is that of the plane: one tangential direction, Coulomb's law. With the slip speed s = S(q) v and the pressing force
-N >= 0 the friction force f acts as the generalised force S' f and obeys maximal dissipation: it minimises f s over |f| <= mu N.
-So f = -mu N sign(s) where it slips; where it sticks, s = 0 and f is whatever keeps it there.
+Friction is that of the plane: one tangential direction, Coulomb's law. With the slip speed s = S(q)
+v and the pressing force N >= 0 the friction force f acts as the generalised force S' f and obeys
+maximal dissipation: it minimises f s over |f| <= mu N. So f = -mu N sign(s) where it slips; where
+it sticks, s = 0 and f is whatever keeps it there.
 
 Damping is part of the normal force. With the penetration phi and its rate phi' = -J v:
 
     Kelvin-Voigt     lam = max(k phi + c phi', 0)     where phi > 0, else 0
     Hunt-Crossley    lam = k phi max(1 + d phi', 0)   where phi > 0, else 0
 
-Neither pulls: a contact that opens faster than its spring follows is released, lam = 0, before phi is. The force of Kelvin-Voigt jumps to
-c phi' where it touches; that of Hunt-Crossley is continuous. The spring holds k/2 max(phi, 0)^2, and (lam - k max(phi, 0)) phi' >= 0 is dissipated.
+Neither pulls: a contact that opens faster than its spring follows is released, lam = 0, before phi
+is. The force of Kelvin-Voigt jumps to c phi' where it touches; that of Hunt-Crossley is continuous.
+The spring holds k/2 max(phi, 0)^2, and (lam - k max(phi, 0)) phi' >= 0 is dissipated.
 """
 
 from __future__ import annotations
@@ -31,7 +34,10 @@ from models.scene.values import as_expression, as_number, check_name, check_text
 
 
 class DampingLaw(Enum):
-    """How a damped contact pushes; the value is the number of the law in the generated C. See the module docstring."""
+    """How a damped contact pushes; the value is the number of the law in the generated C.
+
+    See the module docstring.
+    """
 
     KELVIN_VOIGT = 1
     HUNT_CROSSLEY = 2
@@ -46,9 +52,13 @@ class DampingLaw(Enum):
 class Contact:
     """One unilateral contact: `penetration` phi(q) [m], positive in contact, and `stiffness` k [N/m], lam = k*max(phi, 0).
 
-    bodies: the two between which it acts, by the names of their shapes; "ground", "wall" or "joint" may be one end. depth [m]: the penetration at
-    which the model ends - the force or its direction is no longer what it means - as a number or an expression in parameters, with its reason: a plan
-    whose replay goes deeper does not hold. nominal [m]: a typical penetration. damping: an expression in parameters, never negative, in the unit of `damping_law`; 0 is no damping, and leaves nothing of it in any model.
+    bodies: the two between which it acts, by the names of their shapes; "ground", "wall" or "joint"
+        may be one end. depth [m]: the penetration at
+    which the model ends - the force or its direction is no longer what it means - as a number or an
+        expression in parameters, with its reason: a plan
+    whose replay goes deeper does not hold. nominal [m]: a typical penetration. damping: an
+        expression in parameters, never negative, in the unit of `damping_law`; 0 is no damping, and
+        leaves nothing of it in any model.
     """
 
     name: str
@@ -64,27 +74,43 @@ class Contact:
 
     def __post_init__(self) -> None:
         check_name("contact", self.name)
-        needed = {"bodies": self.bodies != ("", ""), "depth": self.depth != 0, "depth_reason": self.depth_reason}
+        needed = {
+            "bodies": self.bodies != ("", ""),
+            "depth": self.depth != 0,
+            "depth_reason": self.depth_reason,
+        }
         missing = [name for name, given in needed.items() if not given]
         if missing:
             raise SceneError(
                 f"contact {self.name}: {', '.join(missing)} must be given: between which bodies it acts and how deep they may press into each other "
                 f'before the model ends; for example bodies=("cart", "wall"), depth=0.1, depth_reason="the length of the spring".'
             )
-        if not isinstance(self.bodies, (tuple, list)) or len(self.bodies) != 2 or self.bodies[0] == self.bodies[1]:
-            raise SceneError(f"contact {self.name}: bodies must be the names of two different bodies, not {self.bodies!r}.")
+        if (
+            not isinstance(self.bodies, (tuple, list))
+            or len(self.bodies) != 2
+            or self.bodies[0] == self.bodies[1]
+        ):
+            raise SceneError(
+                f"contact {self.name}: bodies must be the names of two different bodies, not {self.bodies!r}."
+            )
         settle(self, "bodies", tuple(self.bodies))
         for body in self.bodies:
             check_text(f"contact {self.name}: bodies", body)
         check_text(f"contact {self.name}: depth_reason", self.depth_reason)
         for field in ("penetration", "stiffness", "damping", "depth"):
-            settle(self, field, as_expression(f"contact {self.name}: {field}", getattr(self, field)))
+            settle(
+                self, field, as_expression(f"contact {self.name}: {field}", getattr(self, field))
+            )
         settle(self, "nominal", as_number(f"contact {self.name}: nominal", self.nominal))
         if self.nominal <= 0:
-            raise SceneError(f"contact {self.name}: nominal (a typical penetration in m) must be positive, not {self.nominal:g}.")
+            raise SceneError(
+                f"contact {self.name}: nominal (a typical penetration in m) must be positive, not {self.nominal:g}."
+            )
         if not isinstance(self.damping_law, DampingLaw):
             known = " or ".join(str(law) for law in DampingLaw)
-            raise SceneError(f"contact {self.name}: damping_law must be {known}, not {self.damping_law!r}.")
+            raise SceneError(
+                f"contact {self.name}: damping_law must be {known}, not {self.damping_law!r}."
+            )
 
     @property
     def is_damped(self) -> bool:
@@ -111,8 +137,10 @@ class Contact:
 class Friction:
     """Coulomb friction along one tangential direction; see the module docstring.
 
-    slip: s(q, v) [m/s], linear in the velocities; coefficient: mu [-], of parameters. The pressing force N [N] is either that of
-    `contact` (by name) or `normal_force`, an expression in positions and parameters that is never negative. nominal: a typical
+    slip: s(q, v) [m/s], linear in the velocities; coefficient: mu [-], of parameters. The pressing
+        force N [N] is either that of
+    `contact` (by name) or `normal_force`, an expression in positions and parameters that is never
+        negative. nominal: a typical
     slip speed [m/s], the unit in which regularised friction is smooth and slip is called zero.
     """
 
@@ -138,7 +166,9 @@ class Friction:
             settle(self, "normal_force", as_expression(f"{where}: normal_force", self.normal_force))
         settle(self, "nominal", as_number(f"{where}: nominal", self.nominal))
         if self.nominal <= 0:
-            raise SceneError(f"{where}: nominal (a typical slip speed in m/s) must be positive, not {self.nominal:g}.")
+            raise SceneError(
+                f"{where}: nominal (a typical slip speed in m/s) must be positive, not {self.nominal:g}."
+            )
 
     @property
     def force_name(self) -> str:

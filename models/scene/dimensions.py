@@ -1,13 +1,17 @@
 """Whether the units of a scene fit together: energies in J, forces in J per unit of their coordinate, penetrations in m ..
 
-    dimension_problem(scene)    # "kinetic_energy: m*v**2/2 is in kg m^3/s^4, but an energy must be in J; is the unit of parameter m ('N') right? 'kg' would be."
+    dimension_problem(scene) # "kinetic_energy: m*v**2/2 is in kg m^3/s^4, but an energy must be in
+    J; is the unit of parameter m ('N') right? 'kg' would be."
 
-Units are declared of parameters, inputs and coordinates. Numbers have none, and often hide one, as variables of "a mass of 1 kg" do; so nobody who leaves units
-out is accused:
+Units are declared of parameters, inputs and coordinates. Numbers have none, and often hide one, as
+variables of "a mass of 1 kg" do; so nobody who leaves units out is accused:
 
-- a number that is added has the unit of what it is added to (q - 2), but for 1 beside variables, which may be a pure one (1 - q); alone it has any;
-- a number that multiplies is pure if formulas have it (1/2, 1/12, 2/5); any other may be a measured one (9.81) and hides its unit;
-- what holds neither parameter nor input (v**2/2, 4*q) may be multiplied by 1 kg, 1 N/m ..; only where a parameter multiplies it, its own sums must agree;
+- a number that is added has the unit of what it is added to (q - 2), but for 1 beside variables,
+  which may be a pure one (1 - q); alone it has any;
+- a number that multiplies is pure if formulas have it (1/2, 1/12, 2/5); any other may be a measured
+  one (9.81) and hides its unit;
+- what holds neither parameter nor input (v**2/2, 4*q) may be multiplied by 1 kg, 1 N/m ..; only
+  where a parameter multiplies it, its own sums must agree;
 - functions that SymPy does not define hide theirs.
 """
 
@@ -38,7 +42,8 @@ _ELEMENTARY = (
 )
 # What gives a value of its arguments.
 _CHOOSING = (sp.Abs, sp.Max, sp.Min, sp.floor, sp.ceiling, sp.Mod)
-# Denominators of the numbers in formulas: moments of inertia, means, squares of halves. Their numerators have one digit.
+# Denominators of the numbers in formulas: moments of inertia, means, squares of halves. Their
+# numerators have one digit.
 _DENOMINATORS = (1, 2, 3, 4, 5, 6, 8, 12, 16, 24, 32, 48)
 # Names of what is met most; tried, too, where a unit is wrong.
 _NAMED = (
@@ -47,7 +52,8 @@ _NAMED = (
 )
 # Of more units than that, each of which would do, none is the likely one.
 _MOST_MENDS = 3
-# Of larger expressions nobody waits for the unit that would do: each try takes as long as the check itself.
+# Of larger expressions nobody waits for the unit that would do: each try takes as long as the check
+# itself.
 _MOST_PARTS = 3000
 
 _NUMBER, _BARE, _DECLARED = range(3)
@@ -61,7 +67,10 @@ class _Mixed:
 
 
 class _Found(NamedTuple):
-    """kind: whether a parameter or input takes part, or at least a variable; powers: None where something hides its unit."""
+    """kind: whether a parameter or input takes part, or at least a variable.
+
+    powers: None where something hides its unit.
+    """
 
     kind: int
     powers: _Powers | _Mixed | None
@@ -74,7 +83,10 @@ class _MismatchError(Exception):
 def dimension_problem(scene: Scene) -> str | None:
     """The first expression whose unit cannot be right, and which unit would be; None: all fit."""
     asked = named_expressions(scene) + depth_expressions(scene)
-    declared = [*(("parameter", item) for item in scene.parameters), *(("input", item) for item in scene.inputs)]
+    declared = [
+        *(("parameter", item) for item in scene.parameters),
+        *(("input", item) for item in scene.inputs),
+    ]
     units = {item.symbol: _Found(_DECLARED, _powers(item.unit)) for _, item in declared}
     for coordinate in scene.coordinates:
         units[coordinate.symbol] = _Found(_BARE, _powers(coordinate.unit))
@@ -83,7 +95,10 @@ def dimension_problem(scene: Scene) -> str | None:
     if misfit is None:
         return None
     quantity, words = misfit
-    mends, used = [], set() if is_longer(quantity.expression, _MOST_PARTS) else quantity.expression.free_symbols
+    mends, used = (
+        [],
+        set() if is_longer(quantity.expression, _MOST_PARTS) else quantity.expression.free_symbols,
+    )
     for kind, item in declared:
         if item.symbol in used:
             for unit in _NAMED:
@@ -92,12 +107,12 @@ def dimension_problem(scene: Scene) -> str | None:
                     mends.append(f"of {kind} {item.name} ({item.unit!r}) right? {unit!r} would be")
     if 0 < len(mends) <= _MOST_MENDS:
         return f"{quantity.field}: {words}; is the unit {', or is that '.join(mends)}."
-    return (
-        f"{quantity.field}: {words}; is a unit wrong, or was a quantity left out that is 1 here, as an arm of 1 m? It must be a parameter."
-    )
+    return f"{quantity.field}: {words}; is a unit wrong, or was a quantity left out that is 1 here, as an arm of 1 m? It must be a parameter."
 
 
-def _misfits(asked: Sequence[NamedExpression], units: Mapping[sp.Symbol, _Found]) -> Iterator[tuple[NamedExpression, str]]:
+def _misfits(
+    asked: Sequence[NamedExpression], units: Mapping[sp.Symbol, _Found]
+) -> Iterator[tuple[NamedExpression, str]]:
     reader = _Reader(units)
     for quantity in asked:
         if quantity.unit is None:
@@ -107,7 +122,10 @@ def _misfits(asked: Sequence[NamedExpression], units: Mapping[sp.Symbol, _Found]
             for term in sp.Add.make_args(quantity.expression):
                 kind, powers = reader.of(term)
                 if kind == _DECLARED and isinstance(powers, tuple) and powers != expected:
-                    yield quantity, f"{shortened(term)} is in {_text(powers)}, but {quantity.what} must be in {quantity.unit}"
+                    yield (
+                        quantity,
+                        f"{shortened(term)} is in {_text(powers)}, but {quantity.what} must be in {quantity.unit}",
+                    )
         except _MismatchError as mismatch:
             yield quantity, str(mismatch)
 
@@ -132,7 +150,11 @@ class _Reader:
         if isinstance(expression, sp.Add):
             return self._sum(expression.args)
         if isinstance(expression, sp.Pow):
-            return self._power(*expression.as_base_exp()) if expression.exp.is_Number else self._exponential(expression)
+            return (
+                self._power(*expression.as_base_exp())
+                if expression.exp.is_Number
+                else self._exponential(expression)
+            )
         if isinstance(expression, _CHOOSING):
             return self._sum(expression.args)
         if isinstance(expression, sp.Piecewise):
@@ -171,20 +193,24 @@ class _Reader:
         if kind != _NUMBER:
             for term, powers in known[1:]:
                 if powers != known[0][1]:
-                    words = (
-                        f"{shortened(known[0][0])} is in {_text(known[0][1])} and {shortened(term)} in {_text(powers)}, but they are added"
-                    )
+                    words = f"{shortened(known[0][0])} is in {_text(known[0][1])} and {shortened(term)} in {_text(powers)}, but they are added"
                     if kind == _DECLARED:
                         raise _MismatchError(words)
                     return _Found(kind, _Mixed(words))
-        hides = kind != _DECLARED and (len(known) < len(of_kind) or (kind == _BARE and any(term in (1, -1) for term in terms)))
+        hides = kind != _DECLARED and (
+            len(known) < len(of_kind) or (kind == _BARE and any(term in (1, -1) for term in terms))
+        )
         return _Found(kind, known[0][1] if known and not hides else None)
 
     def _power(self, base: sp.Expr, exponent: sp.Expr) -> _Found:
         kind, powers = self.of(base)
         if powers is None or isinstance(powers, _Mixed):
             return _Found(kind, powers)
-        by = Fraction(float(exponent)).limit_denominator(1000) if not exponent.is_Rational else Fraction(int(exponent.p), int(exponent.q))
+        by = (
+            Fraction(float(exponent)).limit_denominator(1000)
+            if not exponent.is_Rational
+            else Fraction(int(exponent.p), int(exponent.q))
+        )
         return _Found(kind, tuple(each * by for each in powers))
 
     def _exponential(self, expression: sp.Pow) -> _Found:
@@ -198,14 +224,19 @@ class _Reader:
 def _must_be_pure(what: str, argument: sp.Basic, found: _Found) -> None:
     if found.kind == _DECLARED and isinstance(found.powers, tuple) and found.powers != _PURE:
         verb = "is" if " " in what else "takes"
-        raise _MismatchError(f"{what} {verb} a pure number, but {shortened(argument)} is in {_text(found.powers)}")
+        raise _MismatchError(
+            f"{what} {verb} a pure number, but {shortened(argument)} is in {_text(found.powers)}"
+        )
 
 
 def _is_of_formulas(number: sp.Basic) -> bool:
     if not isinstance(number, (sp.Rational, sp.Float)):
         return True  # pi, E
     value = abs(float(number))
-    return any(round(value * below) in range(1, 10) and abs(value * below - round(value * below)) < 1e-12 for below in _DENOMINATORS)
+    return any(
+        round(value * below) in range(1, 10) and abs(value * below - round(value * below)) < 1e-12
+        for below in _DENOMINATORS
+    )
 
 
 def _powers(unit: str) -> _Powers:
@@ -217,6 +248,14 @@ def _text(powers: _Powers) -> str:
     named = next((unit for unit in _NAMED if _powers(unit) == powers), None)
     if named is not None:
         return named
-    above = [base if power == 1 else f"{base}^{power}" for base, power in zip(_BASES, powers, strict=True) if power > 0]
-    below = [f"/{base}" if power == -1 else f"/{base}^{-power}" for base, power in zip(_BASES, powers, strict=True) if power < 0]
+    above = [
+        base if power == 1 else f"{base}^{power}"
+        for base, power in zip(_BASES, powers, strict=True)
+        if power > 0
+    ]
+    below = [
+        f"/{base}" if power == -1 else f"/{base}^{-power}"
+        for base, power in zip(_BASES, powers, strict=True)
+        if power < 0
+    ]
     return " ".join(above or ["1"]) + "".join(below)

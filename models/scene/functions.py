@@ -1,8 +1,10 @@
 """The functions that the expressions of a scene may use: smooth ones, that have a form in C, as their derivatives have.
 
-Plans need derivatives: Ipopt's are of the forces, and so of the second derivatives of the energies; gradients by rollouts, the error growth and the
-tracking gains are those of the C kernel. A corner has none. Of Max, Abs and Piecewise in a force the kernel makes do with one-sided slopes, but
-strict_lcp, relaxed_lcp, mpcc, collocation and proofs cannot; of sign and Heaviside, or of an energy with a corner, nothing can.
+Plans need derivatives: Ipopt's are of the forces, and so of the second derivatives of the energies;
+gradients by rollouts, the error growth and the tracking gains are those of the C kernel. A corner
+has none. Of Max, Abs and Piecewise in a force the kernel makes do with one-sided slopes, but
+strict_lcp, relaxed_lcp, mpcc, collocation and proofs cannot; of sign and Heaviside, or of an energy
+with a corner, nothing can.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from models.scene.scene import Scene, named_expressions
 
-# Functions with corners or jumps, and what to write instead; r is the radius of the rounding, a parameter.
+# Functions with corners or jumps, and what to write instead; r is the radius of the rounding, a
+# parameter.
 _ROUNDED = {
     sp.Abs: "sqrt(x^2 + r^2) for Abs(x)",
     sp.Max: "(x + y + sqrt((x - y)^2 + r^2))/2 for Max(x, y)",
@@ -37,7 +40,10 @@ _MOST_PARTS = 300
 def function_problem(scene: Scene) -> str | None:
     """`forces[x] contains gamma, whose derivative polygamma has no form in C ..`, the first of them; None: all are smooth and have one."""
     for field, expression, *_ in named_expressions(scene):
-        corners = sorted(expression.atoms(*_WITH_CORNERS), key=lambda used: (type(used).__name__, shortened(used)))
+        corners = sorted(
+            expression.atoms(*_WITH_CORNERS),
+            key=lambda used: (type(used).__name__, shortened(used)),
+        )
         if corners:
             advice = next(words for kind, words in _ROUNDED.items() if isinstance(corners[0], kind))
             mend = f"round it off: {advice}"
@@ -47,7 +53,8 @@ def function_problem(scene: Scene) -> str | None:
                 mend = "make it a parameter of its value"
             return f"{field} contains {shortened(corners[0])}, which is not differentiable everywhere, as plans need it; {mend}."
         for name, function, count in sorted(
-            {(str(used.func), used.func, len(used.args)) for used in expression.atoms(sp.Function)}, key=str
+            {(str(used.func), used.func, len(used.args)) for used in expression.atoms(sp.Function)},
+            key=str,
         ):
             missing = _missing(function, count)
             if missing is not None:
@@ -57,7 +64,10 @@ def function_problem(scene: Scene) -> str | None:
 
 
 def shortened(expression: sp.Basic) -> str:
-    """For a sentence. Of thousands of terms only the symbols are told: SymPy takes minutes to write them in order."""
+    """For a sentence.
+
+    Of thousands of terms only the symbols are told: SymPy takes minutes to write them in order.
+    """
     if is_longer(expression, _MOST_PARTS):
         return f"a long expression in {', '.join(sorted(str(symbol) for symbol in expression.free_symbols))}"
     text = str(expression)

@@ -1,4 +1,6 @@
-"""What a scene is made of beside its contacts: coordinates, inputs, parameters, the task; limits of the score, known answers, drawn shapes.
+"""What a scene is made of beside its contacts: coordinates, inputs, parameters, the task.
+
+Limits of the score, known answers, drawn shapes.
 
     Coordinate(symbol=q, velocity=v, unit="m")
     Task(start=(1.0, 0.0), goal=(0.0, 0.0), running_cost=u**2, step=0.01, steps=100)
@@ -35,7 +37,8 @@ _SHAPES = {"box": (2,), "disc": (1,), "line": (1,), "wall": (1, 2)}
 class Limit:
     """The largest value of a metric of the score with which a plan still holds, and the reason for that number.
 
-    value: in the metric's unit; None waives the limit that the metric has by default (validate.judge.score.table), which takes a reason too.
+    value: in the metric's unit; None waives the limit that the metric has by default
+        (validate.judge.score.table), which takes a reason too.
     """
 
     metric: str = ""
@@ -45,27 +48,39 @@ class Limit:
 
     def __post_init__(self, figure: str | None) -> None:
         if figure is not None:
-            raise SceneError(f"limit on {figure}: figure= is now called metric=; write Limit(metric={figure!r}, value=.., reason=..).")
+            raise SceneError(
+                f"limit on {figure}: figure= is now called metric=; write Limit(metric={figure!r}, value=.., reason=..)."
+            )
         check_text("limit: metric", self.metric)
         check_text(f"limit on {self.metric}: reason", self.reason, empty=self.value is not None)
         if self.value is None:
             return
         settle(self, "value", as_number(f"limit on {self.metric}", self.value))
         if self.value < 0.0:
-            raise SceneError(f"limit on {self.metric}: {self.value:g} is below 0, which no metric can be.")
+            raise SceneError(
+                f"limit on {self.metric}: {self.value:g} is below 0, which no metric can be."
+            )
 
 
 def limits(**stated: tuple[float | None, str]) -> tuple[Limit, ...]:
     """Limits by their metrics, of each the value and the reason for it.
 
     >>> limits(replay_error=(0.02, "twice what the time step leaves the continuous motion by"))
-    (Limit(metric='replay_error', value=0.02, reason='twice what the time step leaves the continuous motion by'),)
+    (Limit(metric='replay_error', value=0.02, reason='twice what the time step leaves the continuous
+        motion by'),)
     """
-    return tuple(Limit(metric=metric, value=value, reason=reason) for metric, (value, reason) in stated.items())
+    return tuple(
+        Limit(metric=metric, value=value, reason=reason)
+        for metric, (value, reason) in stated.items()
+    )
 
 
-def goal_limits(*, position: float | None = None, velocity: float | None = None, reason: str) -> tuple[Limit, ...]:
-    """How near to the goal is near enough, the same for a plan and its replay; None where the goal asks for none.
+def goal_limits(
+    *, position: float | None = None, velocity: float | None = None, reason: str
+) -> tuple[Limit, ...]:
+    """How near to the goal is near enough, the same for a plan and its replay.
+
+    None where the goal asks for none.
 
     >>> [limit.metric for limit in goal_limits(position=0.02, reason="as much as the wall shall be pressed in")]
     ['terminal_position_error', 'replay_terminal_position_error']
@@ -82,14 +97,17 @@ def known_motion_limits(energy: str) -> tuple[Limit, ...]:
     """How near is near enough where nothing drives and the continuous motion is known in closed form. energy: why it is kept, and how much there is."""
     known = "the continuous motion is known exactly: a replay that is further off than the tolerance of a closed form is wrong"
     evaluated = "the time step is evaluated, not solved for: only rounding is left"
-    return limits(answer_error=(1.0, known), energy_residual=(1e-8, energy), defect=(1e-9, evaluated))
+    return limits(
+        answer_error=(1.0, known), energy_residual=(1e-8, energy), defect=(1e-9, evaluated)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
     """A known answer of the scene: what it is, its value, tolerance and source.
 
-    measure: what to hold against it in the replay of the free motion, by a name that the score knows (validate.judge.score.measures); empty: nothing.
+    measure: what to hold against it in the replay of the free motion, by a name that the score
+        knows (validate.judge.score.measures); empty: nothing.
     """
 
     quantity: str
@@ -104,7 +122,9 @@ class Answer:
         for field in ("value", "tolerance"):
             settle(self, field, as_number(f"answer {self.quantity}: {field}", getattr(self, field)))
         if self.tolerance <= 0.0:
-            raise SceneError(f"answer {self.quantity}: the tolerance is {self.tolerance:g}, but must be positive.")
+            raise SceneError(
+                f"answer {self.quantity}: the tolerance is {self.tolerance:g}, but must be positive."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,14 +144,20 @@ class Shape:
     def __post_init__(self) -> None:
         check_text("shape: name", self.name)
         if not isinstance(self.kind, str) or self.kind not in _SHAPES:
-            raise SceneError(f"shape {self.name}: the kind {self.kind!r} is none of {', '.join(_SHAPES)}.")
+            raise SceneError(
+                f"shape {self.name}: the kind {self.kind!r} is none of {', '.join(_SHAPES)}."
+            )
         for field in ("x", "y", "angle"):
             settle(self, field, as_expression(f"shape {self.name}: {field}", getattr(self, field)))
         if not isinstance(self.size, (tuple, list)) or len(self.size) not in _SHAPES[self.kind]:
             raise SceneError(
                 f"shape {self.name}: the size of a {self.kind} is a tuple of {' or '.join(map(str, _SHAPES[self.kind]))} lengths, not {self.size!r}."
             )
-        settle(self, "size", tuple(as_expression(f"shape {self.name}: size", value) for value in self.size))
+        settle(
+            self,
+            "size",
+            tuple(as_expression(f"shape {self.name}: size", value) for value in self.size),
+        )
 
 
 class _Named:
@@ -156,8 +182,10 @@ class _Named:
 class Parameter(_Named):
     """A physical constant of the scene.
 
-    symbol: its SymPy symbol; value: default, in `unit`; lower, upper: the range in which the scene makes sense.
-    uncertainty: how far from `value` the world may be [unit], with the reason for that; None: a twentieth of the value (validate.judge.robustness).
+    symbol: its SymPy symbol; value: default, in `unit`; lower, upper: the range in which the scene
+        makes sense.
+    uncertainty: how far from `value` the world may be [unit], with the reason for that; None: a
+        twentieth of the value (validate.judge.robustness).
     """
 
     symbol: sp.Symbol
@@ -178,23 +206,32 @@ class Parameter(_Named):
         for field in ("lower", "upper"):
             settle(self, field, as_number(f"{where}: {field}", getattr(self, field), finite=False))
         if not self.lower <= self.value <= self.upper:
-            raise SceneError(f"{where}: the value {self.value:g} {self.unit} lies outside its range [{self.lower:g}, {self.upper:g}].")
+            raise SceneError(
+                f"{where}: the value {self.value:g} {self.unit} lies outside its range [{self.lower:g}, {self.upper:g}]."
+            )
         if self.uncertainty is not None:
             settle(self, "uncertainty", as_number(f"{where}: uncertainty", self.uncertainty))
             if not (
-                self.uncertainty >= 0.0 and self.lower <= self.value - self.uncertainty and self.value + self.uncertainty <= self.upper
+                self.uncertainty >= 0.0
+                and self.lower <= self.value - self.uncertainty
+                and self.value + self.uncertainty <= self.upper
             ):
                 raise SceneError(
                     f"{where}: the uncertainty {self.uncertainty:g} {self.unit} must be at least 0 and stay within the range [{self.lower:g}, {self.upper:g}] around {self.value:g}."
                 )
-        check_text(f"{where}: uncertainty_reason", self.uncertainty_reason, empty=self.uncertainty is None)
+        check_text(
+            f"{where}: uncertainty_reason", self.uncertainty_reason, empty=self.uncertainty is None
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Coordinate(_Named):
-    """A generalised position q and its velocity v = dq/dt. `nominal`: a typical magnitude of q, in `unit`.
+    """A generalised position q and its velocity v = dq/dt.
 
-    velocity_lower, velocity_upper: bounds of v at the start of every step, as the inputs have theirs; the end belongs to the goal.
+    `nominal`: a typical magnitude of q, in `unit`.
+
+    velocity_lower, velocity_upper: bounds of v at the start of every step, as the inputs have
+        theirs; the end belongs to the goal.
     """
 
     symbol: sp.Symbol
@@ -250,9 +287,12 @@ class Input(_Named):
 class Task:
     """What is to be done: from `start` to `goal` in `steps` steps of `step` seconds, at least cost.
 
-    start, goal: (2*nq,) positions then velocities; a goal of None leaves its component free at the end, and a goal of nothing but None is
-    a free end. running_cost: an expression in q, v, u and parameters, summed over the starts of the steps (not integrated: as in the
-    paper, cost = sum_t u^2); final_cost: an expression in q, v and parameters, of the last state, added to that sum.
+    start, goal: (2*nq,) positions then velocities; a goal of None leaves its component free at the
+        end, and a goal of nothing but None is
+    a free end. running_cost: an expression in q, v, u and parameters, summed over the starts of the
+        steps (not integrated: as in the
+    paper, cost = sum_t u^2); final_cost: an expression in q, v and parameters, of the last state,
+        added to that sum.
     """
 
     start: tuple[float, ...]
@@ -266,10 +306,15 @@ class Task:
         for field in ("start", "goal"):
             values = getattr(self, field)
             if isinstance(values, str) or not isinstance(values, Iterable):
-                raise SceneError(f"task: {field} must be positions, then velocities, as a tuple of numbers, not {values!r}.")
+                raise SceneError(
+                    f"task: {field} must be positions, then velocities, as a tuple of numbers, not {values!r}."
+                )
             may_be_free = field == "goal"
             numbers = (
-                None if may_be_free and value is None else as_number(f"task: {field}[{index}]", value) for index, value in enumerate(values)
+                None
+                if may_be_free and value is None
+                else as_number(f"task: {field}[{index}]", value)
+                for index, value in enumerate(values)
             )
             settle(self, field, tuple(numbers))
         for field in ("running_cost", "final_cost"):
@@ -278,7 +323,9 @@ class Task:
         if self.step <= 0:
             raise SceneError(f"task: step must be positive seconds, not {self.step!r}.")
         if isinstance(self.steps, bool) or not isinstance(self.steps, int) or self.steps < 1:
-            raise SceneError(f"task: steps must be a whole number of at least 1, not {self.steps!r}.")
+            raise SceneError(
+                f"task: steps must be a whole number of at least 1, not {self.steps!r}."
+            )
 
     @property
     def horizon(self) -> float:

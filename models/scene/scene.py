@@ -6,18 +6,20 @@
         coordinates=(Coordinate(name="q", symbol=q, velocity=v, unit="m"),),
         kinetic_energy=m * v**2 / 2,
         potential_energy=m * g * q,
-        contacts=(Contact(name="floor", bodies=("mass", "floor"), penetration=-q, stiffness=k, depth=0.5, depth_reason="the floor's springs are pressed flat"),),
+        contacts=(Contact(name="floor", bodies=("mass", "floor"), penetration=-q, stiffness=k,
+            depth=0.5, depth_reason="the floor's springs are pressed flat"),),
         ...
     )
 
-Everything else - Pyomo models, the PyTorch rollout, the C kernel, the FMU, the equations in the report - is
-derived from this one object. All objects are frozen. They are checked when they are created, the physics when a
-scene is loaded or first derived from (models.scene.checks); what is wrong is said in one sentence that names the
-scene and the field.
+Everything else - Pyomo models, the PyTorch rollout, the C kernel, the FMU, the equations in the
+report - is derived from this one object. All objects are frozen. They are checked when they are
+created, the physics when a scene is loaded or first derived from (models.scene.checks); what is
+wrong is said in one sentence that names the scene and the field.
 
-Sign conventions: `penetration` phi is positive in contact; the contact force lam >= 0 pushes the bodies apart, that is,
-`M(q) dv/dt = tau(q, v, u) + J(q)' lam` with J the Jacobian of the gap (-phi). The true contact law is
-`lam = stiffness * max(phi, 0)`; a contact may also have damping (models.scene.contacts).
+Sign conventions: `penetration` phi is positive in contact; the contact force lam >= 0 pushes the
+bodies apart, that is, `M(q) dv/dt = tau(q, v, u) + J(q)' lam` with J the Jacobian of the gap
+(-phi). The true contact law is `lam = stiffness * max(phi, 0)`; a contact may also have damping
+(models.scene.contacts).
 """
 
 from __future__ import annotations
@@ -105,12 +107,18 @@ class Counted:
 class Scene(Counted):
     """The single source of one scene; see the module docstring.
 
-    kinetic_energy T(q, v) [J], potential_energy V(q) [J] (without contacts), forces Q(q, v, u): (nq,) non-conservative
-    generalised forces (inputs, damping) [N, N m]; the equations of motion follow by Lagrange (models.dynamics). quick: whether a quick campaign
-    runs it; False where its first plan that holds takes about a minute, or another pipeline. length [m]: what counts as far here, which relaxed contact is measured in
-    (models.contact_law); the paper's metre unless a scene is much smaller. unstable: why a robot needs feedback here whatever its plan, as a sentence;
-    empty: a plan is expected to hold by its inputs alone. relaxation_time: of a scene without inertia, the symbol by which its drag
-    becomes mass; lag [s]: its value where the scene is judged, None on a grid, whose step it is then (models.scene.quasi_static).
+    kinetic_energy T(q, v) [J], potential_energy V(q) [J] (without contacts), forces Q(q, v, u):
+        (nq,) non-conservative
+    generalised forces (inputs, damping) [N, N m]; the equations of motion follow by Lagrange
+        (models.dynamics). quick: whether a quick campaign
+    runs it; False where its first plan that holds takes about a minute, or another pipeline. length
+        [m]: what counts as far here, which relaxed contact is measured in
+    (models.contact_law); the paper's metre unless a scene is much smaller. unstable: why a robot
+        needs feedback here whatever its plan, as a sentence;
+    empty: a plan is expected to hold by its inputs alone. relaxation_time: of a scene without
+        inertia, the symbol by which its drag
+    becomes mass; lag [s]: its value where the scene is judged, None on a grid, whose step it is
+        then (models.scene.quasi_static).
     """
 
     name: str
@@ -138,23 +146,38 @@ class Scene(Counted):
         for field, kind in _PARTS.items():
             value = getattr(self, field)
             if not isinstance(value, (tuple, list)):
-                raise SceneError(f"scene {self.name}: {field} must be a tuple, not {type(value).__name__}.")
+                raise SceneError(
+                    f"scene {self.name}: {field} must be a tuple, not {type(value).__name__}."
+                )
             for index, item in enumerate(value):
                 if not isinstance(item, kind):
-                    raise SceneError(f"scene {self.name}: {field}[{index}] must be a {kind.__name__}, not {type(item).__name__}.")
+                    raise SceneError(
+                        f"scene {self.name}: {field}[{index}] must be a {kind.__name__}, not {type(item).__name__}."
+                    )
             settle(self, field, tuple(value))
         if not isinstance(self.task, Task):
-            raise SceneError(f"scene {self.name}: task must be a Task, not {type(self.task).__name__}.")
+            raise SceneError(
+                f"scene {self.name}: task must be a Task, not {type(self.task).__name__}."
+            )
         if not isinstance(self.forces, (tuple, list)):
-            raise SceneError(f"scene {self.name}: forces must be a tuple, not {type(self.forces).__name__}.")
+            raise SceneError(
+                f"scene {self.name}: forces must be a tuple, not {type(self.forces).__name__}."
+            )
         settle(
-            self, "forces", tuple(as_expression(f"scene {self.name}: forces[{index}]", force) for index, force in enumerate(self.forces))
+            self,
+            "forces",
+            tuple(
+                as_expression(f"scene {self.name}: forces[{index}]", force)
+                for index, force in enumerate(self.forces)
+            ),
         )
         if self.relaxation_time is not None:
             check_symbol(f"scene {self.name}: relaxation_time", self.relaxation_time)
             # It follows the task's step, whatever was changed.
             others = tuple(item for item in self.parameters if item.symbol != self.relaxation_time)
-            tau = relaxation_parameter(self.relaxation_time, self.task.step if self.lag is None else self.lag)
+            tau = relaxation_parameter(
+                self.relaxation_time, self.task.step if self.lag is None else self.lag
+            )
             settle(self, "parameters", (*others, tau))
         settle(self, "length", as_number(f"scene {self.name}: length", self.length))
         for field in ("kinetic_energy", "potential_energy"):
@@ -168,7 +191,10 @@ class Scene(Counted):
 
     @property
     def relaxation_index(self) -> int | None:
-        """The place of the relaxation time among the parameters, the last; None for a scene with inertia."""
+        """The place of the relaxation time among the parameters, the last.
+
+        None for a scene with inertia.
+        """
         return None if self.relaxation_time is None else len(self.parameters) - 1
 
     @property
@@ -179,17 +205,29 @@ class Scene(Counted):
     @property
     def depths(self) -> tuple[float, ...]:
         """(nc,) penetration of each contact at which the model ends [m], at the values of the parameters."""
-        return tuple(float(contact.depth.subs(self.parameter_values).evalf()) for contact in self.contacts)
+        return tuple(
+            float(contact.depth.subs(self.parameter_values).evalf()) for contact in self.contacts
+        )
 
     def with_parameters(self, **values: float) -> Scene:
-        """The scene with other parameter values, e.g. `scene.with_parameters(k=300.0)`. Raises SceneError for unknown names."""
+        """The scene with other parameter values, e.g. `scene.with_parameters(k=300.0)`.
+
+        Raises SceneError for unknown names.
+        """
         known = [parameter.name for parameter in self.parameters]
         for name in values:
             if name not in known:
-                raise SceneError(f"scene {self.name}: there is no parameter {name!r}; it has {', '.join(known)}.")
+                raise SceneError(
+                    f"scene {self.name}: there is no parameter {name!r}; it has {', '.join(known)}."
+                )
             if self.relaxation_time is not None and name == self.relaxation_time.name:
-                raise SceneError(f"scene {self.name}: {name} is the relaxation time, which is the task's step; change that.")
-        parameters = tuple(replace(parameter, value=float(values.get(parameter.name, parameter.value))) for parameter in self.parameters)
+                raise SceneError(
+                    f"scene {self.name}: {name} is the relaxation time, which is the task's step; change that."
+                )
+        parameters = tuple(
+            replace(parameter, value=float(values.get(parameter.name, parameter.value)))
+            for parameter in self.parameters
+        )
         return replace(self, parameters=parameters)
 
     def with_task(self, **changes: Any) -> Scene:
@@ -197,9 +235,12 @@ class Scene(Counted):
         return replace(self, task=replace(self.task, **changes))
 
     def continuous(self, lag: float | None = None) -> Scene:
-        """The scene as it is judged, in continuous time; itself where it has inertia, or is that already.
+        """The scene as it is judged, in continuous time.
 
-        lag: the relaxation time of a scene without inertia [s]; None: LAG of models.scene.quasi_static.
+        Itself where it has inertia, or is that already.
+
+        lag: the relaxation time of a scene without inertia [s]; None: LAG of
+            models.scene.quasi_static.
         """
         if self.relaxation_time is None or (self.lag is not None and lag is None):
             return self
@@ -207,7 +248,10 @@ class Scene(Counted):
 
 
 def _check(scene: Scene) -> None:
-    """What is checked of a new scene. Raises SceneError with one sentence naming the scene and the field."""
+    """What is checked of a new scene.
+
+    Raises SceneError with one sentence naming the scene and the field.
+    """
     _check_names(scene)
     _check_words(scene)
     _check_lengths(scene)
@@ -216,9 +260,13 @@ def _check(scene: Scene) -> None:
     _check_bodies(scene)
     _check_limits(scene)
     if scene.relaxation_time is not None:
-        check_quasi_static(scene.name, scene.relaxation_time, scene.kinetic_energy, scene.coordinates, scene.forces)
+        check_quasi_static(
+            scene.name, scene.relaxation_time, scene.kinetic_energy, scene.coordinates, scene.forces
+        )
     elif scene.lag is not None:
-        raise _fail(scene, "lag is the value of a relaxation time, but it names none (relaxation_time=..).")
+        raise _fail(
+            scene, "lag is the value of a relaxation time, but it names none (relaxation_time=..)."
+        )
 
 
 def _fail(scene: Scene, text: str) -> SceneError:
@@ -235,12 +283,20 @@ def _check_names(scene: Scene) -> None:
     for kind, items in (("contacts", scene.contacts), ("frictions", scene.frictions)):
         for name, count in Counter(item.name for item in items).items():
             if count > 1:
-                raise _fail(scene, f"{count} {kind} are named {name!r}; each needs a name of its own.")
-    names = [coordinate.name for coordinate in scene.coordinates] + [coordinate.velocity_name for coordinate in scene.coordinates]
-    names += [item.name for item in scene.inputs] + [parameter.name for parameter in scene.parameters]
+                raise _fail(
+                    scene, f"{count} {kind} are named {name!r}; each needs a name of its own."
+                )
+    names = [coordinate.name for coordinate in scene.coordinates] + [
+        coordinate.velocity_name for coordinate in scene.coordinates
+    ]
+    names += [item.name for item in scene.inputs] + [
+        parameter.name for parameter in scene.parameters
+    ]
     names += [name for contact in scene.contacts for name in (contact.force_name, contact.gap_name)]
     names += [contact.pressing_name for contact in scene.contacts if contact.is_damped]
-    names += [name for friction in scene.frictions for name in (friction.force_name, friction.slip_name)]
+    names += [
+        name for friction in scene.frictions for name in (friction.force_name, friction.slip_name)
+    ]
     for name, count in Counter(names).items():
         if count > 1:
             raise _fail(
@@ -256,15 +312,22 @@ def _check_words(scene: Scene) -> None:
         check_text(f"scene {scene.name}: {field}", getattr(scene, field))
     check_text(f"scene {scene.name}: unstable", scene.unstable, empty=True)
     if scene.length <= 0:
-        raise _fail(scene, f"length (in m, what relaxed contact is measured in) must be positive, not {scene.length:g}.")
+        raise _fail(
+            scene,
+            f"length (in m, what relaxed contact is measured in) must be positive, not {scene.length:g}.",
+        )
     if not isinstance(scene.quick, bool):
-        raise _fail(scene, f"quick says whether a quick campaign runs the scene: True or False, not {scene.quick!r}.")
+        raise _fail(
+            scene,
+            f"quick says whether a quick campaign runs the scene: True or False, not {scene.quick!r}.",
+        )
 
 
 def _check_lengths(scene: Scene) -> None:
     if len(scene.forces) != scene.nq:
         raise _fail(
-            scene, f"forces has {len(scene.forces)} entries, but there are {scene.nq} coordinates; give one generalised force each."
+            scene,
+            f"forces has {len(scene.forces)} entries, but there are {scene.nq} coordinates; give one generalised force each.",
         )
     for field in ("start", "goal"):
         length = len(getattr(scene.task, field))
@@ -294,7 +357,9 @@ def _check_steps(scene: Scene) -> None:
 
 
 class NamedExpression(NamedTuple):
-    """An expression of a scene: its field, as messages name it, what it is, and its unit; None: whatever its author weighs.
+    """An expression of a scene: its field, as messages name it, what it is, and its unit.
+
+    None: whatever its author weighs.
 
     of: what it may depend on, p parameters, q positions, v velocities, u inputs.
     """
@@ -315,26 +380,53 @@ def named_expressions(scene: Scene) -> list[NamedExpression]:
     for coordinate, force in zip(scene.coordinates, scene.forces, strict=True):
         above, _, below = coordinate.unit.partition("/")
         unit = {"m": "N", "rad": "N m"}.get(coordinate.unit, f"J {below.replace('/', ' ')}/{above}")
-        found.append(NamedExpression(f"forces[{coordinate.name}]", force, f"the force of a coordinate in {coordinate.unit}", unit, "pqvu"))
+        found.append(
+            NamedExpression(
+                f"forces[{coordinate.name}]",
+                force,
+                f"the force of a coordinate in {coordinate.unit}",
+                unit,
+                "pqvu",
+            )
+        )
     for contact in scene.contacts:
         where, unit = f"contact {contact.name}", contact.damping_law.unit
-        found.append(NamedExpression(f"{where}: penetration", contact.penetration, "a penetration", "m", "pq"))
-        found.append(NamedExpression(f"{where}: stiffness", contact.stiffness, "a stiffness", "N/m", "p"))
+        found.append(
+            NamedExpression(
+                f"{where}: penetration", contact.penetration, "a penetration", "m", "pq"
+            )
+        )
+        found.append(
+            NamedExpression(f"{where}: stiffness", contact.stiffness, "a stiffness", "N/m", "p")
+        )
         found.append(NamedExpression(f"{where}: damping", contact.damping, "a damping", unit, "p"))
     for friction in scene.frictions:
         where = f"friction {friction.name}"
         found.append(NamedExpression(f"{where}: slip", friction.slip, "a slip", "m/s", "pqv"))
-        found.append(NamedExpression(f"{where}: coefficient", friction.coefficient, "a coefficient of friction", "1", "p"))
+        found.append(
+            NamedExpression(
+                f"{where}: coefficient", friction.coefficient, "a coefficient of friction", "1", "p"
+            )
+        )
         if friction.normal_force is not None:
-            found.append(NamedExpression(f"{where}: normal_force", friction.normal_force, "a normal force", "N", "pq"))
-    found.append(NamedExpression("task.running_cost", scene.task.running_cost, "a cost", None, "pqvu"))
+            found.append(
+                NamedExpression(
+                    f"{where}: normal_force", friction.normal_force, "a normal force", "N", "pq"
+                )
+            )
+    found.append(
+        NamedExpression("task.running_cost", scene.task.running_cost, "a cost", None, "pqvu")
+    )
     found.append(NamedExpression("task.final_cost", scene.task.final_cost, "a cost", None, "pqv"))
     return found
 
 
 def depth_expressions(scene: Scene) -> list[NamedExpression]:
     """How deep each contact's model reaches, which enters no equation."""
-    return [NamedExpression(f"contact {contact.name}: depth", contact.depth, "a depth", "m", "p") for contact in scene.contacts]
+    return [
+        NamedExpression(f"contact {contact.name}: depth", contact.depth, "a depth", "m", "p")
+        for contact in scene.contacts
+    ]
 
 
 def _check_symbols(scene: Scene) -> None:
@@ -344,9 +436,15 @@ def _check_symbols(scene: Scene) -> None:
         "v": {coordinate.velocity for coordinate in scene.coordinates},
         "u": {item.symbol for item in scene.inputs},
     }
-    asked = [(item.field, item.expression, item.of) for item in named_expressions(scene) + depth_expressions(scene)]
+    asked = [
+        (item.field, item.expression, item.of)
+        for item in named_expressions(scene) + depth_expressions(scene)
+    ]
     for shape in scene.shapes:
-        asked += [(f"shape {shape.name}: {field}", getattr(shape, field), "pq") for field in ("x", "y", "angle")]
+        asked += [
+            (f"shape {shape.name}: {field}", getattr(shape, field), "pq")
+            for field in ("x", "y", "angle")
+        ]
         asked += [(f"shape {shape.name}: size", size, "p") for size in shape.size]
     for field, expression, kinds in asked:
         allowed = set().union(*(symbols[kind] for kind in kinds))
@@ -360,7 +458,8 @@ def _check_symbols(scene: Scene) -> None:
             )
         if unknown:
             raise _fail(
-                scene, f"{field} uses {', '.join(unknown)}, which is neither a parameter nor a variable allowed there ({', '.join(known)})."
+                scene,
+                f"{field} uses {', '.join(unknown)}, which is neither a parameter nor a variable allowed there ({', '.join(known)}).",
             )
 
 
@@ -379,11 +478,17 @@ def _check_bodies(scene: Scene) -> None:
             )
     for contact, depth in zip(scene.contacts, scene.depths, strict=True):
         if not depth > 0.0:
-            raise _fail(scene, f"contact {contact.name}: depth is {depth:g} m, but must be positive.")
+            raise _fail(
+                scene, f"contact {contact.name}: depth is {depth:g} m, but must be positive."
+            )
 
 
 def _check_limits(scene: Scene) -> None:
-    """A metric has one limit. A goal says how near is near enough, of the plan and of its replay, positions and velocities apart."""
+    """A metric has one limit.
+
+    A goal says how near is near enough, of the plan and of its replay, positions and velocities
+    apart.
+    """
     for metric, count in Counter(limit.metric for limit in scene.limits).items():
         if count > 1:
             raise _fail(scene, f"there are {count} limits on {metric}; leave one of them.")

@@ -1,4 +1,7 @@
-"""A scene as canonical text, of which hashes are made: equal scenes, equal text; anything else, another text."""
+"""A scene as canonical text, of which hashes are made: equal scenes, equal text.
+
+Anything else, another text.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,8 @@ _TEXT = "_text"
 def scene_text(value: Any) -> str:
     """A scene, or a part of it, as text; of a scene, which cannot change, made once.
 
-    Every field by name, numbers in full, SymPy expressions with their assumptions (srepr) and where somebody's own functions in them are from.
+    Every field by name, numbers in full, SymPy expressions with their assumptions (srepr) and where
+    somebody's own functions in them are from.
     """
     if isinstance(value, Scene):
         if _TEXT not in vars(value):
@@ -32,7 +36,9 @@ def scene_text(value: Any) -> str:
 
 def _text(value: Any) -> str:
     if is_dataclass(value) and not isinstance(value, type):
-        inside = ", ".join(f"{field.name}={scene_text(getattr(value, field.name))}" for field in fields(value))
+        inside = ", ".join(
+            f"{field.name}={scene_text(getattr(value, field.name))}" for field in fields(value)
+        )
         return f"{type(value).__name__}({inside})"
     if isinstance(value, sp.Basic):
         return sp.srepr(value) + _definitions(value)
@@ -41,7 +47,8 @@ def _text(value: Any) -> str:
     return repr(value)
 
 
-# What a class that is not SymPy's is made of: the digest of the file that was read when it was first met, and of what that imports.
+# What a class that is not SymPy's is made of: the digest of the file that was read when it was
+# first met, and of what that imports.
 _DIGESTS: WeakKeyDictionary[type, str] = WeakKeyDictionary()
 
 
@@ -49,7 +56,8 @@ def _definitions(expression: sp.Basic) -> str:
     """What srepr leaves out: somebody's own functions have a name there, and their meaning in a file (undefined ones have no module)."""
     classes = {type(part) for part in sp.preorder_traversal(expression)}
     own = sorted(
-        (kind for kind in classes if kind.__module__ and not kind.__module__.startswith("sympy.")), key=lambda kind: kind.__qualname__
+        (kind for kind in classes if kind.__module__ and not kind.__module__.startswith("sympy.")),
+        key=lambda kind: kind.__qualname__,
     )
     return "".join(f" where {kind.__qualname__} is of {_digest(kind)}" for kind in own)
 
@@ -58,7 +66,11 @@ def _digest(kind: type) -> str:
     """Digest of where a class is from."""
     if kind not in _DIGESTS:
         file = getattr(sys.modules.get(kind.__module__), "__file__", None)
-        _DIGESTS[kind] = loaded_sources() or (hashlib.sha256(Path(file).read_bytes()).hexdigest() if file is not None else kind.__module__)
+        _DIGESTS[kind] = loaded_sources() or (
+            hashlib.sha256(Path(file).read_bytes()).hexdigest()
+            if file is not None
+            else kind.__module__
+        )
     return _DIGESTS[kind]
 
 

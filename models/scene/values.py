@@ -1,10 +1,13 @@
-"""What a scene is made of, checked value by value: names, units, numbers, expressions. Each mistake is one sentence.
+"""What a scene is made of, checked value by value: names, units, numbers, expressions.
+
+Each mistake is one sentence.
 
     as_number("task: step", np.float32(0.01))              ->  0.01
     as_expression("scene small: potential_energy", 0)      ->  sympy.Integer(0)
     base_exponents("N s/m")                                ->  {"kg": 1, "s": -1}
 
-Units are text: `m`, `kg`, `N s/m`, `rad/s^2`. Enough grammar to find a missing or misspelt one and to write FMI base units.
+Units are text: `m`, `kg`, `N s/m`, `rad/s^2`. Enough grammar to find a missing or misspelt one and
+to write FMI base units.
 """
 
 from __future__ import annotations
@@ -18,7 +21,8 @@ import sympy as sp
 
 from models.errors import SceneError
 
-# Exponents of (kg, m, s, rad) of every unit a scene may use; rad is kept, as FMI 2.0's BaseUnit has it.
+# Exponents of (kg, m, s, rad) of every unit a scene may use; rad is kept, as FMI 2.0's BaseUnit has
+# it.
 _UNITS: dict[str, dict[str, int]] = {
     "1": {},
     "kg": {"kg": 1},
@@ -34,19 +38,28 @@ _FACTOR = re.compile(r"([A-Za-z]+|1)(?:\^(-?\d+))?\Z")
 
 
 def base_exponents(unit: str) -> dict[str, int]:
-    """Exponents of the base units, e.g. {"kg": 1, "s": -2} for "N/m". Raises ValueError with a sentence for an unknown unit."""
+    """Exponents of the base units, e.g. {"kg": 1, "s": -2} for "N/m".
+
+    Raises ValueError with a sentence for an unknown unit.
+    """
     if not isinstance(unit, str) or not unit.strip():
-        raise ValueError("the unit is missing; give it as text, for example 'm', 'N s/m' or '1' for a pure number.")
+        raise ValueError(
+            "the unit is missing; give it as text, for example 'm', 'N s/m' or '1' for a pure number."
+        )
     total: dict[str, int] = {}
     for position, part in enumerate(unit.split("/")):
         sign = 1 if position == 0 else -1
         factors = part.split()
         if not factors:
-            raise ValueError(f"the unit {unit!r} has nothing on one side of '/'; write for example 'N/m'.")
+            raise ValueError(
+                f"the unit {unit!r} has nothing on one side of '/'; write for example 'N/m'."
+            )
         for factor in factors:
             match = _FACTOR.match(factor)
             if match is None or match.group(1) not in _UNITS:
-                raise ValueError(f"the unit {unit!r} contains {factor!r}, which is not one of {', '.join(_UNITS)} (with ^n, spaces and /).")
+                raise ValueError(
+                    f"the unit {unit!r} contains {factor!r}, which is not one of {', '.join(_UNITS)} (with ^n, spaces and /)."
+                )
             power = sign * int(match.group(2) or 1)
             for base, exponent in _UNITS[match.group(1)].items():
                 total[base] = total.get(base, 0) + power * exponent
@@ -54,14 +67,28 @@ def base_exponents(unit: str) -> dict[str, int]:
 
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
-# What SymPy must not take for granted of a quantity that moves: it would simplify by it - Abs(q) of a "positive" q to q, sin(pi*q) of an "integer" to 0.
-_NARROWING = ("zero", "integer", "rational", "irrational", "positive", "negative", "nonnegative", "nonpositive", "nonzero", "imaginary")
+# What SymPy must not take for granted of a quantity that moves: it would simplify by it - Abs(q) of
+# a "positive" q to q, sin(pi*q) of an "integer" to 0.
+_NARROWING = (
+    "zero",
+    "integer",
+    "rational",
+    "irrational",
+    "positive",
+    "negative",
+    "nonnegative",
+    "nonpositive",
+    "nonzero",
+    "imaginary",
+)
 
 
 def check_name(what: str, name: Any) -> None:
     """Raise SceneError unless `name` is an identifier."""
     if not isinstance(name, str) or not _IDENTIFIER.match(name):
-        raise SceneError(f"{what}: the name {name!r} is not an identifier; use letters, digits and _, starting with a letter.")
+        raise SceneError(
+            f"{what}: the name {name!r} is not an identifier; use letters, digits and _, starting with a letter."
+        )
 
 
 def check_text(what: str, text: Any, *, empty: bool = False) -> None:
@@ -106,26 +133,41 @@ def settle_bounds(part: Any, where: str, lower: str, upper: str) -> None:
         settle(part, field, as_number(f"{where}: {field}", getattr(part, field), finite=False))
     least, most = getattr(part, lower), getattr(part, upper)
     if not least < most:
-        raise SceneError(f"{where}: the bounds [{least:g}, {most:g}] are empty; {lower} must be below {upper}.")
+        raise SceneError(
+            f"{where}: the bounds [{least:g}, {most:g}] are empty; {lower} must be below {upper}."
+        )
 
 
 def as_number(what: str, value: Any, *, finite: bool = True) -> float:
-    """A Python float of any real number (of numpy or SymPy too, such as pi/3); infinite ones only with finite=False."""
+    """A Python float of any real number (of numpy or SymPy too, such as pi/3).
+
+    Infinite ones only with finite=False.
+    """
     if isinstance(value, sp.Expr) and value.is_comparable:
         value = float(value)
-    if isinstance(value, bool) or not isinstance(value, Real) or math.isnan(value) or (finite and math.isinf(value)):
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, Real)
+        or math.isnan(value)
+        or (finite and math.isinf(value))
+    ):
         raise SceneError(f"{what}: {value!r} is not a {'finite ' if finite else ''}number.")
     return float(value)
 
 
 def as_expression(what: str, value: Any) -> sp.Expr:
-    """A SymPy expression as it is; a number becomes one, exact where it is whole: 0.0 is nothing, and left out of every model."""
+    """A SymPy expression as it is.
+
+    A number becomes one, exact where it is whole: 0.0 is nothing, and left out of every model.
+    """
     expression: Any = value
     if isinstance(value, Real) and not isinstance(value, (bool, sp.Expr)):
         number = float(value)
         expression = sp.Integer(int(number)) if number.is_integer() else sp.Float(number)
     if not isinstance(expression, sp.Expr):
-        raise SceneError(f"{what} must be a SymPy expression or a number, not {type(value).__name__} ({value!r}).")
+        raise SceneError(
+            f"{what} must be a SymPy expression or a number, not {type(value).__name__} ({value!r})."
+        )
     if expression.has(sp.I, sp.nan, sp.zoo, sp.oo, -sp.oo):
         raise SceneError(f"{what} is {expression}, which is not a finite real expression.")
     return expression

@@ -1,21 +1,27 @@
 """Two planar fingers and a disc between them: what the scenes `two_finger` and `two_finger_lift` share. Equations only, no task.
 
-Each finger is two uniform bars (length l, width w, mass m_l), hinged at a base `reach` left or right of the middle and at an elbow. Angles are
-absolute, measured inwards: 0 points at the other finger, pi/2 up. So the two fingers are each other's mirror image at equal angles, and the
-mass matrix of one needs a single cosine, of the angle a between its links (c = l^2 + w^2, the square of a bar's diagonal):
+Each finger is two uniform bars (length l, width w, mass m_l), hinged at a base `reach` left or
+right of the middle and at an elbow. Angles are absolute, measured inwards: 0 points at the other
+finger, pi/2 up. So the two fingers are each other's mirror image at equal angles, and the mass
+matrix of one needs a single cosine, of the angle a between its links (c = l^2 + w^2, the square of
+a bar's diagonal):
 
     M = m_l [[c/12 + l^2/4 + l^2,  l^2/2 cos a],  [l^2/2 cos a,  c/12 + l^2/4]]
 
-The tip of a finger is a half disc of radius w/2 at the end of its second link; it touches the disc where the centres are nearer than R + w/2:
+The tip of a finger is a half disc of radius w/2 at the end of its second link; it touches the disc
+where the centres are nearer than R + w/2:
 
     phi = R + w/2 - d,      d = sqrt(|disc - tip|^2 + BLUR^2)
 
-with the same small BLUR as in `two_discs`: even coincident centres have a defined (zero) normal. The surfaces meet on the line of centres
-at the shares R : w/2 of d, so that the friction forces, equal and opposite at one point, keep the angular momentum however deep the contact is:
+with the same small BLUR as in `two_discs`: even coincident centres have a defined (zero) normal.
+The surfaces meet on the line of centres at the shares R : w/2 of d, so that the friction forces,
+equal and opposite at one point, keep the angular momentum however deep the contact is:
 
-    slip = t . (v_disc - v_tip) - d (R omega_disc + w/2 omega_tip)/(R + w/2),    t: the line of centres, turned left
+    slip = t . (v_disc - v_tip) - d (R omega_disc + w/2 omega_tip)/(R + w/2), t: the line of
+    centres, turned left
 
-that is, velocity of the disc's surface relative to the tip's, along t. It depends on the position: on the direction t.
+that is, velocity of the disc's surface relative to the tip's, along t. It depends on the position:
+on the direction t.
 """
 
 from __future__ import annotations
@@ -29,13 +35,23 @@ from models.scene.contacts import Friction
 
 BLUR = 1e-6
 NEAR = 0.002
-LENGTH, WIDTH, LINK_MASS, RADIUS, BASE, DAMPING, STIFFNESS = 0.1, 0.02, 0.1, 0.05, 0.13, 1.0, 100.0
+LENGTH = 0.1
+WIDTH = 0.02
+LINK_MASS = 0.1
+RADIUS = 0.05
+BASE = 0.13
+DAMPING = 1.0
+STIFFNESS = 100.0
 
 ANGLES = (left1, left2, right1, right2) = sp.symbols("left1 left2 right1 right2", real=True)
-RATES = (w_left1, w_left2, w_right1, w_right2) = sp.symbols("w_left1 w_left2 w_right1 w_right2", real=True)
+RATES = (w_left1, w_left2, w_right1, w_right2) = sp.symbols(
+    "w_left1 w_left2 w_right1 w_right2", real=True
+)
 x, y, theta = sp.symbols("x y theta", real=True)
 vx, vy, w_theta = sp.symbols("vx vy w_theta", real=True)
-TORQUES = (u_left1, u_left2, u_right1, u_right2) = sp.symbols("u_left1 u_left2 u_right1 u_right2", real=True)
+TORQUES = (u_left1, u_left2, u_right1, u_right2) = sp.symbols(
+    "u_left1 u_left2 u_right1 u_right2", real=True
+)
 long, w, m_l, m_d, R, reach, c_d, k = sp.symbols("l w m_l m_d R reach c_d k", positive=True)
 
 Q = (*ANGLES, x, y, theta)
@@ -54,10 +70,15 @@ def joints(side: str) -> tuple[tuple[sp.Expr, sp.Expr], ...]:
 
 
 def _rate(expression: sp.Expr) -> sp.Expr:
-    return sum((sp.diff(expression, position) * velocity for position, velocity in zip(Q, V, strict=True)), start=sp.Integer(0))
+    return sum(
+        (sp.diff(expression, position) * velocity for position, velocity in zip(Q, V, strict=True)),
+        start=sp.Integer(0),
+    )
 
 
-def _middle(one: tuple[sp.Expr, sp.Expr], other: tuple[sp.Expr, sp.Expr]) -> tuple[sp.Expr, sp.Expr]:
+def _middle(
+    one: tuple[sp.Expr, sp.Expr], other: tuple[sp.Expr, sp.Expr]
+) -> tuple[sp.Expr, sp.Expr]:
     return (one[0] + other[0]) / 2, (one[1] + other[1]) / 2
 
 
@@ -71,20 +92,40 @@ def bars() -> list[tuple[tuple[sp.Expr, sp.Expr], sp.Symbol]]:
 
 
 def kinetic_energy() -> sp.Expr:
-    """Of four bars and a uniform disc [J]. The speed of the centre of a second link is that of two arrows, l w1 and long/2 w2, its angle between them."""
+    """Of four bars and a uniform disc [J].
+
+    The speed of the centre of a second link is that of two arrows, l w1 and long/2 w2, its angle
+    between them.
+    """
     energy = m_d * (vx**2 + vy**2) / 2 + m_d * R**2 / 2 * w_theta**2 / 2
     for (first, second), (w_first, w_second) in ((ANGLES[:2], RATES[:2]), (ANGLES[2:], RATES[2:])):
         speeds = (
             long**2 / 4 * w_first**2,
-            long**2 * w_first**2 + long**2 / 4 * w_second**2 + long**2 * w_first * w_second * sp.cos(first - second),
+            long**2 * w_first**2
+            + long**2 / 4 * w_second**2
+            + long**2 * w_first * w_second * sp.cos(first - second),
         )
-        energy += m_l * sum(speeds) / 2 + m_l * (long**2 + w**2) / 12 * (w_first**2 + w_second**2) / 2
+        energy += (
+            m_l * sum(speeds) / 2 + m_l * (long**2 + w**2) / 12 * (w_first**2 + w_second**2) / 2
+        )
     return energy
 
 
 def forces() -> tuple[sp.Expr, ...]:
-    """Torques at base and elbow; the disc is braked by c_d on its way, and by the same at its rim when it turns (torque c_d R^2 a rad/s)."""
-    return (u_left1 - u_left2, u_left2, u_right1 - u_right2, u_right2, -c_d * vx, -c_d * vy, -c_d * R**2 * w_theta)
+    """Torques at base and elbow.
+
+    The disc is braked by c_d on its way, and by the same at its rim when it turns (torque c_d R^2 a
+    rad/s).
+    """
+    return (
+        u_left1 - u_left2,
+        u_left2,
+        u_right1 - u_right2,
+        u_right2,
+        -c_d * vx,
+        -c_d * vy,
+        -c_d * R**2 * w_theta,
+    )
 
 
 def _centres(side: str) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
@@ -96,7 +137,9 @@ def _centres(side: str) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
 
 def running_cost(x_goal: float, y_goal: float, pull: float) -> sp.Expr:
     """Torques squared, and the distance of the disc from its goal: rounded off within NEAR, so that it is smooth there, and weighed with `pull` [1/m]."""
-    return sum(torque**2 for torque in TORQUES) + pull * sp.sqrt((x - x_goal) ** 2 + (y - y_goal) ** 2 + NEAR**2)
+    return sum(torque**2 for torque in TORQUES) + pull * sp.sqrt(
+        (x - x_goal) ** 2 + (y - y_goal) ** 2 + NEAR**2
+    )
 
 
 def tip_contacts(nominal: float) -> tuple[Contact, ...]:
@@ -137,21 +180,33 @@ def tip_frictions(coefficient: sp.Expr, nominal: float) -> tuple[Friction, ...]:
 
 
 def coordinates() -> tuple[Coordinate, ...]:
-    names = [f"angle of the {part} link of the {side} finger, inwards" for side in _SIDES for part in ("first", "second")]
+    names = [
+        f"angle of the {part} link of the {side} finger, inwards"
+        for side in _SIDES
+        for part in ("first", "second")
+    ]
     turning = tuple(
         Coordinate(symbol=angle, velocity=rate, unit="rad", description=text)
         for angle, rate, text in zip(ANGLES, RATES, names, strict=True)
     )
     return (
         *turning,
-        Coordinate(symbol=x, velocity=vx, unit="m", nominal=0.1, description="x of the centre of the disc"),
-        Coordinate(symbol=y, velocity=vy, unit="m", nominal=0.1, description="y of the centre of the disc"),
+        Coordinate(
+            symbol=x, velocity=vx, unit="m", nominal=0.1, description="x of the centre of the disc"
+        ),
+        Coordinate(
+            symbol=y, velocity=vy, unit="m", nominal=0.1, description="y of the centre of the disc"
+        ),
         Coordinate(symbol=theta, velocity=w_theta, unit="rad", description="angle of the disc"),
     )
 
 
 def inputs(largest: float) -> tuple[Input, ...]:
-    names = [f"torque at the {joint} of the {side} finger" for side in _SIDES for joint in ("base", "elbow")]
+    names = [
+        f"torque at the {joint} of the {side} finger"
+        for side in _SIDES
+        for joint in ("base", "elbow")
+    ]
     return tuple(
         Input(symbol=torque, unit="N m", lower=-largest, upper=largest, description=text)
         for torque, text in zip(TORQUES, names, strict=True)
@@ -160,14 +215,40 @@ def inputs(largest: float) -> tuple[Input, ...]:
 
 def parameters(disc_mass: float) -> tuple[Parameter, ...]:
     return (
-        Parameter(symbol=long, value=LENGTH, unit="m", lower=1e-3, description="length of each link"),
-        Parameter(symbol=w, value=WIDTH, unit="m", lower=1e-4, description="width of each link, twice the radius of a tip"),
-        Parameter(symbol=m_l, value=LINK_MASS, unit="kg", lower=1e-6, description="mass of each link"),
-        Parameter(symbol=m_d, value=disc_mass, unit="kg", lower=1e-6, description="mass of the disc"),
+        Parameter(
+            symbol=long, value=LENGTH, unit="m", lower=1e-3, description="length of each link"
+        ),
+        Parameter(
+            symbol=w,
+            value=WIDTH,
+            unit="m",
+            lower=1e-4,
+            description="width of each link, twice the radius of a tip",
+        ),
+        Parameter(
+            symbol=m_l, value=LINK_MASS, unit="kg", lower=1e-6, description="mass of each link"
+        ),
+        Parameter(
+            symbol=m_d, value=disc_mass, unit="kg", lower=1e-6, description="mass of the disc"
+        ),
         Parameter(symbol=R, value=RADIUS, unit="m", lower=1e-3, description="radius of the disc"),
-        Parameter(symbol=reach, value=BASE, unit="m", lower=1e-3, description="distance of each base from the middle"),
-        Parameter(symbol=c_d, value=DAMPING, unit="N s/m", lower=0.0, description="damping of the disc"),
-        Parameter(symbol=k, value=STIFFNESS, unit="N/m", lower=1e-6, description="stiffness of the finger tips"),
+        Parameter(
+            symbol=reach,
+            value=BASE,
+            unit="m",
+            lower=1e-3,
+            description="distance of each base from the middle",
+        ),
+        Parameter(
+            symbol=c_d, value=DAMPING, unit="N s/m", lower=0.0, description="damping of the disc"
+        ),
+        Parameter(
+            symbol=k,
+            value=STIFFNESS,
+            unit="N/m",
+            lower=1e-6,
+            description="stiffness of the finger tips",
+        ),
     )
 
 
@@ -192,11 +273,22 @@ def stretched_answer() -> Answer:
 def shapes() -> tuple[Shape, ...]:
     found = [Shape(name="disc", kind="disc", x=x, y=y, size=(R,))]
     spoke = (x + R / 2 * sp.cos(theta), y + R / 2 * sp.sin(theta))
-    found.append(Shape(name="mark on the disc", kind="line", x=spoke[0], y=spoke[1], size=(R,), angle=theta))
+    found.append(
+        Shape(name="mark on the disc", kind="line", x=spoke[0], y=spoke[1], size=(R,), angle=theta)
+    )
     for (centre, angle), side in zip(bars(), ("left", "left", "right", "right"), strict=True):
         part = "first" if angle in (left1, right1) else "second"
         turned = angle if side == "left" else sp.pi - angle
-        found.append(Shape(name=f"{side} {part} link", kind="box", x=centre[0], y=centre[1], size=(long, w), angle=turned))
+        found.append(
+            Shape(
+                name=f"{side} {part} link",
+                kind="box",
+                x=centre[0],
+                y=centre[1],
+                size=(long, w),
+                angle=turned,
+            )
+        )
     for side in _SIDES:
         tip = joints(side)[2]
         found.append(Shape(name=f"{side} tip", kind="disc", x=tip[0], y=tip[1], size=(w / 2,)))

@@ -1,11 +1,14 @@
 """A double pendulum balances upside down by the torque of its elbow, its shoulder between two soft stops: unstable, underactuated.
 
-theta1 is the angle of the first link from upright, theta2 that of the second relative to the first; the masses sit at the ends of massless
-links. The stops act where the elbow, on its circle of radius l1, is further than l1 d from the top; written in its arc length they are springs of
-k_s/l1^2 a metre, that is, k_s a radian of the shoulder. The start leans against the right stop, so that its spring acts from the beginning.
+theta1 is the angle of the first link from upright, theta2 that of the second relative to the first;
+the masses sit at the ends of massless links. The stops act where the elbow, on its circle of radius
+l1, is further than l1 d from the top; written in its arc length they are springs of k_s/l1^2 a
+metre, that is, k_s a radian of the shoulder. The start leans against the right stop, so that its
+spring acts from the beginning.
 
-About upright, with the absolute angles of the links, M = [[(m1 + m2) l1^2, m2 l1 l2], [m2 l1 l2, m2 l2^2]] and gravity's slope is
-diag((m1 + m2) g l1, m2 g l2), so that the rates s at which a small error grows solve
+About upright, with the absolute angles of the links, M = [[(m1 + m2) l1^2, m2 l1 l2], [m2 l1 l2, m2
+l2^2]] and gravity's slope is diag((m1 + m2) g l1, m2 g l2), so that the rates s at which a small
+error grows solve
 
     m1 m2 l1^2 l2^2 s^4 - (m1 + m2) m2 g l1 l2 (l1 + l2) s^2 + (m1 + m2) m2 g^2 l1 l2 = 0
 
@@ -25,7 +28,11 @@ omega1, omega2 = sp.symbols("omega1 omega2", real=True)
 u = sp.Symbol("u", real=True)
 m1, m2, l1, l2, g, k_s, d = sp.symbols("m1 m2 l1 l2 g k_s d", positive=True)
 
-M1, M2, L1, L2, G = 0.5, 1.0, 0.5, 1.0, 9.81
+M1 = 0.5
+M2 = 1.0
+L1 = 0.5
+L2 = 1.0
+G = 9.81
 _HALF = (M1 + M2) * (L1 + L2) / (2 * M1 * L1 * L2) * G
 _PRODUCT = (M1 + M2) * G**2 / (M1 * L1 * L2)
 FAST, SLOW = (math.sqrt(_HALF + sign * math.sqrt(_HALF**2 - _PRODUCT)) for sign in (1.0, -1.0))
@@ -33,14 +40,14 @@ FAST, SLOW = (math.sqrt(_HALF + sign * math.sqrt(_HALF**2 - _PRODUCT)) for sign 
 ELBOW = (l1 * sp.sin(theta1), l1 * sp.cos(theta1))
 TIP = (ELBOW[0] + l2 * sp.sin(theta1 + theta2), ELBOW[1] + l2 * sp.cos(theta1 + theta2))
 
-_TURNED_OVER = (
-    "where the elbow hangs straight down it is as far from either stop: beyond, the shorter way back to the top is past the other one"
-)
+_TURNED_OVER = "where the elbow hangs straight down it is as far from either stop: beyond, the shorter way back to the top is past the other one"
 
 
 def _kinetic(mass: sp.Symbol, place: tuple[sp.Expr, sp.Expr]) -> sp.Expr:
     """Kinetic energy of a point mass [J]."""
-    velocity = [sp.diff(entry, theta1) * omega1 + sp.diff(entry, theta2) * omega2 for entry in place]
+    velocity = [
+        sp.diff(entry, theta1) * omega1 + sp.diff(entry, theta2) * omega2 for entry in place
+    ]
     return mass * (velocity[0] ** 2 + velocity[1] ** 2) / 2
 
 
@@ -50,18 +57,42 @@ SCENE = Scene(
     source="Lagrange's equations of two point masses on links, derived by computer algebra from the energies in this file; lengths, masses and "
     "stops as in Aydinoglu et al., Contact-Aware Controller Design for Complementarity Systems",
     coordinates=(
-        Coordinate(symbol=theta1, velocity=omega1, unit="rad", description="angle of the first link from upright"),
-        Coordinate(symbol=theta2, velocity=omega2, unit="rad", description="angle of the second link relative to the first"),
+        Coordinate(
+            symbol=theta1,
+            velocity=omega1,
+            unit="rad",
+            description="angle of the first link from upright",
+        ),
+        Coordinate(
+            symbol=theta2,
+            velocity=omega2,
+            unit="rad",
+            description="angle of the second link relative to the first",
+        ),
     ),
-    inputs=(Input(symbol=u, unit="N m", lower=-20.0, upper=20.0, description="torque at the elbow"),),
+    inputs=(
+        Input(symbol=u, unit="N m", lower=-20.0, upper=20.0, description="torque at the elbow"),
+    ),
     parameters=(
         Parameter(symbol=m1, value=M1, unit="kg", lower=1e-6, description="mass at the elbow"),
         Parameter(symbol=m2, value=M2, unit="kg", lower=1e-6, description="mass at the tip"),
-        Parameter(symbol=l1, value=L1, unit="m", lower=1e-6, description="length of the first link"),
-        Parameter(symbol=l2, value=L2, unit="m", lower=1e-6, description="length of the second link"),
+        Parameter(
+            symbol=l1, value=L1, unit="m", lower=1e-6, description="length of the first link"
+        ),
+        Parameter(
+            symbol=l2, value=L2, unit="m", lower=1e-6, description="length of the second link"
+        ),
         Parameter(symbol=g, value=G, unit="m/s^2", lower=0.0, description="gravity"),
-        Parameter(symbol=k_s, value=1.0, unit="N m/rad", lower=1e-6, description="stiffness of the stops, at the shoulder"),
-        Parameter(symbol=d, value=0.2, unit="rad", lower=0.0, description="angle at which the stops begin"),
+        Parameter(
+            symbol=k_s,
+            value=1.0,
+            unit="N m/rad",
+            lower=1e-6,
+            description="stiffness of the stops, at the shoulder",
+        ),
+        Parameter(
+            symbol=d, value=0.2, unit="rad", lower=0.0, description="angle at which the stops begin"
+        ),
     ),
     kinetic_energy=sp.expand(TR8(sp.expand(_kinetic(m1, ELBOW) + _kinetic(m2, TIP)))),
     potential_energy=g * (m1 * ELBOW[1] + m2 * TIP[1]),
@@ -79,18 +110,30 @@ SCENE = Scene(
         )
         for side, beyond in (("right", theta1 - d), ("left", -d - theta1))
     ),
-    task=Task(start=(0.3, -0.5, 0.0, 0.0), goal=(0.0, 0.0, 0.0, 0.0), running_cost=u**2 / 1000, step=0.001, steps=1000),
+    task=Task(
+        start=(0.3, -0.5, 0.0, 0.0),
+        goal=(0.0, 0.0, 0.0, 0.0),
+        running_cost=u**2 / 1000,
+        step=0.001,
+        steps=1000,
+    ),
     limits=limits(
         terminal_position_error=(
             0.01,
             "left alone for 0.1 s, 0.01 rad with 0.09 rad/s become 0.025 rad (9.01/s), an eighth of the way to the stops",
         ),
-        terminal_velocity_error=(0.09, "grows to the same: the faster rate of 9.01/s times the 0.01 rad of the angles"),
+        terminal_velocity_error=(
+            0.09,
+            "grows to the same: the faster rate of 9.01/s times the 0.01 rad of the angles",
+        ),
         replay_terminal_position_error=(
             0.05,
             "left alone for 0.1 s, 0.05 rad with 0.45 rad/s become 0.12 rad, still off the stops at 0.2 rad",
         ),
-        replay_terminal_velocity_error=(0.45, "grows to the same: the faster rate of 9.01/s times the 0.05 rad of the angles"),
+        replay_terminal_velocity_error=(
+            0.45,
+            "grows to the same: the faster rate of 9.01/s times the 0.05 rad of the angles",
+        ),
         replay_error=(
             0.1,
             "half the way to the stops; the time step of 1 ms leaves the continuous motion by 0.027 rad at the end of a plan of 1 s, because this "
@@ -104,10 +147,22 @@ SCENE = Scene(
             tolerance=1e-9,
             source="linearised by hand, see the docstring; checked on the derived equations",
         ),
-        Answer(quantity="slower growth rate of a small error about upright [1/s]", value=SLOW, tolerance=1e-9, source="the same"),
+        Answer(
+            quantity="slower growth rate of a small error about upright [1/s]",
+            value=SLOW,
+            tolerance=1e-9,
+            source="the same",
+        ),
     ),
     shapes=(
-        Shape(name="first link", kind="line", x=ELBOW[0] / 2, y=ELBOW[1] / 2, size=(l1,), angle=sp.pi / 2 - theta1),
+        Shape(
+            name="first link",
+            kind="line",
+            x=ELBOW[0] / 2,
+            y=ELBOW[1] / 2,
+            size=(l1,),
+            angle=sp.pi / 2 - theta1,
+        ),
         Shape(
             name="second link",
             kind="line",

@@ -1,11 +1,13 @@
 """A mass falls on a spring floor and bounces for ever: no input, no damping, every number known in closed form.
 
-With w = sqrt(k/m) and s the speed at which the mass meets the floor (s^2 = 2 g q(0) when it is dropped at rest):
+With w = sqrt(k/m) and s the speed at which the mass meets the floor (s^2 = 2 g q(0) when it is
+dropped at rest):
 
     largest depth   m g/k + sqrt((m g/k)^2 + s^2 m/k)
     contact time    (2 pi - 2 atan2(s/w, m g/k))/w
 
-because in contact the mass swings about its static depth m g/k. It leaves the floor as fast as it came.
+because in contact the mass swings about its static depth m g/k. It leaves the floor as fast as it
+came.
 """
 
 import math
@@ -18,7 +20,10 @@ from models.scene.parts import known_motion_limits
 q, v = sp.symbols("q v", real=True)
 m, g, k = sp.symbols("m g k", positive=True)
 
-MASS, GRAVITY, STIFFNESS, DROP = 1.0, 9.81, 1000.0, 0.5
+MASS = 1.0
+GRAVITY = 9.81
+STIFFNESS = 1000.0
+DROP = 0.5
 SAG = MASS * GRAVITY / STIFFNESS
 SPEED = math.sqrt(2 * GRAVITY * DROP)
 RATE = math.sqrt(STIFFNESS / MASS)
@@ -30,12 +35,22 @@ SCENE = Scene(
     name="bouncing_mass",
     title="A mass bounces on a spring floor",
     source="Newton's second law; the closed forms are derived in the docstring of this file",
-    coordinates=(Coordinate(symbol=q, velocity=v, unit="m", nominal=0.5, description="height of the mass above the floor"),),
+    coordinates=(
+        Coordinate(
+            symbol=q,
+            velocity=v,
+            unit="m",
+            nominal=0.5,
+            description="height of the mass above the floor",
+        ),
+    ),
     inputs=(),
     parameters=(
         Parameter(symbol=m, value=MASS, unit="kg", lower=1e-6, description="mass"),
         Parameter(symbol=g, value=GRAVITY, unit="m/s^2", lower=0.0, description="gravity"),
-        Parameter(symbol=k, value=STIFFNESS, unit="N/m", lower=1e-6, description="stiffness of the floor"),
+        Parameter(
+            symbol=k, value=STIFFNESS, unit="N/m", lower=1e-6, description="stiffness of the floor"
+        ),
     ),
     kinetic_energy=m * v**2 / 2,
     potential_energy=m * g * q,
@@ -52,7 +67,9 @@ SCENE = Scene(
             description="mass against floor",
         ),
     ),
-    task=Task(start=(DROP, 0.0), goal=(None,) * 2, running_cost=sp.Integer(0), step=0.001, steps=1000),
+    task=Task(
+        start=(DROP, 0.0), goal=(None,) * 2, running_cost=sp.Integer(0), step=0.001, steps=1000
+    ),
     limits=(
         *known_motion_limits(
             "nothing drives and nothing dissipates: of the 4.9 J that the mass has, all is kept to what the replay resolves"
@@ -64,7 +81,13 @@ SCENE = Scene(
         ),
     ),
     answers=(
-        Answer(quantity="largest depth [m]", value=DEPTH, tolerance=1e-9, source="energy balance, see the docstring", measure="depth"),
+        Answer(
+            quantity="largest depth [m]",
+            value=DEPTH,
+            tolerance=1e-9,
+            source="energy balance, see the docstring",
+            measure="depth",
+        ),
         Answer(
             quantity="contact time [s]",
             value=CONTACT_TIME,
@@ -72,7 +95,13 @@ SCENE = Scene(
             source="harmonic motion about the static depth",
             measure="contact time",
         ),
-        Answer(quantity="time of the first contact [s]", value=FALL_TIME, tolerance=1e-9, source="free fall", measure="closing time"),
+        Answer(
+            quantity="time of the first contact [s]",
+            value=FALL_TIME,
+            tolerance=1e-9,
+            source="free fall",
+            measure="closing time",
+        ),
     ),
     shapes=(
         Shape(name="mass", kind="disc", x=sp.Integer(0), y=q, size=(0.05,)),

@@ -1,10 +1,13 @@
-"""n carts in a row, n = 2..20; the outer two are driven and push those between them: the paper's scene at any size.
+"""n carts in a row, n = 2..20.
+
+The outer two are driven and push those between them: the paper's scene at any size.
 
     cart_chain(3)      # is three_cart, bit for bit, but for its name
     cart_chain(20)     # 40 states, 19 contacts, still 2 inputs
 
-Beyond three carts the row starts with a free space of 1 m in all, shared by the n - 1 gaps, and every cart has to move on by one gap: 0.5 m
-for three carts, as in the paper. No cart in between can move unless it is pushed, so every plan needs contact.
+Beyond three carts the row starts with a free space of 1 m in all, shared by the n - 1 gaps, and
+every cart has to move on by one gap: 0.5 m for three carts, as in the paper. No cart in between can
+move unless it is pushed, so every plan needs contact.
 """
 
 from dataclasses import replace
@@ -17,14 +20,19 @@ from models.scene import Coordinate, Scene, Shape, Task
 from models.scenes.three_cart import SCENE as THREE_CART
 from models.scenes.three_cart import c, d, m
 
-SMALLEST, LARGEST = 2, 20
-LENGTH, FREE_SPACE, FIRST = 0.5, 1.0, 2.0
+SMALLEST = 2
+LARGEST = 20
+LENGTH = 0.5
+FREE_SPACE = 1.0
+FIRST = 2.0
 
 
 def cart_chain(n: int, steps: int = 500) -> Scene:
     """The scene of n carts on `steps` steps of 0.01 s. Raises SceneError unless 2 <= n <= 20."""
     if isinstance(n, bool) or not isinstance(n, int) or not SMALLEST <= n <= LARGEST:
-        raise SceneError(f"scene cart_chain: n is {n!r}, but must be a whole number of carts from {SMALLEST} to {LARGEST}.")
+        raise SceneError(
+            f"scene cart_chain: n is {n!r}, but must be a whole number of carts from {SMALLEST} to {LARGEST}."
+        )
     q = sp.symbols(f"q1:{n + 1}", real=True)
     v = sp.symbols(f"v1:{n + 1}", real=True)
     first, last = sp.symbols(f"u1 u{n}", real=True)
@@ -40,7 +48,9 @@ def cart_chain(n: int, steps: int = 500) -> Scene:
         title=f"{n} carts in a row: the outer two push those between them",
         source="ours: section V of Suh and Wang (three_cart) with n carts; masses, damping, stiffness, length, bounds and limits are those there",
         coordinates=tuple(
-            Coordinate(symbol=position, velocity=speed, unit="m", description=f"position of cart {index}")
+            Coordinate(
+                symbol=position, velocity=speed, unit="m", description=f"position of cart {index}"
+            )
             for index, (position, speed) in enumerate(zip(q, v, strict=True), start=1)
         ),
         inputs=(THREE_CART.inputs[0], replace(THREE_CART.inputs[1], symbol=last)),
@@ -65,14 +75,22 @@ def cart_chain(n: int, steps: int = 500) -> Scene:
             step=0.01,
             steps=steps,
         ),
-        limits=tuple(replace(limit, reason=f"as for three carts of this kind on this grid: {limit.reason}") for limit in THREE_CART.limits),
+        limits=tuple(
+            replace(limit, reason=f"as for three carts of this kind on this grid: {limit.reason}")
+            for limit in THREE_CART.limits
+        ),
         answers=(),
-        shapes=tuple(Shape(name=place, kind="box", x=position, y=d / 2, size=(d, d)) for place, position in zip(places, q, strict=True)),
+        shapes=tuple(
+            Shape(name=place, kind="box", x=position, y=d / 2, size=(d, d))
+            for place, position in zip(places, q, strict=True)
+        ),
     )
 
 
 def _contact_names(n: int) -> list[str]:
-    return ["left", *(f"inner_{index}" for index in range(2, n - 1)), "right"] if n > 2 else ["pair"]
+    return (
+        ["left", *(f"inner_{index}" for index in range(2, n - 1)), "right"] if n > 2 else ["pair"]
+    )
 
 
 SCENE = cart_chain(5, steps=250)

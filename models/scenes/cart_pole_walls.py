@@ -1,13 +1,16 @@
 """A cart balances a pole between two soft walls that the pole may lean on: unstable, underactuated, nonlinear.
 
-x is the place of the cart, theta the angle of the pole from upright, positive to the right. The pole is a point mass at the end of a
-massless rod; its tip, at x + l sin(theta), touches the walls at +-w.
+x is the place of the cart, theta the angle of the pole from upright, positive to the right. The
+pole is a point mass at the end of a massless rod; its tip, at x + l sin(theta), touches the walls
+at +-w.
 
-At rest, a push of u can stop the pole from falling only where (m_c + m_p) g tan(|theta|) <= u: up to 0.36 rad with the 4 N there are. The start
-leans out by more, so it is the wall that must throw the pole back. The end weighs 100 |x_T|^2, and is asked to be upright exactly as well, so that
-the verdict says whether the pole stands. Without feedback no plan of this grid keeps the pole up: left alone near upright, an error grows as
-exp(3.67 t), a thousand and a half times over the 2 s: sqrt(g (m_c + m_p)/(l m_c)) is the rate. And the step is coarse for the tip against a wall (h w = 0.9): an impact
-lasts three and a half steps, and throws the pole back a little differently than planned.
+At rest, a push of u can stop the pole from falling only where (m_c + m_p) g tan(|theta|) <= u: up
+to 0.36 rad with the 4 N there are. The start leans out by more, so it is the wall that must throw
+the pole back. The end weighs 100 |x_T|^2, and is asked to be upright exactly as well, so that the
+verdict says whether the pole stands. Without feedback no plan of this grid keeps the pole up: left
+alone near upright, an error grows as exp(3.67 t), a thousand and a half times over the 2 s: sqrt(g
+(m_c + m_p)/(l m_c)) is the rate. And the step is coarse for the tip against a wall (h w = 0.9): an
+impact lasts three and a half steps, and throws the pole back a little differently than planned.
 """
 
 import math
@@ -23,7 +26,10 @@ vx, omega = sp.symbols("vx omega", real=True)
 u = sp.Symbol("u", real=True)
 m_c, m_p, l, g, k, w = sp.symbols("m_c m_p l g k w", positive=True)  # noqa: E741 - l is the field's name for a length
 
-CART, POLE, LENGTH, GRAVITY = 1.0, 0.1, 0.8, 9.8
+CART = 1.0
+POLE = 0.1
+LENGTH = 0.8
+GRAVITY = 9.8
 GROWTH = math.sqrt(GRAVITY * (CART + POLE) / (LENGTH * CART))
 
 TIP = (x + l * sp.sin(theta), l * sp.cos(theta))
@@ -38,18 +44,31 @@ SCENE = Scene(
     unstable="a pole falls over: an error of its angle grows as exp(3.67 t), a thousand and a half times over the 2 s, whatever the plan",
     coordinates=(
         Coordinate(symbol=x, velocity=vx, unit="m", description="place of the cart"),
-        Coordinate(symbol=theta, velocity=omega, unit="rad", description="angle of the pole from upright"),
+        Coordinate(
+            symbol=theta, velocity=omega, unit="rad", description="angle of the pole from upright"
+        ),
     ),
     inputs=(Input(symbol=u, unit="N", lower=-4.0, upper=4.0, description="force on the cart"),),
     parameters=(
         Parameter(symbol=m_c, value=CART, unit="kg", lower=1e-6, description="mass of the cart"),
-        Parameter(symbol=m_p, value=POLE, unit="kg", lower=1e-6, description="mass at the end of the pole"),
+        Parameter(
+            symbol=m_p, value=POLE, unit="kg", lower=1e-6, description="mass at the end of the pole"
+        ),
         Parameter(symbol=l, value=LENGTH, unit="m", lower=1e-6, description="length of the pole"),
         Parameter(symbol=g, value=GRAVITY, unit="m/s^2", lower=0.0, description="gravity"),
-        Parameter(symbol=k, value=200.0, unit="N/m", lower=1e-6, description="stiffness of the walls"),
-        Parameter(symbol=w, value=1.0, unit="m", lower=0.0, description="distance of each wall from the middle"),
+        Parameter(
+            symbol=k, value=200.0, unit="N/m", lower=1e-6, description="stiffness of the walls"
+        ),
+        Parameter(
+            symbol=w,
+            value=1.0,
+            unit="m",
+            lower=0.0,
+            description="distance of each wall from the middle",
+        ),
     ),
-    kinetic_energy=m_c * vx**2 / 2 + m_p * sp.expand(TR8(sp.expand(TIP_VELOCITY[0] ** 2 + TIP_VELOCITY[1] ** 2))) / 2,
+    kinetic_energy=m_c * vx**2 / 2
+    + m_p * sp.expand(TR8(sp.expand(TIP_VELOCITY[0] ** 2 + TIP_VELOCITY[1] ** 2))) / 2,
     potential_energy=m_p * g * TIP[1],
     forces=(u, sp.Integer(0)),
     contacts=tuple(
@@ -74,8 +93,14 @@ SCENE = Scene(
         steps=100,
     ),
     limits=limits(
-        terminal_position_error=(0.1, "0.1 m of the cart, or 0.1 rad of the pole, of the 0.36 rad from which the 4 N catch it again"),
-        terminal_velocity_error=(0.1, "the pole falls on by omega/3.67 s, 0.03 rad, of the 0.36 rad that the 4 N can hold"),
+        terminal_position_error=(
+            0.1,
+            "0.1 m of the cart, or 0.1 rad of the pole, of the 0.36 rad from which the 4 N catch it again",
+        ),
+        terminal_velocity_error=(
+            0.1,
+            "the pole falls on by omega/3.67 s, 0.03 rad, of the 0.36 rad that the 4 N can hold",
+        ),
         replay_terminal_position_error=(
             0.2,
             "from 0.2 rad the 4 N still catch the pole, which they do from 0.36 rad; an impact of three and a half steps alone leaves the cart up to 0.14 m off",
@@ -99,7 +124,14 @@ SCENE = Scene(
     ),
     shapes=(
         Shape(name="cart", kind="box", x=x, y=sp.Float(-0.05), size=(0.3, 0.1)),
-        Shape(name="pole", kind="line", x=x + l * sp.sin(theta) / 2, y=l * sp.cos(theta) / 2, size=(l,), angle=sp.pi / 2 - theta),
+        Shape(
+            name="pole",
+            kind="line",
+            x=x + l * sp.sin(theta) / 2,
+            y=l * sp.cos(theta) / 2,
+            size=(l,),
+            angle=sp.pi / 2 - theta,
+        ),
         Shape(name="right wall", kind="wall", x=w, y=l / 2, size=(2.0,), angle=sp.pi / 2),
         Shape(name="left wall", kind="wall", x=-w, y=l / 2, size=(2.0,), angle=sp.pi / 2),
     ),

@@ -1,16 +1,19 @@
 """Two discs collide through a damped spring, and the lighter one is thrown back onto a bumper: two laws of damping, both in closed form.
 
-Disc against disc, Kelvin-Voigt without adhesion, lam = max(k phi + c phi', 0). With the reduced mass mu = m1 m2/(m1 + m2), w = sqrt(k/mu),
-z = c/(2 sqrt(k mu)) = cos(a) and the closing speed s, phi = s/(w sin a) exp(-z w t) sin(w t sin a), so that
+Disc against disc, Kelvin-Voigt without adhesion, lam = max(k phi + c phi', 0). With the reduced
+mass mu = m1 m2/(m1 + m2), w = sqrt(k/mu), z = c/(2 sqrt(k mu)) = cos(a) and the closing speed s,
+phi = s/(w sin a) exp(-z w t) sin(w t sin a), so that
 
-    largest compression  s/w exp(-a/tan a)                             (phi' = 0 at w t sin a = a)
-    restitution          e = exp(-2 a/tan a)                           (lam = -mu phi'' = 0 at w t sin a = 2 a: released, still compressed)
-    contact time         2 a/(w sin a) + 2 z/w                         (from there the discs part at the speed e s)
+    largest compression s/w exp(-a/tan a) (phi' = 0 at w t sin a = a) restitution e = exp(-2 a/tan
+    a) (lam = -mu phi'' = 0 at w t sin a = 2 a: released, still compressed) contact time 2 a/(w sin
+    a) + 2 z/w (from there the discs part at the speed e s)
 
-A force that could pull would act until phi = 0, with the restitution exp(-pi/tan a): 0.54 instead of 0.58 here.
+A force that could pull would act until phi = 0, with the restitution exp(-pi/tan a): 0.54 instead
+of 0.58 here.
 
-Disc against bumper, Hunt-Crossley, lam = b phi max(1 + d phi', 0): m v dv/dphi = -b phi (1 + d v) gives x - ln x = y - ln y with y = 1 + d v_in
-and x = 1 - d v_out, x = -W(-y exp(-y)) with Lambert's W, whatever b and m are.
+Disc against bumper, Hunt-Crossley, lam = b phi max(1 + d phi', 0): m v dv/dphi = -b phi (1 + d v)
+gives x - ln x = y - ln y with y = 1 + d v_in and x = 1 - d v_out, x = -W(-y exp(-y)) with Lambert's
+W, whatever b and m are.
 """
 
 import math
@@ -25,7 +28,13 @@ q1, q2 = sp.symbols("q1 q2", real=True)
 v1, v2 = sp.symbols("v1 v2", real=True)
 m1, m2, k, c, b, d, r = sp.symbols("m1 m2 k c b d r", positive=True)
 
-MASS_1, MASS_2, STIFFNESS, DAMPING, BUMPER, BUMPER_DAMPING, RADIUS = 1.0, 3.0, 2000.0, 15.0, 1000.0, 0.5, 0.1
+MASS_1 = 1.0
+MASS_2 = 3.0
+STIFFNESS = 2000.0
+DAMPING = 15.0
+BUMPER = 1000.0
+BUMPER_DAMPING = 0.5
+RADIUS = 0.1
 START = (0.0, 1.0, 2.1, -1.0)
 CLOSING_SPEED = START[2] - START[3]
 REDUCED_MASS = MASS_1 * MASS_2 / (MASS_1 + MASS_2)
@@ -52,12 +61,36 @@ SCENE = Scene(
     ),
     inputs=(),
     parameters=(
-        Parameter(symbol=m1, value=MASS_1, unit="kg", lower=1e-6, description="mass of the left disc"),
-        Parameter(symbol=m2, value=MASS_2, unit="kg", lower=1e-6, description="mass of the right disc"),
-        Parameter(symbol=k, value=STIFFNESS, unit="N/m", lower=1e-6, description="stiffness between the discs"),
-        Parameter(symbol=c, value=DAMPING, unit="N s/m", lower=0.0, description="damping between the discs"),
-        Parameter(symbol=b, value=BUMPER, unit="N/m", lower=1e-6, description="stiffness of the bumper"),
-        Parameter(symbol=d, value=BUMPER_DAMPING, unit="s/m", lower=0.0, description="damping of the bumper"),
+        Parameter(
+            symbol=m1, value=MASS_1, unit="kg", lower=1e-6, description="mass of the left disc"
+        ),
+        Parameter(
+            symbol=m2, value=MASS_2, unit="kg", lower=1e-6, description="mass of the right disc"
+        ),
+        Parameter(
+            symbol=k,
+            value=STIFFNESS,
+            unit="N/m",
+            lower=1e-6,
+            description="stiffness between the discs",
+        ),
+        Parameter(
+            symbol=c,
+            value=DAMPING,
+            unit="N s/m",
+            lower=0.0,
+            description="damping between the discs",
+        ),
+        Parameter(
+            symbol=b, value=BUMPER, unit="N/m", lower=1e-6, description="stiffness of the bumper"
+        ),
+        Parameter(
+            symbol=d,
+            value=BUMPER_DAMPING,
+            unit="s/m",
+            lower=0.0,
+            description="damping of the bumper",
+        ),
         Parameter(symbol=r, value=RADIUS, unit="m", lower=1e-6, description="radius of each disc"),
     ),
     kinetic_energy=(m1 * v1**2 + m2 * v2**2) / 2,
@@ -93,7 +126,10 @@ SCENE = Scene(
         *limits(
             **dict.fromkeys(
                 ("ghost_impulse", "missed_impulse"),
-                (0.1, "the push of the discs jumps to 46 N; it comes up to one step of 1 ms late, and goes as late: twice 46 mN s"),
+                (
+                    0.1,
+                    "the push of the discs jumps to 46 N; it comes up to one step of 1 ms late, and goes as late: twice 46 mN s",
+                ),
             )
         ),
         *known_motion_limits(
@@ -110,17 +146,55 @@ SCENE = Scene(
         Answer(quantity=quantity, value=value, tolerance=tolerance, source=source, measure=measure)
         for quantity, value, tolerance, source, measure in (
             ("contact time of the discs [s]", CONTACT_TIME, 1e-8, _SWING, "contact time"),
-            ("restitution of the discs", RESTITUTION, 1e-8, "the same swing, see the docstring", "restitution"),
-            ("time of the first contact [s]", FIRST_CONTACT, 1e-9, "the discs are free until then", "closing time"),
-            ("largest compression of the discs [m]", COMPRESSION, 1e-8, "the same swing, see the docstring", ""),
-            ("velocity of the right disc afterwards [m/s]", V2_AFTER, 1e-8, "momentum kept, and the restitution", ""),
-            ("velocity of the left disc between its contacts [m/s]", V1_BETWEEN, 1e-8, "momentum kept, and the restitution", ""),
-            ("velocity of the left disc after the bumper [m/s]", V1_AFTER, 1e-8, "energy of the disc over the bumper's depth", ""),
+            (
+                "restitution of the discs",
+                RESTITUTION,
+                1e-8,
+                "the same swing, see the docstring",
+                "restitution",
+            ),
+            (
+                "time of the first contact [s]",
+                FIRST_CONTACT,
+                1e-9,
+                "the discs are free until then",
+                "closing time",
+            ),
+            (
+                "largest compression of the discs [m]",
+                COMPRESSION,
+                1e-8,
+                "the same swing, see the docstring",
+                "",
+            ),
+            (
+                "velocity of the right disc afterwards [m/s]",
+                V2_AFTER,
+                1e-8,
+                "momentum kept, and the restitution",
+                "",
+            ),
+            (
+                "velocity of the left disc between its contacts [m/s]",
+                V1_BETWEEN,
+                1e-8,
+                "momentum kept, and the restitution",
+                "",
+            ),
+            (
+                "velocity of the left disc after the bumper [m/s]",
+                V1_AFTER,
+                1e-8,
+                "energy of the disc over the bumper's depth",
+                "",
+            ),
         )
     ),
     shapes=(
         Shape(name="left", kind="disc", x=q1, y=r, size=(r,)),
         Shape(name="right", kind="disc", x=q2, y=r, size=(r,)),
-        Shape(name="bumper", kind="wall", x=sp.Rational(-1, 2), y=r, angle=sp.pi / 2, size=(4 * r,)),
+        Shape(
+            name="bumper", kind="wall", x=sp.Rational(-1, 2), y=r, angle=sp.pi / 2, size=(4 * r,)
+        ),
     ),
 )

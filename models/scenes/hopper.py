@@ -1,12 +1,14 @@
 """A hopper on one leg, in the vertical: a body, a light foot on a springy, driven leg below it, and a soft floor that only pushes.
 
-z is the height of the body, y that of the foot; the leg z - y has the rest length l0 and pulls or pushes with u beside its spring. When the
-foot flies and when it stands is found by the optimiser. No force acts on the whole but weight and floor, so that whatever the leg does
+z is the height of the body, y that of the foot; the leg z - y has the rest length l0 and pulls or
+pushes with u beside its spring. When the foot flies and when it stands is found by the optimiser.
+No force acts on the whole but weight and floor, so that whatever the leg does
 
     floor's impulse = (m_b + m_f) g T + change of momentum
 
-and its centre of mass flies on a parabola: a hop from rest to a higher rest 1 s later needs the floor to give exactly (m_b + m_f) g T.
-Without input the motion is piecewise linear in either mode, and exact by matrix exponentials.
+and its centre of mass flies on a parabola: a hop from rest to a higher rest 1 s later needs the
+floor to give exactly (m_b + m_f) g T. Without input the motion is piecewise linear in either mode,
+and exact by matrix exponentials.
 """
 
 import sympy as sp
@@ -19,8 +21,12 @@ vz, vy = sp.symbols("vz vy", real=True)
 u = sp.Symbol("u", real=True)
 m_b, m_f, g, l0, k_l, k = sp.symbols("m_b m_f g l0 k_l k", positive=True)
 
-BODY, FOOT, GRAVITY, LEG = 1.0, 0.2, 9.81, 1.0
-STEP, STEPS = 0.005, 200
+BODY = 1.0
+FOOT = 0.2
+GRAVITY = 9.81
+LEG = 1.0
+STEP = 0.005
+STEPS = 200
 IMPULSE = (BODY + FOOT) * GRAVITY * STEP * STEPS
 
 SCENE = Scene(
@@ -31,14 +37,26 @@ SCENE = Scene(
         Coordinate(symbol=z, velocity=vz, unit="m", description="height of the body"),
         Coordinate(symbol=y, velocity=vy, unit="m", description="height of the foot"),
     ),
-    inputs=(Input(symbol=u, unit="N", lower=-40.0, upper=40.0, description="push of the leg, beside its spring"),),
+    inputs=(
+        Input(
+            symbol=u,
+            unit="N",
+            lower=-40.0,
+            upper=40.0,
+            description="push of the leg, beside its spring",
+        ),
+    ),
     parameters=(
         Parameter(symbol=m_b, value=BODY, unit="kg", lower=1e-6, description="mass of the body"),
         Parameter(symbol=m_f, value=FOOT, unit="kg", lower=1e-6, description="mass of the foot"),
         Parameter(symbol=g, value=GRAVITY, unit="m/s^2", lower=0.0, description="gravity"),
         Parameter(symbol=l0, value=LEG, unit="m", lower=1e-6, description="rest length of the leg"),
-        Parameter(symbol=k_l, value=100.0, unit="N/m", lower=0.0, description="stiffness of the leg"),
-        Parameter(symbol=k, value=500.0, unit="N/m", lower=1e-6, description="stiffness of the floor"),
+        Parameter(
+            symbol=k_l, value=100.0, unit="N/m", lower=0.0, description="stiffness of the leg"
+        ),
+        Parameter(
+            symbol=k, value=500.0, unit="N/m", lower=1e-6, description="stiffness of the floor"
+        ),
     ),
     kinetic_energy=(m_b * vz**2 + m_f * vy**2) / 2,
     potential_energy=g * (m_b * z + m_f * y) + k_l * (z - y - l0) ** 2 / 2,
@@ -55,10 +73,19 @@ SCENE = Scene(
             description="foot against floor",
         ),
     ),
-    task=Task(start=(1.5, 0.5, 0.0, 0.0), goal=(1.8, 0.8, 0.0, 0.0), running_cost=u**2, step=STEP, steps=STEPS),
+    task=Task(
+        start=(1.5, 0.5, 0.0, 0.0),
+        goal=(1.8, 0.8, 0.0, 0.0),
+        running_cost=u**2,
+        step=STEP,
+        steps=STEPS,
+    ),
     limits=limits(
         terminal_position_error=(0.1, "a third of the 0.3 m that the hop has to win"),
-        terminal_velocity_error=(0.1, "0.1 m/s at the top is 0.5 mm of height, and 4 mm of the foot's swing on its leg (24 rad/s)"),
+        terminal_velocity_error=(
+            0.1,
+            "0.1 m/s at the top is 0.5 mm of height, and 4 mm of the foot's swing on its leg (24 rad/s)",
+        ),
         replay_terminal_position_error=(0.1, "a third of the 0.3 m that the hop has to win"),
         replay_terminal_velocity_error=(
             0.3,

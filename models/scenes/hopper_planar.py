@@ -1,20 +1,27 @@
 """A hopper in the vertical plane hops 2 m to the side: a body, a light foot on a springy leg, a soft floor that rubs.
 
-The leg runs from the hip, in the centre of the body, to the foot; a thrust works along it beside its spring and its damper, and a torque at the
-hip turns it against the body, whose pitch must stay small. When the foot flies and when it stands, and how often, is found by the optimiser.
-Body and foot are points in Cartesian coordinates, so that the mass matrix is constant and only the leg is nonlinear.
+The leg runs from the hip, in the centre of the body, to the foot; a thrust works along it beside
+its spring and its damper, and a torque at the hip turns it against the body, whose pitch must stay
+small. When the foot flies and when it stands, and how often, is found by the optimiser. Body and
+foot are points in Cartesian coordinates, so that the mass matrix is constant and only the leg is
+nonlinear.
 
-No force but weight, floor and friction acts on the whole: momentum, and in flight the parabola of the centre of mass, are kept whatever the leg
-does, and the angular momentum too. The foot's plane is e = 1 cm beside the hip's: the leg is sqrt(dx^2 + dz^2 + e^2) long and never of no
-length, and the hip's torque acts through the power hip (dz d(dx)/dt - dx d(dz)/dt - (dx^2 + dz^2) pitch rate)/leg^2, which keeps the angular
-momentum exactly and asks nothing of a leg that points straight out of the plane.
+No force but weight, floor and friction acts on the whole: momentum, and in flight the parabola of
+the centre of mass, are kept whatever the leg does, and the angular momentum too. The foot's plane
+is e = 1 cm beside the hip's: the leg is sqrt(dx^2 + dz^2 + e^2) long and never of no length, and
+the hip's torque acts through the power hip (dz d(dx)/dt - dx d(dz)/dt - (dx^2 + dz^2) pitch
+rate)/leg^2, which keeps the angular momentum exactly and asks nothing of a leg that points straight
+out of the plane.
 
-m = 1 kg, l0 = 1 m, h = 0.02 s, T = 200, (0, 1.5) -> (2, 1) are those of our scene bank. Chosen here, with the step in mind: a foot of 0.3 kg on a floor of
-300 N/m, a leg of 100 N/m and 1 N s/m - the foot's own oscillation sqrt((300 + 100)/0.3) = 37 rad/s has h w = 0.73, where semi-implicit Euler is
-stable up to 2 and wrong by some per cent of the foot's energy, little of the whole. Static, the foot sinks in by 4 cm.
+m = 1 kg, l0 = 1 m, h = 0.02 s, T = 200, (0, 1.5) -> (2, 1) are those of our scene bank. Chosen
+here, with the step in mind: a foot of 0.3 kg on a floor of 300 N/m, a leg of 100 N/m and 1 N s/m -
+the foot's own oscillation sqrt((300 + 100)/0.3) = 37 rad/s has h w = 0.73, where semi-implicit
+Euler is stable up to 2 and wrong by some per cent of the foot's energy, little of the whole.
+Static, the foot sinks in by 4 cm.
 
-Standing is falling over: sqrt(g/l0) = 3.1 1/s, and each landing adds to it. In the open loop an error at the start is some 1e6 times larger
-after the 4 s, so that a plan of this grid needs feedback to hold.
+Standing is falling over: sqrt(g/l0) = 3.1 1/s, and each landing adds to it. In the open loop an
+error at the start is some 1e6 times larger after the 4 s, so that a plan of this grid needs
+feedback to hold.
 """
 
 import sympy as sp
@@ -23,19 +30,29 @@ from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, S
 from models.scene.contacts import Friction
 from models.scene.parts import limits
 
-BODY, FOOT, GRAVITY, LEG = 1.0, 0.3, 9.81, 1.0
-STEP, STEPS = 0.02, 200
+BODY = 1.0
+FOOT = 0.3
+GRAVITY = 9.81
+LEG = 1.0
+STEP = 0.02
+STEPS = 200
 
 x, z, pitch, x_f, z_f = q = sp.symbols("x z pitch x_f z_f", real=True)
 v_x, v_z, omega, v_xf, v_zf = v = sp.symbols("v_x v_z omega v_xf v_zf", real=True)
 thrust, hip = sp.symbols("thrust hip", real=True)
-m, m_f, inertia, g, l0, e, k_l, c_l, k, mu = sp.symbols("m m_f inertia g l0 e k_l c_l k mu", positive=True)
+m, m_f, inertia, g, l0, e, k_l, c_l, k, mu = sp.symbols(
+    "m m_f inertia g l0 e k_l c_l k mu", positive=True
+)
 
-_dx, _dz = x - x_f, z - z_f
+_dx = x - x_f
+_dz = z - z_f
 _leg = sp.sqrt(_dx**2 + _dz**2 + e**2)
-_along = (thrust - c_l * (_dx * (v_x - v_xf) + _dz * (v_z - v_zf)) / _leg) / _leg  # force a metre of (dx, dz)
+_along = (
+    thrust - c_l * (_dx * (v_x - v_xf) + _dz * (v_z - v_zf)) / _leg
+) / _leg  # force a metre of (dx, dz)
 _across = hip / _leg**2  # force a metre of (dz, -dx)
-_force_x, _force_z = _along * _dx + _across * _dz, _along * _dz - _across * _dx
+_force_x = _along * _dx + _across * _dz
+_force_z = _along * _dz - _across * _dx
 
 SCENE = Scene(
     name="hopper_planar",
@@ -48,27 +65,65 @@ SCENE = Scene(
             q,
             v,
             ("m", "m", "rad", "m", "m"),
-            ("x of the body", "height of the body", "pitch of the body", "x of the foot", "height of the foot"),
+            (
+                "x of the body",
+                "height of the body",
+                "pitch of the body",
+                "x of the foot",
+                "height of the foot",
+            ),
             strict=True,
         )
     ),
     inputs=(
-        Input(symbol=thrust, unit="N", lower=-40.0, upper=40.0, description="push along the leg, beside its spring"),
         Input(
-            symbol=hip, unit="N m", lower=-10.0, upper=10.0, description="torque at the hip that turns the leg, and the body the other way"
+            symbol=thrust,
+            unit="N",
+            lower=-40.0,
+            upper=40.0,
+            description="push along the leg, beside its spring",
+        ),
+        Input(
+            symbol=hip,
+            unit="N m",
+            lower=-10.0,
+            upper=10.0,
+            description="torque at the hip that turns the leg, and the body the other way",
         ),
     ),
     parameters=(
         Parameter(symbol=m, value=BODY, unit="kg", lower=1e-6, description="mass of the body"),
         Parameter(symbol=m_f, value=FOOT, unit="kg", lower=1e-6, description="mass of the foot"),
-        Parameter(symbol=inertia, value=0.2, unit="kg m^2", lower=1e-6, description="moment of inertia of the body"),
+        Parameter(
+            symbol=inertia,
+            value=0.2,
+            unit="kg m^2",
+            lower=1e-6,
+            description="moment of inertia of the body",
+        ),
         Parameter(symbol=g, value=GRAVITY, unit="m/s^2", lower=0.0, description="gravity"),
         Parameter(symbol=l0, value=LEG, unit="m", lower=1e-6, description="rest length of the leg"),
-        Parameter(symbol=e, value=0.01, unit="m", lower=1e-6, description="distance of the foot's plane from the hip's"),
-        Parameter(symbol=k_l, value=100.0, unit="N/m", lower=0.0, description="stiffness of the leg"),
+        Parameter(
+            symbol=e,
+            value=0.01,
+            unit="m",
+            lower=1e-6,
+            description="distance of the foot's plane from the hip's",
+        ),
+        Parameter(
+            symbol=k_l, value=100.0, unit="N/m", lower=0.0, description="stiffness of the leg"
+        ),
         Parameter(symbol=c_l, value=1.0, unit="N s/m", lower=0.0, description="damping of the leg"),
-        Parameter(symbol=k, value=300.0, unit="N/m", lower=1e-6, description="stiffness of the floor"),
-        Parameter(symbol=mu, value=1.0, unit="1", lower=0.0, description="coefficient of friction, foot on floor"),
+        Parameter(
+            symbol=k, value=300.0, unit="N/m", lower=1e-6, description="stiffness of the floor"
+        ),
+        Parameter(
+            symbol=mu,
+            value=1.0,
+            unit="1",
+            lower=0.0,
+            description="coefficient of friction, foot on floor",
+        ),
     ),
     kinetic_energy=(m * (v_x**2 + v_z**2) + inertia * omega**2 + m_f * (v_xf**2 + v_zf**2)) / 2,
     potential_energy=g * (m * z + m_f * z_f) + k_l * (_leg - l0) ** 2 / 2,
@@ -85,7 +140,16 @@ SCENE = Scene(
             description="foot against floor",
         ),
     ),
-    frictions=(Friction(name="floor", slip=v_xf, coefficient=mu, contact="floor", nominal=0.1, description="foot along the floor"),),
+    frictions=(
+        Friction(
+            name="floor",
+            slip=v_xf,
+            coefficient=mu,
+            contact="floor",
+            nominal=0.1,
+            description="foot along the floor",
+        ),
+    ),
     task=Task(
         start=(0.0, 1.5, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0),
         goal=(2.0, 1.0, 0.0, 2.0, None, 0.0, 0.0, 0.0, 0.0, None),
@@ -115,7 +179,10 @@ SCENE = Scene(
             0.3,
             "who falls over at sqrt(g/l0) = 3.1/s is carried another 0.3/3.1 = 0.1 m by it, the limit of the position",
         ),
-        replay_error=(0.12, "1.7 times the 0.07 m of a step at landing speed; plans whose floor acts at a distance leave theirs by metres"),
+        replay_error=(
+            0.12,
+            "1.7 times the 0.07 m of a step at landing speed; plans whose floor acts at a distance leave theirs by metres",
+        ),
     ),
     answers=(
         Answer(
@@ -128,7 +195,14 @@ SCENE = Scene(
     quick=False,
     shapes=(
         Shape(name="body", kind="box", x=x, y=z, size=(0.4, 0.2), angle=-pitch),
-        Shape(name="leg", kind="line", x=(x + x_f) / 2, y=(z + z_f) / 2, size=(l0,), angle=sp.atan2(_dz, _dx)),
+        Shape(
+            name="leg",
+            kind="line",
+            x=(x + x_f) / 2,
+            y=(z + z_f) / 2,
+            size=(l0,),
+            angle=sp.atan2(_dz, _dx),
+        ),
         Shape(name="foot", kind="disc", x=x_f, y=z_f, size=(0.05,)),
         Shape(name="floor", kind="wall", x=sp.Integer(1), y=sp.Integer(0), size=(4.0,)),
     ),

@@ -1,22 +1,28 @@
 """A finger pushes a box over a table to a place that one face alone does not lead to: which face, and when, is found by the optimiser.
 
-The finger has no size and starts outside, below and to the left of the box; only its contact and its friction move the box. The goal lies
-atan2(0.25, 0.3) = 39.8 degrees off the normal of the left face. A finger on that face pushes within atan(mu) = 26.6 degrees of its normal, so
-that one face alone has to turn the box by 13.2 degrees on the way, and back; with the face below as well there is no need to.
+The finger has no size and starts outside, below and to the left of the box; only its contact and
+its friction move the box. The goal lies atan2(0.25, 0.3) = 39.8 degrees off the normal of the left
+face. A finger on that face pushes within atan(mu) = 26.6 degrees of its normal, so that one face
+alone has to turn the box by 13.2 degrees on the way, and back; with the face below as well there is
+no need to.
 
-The table: friction under a sliding box is a limit surface, here the ellipsoid of Goyal, Ruina and Papadopoulos (1991) in its linear form, velocity
-proportional to wrench: d v = F, d c^2 omega = torque, where c is the mean distance of the footprint from its centre, the ratio of the largest
-torque to the largest force that a uniformly pressed table gives. The finger is driven through the same sort of damper, as a robot's would be whose
-velocity is commanded. Nothing has inertia: it is written as M dv/dt = F - D v with M = tau D, and tau is the time step of whoever makes a plan, which
-makes v' = v + h/M (F - D v) the quasi-static law v' = D^-1 F itself. The judge takes tau to nearly nothing (models.scene.quasi_static): what it judges
-knows no grid.
+The table: friction under a sliding box is a limit surface, here the ellipsoid of Goyal, Ruina and
+Papadopoulos (1991) in its linear form, velocity proportional to wrench: d v = F, d c^2 omega =
+torque, where c is the mean distance of the footprint from its centre, the ratio of the largest
+torque to the largest force that a uniformly pressed table gives. The finger is driven through the
+same sort of damper, as a robot's would be whose velocity is commanded. Nothing has inertia: it is
+written as M dv/dt = F - D v with M = tau D, and tau is the time step of whoever makes a plan, which
+makes v' = v + h/M (F - D v) the quasi-static law v' = D^-1 F itself. The judge takes tau to nearly
+nothing (models.scene.quasi_static): what it judges knows no grid.
 
-The rim is one smooth curve, D(p) = log(sum of exp(beta d_i))/beta over the distances d_i from the lines of the four faces: the faces but for
-exp(-beta s)/beta at s from a corner, so that the gap has a normal everywhere and the finger may roll from one face to the next. The slip
-is weighed with abs(grad D), as the force is, which is 1 on the faces: so the cone is mu everywhere.
+The rim is one smooth curve, D(p) = log(sum of exp(beta d_i))/beta over the distances d_i from the
+lines of the four faces: the faces but for exp(-beta s)/beta at s from a corner, so that the gap has
+a normal everywhere and the finger may roll from one face to the next. The slip is weighed with
+abs(grad D), as the force is, which is 1 on the faces: so the cone is mu everywhere.
 
-Size, friction, step and horizon are those of our scene bank; chosen here: the damping (3 N move the box by 0.3 m/s), the rim, start and goal, and
-k = 150 N/m, with which the explicit quasi-static step is stable: h k/d (1 + (a/c)^2) + h k/d = 1.45 of at most 2.
+Size, friction, step and horizon are those of our scene bank; chosen here: the damping (3 N move the
+box by 0.3 m/s), the rim, start and goal, and k = 150 N/m, with which the explicit quasi-static step
+is stable: h k/d (1 + (a/c)^2) + h k/d = 1.45 of at most 2.
 """
 
 import math
@@ -27,8 +33,12 @@ from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, S
 from models.scene.contacts import Friction
 from models.scene.parts import limits
 
-STEP, STEPS = 0.02, 100
-HALF_LENGTH, HALF_WIDTH, FRICTION, DAMPING = 0.5, 0.25, 0.5, 10.0
+STEP = 0.02
+STEPS = 100
+HALF_LENGTH = 0.5
+HALF_WIDTH = 0.25
+FRICTION = 0.5
+DAMPING = 10.0
 GOAL = (0.3, 0.25)
 
 x, y, theta, p_x, p_y = q = sp.symbols("x y theta p_x p_y", real=True)
@@ -40,17 +50,25 @@ a, b, c, d, beta, k, mu, tau = sp.symbols("a b c d beta k mu tau", positive=True
 def mean_distance(half_length: float, half_width: float) -> float:
     """Mean distance [m] of the points of a rectangle from its centre; half sides [m]."""
     s, w = half_length, half_width
-    return math.hypot(s, w) / 3 + s**2 / (6 * w) * math.asinh(w / s) + w**2 / (6 * s) * math.asinh(s / w)
+    return (
+        math.hypot(s, w) / 3
+        + s**2 / (6 * w) * math.asinh(w / s)
+        + w**2 / (6 * s) * math.asinh(s / w)
+    )
 
 
 # The finger in the frame of the box, and its velocity there as seen from the box.
-_cos, _sin = sp.cos(theta), sp.sin(theta)
-_along, _across = _cos * (p_x - x) + _sin * (p_y - y), _cos * (p_y - y) - _sin * (p_x - x)
+_cos = sp.cos(theta)
+_sin = sp.sin(theta)
+_along = _cos * (p_x - x) + _sin * (p_y - y)
+_across = _cos * (p_y - y) - _sin * (p_x - x)
 _slip_along = _cos * (w_x - v_x) + _sin * (w_y - v_y) + omega * _across
 _slip_across = _cos * (w_y - v_y) - _sin * (w_x - v_x) - omega * _along
-_ends, _sides = 2 * sp.exp(-beta * a), 2 * sp.exp(-beta * b)
+_ends = 2 * sp.exp(-beta * a)
+_sides = 2 * sp.exp(-beta * b)
 _sum = _ends * sp.cosh(beta * _along) + _sides * sp.cosh(beta * _across)
-_normal_along, _normal_across = _ends * sp.sinh(beta * _along) / _sum, _sides * sp.sinh(beta * _across) / _sum
+_normal_along = _ends * sp.sinh(beta * _along) / _sum
+_normal_across = _sides * sp.sinh(beta * _across) / _sum
 
 SCENE = Scene(
     name="push_box",
@@ -64,16 +82,32 @@ SCENE = Scene(
             q,
             v,
             ("m", "m", "rad", "m", "m"),
-            ("x of the box", "y of the box", "turn of the box", "x of the finger", "y of the finger"),
+            (
+                "x of the box",
+                "y of the box",
+                "turn of the box",
+                "x of the finger",
+                "y of the finger",
+            ),
             strict=True,
         )
     ),
     inputs=(
-        Input(symbol=u_x, unit="N", lower=-20.0, upper=20.0, description="force on the finger along x"),
-        Input(symbol=u_y, unit="N", lower=-20.0, upper=20.0, description="force on the finger along y"),
+        Input(
+            symbol=u_x, unit="N", lower=-20.0, upper=20.0, description="force on the finger along x"
+        ),
+        Input(
+            symbol=u_y, unit="N", lower=-20.0, upper=20.0, description="force on the finger along y"
+        ),
     ),
     parameters=(
-        Parameter(symbol=a, value=HALF_LENGTH, unit="m", lower=1e-3, description="half the length of the box"),
+        Parameter(
+            symbol=a,
+            value=HALF_LENGTH,
+            unit="m",
+            lower=1e-3,
+            description="half the length of the box",
+        ),
         Parameter(symbol=b, value=HALF_WIDTH, unit="m", lower=1e-3, description="half its width"),
         Parameter(
             symbol=c,
@@ -82,10 +116,24 @@ SCENE = Scene(
             lower=1e-3,
             description="mean distance of the footprint from its centre",
         ),
-        Parameter(symbol=d, value=DAMPING, unit="N s/m", lower=1e-3, description="drag of the table, and of the finger's drive"),
-        Parameter(symbol=beta, value=20.0, unit="1/m", lower=1.0, description="sharpness of the corners"),
+        Parameter(
+            symbol=d,
+            value=DAMPING,
+            unit="N s/m",
+            lower=1e-3,
+            description="drag of the table, and of the finger's drive",
+        ),
+        Parameter(
+            symbol=beta, value=20.0, unit="1/m", lower=1.0, description="sharpness of the corners"
+        ),
         Parameter(symbol=k, value=150.0, unit="N/m", lower=1e-6, description="contact stiffness"),
-        Parameter(symbol=mu, value=FRICTION, unit="1", lower=0.0, description="coefficient of friction, finger on box"),
+        Parameter(
+            symbol=mu,
+            value=FRICTION,
+            unit="1",
+            lower=0.0,
+            description="coefficient of friction, finger on box",
+        ),
     ),
     relaxation_time=tau,
     kinetic_energy=tau * d * (v_x**2 + v_y**2 + c**2 * omega**2 + w_x**2 + w_y**2) / 2,
@@ -121,13 +169,19 @@ SCENE = Scene(
         steps=STEPS,
     ),
     limits=limits(
-        terminal_position_error=(0.01, "a fortieth of the 0.39 m that the box has to go; as a turn 0.6 degrees"),
+        terminal_position_error=(
+            0.01,
+            "a fortieth of the 0.39 m that the box has to go; as a turn 0.6 degrees",
+        ),
         replay_terminal_position_error=(
             0.05,
             "the plan's limit plus 0.04 for the grid: a step of h = 0.02 s lets a finger at 0.4 m/s pass 8 mm before contact answers, and a box "
             "pushed off its centre turns with it",
         ),
-        replay_error=(0.05, "as at the end: plans whose finger pushes or pulls at a distance leave theirs by more"),
+        replay_error=(
+            0.05,
+            "as at the end: plans whose finger pushes or pulls at a distance leave theirs by more",
+        ),
     ),
     answers=(
         Answer(

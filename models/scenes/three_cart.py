@@ -1,8 +1,11 @@
 """Three carts in a row; the outer ones are driven and push the middle one through soft contacts.
 
-Source: H.J. Terry Suh, Yanwei Wang, "Comparing Effectiveness of Relaxation Methods for Warm Starting Trajectory
-Optimization through Soft Contact", section V. The paper prints neither start, goal, cart length nor bounds; those below
-reproduce its three softplus collocation rows to the printed digits. The sign of the penetration in its (14) is corrected.
+Source: H.J. Terry Suh, Yanwei Wang, "Comparing Effectiveness of Relaxation Methods for Warm
+    Starting Trajectory
+Optimization through Soft Contact", section V. The paper prints neither start, goal, cart length nor
+    bounds; those below
+reproduce its three softplus collocation rows to the printed digits. The sign of the penetration in
+    its (14) is corrected.
 """
 
 import sympy as sp
@@ -31,7 +34,9 @@ SCENE = Scene(
     ),
     parameters=(
         Parameter(symbol=m, value=1.0, unit="kg", lower=1e-6, description="mass of each cart"),
-        Parameter(symbol=c, value=2.0, unit="N s/m", lower=0.0, description="viscous damping of each cart"),
+        Parameter(
+            symbol=c, value=2.0, unit="N s/m", lower=0.0, description="viscous damping of each cart"
+        ),
         Parameter(symbol=k, value=30.0, unit="N/m", lower=1e-6, description="contact stiffness"),
         Parameter(symbol=d, value=0.5, unit="m", lower=1e-6, description="length of a cart"),
     ),
@@ -49,20 +54,35 @@ SCENE = Scene(
             nominal=0.1,
             description=f"{left} cart against {right} cart",
         )
-        for name, left, right, distance in (("left", "left", "middle", q2 - q1), ("right", "middle", "right", q3 - q2))
+        for name, left, right, distance in (
+            ("left", "left", "middle", q2 - q1),
+            ("right", "middle", "right", q3 - q2),
+        )
     ),
-    task=Task(start=(2.0, 3.0, 4.0, 0.0, 0.0, 0.0), goal=(2.5, 3.5, 4.5, 0.0, 0.0, 0.0), running_cost=u1**2 + u3**2, step=0.01, steps=500),
+    task=Task(
+        start=(2.0, 3.0, 4.0, 0.0, 0.0, 0.0),
+        goal=(2.5, 3.5, 4.5, 0.0, 0.0, 0.0),
+        running_cost=u1**2 + u3**2,
+        step=0.01,
+        steps=500,
+    ),
     limits=limits(
         terminal_position_error=(
             0.05,
             "a tenth of a cart's length, as the largest miss the paper calls successful (0.05, its Table I, direct methods)",
         ),
-        terminal_velocity_error=(0.1, "with 0.1 m/s a cart coasts another m/c * 0.1 = 0.05 m, the limit of its position"),
+        terminal_velocity_error=(
+            0.1,
+            "with 0.1 m/s a cart coasts another m/c * 0.1 = 0.05 m, the limit of its position",
+        ),
         replay_terminal_position_error=(
             0.06,
             "the plan's limit of 0.05 m plus the grid's own error: with h = 0.01 s the time step ends up to 9e-3 from the continuous motion",
         ),
-        replay_terminal_velocity_error=(0.11, "the plan's limit of 0.1 m/s plus the same 9e-3 of the grid"),
+        replay_terminal_velocity_error=(
+            0.11,
+            "the plan's limit of 0.1 m/s plus the same 9e-3 of the grid",
+        ),
         replay_error=(
             0.02,
             "twice what a semi-implicit step of 0.01 s drifts from the continuous motion over the 5 s (measured under the true law: 4e-3 to "
@@ -77,5 +97,8 @@ SCENE = Scene(
             source="convex QP with fixed contact windows (steps 131..178 and 276..306), local search over the four window ends; not proved global",
         ),
     ),
-    shapes=tuple(Shape(name=name, kind="box", x=q, y=d / 2, size=(d, d)) for name, q in (("left", q1), ("middle", q2), ("right", q3))),
+    shapes=tuple(
+        Shape(name=name, kind="box", x=q, y=d / 2, size=(d, d))
+        for name, q in (("left", q1), ("middle", q2), ("right", q3))
+    ),
 )

@@ -1,13 +1,18 @@
 """Cargo lies on a driven cart and is moved by dry friction alone: stick carries it, slip shifts it, and nothing may creep.
 
-The cart (2 kg) is driven, the cargo (1 kg) lies on it between two soft stops, one metre either side of the middle. The cargo starts 0.5 m
-ahead of the cart's middle and has to end 0.5 m behind it: it must slip, by the right amount, and friction gives it at most mu g = 1.96 m/s^2.
+The cart (2 kg) is driven, the cargo (1 kg) lies on it between two soft stops, one metre either side
+of the middle. The cargo starts 0.5 m ahead of the cart's middle and has to end 0.5 m behind it: it
+must slip, by the right amount, and friction gives it at most mu g = 1.96 m/s^2.
 
-Source: the equations are Lagrange's of two masses; masses, friction, half-length, grid, start and goal are those of the transport
-benchmark of contact-implicit planning in our scene bank, whose weights (1e5, 1e5, 10, 10) on the end are replaced by the exact end itself;
-R = 1e-4 weighs the force. Chosen here: the stops (k = 1000 N/m), so that the half-length is a contact like any other, and 40 N for the drive.
+Source: the equations are Lagrange's of two masses; masses, friction, half-length, grid, start and
+    goal are those of the transport
+benchmark of contact-implicit planning in our scene bank, whose weights (1e5, 1e5, 10, 10) on the
+    end are replaced by the exact end itself;
+R = 1e-4 weighs the force. Chosen here: the stops (k = 1000 N/m), so that the half-length is a
+    contact like any other, and 40 N for the drive.
 
-Regularised friction lets the cargo creep where dry friction holds it: what a plan gains by that is what the replay shows.
+Regularised friction lets the cargo creep where dry friction holds it: what a plan gains by that is
+what the replay shows.
 """
 
 import sympy as sp
@@ -38,8 +43,16 @@ SCENE = Scene(
         Parameter(symbol=m_c, value=2.0, unit="kg", lower=1e-6, description="mass of the cart"),
         Parameter(symbol=mu, value=0.2, unit="1", lower=0.0, description="coefficient of friction"),
         Parameter(symbol=g, value=9.81, unit="m/s^2", lower=0.0, description="gravity"),
-        Parameter(symbol=half, value=1.0, unit="m", lower=1e-6, description="half the length on which the cargo may lie"),
-        Parameter(symbol=k, value=1000.0, unit="N/m", lower=1e-6, description="stiffness of the stops"),
+        Parameter(
+            symbol=half,
+            value=1.0,
+            unit="m",
+            lower=1e-6,
+            description="half the length on which the cargo may lie",
+        ),
+        Parameter(
+            symbol=k, value=1000.0, unit="N/m", lower=1e-6, description="stiffness of the stops"
+        ),
     ),
     kinetic_energy=(m * v_cargo**2 + m_c * v_cart**2) / 2,
     potential_energy=sp.Integer(0),
@@ -58,21 +71,46 @@ SCENE = Scene(
         for end, penetration in (("front", cargo - cart - half), ("rear", cart - cargo - half))
     ),
     frictions=(
-        Friction(name="belt", slip=v_cargo - v_cart, coefficient=mu, normal_force=m * g, nominal=0.1, description="cargo on the cart"),
+        Friction(
+            name="belt",
+            slip=v_cargo - v_cart,
+            coefficient=mu,
+            normal_force=m * g,
+            nominal=0.1,
+            description="cargo on the cart",
+        ),
     ),
-    task=Task(start=(3.5, 3.0, -4.0, -4.0), goal=(-0.5, 0.0, -2.0, -2.0), running_cost=sp.Float("1e-4") * u**2, step=0.02, steps=200),
+    task=Task(
+        start=(3.5, 3.0, -4.0, -4.0),
+        goal=(-0.5, 0.0, -2.0, -2.0),
+        running_cost=sp.Float("1e-4") * u**2,
+        step=0.02,
+        steps=200,
+    ),
     limits=limits(
         **dict.fromkeys(
             ("ghost_impulse", "missed_impulse"),
-            (0.2, "half a step of the 20 N that a stop gives: where on the grid it comes and goes is chance"),
+            (
+                0.2,
+                "half a step of the 20 N that a stop gives: where on the grid it comes and goes is chance",
+            ),
         ),
-        terminal_position_error=(0.05, "a twentieth of the metre by which the cargo is to be shifted"),
+        terminal_position_error=(
+            0.05,
+            "a twentieth of the metre by which the cargo is to be shifted",
+        ),
         terminal_velocity_error=(
             0.05,
             "as fast the cargo shifts a twentieth of that metre in a second; one step of friction changes its speed by mu g h = 0.04 m/s",
         ),
-        replay_terminal_position_error=(0.15, "the plan's limit plus 0.1 for the grid: at 4 m/s a step of 0.02 s is 0.08 m long"),
-        replay_terminal_velocity_error=(0.09, "the plan's limit plus one step of friction more or less, mu g h = 0.04 m/s"),
+        replay_terminal_position_error=(
+            0.15,
+            "the plan's limit plus 0.1 for the grid: at 4 m/s a step of 0.02 s is 0.08 m long",
+        ),
+        replay_terminal_velocity_error=(
+            0.09,
+            "the plan's limit plus one step of friction more or less, mu g h = 0.04 m/s",
+        ),
         replay_error=(
             0.15,
             "as at the end: a step of 0.02 s is 0.08 m long at 4 m/s, by which the cargo meets a stop early or late; measured up to 0.12 m for exact plans",
@@ -87,7 +125,13 @@ SCENE = Scene(
         ),
     ),
     shapes=(
-        Shape(name="cart", kind="box", x=cart, y=sp.Rational(-1, 10), size=(2 * half, sp.Rational(1, 5))),
+        Shape(
+            name="cart",
+            kind="box",
+            x=cart,
+            y=sp.Rational(-1, 10),
+            size=(2 * half, sp.Rational(1, 5)),
+        ),
         Shape(name="cargo", kind="box", x=cargo, y=sp.Rational(3, 20), size=(CARGO, CARGO)),
     ),
 )

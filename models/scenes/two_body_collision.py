@@ -18,7 +18,10 @@ q1, q2 = sp.symbols("q1 q2", real=True)
 v1, v2 = sp.symbols("v1 v2", real=True)
 m1, m2, k, r = sp.symbols("m1 m2 k r", positive=True)
 
-MASS_1, MASS_2, STIFFNESS, RADIUS = 1.0, 3.0, 2000.0, 0.1
+MASS_1 = 1.0
+MASS_2 = 3.0
+STIFFNESS = 2000.0
+RADIUS = 0.1
 START = (0.0, 1.0, 2.0, -1.0)
 CLOSING_SPEED = START[2] - START[3]
 REDUCED_MASS = MASS_1 * MASS_2 / (MASS_1 + MASS_2)
@@ -38,9 +41,15 @@ SCENE = Scene(
     ),
     inputs=(),
     parameters=(
-        Parameter(symbol=m1, value=MASS_1, unit="kg", lower=1e-6, description="mass of the left disc"),
-        Parameter(symbol=m2, value=MASS_2, unit="kg", lower=1e-6, description="mass of the right disc"),
-        Parameter(symbol=k, value=STIFFNESS, unit="N/m", lower=1e-6, description="contact stiffness"),
+        Parameter(
+            symbol=m1, value=MASS_1, unit="kg", lower=1e-6, description="mass of the left disc"
+        ),
+        Parameter(
+            symbol=m2, value=MASS_2, unit="kg", lower=1e-6, description="mass of the right disc"
+        ),
+        Parameter(
+            symbol=k, value=STIFFNESS, unit="N/m", lower=1e-6, description="contact stiffness"
+        ),
         Parameter(symbol=r, value=RADIUS, unit="m", lower=1e-6, description="radius of each disc"),
     ),
     kinetic_energy=(m1 * v1**2 + m2 * v2**2) / 2,
@@ -73,12 +82,30 @@ SCENE = Scene(
     answers=tuple(
         Answer(quantity=quantity, value=value, tolerance=1e-9, source=source, measure=measure)
         for quantity, value, source, measure in (
-            ("contact time [s]", CONTACT_TIME, "half a period of the reduced mass on the spring", "contact time"),
+            (
+                "contact time [s]",
+                CONTACT_TIME,
+                "half a period of the reduced mass on the spring",
+                "contact time",
+            ),
             ("largest compression [m]", COMPRESSION, "energy of the relative motion", "depth"),
             ("restitution", 1.0, "the spring is elastic", "restitution"),
-            ("velocity of the left disc afterwards [m/s]", V1_AFTER, "momentum and energy kept", ""),
-            ("velocity of the right disc afterwards [m/s]", V2_AFTER, "momentum and energy kept", ""),
+            (
+                "velocity of the left disc afterwards [m/s]",
+                V1_AFTER,
+                "momentum and energy kept",
+                "",
+            ),
+            (
+                "velocity of the right disc afterwards [m/s]",
+                V2_AFTER,
+                "momentum and energy kept",
+                "",
+            ),
         )
     ),
-    shapes=(Shape(name="left", kind="disc", x=q1, y=r, size=(r,)), Shape(name="right", kind="disc", x=q2, y=r, size=(r,))),
+    shapes=(
+        Shape(name="left", kind="disc", x=q1, y=r, size=(r,)),
+        Shape(name="right", kind="disc", x=q2, y=r, size=(r,)),
+    ),
 )

@@ -1,20 +1,23 @@
 """One disc is thrown at another, which then glides on and has to pass close by the goal when the time is over: elastic, without friction.
 
-    two_discs()                                          # starts (-1, -2) and (-1, -1)
-    two_discs(wall=True)                                 # starts (0.25, -0.3) and (-0.5, 0.6), a wall at y = 1: off the wall, to the goal
+    two_discs() # starts (-1, -2) and (-1, -1) two_discs(wall=True) # starts (0.25, -0.3) and (-0.5,
+    0.6), a wall at y = 1: off the wall, to the goal
 
-The cost is |q2(T)|^2 + 0.01 int |u|^2 dt, with nothing asked of the end; disc 1 starts at rest and must be at the right place of the rim of disc 2
-with the right speed. As k grows the soft contact tends to the impact of rigid discs. There, equal masses hand over the speed s along the line of
-centres n, and the least work that brings disc 1 from rest to a place d away, with speed s along n and any speed across, within time t is
-(per unit of mass and weight)
+The cost is |q2(T)|^2 + 0.01 int |u|^2 dt, with nothing asked of the end; disc 1 starts at rest and
+must be at the right place of the rim of disc 2 with the right speed. As k grows the soft contact
+tends to the impact of rigid discs. There, equal masses hand over the speed s along the line of
+centres n, and the least work that brings disc 1 from rest to a place d away, with speed s along n
+and any speed across, within time t is (per unit of mass and weight)
 
     12 (d.n)^2/t^3 - 12 (d.n) s/t^2 + 4 s^2/t + 3 |d - (d.n) n|^2/t^3
 
-so that the optimum is a minimum over n, t and s alone (`rigid_cost`): 0.3114169, and 0.3736364 with the wall, where disc 2 heads for the goal's
-mirror image behind the line of its reflected centre, y = 1 - r.
+so that the optimum is a minimum over n, t and s alone (`rigid_cost`): 0.3114169, and 0.3736364 with
+the wall, where disc 2 heads for the goal's mirror image behind the line of its reflected centre, y
+= 1 - r.
 
-To hold, a plan costs no more than the cheapest throw of rigid discs that brings disc 2 onto the goal itself (`rigid_hit_cost`): 0.4079873, and 0.5911108
-with the wall. Doing nothing costs the square of its distance from there, 2 and 0.61.
+To hold, a plan costs no more than the cheapest throw of rigid discs that brings disc 2 onto the
+goal itself (`rigid_hit_cost`): 0.4079873, and 0.5911108 with the wall. Doing nothing costs the
+square of its distance from there, 2 and 0.61.
 """
 
 import math
@@ -24,11 +27,17 @@ import sympy as sp
 from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, Shape, Task
 from models.scene.parts import limits
 
-RADIUS, MASS, WEIGHT, STEPS, WALL = 0.2, 1.0, 0.01, 480, 1.0
-RIGID_OPTIMUM, RIGID_OPTIMUM_WALL = 0.3114169, 0.3736364
-RIGID_HIT, RIGID_HIT_WALL = 0.4079873, 0.5911108
-# Centres closer than this [m] have no direction of contact between them: the distance sqrt(|q2 - q1|^2 + BLUR^2) is smooth even there, its
-# gradient zero; where discs touch it is 1e-12 m off.
+RADIUS = 0.2
+MASS = 1.0
+WEIGHT = 0.01
+STEPS = 480
+WALL = 1.0
+RIGID_OPTIMUM = 0.3114169
+RIGID_OPTIMUM_WALL = 0.3736364
+RIGID_HIT = 0.4079873
+RIGID_HIT_WALL = 0.5911108
+# Centres closer than this [m] have no direction of contact between them: the distance sqrt(|q2 -
+# q1|^2 + BLUR^2) is smooth even there, its gradient zero; where discs touch it is 1e-12 m off.
 BLUR = 1e-6
 
 x1, y1, x2, y2 = q = sp.symbols("x1 y1 x2 y2", real=True)
@@ -37,7 +46,9 @@ ux, uy = sp.symbols("ux uy", real=True)
 m, r, k, y_w = sp.symbols("m r k y_w", positive=True)
 
 
-def rigid_cost(direction: float, time: float, speed: float, start: tuple[float, ...], goal: tuple[float, float]) -> float:
+def rigid_cost(
+    direction: float, time: float, speed: float, start: tuple[float, ...], goal: tuple[float, float]
+) -> float:
     """The cost in the rigid limit of hitting disc 2 at `time` [s], along the angle `direction` [rad], with `speed` [m/s] > 0 along it.
 
     start: (4,) centres of disc 1 and 2 [m]; goal: where disc 2 heads for [m].
@@ -45,15 +56,26 @@ def rigid_cost(direction: float, time: float, speed: float, start: tuple[float, 
     nx, ny = math.cos(direction), math.sin(direction)
     dx, dy = start[2] - 2 * RADIUS * nx - start[0], start[3] - 2 * RADIUS * ny - start[1]
     along, across = dx * nx + dy * ny, dy * nx - dx * ny
-    work = 12 * along**2 / time**3 - 12 * along * speed / time**2 + 4 * speed**2 / time + 3 * across**2 / time**3
+    work = (
+        12 * along**2 / time**3
+        - 12 * along * speed / time**2
+        + 4 * speed**2 / time
+        + 3 * across**2 / time**3
+    )
     glide = speed * (STEPS * _step() - time)
-    return (start[2] + glide * nx - goal[0]) ** 2 + (start[3] + glide * ny - goal[1]) ** 2 + WEIGHT * work
+    return (
+        (start[2] + glide * nx - goal[0]) ** 2
+        + (start[3] + glide * ny - goal[1]) ** 2
+        + WEIGHT * work
+    )
 
 
 def rigid_hit_cost(time: float, start: tuple[float, ...], goal: tuple[float, float]) -> float:
     """The cost in the rigid limit of hitting disc 2 at `time` [s] so that it glides exactly onto its goal; its minimum over time is RIGID_HIT."""
     dx, dy = goal[0] - start[2], goal[1] - start[3]
-    return rigid_cost(math.atan2(dy, dx), time, math.hypot(dx, dy) / (STEPS * _step() - time), start, goal)
+    return rigid_cost(
+        math.atan2(dy, dx), time, math.hypot(dx, dy) / (STEPS * _step() - time), start, goal
+    )
 
 
 def _step() -> float:
@@ -80,11 +102,16 @@ def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
         Parameter(symbol=r, value=RADIUS, unit="m", lower=1e-6, description="radius of each disc"),
         Parameter(symbol=k, value=5000.0, unit="N/m", lower=1e-6, description="contact stiffness"),
     ]
-    shapes = [Shape(name="disc 1", kind="disc", x=x1, y=y1, size=(r,)), Shape(name="disc 2", kind="disc", x=x2, y=y2, size=(r,))]
+    shapes = [
+        Shape(name="disc 1", kind="disc", x=x1, y=y1, size=(r,)),
+        Shape(name="disc 2", kind="disc", x=x2, y=y2, size=(r,)),
+    ]
     start = (-1.0, -2.0, -1.0, -1.0)
     if wall:
         start = (0.25, -0.3, -0.5, 0.6)
-        parameters.append(Parameter(symbol=y_w, value=WALL, unit="m", description="height of the wall"))
+        parameters.append(
+            Parameter(symbol=y_w, value=WALL, unit="m", description="height of the wall")
+        )
         for index, height in ((1, y1), (2, y2)):
             contacts.append(
                 Contact(
@@ -106,12 +133,21 @@ def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
         source="Newton's second law; task after the two-ball examples of optimal control through contact (480 steps of 1/480 s, radius 0.2 m)",
         quick=False,  # its two pipelines find no throw
         coordinates=tuple(
-            Coordinate(symbol=place, velocity=speed, unit="m", description=f"{axis} of the centre of disc {index}")
+            Coordinate(
+                symbol=place,
+                velocity=speed,
+                unit="m",
+                description=f"{axis} of the centre of disc {index}",
+            )
             for place, speed, axis, index in zip(q, v, "xyxy", (1, 1, 2, 2), strict=True)
         ),
         inputs=(
-            Input(symbol=ux, unit="N", lower=-50.0, upper=50.0, description="force on disc 1 along x"),
-            Input(symbol=uy, unit="N", lower=-50.0, upper=50.0, description="force on disc 1 along y"),
+            Input(
+                symbol=ux, unit="N", lower=-50.0, upper=50.0, description="force on disc 1 along x"
+            ),
+            Input(
+                symbol=uy, unit="N", lower=-50.0, upper=50.0, description="force on disc 1 along y"
+            ),
         ),
         parameters=tuple(parameters),
         kinetic_energy=m * (vx1**2 + vy1**2 + vx2**2 + vy2**2) / 2,
@@ -129,13 +165,19 @@ def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
         limits=limits(
             **dict.fromkeys(
                 ("cost", "replay_cost"),
-                (hit, "the cheapest throw of rigid discs that brings disc 2 onto the goal itself: who pays more neither hits nor saves"),
+                (
+                    hit,
+                    "the cheapest throw of rigid discs that brings disc 2 onto the goal itself: who pays more neither hits nor saves",
+                ),
             ),
             law_error=(
                 0.01,
                 "a tenth of the width of the contact that matters: discs that glide 1 m after the impact must hit within 0.01 m",
             ),
-            replay_error=(0.02, "the contact law's 0.01 m and as much for the grid: at 5 m/s a step of 1/480 s is 0.01 m long"),
+            replay_error=(
+                0.02,
+                "the contact law's 0.01 m and as much for the grid: at 5 m/s a step of 1/480 s is 0.01 m long",
+            ),
         ),
         answers=(
             Answer(

@@ -1,15 +1,20 @@
 """Two fingers lift a disc off a table by friction and hold it: the paper's cup, which no force at a distance may lift.
 
-The fingers of `two_finger`, hung from above in the vertical plane. The disc stands on a smooth table; the tips start 5 mm off on both sides.
-They have to close, to press - friction gives mu N a side, so that it takes at least m g/(2 mu) on each to hold the disc - to lift it by 0.05 m and
-to hold it there. Without contact there is no lift, and without friction none either: both pushes are level.
+The fingers of `two_finger`, hung from above in the vertical plane. The disc stands on a smooth
+table; the tips start 5 mm off on both sides. They have to close, to press - friction gives mu N a
+side, so that it takes at least m g/(2 mu) on each to hold the disc - to lift it by 0.05 m and to
+hold it there. Without contact there is no lift, and without friction none either: both pushes are
+level.
 
-Source: as `two_finger`. Chosen here: mu = 1 (rubber); a disc of 0.1 kg, a cup: tips of 100 N/m hold it with 5 mm of penetration, where
-the 0.5 kg of `two_finger` would sink in by 25 mm, half the radius; a table of 500 N/m, into which it sinks by 2 mm, and which starts in balance;
+Source: as `two_finger`. Chosen here: mu = 1 (rubber); a disc of 0.1 kg, a cup: tips of 100 N/m hold
+    it with 5 mm of penetration, where
+the 0.5 kg of `two_finger` would sink in by 25 mm, half the radius; a table of 500 N/m, into which
+    it sinks by 2 mm, and which starts in balance;
 h = 0.002 s: the stiffest of its motions, the disc on the table, has h w = 0.14.
 
-To hold: as in `two_finger`, 0.2 s of the 0.4 s. Here the distance from the goal counts 20 a metre: 1 a step on the table against 0.05 for
-the torques that hold the disc, so that lifting at once is worth it.
+To hold: as in `two_finger`, 0.2 s of the 0.4 s. Here the distance from the goal counts 20 a metre:
+1 a step on the table against 0.05 for the torques that hold the disc, so that lifting at once is
+worth it.
 """
 
 import sympy as sp
@@ -19,7 +24,14 @@ from models.scene.parts import limits
 from models.scenes import _fingers as fingers
 
 g, mu, k_t, y_t = sp.symbols("g mu k_t y_t", positive=True)
-WAY, HEIGHT, GAP, MASS, GRAVITY, MU, TABLE, PULL = 0.05, -0.14, 0.005, 0.1, 9.81, 1.0, 500.0, 20.0
+WAY = 0.05
+HEIGHT = -0.14
+GAP = 0.005
+MASS = 0.1
+GRAVITY = 9.81
+MU = 1.0
+TABLE = 500.0
+PULL = 20.0
 SUNK = MASS * GRAVITY / TABLE
 
 SCENE = Scene(
@@ -32,12 +44,26 @@ SCENE = Scene(
     parameters=(
         *fingers.parameters(MASS),
         Parameter(symbol=g, value=GRAVITY, unit="m/s^2", lower=0.0, description="gravity"),
-        Parameter(symbol=mu, value=MU, unit="1", lower=0.0, description="coefficient of friction between tip and disc"),
-        Parameter(symbol=k_t, value=TABLE, unit="N/m", lower=1e-6, description="stiffness of the table"),
-        Parameter(symbol=y_t, value=fingers.RADIUS - SUNK - HEIGHT, unit="m", description="depth of the table below the bases"),
+        Parameter(
+            symbol=mu,
+            value=MU,
+            unit="1",
+            lower=0.0,
+            description="coefficient of friction between tip and disc",
+        ),
+        Parameter(
+            symbol=k_t, value=TABLE, unit="N/m", lower=1e-6, description="stiffness of the table"
+        ),
+        Parameter(
+            symbol=y_t,
+            value=fingers.RADIUS - SUNK - HEIGHT,
+            unit="m",
+            description="depth of the table below the bases",
+        ),
     ),
     kinetic_energy=fingers.kinetic_energy(),
-    potential_energy=g * (fingers.m_d * fingers.y + fingers.m_l * sum(centre[1] for centre, _ in fingers.bars())),
+    potential_energy=g
+    * (fingers.m_d * fingers.y + fingers.m_l * sum(centre[1] for centre, _ in fingers.bars())),
     forces=fingers.forces(),
     contacts=(
         *fingers.tip_contacts(0.01),
@@ -71,8 +97,14 @@ SCENE = Scene(
         terminal_position_error=(0.005, "a tenth of the way that the disc is to be lifted"),
         terminal_velocity_error=(0.01, "the speed that falling freely gives in 1 ms, half a step"),
         replay_terminal_position_error=(0.005, "a tenth of the way that the disc is to be lifted"),
-        replay_terminal_velocity_error=(0.02, "the speed that falling freely gives in one step of 2 ms"),
-        replay_error=(0.05, "a link of 0.1 m that is 0.05 rad off has its end 5 mm off, the limit of the disc at the goal"),
+        replay_terminal_velocity_error=(
+            0.02,
+            "the speed that falling freely gives in one step of 2 ms",
+        ),
+        replay_error=(
+            0.05,
+            "a link of 0.1 m that is 0.05 rad off has its end 5 mm off, the limit of the disc at the goal",
+        ),
     ),
     answers=(
         fingers.stretched_answer(),
@@ -85,5 +117,8 @@ SCENE = Scene(
     ),
     quick=False,
     length=fingers.LENGTH,
-    shapes=(*fingers.shapes(), Shape(name="table", kind="wall", x=sp.Integer(0), y=-y_t, size=(0.4,))),
+    shapes=(
+        *fingers.shapes(),
+        Shape(name="table", kind="wall", x=sp.Integer(0), y=-y_t, size=(0.4,)),
+    ),
 )

@@ -1,17 +1,25 @@
 """An inverted pendulum, linearised about upright, is thrown at a soft wall: twenty steps, twenty decisions, a provable optimum.
 
-Source: the small benchmark of hybrid model predictive control in Tobia Marcucci, Russ Tedrake, "Warm Start of Mixed-Integer Programs for Model
-Predictive Control of Hybrid Systems" (IEEE Transactions on Automatic Control, 2021), and Robin Deits, Twan Koolen, Russ Tedrake, "LVIS:
-Learning from Value Function Intervals for Contact-Aware Robot Controllers" (ICRA 2019). Taken from there: mass, length, gravity, k = 100 N/m,
-the wall where l*theta = 0.1 m, h = 0.01 s, T = 20, the bounds of 4 N m and 1.5 rad/s, the start (0, 0.8) and the weights Q = I, R = 1.
+Source: the small benchmark of hybrid model predictive control in Tobia Marcucci, Russ Tedrake,
+    "Warm Start of Mixed-Integer Programs for Model
+Predictive Control of Hybrid Systems" (IEEE Transactions on Automatic Control, 2021), and Robin
+    Deits, Twan Koolen, Russ Tedrake, "LVIS:
+Learning from Value Function Intervals for Contact-Aware Robot Controllers" (ICRA 2019). Taken from
+    there: mass, length, gravity, k = 100 N/m,
+the wall where l*theta = 0.1 m, h = 0.01 s, T = 20, the bounds of 4 N m and 1.5 rad/s, the start (0,
+    0.8) and the weights Q = I, R = 1.
 
 Chosen here, because a scene of this kind has one cost for all methods:
-- the cost is the sum over the starts of the steps, t = 0..T-1, of theta^2 + omega^2 + u^2 in rad, rad/s, N m. The end is free and weighs nothing:
-  the originals weigh it with the value of a controller that ignores the wall, and ask it to lie in that controller's safe set.
-- one wall, on the side the pendulum falls to; the originals that have two put the other out of reach of this start.
+- the cost is the sum over the starts of the steps, t = 0..T-1, of theta^2 + omega^2 + u^2 in rad,
+  rad/s, N m. The end is free and weighs nothing:
+  the originals weigh it with the value of a controller that ignores the wall, and ask it to lie in
+  that controller's safe set.
+- one wall, on the side the pendulum falls to; the originals that have two put the other out of
+  reach of this start.
 - the bound of omega holds at the start of every step, as theirs on (x, u) do.
 
-The start needs the wall: the cheapest plan that never touches it brakes with up to the bound of 4 N m and costs 148.06 instead of 13.62.
+The start needs the wall: the cheapest plan that never touches it brakes with up to the bound of 4 N
+m and costs 148.06 instead of 13.62.
 """
 
 import sympy as sp
@@ -29,7 +37,13 @@ SCENE = Scene(
     source="Marcucci and Tedrake, Warm Start of Mixed-Integer Programs for Model Predictive Control of Hybrid Systems; Deits, Koolen and Tedrake, LVIS",
     coordinates=(
         Coordinate(
-            symbol=theta, velocity=omega, unit="rad", nominal=0.1, velocity_lower=-1.5, velocity_upper=1.5, description="angle from upright"
+            symbol=theta,
+            velocity=omega,
+            unit="rad",
+            nominal=0.1,
+            velocity_lower=-1.5,
+            velocity_upper=1.5,
+            description="angle from upright",
         ),
     ),
     inputs=(Input(symbol=u, unit="N m", lower=-4.0, upper=4.0, description="torque at the base"),),
@@ -37,8 +51,16 @@ SCENE = Scene(
         Parameter(symbol=m, value=1.0, unit="kg", lower=1e-6, description="mass at the tip"),
         Parameter(symbol=l, value=1.0, unit="m", lower=1e-6, description="length"),
         Parameter(symbol=g, value=10.0, unit="m/s^2", lower=0.0, description="gravity"),
-        Parameter(symbol=k, value=100.0, unit="N/m", lower=1e-6, description="stiffness of the wall"),
-        Parameter(symbol=w, value=0.1, unit="m", lower=0.0, description="distance of the wall from the upright tip"),
+        Parameter(
+            symbol=k, value=100.0, unit="N/m", lower=1e-6, description="stiffness of the wall"
+        ),
+        Parameter(
+            symbol=w,
+            value=0.1,
+            unit="m",
+            lower=0.0,
+            description="distance of the wall from the upright tip",
+        ),
     ),
     kinetic_energy=m * l**2 * omega**2 / 2,
     potential_energy=-m * g * l * theta**2 / 2,  # m g l cos(theta) to second order
@@ -55,13 +77,22 @@ SCENE = Scene(
             description="tip against wall",
         ),
     ),
-    task=Task(start=(0.0, 0.8), goal=(None, None), running_cost=theta**2 + omega**2 + u**2, step=0.01, steps=20),
+    task=Task(
+        start=(0.0, 0.8),
+        goal=(None, None),
+        running_cost=theta**2 + omega**2 + u**2,
+        step=0.01,
+        steps=20,
+    ),
     limits=limits(
         cost=(
             13.7626,
             "what doing nothing costs, 13.76265 on this grid: the wall throws the pendulum back by itself, and a torque has to be worth its price",
         ),
-        replay_cost=(13.7151, "what doing nothing costs in continuous time, 13.71517, at the starts of the same 20 steps"),
+        replay_cost=(
+            13.7151,
+            "what doing nothing costs in continuous time, 13.71517, at the starts of the same 20 steps",
+        ),
         replay_error=(
             5e-4,
             "six times what a semi-implicit step of 0.01 s drifts from the continuous motion over the 0.2 s (measured under the true law: "
@@ -83,8 +114,22 @@ SCENE = Scene(
         ),
     ),
     shapes=(
-        Shape(name="pendulum", kind="line", x=l * theta / 2, y=l / 2, size=(l,), angle=sp.pi / 2 - theta),
+        Shape(
+            name="pendulum",
+            kind="line",
+            x=l * theta / 2,
+            y=l / 2,
+            size=(l,),
+            angle=sp.pi / 2 - theta,
+        ),
         Shape(name="tip", kind="disc", x=l * theta, y=l, size=(sp.Rational(1, 50),)),
-        Shape(name="wall", kind="wall", x=w + sp.Rational(1, 50), y=l, size=(sp.Rational(3, 10),), angle=sp.pi / 2),
+        Shape(
+            name="wall",
+            kind="wall",
+            x=w + sp.Rational(1, 50),
+            y=l,
+            size=(sp.Rational(3, 10),),
+            angle=sp.pi / 2,
+        ),
     ),
 )

@@ -1,4 +1,7 @@
-"""Where a campaign's seconds go: the slowest runs by phases; and where its numbers come from: commits, machine, versions, command, keys."""
+"""Where a campaign's seconds go: the slowest runs by phases.
+
+And where its numbers come from: commits, machine, versions, command, keys.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,8 @@ from reports.records.record import ProvenanceRecord, RunRecord
 from reports.wording import count, listing, seconds, spaced
 
 _SLOWEST = 10
-# Phase -> (what it is in words, the group it belongs to). What is not named here is shown by its own name, in the last group.
+# Phase -> (what it is in words, the group it belongs to). What is not named here is shown by its
+# own name, in the last group.
 PHASES = {
     "start": ("interpreter", "starting"),
     "imports": ("imports", "starting"),
@@ -30,7 +34,15 @@ PHASES = {
     "writing": ("writing files", "other"),
     "record": ("the record", "other"),
 }
-_GROUPS: tuple[str, ...] = ("starting", "compiling", "modelling", "evaluating", "linear algebra", "judging", "other")
+_GROUPS: tuple[str, ...] = (
+    "starting",
+    "compiling",
+    "modelling",
+    "evaluating",
+    "linear algebra",
+    "judging",
+    "other",
+)
 # Sections of a bar are this many units wide in all.
 _WIDTH = 200.0
 # A share below this is told in no sentence.
@@ -40,7 +52,8 @@ _TOLD = 0.1
 class Slow(NamedTuple):
     """One run.
 
-    groups: wall seconds of each group; phases: (words, seconds) by length; bar: (x, width, style, words) of its pieces, in all as wide as its share of the
+    groups: wall seconds of each group; phases: (words, seconds) by length; bar: (x, width, style,
+        words) of its pieces, in all as wide as its share of the
     slowest run.
     """
 
@@ -53,7 +66,10 @@ class Slow(NamedTuple):
 
 def time_spent(report: Report) -> Section | None:
     """The section, or None where no run left a profile."""
-    profiled = sorted((run for run in report.stored.runs if run.profile), key=lambda run: (-run.wall_seconds, run.key))
+    profiled = sorted(
+        (run for run in report.stored.runs if run.profile),
+        key=lambda run: (-run.wall_seconds, run.key),
+    )
     if not profiled:
         return None
     longest = profiled[0].wall_seconds or 1.0
@@ -90,7 +106,13 @@ def _slow(run: RunRecord, link: str, longest: float) -> Slow:
         width = max(0.0, _WIDTH * spent / longest)
         bar.append((round(x, 2), round(width, 2), _style(group), f"{group}: {seconds(spent)} s"))
         x += width
-    return Slow(run, link, tuple(groups.values()), tuple(sorted(phases, key=lambda item: -item[1])), tuple(bar))
+    return Slow(
+        run,
+        link,
+        tuple(groups.values()),
+        tuple(sorted(phases, key=lambda item: -item[1])),
+        tuple(bar),
+    )
 
 
 def _sentence(runs: list[RunRecord]) -> str:
@@ -103,8 +125,14 @@ def _sentence(runs: list[RunRecord]) -> str:
     if whole <= 0.0:
         return ""
     longest = sorted(spent.items(), key=lambda item: -item[1])
-    told = [f"{name} ({100 * took / whole:.0f} %)" for name, took in longest if took >= _TOLD * whole]
-    return f"Of the {seconds(whole)} s of {count(len(runs), 'run')}, most went to {listing(told)}." if told else ""
+    told = [
+        f"{name} ({100 * took / whole:.0f} %)" for name, took in longest if took >= _TOLD * whole
+    ]
+    return (
+        f"Of the {seconds(whole)} s of {count(len(runs), 'run')}, most went to {listing(told)}."
+        if told
+        else ""
+    )
 
 
 _SAME = ("touchstone", "commit", "python", "platform", "cpu", "compiler")
@@ -113,7 +141,11 @@ _SAME = ("touchstone", "commit", "python", "platform", "cpu", "compiler")
 def provenance(report: Report) -> Section | None:
     """The section, or None where nothing is stored that has an origin."""
     stored = report.stored
-    first = stored.campaign.provenance if stored.campaign else (stored.runs[0].provenance if stored.runs else None)
+    first = (
+        stored.campaign.provenance
+        if stored.campaign
+        else (stored.runs[0].provenance if stored.runs else None)
+    )
     if first is None:
         return None
     runs = [(run, report.link(run), differences(first, run.provenance)) for run in stored.runs]
@@ -125,7 +157,15 @@ def provenance(report: Report) -> Section | None:
 
 def differences(first: ProvenanceRecord, other: ProvenanceRecord) -> list[str]:
     """What a run's origin has other than the campaign's, in words."""
-    told = [f"{name} {getattr(other, name)}" for name in _SAME if getattr(first, name) != getattr(other, name)]
+    told = [
+        f"{name} {getattr(other, name)}"
+        for name in _SAME
+        if getattr(first, name) != getattr(other, name)
+    ]
     names = sorted(set(first.packages) | set(other.packages))
-    told += [f"{name} {other.packages.get(name, 'absent')}" for name in names if first.packages.get(name) != other.packages.get(name)]
+    told += [
+        f"{name} {other.packages.get(name, 'absent')}"
+        for name in names
+        if first.packages.get(name) != other.packages.get(name)
+    ]
     return told

@@ -1,6 +1,7 @@
 """What a campaign checks beside its runs: FMUs, a row a scene and version of FMI, or anybody's, with every check of each; and the stress cases.
 
-A stress case is a row: what a correct system does, what happened, the metrics, and whether that passes; below them their plots.
+A stress case is a row: what a correct system does, what happened, the metrics, and whether that
+passes; below them their plots.
 """
 
 from __future__ import annotations
@@ -10,7 +11,14 @@ from typing import NamedTuple
 
 from reports.pages.section import Report, Section
 from reports.plots import Axis, Key, Plot
-from reports.records.check_record import IMPORTER, AxisRecord, ChartRecord, CheckRecord, CheckRow, by_importer
+from reports.records.check_record import (
+    IMPORTER,
+    AxisRecord,
+    ChartRecord,
+    CheckRecord,
+    CheckRow,
+    by_importer,
+)
 from reports.records.record import MetricRecord
 from reports.wording import Sign, capital, count, listing, number, spaced
 
@@ -37,7 +45,11 @@ class FmuView(NamedTuple):
     @property
     def rows(self) -> list[CheckRow]:
         """All other checks."""
-        return [row for row in self.record.fmu.rows if not row.name.startswith(IMPORTER)] if self.record.fmu else []
+        return (
+            [row for row in self.record.fmu.rows if not row.name.startswith(IMPORTER)]
+            if self.record.fmu
+            else []
+        )
 
 
 def fmus(report: Report) -> Section | None:
@@ -47,22 +59,47 @@ def fmus(report: Report) -> Section | None:
 
 
 def fmus_of(records: Sequence[CheckRecord]) -> Section:
-    """The section of these checks of FMUs; of anybody's, which are of no scene, it says how they were made."""
+    """The section of these checks of FMUs.
+
+    Of anybody's, which are of no scene, it says how they were made.
+    """
     views = [_view(record, place) for place, record in enumerate(records)]
     sentence = _sentence(views)
     ours = any(record.scene for record in records)
     # Of several FMUs each claim stands once: in their tables it would be most of the page.
     rows = [row for record in records if record.fmu is not None for row in record.fmu.rows]
     claims = list(dict.fromkeys((row.name, row.claim) for row in rows)) if len(views) > 1 else []
-    statuses = (*STATUSES, *(status for status in RARE if any(row.status == status for row in rows)))
-    values = {"views": views, "statuses": statuses, "sentence": sentence, "ours": ours, "claims": claims, "origin": records[0].provenance}
+    statuses = (
+        *STATUSES,
+        *(status for status in RARE if any(row.status == status for row in rows)),
+    )
+    values = {
+        "views": views,
+        "statuses": statuses,
+        "sentence": sentence,
+        "ours": ours,
+        "claims": claims,
+        "origin": records[0].provenance,
+    }
     return Section("fmus", "FMUs under the check", "checks.html#fmus", values, said=sentence)
 
 
 def _view(record: CheckRecord, place: int) -> FmuView:
-    ended = "" if record.passed else "failed" if record.outcome == "answered" else record.outcome.replace("_", " ")
+    ended = (
+        ""
+        if record.passed
+        else "failed"
+        if record.outcome == "answered"
+        else record.outcome.replace("_", " ")
+    )
     name, _, version = record.name.partition(", FMI ")
-    return FmuView(record, record.scene or name, record.fmu.version if record.fmu else version, f"fmu-{place + 1}", ended)
+    return FmuView(
+        record,
+        record.scene or name,
+        record.fmu.version if record.fmu else version,
+        f"fmu-{place + 1}",
+        ended,
+    )
 
 
 def _sentence(views: list[FmuView]) -> str:
@@ -71,7 +108,9 @@ def _sentence(views: list[FmuView]) -> str:
     versions = listing(sorted({view.version for view in views if view.version}))
     looked = [view.record.fmu for view in views if view.record.fmu is not None]
     numbers = {status: sum(fmu.count(status) for fmu in looked) for status in (*STATUSES, *RARE)}
-    counts = ", ".join(f"{number} {status}" for status, number in numbers.items() if number or status in STATUSES)
+    counts = ", ".join(
+        f"{number} {status}" for status, number in numbers.items() if number or status in STATUSES
+    )
     bad = sum(not view.record.passed for view in views)
     told = f"{bad} of them {'does' if bad == 1 else 'do'} not pass" if bad else "every one passes"
     cost = sum(view.record.cpu_seconds for view in views)
@@ -83,7 +122,14 @@ STRESS_CASE = "stress case"
 PASS = Sign("pass", "✓", "holds", "every metric is within its limit")
 FAIL = Sign("fail", "✗", "violates", "a metric is beyond its limit")
 LOST = Sign("no answer", "○", "noplan", "the case ended without an answer")
-_STYLES = (("c0", "circle"), ("c1", "square"), ("c2", "diamond"), ("c3", "triangle"), ("c4", "circle"), ("c5", "square"))
+_STYLES = (
+    ("c0", "circle"),
+    ("c1", "square"),
+    ("c2", "diamond"),
+    ("c3", "triangle"),
+    ("c4", "circle"),
+    ("c5", "square"),
+)
 # Figures of a case in the table: those that fail, then the first ones.
 _IN_TABLE = 2
 # Curves of more points than this are drawn without markers.
@@ -93,7 +139,10 @@ _BELOW = 0.08
 
 
 class CaseRow(NamedTuple):
-    """One case. number and title are parts of its name; decisive: the metrics that the table shows."""
+    """One case. number and title are parts of its name.
+
+    decisive: the metrics that the table shows.
+    """
 
     anchor: str
     number: str
@@ -107,14 +156,23 @@ class CaseRow(NamedTuple):
 
 def stress_cases(report: Report) -> Section | None:
     """The section, or None where no stress case ran."""
-    records = sorted((item for item in report.stored.checks if item.kind == STRESS_CASE), key=lambda item: item.name)
+    records = sorted(
+        (item for item in report.stored.checks if item.kind == STRESS_CASE),
+        key=lambda item: item.name,
+    )
     if not records:
         return None
     rows = [_row(record) for record in records]
     failed = [row for row in rows if row.sign is not PASS]
     passed = f"{len(rows) - len(failed)} of {count(len(rows), 'stress case')} {'passes' if len(rows) == 1 else 'pass'}"
     spent = sum(row.record.cpu_seconds for row in rows)
-    values = {"rows": rows, "passed": passed, "failed": failed, "marks": {True: PASS, False: FAIL}, "seconds": spent}
+    values = {
+        "rows": rows,
+        "passed": passed,
+        "failed": failed,
+        "marks": {True: PASS, False: FAIL},
+        "seconds": spent,
+    }
     said = f"{passed}: stiff, grazing, simultaneous and other contact on which solvers go wrong, each with its metrics and plots."
     return Section("stress-cases", "Stress cases", "checks.html#stress_cases", values, said=said)
 
@@ -129,16 +187,24 @@ def _row(record: CheckRecord) -> CaseRow:
         title=title or record.name,
         record=record,
         sign=sign,
-        happened=record.found or record.message or f"It ended as {spaced(record.outcome)}, without a word.",
+        happened=record.found
+        or record.message
+        or f"It ended as {spaced(record.outcome)}, without a word.",
         decisive=tuple(sorted(judged, key=lambda figure: figure.ok is not False)[:_IN_TABLE]),
-        plots=tuple(plot_of(chart) for chart in record.charts if any(series.x for series in chart.series)),
+        plots=tuple(
+            plot_of(chart) for chart in record.charts if any(series.x for series in chart.series)
+        ),
     )
 
 
 def plot_of(chart: ChartRecord) -> Plot:
     """A chart as it is drawn."""
     across = _axis(chart.x, [x for series in chart.series for x in series.x])
-    up = _axis(chart.y, [y for series in chart.series for y in series.y] + ([] if chart.level is None else [chart.level]))
+    up = _axis(
+        chart.y,
+        [y for series in chart.series for y in series.y]
+        + ([] if chart.level is None else [chart.level]),
+    )
     plot = Plot(chart.title, across, up, width=480, height=300)
     for place, series in enumerate(chart.series):
         style, marker = _STYLES[place % len(_STYLES)]
@@ -146,14 +212,33 @@ def plot_of(chart: ChartRecord) -> Plot:
         plot.keys.append(Key(style, series.name, marker if marked else ""))
         x, y = (_drawn(values, axis) for values, axis in ((series.x, plot.x), (series.y, plot.y)))
         if series.line:
-            above = [pair for pair in zip(x, y, series.x, series.y, strict=True) if not (_low(pair[2], plot.x) or _low(pair[3], plot.y))]
+            above = [
+                pair
+                for pair in zip(x, y, series.x, series.y, strict=True)
+                if not (_low(pair[2], plot.x) or _low(pair[3], plot.y))
+            ]
             plot.line(series.name, style, [pair[0] for pair in above], [pair[1] for pair in above])
-        for left, up, true_x, true_y in zip(x, y, series.x, series.y, strict=True) if marked else ():
-            plot.point(left, up, style, marker, f"{series.name}: {chart.x.quantity} {number(true_x)}, {chart.y.quantity} {number(true_y)}")
+        for left, up, true_x, true_y in (
+            zip(x, y, series.x, series.y, strict=True) if marked else ()
+        ):
+            plot.point(
+                left,
+                up,
+                style,
+                marker,
+                f"{series.name}: {chart.x.quantity} {number(true_x)}, {chart.y.quantity} {number(true_y)}",
+            )
     if chart.level is not None:
         plot.level(chart.level, chart.level_words)
-    plot.words = chart.words or f"{capital(chart.y.quantity)} against {chart.x.quantity}, {count(len(chart.series), 'curve')}."
-    if any(_low(x, plot.x) or _low(y, plot.y) for series in chart.series for x, y in zip(series.x, series.y, strict=True)):
+    plot.words = (
+        chart.words
+        or f"{capital(chart.y.quantity)} against {chart.x.quantity}, {count(len(chart.series), 'curve')}."
+    )
+    if any(
+        _low(x, plot.x) or _low(y, plot.y)
+        for series in chart.series
+        for x, y in zip(series.x, series.y, strict=True)
+    ):
         plot.words += " Zeros have no place on a logarithmic axis: their points stand at its lower end, off the line."
     return plot
 

@@ -1,6 +1,7 @@
 """What a reader sees first: three findings, speed against error, every scene by every pipeline, a film strip; what failed; and what leads to the other pages.
 
-What failed is grouped by cause: each cause once, with its advice and its runs; with it what makes the campaign fail, and what could not be read.
+What failed is grouped by cause: each cause once, with its advice and its runs; with it what makes
+the campaign fail, and what could not be read.
 """
 
 from __future__ import annotations
@@ -21,11 +22,26 @@ from reports.records.load import Unreadable
 from reports.records.record import HOLD, CampaignRecord, RunRecord
 from reports.rows import Row
 from reports.rule import RESULTS, RULE, failed_keys, failures
-from reports.wording import VERDICTS, capital, cost, count, error, listing, measured, number, seconds, unit
+from reports.wording import (
+    VERDICTS,
+    capital,
+    cost,
+    count,
+    error,
+    listing,
+    measured,
+    number,
+    seconds,
+    unit,
+)
 
 
 class Place(NamedTuple):
-    """A run as the matrix shows it; ratio: its cost over that of the cheapest run on its scene that holds, None where it does not hold or costs nothing."""
+    """A run as the matrix shows it.
+
+    ratio: its cost over that of the cheapest run on its scene that holds, None where it does not
+    hold or costs nothing.
+    """
 
     run: RunRecord
     link: str
@@ -56,7 +72,9 @@ def _places(report: Report) -> dict[tuple[str, str], Place]:
     least, found = least_costs(report.stored.runs), {}
     for run in report.stored.runs:
         ratio = cost_ratio(run, least)
-        found[run.pipeline, run.scene.name] = Place(run, report.link(run), ratio, _words(run, ratio))
+        found[run.pipeline, run.scene.name] = Place(
+            run, report.link(run), ratio, _words(run, ratio)
+        )
     return found
 
 
@@ -65,7 +83,9 @@ def _words(run: RunRecord, ratio: float | None) -> str:
     price, cause = run.cost, cause_of(run)
     said = f"{run.pipeline} on {run.scene.name}: {run.verdict}"
     if ratio is not None:
-        return f"{said}, cost {cost(price)}" + (f", {number(ratio, 3)} times the cheapest" if ratio > 1 else ", the cheapest")
+        return f"{said}, cost {cost(price)}" + (
+            f", {number(ratio, 3)} times the cheapest" if ratio > 1 else ", the cheapest"
+        )
     if cause is None:
         reason = not_applicable(run)
         return f"{said}. {reason}" if reason else said
@@ -76,7 +96,10 @@ def _words(run: RunRecord, ratio: float | None) -> str:
 
 
 def _about(campaign: CampaignRecord | None, runs: Sequence[RunRecord]) -> dict[str, str] | None:
-    """What was run, when, where, in how much time, and the command that repeats it; None where nothing is stored that says so."""
+    """What was run, when, where, in how much time, and the command that repeats it.
+
+    None where nothing is stored that says so.
+    """
     if campaign is None and not runs:
         return None
     provenance = campaign.provenance if campaign else runs[0].provenance
@@ -105,7 +128,9 @@ def _speed(report: Report) -> Plot | None:
             points.append((max(cpu(row), TICK), missed, row))
     if not points:
         return None
-    across = Axis.fitted("CPU time, with the stages before", "s", [x for x, *_ in points], log=True, margin=0.05)
+    across = Axis.fitted(
+        "CPU time, with the stages before", "s", [x for x, *_ in points], log=True, margin=0.05
+    )
     up = Axis.fitted("replay error", "m or rad", [y for _, y, *_ in points], log=True, margin=0.05)
     plot = Plot("Speed against error", across, up, width=560, height=400)
     for x, y, row in points:
@@ -113,10 +138,18 @@ def _speed(report: Report) -> Plot | None:
         plot.point(x, y, style_of(row), "circle", tip, row.link, radius=3.5, keeps_free=False)
     medians = []
     for name in dict.fromkeys(row.run.pipeline for _, _, row in points):
-        mine = [(x, y) for x, y, row in points if row.run.pipeline == name and row.holds and row.stage is row.run.stages[-1]]
+        mine = [
+            (x, y)
+            for x, y, row in points
+            if row.run.pipeline == name and row.holds and row.stage is row.run.stages[-1]
+        ]
         if len(mine) >= min(ENOUGH, len(report.scenes)):
             medians.append((median(x for x, _ in mine), median(y for _, y in mine), name))
-    lasting = [point for point in medians if not any(other[0] < point[0] and other[1] < point[1] for other in medians)]
+    lasting = [
+        point
+        for point in medians
+        if not any(other[0] < point[0] and other[1] < point[1] for other in medians)
+    ]
     lasting.sort()
     draw_front(plot, [point[:2] for point in lasting])
     plot.name_points(lasting)
@@ -140,13 +173,42 @@ def _strip(report: Report) -> tuple[Film, str, RunRecord] | None:
 
 def index(report: Report, others: Sequence[tuple[str, Section]]) -> Section | None:
     """The last section of report.html. others: (file name, first section) of each page that is neither a scene's nor a run's."""
-    pages = [(report.page_link(name, section.anchor if report.single else ""), section.title, section.said) for name, section in others]
+    pages = [
+        (
+            report.page_link(name, section.anchor if report.single else ""),
+            section.title,
+            section.said,
+        )
+        for name, section in others
+    ]
     scenes = []
     for scene in report.scenes:
-        asked = [run for run in report.stored.runs if run.scene.name == scene.name and run.verdict not in NOT_ASKED]
-        best = next((f"{run.pipeline}, cost {cost(price)}" for run, price in report.stored.cheapest(scene.name)), "")
-        scenes.append((scene, report.scene_link(scene), sum(run.verdict in HOLD for run in asked), len(asked), best))
-    return Section("index", "More pages", "report.html#index", {"scenes": scenes, "pages": pages}) if scenes or pages else None
+        asked = [
+            run
+            for run in report.stored.runs
+            if run.scene.name == scene.name and run.verdict not in NOT_ASKED
+        ]
+        best = next(
+            (
+                f"{run.pipeline}, cost {cost(price)}"
+                for run, price in report.stored.cheapest(scene.name)
+            ),
+            "",
+        )
+        scenes.append(
+            (
+                scene,
+                report.scene_link(scene),
+                sum(run.verdict in HOLD for run in asked),
+                len(asked),
+                best,
+            )
+        )
+    return (
+        Section("index", "More pages", "report.html#index", {"scenes": scenes, "pages": pages})
+        if scenes or pages
+        else None
+    )
 
 
 # So many sentences or files are told one below the other; more are folded.
@@ -192,12 +254,20 @@ def what_failed(report: Report) -> Section:
     return Section("failures", "What failed, by cause", "report.html#failures", values)
 
 
-def _cause_view(report: Report, cause: Cause, runs: list[RunRecord], must: frozenset[str]) -> CauseView:
+def _cause_view(
+    report: Report, cause: Cause, runs: list[RunRecord], must: frozenset[str]
+) -> CauseView:
     scenes: dict[str, list[FailedRun]] = {}
     links = {scene.name: report.scene_link(scene) for scene in report.scenes}
     for run in runs:
-        scenes.setdefault(run.scene.name, []).append(FailedRun(run, report.link(run), *_decided_by(run), run.key in must))
-    return CauseView(cause, len(runs), [(name, links[name], _shared(mine), mine) for name, mine in scenes.items()])
+        scenes.setdefault(run.scene.name, []).append(
+            FailedRun(run, report.link(run), *_decided_by(run), run.key in must)
+        )
+    return CauseView(
+        cause,
+        len(runs),
+        [(name, links[name], _shared(mine), mine) for name, mine in scenes.items()],
+    )
 
 
 def _shared(runs: list[FailedRun]) -> str:
@@ -208,7 +278,11 @@ def _shared(runs: list[FailedRun]) -> str:
 
 def _decided_by(run: RunRecord) -> tuple[str, str]:
     """`0.43 m` and `0.050 m`: what decided, and its limit."""
-    metric = deciding(run.stages[-1]) if run.stages and run.verdict in ("violates", "undecided") else None
+    metric = (
+        deciding(run.stages[-1])
+        if run.stages and run.verdict in ("violates", "undecided")
+        else None
+    )
     if metric is None or metric.value is None or metric.limit is None:
         return "", ""
     return measured(metric.value, metric.unit), measured(metric.limit, metric.unit)
@@ -226,16 +300,26 @@ def notices(report: Report) -> list[str]:
     """What a reader must know before anything else: what is missing, cannot be read, was left out, or was known to be unstable."""
     stored, said = report.stored, []
     if stored.campaign is None:
-        said.append("The campaign's own record is missing or unreadable: this page shows every run it finds, in the order of their names.")
+        said.append(
+            "The campaign's own record is missing or unreadable: this page shows every run it finds, in the order of their names."
+        )
     if not stored.runs and not stored.checks:
         said.append("No run is stored here yet; there is nothing to judge.")
     if stored.missing:
         has = "has" if len(stored.missing) == 1 else "have"
-        said.append(f"{count(len(stored.missing), 'run')} of the campaign {has} no stored record yet; the same command runs them.")
+        said.append(
+            f"{count(len(stored.missing), 'run')} of the campaign {has} no stored record yet; the same command runs them."
+        )
     if stored.unreadable:
-        said.append(f"{count(len(stored.unreadable), 'file')} could not be read: {_first_reason(stored.unreadable)}.")
+        said.append(
+            f"{count(len(stored.unreadable), 'file')} could not be read: {_first_reason(stored.unreadable)}."
+        )
     if stored.foreign:
-        belongs = "belongs to another campaign and is" if stored.foreign == 1 else "belong to another campaign and are"
+        belongs = (
+            "belongs to another campaign and is"
+            if stored.foreign == 1
+            else "belong to another campaign and are"
+        )
         said.append(f"{count(stored.foreign, 'stored run')} in this folder {belongs} left out.")
     if stored.campaign is not None:
         if stored.campaign.quick:

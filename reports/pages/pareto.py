@@ -1,10 +1,13 @@
 """All methods on a scene as scatters: CPU time against replay error and against cost at equal terminal error; cost against where the replay ends.
 
-And the least cost of the exact problem within each terminal tolerance, with every row at its own terminal error on the same axes.
+And the least cost of the exact problem within each terminal tolerance, with every row at its own
+terminal error on the same axes.
 
-Equal means: within what the scene itself allows. A cost is compared only among plans whose judged replay ends within the scene's limits on the terminal
-error (the scene of a free end has none: there the last state is in the cost), and the front is drawn through those that hold, with feedback or without.
-A plan that ends farther away has bought its lower cost with the miss; no price of a metre would make the two comparable, so none is invented.
+Equal means: within what the scene itself allows. A cost is compared only among plans whose judged
+replay ends within the scene's limits on the terminal error (the scene of a free end has none: there
+the last state is in the cost), and the front is drawn through those that hold, with feedback or
+without. A plan that ends farther away has bought its lower cost with the miss; no price of a metre
+would make the two comparable, so none is invented.
 """
 
 from __future__ import annotations
@@ -18,29 +21,46 @@ from reports.records.record import TRACKED, FrontPointRecord, MetricRecord, RunR
 from reports.rows import Row, known_cost
 from reports.wording import cost, count, error, listing, percent, seconds, spaced, times, windows
 
-# Below this an error is a rounding error, and below this a clock's tick: drawn at the edge, so that they do not squeeze the rest.
-SMALLEST, TICK = 1e-12, 1e-3
-# Families of the methods that end a leg: the paper's three, and ours. Style of their marks, and words.
+# Below this an error is a rounding error, and below this a clock's tick: drawn at the edge, so that
+# they do not squeeze the rest.
+SMALLEST = 1e-12
+TICK = 1e-3
+# Families of the methods that end a leg: the paper's three, and ours. Style of their marks, and
+# words.
 FAMILIES = {
     "relaxed": ("c1", "relaxed contact"),
     "gradient": ("c3", "gradient descent"),
     "exact": ("c0", "exact contact"),
     "ours": ("c2", "ours"),
 }
-_OF_PAPER = {"relaxed_lcp": "relaxed", "softplus_dc": "relaxed", "softplus_gd": "gradient", "relu_gd": "gradient", "strict_lcp": "exact"}
+_OF_PAPER = {
+    "relaxed_lcp": "relaxed",
+    "softplus_dc": "relaxed",
+    "softplus_gd": "gradient",
+    "relu_gd": "gradient",
+    "strict_lcp": "exact",
+}
 # Metric, title and quantity of the plots of cost against where the replay ends.
 _ENDS = (
-    ("replay_terminal_position_error", "Cost against terminal position error, after the replay", "terminal position error"),
-    ("replay_terminal_velocity_error", "Cost against terminal velocity error, after the replay", "terminal velocity error"),
+    (
+        "replay_terminal_position_error",
+        "Cost against terminal position error, after the replay",
+        "terminal position error",
+    ),
+    (
+        "replay_terminal_velocity_error",
+        "Cost against terminal velocity error, after the replay",
+        "terminal velocity error",
+    ),
 )
-# What is better by less than this, relatively, is not worth a sentence: plans on one grid share its error, and two solves of one problem their cost.
-_SAME_ERROR, _SAME_COST = 0.05, 1e-3
+# What is better by less than this, relatively, is not worth a sentence: plans on one grid share its
+# error, and two solves of one problem their cost.
+_SAME_ERROR = 0.05
+_SAME_COST = 1e-3
 # Beyond this a ratio of errors says no more than that one of them is nearly none.
 _MANY = 1000.0
 
-_FREE = (
-    "This scene has no inputs: nothing is planned, so there are no methods to compare. Its free motion is replayed and judged all the same."
-)
+_FREE = "This scene has no inputs: nothing is planned, so there are no methods to compare. Its free motion is replayed and judged all the same."
 _NOTHING = "No stage gave a plan that could be replayed, so there is nothing to compare."
 
 Point = tuple[float, float, Row]
@@ -49,21 +69,35 @@ Point = tuple[float, float, Row]
 def build(report: Report, scene: SceneRecord) -> Section | None:
     """The section of one scene, or None where no stage on it is stored.
 
-    failed: (row, why it has no point) of methods that gave no plan to compare; refused: pipelines that do not apply; nothing: why there is no plot, where
+    failed: (row, why it has no point) of methods that gave no plan to compare; refused: pipelines
+        that do not apply; nothing: why there is no plot, where
     there is none.
     """
     rows = report.rows_of_scene(scene)
     ran = [row for row in rows if row.stage.outcome != "refused"]
     if not rows:
         return None
-    views = [view for view in (_error_view(ran), _cost_view(scene, ran)) if view is not None] if scene.inputs else []
+    views = (
+        [view for view in (_error_view(ran), _cost_view(scene, ran)) if view is not None]
+        if scene.inputs
+        else []
+    )
     values = {
         "views": views,
-        "failed": [(row, reason) for row in ran if (reason := _why_absent(row))] if scene.inputs else [],
-        "refused": list(dict.fromkeys(row.run.pipeline for row in rows if row.stage.outcome == "refused")),
+        "failed": [(row, reason) for row in ran if (reason := _why_absent(row))]
+        if scene.inputs
+        else [],
+        "refused": list(
+            dict.fromkeys(row.run.pipeline for row in rows if row.stage.outcome == "refused")
+        ),
         "nothing": "" if views else _NOTHING if scene.inputs else _FREE,
     }
-    return Section(f"pareto-{report.scenes.index(scene) + 1}", "All methods: speed against error", "scene.html#pareto", values)
+    return Section(
+        f"pareto-{report.scenes.index(scene) + 1}",
+        "All methods: speed against error",
+        "scene.html#pareto",
+        values,
+    )
 
 
 def cpu(row: Row) -> float:
@@ -77,16 +111,28 @@ def replay_error(row: Row) -> MetricRecord | None:
 
 
 def arrives(row: Row) -> bool:
-    """Whether its replay ends within the scene's limits on the terminal error; True where there is none."""
+    """Whether its replay ends within the scene's limits on the terminal error.
+
+    True where there is none.
+    """
     return all(metric.ok is True for metric in _terminal(row))
 
 
 def _terminal(row: Row) -> list[MetricRecord]:
-    """The limited terminal errors of the judged replay; where the scene limits none of a replay, those on the plan's own grid."""
-    limited = [metric for metric in row.stage.metrics if "terminal" in metric.name and metric.limit is not None]
+    """The limited terminal errors of the judged replay.
+
+    Where the scene limits none of a replay, those on the plan's own grid.
+    """
+    limited = [
+        metric
+        for metric in row.stage.metrics
+        if "terminal" in metric.name and metric.limit is not None
+    ]
     name = f"{TRACKED}replay_terminal" if row.stage.is_tracked else "replay_terminal"
     replayed = [metric for metric in limited if metric.name.startswith(name)]
-    return replayed or [metric for metric in limited if not metric.name.startswith(("replay", TRACKED))]
+    return replayed or [
+        metric for metric in limited if not metric.name.startswith(("replay", TRACKED))
+    ]
 
 
 def _why_absent(row: Row) -> str:
@@ -101,7 +147,9 @@ def _why_absent(row: Row) -> str:
 
 def _error_view(rows: list[Row]) -> tuple[Plot, str] | None:
     """A plot and the sentence that concludes from its numbers."""
-    points = [(max(cpu(row), TICK), value, row) for row in rows if (value := told_error(row)) is not None]
+    points = [
+        (max(cpu(row), TICK), value, row) for row in rows if (value := told_error(row)) is not None
+    ]
     if not points:
         return None
     unit = next(metric.unit for _, _, row in points if (metric := replay_error(row)))
@@ -127,14 +175,20 @@ def told_error(row: Row) -> float | None:
 def _cost_view(scene: SceneRecord, rows: list[Row]) -> tuple[Plot, str] | None:
     """The same of costs."""
     plans = [row for row in rows if row.stage.cost is not None and replay_error(row) is not None]
-    points = [(max(cpu(row), TICK), price, row) for row in plans if arrives(row) and (price := row.stage.cost) is not None]
+    points = [
+        (max(cpu(row), TICK), price, row)
+        for row in plans
+        if arrives(row) and (price := row.stage.cost) is not None
+    ]
     off = len(plans) - len(points)
     if not points:
         return None
     known = known_cost(scene)
     prices = [y for _, y, _ in points] + ([known[1]] if known else [])
     lasting = unbeaten([point for point in points if point[2].holds])
-    plot = _against_time("CPU time against cost at equal terminal error", _costs(prices), points, lasting, cost)
+    plot = _against_time(
+        "CPU time against cost at equal terminal error", _costs(prices), points, lasting, cost
+    )
     if known:
         plot.level(known[1], f"{known[0]}: {cost(known[1])}")
 
@@ -142,7 +196,11 @@ def _cost_view(scene: SceneRecord, rows: list[Row]) -> tuple[Plot, str] | None:
         return f"{100 * (1 - after / before):.2g} % cheaper" if before > 0 else "cheaper"
 
     said = _concluded(lasting, lambda y: f"cost {cost(y)}", cheaper, _SAME_COST)
-    left = f" Not compared, because the replay ends farther from the goal than the scene allows: {count(off, 'plan')}." if off else ""
+    left = (
+        f" Not compared, because the replay ends farther from the goal than the scene allows: {count(off, 'plan')}."
+        if off
+        else ""
+    )
     return plot, (said or _nothing_holds(len(points))) + left
 
 
@@ -150,7 +208,12 @@ def _nothing_holds(plans: int) -> str:
     return f"None of {count(plans, 'plan')} holds, so there is none to recommend."
 
 
-def _concluded(front: list[Point], value: Callable[[float], str], gain: Callable[[float, float], str], same: float) -> str:
+def _concluded(
+    front: list[Point],
+    value: Callable[[float], str],
+    gain: Callable[[float, float], str],
+    same: float,
+) -> str:
     """From the plans that hold and that no other such plan beats, cheapest first: what the first costs, and what each better one costs more."""
     if not front:
         return ""
@@ -182,12 +245,19 @@ def _longer(ratio: float) -> str:
 
 
 def ends(report: Report, scene: SceneRecord) -> Section | None:
-    """Cost against terminal error after the replay, positions and velocities apart; None where no stage on the scene has a cost and an error."""
+    """Cost against terminal error after the replay, positions and velocities apart.
+
+    None where no stage on the scene has a cost and an error.
+    """
     rows = report.rows_of_scene(scene)
     plots, best = [], []
     for name, title, quantity in _ENDS:
         known = [(row.metric(name), row.stage.cost, row) for row in rows]
-        points = [(max(value, SMALLEST), price, row) for value, price, row in known if value is not None and price is not None]
+        points = [
+            (max(value, SMALLEST), price, row)
+            for value, price, row in known
+            if value is not None and price is not None
+        ]
         if points:
             front = unbeaten(points)
             plots.append(_against_cost(scene, name, title, quantity, points, front))
@@ -196,7 +266,12 @@ def ends(report: Report, scene: SceneRecord) -> Section | None:
         return None
     absent = [row for row in rows if row.stage.cost is None or row.metric(_ENDS[0][0]) is None]
     anchor = f"front-{report.scenes.index(scene) + 1}"
-    return Section(anchor, "Cost against terminal error", "scene.html#ends", {"plots": plots, "best": best, "absent": absent})
+    return Section(
+        anchor,
+        "Cost against terminal error",
+        "scene.html#ends",
+        {"plots": plots, "best": best, "absent": absent},
+    )
 
 
 def unbeaten(points: list[Point]) -> list[Point]:
@@ -229,7 +304,15 @@ def style_of(row: Row) -> str:
     return FAMILIES[_OF_PAPER.get(row.stage.method, "ours")][0] + (" full" if row.holds else "")
 
 
-def _scatter(title: str, x: Axis, y: Axis, points: list[Point], front: list[Point], line: str, tip: Callable[[Point], str]) -> Plot:
+def _scatter(
+    title: str,
+    x: Axis,
+    y: Axis,
+    points: list[Point],
+    front: list[Point],
+    line: str,
+    tip: Callable[[Point], str],
+) -> Plot:
     """Points that lead to their runs, the staircase through those of the front, which have their names beside them. line: what the front is."""
     plot = Plot(title, x, y, width=720, height=400, keys=keys(line))
     draw_front(plot, [point[:2] for point in front])
@@ -243,39 +326,67 @@ def _costs(prices: list[float]) -> Axis:
     return Axis.fitted("cost", "", prices, log=is_wide(prices), margin=0.1)
 
 
-def _against_time(title: str, y_axis: Axis, points: list[Point], front: list[Point], said: Callable[[float], str]) -> Plot:
+def _against_time(
+    title: str, y_axis: Axis, points: list[Point], front: list[Point], said: Callable[[float], str]
+) -> Plot:
     def tip(point: Point) -> str:
         x, y, row = point
         ends = f", ends off the goal by {row.ends}" if row.ends else ""
         stage = f"{row.label}, pipeline {row.run.pipeline}, stage {row.stage.index + 1}"
-        return f"{stage}: {seconds(x)} CPU s, {y_axis.quantity} {said(y)}{ends}, {row.stage.verdict}"
+        return (
+            f"{stage}: {seconds(x)} CPU s, {y_axis.quantity} {said(y)}{ends}, {row.stage.verdict}"
+        )
 
-    x_axis = Axis.fitted("CPU time, with the stages before", "s", [x for x, _, _ in points], log=True, margin=0.06)
-    plot = _scatter(title, x_axis, y_axis, points, front, "front: no stage is both faster and better", tip)
+    x_axis = Axis.fitted(
+        "CPU time, with the stages before", "s", [x for x, _, _ in points], log=True, margin=0.06
+    )
+    plot = _scatter(
+        title, x_axis, y_axis, points, front, "front: no stage is both faster and better", tip
+    )
     steps = [f"{row.label} ({seconds(x)} s, {said(y)})" for x, y, row in front]
     where = f"on the front, the fastest first: {listing(steps)}" if steps else "none on a front"
     plot.words = f"{count(len(points), 'stage')}; {where}."
     return plot
 
 
-def _against_cost(scene: SceneRecord, name: str, title: str, quantity: str, points: list[Point], front: list[Point]) -> Plot:
+def _against_cost(
+    scene: SceneRecord,
+    name: str,
+    title: str,
+    quantity: str,
+    points: list[Point],
+    front: list[Point],
+) -> Plot:
     def tip(point: Point) -> str:
         row = point[2]
         return f"{row.label}: cost {cost(point[1])}, {row.ends}, {row.stage.verdict}"
 
     known = known_cost(scene)
     units = {metric.unit for *_, row in points if (metric := row.stage.metric(name))}
-    x_axis = Axis.fitted(quantity, units.pop() if len(units) == 1 else "", [x for x, *_ in points], log=True, margin=0.06)
+    x_axis = Axis.fitted(
+        quantity,
+        units.pop() if len(units) == 1 else "",
+        [x for x, *_ in points],
+        log=True,
+        margin=0.06,
+    )
     y_axis = _costs([price for _, price, _ in points] + ([known[1]] if known else []))
-    plot = _scatter(title, x_axis, y_axis, points, front, "front: no stage is both cheaper and closer", tip)
+    plot = _scatter(
+        title, x_axis, y_axis, points, front, "front: no stage is both cheaper and closer", tip
+    )
     if known:
         plot.level(known[1], f"{known[0]}: {cost(known[1])}")
-    steps = [f"{row.label} (cost {cost(price)} at {error(row.metric(name))})" for _, price, row in front]
-    plot.words = f"{count(len(points), 'stage')}; on the front, from the smallest error: {listing(steps)}."
+    steps = [
+        f"{row.label} (cost {cost(price)} at {error(row.metric(name))})" for _, price, row in front
+    ]
+    plot.words = (
+        f"{count(len(points), 'stage')}; on the front, from the smallest error: {listing(steps)}."
+    )
     return plot
 
 
-# How far left of the smallest tolerance the edge of the plot lies, where plans that reach the goal are drawn.
+# How far left of the smallest tolerance the edge of the plot lies, where plans that reach the goal
+# are drawn.
 _EDGE = 0.25
 # Relative difference below which a row lies on the front: that of two solves of one problem.
 _ON_FRONT = 1e-6
@@ -312,7 +423,9 @@ def within_tolerance(report: Report, scene: SceneRecord) -> Section | None:
     return Section(anchor, "Least cost within a terminal tolerance", "scene.html#tolerance", values)
 
 
-def least_within(points: tuple[FrontPointRecord, ...], missed: float) -> tuple[float | None, float | None]:
+def least_within(
+    points: tuple[FrontPointRecord, ...], missed: float
+) -> tuple[float | None, float | None]:
     """(cost of the next looser point, of the next tighter one): the least known cost at this terminal error lies between them."""
     priced = [point for point in points if point.cost is not None]
     tight = [point for point in priced if point.tolerance <= missed * (1 + _ON_FRONT)]
@@ -321,12 +434,19 @@ def least_within(points: tuple[FrontPointRecord, ...], missed: float) -> tuple[f
 
 
 def _front_of(report: Report, run: RunRecord) -> Exactness | None:
-    stage = next((stage for stage in run.stages if any(point.cost is not None for point in stage.front)), None)
+    stage = next(
+        (stage for stage in run.stages if any(point.cost is not None for point in stage.front)),
+        None,
+    )
     if stage is None:
         return None
     points = tuple(sorted(stage.front, key=lambda point: point.tolerance))
     others = [row for row in report.rows_of_scene(run.scene) if not row.stage.front]
-    beside = [_beside(points, row) for row in others if row.metric("discrete_terminal_error") is not None and row.stage.cost is not None]
+    beside = [
+        _beside(points, row)
+        for row in others
+        if row.metric("discrete_terminal_error") is not None and row.stage.cost is not None
+    ]
     link = report.link(run)
     return Exactness(run, link, points, _against_error(points, beside, link), beside)
 
@@ -365,13 +485,35 @@ def _against_error(points: tuple[FrontPointRecord, ...], beside: list[Beside], l
     priced = [(point, point.cost) for point in points if point.cost is not None]
     edge = _edge(points)
     costs = [price for _, price in priced] + [item.price for item in beside]
-    errors = [edge, *(max(point.tolerance, edge) for point, _ in priced), *(max(item.missed, edge) for item in beside)]
+    errors = [
+        edge,
+        *(max(point.tolerance, edge) for point, _ in priced),
+        *(max(item.missed, edge) for item in beside),
+    ]
     along = "terminal error on the grid, exact contact (norm of positions and velocities)"
-    x, y = Axis.fitted(along, "", errors, log=True, margin=0.04), Axis.fitted("cost", "", costs, log=is_wide(costs), margin=0.08)
-    keys = [Key("front", "least cost found within a tolerance (exact contact)"), Key("front", "its points", "diamond")]
+    x, y = (
+        Axis.fitted(along, "", errors, log=True, margin=0.04),
+        Axis.fitted("cost", "", costs, log=is_wide(costs), margin=0.08),
+    )
+    keys = [
+        Key("front", "least cost found within a tolerance (exact contact)"),
+        Key("front", "its points", "diamond"),
+    ]
     keys += [Key("indirect", "relaxed stage", "circle"), Key("direct", "direct stage", "square")]
-    plot = Plot("Least cost of the exact problem against terminal error", x, y, width=720, height=420, keys=keys)
-    plot.line("front", "front", [max(point.tolerance, edge) for point, _ in priced], [price for _, price in priced])
+    plot = Plot(
+        "Least cost of the exact problem against terminal error",
+        x,
+        y,
+        width=720,
+        height=420,
+        keys=keys,
+    )
+    plot.line(
+        "front",
+        "front",
+        [max(point.tolerance, edge) for point, _ in priced],
+        [price for _, price in priced],
+    )
     for point, price in priced:
         where = f", {windows(point.windows)}" if point.windows else ""
         tip = f"Within {error(point.tolerance)}: cost {cost(price)}, terminal error {error(point.terminal_error)}{where}"
@@ -379,8 +521,21 @@ def _against_error(points: tuple[FrontPointRecord, ...], beside: list[Beside], l
     for item in beside:
         kind = item.row.stage.kind
         tip = f"{item.row.label}: cost {cost(item.price)}, terminal error {error(item.missed)}, least known {item.least}"
-        plot.point(max(item.missed, edge), item.price, kind, "square" if kind == "direct" else "circle", tip, item.row.link)
-    plot.name_points([(max(item.missed, edge), item.price, item.row.name) for item in beside if item.above == _ON_IT])
+        plot.point(
+            max(item.missed, edge),
+            item.price,
+            kind,
+            "square" if kind == "direct" else "circle",
+            tip,
+            item.row.link,
+        )
+    plot.name_points(
+        [
+            (max(item.missed, edge), item.price, item.row.name)
+            for item in beside
+            if item.above == _ON_IT
+        ]
+    )
     plot.words = (
         f"{count(len(priced), 'point')} of the front, from cost {cost(priced[0][1])} within {error(priced[0][0].tolerance)} "
         f"to {cost(priced[-1][1])} within {error(priced[-1][0].tolerance)}; {count(len(beside), 'stage')}. What misses the goal by less than "

@@ -17,8 +17,10 @@ from reports.wording import number
 
 # Frames of a film: smooth at the speed of the clock for a few seconds of motion.
 _FRAMES = 151
-# Grains of a position over the extent of the whole motion: a quarter of a pixel at the player's full width. Levels of a force: a third of its bar's.
-_GRAINS, _LEVELS = 3600, 1000
+# Grains of a position over the extent of the whole motion: a quarter of a pixel at the player's
+# full width. Levels of a force: a third of its bar's.
+_GRAINS = 3600
+_LEVELS = 1000
 # Grain of an angle [rad]: a bar of 500 pixels ends a quarter of one off.
 _ANGLE = 5e-4
 # Which of two shapes has the side that the other meets: the flatter. A disc has none.
@@ -28,7 +30,10 @@ _FLAT = 1e-3
 
 
 class Film(NamedTuple):
-    """What moves: JSON for the script, safe inside a script element, or the SVG of a strip; and what it shows in words."""
+    """What moves: JSON for the script, safe inside a script element, or the SVG of a strip.
+
+    And what it shows in words.
+    """
 
     markup: Markup
     words: str
@@ -39,25 +44,44 @@ def film(run: RunRecord, motions: Sequence[Motion]) -> Film | None:
     shapes = [shape for shape in run.scene.shapes if shape.size]
     pairs = zip(reversed(run.stages), reversed(motions), strict=True)
     stages = ((stage, motion.plan, motion.judged(stage)) for stage, motion in pairs)
-    stage, plan, replay = next((item for item in stages if any(trace and trace.poses for trace in item[1:])), (None, None, None))
+    stage, plan, replay = next(
+        (item for item in stages if any(trace and trace.poses for trace in item[1:])),
+        (None, None, None),
+    )
     if stage is None or not shapes:
         return None
     tracks = [trace for trace in (plan, replay) if trace is not None]
-    begin, end = float(min(trace.t[0] for trace in tracks)), float(max(trace.t[-1] for trace in tracks))
+    begin, end = (
+        float(min(trace.t[0] for trace in tracks)),
+        float(max(trace.t[-1] for trace in tracks)),
+    )
     if end <= begin:
         return None
     times = begin + (end - begin) * np.arange(_FRAMES) / (_FRAMES - 1)
-    names, contacts = [shape.name for shape in shapes], [contact.name for contact in run.scene.contacts]
+    names, contacts = (
+        [shape.name for shape in shapes],
+        [contact.name for contact in run.scene.contacts],
+    )
     planned, replayed = (trace and _track(trace, names, times) for trace in (plan, replay))
     pushes, pushed = (trace and _forces(trace, contacts, times) for trace in (plan, replay))
     grain = _extent([*(planned or []), *(replayed or [])]) / _GRAINS
-    strongest = max((float(values.max()) for values in [*(pushes or []), *(pushed or [])] if values is not None), default=0.0)
+    strongest = max(
+        (
+            float(values.max())
+            for values in [*(pushes or []), *(pushed or [])]
+            if values is not None
+        ),
+        default=0.0,
+    )
     push = max(strongest, 1e-9) / _LEVELS
     data = {
         "t": [begin, end, _FRAMES],
         "grain": [grain, grain, _ANGLE],
         "push": push,
-        "shapes": [{"name": shape.name, "kind": shape.kind, "size": list(shape.size), "goal": _goal(shape)} for shape in shapes],
+        "shapes": [
+            {"name": shape.name, "kind": shape.kind, "size": list(shape.size), "goal": _goal(shape)}
+            for shape in shapes
+        ],
         "plan": _stepped(planned, (grain, grain, _ANGLE)),
         "replay": _stepped(replayed, (grain, grain, _ANGLE)),
         "contacts": contacts,
@@ -72,49 +96,92 @@ def film(run: RunRecord, motions: Sequence[Motion]) -> Film | None:
 
 
 def script_json(data: object) -> Markup:
-    """JSON that cannot end the script element it stands in; NaN is refused, because JSON has none."""
-    return Markup(json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c").replace("\u2028", "\\u2028"))
+    """JSON that cannot end the script element it stands in.
+
+    NaN is refused, because JSON has none.
+    """
+    return Markup(
+        json.dumps(data, allow_nan=False, separators=(",", ":"))
+        .replace("<", "\\u003c")
+        .replace("\u2028", "\\u2028")
+    )
 
 
 def _goal(shape: ShapeRecord) -> tuple[float, float, float | None] | None:
     """Where the goal puts the shape, if that can be drawn: all but a disc need their angle."""
-    return shape.goal if shape.goal is not None and (shape.goal[2] is not None or shape.kind == "disc") else None
+    return (
+        shape.goal
+        if shape.goal is not None and (shape.goal[2] is not None or shape.kind == "disc")
+        else None
+    )
 
 
-def _track(trace: Trace, names: list[str], times: NDArray[np.float64]) -> list[NDArray[np.float64] | None]:
+def _track(
+    trace: Trace, names: list[str], times: NDArray[np.float64]
+) -> list[NDArray[np.float64] | None]:
     """Of each shape x, y and angle at the times (3, frames); None where none is stored."""
     stored = [trace.poses.get(name) for name in names]
-    return [None if poses is None else np.array([at_all(trace.t, axis, times) for axis in poses.T]) for poses in stored]
+    return [
+        None if poses is None else np.array([at_all(trace.t, axis, times) for axis in poses.T])
+        for poses in stored
+    ]
 
 
-def _touch(shapes: list[ShapeRecord], traces: Sequence[Trace | None], contact: ContactRecord) -> dict[str, object] | None:
+def _touch(
+    shapes: list[ShapeRecord], traces: Sequence[Trace | None], contact: ContactRecord
+) -> dict[str, object] | None:
     """Where the contact's arrows are drawn: on the two shapes it acts between, along the way in which its gap opens, from whichever trace shows it."""
     drawn = [shape.name for shape in shapes]
     if not set(contact.bodies) <= set(drawn):
         return None
     # The second has the side.
-    first, second = sorted((drawn.index(body) for body in contact.bodies), key=lambda place: _SIDES.get(shapes[place].kind, 0))
+    first, second = sorted(
+        (drawn.index(body) for body in contact.bodies),
+        key=lambda place: _SIDES.get(shapes[place].kind, 0),
+    )
     if shapes[second].kind not in _SIDES:
         return {"shapes": [first, second], "ends": [0.0, 0.0], "turn": None}
-    faced = next((found for trace in traces if (found := _faced(trace, shapes[first], shapes[second], contact.name))), None)
+    faced = next(
+        (
+            found
+            for trace in traces
+            if (found := _faced(trace, shapes[first], shapes[second], contact.name))
+        ),
+        None,
+    )
     return faced and {"shapes": [first, second], "ends": [faced[0], 0.0], "turn": faced[1]}
 
 
-def _faced(trace: Trace | None, body: ShapeRecord, other: ShapeRecord, contact: str) -> tuple[float, float] | None:
+def _faced(
+    trace: Trace | None, body: ShapeRecord, other: ShapeRecord, contact: str
+) -> tuple[float, float] | None:
     """The point of the body that a side of the other meets, and the turn of that side's normal against the other's direction [rad].
 
-    The point: 0 centre, -0.5 and 0.5 the ends of a line. The gap is the distance along that normal, but for a constant; None where no side is such.
+    The point: 0 centre, -0.5 and 0.5 the ends of a line. The gap is the distance along that normal,
+    but for a constant; None where no side is such.
     """
     gaps = trace and trace.gap(contact)
-    if trace is None or gaps is None or body.name not in trace.poses or other.name not in trace.poses:
+    if (
+        trace is None
+        or gaps is None
+        or body.name not in trace.poses
+        or other.name not in trace.poses
+    ):
         return None
-    (x, y, angle), (far_x, far_y, turned) = (trace.poses[shape.name][: len(gaps)].T for shape in (body, other))
+    (x, y, angle), (far_x, far_y, turned) = (
+        trace.poses[shape.name][: len(gaps)].T for shape in (body, other)
+    )
     best, least = None, _FLAT * float(np.ptp(gaps))
     for end in (0.0, -0.5, 0.5) if body.kind == "line" else (0.0,):
-        across, up = x + end * body.size[0] * np.cos(angle) - far_x, y + end * body.size[0] * np.sin(angle) - far_y
+        across, up = (
+            x + end * body.size[0] * np.cos(angle) - far_x,
+            y + end * body.size[0] * np.sin(angle) - far_y,
+        )
         for quarter in (1, -1, 0, 2):
             turn = quarter * math.pi / 2
-            missed = float(np.ptp(across * np.cos(turned + turn) + up * np.sin(turned + turn) - gaps))
+            missed = float(
+                np.ptp(across * np.cos(turned + turn) + up * np.sin(turned + turn) - gaps)
+            )
             if missed < least:
                 best, least = (end, round(turn, 6)), missed
     return best
@@ -127,51 +194,94 @@ def _extent(tracks: list[NDArray[np.float64] | None]) -> float:
 
 
 def steps(values: Sequence[float] | NDArray[np.float64], grain: float) -> list[int]:
-    """The first value and then the changes, in grains; the changes of a sum that is rounded, so that errors do not add up. One number if nothing changes."""
+    """The first value and then the changes, in grains.
+
+    The changes of a sum that is rounded, so that errors do not add up. One number if nothing
+    changes.
+    """
     rounded = np.rint(np.divide(values, grain)).astype(int)
     changes = np.diff(rounded)
     return [int(rounded[0]), *(changes.tolist() if changes.any() else ())]
 
 
-def _stepped_forces(forces: list[NDArray[np.float64] | None] | None, grain: float) -> list[list[int] | None] | None:
-    return None if forces is None else [None if values is None else steps(values, grain) for values in forces]
+def _stepped_forces(
+    forces: list[NDArray[np.float64] | None] | None, grain: float
+) -> list[list[int] | None] | None:
+    return (
+        None
+        if forces is None
+        else [None if values is None else steps(values, grain) for values in forces]
+    )
 
 
-def _stepped(track: list[NDArray[np.float64] | None] | None, sizes: Sequence[float]) -> list[list[list[int]] | None] | None:
+def _stepped(
+    track: list[NDArray[np.float64] | None] | None, sizes: Sequence[float]
+) -> list[list[list[int]] | None] | None:
     if track is None:
         return None
-    return [None if axes is None else [steps(values, size) for values, size in zip(axes, sizes, strict=True)] for axes in track]
+    return [
+        None
+        if axes is None
+        else [steps(values, size) for values, size in zip(axes, sizes, strict=True)]
+        for axes in track
+    ]
 
 
-def _forces(trace: Trace, contacts: list[str], times: NDArray[np.float64]) -> list[NDArray[np.float64] | None]:
+def _forces(
+    trace: Trace, contacts: list[str], times: NDArray[np.float64]
+) -> list[NDArray[np.float64] | None]:
     """Of each contact the largest force within half a frame of each time: a blow shorter than a frame is seen, not stepped over."""
     columns = [trace.force(name) for name in contacts]
     half = (times[1] - times[0]) / 2
     return [None if values is None else _peaks(trace.t, values, times, half) for values in columns]
 
 
-def _peaks(times: NDArray[np.float64], values: NDArray[np.float64], wanted: NDArray[np.float64], half: float) -> NDArray[np.float64]:
+def _peaks(
+    times: NDArray[np.float64],
+    values: NDArray[np.float64],
+    wanted: NDArray[np.float64],
+    half: float,
+) -> NDArray[np.float64]:
     """The largest value within `half` of each wanted time."""
     length = min(len(times), len(values))
     known, there = times[:length], np.append(values[:length], -np.inf)
-    begin, end = np.searchsorted(known, wanted - half, "left"), np.searchsorted(known, wanted + half, "right")
-    # Every second of these is from a beginning to its end; where there is nothing between them, reduceat gives what lies at the beginning.
+    begin, end = (
+        np.searchsorted(known, wanted - half, "left"),
+        np.searchsorted(known, wanted + half, "right"),
+    )
+    # Every second of these is from a beginning to its end; where there is nothing between them,
+    # reduceat gives what lies at the beginning.
     inside = np.maximum.reduceat(there, np.column_stack([begin, end]).ravel())[::2]
     return np.maximum(at_all(times, values, wanted), np.where(begin < end, inside, -np.inf))
 
 
 # Moments of a film strip, and sizes of their frames [px].
-_MOMENTS, _WIDTH, _HEIGHT, _GAP, _FOOT = 6, 150.0, 84.0, 8.0, 26.0
+_MOMENTS = 6
+_WIDTH = 150.0
+_HEIGHT = 84.0
+_GAP = 8.0
+_FOOT = 26.0
 
 
 def strip(scene: SceneRecord, plan: Trace | None) -> Film | None:
     """Six moments of a plan, first and last among them; None where no shape has poses."""
-    shapes = [shape for shape in scene.shapes if shape.size and plan is not None and shape.name in plan.poses]
+    shapes = [
+        shape
+        for shape in scene.shapes
+        if shape.size and plan is not None and shape.name in plan.poses
+    ]
     if plan is None or not shapes or plan.t[-1] <= plan.t[0]:
         return None
     moments = np.linspace(plan.t[0], plan.t[-1], _MOMENTS)
-    poses = {shape.name: np.array([at_all(plan.t, axis, moments) for axis in plan.poses[shape.name].T]) for shape in shapes}
-    reach = {shape.name: max(shape.size) * (1.0 if shape.kind == "disc" else 0.5) for shape in shapes if shape.kind != "wall"}
+    poses = {
+        shape.name: np.array([at_all(plan.t, axis, moments) for axis in plan.poses[shape.name].T])
+        for shape in shapes
+    }
+    reach = {
+        shape.name: max(shape.size) * (1.0 if shape.kind == "disc" else 0.5)
+        for shape in shapes
+        if shape.kind != "wall"
+    }
     moving = list(reach) or [shape.name for shape in shapes]
     low = np.min([poses[name][:2].min(axis=1) - reach.get(name, 0.0) for name in moving], axis=0)
     high = np.max([poses[name][:2].max(axis=1) + reach.get(name, 0.0) for name in moving], axis=0)
@@ -180,7 +290,10 @@ def strip(scene: SceneRecord, plan: Trace | None) -> Film | None:
     frames = []
     for place, moment in enumerate(moments):
         left = place * (_WIDTH + _GAP)
-        drawn = "".join(placed(shape, poses[shape.name][:, place], middle, scale, number_ % 6) for number_, shape in enumerate(shapes))
+        drawn = "".join(
+            placed(shape, poses[shape.name][:, place], middle, scale, number_ % 6)
+            for number_, shape in enumerate(shapes)
+        )
         frames.append(
             f'<svg x="{left:.0f}" y="0" width="{_WIDTH:.0f}" height="{_HEIGHT:.0f}" viewBox="{-_WIDTH / 2:.0f} {-_HEIGHT / 2:.0f} {_WIDTH:.0f} {_HEIGHT:.0f}">'
             f'<rect class="frame" x="{-_WIDTH / 2:.0f}" y="{-_HEIGHT / 2:.0f}" width="{_WIDTH:.0f}" height="{_HEIGHT:.0f}"/>{drawn}</svg>'
@@ -193,7 +306,9 @@ def strip(scene: SceneRecord, plan: Trace | None) -> Film | None:
     return Film(Markup(svg), f"{_MOMENTS} moments of the plan, from {first} s to {last} s.")
 
 
-def placed(shape: ShapeRecord, pose: np.ndarray, middle: np.ndarray, scale: float, colour: int) -> str:
+def placed(
+    shape: ShapeRecord, pose: np.ndarray, middle: np.ndarray, scale: float, colour: int
+) -> str:
     """One shape at a pose x, y [m], angle [rad]; up is up."""
     x, y, angle = (float(value) for value in pose)
     across, up = scale * (x - middle[0]), -scale * (y - middle[1])
@@ -205,6 +320,8 @@ def placed(shape: ShapeRecord, pose: np.ndarray, middle: np.ndarray, scale: floa
     if shape.kind == "line":
         return f'<g {style}><path d="M{-size[0] / 2:.1f},0H{size[0] / 2:.1f}"/></g>'
     if shape.kind == "wall":
-        return f'<g class="body wall" {turn}><path d="M{-size[0] / 2:.1f},0H{size[0] / 2:.1f}"/></g>'
+        return (
+            f'<g class="body wall" {turn}><path d="M{-size[0] / 2:.1f},0H{size[0] / 2:.1f}"/></g>'
+        )
     wide, high = size[0], size[-1]
     return f'<g {style}><rect x="{-wide / 2:.1f}" y="{-high / 2:.1f}" width="{wide:.1f}" height="{high:.1f}"/></g>'

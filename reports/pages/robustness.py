@@ -1,6 +1,7 @@
 """How much plans can take: the page of one plan (`validate robust`), and what a campaign's plans that hold survive, scene by scene.
 
-A conclusion counts pairs of plans of one scene whose shares differ by more than chance: their intervals of 95 % have nothing in common.
+A conclusion counts pairs of plans of one scene whose shares differ by more than chance: their
+intervals of 95 % have nothing in common.
 """
 
 from __future__ import annotations
@@ -30,8 +31,13 @@ _SAME_COST = 1e-3
 _ENOUGH = 5
 
 
-def of_plan(record: RobustnessRecord, run: RunRecord | None = None, folder: Path | None = None) -> Section:
-    """The page of one plan. run: of the plan, as far as it is drawn; folder: where plan.nc and worlds/<number>.nc are, which then move in the player."""
+def of_plan(
+    record: RobustnessRecord, run: RunRecord | None = None, folder: Path | None = None
+) -> Section:
+    """The page of one plan. run: of the plan, as far as it is drawn.
+
+    folder: where plan.nc and worlds/<number>.nc are, which then move in the player.
+    """
     values = {
         "record": record,
         "plot": _curves(record),
@@ -46,9 +52,14 @@ def _worlds(record: RobustnessRecord, run: RunRecord, folder: Path) -> list[tupl
     """(what happened there, the film) of the worlds whose motion is stored."""
     plan, found = read_trace(folder / "plan.nc", run.scene), []
     for world, ratio in record.shown:
-        moving = film(run, [Motion(plan=plan, replay=read_trace(folder / "worlds" / f"{world}.nc", run.scene))])
+        moving = film(
+            run,
+            [Motion(plan=plan, replay=read_trace(folder / "worlds" / f"{world}.nc", run.scene))],
+        )
         ends = (
-            "does not come to its end" if ratio is None else f"{'arrives' if ratio <= 1 else 'misses'}, at {number(ratio, 2)} of its limit"
+            "does not come to its end"
+            if ratio is None
+            else f"{'arrives' if ratio <= 1 else 'misses'}, at {number(ratio, 2)} of its limit"
         )
         if moving is not None:
             found.append((f"World {world}: it {ends}", moving))
@@ -57,18 +68,34 @@ def _worlds(record: RobustnessRecord, run: RunRecord, folder: Path) -> list[tupl
 
 def _curves(record: RobustnessRecord) -> Plot | None:
     """Shares against size, with their intervals."""
-    curves = [(style, way.name, way.curve) for style, way in zip(_STYLES, record.ways, strict=False) if way.curve and way.curve.scales]
+    curves = [
+        (style, way.name, way.curve)
+        for style, way in zip(_STYLES, record.ways, strict=False)
+        if way.curve and way.curve.scales
+    ]
     if not curves:
         return None
-    x = Axis.fitted("all sizes times", "", [scale for *_, curve in curves for scale in curve.scales], log=True)
+    x = Axis.fitted(
+        "all sizes times", "", [scale for *_, curve in curves for scale in curve.scales], log=True
+    )
     plot = Plot("Share of worlds in which it arrives", x, _SHARES, width=560)
     for style, name, curve in curves:
         plot.line(name, style, curve.scales, [item.share for item in curve.shares])
         for scale, item in zip(curve.scales, curve.shares, strict=True):
             plot.line(f"{name}, interval", f"{style} soft", [scale, scale], list(item.interval))
-            plot.point(scale, item.share, style, "circle", f"{name}, {number(scale)} times: {item.words}", radius=3.0)
+            plot.point(
+                scale,
+                item.share,
+                style,
+                "circle",
+                f"{name}, {number(scale)} times: {item.words}",
+                radius=3.0,
+            )
     halves = [(name, curve.half) for _, name, curve in curves if curve.half is not None]
-    told = [f"{name}, half of the worlds are left at {number(half, 3)} times these sizes" for name, half in halves]
+    told = [
+        f"{name}, half of the worlds are left at {number(half, 3)} times these sizes"
+        for name, half in halves
+    ]
     plot.words = f"Shares with their 95 % intervals{': ' if told else ''}{'; '.join(told)}."
     return plot
 
@@ -83,7 +110,10 @@ class Survivor(NamedTuple):
 
     @property
     def weakest(self) -> str:
-        """Such as `c by -0.0833 N s/m, 0.83 of its size`; empty where it takes all that was tried."""
+        """Such as `c by -0.0833 N s/m, 0.83 of its size`.
+
+        Empty where it takes all that was tried.
+        """
         found = self.survey
         if found.sizes is None or found.amount is None:
             return ""
@@ -93,15 +123,42 @@ class Survivor(NamedTuple):
 
 def build(report: Report) -> Section | None:
     """The section of a campaign: cost against the share of perturbed worlds in which a plan arrives; None where no plan was tried."""
-    scenes = [(scene, report.scene_link(scene), plans) for scene in report.scenes if (plans := _tried(report, scene))]
-    untried = [row for row in report.rows if row.stage.survey is not None and row.stage.survey.message]
+    scenes = [
+        (scene, report.scene_link(scene), plans)
+        for scene in report.scenes
+        if (plans := _tried(report, scene))
+    ]
+    untried = [
+        row for row in report.rows if row.stage.survey is not None and row.stage.survey.message
+    ]
     if not scenes and not untried:
         return None
     # Without plans that another way found too: what costs the same and fares the same.
-    groups = [list({(f"{plan.price:.5g}", plan.alone.arrived, plan.weakest): plan for plan in plans}.values()) for *_, plans in scenes]
-    said = [sentence for sentence in (_cheaper(groups), _warm(groups), _feedback(groups), _weakest(groups)) if sentence]
-    values = {"said": said, "scenes": [(scene, link, _plot(plans), plans) for scene, link, plans in scenes], "untried": untried}
-    return Section("robustness", "What plans survive", "robustness.html#campaign", values, said=said[0] if said else "")
+    groups = [
+        list(
+            {
+                (f"{plan.price:.5g}", plan.alone.arrived, plan.weakest): plan for plan in plans
+            }.values()
+        )
+        for *_, plans in scenes
+    ]
+    said = [
+        sentence
+        for sentence in (_cheaper(groups), _warm(groups), _feedback(groups), _weakest(groups))
+        if sentence
+    ]
+    values = {
+        "said": said,
+        "scenes": [(scene, link, _plot(plans), plans) for scene, link, plans in scenes],
+        "untried": untried,
+    }
+    return Section(
+        "robustness",
+        "What plans survive",
+        "robustness.html#campaign",
+        values,
+        said=said[0] if said else "",
+    )
 
 
 def _tried(report: Report, scene: SceneRecord) -> list[Survivor]:
@@ -109,14 +166,19 @@ def _tried(report: Report, scene: SceneRecord) -> list[Survivor]:
     found = [
         Survivor(row, row.stage.cost, survey, survey.alone)
         for row in report.rows_of_scene(scene)
-        if (survey := row.stage.survey) is not None and survey.alone is not None and row.stage.cost is not None
+        if (survey := row.stage.survey) is not None
+        and survey.alone is not None
+        and row.stage.cost is not None
     ]
     return sorted(found, key=lambda plan: plan.price)
 
 
 def _compared(pairs: Iterable[tuple[ShareRecord, ShareRecord]]) -> tuple[int, int, int]:
     """In how many pairs the first share is surely larger, is surely smaller, and may differ by chance."""
-    signs = Counter((one.interval[0] > other.interval[1]) - (one.interval[1] < other.interval[0]) for one, other in pairs)
+    signs = Counter(
+        (one.interval[0] > other.interval[1]) - (one.interval[1] < other.interval[0])
+        for one, other in pairs
+    )
     return signs[1], signs[-1], signs[0]
 
 
@@ -124,12 +186,18 @@ def _answer(more: int, fewer: int, words: tuple[str, str]) -> str:
     """What the pairs say in which one arrives in more worlds, and in fewer. words: where nearly all say the first, the second."""
     if more + fewer < _ENOUGH:
         return "That cannot be told yet"
-    return words[0] if more > 2 * fewer else words[1] if fewer > 2 * more else "Now one, now the other"
+    return (
+        words[0] if more > 2 * fewer else words[1] if fewer > 2 * more else "Now one, now the other"
+    )
 
 
 def _cheaper(groups: Iterable[list[Survivor]]) -> str:
     both = [pair for plans in groups for pair in combinations(plans, 2)]
-    pairs = [(dear.alone, cheap.alone) for cheap, dear in both if dear.price - cheap.price > _SAME_COST * abs(dear.price)]
+    pairs = [
+        (dear.alone, cheap.alone)
+        for cheap, dear in both
+        if dear.price - cheap.price > _SAME_COST * abs(dear.price)
+    ]
     if not pairs:
         return ""
     more, fewer, open_ = _compared(pairs)
@@ -143,7 +211,10 @@ def _warm(groups: Iterable[list[Survivor]]) -> str:
     pairs = []
     for plans in groups:
         exact = [plan for plan in plans if plan.row.stage.certificate is not None]
-        warm, cold = ([plan.alone for plan in exact if (len(plan.row.methods) > 1) is begun] for begun in (True, False))
+        warm, cold = (
+            [plan.alone for plan in exact if (len(plan.row.methods) > 1) is begun]
+            for begun in (True, False)
+        )
         pairs += product(warm, cold)
     if not pairs:
         return ""
@@ -156,11 +227,18 @@ def _warm(groups: Iterable[list[Survivor]]) -> str:
 
 
 def _feedback(groups: Iterable[list[Survivor]]) -> str:
-    pairs = [(followed, plan.alone) for plans in groups for plan in plans if (followed := plan.survey.feedback) is not None]
+    pairs = [
+        (followed, plan.alone)
+        for plans in groups
+        for plan in plans
+        if (followed := plan.survey.feedback) is not None
+    ]
     if not pairs:
         return ""
     more, fewer, _ = _compared(pairs)
-    after, before = (100 * median(share.share for share in shares) for shares in zip(*pairs, strict=True))
+    after, before = (
+        100 * median(share.share for share in shares) for shares in zip(*pairs, strict=True)
+    )
     return (
         f"What does feedback buy? Of {count(len(pairs), 'plan')} it surely raises the share in {more} and lowers it in {fewer}; the median goes from "
         f"{before:.0f} % of the worlds to {after:.0f} %."
@@ -168,7 +246,12 @@ def _feedback(groups: Iterable[list[Survivor]]) -> str:
 
 
 def _weakest(groups: Iterable[list[Survivor]]) -> str:
-    names = [f"{plan.survey.weakest} ({plan.row.run.scene.name})" for plans in groups for plan in plans if plan.survey.weakest]
+    names = [
+        f"{plan.survey.weakest} ({plan.row.run.scene.name})"
+        for plans in groups
+        for plan in plans
+        if plan.survey.weakest
+    ]
     first = [f"{name} in {times}" for name, times in Counter(names).most_common(3)]
     return f"Plans take least of {listing(first)} of {count(len(names), 'plan')}." if first else ""
 
@@ -177,9 +260,28 @@ def _plot(plans: list[Survivor]) -> Plot:
     """Cost against the share of worlds, inputs alone, with its interval."""
     prices = [plan.price for plan in plans]
     x = Axis.fitted("cost", "", prices, log=is_wide(prices), margin=0.06)
-    plot = Plot("Cost against the share of worlds in which a plan arrives", x, _SHARES, width=720, height=300, keys=keys("")[:-1])
+    plot = Plot(
+        "Cost against the share of worlds in which a plan arrives",
+        x,
+        _SHARES,
+        width=720,
+        height=300,
+        keys=keys("")[:-1],
+    )
     for plan in plans:
         label, style = plan.row.label, style_of(plan.row)
-        plot.line(f"{label}, interval", f"{style.split()[0]} soft", [plan.price] * 2, list(plan.alone.interval))
-        plot.point(plan.price, plan.alone.share, style, "circle", f"{label}: cost {cost(plan.price)}, {plan.alone.words}", plan.row.link)
+        plot.line(
+            f"{label}, interval",
+            f"{style.split()[0]} soft",
+            [plan.price] * 2,
+            list(plan.alone.interval),
+        )
+        plot.point(
+            plan.price,
+            plan.alone.share,
+            style,
+            "circle",
+            f"{label}: cost {cost(plan.price)}, {plan.alone.words}",
+            plan.row.link,
+        )
     return plot

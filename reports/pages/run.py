@@ -1,6 +1,7 @@
 """The page of one run: the verdict with what decided it, then motion, stages with questions and metrics, plots, where it comes from and how to repeat it.
 
-And all runs as one table, in the campaign's order: verdict, cost, errors apart, seconds, and why; in a single file with all that is told of each below it.
+And all runs as one table, in the campaign's order: verdict, cost, errors apart, seconds, and why;
+in a single file with all that is told of each below it.
 """
 
 from __future__ import annotations
@@ -15,7 +16,17 @@ from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, stage_plots
 from reports.plots import Axis, Plot
 from reports.records.load import optima
-from reports.records.record import FEEDBACK, HOLD, TRACKED, MetricRecord, QuestionRecord, RunRecord, SceneRecord, StageRecord, StartRecord
+from reports.records.record import (
+    FEEDBACK,
+    HOLD,
+    TRACKED,
+    MetricRecord,
+    QuestionRecord,
+    RunRecord,
+    SceneRecord,
+    StageRecord,
+    StartRecord,
+)
 from reports.traces import Motion
 from reports.wording import capital, cost, count, percent, small, tail, windows
 
@@ -32,8 +43,13 @@ class Optimum(NamedTuple):
     @property
     def reached_from(self) -> str:
         """Where its starts began: softplus chain (1); random inputs (5, 7)."""
-        kinds = dict.fromkeys(start.start for start in sorted(self.starts, key=lambda start: start.number))
-        numbers = {kind: sorted(start.number for start in self.starts if start.start == kind) for kind in kinds}
+        kinds = dict.fromkeys(
+            start.start for start in sorted(self.starts, key=lambda start: start.number)
+        )
+        numbers = {
+            kind: sorted(start.number for start in self.starts if start.start == kind)
+            for kind in kinds
+        }
         return "; ".join(f"{kind} ({', '.join(map(str, numbers[kind]))})" for kind in kinds)
 
 
@@ -49,7 +65,8 @@ class Spread(NamedTuple):
 class StageView(NamedTuple):
     """A stage and what is drawn of it.
 
-    questions: what was asked and measured, of the last stage; ends: (which replay, where it ends); idle: no method of ours ran.
+    questions: what was asked and measured, of the last stage; ends: (which replay, where it ends);
+        idle: no method of ours ran.
     """
 
     stage: StageRecord
@@ -63,7 +80,8 @@ class StageView(NamedTuple):
 class Decision(NamedTuple):
     """Why a run has its verdict.
 
-    question, metric: that decided it, or came nearest to its limit; cause, advice: empty where there is nothing to mend; ends: where its replay ends, in words.
+    question, metric: that decided it, or came nearest to its limit; cause, advice: empty where
+        there is nothing to mend; ends: where its replay ends, in words.
     """
 
     question: QuestionRecord | None
@@ -74,7 +92,10 @@ class Decision(NamedTuple):
 
 
 class RunView(NamedTuple):
-    """A run and its stages; the film shows the last stage that has something to show; beside: what `_beside` says."""
+    """A run and its stages; the film shows the last stage that has something to show.
+
+    beside: what `_beside` says.
+    """
 
     run: RunRecord
     decision: Decision
@@ -87,16 +108,35 @@ class RunView(NamedTuple):
 
 def build(report: Report, run: RunRecord) -> Section:
     """The section of a page that has this run alone."""
-    named = [stage.method + (f", ε = {small(stage.eps)}" if stage.eps else "") for stage in run.stages]
+    named = [
+        stage.method + (f", ε = {small(stage.eps)}" if stage.eps else "") for stage in run.stages
+    ]
     entries = tuple((f"run-stage-{place}", name) for place, name in enumerate(named, 1))
-    return Section("one", "Verdict, motion and stages", "run.html", {"view": view_of(report, run), "anchor": "run"}, entries)
+    return Section(
+        "one",
+        "Verdict, motion and stages",
+        "run.html",
+        {"view": view_of(report, run), "anchor": "run"},
+        entries,
+    )
 
 
 def view_of(report: Report, run: RunRecord) -> RunView:
     """What is told of a run, from its record and the motions beside it alone."""
     motions = [report.motion(run, stage) for stage in run.stages]
-    stages = [_stage(run.scene, stage, motion, last=stage is run.last) for stage, motion in zip(run.stages, motions, strict=True)]
-    return RunView(run, decision_of(run), stages, _beside(run.stages), film(run, motions), tail(run.log_tail), again(run))
+    stages = [
+        _stage(run.scene, stage, motion, last=stage is run.last)
+        for stage, motion in zip(run.stages, motions, strict=True)
+    ]
+    return RunView(
+        run,
+        decision_of(run),
+        stages,
+        _beside(run.stages),
+        film(run, motions),
+        tail(run.log_tail),
+        again(run),
+    )
 
 
 def decision_of(run: RunRecord) -> Decision:
@@ -104,11 +144,23 @@ def decision_of(run: RunRecord) -> Decision:
     last, cause = run.last, cause_of(run)
     metric = deciding(last) if last is not None else None
     number = metric.question if metric is not None else None
-    question = next((item for item in last.questions if item.number == number), None) if last is not None and metric is not None else None
-    why = not_applicable(run) or (last.why if last is not None else "") or (run.message if run.verdict not in HOLD else "")
-    sentences = dict.fromkeys(filter(None, ("" if cause is None else f"{cause.sentence}.", capital(why))))
+    question = (
+        next((item for item in last.questions if item.number == number), None)
+        if last is not None and metric is not None
+        else None
+    )
+    why = (
+        not_applicable(run)
+        or (last.why if last is not None else "")
+        or (run.message if run.verdict not in HOLD else "")
+    )
+    sentences = dict.fromkeys(
+        filter(None, ("" if cause is None else f"{cause.sentence}.", capital(why)))
+    )
     ends = end_of(last, run.scene) if last is not None else ""
-    return Decision(question, metric, " ".join(sentences), "" if cause is None else cause.advice, ends)
+    return Decision(
+        question, metric, " ".join(sentences), "" if cause is None else cause.advice, ends
+    )
 
 
 def not_applicable(run: RunRecord) -> str:
@@ -121,8 +173,13 @@ def not_applicable(run: RunRecord) -> str:
 
 
 def _stage(scene: SceneRecord, stage: StageRecord, motion: Motion, *, last: bool) -> StageView:
-    plots, questions = stage_plots(scene, stage, motion, whole=last), questions_of(stage) if last else []
-    idle = stage.kind == "given" or (stage.is_empty and stage.seconds.stage == 0 and stage.iterations == 0)
+    plots, questions = (
+        stage_plots(scene, stage, motion, whole=last),
+        questions_of(stage) if last else [],
+    )
+    idle = stage.kind == "given" or (
+        stage.is_empty and stage.seconds.stage == 0 and stage.iterations == 0
+    )
     return StageView(stage, plots, spread(stage), questions, _ends(scene, stage), idle)
 
 
@@ -130,7 +187,11 @@ def _beside(stages: Sequence[StageRecord]) -> list[tuple[MetricRecord, list[Metr
     """Judged metrics by questions, with that of each stage, of the replay which is judged, None where it was not measured; empty of one stage alone."""
     rows: dict[str, list[MetricRecord | None]] = {}
     for metric in (metric for stage in stages for metric in stage.metrics if len(stages) > 1):
-        if metric.limit is not None and not metric.name.startswith((TRACKED, FEEDBACK)) and metric.name not in rows:
+        if (
+            metric.limit is not None
+            and not metric.name.startswith((TRACKED, FEEDBACK))
+            and metric.name not in rows
+        ):
             rows[metric.name] = [stage.judged(metric.name) for stage in stages]
     found = [(next(filter(None, reversed(same))), same) for same in rows.values() if any(same)]
     return sorted(found, key=lambda row: row[0].question or 7)
@@ -138,7 +199,9 @@ def _beside(stages: Sequence[StageRecord]) -> list[tuple[MetricRecord, list[Metr
 
 def _ends(scene: SceneRecord, stage: StageRecord) -> list[tuple[str, str]]:
     """Where the replays end, in words: that of the inputs alone, and that with feedback where there is one."""
-    found = [("inputs alone" if stage.is_followed else "replay", end_of(stage, scene, tracked=False))]
+    found = [
+        ("inputs alone" if stage.is_followed else "replay", end_of(stage, scene, tracked=False))
+    ]
     if stage.is_followed:
         found.append(("with feedback", end_of(stage, scene, tracked=True)))
     return [(words, end) for words, end in found if end]
@@ -163,24 +226,35 @@ def spread(stage: StageRecord) -> Spread | None:
 
 
 def _plot(starts: tuple[StartRecord, ...], words: str) -> Plot:
-    solved = sorted(((start.cost, start) for start in starts if start.cost is not None), key=lambda item: item[0])
+    solved = sorted(
+        ((start.cost, start) for start in starts if start.cost is not None),
+        key=lambda item: item[0],
+    )
     low, high = solved[0][0], solved[-1][0]
     width = (high - low) / _BINS or 1.0
     stacks: dict[int, list[tuple[float, StartRecord]]] = {}
     for price, start in solved:
         stacks.setdefault(int((price - low) / width), []).append((price, start))
     tallest = max(len(stack) for stack in stacks.values())
-    x, y = Axis.fitted("cost", "", [low, high]), Axis.fitted("starts at this cost", "", [tallest], zero=True, margin=0.1)
+    x, y = (
+        Axis.fitted("cost", "", [low, high]),
+        Axis.fitted("starts at this cost", "", [tallest], zero=True, margin=0.1),
+    )
     plot = Plot("Cost of every start", x, y, words, width=560, height=140 + 9 * tallest)
     for stack in stacks.values():
         for place, (price, start) in enumerate(stack, 1):
-            tip = f"Start {start.number}, {start.start}: cost {cost(price)}; {windows(start.windows)}"
+            tip = (
+                f"Start {start.number}, {start.start}: cost {cost(price)}; {windows(start.windows)}"
+            )
             plot.point(price, place, "direct", "circle", tip)
     return plot
 
 
 class Listed(NamedTuple):
-    """A run as a row. link: of its page; errors: of its judged replay, position and velocity at the end, and from the plan; why: in a few words.
+    """A run as a row. link: of its page.
+
+    errors: of its judged replay, position and velocity at the end, and from the plan; why: in a few
+    words.
 
     anchor, view: where it stands and all that is told of it, where that is here.
     """
@@ -201,7 +275,8 @@ def all_runs(report: Report) -> Section | None:
     listed = [_listed(report, run) for run in runs]
     holding = sum(run.verdict in HOLD for run in runs)
     said = f"{count(len(runs), 'run')} in one table, {holding} of which {'holds' if holding == 1 else 'hold'}: verdict, cost, errors, seconds and why."
-    # In a single file the contents lead to the first run of each scene: hundreds of lines would be none.
+    # In a single file the contents lead to the first run of each scene: hundreds of lines would be
+    # none.
     first = {run.scene.name: report.anchor(run) for run in reversed(runs)} if report.single else {}
     entries = tuple((first[scene.name], scene.name) for scene in report.scenes if first)
     return Section("runs", "All runs", "run.html", {"listed": listed}, entries, said)
@@ -212,4 +287,11 @@ def _listed(report: Report, run: RunRecord) -> Listed:
     errors = [run.last.judged(f"replay_{name}") if run.last else None for name in names]
     cause = cause_of(run)
     why = cause.sentence if cause is not None else not_applicable(run)
-    return Listed(run, report.link(run), errors, why, report.anchor(run), view_of(report, run) if report.single else None)
+    return Listed(
+        run,
+        report.link(run),
+        errors,
+        why,
+        report.anchor(run),
+        view_of(report, run) if report.single else None,
+    )

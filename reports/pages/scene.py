@@ -16,22 +16,36 @@ from reports.wording import clean, cost, listing, number
 
 
 def time_step(report: Report, scene: str) -> str:
-    """What was known of the scene's time step before anything ran, in a sentence; empty where the campaign does not say."""
+    """What was known of the scene's time step before anything ran, in a sentence.
+
+    Empty where the campaign does not say.
+    """
     campaign = report.stored.campaign
-    known = next((item for item in campaign.time_steps if item.scene == scene), None) if campaign else None
+    known = (
+        next((item for item in campaign.time_steps if item.scene == scene), None)
+        if campaign
+        else None
+    )
     if known is None:
         return ""
     if known.warning:
         return f"Past its stability limit: {known.warning}"
     closed = listing(list(known.contacts)) or "no contact"
-    grows = f", the motion itself grows at {number(known.growth, 3)}/s there" if known.growth else ""
-    limit = "at any step" if known.largest_step is None else f"below {number(known.largest_step, 3)} s"
+    grows = (
+        f", the motion itself grows at {number(known.growth, 3)}/s there" if known.growth else ""
+    )
+    limit = (
+        "at any step" if known.largest_step is None else f"below {number(known.largest_step, 3)} s"
+    )
     largest = f"the largest spectral radius of its Jacobian is {number(known.radius, 6)}, with {closed} closed{grows}"
     return f"The time step of {number(known.step)} s is stable in contact: {largest}; it is stable {limit}."
 
 
 class Shown(NamedTuple):
-    """The motion that stands for a scene. said: which of its plans that is; film: None where the scene has no shapes."""
+    """The motion that stands for a scene. said: which of its plans that is.
+
+    film: None where the scene has no shapes.
+    """
 
     run: RunRecord
     link: str
@@ -42,41 +56,91 @@ class Shown(NamedTuple):
 
 def build(report: Report, scene: SceneRecord) -> Section:
     """What the scene is, and its best plan: in motion beside its replay and the goal, with positions and contact forces over time."""
-    values = {"scene": scene, "shown": _shown(report, scene), "model": f"model-{report.scenes.index(scene) + 1}"}
-    return Section(report.scene_anchor(scene), f"The scene {scene.name}", "scene.html#scene", values)
+    values = {
+        "scene": scene,
+        "shown": _shown(report, scene),
+        "model": f"model-{report.scenes.index(scene) + 1}",
+    }
+    return Section(
+        report.scene_anchor(scene), f"The scene {scene.name}", "scene.html#scene", values
+    )
 
 
 def motion(report: Report, scene: SceneRecord) -> Section | None:
-    """Its best plan in motion, and nothing else; None where none is stored, or nothing of the scene has a shape."""
+    """Its best plan in motion, and nothing else.
+
+    None where none is stored, or nothing of the scene has a shape.
+    """
     shown = _shown(report, scene)
-    return Section("motion", scene.title, "scene.html#motion", {"shown": shown}) if shown is not None and shown.film is not None else None
+    return (
+        Section("motion", scene.title, "scene.html#motion", {"shown": shown})
+        if shown is not None and shown.film is not None
+        else None
+    )
 
 
 def _shown(report: Report, scene: SceneRecord) -> Shown | None:
-    """The cheapest plan that holds; else the one whose replay stays nearest to it; None where no motion is stored."""
+    """The cheapest plan that holds; else the one whose replay stays nearest to it.
+
+    None where no motion is stored.
+    """
     holding = report.stored.cheapest(scene.name)
-    found = [(run, f"The cheapest plan that holds: {run.pipeline}, cost {cost(price)}") for run, price in holding]
-    others = [row for row in report.rows_of_scene(scene) if row.stage is row.run.stages[-1] and row.metric("replay_error") is not None]
+    found = [
+        (run, f"The cheapest plan that holds: {run.pipeline}, cost {cost(price)}")
+        for run, price in holding
+    ]
+    others = [
+        row
+        for row in report.rows_of_scene(scene)
+        if row.stage is row.run.stages[-1] and row.metric("replay_error") is not None
+    ]
     for row in sorted(others, key=lambda row: row.metric("replay_error") or 0.0):
-        said = "No plan holds; nearest to its replay stays" if scene.inputs else "Its free motion and the replay of it:"
+        said = (
+            "No plan holds; nearest to its replay stays"
+            if scene.inputs
+            else "Its free motion and the replay of it:"
+        )
         found.append((row.run, f"{said} {row.run.pipeline}"))
     for run, said in found:
         stage = run.stages[-1]
         motion = report.motion(run, stage)
         plots = stage_plots(scene, stage, motion, whole=False)
         if plots.motion:
-            return Shown(run, report.link(run), said, film(run, [*[Motion()] * (len(run.stages) - 1), motion]), plots)
+            return Shown(
+                run,
+                report.link(run),
+                said,
+                film(run, [*[Motion()] * (len(run.stages) - 1), motion]),
+                plots,
+            )
     return None
 
 
 def model(report: Report, scene: SceneRecord) -> Section:
     """Its equations, quantities and known answers."""
-    equations = [(equation.caption, safe_mathml(equation.mathml), equation.mathml) for equation in scene.equations]
-    stages = (stage for run in report.stored.runs if run.scene.name == scene.name for stage in run.stages)
+    equations = [
+        (equation.caption, safe_mathml(equation.mathml), equation.mathml)
+        for equation in scene.equations
+    ]
+    stages = (
+        stage for run in report.stored.runs if run.scene.name == scene.name for stage in run.stages
+    )
     # A size that differs between runs has a row of its own.
-    sizes = list(dict.fromkeys((stage.method, stage.size) for stage in stages if stage.size is not None))
-    values = {"scene": scene, "equations": equations, "sizes": sizes, "time_step": time_step(report, scene.name)}
-    return Section(f"model-{report.scenes.index(scene) + 1}", f"Equations and quantities of {scene.name}", "scene.html#model", values)
+    sizes = list(
+        dict.fromkeys((stage.method, stage.size) for stage in stages if stage.size is not None)
+    )
+    values = {
+        "scene": scene,
+        "equations": equations,
+        "sizes": sizes,
+        "time_step": time_step(report, scene.name),
+    }
+    return Section(
+        f"model-{report.scenes.index(scene) + 1}",
+        f"Equations and quantities of {scene.name}",
+        "scene.html#model",
+        values,
+    )
 
 
 _NAMESPACE = "{http://www.w3.org/1998/Math/MathML}"
@@ -97,7 +161,8 @@ _ATTRIBUTES = frozenset(
 )
 # fmt: on
 # Deeper than any equation, shallower than what would exhaust the stack.
-_DEEPEST, _LONGEST = 60, 200_000
+_DEEPEST = 60
+_LONGEST = 200_000
 # A hyphen is no minus sign, and the double-struck d of derivatives is in few fonts.
 _SIGNS = {"-": "−", "ⅆ": "d", "&dd;": "d"}
 
@@ -118,8 +183,13 @@ def _markup(element: ElementTree.Element, depth: int) -> str | None:
     name = element.tag.removeprefix(_NAMESPACE) if isinstance(element.tag, str) else ""
     if name not in _ELEMENTS or depth > _DEEPEST:
         return None
-    attributes = "".join(f' {key}="{escape(value)}"' for key, value in element.attrib.items() if key in _ATTRIBUTES)
-    parts = [f"<{name}{attributes}>", str(escape(_SIGNS.get(element.text or "", element.text or "")))]
+    attributes = "".join(
+        f' {key}="{escape(value)}"' for key, value in element.attrib.items() if key in _ATTRIBUTES
+    )
+    parts = [
+        f"<{name}{attributes}>",
+        str(escape(_SIGNS.get(element.text or "", element.text or ""))),
+    ]
     for child in element:
         inside = _markup(child, depth + 1)
         if inside is None:

@@ -16,9 +16,12 @@ from reports.rows import Row, rows_of
 from reports.traces import Motion, Trace, read_motion, read_plan
 
 # The campaign's page, and the folder of all others beside it.
-REPORT, PAGES = "report.html", "pages"
-# A key as campaigns make them, of which so many characters tell runs apart: links to pages stand in report.html by the thousand.
-_DIGEST, _SHORT = re.compile(r"[0-9a-f]{64}"), 16
+REPORT = "report.html"
+PAGES = "pages"
+# A key as campaigns make them, of which so many characters tell runs apart: links to pages stand in
+# report.html by the thousand.
+_DIGEST = re.compile(r"[0-9a-f]{64}")
+_SHORT = 16
 # Names of scenes that are names of files as they are.
 _PLAIN = re.compile(r"[\w-]{1,80}", re.ASCII)
 
@@ -27,7 +30,8 @@ _PLAIN = re.compile(r"[\w-]{1,80}", re.ASCII)
 class Report:
     """The stored records of a campaign, and the rows and scenes in them.
 
-    folder: the campaign's, where motions are read from; at: what links to other pages begin with; single: everything stands in one file, so that links
+    folder: the campaign's, where motions are read from; at: what links to other pages begin with;
+        single: everything stands in one file, so that links
     lead to anchors in it.
     """
 
@@ -54,7 +58,10 @@ class Report:
         return [row for row in self.rows if row.run.scene.name == scene.name]
 
     def is_papers(self, scene: SceneRecord) -> bool:
-        """Whether the paper's numbers stand beside ours; a scene of its scene's name may be anybody's."""
+        """Whether the paper's numbers stand beside ours.
+
+        A scene of its scene's name may be anybody's.
+        """
         return any(row.stage.paper for row in self.rows_of_scene(scene))
 
     def anchor(self, run: RunRecord) -> str:
@@ -78,8 +85,15 @@ class Report:
         return f"#{self.scene_anchor(scene)}" if self.single else self.at + quote(scene_page(scene))
 
     def page_link(self, page: str, anchor: str = "") -> str:
-        """What a link to one of the other pages leads to; its first section has its name. anchor: of something else on it."""
-        return f"#{anchor or page}" if self.single else f"{self.at}{page}.html" + (f"#{anchor}" if anchor else "")
+        """What a link to one of the other pages leads to.
+
+        Its first section has its name. anchor: of something else on it.
+        """
+        return (
+            f"#{anchor or page}"
+            if self.single
+            else f"{self.at}{page}.html" + (f"#{anchor}" if anchor else "")
+        )
 
     def motion(self, run: RunRecord, stage: StageRecord) -> Motion:
         """Plan and replays of a stage of the run."""
@@ -91,13 +105,20 @@ class Report:
 
 
 def run_page(run: RunRecord) -> str:
-    """The name of the run's page: its key, which is also that of a folder; of a digest the beginning."""
+    """The name of the run's page: its key, which is also that of a folder.
+
+    Of a digest the beginning.
+    """
     return f"{run.key[:_SHORT] if _DIGEST.fullmatch(run.key) else run.key}.html"
 
 
 def scene_page(scene: SceneRecord) -> str:
     """The name of the scene's page; of a name that is none of a file, a digest."""
-    name = scene.name if _PLAIN.fullmatch(scene.name) else hashlib.sha256(scene.name.encode("utf-8", "replace")).hexdigest()[:16]
+    name = (
+        scene.name
+        if _PLAIN.fullmatch(scene.name)
+        else hashlib.sha256(scene.name.encode("utf-8", "replace")).hexdigest()[:16]
+    )
     return f"scene-{name}.html"
 
 

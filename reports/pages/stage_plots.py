@@ -41,8 +41,13 @@ class StagePlots(NamedTuple):
     absent: list[str]
 
 
-def stage_plots(scene: SceneRecord, stage: StageRecord, motion: Motion, *, whole: bool = True) -> StagePlots:
-    """The plots of a stage; motion: of that stage; whole: else positions, contact forces and error alone, as of a stage that another goes on from."""
+def stage_plots(
+    scene: SceneRecord, stage: StageRecord, motion: Motion, *, whole: bool = True
+) -> StagePlots:
+    """The plots of a stage; motion: of that stage.
+
+    whole: else positions, contact forces and error alone, as of a stage that another goes on from.
+    """
     plan, replay = motion.plan, motion.judged(stage)
     absent = list(motion.problems)
     if stage.is_empty:
@@ -51,7 +56,13 @@ def stage_plots(scene: SceneRecord, stage: StageRecord, motion: Motion, *, whole
         absent.append("No planned trajectory is stored.")
     if replay is None and not stage.is_empty:
         said = stage.replay.message if stage.replay is not None and stage.replay.message else ""
-        absent.append("No replay is stored: " + (said or ("there is no plan to replay." if plan is None else "the plan was not replayed.")))
+        absent.append(
+            "No replay is stored: "
+            + (
+                said
+                or ("there is no plan to replay." if plan is None else "the plan was not replayed.")
+            )
+        )
     if not stage.history and not stage.is_empty and stage.kind != "given":
         absent.append("The method kept no history of its iterations.")
     plots: list[Plot | None] = []
@@ -59,31 +70,65 @@ def stage_plots(scene: SceneRecord, stage: StageRecord, motion: Motion, *, whole
     if times:
         x = Axis.fitted("time", "s", times, margin=0.0)
         for unit in dict.fromkeys(item.unit for item in scene.coordinates):
-            plots.append(_positions([item for item in scene.coordinates if item.unit == unit], unit, x, plan, replay))
+            plots.append(
+                _positions(
+                    [item for item in scene.coordinates if item.unit == unit], unit, x, plan, replay
+                )
+            )
         for contact in scene.contacts:
-            plots.append(_contact(scene, f"Contact force, {contact.name}", "force", "N", contact.name, x, plan, replay))
+            plots.append(
+                _contact(
+                    scene,
+                    f"Contact force, {contact.name}",
+                    "force",
+                    "N",
+                    contact.name,
+                    x,
+                    plan,
+                    replay,
+                )
+            )
         for friction in scene.frictions if whole else ():
             title = f"Friction force, {friction.description or friction.name}"
             plots.append(_contact(scene, title, "force", "N", friction.name, x, plan, replay))
-        plots.append(_error(scene, x, motion.replay) if motion.tracked is None else _two_errors(scene, x, motion.replay, motion.tracked))
+        plots.append(
+            _error(scene, x, motion.replay)
+            if motion.tracked is None
+            else _two_errors(scene, x, motion.replay, motion.tracked)
+        )
         for contact in scene.contacts if whole else ():
-            plots.append(_contact(scene, f"Gap, {contact.name}", "gap", "m", contact.name, x, plan, replay))
+            plots.append(
+                _contact(scene, f"Gap, {contact.name}", "gap", "m", contact.name, x, plan, replay)
+            )
         if whole:
             plots.append(_inputs(scene, x, plan, motion.tracked))
     kept = list(stage.history.items())[:_MOST_HISTORY] if whole else []
     history = [_history(name, values, stage.iterations) for name, values in kept if len(values) > 1]
-    keys = [*_KEYS[:1], Key("replay", "replay with feedback"), *_KEYS[2:]] if stage.is_tracked else _KEYS
+    keys = (
+        [*_KEYS[:1], Key("replay", "replay with feedback"), *_KEYS[2:]]
+        if stage.is_tracked
+        else _KEYS
+    )
     return StagePlots(keys, [plot for plot in plots if plot is not None], history, absent)
 
 
-def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: Trace | None, replay: Trace | None) -> Plot | None:
+def _positions(
+    items: list[QuantityRecord], unit: str, x: Axis, plan: Trace | None, replay: Trace | None
+) -> Plot | None:
     data = [
         (item, name, (f"{item.name} {name}", f"c{place % _MOST_COLOURS} {style}", trace.t, values))
         for place, item in enumerate(items)
         for name, style, trace in (("replay", "", replay), ("plan", "ghost", plan))
         if trace is not None and (values := trace.columns.get(item.name)) is not None
     ]
-    plot = over_time("Positions: plan dotted, replay solid", "position", unit, [line for *_, line in data], x=x, margin=0.1)
+    plot = over_time(
+        "Positions: plan dotted, replay solid",
+        "position",
+        unit,
+        [line for *_, line in data],
+        x=x,
+        margin=0.1,
+    )
     if plot is None:
         return None
     for item in items:
@@ -93,13 +138,26 @@ def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: Trace | No
     ends = {"plan": [], "replay": []}
     for item, name, line in data:
         last = float(line[3][-1])
-        ends[name].append(f"{item.name} {number(0.0 if abs(last) < ROUNDING else last, 5)}")  # what is rounding is nought
-    plot.words = " ".join(f"The {name} ends at {with_unit(', '.join(words), unit)}." for name, words in ends.items() if words)
+        ends[name].append(
+            f"{item.name} {number(0.0 if abs(last) < ROUNDING else last, 5)}"
+        )  # what is rounding is nought
+    plot.words = " ".join(
+        f"The {name} ends at {with_unit(', '.join(words), unit)}."
+        for name, words in ends.items()
+        if words
+    )
     return plot
 
 
 def _contact(
-    scene: SceneRecord, title: str, quantity: str, unit: str, contact: str, x: Axis, plan: Trace | None, replay: Trace | None
+    scene: SceneRecord,
+    title: str,
+    quantity: str,
+    unit: str,
+    contact: str,
+    x: Axis,
+    plan: Trace | None,
+    replay: Trace | None,
 ) -> Plot | None:
     read = Trace.force if quantity == "force" else Trace.gap
     lines = [
@@ -116,11 +174,21 @@ def _contact(
     for low, high in planned:
         plot.strip(low, high, "planned-touch")
     rubs = any(friction.name == contact for friction in scene.frictions)
-    size = (lambda values: np.abs(values).max()) if rubs else np.max  # friction acts in two directions
-    told = [f"Largest{' size' if rubs else ''} in the {name}: {number(size(values), 3)} {unit}." for name, *_, values in lines]
+    size = (
+        (lambda values: np.abs(values).max()) if rubs else np.max
+    )  # friction acts in two directions
+    told = [
+        f"Largest{' size' if rubs else ''} in the {name}: {number(size(values), 3)} {unit}."
+        for name, *_, values in lines
+    ]
     if replay is not None:
-        windows = ", ".join(f"{number(low, 3)} to {number(high, 3)} s" for low, high in phases[:4]) or "never"
-        told.append(f"{'Friction acts' if rubs else 'In contact'} in the replay: {windows}{' and more' if len(phases) > 4 else ''}.")
+        windows = (
+            ", ".join(f"{number(low, 3)} to {number(high, 3)} s" for low, high in phases[:4])
+            or "never"
+        )
+        told.append(
+            f"{'Friction acts' if rubs else 'In contact'} in the replay: {windows}{' and more' if len(phases) > 4 else ''}."
+        )
     plot.words = " ".join(told)
     return plot
 
@@ -131,7 +199,9 @@ def _error(scene: SceneRecord, x: Axis, replay: Trace | None) -> Plot | None:
         return None
     unit = "/".join(dict.fromkeys(item.unit for item in scene.coordinates))
     line = ("difference", "c5", replay.t, values)
-    plot = over_time("Position error: replay against plan", "largest difference", unit, [line], x=x, zero=True)
+    plot = over_time(
+        "Position error: replay against plan", "largest difference", unit, [line], x=x, zero=True
+    )
     assert plot is not None
     worst = int(np.argmax(values))
     plot.words = f"The largest difference is {error(values[worst])} {unit}, at {number(replay.t[worst], 3)} s; at the end it is {error(values[-1])} {unit}."
@@ -145,20 +215,32 @@ def _two_errors(scene: SceneRecord, x: Axis, opened: Trace | None, tracked: Trac
         for name, style, trace in (("inputs alone", "c3", opened), ("with feedback", "c5", tracked))
         if trace is not None and (values := trace.columns.get("position_error")) is not None
     ]
-    positive = np.concatenate([values[values > 0.0] for *_, values in lines]) if lines else np.zeros(0)
+    positive = (
+        np.concatenate([values[values > 0.0] for *_, values in lines]) if lines else np.zeros(0)
+    )
     if not len(positive):
         return None
     unit = "/".join(dict.fromkeys(item.unit for item in scene.coordinates))
     # The start is exact: below a millionth of the largest nothing needs to be read.
     floor = max(positive.min(), 1e-6 * positive.max())
-    shown = [(name, style, times, np.maximum(values, floor)) for name, style, times, values in lines]
-    plot = over_time("Position error: inputs alone and with feedback", "largest difference", unit, shown, x=x, log=True)
+    shown = [
+        (name, style, times, np.maximum(values, floor)) for name, style, times, values in lines
+    ]
+    plot = over_time(
+        "Position error: inputs alone and with feedback",
+        "largest difference",
+        unit,
+        shown,
+        x=x,
+        log=True,
+    )
     assert plot is not None
     for name, style, times, values in shown:
         place = 3 * len(times) // 4  # far from the start, which they share, and from the edge
         plot.label(times[place], values[place], name, f"strong {style}")
     told = [
-        f"{name.capitalize()}: at most {error(values.max())} {unit}, at the end {error(values[-1])} {unit}." for name, *_, values in lines
+        f"{name.capitalize()}: at most {error(values.max())} {unit}, at the end {error(values[-1])} {unit}."
+        for name, *_, values in lines
     ]
     plot.words = " ".join(told)
     return plot
@@ -167,11 +249,23 @@ def _two_errors(scene: SceneRecord, x: Axis, opened: Trace | None, tracked: Trac
 def _inputs(scene: SceneRecord, x: Axis, plan: Trace | None, tracked: Trace | None) -> Plot | None:
     if plan is None:
         return None
-    data = [(item, values) for item in scene.inputs if (values := plan.columns.get(item.name)) is not None]
+    data = [
+        (item, values)
+        for item in scene.inputs
+        if (values := plan.columns.get(item.name)) is not None
+    ]
     if not data:
         return None
     units = list(dict.fromkeys(item.unit for item, _ in data))
-    applied = {} if tracked is None else {item.name: tracked.columns[item.name] for item, _ in data if item.name in tracked.columns}
+    applied = (
+        {}
+        if tracked is None
+        else {
+            item.name: tracked.columns[item.name]
+            for item, _ in data
+            if item.name in tracked.columns
+        }
+    )
     title = "Inputs of the plan (dotted) and with feedback" if applied else "Inputs of the plan"
     every = np.concatenate([*(values for _, values in data), *applied.values()])
     plot = Plot(title, x, Axis.fitted("input", "/".join(units), every, zero=True))
@@ -182,14 +276,25 @@ def _inputs(scene: SceneRecord, x: Axis, plan: Trace | None, tracked: Trace | No
             style += " ghost"
         plot.line(item.name, style, plan.t, values)
         peak = int(np.abs(values).argmax())
-        plot.label(plan.t[min(peak, len(plan.t) - 1)], values[peak], item.name, f"strong c{place % _MOST_COLOURS}")
+        plot.label(
+            plan.t[min(peak, len(plan.t) - 1)],
+            values[peak],
+            item.name,
+            f"strong c{place % _MOST_COLOURS}",
+        )
     ranges = [(item, number(values.min(), 3), number(values.max(), 3)) for item, values in data]
-    plot.words = " ".join(f"{item.name} lies between {low} and {with_unit(high, item.unit)}." for item, low, high in ranges)
+    plot.words = " ".join(
+        f"{item.name} lies between {low} and {with_unit(high, item.unit)}."
+        for item, low, high in ranges
+    )
     return plot
 
 
 def _history(name: str, values: tuple[float, ...], iterations: int) -> Plot:
-    """One column of the iteration history, over all iterations if it was thinned; logarithmic where it is positive and spans two powers of ten."""
+    """One column of the iteration history, over all iterations if it was thinned.
+
+    Logarithmic where it is positive and spans two powers of ten.
+    """
     name = _HISTORY_WORDS.get(name, clean(name).replace("_", " "))
     stride = max(1.0, iterations / (len(values) - 1))
     positive = [value for value in values if value > 0]
@@ -199,6 +304,8 @@ def _history(name: str, values: tuple[float, ...], iterations: int) -> Plot:
     shown = [(place, value) for place, value in enumerate(values) if value > 0 or not log]
     plot.line(name, "c0", [place * stride for place, _ in shown], [value for _, value in shown])
     # With the digits by which they differ, if any.
-    digits = next((digits for digits in (3, 5) if number(values[0], digits) != number(values[-1], digits)), 7)
+    digits = next(
+        (digits for digits in (3, 5) if number(values[0], digits) != number(values[-1], digits)), 7
+    )
     plot.words = f"From {number(values[0], digits)} to {number(values[-1], digits)}."
     return plot

@@ -1,9 +1,11 @@
 """Numbers that a campaign swept - parameters, starts, goals, grids, options, eps - and how every metric goes with them; seeds as a spread.
 
-Three carts at k = 30, 60, 120 N/m by one pipeline are three runs that differ in one number: each metric is drawn against it. Runs that differ in the seed
-of their method alone are one point: the median, with a bar from the least to the largest.
+Three carts at k = 30, 60, 120 N/m by one pipeline are three runs that differ in one number: each
+metric is drawn against it. Runs that differ in the seed of their method alone are one point: the
+median, with a bar from the least to the largest.
 
-Of a scene, Figs. 4-6 of the paper: how the plans of a relaxation change while eps is tightened, and how the metrics go with eps.
+Of a scene, Figs. 4-6 of the paper: how the plans of a relaxation change while eps is tightened, and
+how the metrics go with eps.
 """
 
 from __future__ import annotations
@@ -55,7 +57,10 @@ class Mark(NamedTuple):
 
 
 class SweptRun(NamedTuple):
-    """A run at its values of what was swept. curve: the other values and the pipeline, in words; x: of the axis; seed: of its method, if it draws."""
+    """A run at its values of what was swept. curve: the other values and the pipeline, in words.
+
+    x: of the axis; seed: of its method, if it draws.
+    """
 
     run: RunRecord
     link: str
@@ -65,7 +70,10 @@ class SweptRun(NamedTuple):
 
 
 class Sweep(NamedTuple):
-    """One sweep. first: plots of cost, errors and time; others: of every other metric that varies."""
+    """One sweep. first: plots of cost, errors and time.
+
+    others: of every other metric that varies.
+    """
 
     title: str
     anchor: str
@@ -79,7 +87,11 @@ class Sweep(NamedTuple):
 
 def build(report: Report) -> Section | None:
     """The section, or None where no runs differ in a number alone."""
-    found = [sweep for place, group in enumerate(_groups(report.stored.runs), 1) if (sweep := _sweep(report, group, f"sweep-{place}"))]
+    found = [
+        sweep
+        for place, group in enumerate(_groups(report.stored.runs), 1)
+        if (sweep := _sweep(report, group, f"sweep-{place}"))
+    ]
     if not found:
         return None
     said = f"{count(len(found), 'sweep')}: {listing([sweep.title for sweep in found])}; every metric against the swept number."
@@ -92,20 +104,35 @@ def _groups(runs: Iterable[RunRecord]) -> list[list[RunRecord]]:
     found: dict[object, list[RunRecord]] = {}
     for run in runs:
         if run.stages and run.verdict != "not applicable":
-            found.setdefault((_kind(run.scene), tuple((stage.method, *_words(stage.options)) for stage in run.stages)), []).append(run)
+            found.setdefault(
+                (
+                    _kind(run.scene),
+                    tuple((stage.method, *_words(stage.options)) for stage in run.stages),
+                ),
+                [],
+            ).append(run)
     return [group for group in found.values() if len(group) > 1]
 
 
 def _kind(scene: SceneRecord) -> tuple[object, ...]:
     """What two scenes have in common that differ in numbers alone."""
-    parts = (scene.coordinates, scene.velocities, scene.inputs, scene.contacts, scene.frictions, scene.parameters)
+    parts = (
+        scene.coordinates,
+        scene.velocities,
+        scene.inputs,
+        scene.contacts,
+        scene.frictions,
+        scene.parameters,
+    )
     names = tuple(tuple((item.name, item.unit) for item in part) for part in parts)
     return (*names, scene.source, tuple((shape.name, shape.kind) for shape in scene.shapes))
 
 
 def _words(options: Mapping[str, object]) -> tuple[tuple[str, object], ...]:
     """Options that are no numbers."""
-    return tuple((name, str(value)) for name, value in sorted(options.items()) if not _is_number(value))
+    return tuple(
+        (name, str(value)) for name, value in sorted(options.items()) if not _is_number(value)
+    )
 
 
 def _is_number(value: object) -> bool:
@@ -115,50 +142,94 @@ def _is_number(value: object) -> bool:
 def _numbers(run: RunRecord) -> dict[Quantity, float]:
     """All numbers that a campaign can change: of the scene, of the options of each method, and each eps."""
     scene = run.scene
-    found = {Quantity(item.name, item.unit): item.value for item in scene.parameters if item.value is not None}
+    found = {
+        Quantity(item.name, item.unit): item.value
+        for item in scene.parameters
+        if item.value is not None
+    }
     states = [*scene.coordinates, *scene.velocities]
     for what, values in (("start", scene.start), ("goal", scene.goal)):
-        known = [(item, value) for item, value in zip(states, values, strict=False) if value is not None]
+        known = [
+            (item, value) for item, value in zip(states, values, strict=False) if value is not None
+        ]
         found |= {Quantity(f"{what} {item.name}", item.unit): value for item, value in known}
     found |= {Quantity("step h", "s"): scene.step, Quantity("steps"): float(scene.steps)}
     for stage in run.stages:
-        numbers = {name: float(value) for name, value in stage.options.items() if isinstance(value, (int, float)) and _is_number(value)}
-        found |= {Quantity(SEED if name == SEED else f"{stage.method} {spaced(name)}"): value for name, value in numbers.items()}
+        numbers = {
+            name: float(value)
+            for name, value in stage.options.items()
+            if isinstance(value, (int, float)) and _is_number(value)
+        }
+        found |= {
+            Quantity(SEED if name == SEED else f"{stage.method} {spaced(name)}"): value
+            for name, value in numbers.items()
+        }
         if stage.eps:
             found[Quantity(f"ε of stage {stage.index + 1}")] = stage.eps
     return found
 
 
 def _sweep(report: Report, runs: Sequence[RunRecord], anchor: str) -> Sweep | None:
-    """The sweep of runs that differ in a few numbers; along the one with most values, seeds apart."""
+    """The sweep of runs that differ in a few numbers.
+
+    Along the one with most values, seeds apart.
+    """
     values = [_numbers(run) for run in runs]
     common = [quantity for quantity in values[0] if all(quantity in other for other in values)]
     varied = [quantity for quantity in common if len({numbers[quantity] for numbers in values}) > 1]
     drawn = [quantity for quantity in varied if quantity.name != SEED]
     if not varied or len(drawn) > _MOST:
         return None
-    axis = max(drawn, key=lambda quantity: len({numbers[quantity] for numbers in values}), default=Quantity(SEED))
-    # What goes with the axis, value for value, is told by it: steps and their length, of one horizon.
+    axis = max(
+        drawn,
+        key=lambda quantity: len({numbers[quantity] for numbers in values}),
+        default=Quantity(SEED),
+    )
+    # What goes with the axis, value for value, is told by it: steps and their length, of one
+    # horizon.
     along = {numbers[axis] for numbers in values}
     others = [quantity for quantity in drawn if quantity != axis]
-    beside = [quantity for quantity in others if len({(numbers[axis], numbers[quantity]) for numbers in values}) > len(along)]
-    # An option of many values is swept by pipelines that are named after it; of two, they are two pipelines.
+    beside = [
+        quantity
+        for quantity in others
+        if len({(numbers[axis], numbers[quantity]) for numbers in values}) > len(along)
+    ]
+    # An option of many values is swept by pipelines that are named after it; of two, they are two
+    # pipelines.
     of_method = axis.name.partition(" ")[0] in {stage.method for stage in runs[0].stages}
     option = len(drawn) == 1 and of_method and len(along) > _PAIR
     several = len({_pipeline(run) for run in runs}) > 1 and not option
     swept = []
     for run, numbers in zip(runs, values, strict=True):
-        told = [f"{quantity.name} = {with_unit(number(numbers[quantity]), quantity.unit)}" for quantity in beside]
-        curve = ", ".join([_pipeline(run), *told] if several else told) or (run.stages[-1].method if option else _pipeline(run))
-        seed = next((value for quantity, value in numbers.items() if quantity.name == SEED != axis.name), None)
+        told = [
+            f"{quantity.name} = {with_unit(number(numbers[quantity]), quantity.unit)}"
+            for quantity in beside
+        ]
+        curve = ", ".join([_pipeline(run), *told] if several else told) or (
+            run.stages[-1].method if option else _pipeline(run)
+        )
+        seed = next(
+            (value for quantity, value in numbers.items() if quantity.name == SEED != axis.name),
+            None,
+        )
         swept.append(SweptRun(run, report.link(run), curve, numbers[axis], seed))
     swept.sort(key=lambda item: (item.curve, item.x))
-    if not any(len({(item.x, item.seed) for item in swept if item.curve == curve}) > 1 for curve in {item.curve for item in swept}):
+    if not any(
+        len({(item.x, item.seed) for item in swept if item.curve == curve}) > 1
+        for curve in {item.curve for item in swept}
+    ):
         return None  # other pipelines, not one with other numbers
     styles = styles_of(item.curve for item in swept)
     first = [_plot(axis, swept, styles, *asked) for asked in _asked(swept)]
-    names = dict.fromkeys(metric.name for run in runs for metric in run.stages[-1].metrics if metric.name not in (*_FIRST, "cost"))
-    others = [_plot(axis, swept, styles, spaced(name), _unit(runs, name), _of(name)) for name in names]
+    names = dict.fromkeys(
+        metric.name
+        for run in runs
+        for metric in run.stages[-1].metrics
+        if metric.name not in (*_FIRST, "cost")
+    )
+    others = [
+        _plot(axis, swept, styles, spaced(name), _unit(runs, name), _of(name)) for name in names
+    ]
     several_grids = len({(run.scene.step, run.scene.steps) for run in runs}) > 1
     return Sweep(
         f"{axis.name} on {_name([run.scene.name for run in runs], axis)}",
@@ -168,7 +239,8 @@ def _sweep(report: Report, runs: Sequence[RunRecord], anchor: str) -> Sweep | No
         keys_of(styles),
         [plot for plot in first if plot is not None],
         [plot for plot in others if plot is not None],
-        _conclusion(axis, swept) + (" Grids differ: compare integral costs, not sums over steps." if several_grids else ""),
+        _conclusion(axis, swept)
+        + (" Grids differ: compare integral costs, not sums over steps." if several_grids else ""),
     )
 
 
@@ -181,7 +253,10 @@ def _pipeline(run: RunRecord) -> str:
 def _name(names: Sequence[str], axis: Quantity) -> str:
     """What the names of swept scenes begin with: three_cart of three_cart_k_30 and three_cart_k_60."""
     first, last = min(names), max(names)
-    shared = next((place for place, pair in enumerate(zip(first, last, strict=False)) if pair[0] != pair[1]), len(first))
+    shared = next(
+        (place for place, pair in enumerate(zip(first, last, strict=False)) if pair[0] != pair[1]),
+        len(first),
+    )
     begin = first if first == last else first[:shared].rpartition("_")[0]
     return begin.removesuffix("_" + axis.name.replace(" ", "_")) or first
 
@@ -190,7 +265,11 @@ def _asked(swept: Sequence[SweptRun]) -> list[tuple[str, str, Callable[[RunRecor
     """(quantity, unit, value) of the plots that stand first."""
     runs = [item.run for item in swept]
     whole = all(run.integral_cost is None for run in runs)
-    price = ("cost", "", attrgetter("cost")) if whole else ("integral cost (cost times h)", "", attrgetter("integral_cost"))
+    price = (
+        ("cost", "", attrgetter("cost"))
+        if whole
+        else ("integral cost (cost times h)", "", attrgetter("integral_cost"))
+    )
     errors = [(spaced(name), _unit(runs, name), _of(name)) for name in _FIRST]
     return [price, *errors, ("CPU time of solving", "s", attrgetter("solving_cpu"))]
 
@@ -206,11 +285,18 @@ def _of(name: str) -> Callable[[RunRecord], float | None]:
 
 
 def _unit(runs: Sequence[RunRecord], name: str) -> str:
-    return next((metric.unit for run in runs if (metric := run.stages[-1].metric(name)) is not None), "")
+    return next(
+        (metric.unit for run in runs if (metric := run.stages[-1].metric(name)) is not None), ""
+    )
 
 
 def _plot(
-    axis: Quantity, swept: Sequence[SweptRun], styles: Mapping[str, Style], name: str, unit: str, value: Callable[[RunRecord], float | None]
+    axis: Quantity,
+    swept: Sequence[SweptRun],
+    styles: Mapping[str, Style],
+    name: str,
+    unit: str,
+    value: Callable[[RunRecord], float | None],
 ) -> Plot | None:
     """One metric of the runs of a sweep."""
     marks = []
@@ -226,26 +312,42 @@ def _plot(
 
 def styles_of(curves: Iterable[str]) -> dict[str, Style]:
     """Colour and marker of each curve."""
-    return {curve: (f"c{place % _COLOURS}", _MARKERS[place % len(_MARKERS)]) for place, curve in enumerate(dict.fromkeys(curves))}
+    return {
+        curve: (f"c{place % _COLOURS}", _MARKERS[place % len(_MARKERS)])
+        for place, curve in enumerate(dict.fromkeys(curves))
+    }
 
 
 def keys_of(styles: Mapping[str, Style]) -> list[Key]:
     """A legend; empty of one curve alone, which the sentences name."""
-    return [Key(style, curve, marker) for curve, (style, marker) in styles.items()] if len(styles) > 1 else []
+    return (
+        [Key(style, curve, marker) for curve, (style, marker) in styles.items()]
+        if len(styles) > 1
+        else []
+    )
 
 
-def draw_against(axis: Quantity, name: str, unit: str, marks: Sequence[Mark], styles: Mapping[str, Style]) -> Plot | None:
+def draw_against(
+    axis: Quantity, name: str, unit: str, marks: Sequence[Mark], styles: Mapping[str, Style]
+) -> Plot | None:
     """A metric against a swept number: a line through the medians of each curve, a bar over its marks at one place.
 
     Returns
     -------
-    plot : Plot, or None where the metric is the same everywhere, or there are no two places but for seeds
+    plot : Plot, or None where the metric is the same everywhere, or there are no two places but for
+        seeds
     """
     if len({mark.y for mark in marks}) < 2 or len({mark.x for mark in marks}) < 2:
         return None
     xs, ys = [mark.x for mark in marks], [mark.y for mark in marks]
-    across = Axis.fitted(axis.name, axis.unit, xs, log=is_wide(xs) and axis.name != SEED, margin=0.06)
-    plot = Plot(f"{capital(name)} against {axis.name}", across, Axis.fitted(name, unit, ys, log=is_wide(ys), margin=0.08))
+    across = Axis.fitted(
+        axis.name, axis.unit, xs, log=is_wide(xs) and axis.name != SEED, margin=0.06
+    )
+    plot = Plot(
+        f"{capital(name)} against {axis.name}",
+        across,
+        Axis.fitted(name, unit, ys, log=is_wide(ys), margin=0.08),
+    )
     said = []
     for curve, (style, _) in styles.items():
         mine: dict[float, list[float]] = {}
@@ -262,7 +364,9 @@ def draw_against(axis: Quantity, name: str, unit: str, marks: Sequence[Mark], st
             said.append(f"{curve}: {number(ends[0], 3)} to {with_unit(number(ends[1], 3), unit)}")
     for mark in marks:
         style, marker = styles[mark.curve]
-        plot.point(mark.x, mark.y, f"{style} full" if mark.holds else style, marker, mark.tip, mark.link)
+        plot.point(
+            mark.x, mark.y, f"{style} full" if mark.holds else style, marker, mark.tip, mark.link
+        )
     plot.words = f"{'; '.join(said)}. Filled: the plan holds."
     return plot
 
@@ -279,17 +383,29 @@ def _conclusion(axis: Quantity, swept: Sequence[SweptRun]) -> str:
             if item.curve == curve:
                 at.setdefault(item.x, []).append(item.run.verdict in HOLD)
         told = [_at(x, axis.unit, held) for x, held in at.items() if any(held)]
-        said.append(f"{curve} holds at {axis.name} = {listing(told)}" if told else f"{curve} holds at no value of {axis.name}")
+        said.append(
+            f"{curve} holds at {axis.name} = {listing(told)}"
+            if told
+            else f"{curve} holds at no value of {axis.name}"
+        )
     return f"{'; '.join(said)}."
 
 
 def _at(x: float, unit: str, held: Sequence[bool]) -> str:
     """`0.1 rad (2 of 3 seeds)`."""
-    return with_unit(number(x), unit) + ("" if len(held) == 1 else f" ({sum(held)} of {len(held)} seeds)")
+    return with_unit(number(x), unit) + (
+        "" if len(held) == 1 else f" ({sum(held)} of {len(held)} seeds)"
+    )
 
 
 # Metrics that are drawn against eps.
-_AGAINST = ("replay_terminal_position_error", "replay_terminal_velocity_error", "replay_error", "physics_scaled", "cost")
+_AGAINST = (
+    "replay_terminal_position_error",
+    "replay_terminal_velocity_error",
+    "replay_error",
+    "physics_scaled",
+    "cost",
+)
 # Classes s0 (loosest) .. s5 (tightest) of the page's sequential colours.
 _SHADES = 6
 
@@ -307,33 +423,59 @@ class TighteningCurve(NamedTuple):
 
 def tightening(report: Report, scene: SceneRecord) -> Section | None:
     """The sweeps of one scene; None where no method on it has more than one eps."""
-    rows = [row for row in report.rows_of_scene(scene) if row.stage.kind == "indirect" and row.stage.eps and len(row.methods) == 1]
-    # One sweep a method and pipeline: the same method with other options is another sweep, and not the paper's figure.
+    rows = [
+        row
+        for row in report.rows_of_scene(scene)
+        if row.stage.kind == "indirect" and row.stage.eps and len(row.methods) == 1
+    ]
+    # One sweep a method and pipeline: the same method with other options is another sweep, and not
+    # the paper's figure.
     groups: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         figure = TIGHTENING_FIGURES.get(row.stage.method, "") if row.stage.paper else ""
-        groups.setdefault((figure or "z", row.stage.method, "" if figure else row.run.pipeline), []).append(row)
+        groups.setdefault(
+            (figure or "z", row.stage.method, "" if figure else row.run.pipeline), []
+        ).append(row)
     sweeps: list[TighteningCurve] = []
     place = report.scenes.index(scene) + 1
     for (figure, _, pipeline), mine in sorted(groups.items(), key=lambda item: item[0]):
         if len(mine) > 1:
             ordered = sorted(mine, key=lambda row: -(row.stage.eps or 0.0))
-            sweeps.append(_tightened(report, scene, figure.rstrip("z"), pipeline, ordered, f"tightening-{place}-{len(sweeps) + 1}"))
+            sweeps.append(
+                _tightened(
+                    report,
+                    scene,
+                    figure.rstrip("z"),
+                    pipeline,
+                    ordered,
+                    f"tightening-{place}-{len(sweeps) + 1}",
+                )
+            )
     if not sweeps:
         return None
-    figures = "Figs. 4–6: plans" if any(sweep.title.startswith("Fig.") for sweep in sweeps) else "Plans"
+    figures = (
+        "Figs. 4–6: plans" if any(sweep.title.startswith("Fig.") for sweep in sweeps) else "Plans"
+    )
     entries = tuple((sweep.anchor, sweep.title) for sweep in sweeps)
     styles = styles_of(_curve(sweep) for sweep in sweeps)
     against = [plot for name in _AGAINST if (plot := _against(name, sweeps, styles)) is not None]
     values = {"sweeps": sweeps, "keys": keys_of(styles), "against": against}
-    return Section(f"tightening-{place}", f"{figures} while ε is tightened", "scene.html#tightening", values, entries)
+    return Section(
+        f"tightening-{place}",
+        f"{figures} while ε is tightened",
+        "scene.html#tightening",
+        values,
+        entries,
+    )
 
 
 def _curve(sweep: TighteningCurve) -> str:
     return sweep.title.partition(": ")[2] if sweep.title.startswith("Fig. ") else sweep.title
 
 
-def _against(name: str, sweeps: Sequence[TighteningCurve], styles: Mapping[str, tuple[str, str]]) -> Plot | None:
+def _against(
+    name: str, sweeps: Sequence[TighteningCurve], styles: Mapping[str, tuple[str, str]]
+) -> Plot | None:
     """One metric of all relaxations against eps."""
     marks, unit = [], ""
     for sweep in sweeps:
@@ -346,7 +488,9 @@ def _against(name: str, sweeps: Sequence[TighteningCurve], styles: Mapping[str, 
     return draw_against(Quantity("ε"), spaced(name), unit, marks, styles)
 
 
-def _tightened(report: Report, scene: SceneRecord, figure: str, pipeline: str, rows: list[Row], anchor: str) -> TighteningCurve:
+def _tightened(
+    report: Report, scene: SceneRecord, figure: str, pipeline: str, rows: list[Row], anchor: str
+) -> TighteningCurve:
     lines, missing = [], []
     for index, row in enumerate(rows):
         plan = report.plan(row.run, row.stage)
@@ -356,7 +500,9 @@ def _tightened(report: Report, scene: SceneRecord, figure: str, pipeline: str, r
         else:
             lines.append((words, f"s{round(index * (_SHADES - 1) / max(1, len(rows) - 1))}", plan))
     return TighteningCurve(
-        title=(f"{figure}: " if figure else "") + rows[0].stage.method_title + (f" ({pipeline})" if pipeline else ""),
+        title=(f"{figure}: " if figure else "")
+        + rows[0].stage.method_title
+        + (f" ({pipeline})" if pipeline else ""),
         anchor=anchor,
         rows=rows,
         keys=[Key(style, words) for words, style, _ in lines],
@@ -367,26 +513,40 @@ def _tightened(report: Report, scene: SceneRecord, figure: str, pipeline: str, r
 
 def _plots_of_plans(scene: SceneRecord, lines: list[tuple[str, str, Trace]]) -> list[Plot]:
     units = list(dict.fromkeys(item.unit for item in scene.coordinates))
-    plots = [_positions([item for item in scene.coordinates if item.unit == unit], unit, lines) for unit in units]
+    plots = [
+        _positions([item for item in scene.coordinates if item.unit == unit], unit, lines)
+        for unit in units
+    ]
     asked = [
-        *((f"lam_{item.name}", f"Contact force, {item.name}", "force", "N") for item in scene.contacts),
+        *(
+            (f"lam_{item.name}", f"Contact force, {item.name}", "force", "N")
+            for item in scene.contacts
+        ),
         *((f"gap_{item.name}", f"Gap, {item.name}", "gap", "m") for item in scene.contacts),
         *((item.name, f"Input {item.name}", item.name, item.unit) for item in scene.inputs),
     ]
     for name, title, quantity, unit in asked:
-        known = [(words, style, plan.t, plan.columns[name]) for words, style, plan in lines if name in plan.columns]
+        known = [
+            (words, style, plan.t, plan.columns[name])
+            for words, style, plan in lines
+            if name in plan.columns
+        ]
         plots.append(_single(title, quantity, unit, known))
     return [plot for plot in plots if plot is not None]
 
 
-def _positions(items: Sequence[QuantityRecord], unit: str, lines: list[tuple[str, str, Trace]]) -> Plot | None:
+def _positions(
+    items: Sequence[QuantityRecord], unit: str, lines: list[tuple[str, str, Trace]]
+) -> Plot | None:
     data = [
         (item, words, (f"{item.name}, {words}", style, trace.t, values))
         for item in items
         for words, style, trace in lines
         if (values := trace.columns.get(item.name)) is not None
     ]
-    plot = over_time("Positions", "position", unit, [line for *_, line in data], height=300, margin=0.08)
+    plot = over_time(
+        "Positions", "position", unit, [line for *_, line in data], height=300, margin=0.08
+    )
     if plot is None:
         return None
     for item in items:
@@ -395,7 +555,8 @@ def _positions(items: Sequence[QuantityRecord], unit: str, lines: list[tuple[str
             plot.label(mine[-1][2][0], mine[-1][3][0], item.name, "strong")
     last = [(item, words, values) for item, words, (*_, values) in data if words == data[-1][1]]
     plot.words = " ".join(
-        f"{item.name} {words}: from {error(values[0])} to {with_unit(number(values[-1], 3), unit)}." for item, words, values in last
+        f"{item.name} {words}: from {error(values[0])} to {with_unit(number(values[-1], 3), unit)}."
+        for item, words, values in last
     )
     return plot
 
@@ -408,7 +569,9 @@ def _single(title: str, quantity: str, unit: str, lines: Sequence[Line]) -> Plot
     for words, style, times, values in lines:
         peak = int(np.abs(values).argmax())
         when = times[min(peak, len(times) - 1)]
-        told.append(f"{words}: largest size {with_unit(number(abs(values[peak]), 3), unit)} at {number(when, 3)} s.")
+        told.append(
+            f"{words}: largest size {with_unit(number(abs(values[peak]), 3), unit)} at {number(when, 3)} s."
+        )
         if quantity == "force":
             plot.label(when, values[peak], words, style, anchor="middle")
     plot.words = " ".join(told)

@@ -11,19 +11,23 @@ from reports.records.record import SceneRecord
 from reports.rows import Row, known_cost, lacking
 from reports.wording import cost, count, error, listing, number, percent, seconds, times, unit
 
-# The paper prints two decimals of costs of some hundreds: what agrees to 1e-4 agrees with the print.
+# The paper prints two decimals of costs of some hundreds: what agrees to 1e-4 agrees with the
+# print.
 _SAME_COST = 1e-4
-# A solver that returns twice the cost of another on the same problem has failed, not found another plan.
+# A solver that returns twice the cost of another on the same problem has failed, not found another
+# plan.
 _FAILED_COST = 2.0
 _NOT_TO_BLAME = " Plans at a fraction of the paper's cost hold after the replay, so its solver stopped far from the optimum there; the method is not to blame."
-# Where the terminal error is told: in the plan, with exact contact on its own grid, after the replay.
+# Where the terminal error is told: in the plan, with exact contact on its own grid, after the
+# replay.
 _WHERE = {"plan": "", "grid": "discrete_", "replay": "replay_"}
 
 
 class TerminalError(NamedTuple):
     """A terminal error as a cell shows it, of the judged replay where it is of one.
 
-    position, velocity: apart, each in its unit; norm: of both together, where they are not known apart; alone: the position by the inputs alone, of a stage
+    position, velocity: apart, each in its unit; norm: of both together, where they are not known
+        apart; alone: the position by the inputs alone, of a stage
     that holds with feedback; reason: why there is none.
     """
 
@@ -41,10 +45,15 @@ def build(report: Report) -> Section | None:
 
 
 def of_scene(report: Report, scene: SceneRecord) -> Section | None:
-    """All stages on one scene; None where none is stored, or where Table I stands on the same page."""
+    """All stages on one scene.
+
+    None where none is stored, or where Table I stands on the same page.
+    """
     if report.single and report.is_papers(scene):
         return None
-    return _section(report, scene, f"stages-{report.scenes.index(scene) + 1}", f"All methods on {scene.name}")
+    return _section(
+        report, scene, f"stages-{report.scenes.index(scene) + 1}", f"All methods on {scene.name}"
+    )
 
 
 def _section(report: Report, scene: SceneRecord, anchor: str, title: str) -> Section | None:
@@ -53,7 +62,9 @@ def _section(report: Report, scene: SceneRecord, anchor: str, title: str) -> Sec
         return None
     values = {
         "scene": scene,
-        "rows": [(row, {where: _end(row, prefix) for where, prefix in _WHERE.items()}) for row in rows],
+        "rows": [
+            (row, {where: _end(row, prefix) for where, prefix in _WHERE.items()}) for row in rows
+        ],
         "lacks": lacking(rows),
         "beside": report.is_papers(scene),
         "units": _units(rows),
@@ -65,17 +76,30 @@ def _section(report: Report, scene: SceneRecord, anchor: str, title: str) -> Sec
 def _end(row: Row, prefix: str) -> TerminalError:
     whole = row.stage.metric(f"{prefix}terminal_error")
     name = f"{prefix}terminal_position_error"
-    alone = row.stage.metric(name) if prefix == "replay_" and row.stage.verdict == "holds with feedback" else None
-    velocity, norm = row.metric(f"{prefix}terminal_velocity_error"), row.metric(f"{prefix}terminal_error")
+    alone = (
+        row.stage.metric(name)
+        if prefix == "replay_" and row.stage.verdict == "holds with feedback"
+        else None
+    )
+    velocity, norm = (
+        row.metric(f"{prefix}terminal_velocity_error"),
+        row.metric(f"{prefix}terminal_error"),
+    )
     reason = (whole.reason if whole is not None else "") or row.stage.why or "no plan"
-    return TerminalError(row.metric(name), velocity, norm, alone.value if alone is not None else None, reason)
+    return TerminalError(
+        row.metric(name), velocity, norm, alone.value if alone is not None else None, reason
+    )
 
 
 def _units(rows: list[Row]) -> tuple[str, str]:
     """Of positions and of velocities; empty where a scene has several."""
 
     def one(part: str) -> str:
-        found = {metric.unit for row in rows if (metric := row.stage.judged(f"replay_terminal_{part}_error")) is not None}
+        found = {
+            metric.unit
+            for row in rows
+            if (metric := row.stage.judged(f"replay_terminal_{part}_error")) is not None
+        }
         return unit(found.pop()) if len(found) == 1 else ""
 
     return one("position"), one("velocity")
@@ -84,7 +108,15 @@ def _units(rows: list[Row]) -> tuple[str, str]:
 def conclude(rows: list[Row]) -> list[str]:
     """Sentences under the table."""
     both = [row for row in rows if row.stage.paper and row.stage.cost is not None]
-    return [*_reproduced(both), *_failed(both), *_relaxed(rows), *_own_model(rows), *_physics(rows), *_bought(rows), *_clock(both)]
+    return [
+        *_reproduced(both),
+        *_failed(both),
+        *_relaxed(rows),
+        *_own_model(rows),
+        *_physics(rows),
+        *_bought(rows),
+        *_clock(both),
+    ]
 
 
 def _reproduced(both: list[Row]) -> list[str]:
@@ -139,7 +171,10 @@ def _relaxed(rows: list[Row]) -> list[str]:
 
 
 def _replayed(row: Row, words: str) -> str:
-    """How far from the goal its replay ends, by its positions, put into `words`; empty where that is not known, or the end is free."""
+    """How far from the goal its replay ends, by its positions, put into `words`.
+
+    Empty where that is not known, or the end is free.
+    """
     return words.format(_first_of(row.ends)) if row.ends not in ("", "free end") else ""
 
 
@@ -155,16 +190,29 @@ def _against(warm: float, cold: float) -> str:
 
 def _own_model(rows: list[Row]) -> list[str]:
     """Plans that reach the goal only in their own model."""
-    ends = [(row, row.metric("terminal_error"), row.metric("discrete_terminal_error")) for row in rows]
-    cheating = [row for row, planned, truly in ends if planned is not None and truly is not None and planned <= 1e-3 and truly >= 0.05]
+    ends = [
+        (row, row.metric("terminal_error"), row.metric("discrete_terminal_error")) for row in rows
+    ]
+    cheating = [
+        row
+        for row, planned, truly in ends
+        if planned is not None and truly is not None and planned <= 1e-3 and truly >= 0.05
+    ]
     if not cheating:
         return []
-    parts = [f"{row.label} misses by {_first_of(distance_of(row.stage, 'discrete_'))}" for row in cheating]
-    return [f"Plans that reach the goal in their own model only: with the true contact law in the same time step, {listing(parts)}."]
+    parts = [
+        f"{row.label} misses by {_first_of(distance_of(row.stage, 'discrete_'))}"
+        for row in cheating
+    ]
+    return [
+        f"Plans that reach the goal in their own model only: with the true contact law in the same time step, {listing(parts)}."
+    ]
 
 
 def _physics(rows: list[Row]) -> list[str]:
-    descended = [row for row in rows if row.stage.method == "relu_gd" and row.metric("physics") is not None]
+    descended = [
+        row for row in rows if row.stage.method == "relu_gd" and row.metric("physics") is not None
+    ]
     if not descended:
         return []
     nonzero = [row for row in descended if row.metric("physics") != 0]
@@ -173,7 +221,9 @@ def _physics(rows: list[Row]) -> list[str]:
             "The physics of every plan of ReLU gradient descent is exactly 0, as it must be when force and penetration have the same time index (erratum 5)."
         ]
     parts = [f"{row.label}: {error(row.metric('physics'))}" for row in nonzero]
-    return [f"The physics of a plan of ReLU gradient descent must be exactly 0, but is not in {listing(parts)}."]
+    return [
+        f"The physics of a plan of ReLU gradient descent must be exactly 0, but is not in {listing(parts)}."
+    ]
 
 
 def _bought(rows: list[Row]) -> list[str]:
@@ -181,7 +231,13 @@ def _bought(rows: list[Row]) -> list[str]:
     said = []
     for scene in {row.run.scene.name: row.run.scene for row in rows}.values():
         _, known = known_cost(scene) or ("", 0.0)
-        cheap = [row for row in rows if row.stage.kind == "direct" and row.stage.cost is not None and row.stage.cost < known * (1 - 1e-6)]
+        cheap = [
+            row
+            for row in rows
+            if row.stage.kind == "direct"
+            and row.stage.cost is not None
+            and row.stage.cost < known * (1 - 1e-6)
+        ]
         below = [(row, off) for row in cheap if (off := distance_of(row.stage, "discrete_"))]
         if not known or not below:
             continue
@@ -195,7 +251,10 @@ def _bought(rows: list[Row]) -> list[str]:
 
 def _clock(both: list[Row]) -> list[str]:
     timed = [row for row in both if "time" in row.stage.paper]
-    ours, theirs = sum(row.stage.seconds.stage for row in timed), sum(row.stage.paper["time"] for row in timed)
+    ours, theirs = (
+        sum(row.stage.seconds.stage for row in timed),
+        sum(row.stage.paper["time"] for row in timed),
+    )
     if ours <= 0:
         return []
     lacks = "" if len(timed) == len(TABLE_1) else f" ({len(timed)} of its {len(TABLE_1)} rows)"

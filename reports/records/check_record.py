@@ -3,7 +3,8 @@
 record = record_of(path.read_bytes())      # a RunRecord or a CheckRecord
 runs, checks = divided(records)
 
-ChartRecord: the data of one plot that a check draws itself - curves on two axes, and how to read them.
+ChartRecord: the data of one plot that a check draws itself - curves on two axes, and how to read
+    them.
 """
 
 from __future__ import annotations
@@ -13,7 +14,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, RootModel, Tag
 
-from reports.records.record import SCHEMA_VERSION, Finite, MetricRecord, Model, ProvenanceRecord, RunRecord
+from reports.records.record import (
+    SCHEMA_VERSION,
+    Finite,
+    MetricRecord,
+    Model,
+    ProvenanceRecord,
+    RunRecord,
+)
 
 # How the names of checks by other people's importers begin.
 IMPORTER = "importer "
@@ -51,7 +59,8 @@ class ChartRecord(Model):
 class CheckRow(Model):
     """One check of an FMU: what it claims of a sound one, and what was found.
 
-    type: "ME", "CS", or nothing for the file; clause: the section of the standard that demands it, or nothing; severity: what a failure of it is, or nothing where that is not known.
+    type: "ME", "CS", or nothing for the file; clause: the section of the standard that demands it,
+        or nothing; severity: what a failure of it is, or nothing where that is not known.
     """
 
     name: str
@@ -65,7 +74,10 @@ class CheckRow(Model):
 
 
 class FmuRecord(Model):
-    """An FMU that was exported and checked. version: of FMI, as it says itself; types: ME, CS; export_seconds: little if it was kept from before."""
+    """An FMU that was exported and checked. version: of FMI, as it says itself; types: ME, CS.
+
+    export_seconds: little if it was kept from before.
+    """
 
     version: str
     types: tuple[str, ...]
@@ -97,8 +109,10 @@ def by_importer(rows: Iterable[Any]) -> dict[str, dict[str, Any]]:
 class CheckRecord(Model):
     """One check. kind and name together are unique in a campaign; a kind has a page of its own.
 
-    outcome: `answered`, or how it ended without an answer (`failed`: it says itself why it could not; `crashed`, `time_limit`); passed: what was
-    found is what was expected, never true without an answer; found, message: one sentence each, what was found and why there is no answer;
+    outcome: `answered`, or how it ended without an answer (`failed`: it says itself why it could
+        not; `crashed`, `time_limit`); passed: what was
+    found is what was expected, never true without an answer; found, message: one sentence each,
+        what was found and why there is no answer;
     fmu: what kind `FMU` found in detail; charts: data of plots it draws itself.
     """
 
@@ -128,13 +142,20 @@ class CheckRecord(Model):
 
 def _which(data: Any) -> str:
     """`run` has a pipeline; anything else is read as a check, which says what it lacks."""
-    return "run" if isinstance(data, RunRecord) or (isinstance(data, dict) and "pipeline" in data) else "check"
+    return (
+        "run"
+        if isinstance(data, RunRecord) or (isinstance(data, dict) and "pipeline" in data)
+        else "check"
+    )
 
 
 class StoredRecord(RootModel):
     """Any record.json of a campaign."""
 
-    root: Annotated[Annotated[RunRecord, Tag("run")] | Annotated[CheckRecord, Tag("check")], Discriminator(_which)]
+    root: Annotated[
+        Annotated[RunRecord, Tag("run")] | Annotated[CheckRecord, Tag("check")],
+        Discriminator(_which),
+    ]
 
 
 def record_of(text: bytes) -> RunRecord | CheckRecord:
@@ -142,7 +163,9 @@ def record_of(text: bytes) -> RunRecord | CheckRecord:
     return StoredRecord.model_validate_json(text).root
 
 
-def divided(records: Iterable[RunRecord | CheckRecord]) -> tuple[tuple[RunRecord, ...], tuple[CheckRecord, ...]]:
+def divided(
+    records: Iterable[RunRecord | CheckRecord],
+) -> tuple[tuple[RunRecord, ...], tuple[CheckRecord, ...]]:
     """Runs and checks, each in their order."""
     records = tuple(records)
     return (

@@ -1,6 +1,7 @@
 """What engines say (docs/engines.md): SimulatorsRecord, of a campaign's plans, and TruthRecord, of the problems of the truth suite.
 
-The one is written by `validate report --engine` into the campaign's folder, the other by `validate truth`.
+The one is written by `validate report --engine` into the campaign's folder, the other by `validate
+truth`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,11 @@ SIMULATORS = "simulators.json"
 
 
 class EngineLevelRecord(Model):
-    """step [s] or tolerance; the verdict there; distance [-]: the largest from our replay, in the nominal sizes of the coordinates, None where it diverged."""
+    """step [s] or tolerance; the verdict there.
+
+    Distance [-]: the largest from our replay, in the nominal sizes of the coordinates, None where
+    it diverged.
+    """
 
     step: Finite
     verdict: str
@@ -22,7 +27,11 @@ class EngineLevelRecord(Model):
 
 
 class EngineRecord(Model):
-    """An engine's verdict on a plan, or what came of asking; agrees: with ours at all its levels, None where it has none; kind, sentence: why not, as measured."""
+    """An engine's verdict on a plan, or what came of asking.
+
+    agrees: with ours at all its levels, None where it has none; kind, sentence: why not, as
+    measured.
+    """
 
     engine: str
     verdict: str
@@ -34,13 +43,19 @@ class EngineRecord(Model):
 
 
 class SimulatorsRecord(Model):
-    """engines: by name, what each is and how it makes contact; plans: by the key of the run, a row an engine."""
+    """engines: by name, what each is and how it makes contact.
+
+    plans: by the key of the run, a row an engine.
+    """
 
     engines: Mapping[str, str] = {}
     plans: Mapping[str, tuple[EngineRecord, ...]] = {}
 
     def with_rows(self, run: str, rows: tuple[EngineRecord, ...]) -> SimulatorsRecord:
-        """The record with these rows of a run's plan; engines that were asked earlier keep theirs."""
+        """The record with these rows of a run's plan.
+
+        Engines that were asked earlier keep theirs.
+        """
         kept = {row.engine: row for row in (*self.plans.get(run, ()), *rows)}
         return self.model_copy(update={"plans": {**self.plans, run: tuple(kept.values())}})
 
@@ -59,7 +74,8 @@ class LevelRecord(Model):
 class TruthRow(Model):
     """What an engine made of a problem.
 
-    came: done, cannot express it, not installed, failed; kind: of its disagreement, where there is one; worst: the quantity that decides its error; order: of
+    came: done, cannot express it, not installed, failed; kind: of its disagreement, where there is
+        one; worst: the quantity that decides its error; order: of
     the error in the step, None where there is none to tell.
     """
 
@@ -81,7 +97,10 @@ class TruthRow(Model):
 
 
 class TruthRecord(Model):
-    """engines: by name, what each is called, its version and how it makes contact; rows by problem, then by engine; summary: a sentence; charts: error against CPU time."""
+    """engines: by name, what each is called, its version and how it makes contact.
+
+    Rows by problem, then by engine; summary: a sentence; charts: error against CPU time.
+    """
 
     engines: dict[str, str]
     rows: tuple[TruthRow, ...]

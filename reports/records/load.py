@@ -1,4 +1,6 @@
-"""Reads the records of a campaign's folder. A record that cannot be read is listed with a sentence, and the rest is shown.
+"""Reads the records of a campaign's folder.
+
+A record that cannot be read is listed with a sentence, and the rest is shown.
 
 stored = load(Path("runs/all"));  stored.campaign, stored.runs, stored.unreadable, stored.missing
 """
@@ -15,10 +17,18 @@ from pydantic import BaseModel, ValidationError
 
 from reports.records.check_record import CheckRecord, divided, record_of
 from reports.records.engines_record import SIMULATORS, SimulatorsRecord
-from reports.records.record import HOLD, SCHEMA_VERSION, CampaignRecord, RunRecord, SecondsRecord, StartRecord
+from reports.records.record import (
+    HOLD,
+    SCHEMA_VERSION,
+    CampaignRecord,
+    RunRecord,
+    SecondsRecord,
+    StartRecord,
+)
 from reports.wording import clean
 
-# A record holds numbers: 64 MB is ten times the largest thinkable one, and what is larger is not a record.
+# A record holds numbers: 64 MB is ten times the largest thinkable one, and what is larger is not a
+# record.
 LARGEST_BYTES = 64 * 1024 * 1024
 
 
@@ -28,7 +38,11 @@ def record_files(folder: Path) -> list[Path]:
     if not runs.is_dir():
         return []
     # Folders whose name begins with a dot or ends in .tmp are runs that are being written.
-    folders = sorted(path for path in runs.iterdir() if path.is_dir() and not path.name.startswith(".") and path.suffix != ".tmp")
+    folders = sorted(
+        path
+        for path in runs.iterdir()
+        if path.is_dir() and not path.name.startswith(".") and path.suffix != ".tmp"
+    )
     return [path / "record.json" for path in folders]
 
 
@@ -53,8 +67,10 @@ class Unreadable:
 class Stored:
     """All that the report is made of.
 
-    missing: keys that the campaign lists and of which nothing is stored; foreign: stored records that the campaign does not list;
-    checks: what is no scene x pipeline; parts: of each run, the records of its parts; simulators: what others say of plans, where they were asked.
+    missing: keys that the campaign lists and of which nothing is stored; foreign: stored records
+        that the campaign does not list;
+    checks: what is no scene x pipeline; parts: of each run, the records of its parts; simulators:
+        what others say of plans, where they were asked.
     """
 
     campaign: CampaignRecord | None
@@ -68,19 +84,34 @@ class Stored:
 
     def cheapest(self, scene: str) -> list[tuple[RunRecord, float]]:
         """The runs on a scene whose plan holds, each with its cost, the cheapest first."""
-        priced = [(run, run.cost) for run in self.runs if run.scene.name == scene and run.verdict in HOLD and run.stages]
-        return sorted(((run, price) for run, price in priced if price is not None), key=lambda pair: pair[1])
+        priced = [
+            (run, run.cost)
+            for run in self.runs
+            if run.scene.name == scene and run.verdict in HOLD and run.stages
+        ]
+        return sorted(
+            ((run, price) for run, price in priced if price is not None), key=lambda pair: pair[1]
+        )
 
 
 def load(folder: Path) -> Stored:
-    """Everything readable in the folder, in the campaign's order. Raises ReportError if there is no such folder."""
+    """Everything readable in the folder, in the campaign's order.
+
+    Raises ReportError if there is no such folder.
+    """
     if not folder.is_dir():
-        raise ReportError(f"{folder}: there is no such folder; give the folder of a campaign (it holds campaign.json and runs/).")
+        raise ReportError(
+            f"{folder}: there is no such folder; give the folder of a campaign (it holds campaign.json and runs/)."
+        )
     unreadable: list[Unreadable] = []
-    campaign = read_record(folder / "campaign.json", folder, CampaignRecord.model_validate_json, unreadable)
+    campaign = read_record(
+        folder / "campaign.json", folder, CampaignRecord.model_validate_json, unreadable
+    )
     simulators = None
     if (folder / SIMULATORS).exists():
-        simulators = read_record(folder / SIMULATORS, folder, SimulatorsRecord.model_validate_json, unreadable)
+        simulators = read_record(
+            folder / SIMULATORS, folder, SimulatorsRecord.model_validate_json, unreadable
+        )
     found: dict[str, RunRecord | CheckRecord] = {}
     for path in record_files(folder):
         run = read_record(path, folder, record_of, unreadable)
@@ -95,12 +126,25 @@ def load(folder: Path) -> Stored:
         runs, checks = divided(found.values())
         runs = sorted(runs, key=lambda run: (run.scene.name, run.pipeline, run.key))
         checks = tuple(sorted(checks, key=lambda item: (item.kind, item.name)))
-        return Stored(None, collected(runs), tuple(unreadable), checks=checks, parts=grouped(runs), simulators=simulators)
+        return Stored(
+            None,
+            collected(runs),
+            tuple(unreadable),
+            checks=checks,
+            parts=grouped(runs),
+            simulators=simulators,
+        )
     keys = list(dict.fromkeys(campaign.keys))
     runs, checks = divided(found[key] for key in keys if key in found)
     # What another version left here is of another campaign: this one lists what it has run itself.
     named = {f"runs/{key}/record.json" for key in keys}
-    earlier = [item for item in unreadable if item.sentence == _ANOTHER_SCHEMA and item.path.startswith("runs/") and item.path not in named]
+    earlier = [
+        item
+        for item in unreadable
+        if item.sentence == _ANOTHER_SCHEMA
+        and item.path.startswith("runs/")
+        and item.path not in named
+    ]
     unreadable = [item for item in unreadable if item not in earlier]
     broken = {Path(item.path).parent.name for item in unreadable}
     return Stored(
@@ -115,8 +159,13 @@ def load(folder: Path) -> Stored:
     )
 
 
-def read_record(path: Path, folder: Path, read: Callable[[bytes], _Record], unreadable: list[Unreadable]) -> _Record | None:
-    """What a file holds; None where it cannot be used, and the sentence why is added to `unreadable`."""
+def read_record(
+    path: Path, folder: Path, read: Callable[[bytes], _Record], unreadable: list[Unreadable]
+) -> _Record | None:
+    """What a file holds.
+
+    None where it cannot be used, and the sentence why is added to `unreadable`.
+    """
     try:
         return read(_text(path))
     except ReportError as problem:
@@ -131,9 +180,13 @@ def read_record(path: Path, folder: Path, read: Callable[[bytes], _Record], unre
 
 def _text(path: Path) -> bytes:
     if not path.is_file():
-        raise ReportError("it is not there; the run was interrupted or the file was removed: run the campaign again to fill it.")
+        raise ReportError(
+            "it is not there; the run was interrupted or the file was removed: run the campaign again to fill it."
+        )
     if path.stat().st_size > LARGEST_BYTES:
-        raise ReportError(f"it is larger than {LARGEST_BYTES // 1024 // 1024} MB, so it is not a record of this program.")
+        raise ReportError(
+            f"it is larger than {LARGEST_BYTES // 1024 // 1024} MB, so it is not a record of this program."
+        )
     return path.read_bytes()
 
 
@@ -150,29 +203,40 @@ def _validation_sentence(problem: ValidationError) -> str:
     return f"it does not follow record schema {SCHEMA_VERSION} ({where}{first['msg']}{others}); written by another version, or edited: run it again."
 
 
-# Costs that differ by less, relative to the cheapest, are one optimum: solves agree to 1e-12, windows shifted by a step differ by 1e-5.
+# Costs that differ by less, relative to the cheapest, are one optimum: solves agree to 1e-12,
+# windows shifted by a step differ by 1e-5.
 SAME_OPTIMUM = 1e-7
-# A plan that holds goes before a cheaper one that does not, and one that holds by its inputs alone before one that needs feedback.
+# A plan that holds goes before a cheaper one that does not, and one that holds by its inputs alone
+# before one that needs feedback.
 _RANKS = {"holds": 0, "consistent": 0, "holds with feedback": 1}
 
 
 def collected(runs: Iterable[RunRecord]) -> tuple[RunRecord, ...]:
-    """The runs in order; parts of one pipeline on one scene become one run, at the place of the first of them."""
-    return tuple(_together(list(group)) if group[0].parts > 1 else group[0] for group in grouped(runs))
+    """The runs in order.
+
+    Parts of one pipeline on one scene become one run, at the place of the first of them.
+    """
+    return tuple(
+        _together(list(group)) if group[0].parts > 1 else group[0] for group in grouped(runs)
+    )
 
 
 def grouped(runs: Iterable[RunRecord]) -> tuple[tuple[RunRecord, ...], ...]:
     """The parts of each run, in order."""
     groups: dict[tuple[str, str], list[RunRecord]] = {}
     for run in runs:
-        groups.setdefault((run.scene.name, run.pipeline if run.parts > 1 else run.key), []).append(run)
+        groups.setdefault((run.scene.name, run.pipeline if run.parts > 1 else run.key), []).append(
+            run
+        )
     return tuple(map(tuple, groups.values()))
 
 
 def optima(starts: Iterable[StartRecord]) -> list[tuple[float, list[StartRecord]]]:
     """(cost, starts that reached it), from the cheapest."""
     found: list[tuple[float, list[StartRecord]]] = []
-    for start in sorted((start for start in starts if start.cost is not None), key=lambda start: start.cost or 0.0):
+    for start in sorted(
+        (start for start in starts if start.cost is not None), key=lambda start: start.cost or 0.0
+    ):
         price = start.cost or 0.0
         if found and abs(price - found[-1][0]) <= SAME_OPTIMUM * abs(price):
             found[-1][1].append(start)
@@ -183,22 +247,55 @@ def optima(starts: Iterable[StartRecord]) -> list[tuple[float, list[StartRecord]
 
 def _together(parts: list[RunRecord]) -> RunRecord:
     crashed = next((part for part in parts if part.outcome == "crashed"), None)
-    best = min(parts, key=lambda part: (_RANKS.get(part.verdict, len(_RANKS)), math.inf if part.cost is None else part.cost))
-    starts = tuple(sorted((start for part in parts for stage in part.stages for start in stage.starts), key=lambda start: start.number))
+    best = min(
+        parts,
+        key=lambda part: (
+            _RANKS.get(part.verdict, len(_RANKS)),
+            math.inf if part.cost is None else part.cost,
+        ),
+    )
+    starts = tuple(
+        sorted(
+            (start for part in parts for stage in part.stages for start in stage.starts),
+            key=lambda start: start.number,
+        )
+    )
     whole, said = best.parts, best.message if crashed is None else crashed.message
-    lacking = "" if len(parts) == whole else f"Only {len(parts)} of the {whole} parts of this run are stored; the others are not counted."
+    lacking = (
+        ""
+        if len(parts) == whole
+        else f"Only {len(parts)} of the {whole} parts of this run are stored; the others are not counted."
+    )
     message = " ".join(filter(None, (_spread(starts), lacking, said)))
     stages, ends = best.stages, [part.last for part in parts if part.last]
     if stages:
-        spent = {name: sum(getattr(stage.seconds, name) for stage in ends) for name in SecondsRecord.model_fields}
+        spent = {
+            name: sum(getattr(stage.seconds, name) for stage in ends)
+            for name in SecondsRecord.model_fields
+        }
         iterations = sum(stage.iterations for stage in ends)
-        told = {"starts": starts, "seconds": SecondsRecord(**spent), "iterations": iterations, "message": message}
+        told = {
+            "starts": starts,
+            "seconds": SecondsRecord(**spent),
+            "iterations": iterations,
+            "message": message,
+        }
         stages = (*stages[:-1], stages[-1].model_copy(update=told))
     phases = dict.fromkeys(phase for part in parts for phase in part.profile)
     profile = {phase: sum(part.profile.get(phase, 0.0) for part in parts) for phase in phases}
-    spent = {name: sum(getattr(part, name) for part in parts) for name in ("wall_seconds", "cpu_seconds")}
+    spent = {
+        name: sum(getattr(part, name) for part in parts) for name in ("wall_seconds", "cpu_seconds")
+    }
     outcome = best.outcome if crashed is None else "crashed"
-    return best.model_copy(update={"stages": stages, "outcome": outcome, "message": message, **spent, "profile": profile})
+    return best.model_copy(
+        update={
+            "stages": stages,
+            "outcome": outcome,
+            "message": message,
+            **spent,
+            "profile": profile,
+        }
+    )
 
 
 def _spread(starts: tuple[StartRecord, ...]) -> str:

@@ -2,11 +2,12 @@
 
     record = RunRecord.model_validate_json(path.read_text())
 
-Numbers are plain JSON: NaN and infinities are refused when written and when read. Motions do not live here but in the NetCDF files beside the record,
-which `stage_files` names and reports.traces reads; of arrays a record has the columns of an iteration history alone, `thin` as plots show them.
+Numbers are plain JSON: NaN and infinities are refused when written and when read. Motions do not
+live here but in the NetCDF files beside the record, which `stage_files` names and reports.traces
+reads; of arrays a record has the columns of an iteration history alone, `thin` as plots show them.
 
-Such columns are tuples in memory and in JSON the base64 of their bytes (float64, little-endian): read ten times as fast as digits, and a third as
-long. A list of numbers is read as well.
+Such columns are tuples in memory and in JSON the base64 of their bytes (float64, little-endian):
+read ten times as fast as digits, and a third as long. A list of numbers is read as well.
 """
 
 from __future__ import annotations
@@ -17,7 +18,15 @@ from array import array
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, PlainSerializer, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    PlainSerializer,
+    model_validator,
+)
 
 if TYPE_CHECKING:  # a fifth of `show`, which needs no more of it
     import numpy as np
@@ -38,8 +47,15 @@ def _text(values: Sequence[Any]) -> str:
 
 
 def _floats(value: Any) -> Any:
-    """The numbers of a text, which raises ValueError where it holds none; anything else as it is."""
-    return tuple(_in_order(array("d", base64.b64decode(value, validate=True)))) if isinstance(value, str) else value
+    """The numbers of a text, which raises ValueError where it holds none.
+
+    Anything else as it is.
+    """
+    return (
+        tuple(_in_order(array("d", base64.b64decode(value, validate=True))))
+        if isinstance(value, str)
+        else value
+    )
 
 
 _written = PlainSerializer(_text, return_type=str, when_used="json")
@@ -64,19 +80,33 @@ def thin(points: int, longest: int = LONGEST) -> NDArray[np.int64]:
 
 
 def stage_files(index: int, stages: int) -> dict[str, str]:
-    """The files of stage `index` (from 0) of a run of so many stages, by what they hold; those of the last stage have no number."""
+    """The files of stage `index` (from 0) of a run of so many stages, by what they hold.
+
+    Those of the last stage have no number.
+    """
     ending = "" if index == stages - 1 else f"_{index + 1}"
     return {what: f"{what}{ending}.nc" for what in _FILES}
 
 
-# 5: a stage says the cause of its verdict, and a task's folder holds task.json; records of earlier versions lack both, and are refused.
+# 5: a stage says the cause of its verdict, and a task's folder holds task.json; records of earlier
+# versions lack both, and are refused.
 SCHEMA_VERSION = 5
 
-Verdict = Literal["holds", "holds with feedback", "violates", "undecided", "no plan", "not applicable", "consistent"]
+Verdict = Literal[
+    "holds",
+    "holds with feedback",
+    "violates",
+    "undecided",
+    "no plan",
+    "not applicable",
+    "consistent",
+]
 # Verdicts of plans that hold.
 HOLD = ("holds", "holds with feedback")
-# How the names begin of metrics of the replay with feedback, and of what the feedback took, as validate.judge.score has them.
-TRACKED, FEEDBACK = "tracked_", "feedback_"
+# How the names begin of metrics of the replay with feedback, and of what the feedback took, as
+# validate.judge.score has them.
+TRACKED = "tracked_"
+FEEDBACK = "feedback_"
 
 
 class Model(BaseModel):
@@ -95,7 +125,11 @@ class QuantityRecord(Model):
 
 
 class ContactRecord(QuantityRecord):
-    """A contact; the value is its stiffness. bodies: the two it acts between, by the names of their shapes; what has none, as a joint, is not drawn."""
+    """A contact.
+
+    The value is its stiffness. bodies: the two it acts between, by the names of their shapes; what
+    has none, as a joint, is not drawn.
+    """
 
     bodies: tuple[str, str] = ("", "")  # earlier records do not tell
 
@@ -103,7 +137,8 @@ class ContactRecord(QuantityRecord):
 class ShapeRecord(Model):
     """How a body is drawn; where it is, stands in the NetCDF files, by its place among the shapes.
 
-    goal: x, y [m] and angle [rad] at the goal, the angle None where the goal leaves it open; None where it leaves the place open, or the body never moves.
+    goal: x, y [m] and angle [rad] at the goal, the angle None where the goal leaves it open; None
+        where it leaves the place open, or the body never moves.
     """
 
     name: str
@@ -133,7 +168,9 @@ class SceneRecord(Model):
     velocities: tuple[QuantityRecord, ...]
     inputs: tuple[QuantityRecord, ...]
     contacts: tuple[ContactRecord, ...]
-    frictions: tuple[QuantityRecord, ...] = ()  # by the names of their forces; the value is the coefficient
+    frictions: tuple[
+        QuantityRecord, ...
+    ] = ()  # by the names of their forces; the value is the coefficient
     parameters: tuple[QuantityRecord, ...]
     start: tuple[Finite, ...]
     goal: tuple[Finite | None, ...]  # None: this component of the end is free
@@ -149,10 +186,14 @@ class SceneRecord(Model):
 
 
 class MetricRecord(Model):
-    """One metric of the score, or one figure of a check. `value` is None where it was not asked or not measured (`reason` says why).
+    """One metric of the score, or one figure of a check.
 
-    question: 1 to 6, None for what is of the judge or only shown; error: how wrong the value may be by the replay's own error, None: not known;
-    ok: None where there is no limit, or the error leaves it open; default: whether the limit is the metric's own, not the scene's; at_least: the limit is one from below.
+    `value` is None where it was not asked or not measured (`reason` says why).
+
+    question: 1 to 6, None for what is of the judge or only shown; error: how wrong the value may be
+        by the replay's own error, None: not known;
+    ok: None where there is no limit, or the error leaves it open; default: whether the limit is the
+        metric's own, not the scene's; at_least: the limit is one from below.
     """
 
     name: str
@@ -171,8 +212,10 @@ class MetricRecord(Model):
 class TrackedRecord(Model):
     """Facts about the replay with feedback.
 
-    rms, peak: what the feedback added to the plan's inputs, of each input in its unit; rms_share, peak_share: the largest over the inputs as a share of
-    half the input's range; plan_share: of all, as a share of what the plan's own inputs do (None: those are 0); saturated: share of the steps at a bound by the
+    rms, peak: what the feedback added to the plan's inputs, of each input in its unit; rms_share,
+        peak_share: the largest over the inputs as a share of
+    half the input's range; plan_share: of all, as a share of what the plan's own inputs do (None:
+        those are 0); saturated: share of the steps at a bound by the
     feedback; the rest as in ReplayRecord.
     """
 
@@ -209,7 +252,10 @@ class ReplayRecord(Model):
 
 
 class SecondsRecord(Model):
-    """Seconds of one stage; `total` counts the stages before it, `replay` the replay and scoring."""
+    """Seconds of one stage.
+
+    `total` counts the stages before it, `replay` the replay and scoring.
+    """
 
     build: Finite = 0.0
     translate: Finite = 0.0
@@ -223,11 +269,16 @@ class SecondsRecord(Model):
 
 
 class CertificateRecord(Model):
-    """A plan judged in the strict model of its scene by code that shares nothing with the solver; all residuals unscaled.
+    """A plan judged in the strict model of its scene by code that shares nothing with the solver.
 
-    primal: largest violation [units of the scene], worst: of which constraint; complementarity: largest min(lam, lam - k phi) [N]; dual:
-    what the multipliers leave of the gradient (relative; None: none were found); letter: S, M, C, A, W or -; biactive: pairs with both sides
-    zero, of `pairs`; least: their smallest multiplier, where there is only one choice (unique); b_stationary: None where not known.
+    All residuals unscaled.
+
+    primal: largest violation [units of the scene], worst: of which constraint; complementarity:
+        largest min(lam, lam - k phi) [N]; dual:
+    what the multipliers leave of the gradient (relative; None: none were found); letter: S, M, C,
+        A, W or -; biactive: pairs with both sides
+    zero, of `pairs`; least: their smallest multiplier, where there is only one choice (unique);
+        b_stationary: None where not known.
     """
 
     holds: bool
@@ -258,7 +309,10 @@ class StartRecord(Model):
 
 
 class FrontPointRecord(Model):
-    """The cheapest plan found within a terminal tolerance; terminal_error: its own, by its time step with the true contact law."""
+    """The cheapest plan found within a terminal tolerance.
+
+    terminal_error: its own, by its time step with the true contact law.
+    """
 
     tolerance: Finite
     outcome: str
@@ -269,7 +323,10 @@ class FrontPointRecord(Model):
 
 
 class BoundRecord(Model):
-    """No plan of the exact contact problem costs less than `value`; gap (cost - value)/cost; decisions: contact times step, open: left to a search."""
+    """No plan of the exact contact problem costs less than `value`; gap (cost - value)/cost.
+
+    decisions: contact times step, open: left to a search.
+    """
 
     value: Finite
     gap: Finite | None = None
@@ -314,8 +371,10 @@ class ShareRecord(FoundRecord):
 class SurveyRecord(Model):
     """How a plan that holds fares in perturbed worlds (validate.judge.robustness.robustness.survey).
 
-    alone, feedback: how many worlds it arrives in; checked, differ: worlds that the reference was asked about too, and in how many it says otherwise; weakest:
-    of which perturbation by itself it takes the fewest sizes, how far [unit], and by what it fails there; message: why it was not tried.
+    alone, feedback: how many worlds it arrives in; checked, differ: worlds that the reference was
+        asked about too, and in how many it says otherwise; weakest:
+    of which perturbation by itself it takes the fewest sizes, how far [unit], and by what it fails
+        there; message: why it was not tried.
     """
 
     alone: ShareRecord | None = None
@@ -344,7 +403,9 @@ class StageRecord(Model):
     index: int
     method: str
     method_title: str
-    kind: Literal["indirect", "direct", "given"]  # given: somebody's plan, which no method of ours found
+    kind: Literal[
+        "indirect", "direct", "given"
+    ]  # given: somebody's plan, which no method of ours found
     eps: Finite | None
     outcome: str  # name of the Outcome, lower case
     advice: str  # its sentence
@@ -365,14 +426,21 @@ class StageRecord(Model):
     metrics: tuple[MetricRecord, ...] = ()
     verdict: Verdict = "no plan"
     why: str = ""
-    cause: str = ""  # the same in one word: the metric that failed or is open, or why the inputs do not give the motion
+    # the same in one word: the metric that failed or is open, or why the inputs do not give the
+    # motion
+    cause: str = ""
     questions: tuple[QuestionRecord, ...] = ()
     not_asked: tuple[str, ...] = ()
     replay: ReplayRecord | None = None
-    survey: SurveyRecord | None = None  # of a plan that holds; None where it was not asked for, or the run ended before
+    survey: SurveyRecord | None = (
+        None  # of a plan that holds; None where it was not asked for, or the run ended before
+    )
     has_plan: bool = False  # whether a plan came back: the files of the stage are there
-    paper: dict[str, Finite] = {}  # the paper's numbers for this row: cost, stability, physics, time
-    shared_from: str = ""  # the pipeline in whose run this stage ran, where that was another: its seconds were spent there
+    paper: dict[
+        str, Finite
+    ] = {}  # the paper's numbers for this row: cost, stability, physics, time
+    # the pipeline in whose run this stage ran, where that was another: its seconds were spent there
+    shared_from: str = ""
 
     def metric(self, name: str) -> MetricRecord | None:
         """The metric of this name; None where it was not measured."""
@@ -401,7 +469,8 @@ class StageRecord(Model):
 class LegRecord(Model):
     """What a leg found (validate.tasks.leg).
 
-    pipeline: in whose run it was made; stages: as if there were no other legs; files: SHA-256 of its files by name; limit [s]: of the run whose time it
+    pipeline: in whose run it was made; stages: as if there were no other legs; files: SHA-256 of
+        its files by name; limit [s]: of the run whose time it
     used up, if it did; profile [s]: where the time of that run had gone when this was written.
     """
 
@@ -450,17 +519,22 @@ class RunRecord(Model):
     outcome: str  # of the run: that of its last stage, or crashed / time_limit / refused
     message: str = ""
     verdict: Verdict = "no plan"  # of the last stage
-    must_hold: bool  # the last stage is a direct method: where it says `solved`, its plan must hold (reports.rule)
+    # the last stage is a direct method: where it says `solved`, its plan must hold (reports.rule)
+    must_hold: bool
     wall_seconds: Finite
     cpu_seconds: Finite
-    profile: dict[str, Finite] = {}  # wall seconds by phase, in order; their sum is wall_seconds; empty where the run left no answer
+    profile: dict[
+        str, Finite
+    ] = {}  # wall seconds by phase, in order; their sum is wall_seconds; empty where the run left no answer
     provenance: ProvenanceRecord
     log_tail: str = ""
 
     @property
     def title(self) -> str:
         """Scene and pipeline, and which part of the run, by which the campaign and `show` know it."""
-        return f"{self.scene.name} x {self.pipeline}" + (f" ({self.part} of {self.parts})" if self.parts > 1 else "")
+        return f"{self.scene.name} x {self.pipeline}" + (
+            f" ({self.part} of {self.parts})" if self.parts > 1 else ""
+        )
 
     @property
     def last(self) -> StageRecord | None:
@@ -485,7 +559,11 @@ class RunRecord(Model):
 
 
 class ViolationPoint(Model):
-    """Fig. 2 of the paper: worst-case violation D = max over phi of lam*(lam - k*phi) of a relaxation at eps [N^2]."""
+    """Fig.
+
+    2 of the paper: worst-case violation D = max over phi of lam*(lam - k*phi) of a relaxation at
+    eps [N^2].
+    """
 
     law: str  # "softplus" or "relaxed_lcp"
     eps: Finite
@@ -496,7 +574,9 @@ class ViolationPoint(Model):
 class TimeStepRecord(Model):
     """Whether the time step of a scene is stable while contacts are closed, found out before anything ran.
 
-    radius: spectral radius of the step's Jacobian with these contacts closed; growth [1/s] of the motion itself there; largest_step [s]: below it the step is stable with every set of contacts (None: always); warning: a sentence, empty where it is stable; digest:
+    radius: spectral radius of the step's Jacobian with these contacts closed; growth [1/s] of the
+        motion itself there; largest_step [s]: below it the step is stable with every set of
+        contacts (None: always); warning: a sentence, empty where it is stable; digest:
     of the scene, so that it is looked at once.
     """
 

@@ -1,6 +1,6 @@
 """RobustnessRecord: how much a plan can take, as `validate robust` writes it (docs/robustness.md).
 
-record = RobustnessRecord.model_validate(found, from_attributes=True)      # of validate.judge.robustness
+record = RobustnessRecord.model_validate(found, from_attributes=True) # of validate.judge.robustness
 """
 
 from __future__ import annotations
@@ -33,7 +33,10 @@ _OrEnded = Annotated[Finite | None, BeforeValidator(_known)]
 
 
 class CurveRecord(FoundRecord):
-    """shares: at `scales` times all sizes; half: the scale at which half of the worlds arrive, None where it lies `beyond` those tried."""
+    """shares: at `scales` times all sizes.
+
+    half: the scale at which half of the worlds arrive, None where it lies `beyond` those tried.
+    """
 
     scales: tuple[Finite, ...]
     shares: tuple[ShareRecord, ...]
@@ -44,7 +47,8 @@ class CurveRecord(FoundRecord):
 class CheckedRecord(FoundRecord):
     """How many worlds the reference was asked about too.
 
-    differ: (number of the world, its largest share of a limit by the everyday replay, by the reference), None where the motion did not come to its end;
+    differ: (number of the world, its largest share of a limit by the everyday replay, by the
+        reference), None where the motion did not come to its end;
     by: what the second word is of, such as "by the reference".
     """
 
@@ -65,7 +69,10 @@ class WayRecord(FoundRecord):
 
     @property
     def fails(self) -> str:
-        """What fails in the worlds in which the plan does not arrive, the most frequent first; empty where it arrives in all."""
+        """What fails in the worlds in which the plan does not arrive, the most frequent first.
+
+        Empty where it arrives in all.
+        """
         counts = sorted(self.fails_by.items(), key=lambda item: -item[1])
         return "; ".join(f"{name.replace('_', ' ')} in {count:,}" for name, count in counts)
 
@@ -82,7 +89,10 @@ class PerturbationRecord(FoundRecord):
 
 
 class FailureRecord(FoundRecord):
-    """The first failure along one perturbation, one way; sizes, predicted: in its sizes, None: none up to `tried`; amount [unit]."""
+    """The first failure along one perturbation, one way.
+
+    sizes, predicted: in its sizes, None: none up to `tried`; amount [unit].
+    """
 
     cause: PerturbationRecord
     direction: int
@@ -115,7 +125,11 @@ class FailureRecord(FoundRecord):
 
 
 class RobustnessRecord(FoundRecord):
-    """How much a plan can take; complete: False where the work was interrupted; followed: whether failures are those with feedback, because the plan holds only with it; shown: worlds whose motion is drawn, by number and largest share of a limit."""
+    """How much a plan can take; complete: False where the work was interrupted.
+
+    followed: whether failures are those with feedback, because the plan holds only with it; shown:
+    worlds whose motion is drawn, by number and largest share of a limit.
+    """
 
     schema_version: int = 1
     scene: str

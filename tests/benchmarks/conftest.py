@@ -24,12 +24,22 @@ def benches() -> ModuleType:
 
 @pytest.fixture(scope="session")
 def cli() -> Callable[..., subprocess.CompletedProcess[str]]:
-    """cli("list") runs `python -m benchmarks list` to its end, in the checkout or elsewhere; program: another of ours."""
+    """cli("list") runs `python -m benchmarks list` to its end, in the checkout or elsewhere.
 
-    def run(*arguments: str, cwd: Path = ROOT, program: str = "benchmarks") -> subprocess.CompletedProcess[str]:
+    program: another of ours.
+    """
+
+    def run(
+        *arguments: str, cwd: Path = ROOT, program: str = "benchmarks"
+    ) -> subprocess.CompletedProcess[str]:
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1"}
         return subprocess.run(
-            [sys.executable, "-m", program, *arguments], capture_output=True, text=True, env=environment, cwd=cwd, check=False
+            [sys.executable, "-m", program, *arguments],
+            capture_output=True,
+            text=True,
+            env=environment,
+            cwd=cwd,
+            check=False,
         )
 
     return run

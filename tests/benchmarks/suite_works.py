@@ -34,7 +34,10 @@ def heavy(size: Size, folder: Path) -> Work:
 
 
 def freed_before(size: Size, folder: Path) -> Work:
-    """Preparing needs 40 MiB in pieces and frees all but the last, below which they lie; the work needs the same again."""
+    """Preparing needs 40 MiB in pieces and frees all but the last, below which they lie.
+
+    The work needs the same again.
+    """
     pieces = _pieces()
     pinned = [pieces[-1]]
     del pieces
@@ -42,7 +45,9 @@ def freed_before(size: Size, folder: Path) -> Work:
 
 
 def _pieces() -> list[bytes]:
-    return [bytes([place % 255 + 1]) * 102_400 for place in range(400)]  # each below what malloc asks the system for anew
+    return [
+        bytes([place % 255 + 1]) * 102_400 for place in range(400)
+    ]  # each below what malloc asks the system for anew
 
 
 def broken(size: Size, folder: Path) -> Work:

@@ -9,7 +9,10 @@ from benchmarks.account import PARTS, SECONDS, by_method, by_part
 
 
 def test_parts_leave_nothing_out():
-    profiles = [{"start": 1.0, "imports": 0.5, "replay": 2.0}, {"start": 0.25, "replay": 1.0, "a lap of tomorrow": 4.0}]
+    profiles = [
+        {"start": 1.0, "imports": 0.5, "replay": 2.0},
+        {"start": 0.25, "replay": 1.0, "a lap of tomorrow": 4.0},
+    ]
     parts = by_part(profiles)
     assert parts["processes start, import"] == 1.75
     assert parts["replay and verdict"] == 3.0
@@ -20,9 +23,18 @@ def test_parts_leave_nothing_out():
 
 def test_a_shared_stage_counts_where_it_was_made():
     seconds = SimpleNamespace(**dict.fromkeys(SECONDS, 1.0))
-    own = SimpleNamespace(method="mpcc", iterations=7, seconds=seconds, shared_from="", outcome="solved")
-    shared = SimpleNamespace(method="mpcc", iterations=7, seconds=seconds, shared_from="mpcc", outcome="solved")
-    refused = SimpleNamespace(method="global", iterations=0, seconds=seconds, shared_from="", outcome="refused")
-    runs: list[Any] = [SimpleNamespace(stages=(own, own)), SimpleNamespace(stages=(shared, refused))]
+    own = SimpleNamespace(
+        method="mpcc", iterations=7, seconds=seconds, shared_from="", outcome="solved"
+    )
+    shared = SimpleNamespace(
+        method="mpcc", iterations=7, seconds=seconds, shared_from="mpcc", outcome="solved"
+    )
+    refused = SimpleNamespace(
+        method="global", iterations=0, seconds=seconds, shared_from="", outcome="refused"
+    )
+    runs: list[Any] = [
+        SimpleNamespace(stages=(own, own)),
+        SimpleNamespace(stages=(shared, refused)),
+    ]
     found = by_method(runs)
     assert found == {"mpcc": {"stages": 2, "iterations": 14, **dict.fromkeys(SECONDS, 2.0)}}

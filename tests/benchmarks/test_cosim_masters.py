@@ -66,10 +66,18 @@ def test_a_late_force_adds_energy_as_predicted(energy_error, name, late):
 
 
 @pytest.mark.parametrize(
-    ("name", "h", "known", "share"), [("jacobi", 1e-3, 0.47, 0.02), ("contact_first", 1e-3, 0.13, 0.06), ("jacobi", 1e-4, 0.035, 0.03)]
+    ("name", "h", "known", "share"),
+    [
+        ("jacobi", 1e-3, 0.47, 0.02),
+        ("contact_first", 1e-3, 0.13, 0.06),
+        ("jacobi", 1e-4, 0.035, 0.03),
+    ],
 )
 def test_errors_are_those_measured_elsewhere(energy_error, name, h, known, share):
-    """Relative energy errors of the same impact with other FMUs, printed to two digits; where in a step the masses meet moves the second."""
+    """Relative energy errors of the same impact with other FMUs, printed to two digits.
+
+    Where in a step the masses meet moves the second.
+    """
     assert energy_error(name, h) == pytest.approx(known, rel=share)
 
 
@@ -132,7 +140,9 @@ def test_libcosim_steps_as_our_jacobi(run):
     if (refusal := libcosim_refusal()) is not None:
         pytest.skip(refusal)
     h = 1e-3
-    told = run_libcosim(HEAD_ON.scene, START, np.empty(0), h, np.array([0.05, HORIZON]), h / 10, FIXED)
+    told = run_libcosim(
+        HEAD_ON.scene, START, np.empty(0), h, np.array([0.05, HORIZON]), h / 10, FIXED
+    )
     assert not isinstance(told, str), told
     np.testing.assert_allclose(told[1], run("jacobi", h)[[50, 100]], rtol=1e-12, atol=1e-12)
 
@@ -178,7 +188,19 @@ def test_a_study_without_libcosim_says_so(monkeypatch):
     by_name = {master["name"]: master for master in told["masters"]}
     assert set(by_name) == {*MASTERS, "whole", "libcosim", "libcosim_ecco"}
     assert by_name["libcosim"]["failed"] == "libcosimpy is not installed"
-    errors = {name: abs(master["rows"][0]["energy_error"]) for name, master in by_name.items() if master["rows"]}
-    assert errors["jacobi"] > errors["contact_first"] > errors["extrapolated"] > errors["iterated"] > 1e5 * errors["whole"]
-    assert all(master["rows"][0]["momentum_error"] < 1e-9 for master in by_name.values() if master["rows"])
+    errors = {
+        name: abs(master["rows"][0]["energy_error"])
+        for name, master in by_name.items()
+        if master["rows"]
+    }
+    assert (
+        errors["jacobi"]
+        > errors["contact_first"]
+        > errors["extrapolated"]
+        > errors["iterated"]
+        > 1e5 * errors["whole"]
+    )
+    assert all(
+        master["rows"][0]["momentum_error"] < 1e-9 for master in by_name.values() if master["rows"]
+    )
     assert len(lines) == 5

@@ -28,7 +28,9 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text, encoding="utf-8")
     subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)
-    subprocess.run(["git", "add", "models", "validate", "reports", "tests"], cwd=tmp_path, check=True)
+    subprocess.run(
+        ["git", "add", "models", "validate", "reports", "tests"], cwd=tmp_path, check=True
+    )
     monkeypatch.setattr(house, "ROOT", tmp_path)
     return tmp_path
 

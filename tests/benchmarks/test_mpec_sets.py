@@ -17,9 +17,13 @@ def _pairs(sense=pyo.minimize, goals=((1, 2), (3, -1), (2, 2))) -> pyo.ConcreteM
     model, sign = pyo.ConcreteModel(), 1 if sense == pyo.minimize else -1
     model.x = pyo.Var(range(2 * len(goals)), initialize=1.0)
     model.cost = pyo.Objective(
-        expr=sign * sum((model.x[2 * k + i] - goal[i]) ** 2 for k, goal in enumerate(goals) for i in (0, 1)), sense=sense
+        expr=sign
+        * sum((model.x[2 * k + i] - goal[i]) ** 2 for k, goal in enumerate(goals) for i in (0, 1)),
+        sense=sense,
     )
-    model.pair = Complementarity(range(len(goals)), rule=lambda m, k: complements(m.x[2 * k] >= 0, m.x[2 * k + 1] >= 0))
+    model.pair = Complementarity(
+        range(len(goals)), rule=lambda m, k: complements(m.x[2 * k] >= 0, m.x[2 * k + 1] >= 0)
+    )
     return model
 
 
@@ -37,7 +41,9 @@ def test_a_known_value_only_shortens_the_proof():
     alone, told = prove(_pairs()), prove(_pairs(), best=6.0)
     assert told.bound == pytest.approx(alone.bound, abs=1e-5)
     assert told.programs <= alone.programs
-    assert prove(_pairs(), best=5.0).bound <= 5.0 + 1e-6  # a value that no point has stays what it was told to be
+    assert (
+        prove(_pairs(), best=5.0).bound <= 5.0 + 1e-6
+    )  # a value that no point has stays what it was told to be
 
 
 def test_what_is_cut_off_is_no_proof():
@@ -59,7 +65,9 @@ def test_other_kinds_are_not_proved(change):
     if change == "nonlinear row":
         model.row = pyo.Constraint(expr=model.x[0] * model.x[1] <= 1)
     else:
-        model.cost.set_value(-(model.x[0] ** 2) if change == "concave objective" else pyo.exp(model.x[0]))
+        model.cost.set_value(
+            -(model.x[0] ** 2) if change == "concave objective" else pyo.exp(model.x[0])
+        )
     assert prove(model) is None
 
 
@@ -81,19 +89,39 @@ def test_the_table_says_how_each_answer_stands(tmp_path):
     folder.mkdir()
     for name in ("right", "misprint", "better", "unknown"):
         (folder / f"{name}.py").write_text(SOLVED)
-    (folder / "infeasible.py").write_text(SOLVED.replace("    return m", "    m.row = pyo.Constraint(expr=m.x + m.y <= -1)\n    return m"))
+    (folder / "infeasible.py").write_text(
+        SOLVED.replace(
+            "    return m", "    m.row = pyo.Constraint(expr=m.x + m.y <= -1)\n    return m"
+        )
+    )
     (folder / "broken.py").write_text("model = 1 / 0\n")
     optima = tmp_path / "optima.csv"
-    optima.write_text("name,published_optimum\nright,1.00001\nmisprint,0.5\nbetter,1.5\nunknown,tba\ninfeasible,3\nbroken,1\n")
+    optima.write_text(
+        "name,published_optimum\nright,1.00001\nmisprint,0.5\nbetter,1.5\nunknown,tba\ninfeasible,3\nbroken,1\n"
+    )
     page = tmp_path / "page.md"
-    asked = ["--from", str(folder), "--optima", str(optima), "-j", "2", "--peer", "0", "-o", str(tmp_path / "out"), "--markdown", str(page)]
+    asked = [
+        "--from",
+        str(folder),
+        "--optima",
+        str(optima),
+        "-j",
+        "2",
+        "--peer",
+        "0",
+        "-o",
+        str(tmp_path / "out"),
+        "--markdown",
+        str(page),
+    ]
     result = CliRunner().invoke(command, asked)
     assert result.exit_code == 0, result.output
     with (tmp_path / "out" / "mpec-sets-set.csv").open(newline="") as lines:
         rows = {row["problem"]: row for row in csv.DictReader(lines)}
     said = {name: row["against it"].split(":")[0] for name, row in rows.items()}
     assert said == {
-        "right": "reached", "misprint": "proved optimal", "better": "better", "unknown": "", "infeasible": "proved infeasible", "broken": "",
+        "right": "reached", "misprint": "proved optimal", "better": "better", "unknown": "",
+        "infeasible": "proved infeasible", "broken": "",
     }  # fmt: skip
     assert "ZeroDivisionError" in rows["broken"]["remark"]
     assert float(rows["right"]["objective"]) == pytest.approx(1, abs=1e-8)
@@ -126,7 +154,16 @@ def test_a_list_says_which_abstract_model_is_solved_with_which_data(tmp_path):
         (tmp_path / "set" / f"{far}.dat").write_text(f"param far := {far};\n")
     listed = tmp_path / "problems.csv"
     listed.write_text("name,model,data\nnear,point.py,1.dat\nfar,point.py,3.dat\nalone,point.py,\n")
-    asked = ["--from", str(tmp_path / "set"), "--problems", str(listed), "-j", "1", "-o", str(tmp_path / "out")]
+    asked = [
+        "--from",
+        str(tmp_path / "set"),
+        "--problems",
+        str(listed),
+        "-j",
+        "1",
+        "-o",
+        str(tmp_path / "out"),
+    ]
     result = CliRunner().invoke(command, asked)
     assert result.exit_code == 0, result.output
     with (tmp_path / "out" / "mpec-sets-set.csv").open(newline="") as lines:
@@ -138,7 +175,12 @@ def test_a_list_says_which_abstract_model_is_solved_with_which_data(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "named"), [(None, "holds no problem"), ("name,model\n,a.py\n", "name, model, data"), ("name,model\na,b.py\n", "b.py")]
+    ("text", "named"),
+    [
+        (None, "holds no problem"),
+        ("name,model\n,a.py\n", "name, model, data"),
+        ("name,model\na,b.py\n", "b.py"),
+    ],
 )
 def test_no_problems_and_lists_of_none_are_refused(tmp_path, text, named):
     (tmp_path / "set").mkdir()
@@ -151,7 +193,10 @@ def test_no_problems_and_lists_of_none_are_refused(tmp_path, text, named):
 
 
 def test_the_profile_counts_who_has_the_better_answer_and_how_soon():
-    """Ours and the peer's cost and seconds: both right, ours 3 times slower; the peer not feasible; the peer better; a maximum that ours has higher."""
+    """Ours and the peer's cost and seconds: both right, ours 3 times slower; the peer not feasible.
+
+    The peer better; a maximum that ours has higher.
+    """
     rows = [
         {
             "status": status,
@@ -172,7 +217,11 @@ def test_the_profile_counts_who_has_the_better_answer_and_how_soon():
     table = _profile([*rows, {"status": "solved", "sense": 1, "objective": 1.0, "solve_s": 1.0}])
     told = {name: dict(zip(table.columns[1:], shares, strict=True)) for name, *shares in table.rows}
     assert "4 problems" in table.caption
-    assert (told["mpec_ipopt"]["within 1 times"], told["mpec_ipopt"]["within 4 times"], told["mpec_ipopt"]["at all"]) == (
+    assert (
+        told["mpec_ipopt"]["within 1 times"],
+        told["mpec_ipopt"]["within 4 times"],
+        told["mpec_ipopt"]["at all"],
+    ) == (
         "50%",
         "75%",
         "75%",

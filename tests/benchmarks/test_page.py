@@ -35,7 +35,10 @@ def test_what_is_not_measured_has_no_section(page, benches):
 
 
 def test_what_splitting_costs_is_concluded_from_the_rows(page, benches):
-    """omega h = 0.1 is h = 1e-3 s: 100 h, 30 h, 1e3 h^2, 100 h^2 there; 1 % at h = 1e-4, 3.3e-4, 3.2e-3, 1e-2 s."""
+    """omega h = 0.1 is h = 1e-3 s: 100 h, 30 h, 1e3 h^2, 100 h^2 there.
+
+    1 % at h = 1e-4, 3.3e-4, 3.2e-3, 1e-2 s.
+    """
     text = page(benches.cosim())
     first, second = sentences(text)
     assert (
@@ -44,12 +47,16 @@ def test_what_splitting_costs_is_concluded_from_the_rows(page, benches):
     )
     assert (
         "For an error below 1 % it takes ωh of at most 0.01 (Jacobi), 0.033 (contact first (Gauss-Seidel)), "
-        "0.32 (contact first, force extrapolated) and 1, the largest tried (iterated with rollback)." in first
+        "0.32 (contact first, force extrapolated) and 1, the largest tried (iterated with rollback)."
+        in first
     )
     assert "The whole scene in one FMU is right to 1.0×10⁻¹⁰ at every one of these steps" in first
     assert "0.0010 s by" in second
     assert "0.10 s by Jacobi" in second
-    assert "Momentum is right to 1.0×10⁻¹⁴ kg m/s in every one of these runs, also where the energy is off by 100 %" in text
+    assert (
+        "Momentum is right to 1.0×10⁻¹⁴ kg m/s in every one of these runs, also where the energy is off by 100 %"
+        in text
+    )
     assert "libcosim, ECCO (libcosimpy is not installed)" in text
     assert text.count('class="touch"') >= 1
 
@@ -79,7 +86,9 @@ def test_one_way_that_is_best_for_several_errors_is_named_once(page, benches):
     for row in record["scenes"][0]["sweep"]:
         row["error_m"] = 1e-7
     (only,) = sentences(page(record))
-    assert only.startswith("Cheapest for an error of at most 10⁻³ and 10⁻⁶ m by Co-Simulation, heun at h/1 (0.00010 CPU s).")
+    assert only.startswith(
+        "Cheapest for an error of at most 10⁻³ and 10⁻⁶ m by Co-Simulation, heun at h/1 (0.00010 CPU s)."
+    )
     assert "Nothing in this sweep reaches 10⁻⁹ m." in only
 
 
@@ -139,7 +148,9 @@ def test_reading_curves():
     assert reached(line, 1e-3) == pytest.approx(10**-1.5)
     assert reached(line, 1.0) == 0.1
     assert reached(line, 1e-9) is None
-    assert reached([(1e-3, 1e-2), (1e-2, 1e-5), (1e-1, 1e-1)], 1e-3) is None, "a lucky zero crossing above is not convergence"
+    assert reached([(1e-3, 1e-2), (1e-2, 1e-5), (1e-1, 1e-1)], 1e-3) is None, (
+        "a lucky zero crossing above is not convergence"
+    )
     assert at(line, 3e-3) == pytest.approx(9e-6)
     assert at(line, 1.0) is None
     assert at([(1.0, 0.0), (2.0, 1.0)], 1.5) is None
@@ -147,7 +158,10 @@ def test_reading_curves():
 
 def test_growth_is_concluded_from_the_exponents(page, benches):
     linear, cut = sentences(page(benches.scaling(1.0)))
-    assert linear == "gd iteration: grows in time as (n T) to the 1.00, about linear and memory as (n T) to the 1.00, about linear."
+    assert (
+        linear
+        == "gd iteration: grows in time as (n T) to the 1.00, about linear and memory as (n T) to the 1.00, about linear."
+    )
     assert cut.endswith("Not solved: n = 10, T = 5000 (no answer in 900 s).")
     steep, _ = sentences(page(benches.scaling(1.4)))
     assert "time as (n T) to the 1.40, faster than linear" in steep
@@ -167,14 +181,26 @@ def test_the_cheapest_grid_for_an_error_is_said_beside_that_of_euler(page, bench
         "Without a plan that was solved: Radau IIA, 2 stages with 1000 steps (stalled)."
     )
     assert "Radau IIA, 2 stages, 100 steps of 0.010 s: replay error 1.0×10⁻⁶ m, 0.10 CPU s" in text
-    assert "5 grids; the smallest replay error is 1.0×10⁻⁶ m, Radau IIA, 2 stages with 100 steps." in text
+    assert (
+        "5 grids; the smallest replay error is 1.0×10⁻⁶ m, Radau IIA, 2 stages with 100 steps."
+        in text
+    )
 
 
 def test_tables_are_told_as_they_are_and_found_again(page, tmp_path, factory):
     told = Table(
-        caption="Two rows.", columns=("row", "cost", "remark"), rows=(("first", 1.25, None), ("second", None, factory.HOSTILE)), notes=("So it is.",),
+        caption="Two rows.", columns=("row", "cost", "remark"),
+        rows=(("first", 1.25, None), ("second", None, factory.HOSTILE)), notes=("So it is.",),
     )  # fmt: skip
-    store_tables(tmp_path / "all", "proof", "What can be proved", "About it.", [told], [{"T": 20}], quiet=True)
+    store_tables(
+        tmp_path / "all",
+        "proof",
+        "What can be proved",
+        "About it.",
+        [told],
+        [{"T": 20}],
+        quiet=True,
+    )
     text = page()
     assert re.findall('<section id="(.*?)"', text) == ["overview", "table-proof"]
     assert "So it is." in text

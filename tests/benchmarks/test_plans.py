@@ -21,22 +21,50 @@ def test_tasks_are_seeded_and_cannot_be_done_without_contact():
 
 
 def test_only_what_was_solved_is_compared():
-    costs = {"a": (("SOLVED", 2.0), ("STALLED", 1.0), ("SOLVED", 2.5)), "b": (("SOLVED", 4.0),), "c": (("STALLED", 3.0),)}
-    found = [{"row": row, "outcome": outcome, "cost": cost} for row, runs in costs.items() for outcome, cost in runs]
+    costs = {
+        "a": (("SOLVED", 2.0), ("STALLED", 1.0), ("SOLVED", 2.5)),
+        "b": (("SOLVED", 4.0),),
+        "c": (("STALLED", 3.0),),
+    }
+    found = [
+        {"row": row, "outcome": outcome, "cost": cost}
+        for row, runs in costs.items()
+        for outcome, cost in runs
+    ]
     compared(found)
     assert [run.get("above") for run in found] == [0.0, None, 0.25, 0.0, None]
 
 
 @pytest.mark.slow
 def test_a_row_is_solved_and_told(cli, tmp_path):
-    kept = {"row": "3 carts, 0", "pipeline": "earlier", "outcome": "SOLVED", "cost": 1e6, "cpu": 1.0, "iterations": 1}
+    kept = {
+        "row": "3 carts, 0",
+        "pipeline": "earlier",
+        "outcome": "SOLVED",
+        "cost": 1e6,
+        "cpu": 1.0,
+        "iterations": 1,
+    }
     store_tables(tmp_path, "plans", "", "", [], [kept], quiet=True)
     page = tmp_path / "costs.md"
-    done = cli("plans", "--only", "3 carts, 0", "--pipeline", "softplus_dc+strict", "--out", str(tmp_path), "--markdown", str(page))
+    done = cli(
+        "plans",
+        "--only",
+        "3 carts, 0",
+        "--pipeline",
+        "softplus_dc+strict",
+        "--out",
+        str(tmp_path),
+        "--markdown",
+        str(page),
+    )
     assert done.returncode == 0, done.stderr
     before, run = json.loads((tmp_path / "plans.json").read_text())["runs"]
     assert run["outcome"] == "SOLVED"
     assert run["above"] == 0.0
     assert before == {**kept, "above": pytest.approx(1e6 / run["cost"] - 1.0)}
     assert "softplus_dc+strict: 1 of 1 solved" in done.stdout
-    assert page.read_text().splitlines()[::2] == ["| row | earlier | softplus_dc+strict |", f"| 3 carts, 0 | 1000000 | {run['cost']:.8g} |"]
+    assert page.read_text().splitlines()[::2] == [
+        "| row | earlier | softplus_dc+strict |",
+        f"| 3 carts, 0 | 1000000 | {run['cost']:.8g} |",
+    ]

@@ -50,10 +50,16 @@ def test_the_hand_written_adjoint_is_the_derivative_of_its_loss(tmp_path: Path):
         q, v, n = carts.start[:3].copy(), carts.start[3:].copy(), 3
         for row in inputs:
             contact = carts.stiffness * np.maximum(carts.length - np.diff(q), 0.0)
-            force = np.array([row[0] - contact[0], contact[0] - contact[1], row[1] + contact[1]]) - carts.damping * v
+            force = (
+                np.array([row[0] - contact[0], contact[0] - contact[1], row[1] + contact[1]])
+                - carts.damping * v
+            )
             v = v + carts.step / carts.mass * force
             q = q + carts.step * v
-        return float(np.sum((np.concatenate([q, v]) - carts.goal) ** 2) / (2 * n) + INPUT_WEIGHT * np.sum(inputs**2))
+        return float(
+            np.sum((np.concatenate([q, v]) - carts.goal) ** 2) / (2 * n)
+            + INPUT_WEIGHT * np.sum(inputs**2)
+        )
 
     gradient = np.zeros_like(u)
     for place in np.ndindex(*u.shape):
@@ -78,11 +84,15 @@ def test_the_suite_selects_and_says_why_not(monkeypatch):
     assert any("--slow" in sentence for sentence in left_out)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     _, left_out = plan(Settings(sizes=(SIZE,), expression="cs_replay or softplus_chain"))
-    assert not unsaid(left_out, "softplus_chain by casadi … casadi is not installed (pip install -e '.[bench]')")
+    assert not unsaid(
+        left_out, "softplus_chain by casadi … casadi is not installed (pip install -e '.[bench]')"
+    )
 
 
 def test_sizes_that_a_peer_is_not_for_are_said():
-    jobs, left_out = plan(Settings(sizes=(SIZE, Size(3, 5000)), expression="drake_snopt or gd_kernel"))
+    jobs, left_out = plan(
+        Settings(sizes=(SIZE, Size(3, 5000)), expression="drake_snopt or gd_kernel")
+    )
     drake = [size for case, size in jobs if case.by == "drake_snopt"]
     assert drake in ([SIZE], [])
     assert any("drake_snopt" in sentence for sentence in left_out)
@@ -108,30 +118,40 @@ def test_rounds_take_turns_and_a_failure_costs_only_its_row(monkeypatch, tmp_pat
     rows = {row.stage: row for row in record.rows}
     assert len(rows[YARDSTICK].cpu_s) == len(rows["heavy"].cpu_s) == 2
     assert min(rows["heavy"].memory_mib) > 60, "it keeps 64 MiB"
-    assert 0.001 < max(rows[YARDSTICK].cpu_s) < 0.05, "short work is repeated, and the seconds are those of one call"
+    assert 0.001 < max(rows[YARDSTICK].cpu_s) < 0.05, (
+        "short work is repeated, and the seconds are those of one call"
+    )
     assert rows["broken"].failed.endswith("it cannot.")
     assert "SIGSEGV" in rows["dies"].failed
     assert rows["dies"].cpu_s == ()
     assert failures(record) == [rows["broken"].failed], "a peer that dies is no failure of ours"
 
 
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc gives back what was freed")
+@pytest.mark.skipif(
+    platform.libc_ver()[0] != "glibc", reason="only glibc gives back what was freed"
+)
 def test_memory_that_preparing_freed_does_not_hide_what_the_work_needs(monkeypatch, tmp_path: Path):
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
     record = run_suite(Settings(sizes=(SIZE,), repeats=1), cases=(work("freed_before"),))
     assert min(record.rows[0].memory_mib) > 35
 
 
-def row(stage: str, by: str = OURS, n: int = 3, steps: int = 500, cpu=(1.0,) * 5, **more) -> SuiteRow:
+def row(
+    stage: str, by: str = OURS, n: int = 3, steps: int = 500, cpu=(1.0,) * 5, **more
+) -> SuiteRow:
     values = {
-        "stage": stage, "title": stage, "by": by, "n": n, "steps": steps, "cpu_s": cpu, "memory_mib": (8.0,) * len(cpu), "outcome": "ok",
+        "stage": stage, "title": stage, "by": by, "n": n, "steps": steps, "cpu_s": cpu,
+        "memory_mib": (8.0,) * len(cpu), "outcome": "ok",
     }  # fmt: skip
     return SuiteRow.model_validate(values | more)
 
 
 def test_ratios_are_those_of_one_round():
     """Both were three times as slow in one round: the ratio does not see it."""
-    rows = [row("softplus_chain", cpu=(1.0, 3.0, 1.0)), row("softplus_chain", "casadi", cpu=(2.0, 6.0, 2.0))]
+    rows = [
+        row("softplus_chain", cpu=(1.0, 3.0, 1.0)),
+        row("softplus_chain", "casadi", cpu=(2.0, 6.0, 2.0)),
+    ]
     rows += [row("pyomo_build", cpu=(0.1, 0.3, 0.1)), row("translate", cpu=(0.2, 0.6, 0.2))]
     found = {figure.name: figure for figure in figures(rows)}
     assert set(found) == {"chain_against_casadi", "pyomo_share"}
@@ -146,14 +166,20 @@ def test_a_figure_is_judged_only_where_its_target_is_set():
     large = [row("cs_replay"), row("cs_replay", "fmpy")]
     assert [(figure.met, figure.measured) for figure in figures(large)] == [(False, 1.0)]
     failed = [row("cs_replay"), row("cs_replay", "fmpy", cpu=(), failed="fmpy: it hangs.")]
-    assert [(figure.met, figure.measured, figure.why) for figure in figures(failed)] == [(None, None, "fmpy: it hangs.")]
+    assert [(figure.met, figure.measured, figure.why) for figure in figures(failed)] == [
+        (None, None, "fmpy: it hangs.")
+    ]
 
 
 def test_growth_is_that_of_the_steepest_stage():
     """Time as T and as T^1.5, memory as T: the exponents come out, and a stage of two sizes has none."""
     rows = [row(stage, steps=steps, cpu=(1e-3 * steps**power,) * 3, memory_mib=(steps / 100,) * 3)
-            for stage, power in (("translate", 1.0), ("replay", 1.5)) for steps in (500, 1000, 2000)]  # fmt: skip
-    found = {figure.name: figure for figure in figures([*rows, row("evaluate", steps=500), row("evaluate", steps=1000)])}
+            for stage,
+            power in (("translate", 1.0), ("replay", 1.5)) for steps in (500, 1000, 2000)]  # fmt: skip
+    found = {
+        figure.name: figure
+        for figure in figures([*rows, row("evaluate", steps=500), row("evaluate", steps=1000)])
+    }
     assert found["growth_time"].measured == pytest.approx(1.5)
     assert found["growth_time"].met is False
     assert "replay" in found["growth_time"].why
@@ -165,7 +191,8 @@ def test_growth_leaves_out_what_was_cut_off():
     """A solve that ended at its limit took as long as that is, whatever its size."""
     rows = [row("translate", steps=steps, cpu=(1e-3 * steps,) * 3) for steps in (500, 1000, 2000)]
     cut = [row("cold_step", steps=steps, cpu=(1e-6 * steps**2,) * 3, outcome=outcome)
-           for steps, outcome in ((500, "solved"), (1000, "iteration_limit"), (2000, "iteration_limit"))]  # fmt: skip
+           for steps,
+           outcome in ((500, "solved"), (1000, "iteration_limit"), (2000, "iteration_limit"))]  # fmt: skip
     (found,) = (figure for figure in figures([*rows, *cut]) if figure.name == "growth_time")
     assert found.measured == pytest.approx(1.0)
     assert not unsaid(found.why, "left out there: cold_step")

@@ -13,7 +13,15 @@ STEADY = (1.00, 1.02, 0.99, 1.01, 0.98)
 
 
 def row(stage: str, cpu, by: str = "touchstone", memory=(50.0,) * 5, **more) -> SuiteRow:
-    values = {"stage": stage, "title": stage, "by": by, "n": 3, "steps": 500, "cpu_s": cpu, "memory_mib": memory}
+    values = {
+        "stage": stage,
+        "title": stage,
+        "by": by,
+        "n": 3,
+        "steps": 500,
+        "cpu_s": cpu,
+        "memory_mib": memory,
+    }
     return SuiteRow.model_validate(values | more)
 
 
@@ -22,7 +30,13 @@ def suite():
     provenance = gather("test")
 
     def made(*rows: SuiteRow, yardstick=STEADY) -> SuiteRecord:
-        return SuiteRecord(kind="suite", rows=(row(YARDSTICK, yardstick), *rows), figures=(), repeats=5, provenance=provenance)
+        return SuiteRecord(
+            kind="suite",
+            rows=(row(YARDSTICK, yardstick), *rows),
+            figures=(),
+            repeats=5,
+            provenance=provenance,
+        )
 
     return made
 
@@ -53,18 +67,30 @@ def test_noise_is_no_regression(suite, now):
 
 
 def test_a_busier_machine_is_no_slower_code(suite):
-    comparison = compare(suite(row("replay", STEADY)), suite(row("replay", times(2.0)), yardstick=times(2.0)))
+    comparison = compare(
+        suite(row("replay", STEADY)), suite(row("replay", times(2.0)), yardstick=times(2.0))
+    )
     assert not comparison.changes
     assert comparison.speed == pytest.approx(2.0)
-    hidden = compare(suite(row("replay", STEADY)), suite(row("replay", times(1.0)), yardstick=times(0.5)))
+    hidden = compare(
+        suite(row("replay", STEADY)), suite(row("replay", times(1.0)), yardstick=times(0.5))
+    )
     assert len(hidden.regressions) == 1, "as fast as before, on a machine twice as fast"
 
 
 def test_memory_is_not_a_matter_of_the_machine(suite):
     before = suite(row("replay", STEADY))
-    (change,) = compare(before, suite(row("replay", times(3.0), memory=(80.0, 81.0, 79.0, 80.0, 80.0)), yardstick=times(3.0))).regressions
+    (change,) = compare(
+        before,
+        suite(
+            row("replay", times(3.0), memory=(80.0, 81.0, 79.0, 80.0, 80.0)), yardstick=times(3.0)
+        ),
+    ).regressions
     assert change.quantity == "MiB"
-    small = suite(row("replay", STEADY, memory=(1.0,) * 5)), suite(row("replay", STEADY, memory=(2.0,) * 5))
+    small = (
+        suite(row("replay", STEADY, memory=(1.0,) * 5)),
+        suite(row("replay", STEADY, memory=(2.0,) * 5)),
+    )
     assert not compare(*small).changes
 
 
@@ -74,8 +100,13 @@ def test_an_answer_that_is_gone_is_a_regression_and_a_peers_is_not(suite):
         suite(row("replay", STEADY), row("cs_replay", STEADY, by="fmpy")),
         suite(row("replay", **lost), row("cs_replay", **lost, by="fmpy")),
     )
-    assert [(change.kind, change.row.stage) for change in comparison.changes] == [(Kind.REGRESSION, "replay"), (Kind.PEER, "cs_replay")]
-    slower = compare(suite(row("cs_replay", STEADY, by="fmpy")), suite(row("cs_replay", times(2.0), by="fmpy")))
+    assert [(change.kind, change.row.stage) for change in comparison.changes] == [
+        (Kind.REGRESSION, "replay"),
+        (Kind.PEER, "cs_replay"),
+    ]
+    slower = compare(
+        suite(row("cs_replay", STEADY, by="fmpy")), suite(row("cs_replay", times(2.0), by="fmpy"))
+    )
     assert [change.kind for change in slower.changes] == [Kind.PEER]
 
 
@@ -98,7 +129,9 @@ def test_the_spread_is_that_of_the_middle_half():
 @pytest.mark.slow
 def test_the_command_measures_compares_and_fails_on_a_regression(cli, tmp_path, suite):
     """`list` against a file in which it took a ten-thousandth of the yardstick."""
-    (tmp_path / "earlier.json").write_text(suite(row("list", times(1e-4), n=0, steps=0), yardstick=STEADY).model_dump_json())
+    (tmp_path / "earlier.json").write_text(
+        suite(row("list", times(1e-4), n=0, steps=0), yardstick=STEADY).model_dump_json()
+    )
     chosen = ("-k", "list", "--size", "3x5", "--repeats", "5", "--out", str(tmp_path))
     done = cli("suite", *chosen, "--compare", str(tmp_path / "earlier.json"))
     assert done.returncode == 1, done.stdout + done.stderr
@@ -112,7 +145,8 @@ def test_the_command_measures_compares_and_fails_on_a_regression(cli, tmp_path, 
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("--size", "3"), "is no size"), (("--size", "2x50"), "3 to 20 carts"), (("-k", "nosuchstage"), "nothing is selected"),
+        (("--size", "3"), "is no size"), (("--size", "2x50"), "3 to 20 carts"),
+        (("-k", "nosuchstage"), "nothing is selected"),
         (("-k", "("), "error"), (("--compare", "nosuchfile.json"), "cannot be read"),
     ],
 )  # fmt: skip
@@ -126,6 +160,14 @@ def test_bad_words_are_one_sentence(cli, tmp_path, words, sentence):
 
 def test_a_file_of_another_kind_is_refused(cli, tmp_path):
     (tmp_path / "other.json").write_text(json.dumps({"kind": "scaling", "stages": []}))
-    done = cli("suite", "-k", "translate", "--compare", str(tmp_path / "other.json"), "--out", str(tmp_path))
+    done = cli(
+        "suite",
+        "-k",
+        "translate",
+        "--compare",
+        str(tmp_path / "other.json"),
+        "--out",
+        str(tmp_path),
+    )
     assert done.returncode == 2
     assert "no record of this suite" in done.stderr

@@ -24,12 +24,25 @@ def test_at_least_ten_scenes_three_of_them_with_friction():
 
 def test_a_disagreement_is_bold_and_told_below():
     rows = [
-        EngineVerdict(engine="fmu_everyday", came=Came.DONE, agrees=True, sentence="1e-9 from ours"),
-        EngineVerdict(engine="mujoco", came=Came.DONE, agrees=False, kind=Otherwise.FRICTION, sentence="it creeps | and creeps"),
+        EngineVerdict(
+            engine="fmu_everyday", came=Came.DONE, agrees=True, sentence="1e-9 from ours"
+        ),
+        EngineVerdict(
+            engine="mujoco",
+            came=Came.DONE,
+            agrees=False,
+            kind=Otherwise.FRICTION,
+            sentence="it creeps | and creeps",
+        ),
         EngineVerdict(engine="drake_sap", came=Came.CANNOT, sentence="contact rim: no such thing"),
     ]
-    page = as_markdown([row.engine for row in rows], {"transport": ("relaxed+strict", "holds", rows)})
-    assert "| transport | relaxed+strict | holds | done | **done**: friction regularisation | cannot express it |" in page
+    page = as_markdown(
+        [row.engine for row in rows], {"transport": ("relaxed+strict", "holds", rows)}
+    )
+    assert (
+        "| transport | relaxed+strict | holds | done | **done**: friction regularisation | cannot express it |"
+        in page
+    )
     assert "| transport | mujoco | friction regularisation | it creeps / and creeps |" in page
     assert "| transport | drake_sap |  | contact rim: no such thing |" in page
     assert "1e-9 from ours" not in page
@@ -41,7 +54,8 @@ def test_the_page_is_made_from_plans_that_are_kept_and_is_equal_twice(tmp_path: 
     scene = load_scene("wall_pendulum")
     nq, steps = scene.nq, scene.task.steps
     plan = Trajectory(
-        t=uniform_grid(scene.task.step, steps), q=np.zeros((steps + 1, nq)), v=np.zeros((steps + 1, nq)), u=np.full((steps, scene.nu), 0.1),
+        t=uniform_grid(scene.task.step, steps), q=np.zeros((steps + 1, nq)),
+        v=np.zeros((steps + 1, nq)), u=np.full((steps, scene.nu), 0.1),
         lam=np.zeros((steps, scene.nl)),
     )  # fmt: skip
     write_netcdf(tmp_path / "wall_pendulum.nc", plan, scene)

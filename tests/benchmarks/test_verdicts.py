@@ -16,24 +16,35 @@ from models.catalog import load_scene
 SCENES = ("three_cart", "wall_pendulum", "transport")
 EXACT = {
     "three_cart": (
-        "true forces at the start", "true forces at the end", "forces averaged over the step", "without force columns", "without velocities",
-        "inputs alone", "inputs alone, no final time", "4 decimals, forces start", "4 decimals, forces end", "4 decimals, forces mean",
-        "a grid four times finer", "an irregular grid", "a grid five times coarser", "linear hold", "Runge-Kutta 4 at the task's step",
+        "true forces at the start", "true forces at the end", "forces averaged over the step",
+        "without force columns", "without velocities",
+        "inputs alone", "inputs alone, no final time", "4 decimals, forces start",
+        "4 decimals, forces end", "4 decimals, forces mean",
+        "a grid four times finer", "an irregular grid", "a grid five times coarser", "linear hold",
+        "Runge-Kutta 4 at the task's step",
         "semi-implicit Euler of 1 ms, every tenth", "the method's own plan, its scheme declared",
     ),
-    "wall_pendulum": ("forces averaged over the step", "without velocities and forces", "4 decimals, forces start", "linear hold", "a grid four times finer"),
-    "transport": ("true forces at the start", "forces averaged over the step", "without force columns", "4 decimals, forces end"),
+    "wall_pendulum": ("forces averaged over the step", "without velocities and forces",
+                      "4 decimals, forces start", "linear hold", "a grid four times finer"),
+    "transport": ("true forces at the start", "forces averaged over the step",
+                  "without force columns", "4 decimals, forces end"),
 }  # fmt: skip
 WRONG = {
     "three_cart": (
-        "bodies through each other, to the goal", "inputs alone through each other", "the plan of wall_pendulum", "3 of 500 steps", "5 s appended",
-        "ten times the inputs", "another start, 1e-4 off", "at the goal from the start on", "nothing done", "nothing done, states of a plan that does",
-        "inputs mirrored", "spikes between the nodes", "a spike of one velocity", "invented forces of 100 N", "a spike of force, there and back",
-        "forces mirrored", "relaxed, as its method declares it", "relaxed, forces and scheme deleted", "relaxed, velocities and forces deleted",
+        "bodies through each other, to the goal", "inputs alone through each other",
+        "the plan of wall_pendulum", "3 of 500 steps", "5 s appended",
+        "ten times the inputs", "another start, 1e-4 off", "at the goal from the start on",
+        "nothing done", "nothing done, states of a plan that does",
+        "inputs mirrored", "spikes between the nodes", "a spike of one velocity",
+        "invented forces of 100 N", "a spike of force, there and back",
+        "forces mirrored", "relaxed, as its method declares it",
+        "relaxed, forces and scheme deleted", "relaxed, velocities and forces deleted",
         "relaxed, inputs alone",
     ),
-    "wall_pendulum": ("3 of 20 steps", "invented forces of 100 N", "relaxed, forces and scheme deleted", "too costly, on a coarse grid"),
-    "transport": ("friction works with the slip", "friction ten times too large", "nothing done", "one step beyond the bounds"),
+    "wall_pendulum": ("3 of 20 steps", "invented forces of 100 N",
+                      "relaxed, forces and scheme deleted", "too costly, on a coarse grid"),
+    "transport": ("friction works with the slip", "friction ten times too large", "nothing done",
+                  "one step beyond the bounds"),
 }  # fmt: skip
 
 
@@ -56,7 +67,9 @@ def said(tmp_path: Path) -> Callable[[Case], str]:
 
     def say(case: Case) -> str:
         plan = case.plan if isinstance(case.plan, Plan) else case.plan()
-        answer = judged(scene_of(case.scene), plan.write(tmp_path / "plan.csv", scene_of(case.scene)))
+        answer = judged(
+            scene_of(case.scene), plan.write(tmp_path / "plan.csv", scene_of(case.scene))
+        )
         fault = differs(case, answer)
         return f"{fault}: {answer.verdict}: {answer.why}" if fault else ""
 
@@ -64,13 +77,21 @@ def said(tmp_path: Path) -> Callable[[Case], str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", range(sum(map(len, EXACT.values()))), ids=[f"{s}-{n}" for s, names in EXACT.items() for n in names])
+@pytest.mark.parametrize(
+    "place",
+    range(sum(map(len, EXACT.values()))),
+    ids=[f"{s}-{n}" for s, names in EXACT.items() for n in names],
+)
 def test_an_exact_plan_holds_however_it_is_written(place: int, said):
     assert said(_exact_cases()[place]) == ""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", range(sum(map(len, WRONG.values()))), ids=[f"{s}-{n}" for s, names in WRONG.items() for n in names])
+@pytest.mark.parametrize(
+    "place",
+    range(sum(map(len, WRONG.values()))),
+    ids=[f"{s}-{n}" for s, names in WRONG.items() for n in names],
+)
 def test_a_wrong_plan_does_not_hold_and_is_told_why(place: int, said, tmp_path: Path):
     assert said(_wrong_cases(tmp_path)[place]) == ""
 
@@ -105,13 +126,31 @@ def test_the_motion_is_that_of_equations_written_by_hand():
 
     def rates(_: float, x: np.ndarray) -> list[float]:
         left, right = (30.0 * max(0.5 - (x[i + 1] - x[i]), 0.0) for i in (0, 1))
-        return [*x[3:], 4.0 - 2.0 * x[3] - left, -2.0 * x[4] + left - right, -3.0 - 2.0 * x[5] + right]
+        return [
+            *x[3:],
+            4.0 - 2.0 * x[3] - left,
+            -2.0 * x[4] + left - right,
+            -3.0 - 2.0 * x[5] + right,
+        ]
 
     path = motion_of("three_cart").run(t, u)
-    by_hand = solve_ivp(rates, (0.0, 1.0), scene.task.start, method="LSODA", rtol=1e-11, atol=1e-12, max_step=0.001, t_eval=t)
+    by_hand = solve_ivp(
+        rates,
+        (0.0, 1.0),
+        scene.task.start,
+        method="LSODA",
+        rtol=1e-11,
+        atol=1e-12,
+        max_step=0.001,
+        t_eval=t,
+    )
     np.testing.assert_allclose(np.hstack([path.q, path.v]), by_hand.y.T, atol=1e-8)
     assert path.depth.max() > 0.05
-    np.testing.assert_allclose(np.diff(path.v.sum(axis=1)) / 0.01, 1.0 - 2.0 * np.diff(path.q.sum(axis=1)) / 0.01, atol=1e-8)
+    np.testing.assert_allclose(
+        np.diff(path.v.sum(axis=1)) / 0.01,
+        1.0 - 2.0 * np.diff(path.q.sum(axis=1)) / 0.01,
+        atol=1e-8,
+    )
 
 
 def test_stick_and_slip_are_those_of_dry_friction():
@@ -126,7 +165,9 @@ def test_stick_and_slip_are_those_of_dry_friction():
     g = 0.2 * 9.81
     np.testing.assert_allclose(path.v[50], 5.0 / mass * 0.5, rtol=1e-9)
     np.testing.assert_allclose(path.friction_mean[:50, 0], 5.0 / mass, rtol=1e-9)
-    np.testing.assert_allclose(path.v[100], path.v[50] + 0.5 * np.array([g, (12.0 - g) / 2.0]), rtol=1e-9)
+    np.testing.assert_allclose(
+        path.v[100], path.v[50] + 0.5 * np.array([g, (12.0 - g) / 2.0]), rtol=1e-9
+    )
     caught = (path.v[100, 1] - path.v[100, 0]) / (g + g / 2.0)
     after = t >= 1.0 + caught + 0.02
     np.testing.assert_allclose(path.v[after, 0], path.v[after, 1], rtol=1e-9)

@@ -31,16 +31,20 @@ from models.trajectory import Trajectory
 from validate.judge.judgement import judge
 from validate.judge.score import score
 
-# What plans: every method but the free motion, which is for scenes that leave nothing to plan (the last tests here).
+# What plans: every method but the free motion, which is for scenes that leave nothing to plan (the
+# last tests here).
 ALL = tuple(name for name in method_names() if name != "free_motion")
 BARE = example_scene("oscillator")
-SCENE = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
+SCENE = load_scene("three_cart").with_task(
+    start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100
+)
 # The same for a method that says why SCENE is too much for it.
 LITTLE = SCENE.with_task(steps=6, step=0.15)
 PENDULUM = load_scene("wall_pendulum")
 # What a method may be begun with: a plan of each kind, of each mathematics behind it.
 PLANS = ("softplus_dc", "relaxed_lcp", "strict_lcp", "relu_gd")
-# Options that make little work of a method, where it has them: what is tested here holds for few iterations as for many.
+# Options that make little work of a method, where it has them: what is tested here holds for few
+# iterations as for many.
 FEW = {"iterations": 5, "tolerances": (0.0, 0.05), "worlds": 2}
 
 
@@ -52,7 +56,9 @@ def scene_for(*names: str) -> Scene:
 def solved(method: Method, scene: Scene, warm_start: Trajectory | None = None) -> Solution:
     few = {item.name: FEW[item.name] for item in fields(method.options) if item.name in FEW}
     with method.open(scene, few) as session:
-        return session.solve(eps=1e-2 if method.needs_eps else None, warm_start=warm_start, time_limit=600.0)
+        return session.solve(
+            eps=1e-2 if method.needs_eps else None, warm_start=warm_start, time_limit=600.0
+        )
 
 
 @cache
@@ -102,7 +108,9 @@ def test_it_checks_eps_and_the_time_limit(name: str) -> None:
     method = load_method(name)
     with method.open(scene_for(name)) as session:
         for wrong in (0.0, 1.0, -1e-3, float("nan"), None) if method.needs_eps else (1e-2,):
-            with pytest.raises(OptionError, match="0 < eps < 1" if method.needs_eps else "takes no eps"):
+            with pytest.raises(
+                OptionError, match="0 < eps < 1" if method.needs_eps else "takes no eps"
+            ):
                 session.solve(eps=wrong, warm_start=None, time_limit=1.0)
         with pytest.raises(OptionError, match="time limit"):
             session.solve(eps=1e-2 if method.needs_eps else None, warm_start=None, time_limit=0.0)
@@ -130,13 +138,18 @@ def test_its_answer_is_whole(name: str) -> None:
     assert solution.residuals
     assert all(np.isfinite(value) for value in solution.residuals.values())
     assert "terminal_error" in solution.residuals
-    assert len({len(column) for column in solution.history.values()}) <= 1, "columns of a history, if there is one, are equally long"
+    assert len({len(column) for column in solution.history.values()}) <= 1, (
+        "columns of a history, if there is one, are equally long"
+    )
     assert all(np.isfinite(column).all() for column in solution.history.values())
     seconds = solution.seconds
     assert min(seconds.build, seconds.translate, seconds.evaluate, seconds.linear_algebra) >= 0
     assert seconds.wall > 0
     assert solution.solver or not seconds.translate, "what a model was translated for is named"
-    assert seconds.build + seconds.translate + seconds.evaluate + seconds.linear_algebra <= seconds.wall * 1.001 + 1e-3
+    assert (
+        seconds.build + seconds.translate + seconds.evaluate + seconds.linear_algebra
+        <= seconds.wall * 1.001 + 1e-3
+    )
 
 
 @pytest.mark.slow
@@ -144,7 +157,12 @@ def test_its_answer_is_whole(name: str) -> None:
 def test_it_repeats_itself_bit_for_bit(name: str) -> None:
     scene = scene_for(name)
     one, two = first(name, scene), solved(load_method(name), scene)
-    assert (one.outcome, one.iterations, one.residuals, one.history) == (two.outcome, two.iterations, two.residuals, two.history)
+    assert (one.outcome, one.iterations, one.residuals, one.history) == (
+        two.outcome,
+        two.iterations,
+        two.residuals,
+        two.history,
+    )
     for field in ("t", "q", "v", "u", "lam"):
         assert np.array_equal(getattr(one.trajectory, field), getattr(two.trajectory, field)), field
 
@@ -154,7 +172,9 @@ def test_it_repeats_itself_bit_for_bit(name: str) -> None:
 def test_it_starts_from_the_plan_of_any_other(name: str) -> None:
     for other in PLANS:
         scene = scene_for(name, other)
-        assert solved(load_method(name), scene, first(other, scene).trajectory).trajectory is not None, other
+        assert (
+            solved(load_method(name), scene, first(other, scene).trajectory).trajectory is not None
+        ), other
 
 
 @pytest.mark.slow
@@ -162,7 +182,9 @@ def test_it_starts_from_the_plan_of_any_other(name: str) -> None:
 def test_it_refuses_a_plan_that_does_not_fit(name: str) -> None:
     scene = scene_for(name)
     plan = first(name, scene).trajectory
-    shorter = Trajectory(t=plan.t[:-1], q=plan.q[:-1], v=plan.v[:-1], u=plan.u[:-1], lam=plan.lam[:-1])
+    shorter = Trajectory(
+        t=plan.t[:-1], q=plan.q[:-1], v=plan.v[:-1], u=plan.u[:-1], lam=plan.lam[:-1]
+    )
     with pytest.raises(TrajectoryError, match="steps"):
         solved(load_method(name), scene, shorter)
 
@@ -181,7 +203,8 @@ class _Own(_Base):
 
 
 class _OwnMethod(Method[_Own]):
-    name, options = "m", _Own
+    name = "m"
+    options = _Own
 
     def session(self, scene: Scene, options: _Own, clock: Clock) -> Session:
         raise NotImplementedError
@@ -190,16 +213,21 @@ class _OwnMethod(Method[_Own]):
 def test_defaults_are_filled_in_and_values_kept_as_they_were_given():
     assert list(asdict(_Own())) == ["weight", "rounds", "search", "guess", "most"]
     read_options = _OwnMethod().read_options
-    assert repr(read_options({"weight": 2, "search": False}).weight) == "2", "keys of stored results hold what was given"
+    assert repr(read_options({"weight": 2, "search": False}).weight) == "2", (
+        "keys of stored results hold what was given"
+    )
     assert read_options(_Own(rounds=2)) == read_options({"rounds": 2}) == _Own(rounds=2)
 
 
 @pytest.mark.parametrize(("given", "sentence"), [
     ({"round": 1}, "method m: … no option 'round'; did you mean rounds?"),
     ({"colour": 1}, "method m: … no option 'colour'; it has weight, rounds, search, guess, most."),
-    ({"rounds": 11}, "method m: option rounds is 11 … [1, 10]"), ({"rounds": 2.0}, "method m: option rounds is 2.0 … whole number"),
-    ({"weight": True}, "method m: option weight is True … [0, inf] kg"), ({"weight": None}, "method m: option weight is None … [0, inf] kg"),
-    ({"search": "no"}, "method m: option search is 'no' … True, False"), ({"guess": "end"}, "method m: option guess is 'end' … 'line', 'start'"),
+    ({"rounds": 11}, "method m: option rounds is 11 … [1, 10]"),
+    ({"rounds": 2.0}, "method m: option rounds is 2.0 … whole number"),
+    ({"weight": True}, "method m: option weight is True … [0, inf] kg"),
+    ({"weight": None}, "method m: option weight is None … [0, inf] kg"),
+    ({"search": "no"}, "method m: option search is 'no' … True, False"),
+    ({"guess": "end"}, "method m: option guess is 'end' … 'line', 'start'"),
     (_Base(), "method m: … _Own, but _Base were given"),
 ])  # fmt: skip
 def test_one_sentence_says_what_is_wrong(given, sentence):
@@ -211,7 +239,11 @@ def test_one_sentence_says_what_is_wrong(given, sentence):
 def test_what_is_impossible_only_for_one_method_is_refused_too():
     for name, given, words in (
         ("randomised_smoothing", {"samples": 3}, "option samples is 3, but must be an even number"),
-        ("relu_gd", {"iterations": 2.5}, "option iterations is 2.5, but must be a whole number or left out"),
+        (
+            "relu_gd",
+            {"iterations": 2.5},
+            "option iterations is 2.5, but must be a whole number or left out",
+        ),
     ):
         with pytest.raises(OptionError, match=f"method {name}: {words}"):
             load_method(name).read_options(given)
@@ -225,13 +257,21 @@ def test_an_object_is_checked_when_it_is_made_and_belongs_to_its_method():
         load_method("mpcc").read_options(SoftplusDCOptions())
 
 
-COMMON = ("dynamics_defect", "start_error", "terminal_error", "input_bound_excess", "velocity_bound_excess")
+COMMON = (
+    "dynamics_defect",
+    "start_error",
+    "terminal_error",
+    "input_bound_excess",
+    "velocity_bound_excess",
+)
 PROMISED = {
     "softplus_dc": (*COMMON, "contact_law", "regularised_friction"),
     "relaxed_lcp": (*COMMON, "complementarity", "force_sign", "friction_cone", "friction_law"),
-    "strict_lcp": (*COMMON, "force_sign", "friction_cone", "friction_law", "physics"), "mpcc": (*COMMON, "force_sign"), "collocation": COMMON,
+    "strict_lcp": (*COMMON, "force_sign", "friction_cone", "friction_law", "physics"),
+    "mpcc": (*COMMON, "force_sign"), "collocation": COMMON,
 }  # fmt: skip
-# Options that say how large a residual may be, where it is not the method's plan_tolerance; and what the relaxation adds.
+# Options that say how large a residual may be, where it is not the method's plan_tolerance; and
+# what the relaxation adds.
 LIMITED_BY = {
     ("strict_lcp", "physics"): ("physics_tolerance",),
     ("strict_lcp", "terminal_error"): ("terminal_tolerance",),
@@ -242,13 +282,17 @@ RELAXED = {("relaxed_lcp", "complementarity"): 1e-2, ("relaxed_lcp", "friction_l
 
 def limit(name: str, residual: str) -> float:
     options = asdict(load_method(name).options())
-    return RELAXED.get((name, residual), 0.0) + sum(options[item] for item in LIMITED_BY.get((name, residual), ("plan_tolerance",)))
+    return RELAXED.get((name, residual), 0.0) + sum(
+        options[item] for item in LIMITED_BY.get((name, residual), ("plan_tolerance",))
+    )
 
 
 def told(monkeypatch: pytest.MonkeyPatch, residual: str, value: float) -> None:
     """Every plan is told to miss this residual by that much."""
     true = PlanResiduals.of
-    monkeypatch.setattr(PlanResiduals, "of", lambda *given, **named: {**true(*given, **named), residual: value})
+    monkeypatch.setattr(
+        PlanResiduals, "of", lambda *given, **named: {**true(*given, **named), residual: value}
+    )
 
 
 @pytest.mark.parametrize("name", PROMISED)
@@ -258,7 +302,10 @@ def test_it_is_solved_where_nothing_is_broken(name: str):
     assert "Checked on the plan itself" not in found.message
 
 
-@pytest.mark.parametrize(("name", "residual"), [(name, residual) for name, residuals in PROMISED.items() for residual in residuals])
+@pytest.mark.parametrize(
+    ("name", "residual"),
+    [(name, residual) for name, residuals in PROMISED.items() for residual in residuals],
+)
 def test_a_broken_promise_is_no_solution(name: str, residual: str, monkeypatch: pytest.MonkeyPatch):
     told(monkeypatch, residual, 1.01 * limit(name, residual))
     found = solved(load_method(name), PENDULUM)
@@ -275,7 +322,8 @@ def judged(scene: Scene) -> Any:
     return judge(
         scene,
         Trajectory(
-            t=scene.task.step * np.arange(steps + 1), q=still[:, : scene.nq], v=still[:, scene.nq :], u=np.zeros((steps, scene.nu)),
+            t=scene.task.step * np.arange(steps + 1), q=still[:, : scene.nq],
+            v=still[:, scene.nq :], u=np.zeros((steps, scene.nu)),
             lam=np.zeros((steps, scene.nl)),
         ),
     )  # fmt: skip
@@ -287,13 +335,16 @@ def planned(name: str) -> Callable[[Scene], Any]:
         if (reason := method.accepts(scene)) is not None:
             pytest.skip(reason)
         with method.open(scene, {}) as session:
-            return session.solve(eps=1e-2 if method.needs_eps else None, warm_start=None, time_limit=1.0)
+            return session.solve(
+                eps=1e-2 if method.needs_eps else None, warm_start=None, time_limit=1.0
+            )
 
     return plan
 
 
 USES = {
-    "kernel": load_kernel, "FMU": build_fmu, "judge": judged, "Pyomo": lambda scene: build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-3),
+    "kernel": load_kernel, "FMU": build_fmu, "judge": judged,
+    "Pyomo": lambda scene: build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-3),
     **{name: planned(name) for name in method_names()},
 }  # fmt: skip
 
@@ -302,7 +353,9 @@ USES = {
 def test_an_impossible_scene_is_refused(use: Callable[[Scene], Any]):
     scene = load_scene("three_cart").with_task(steps=5)
     endless = scene.potential_energy + sp.log(scene.coordinates[0].symbol - scene.task.start[0])
-    with pytest.raises(SceneError, match=r"^scene three_cart: potential_energy is zoo at the start"):
+    with pytest.raises(
+        SceneError, match=r"^scene three_cart: potential_energy is zoo at the start"
+    ):
         use(replace(scene, potential_energy=endless))
 
 
@@ -316,7 +369,9 @@ def test_it_is_the_scenes_own_time_step_with_true_contact(name: str):
     assert solution.outcome is Outcome.SOLVED
     assert METHOD.kind is Kind.DIRECT
     plan = solution.trajectory
-    expected = load_kernel(scene).rollout(np.array(scene.task.start), np.zeros((scene.task.steps, 0)), scene.task.step)
+    expected = load_kernel(scene).rollout(
+        np.array(scene.task.start), np.zeros((scene.task.steps, 0)), scene.task.step
+    )
     assert np.array_equal(plan.q, expected.q)
     assert np.array_equal(plan.lam, expected.lam)
     assert plan.lam.max() > 1.0
@@ -340,21 +395,32 @@ def test_a_step_beyond_the_stability_limit_diverges_and_says_so():
 
 
 def test_it_is_tried_only_where_nothing_can_be_planned():
-    assert "free_motion" not in [pipeline.name for pipeline in pipelines_for(load_scene("three_cart"))]
+    assert "free_motion" not in [
+        pipeline.name for pipeline in pipelines_for(load_scene("three_cart"))
+    ]
     assert pipelines_for(load_scene("bouncing_mass")) == PIPELINES
 
 
 def test_eps_is_refused():
-    with METHOD.open(load_scene("bouncing_mass")) as session, pytest.raises(OptionError, match="takes no eps"):
+    with (
+        METHOD.open(load_scene("bouncing_mass")) as session,
+        pytest.raises(OptionError, match="takes no eps"),
+    ):
         session.solve(eps=0.1, warm_start=None, time_limit=1.0)
 
 
 # Of a goal is asked how near is near enough.
-ASKED = replace(PENDULUM, limits=(*PENDULUM.limits, *goal_limits(position=0.01, velocity=0.01, reason="this test")))
+ASKED = replace(
+    PENDULUM,
+    limits=(*PENDULUM.limits, *goal_limits(position=0.01, velocity=0.01, reason="this test")),
+)
 
 
 def bounded(lower: float, upper: float) -> Scene:
-    return replace(PENDULUM, coordinates=(replace(PENDULUM.coordinates[0], velocity_lower=lower, velocity_upper=upper),))
+    return replace(
+        PENDULUM,
+        coordinates=(replace(PENDULUM.coordinates[0], velocity_lower=lower, velocity_upper=upper),),
+    )
 
 
 def plan_by(name: str, scene: Scene) -> Solution:
@@ -390,8 +456,16 @@ def test_a_component_of_the_end_may_be_given(goal):
     for solution in both(scene):
         assert distance(solution.trajectory.end, goal_state(scene.task)) <= 1e-8
         assert solution.cost > PENDULUM.answers[0].value
-    given = [name for name in ("position", "velocity") if build_model(scene, eps=1e-3).component(f"constraint_goal_{name}") is not None]
-    assert given == [name for name, value in zip(("position", "velocity"), goal, strict=True) if value is not None]
+    given = [
+        name
+        for name in ("position", "velocity")
+        if build_model(scene, eps=1e-3).component(f"constraint_goal_{name}") is not None
+    ]
+    assert given == [
+        name
+        for name, value in zip(("position", "velocity"), goal, strict=True)
+        if value is not None
+    ]
 
 
 def test_a_given_end_may_be_a_ball():
@@ -408,7 +482,9 @@ def test_velocity_bounds_hold_at_the_start_of_every_step(lower: float, upper: fl
         v = solution.trajectory.v[:-1]
         assert v.min() >= lower - 1e-7
         assert v.max() <= upper + 1e-7
-        assert min(abs(v.min() - lower), abs(v.max() - upper)) <= 1e-7, "the bound was meant to be active"
+        assert min(abs(v.min() - lower), abs(v.max() - upper)) <= 1e-7, (
+            "the bound was meant to be active"
+        )
         assert solution.residuals["velocity_bound_excess"] <= 1e-7
     tight = bounded(lower, upper)
     free = plan_by("mpcc", PENDULUM).trajectory
@@ -416,7 +492,10 @@ def test_velocity_bounds_hold_at_the_start_of_every_step(lower: float, upper: fl
     assert metric.ok is False
     assert metric.value == pytest.approx(max(lower - free.v[:-1].min(), free.v[:-1].max() - upper))
     model = build_model(tight, eps=1e-3)
-    assert (pyo.value(model.variable_v[3, "theta"].lb), pyo.value(model.variable_v[3, "theta"].ub)) == (lower, upper)
+    assert (
+        pyo.value(model.variable_v[3, "theta"].lb),
+        pyo.value(model.variable_v[3, "theta"].ub),
+    ) == (lower, upper)
     assert model.variable_v[20, "theta"].lb is None
 
 

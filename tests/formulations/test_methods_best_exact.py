@@ -19,7 +19,9 @@ from models.scene import Scene
 from models.trajectory import Trajectory
 
 ROOT = Path(__file__).parents[2]
-SMALL = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
+SMALL = load_scene("three_cart").with_task(
+    start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100
+)
 
 
 def solved(scene: Scene, name: str = "best_exact", **options: object) -> Solution:
@@ -29,12 +31,23 @@ def solved(scene: Scene, name: str = "best_exact", **options: object) -> Solutio
 def test_open_and_closed_contacts_are_left_to_mpcc():
     ours, mpcc = solved(SMALL), solved(SMALL, "mpcc")
     assert ours.trajectory.u.tobytes() == mpcc.trajectory.u.tobytes()
-    assert (ours.method, ours.outcome, ours.message, ours.starts) == ("best_exact", Outcome.SOLVED, mpcc.message, ())
+    assert (ours.method, ours.outcome, ours.message, ours.starts) == (
+        "best_exact",
+        Outcome.SOLVED,
+        mpcc.message,
+        (),
+    )
 
 
-@pytest.mark.parametrize(("scene", "like"), [("three_cart", "mpcc"), ("transport", "best_exact"), ("damped_collision", "best_exact")])
+@pytest.mark.parametrize(
+    ("scene", "like"),
+    [("three_cart", "mpcc"), ("transport", "best_exact"), ("damped_collision", "best_exact")],
+)
 def test_a_campaign_solves_once_what_mpcc_and_best_exact_share(scene: str, like: str):
-    """Legs that are equal have one key; where mpcc refuses, by friction or for want of inputs, best_exact has legs of its own."""
+    """Legs that are equal have one key.
+
+    Where mpcc refuses, by friction or for want of inputs, best_exact has legs of its own.
+    """
     legs = {pipeline.name: pipeline.legs for pipeline in pipelines_for(load_scene(scene))}
     assert legs["best_exact"] == find_pipeline(like).legs
 
@@ -44,7 +57,11 @@ def test_all_ways_are_told_and_the_cheapest_is_kept():
     found = solved(SMALL, all_ways=True)
     assert [attempt.number for attempt in found.starts] == [0, 1, 2, 3, 4]
     assert found.starts[0].start == "mpcc"
-    costs = [attempt.cost for attempt in found.starts if attempt.outcome is Outcome.SOLVED and attempt.cost is not None]
+    costs = [
+        attempt.cost
+        for attempt in found.starts
+        if attempt.outcome is Outcome.SOLVED and attempt.cost is not None
+    ]
     assert len(costs) == 5
     assert found.cost == pytest.approx(min(costs), rel=1e-12)
     assert "The best of 5 ways, by mpcc" in found.message
@@ -53,7 +70,10 @@ def test_all_ways_are_told_and_the_cheapest_is_kept():
 
 @pytest.mark.slow
 def test_a_walk_without_a_plan_is_not_followed(monkeypatch: pytest.MonkeyPatch):
-    """Relaxed contact that has no plan at its loosest eps is not tried at a tighter one; the ways by softplus contact are left."""
+    """Relaxed contact that has no plan at its loosest eps is not tried at a tighter one.
+
+    The ways by softplus contact are left.
+    """
     from formulations.methods.relaxed_lcp import RelaxedLCPSession
 
     def none(self: RelaxedLCPSession, **_: object) -> Solution:
@@ -61,7 +81,12 @@ def test_a_walk_without_a_plan_is_not_followed(monkeypatch: pytest.MonkeyPatch):
 
     monkeypatch.setattr(RelaxedLCPSession, "solve", none)
     found = solved(SMALL, all_ways=True)
-    assert [attempt.start.split()[0] for attempt in found.starts] == ["mpcc", "relaxed_lcp", "softplus_dc", "softplus_multiple_shooting"]
+    assert [attempt.start.split()[0] for attempt in found.starts] == [
+        "mpcc",
+        "relaxed_lcp",
+        "softplus_dc",
+        "softplus_multiple_shooting",
+    ]
     assert found.starts[1].cost is None
 
 
@@ -74,29 +99,49 @@ def remembering():
     def opened(name: str, scene: Scene, options: object):
         with load_method(name).open(scene, options) as session:
 
-            def solve(*, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
-                asked = (name, repr(options), eps, warm_start and (warm_start.u.tobytes(), warm_start.q.tobytes()))
+            def solve(
+                *, eps: float | None, warm_start: Trajectory | None, time_limit: float
+            ) -> Solution:
+                asked = (
+                    name,
+                    repr(options),
+                    eps,
+                    warm_start and (warm_start.u.tobytes(), warm_start.q.tobytes()),
+                )
                 if asked not in answers:
-                    answers[asked] = session.solve(eps=eps, warm_start=warm_start, time_limit=time_limit)
+                    answers[asked] = session.solve(
+                        eps=eps, warm_start=warm_start, time_limit=time_limit
+                    )
                 return answers[asked]
 
             yield SimpleNamespace(solve=solve)
 
-    return lambda name: SimpleNamespace(open=partial(opened, name), accepts=load_method(name).accepts)
+    return lambda name: SimpleNamespace(
+        open=partial(opened, name), accepts=load_method(name).accepts
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("followed", ["all", "dearer", "none"])
-def test_the_cheapest_plan_that_is_followed_is_taken(monkeypatch: pytest.MonkeyPatch, remembering, followed: str):
+def test_the_cheapest_plan_that_is_followed_is_taken(
+    monkeypatch: pytest.MonkeyPatch, remembering, followed: str
+):
     """Contacts that are damped a little have no modes, and several ways: the cheapest plan is the first's, 852.4, the next 853.3.
 
     The other two ways, which take most of the time and end at 856.8, are left out.
     """
-    scene = replace(SMALL, contacts=tuple(replace(contact, damping=sp.Float(0.5)) for contact in SMALL.contacts))
+    scene = replace(
+        SMALL, contacts=tuple(replace(contact, damping=sp.Float(0.5)) for contact in SMALL.contacts)
+    )
     kernel = load_kernel(scene)
 
     def departs(_scene: Scene, plan: Trajectory) -> float:
-        return 2.0 if followed == "none" or (followed == "dearer" and kernel.cost(plan.q, plan.v, plan.u) < 853.0) else 0.5
+        return (
+            2.0
+            if followed == "none"
+            or (followed == "dearer" and kernel.cost(plan.q, plan.v, plan.u) < 853.0)
+            else 0.5
+        )
 
     monkeypatch.setattr(best_exact, "_WAYS", best_exact._WAYS[:2])
     monkeypatch.setattr(best_exact, "departure", departs)
@@ -110,10 +155,12 @@ def test_the_cheapest_plan_that_is_followed_is_taken(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.slow
 def test_a_scene_with_friction_ends_where_the_best_known_way_does():
-    """Relaxed contact from 1e-2 ends at 0.916; that of a loose first eps, and softplus contact, leave the choice where friction holds.
+    """Relaxed contact from 1e-2 ends at 0.916.
 
-    Either ends at 0.701, at 0.704 or at 0.818, as the processor rounds; so one way alone is not enough. That of 0.704 is not followed, and on finer steps
-    costs 0.706.
+    That of a loose first eps, and softplus contact, leave the choice where friction holds.
+
+    Either ends at 0.701, at 0.704 or at 0.818, as the processor rounds; so one way alone is not
+    enough. That of 0.704 is not followed, and on finer steps costs 0.706.
     """
     found = solved(load_scene("transport"))
     costs = [attempt.cost for attempt in found.starts if attempt.cost is not None]
@@ -128,12 +175,17 @@ def test_a_scene_with_friction_ends_where_the_best_known_way_does():
 def test_what_relaxed_contact_passes_by_multiple_shooting_finds_and_finer_steps_let_hold():
     """A finger that pushes a drawer shut, which glides the last part by itself: relaxed contact ends at 25.9 and 26.5, softplus walked down nowhere.
 
-    On 200 steps the cheapest departs by 3.5 times what is allowed, on 400 by 1.6, on 800 by 0.46. It costs what its inputs cost on the task's steps.
+    On 200 steps the cheapest departs by 3.5 times what is allowed, on 400 by 1.6, on 800 by 0.46.
+    It costs what its inputs cost on the task's steps.
     """
     scene = load_scene(str(ROOT / "tests" / "scenes" / "drawer.py"))
     found = solved(scene)
     by = {attempt.start.split(",")[-1].split()[-2]: attempt.cost for attempt in found.starts[-2:]}
-    coarse = [attempt for attempt in found.starts if attempt.start.startswith("softplus_multiple_shooting")]
+    coarse = [
+        attempt
+        for attempt in found.starts
+        if attempt.start.startswith("softplus_multiple_shooting")
+    ]
     assert found.outcome is Outcome.SOLVED
     assert coarse[0].cost <= 9.6
     assert list(by) == ["400", "800"]
@@ -141,7 +193,9 @@ def test_what_relaxed_contact_passes_by_multiple_shooting_finds_and_finer_steps_
     assert found.residuals["departure"] <= 0.75
     plan = found.trajectory
     assert (plan.steps, plan.t[-1]) == (800, pytest.approx(scene.task.horizon))
-    assert found.cost == pytest.approx(load_kernel(scene).cost(plan.q, plan.v, plan.u) / 4.0, rel=1e-9)
+    assert found.cost == pytest.approx(
+        load_kernel(scene).cost(plan.q, plan.v, plan.u) / 4.0, rel=1e-9
+    )
     certificate = certify_plan(scene, plan)
     assert certificate.holds
     assert certificate.stationarity.letter == "S"

@@ -1,4 +1,7 @@
-"""The method `mpcc` on the paper's scene and around it; every figure recomputed from a rollout of the compiled time step."""
+"""The method `mpcc` on the paper's scene and around it.
+
+Every figure recomputed from a rollout of the compiled time step.
+"""
 
 import numpy as np
 import pytest
@@ -19,7 +22,9 @@ from tests.formulations.transcription.rollouts import rolled_out
 SCENE = load_scene("three_cart")
 ARM = example_scene("two_link_arm")
 TIME_LIMIT = 600.0  # wall seconds; never reached, only so that a broken solver ends
-SMALL = SCENE.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
+SMALL = SCENE.with_task(
+    start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100
+)
 
 
 def solved(scene: Scene = SCENE, warm_start=None, **options) -> Solution:
@@ -34,8 +39,14 @@ def check(solution: Solution, scene: Scene, ball: float = 0.0) -> None:
     rollout = kernel.rollout(np.array(task.start), plan.u, task.step)
     for name in ("q", "v", "lam"):
         np.testing.assert_array_equal(getattr(plan, name), getattr(rollout, name))
-    assert np.linalg.norm(np.concatenate([rollout.q[-1], rollout.v[-1]]) - np.array(task.goal)) <= ball + 1e-10
-    assert np.abs(plan.lam * (plan.lam - kernel.stiffness() * kernel.penetration(plan.q[:-1]))).max() == 0.0
+    assert (
+        np.linalg.norm(np.concatenate([rollout.q[-1], rollout.v[-1]]) - np.array(task.goal))
+        <= ball + 1e-10
+    )
+    assert (
+        np.abs(plan.lam * (plan.lam - kernel.stiffness() * kernel.penetration(plan.q[:-1]))).max()
+        == 0.0
+    )
     for column, item in enumerate(scene.inputs):
         assert item.lower <= plan.u[:, column].min()
         assert plan.u[:, column].max() <= item.upper
@@ -79,7 +90,9 @@ def test_a_plan_of_its_own_is_left_as_it_is(best: Solution) -> None:
 def random_start(seed: int) -> Trajectory:
     """Piecewise constant inputs, up to 3 N, and what they lead to."""
     task = SCENE.task
-    u = np.random.default_rng(seed).uniform(-3.0, 3.0, (10, 2))[np.arange(task.steps) * 10 // task.steps]
+    u = np.random.default_rng(seed).uniform(-3.0, 3.0, (10, 2))[
+        np.arange(task.steps) * 10 // task.steps
+    ]
     return rolled_out(SCENE, u)
 
 
@@ -107,20 +120,32 @@ def test_one_push_becomes_two_though_that_is_dearer_at_first() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "first", "cost", "source"),
-    [(0, 273.65, 273.16, "loosened"), (3, 36.30, 35.34, "walked down from a cold start"), (2, 101.22, 101.21, None)],
+    [
+        (0, 273.65, 273.16, "loosened"),
+        (3, 36.30, 35.34, "walked down from a cold start"),
+        (2, 101.22, 101.21, None),
+    ],
 )
-def test_a_row_of_carts_is_searched_around_other_modes(seed: int, first: float, cost: float, source: str | None) -> None:
+def test_a_row_of_carts_is_searched_around_other_modes(
+    seed: int, first: float, cost: float, source: str | None
+) -> None:
     """Four carts in 80 steps, pushed at random: a second source leads below the first, or else a third, or neither does, and the plan stays."""
     scene = pushed_row(seed, 4, 80)
     solution, alone = solved(scene), solved(scene, search=False)
     check(solution, scene)
-    assert solution.iterations > alone.iterations, "the other sources take iterations, the search none"
+    assert solution.iterations > alone.iterations, (
+        "the other sources take iterations, the search none"
+    )
     assert solution.cost is not None
     assert solution.cost <= cost
     assert ("Around modes of relaxed contact" in solution.message) == (source is not None)
     if source is not None:
         assert f"relaxed contact, {source}; around" in solution.message
-        told = float(solution.message.split("softplus contact the cheapest plan costs ")[1].split()[0].rstrip("."))
+        told = float(
+            solution.message.split("softplus contact the cheapest plan costs ")[1]
+            .split()[0]
+            .rstrip(".")
+        )
         assert cost < told <= first
 
 
@@ -130,10 +155,16 @@ def test_two_contacts_are_searched_around_one_source() -> None:
 
 
 @pytest.mark.slow
-def test_where_softplus_contact_leads_nowhere_relaxed_contact_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_softplus_contact_leads_nowhere_relaxed_contact_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Two fingers carry a disc: no softplus plan within half of `first_work`."""
     solve, walked = RelaxedLCPSession.solve, []
-    monkeypatch.setattr(RelaxedLCPSession, "solve", lambda self, **given: walked.append(solve(self, **given)) or walked[-1])
+    monkeypatch.setattr(
+        RelaxedLCPSession,
+        "solve",
+        lambda self, **given: walked.append(solve(self, **given)) or walked[-1],
+    )
     scene = load_scene("two_finger").with_task(steps=100, step=0.005)
     solution = solved(scene, search_windows=5)
     assert solution.outcome is Outcome.SOLVED, solution.message
@@ -204,7 +235,9 @@ def test_other_grids_cost_the_same_per_unit_of_time(steps: int) -> None:
 def test_a_nonlinear_scene_goes_by_ipopt() -> None:
     solution = solved(ARM)
     check(solution, ARM)
-    strict = load_method("strict_lcp").open(ARM).solve(eps=None, warm_start=None, time_limit=TIME_LIMIT)
+    strict = (
+        load_method("strict_lcp").open(ARM).solve(eps=None, warm_start=None, time_limit=TIME_LIMIT)
+    )
     assert solution.cost <= strict.cost * (1 + 1e-6)
     assert "Ipopt" in solution.message
 
@@ -241,7 +274,10 @@ def test_several_starts_keep_the_cheapest_and_tell_the_spread() -> None:
 
 @pytest.mark.slow
 def test_a_stiff_contact_is_pushed_twice() -> None:
-    """k = 300: one push on each side costs 4.98 J s, two on the left 4.53; no shift of an interval leads from one to the other."""
+    """k = 300: one push on each side costs 4.98 J s, two on the left 4.53.
+
+    No shift of an interval leads from one to the other.
+    """
     scene = SCENE.with_parameters(k=300.0).with_task(steps=250, step=0.02)
     solution = solved(scene)
     check(solution, scene)

@@ -1,4 +1,7 @@
-"""Contact laws: closed forms, no overflow, refusal where they have no meaning; damping, and when a contact releases."""
+"""Contact laws: closed forms, no overflow, refusal where they have no meaning.
+
+damping, and when a contact releases.
+"""
 
 import math
 from dataclasses import replace
@@ -11,7 +14,13 @@ import sympy as sp
 from models.catalog import load_scene
 from models.codegen.emit import for_scene
 from models.codegen.kernel import kernel_sources, load_kernel
-from models.contact_law import ContactLaw, RelaxationError, contact_force, sharpness, worst_case_violation
+from models.contact_law import (
+    ContactLaw,
+    RelaxationError,
+    contact_force,
+    sharpness,
+    worst_case_violation,
+)
 from models.dynamics import derive
 from models.errors import SceneError
 from models.fmu.description import find_standard
@@ -37,12 +46,18 @@ def test_the_restitutions_of_kelvin_voigt_are_derived():
     # without adhesion: the force mu (2 z w phi' + w^2 phi) = -mu phi'' is gone at w t sin a = 2 a
     released = 2 * a / (w * sp.sin(a))
     assert sp.simplify(sp.expand_trig(phi.diff(t, 2).subs(t, released))) == 0
-    assert sp.simplify(sp.expand_trig(-phi.diff(t).subs(t, released)) / s - sp.exp(-2 * a / sp.tan(a))) == 0
+    assert (
+        sp.simplify(sp.expand_trig(-phi.diff(t).subs(t, released)) / s - sp.exp(-2 * a / sp.tan(a)))
+        == 0
+    )
     # from there it flies at that speed: phi / speed until phi = 0
     flight = sp.simplify(sp.expand_trig(phi.subs(t, released)) / (s * sp.exp(-2 * a / sp.tan(a))))
     assert sp.simplify(flight - 2 * sp.cos(a) / w) == 0
     # a contact that may pull is released at phi = 0
-    assert sp.simplify(-phi.diff(t).subs(t, sp.pi / (w * sp.sin(a))) / s - sp.exp(-sp.pi / sp.tan(a))) == 0
+    assert (
+        sp.simplify(-phi.diff(t).subs(t, sp.pi / (w * sp.sin(a))) / s - sp.exp(-sp.pi / sp.tan(a)))
+        == 0
+    )
     # the deepest point
     deepest = a / (w * sp.sin(a))
     assert sp.simplify(sp.expand_trig(phi.diff(t).subs(t, deepest))) == 0
@@ -51,10 +66,12 @@ def test_the_restitutions_of_kelvin_voigt_are_derived():
 
 def test_the_restitution_of_hunt_crossley_is_derived():
     v, d = sp.symbols("v d", positive=True)
-    # m v dv/dphi = -k phi (1 + d v): v/(1 + d v) dv = -(k/m) phi dphi, whose left side integrates to F
+    # m v dv/dphi = -k phi (1 + d v): v/(1 + d v) dv = -(k/m) phi dphi, whose left side integrates
+    # to F
     primitive = (d * v - sp.log(1 + d * v)) / d**2
     assert sp.simplify(primitive.diff(v) - v / (1 + d * v)) == 0
-    # phi = 0 before and after: F(v_in) = F(-v_out), that is y - ln y = x - ln x with y = 1 + d v_in, x = 1 - d v_out
+    # phi = 0 before and after: F(v_in) = F(-v_out), that is y - ln y = x - ln x with y = 1 + d
+    # v_in, x = 1 - d v_out
     y = sp.Float(1.78)
     x = -sp.LambertW(-y * sp.exp(-y))
     assert float((y - sp.log(y)) - (x - sp.log(x))) == pytest.approx(0.0, abs=1e-14)
@@ -65,16 +82,24 @@ def test_the_scene_has_the_derived_numbers():
     module = damped_collision
     values = {w: module.RATE, s: module.CLOSING_SPEED, a: module.ANGLE}
     released = module.CONTACT_TIME - 2 * sp.cos(module.ANGLE) / module.RATE
-    assert float(-swing().diff(t).subs(t, released).subs(values)) == pytest.approx(module.RESTITUTION * module.CLOSING_SPEED, rel=1e-12)
+    assert float(-swing().diff(t).subs(t, released).subs(values)) == pytest.approx(
+        module.RESTITUTION * module.CLOSING_SPEED, rel=1e-12
+    )
     deepest = module.ANGLE / (module.RATE * sp.sin(module.ANGLE))
-    assert float(swing().subs(t, deepest).subs(values)) == pytest.approx(module.COMPRESSION, rel=1e-12)
+    assert float(swing().subs(t, deepest).subs(values)) == pytest.approx(
+        module.COMPRESSION, rel=1e-12
+    )
     before = module.MASS_1 * module.START[2] + module.MASS_2 * module.START[3]
     after = module.MASS_1 * module.V1_BETWEEN + module.MASS_2 * module.V2_AFTER
     assert after == pytest.approx(before, abs=1e-14)
 
 
 def texts(scene: Scene) -> dict[str, str]:
-    found = {f"{version}/{name}": text for version in ("2.0", "3.0") for name, text in fmu_texts(scene, find_standard(version)).items()}
+    found = {
+        f"{version}/{name}": text
+        for version in ("2.0", "3.0")
+        for name, text in fmu_texts(scene, find_standard(version)).items()
+    }
     return found | {f"kernel/{name}": text for name, text in kernel_sources(scene).items()}
 
 
@@ -84,11 +109,23 @@ def test_undamped_scene_has_no_damping_code(name: str):
     written = texts(scene)
     for place, text in written.items():
         own = text.replace("(inputs, damping)", "")
-        for word in ("damped", "damping", "pressing", "_rate_vjp") if "sources" in place or "kernel" in place else ("pressing",):
-            assert word not in own.lower().replace("hardly damped", "").replace("scene_slip_rate_vjp", ""), (place, word)
+        for word in (
+            ("damped", "damping", "pressing", "_rate_vjp")
+            if "sources" in place or "kernel" in place
+            else ("pressing",)
+        ):
+            assert word not in own.lower().replace("hardly damped", "").replace(
+                "scene_slip_rate_vjp", ""
+            ), (place, word)
     assert not derive(scene).structure.contact_damping
     # a coefficient of 0 is no damping: the same bytes
-    zero = replace(scene, contacts=tuple(replace(item, damping=sp.S.Zero, damping_law=DampingLaw.HUNT_CROSSLEY) for item in scene.contacts))
+    zero = replace(
+        scene,
+        contacts=tuple(
+            replace(item, damping=sp.S.Zero, damping_law=DampingLaw.HUNT_CROSSLEY)
+            for item in scene.contacts
+        ),
+    )
     assert texts(zero) == written
 
 
@@ -115,7 +152,13 @@ def test_every_hand_written_source_closes_its_sections():
 def test_contacts_of_one_name_with_the_name_of_a_push():
     base = load_scene("damped_collision")
     with pytest.raises(SceneError, match="the name 'pressing_pair' is used 2 times"):
-        replace(base, parameters=(*base.parameters, replace(base.parameters[0], symbol=sp.Symbol("pressing_pair", positive=True))))
+        replace(
+            base,
+            parameters=(
+                *base.parameters,
+                replace(base.parameters[0], symbol=sp.Symbol("pressing_pair", positive=True)),
+            ),
+        )
 
 
 K = 30.0
@@ -132,10 +175,14 @@ def test_softplus_is_finite_above_relu_and_right_far_away(eps: float):
     assert np.isfinite(lam).all()
     assert (lam >= contact_force(phi, K) * (1 - 1e-15)).all()  # k/b times b*phi rounds
     assert lam[2] == pytest.approx(K * math.log(2) / sharpness(eps), rel=1e-15)
-    assert lam[4] == pytest.approx(K * (1e3 + math.log1p(math.exp(-1e3 * sharpness(eps))) / sharpness(eps)), rel=1e-15)
+    assert lam[4] == pytest.approx(
+        K * (1e3 + math.log1p(math.exp(-1e3 * sharpness(eps))) / sharpness(eps)), rel=1e-15
+    )
 
 
-@pytest.mark.parametrize("eps", [0.0, 1.0, -1e-3, 2.0, float("nan"), float("inf"), "1e-3", True, None])
+@pytest.mark.parametrize(
+    "eps", [0.0, 1.0, -1e-3, 2.0, float("nan"), float("inf"), "1e-3", True, None]
+)
 def test_meaningless_eps_is_refused(eps: object):
     with pytest.raises(RelaxationError, match="0 < eps < 1"):
         sharpness(eps)  # pyright: ignore[reportArgumentType] - the mistake under test
@@ -154,7 +201,9 @@ def test_eps_is_counted_in_the_length_of_the_scene():
     small = contact_force(phi / 10.0, 30.0, ContactLaw.SOFTPLUS, 1e-3, length=0.1)
     assert small == pytest.approx(large / 10.0, rel=1e-14)
     assert sharpness(1e-3, 0.1) == pytest.approx(10.0 * sharpness(1e-3), rel=1e-15)
-    assert worst_case_violation(30.0, 1e-3, 0.1) == pytest.approx(worst_case_violation(30.0, 1e-3) / 100.0, rel=1e-14)
+    assert worst_case_violation(30.0, 1e-3, 0.1) == pytest.approx(
+        worst_case_violation(30.0, 1e-3) / 100.0, rel=1e-14
+    )
 
 
 STEP = 5e-7  # s: of a contact of 0.07 s; the step is of first order, w h = 3e-5
@@ -167,18 +216,33 @@ def touching(ratio: float) -> tuple[Scene, float]:
     values = {parameter.name: parameter.value for parameter in scene.parameters}
     mass = values["m1"] * values["m2"] / (values["m1"] + values["m2"])
     rate = math.sqrt(values["k"] / mass)
-    scene = replace(scene, answers=(), limits=()).with_parameters(c=2.0 * ratio * math.sqrt(values["k"] * mass))
-    return scene.with_task(start=(1.0, 1.0 + 2.0 * values["r"], 2.1, -1.0), step=STEP), math.pi / (rate * math.sqrt(1.0 - ratio**2))
+    scene = replace(scene, answers=(), limits=()).with_parameters(
+        c=2.0 * ratio * math.sqrt(values["k"] * mass)
+    )
+    return scene.with_task(start=(1.0, 1.0 + 2.0 * values["r"], 2.1, -1.0), step=STEP), math.pi / (
+        rate * math.sqrt(1.0 - ratio**2)
+    )
 
 
 def glued(scene: Scene) -> Scene:
     """The same spring and damper between the discs, as a force that also pulls; no contact."""
     pair = scene.contacts[0]
-    moved = dict(zip((item.symbol for item in scene.coordinates), (item.velocity for item in scene.coordinates), strict=True))
+    moved = dict(
+        zip(
+            (item.symbol for item in scene.coordinates),
+            (item.velocity for item in scene.coordinates),
+            strict=True,
+        )
+    )
     rate = sum(sp.diff(pair.penetration, q) * v for q, v in moved.items())
     push = pair.stiffness * pair.penetration + pair.damping * rate
     return replace(
-        scene, contacts=(), forces=tuple(force + sp.diff(-pair.penetration, q) * push for force, q in zip(scene.forces, moved, strict=True))
+        scene,
+        contacts=(),
+        forces=tuple(
+            force + sp.diff(-pair.penetration, q) * push
+            for force, q in zip(scene.forces, moved, strict=True)
+        ),
     )
 
 
@@ -187,7 +251,9 @@ def restitution(scene: Scene, seconds: float, radius: float) -> float:
     steps = round(1.6 * seconds / STEP)
     found = load_kernel(scene).rollout(np.array(scene.task.start), np.zeros((steps, 0)), STEP)
     phi = 2.0 * radius - (found.q[:, 1] - found.q[:, 0])
-    last = 10 + int(np.argmax(phi[10:] <= 0.0))  # the first node after the contact; glued discs swing on
+    last = 10 + int(
+        np.argmax(phi[10:] <= 0.0)
+    )  # the first node after the contact; glued discs swing on
     assert 1000 < last < steps, "the contact is over within the motion"
     return float((found.v[last, 1] - found.v[last, 0]) / (found.v[0, 0] - found.v[0, 1]))
 

@@ -1,4 +1,9 @@
-"""Equations of motion: by hand where that is short, by energy and momentum everywhere. The stability limit of the time step: closed forms, the step's Jacobian against differences, and motions that are unstable by themselves. Collocation steps against closed forms: order, energy, the kink of a contact."""
+"""Equations of motion: by hand where that is short, by energy and momentum everywhere.
+
+The stability limit of the time step: closed forms, the step's Jacobian against differences, and
+motions that are unstable by themselves. Collocation steps against closed forms: order, energy, the
+kink of a contact.
+"""
 
 import math
 from pathlib import Path
@@ -33,13 +38,20 @@ def probe(scene: Scene, seed: int = 0):
     """A random state near the start, inputs and contact forces of order 1."""
     rng = np.random.default_rng(seed)
     q = np.array(scene.task.start[: scene.nq]) + 0.3 * rng.standard_normal(scene.nq)
-    return q, rng.standard_normal(scene.nq), rng.standard_normal(scene.nu), rng.uniform(0.0, 2.0, scene.nc)
+    return (
+        q,
+        rng.standard_normal(scene.nq),
+        rng.standard_normal(scene.nu),
+        rng.uniform(0.0, 2.0, scene.nc),
+    )
 
 
 def test_three_cart_as_the_paper_prints_it():
     d = derive(load_scene("three_cart"))
     v1, v2, v3, u1, u3, c, m, lam1, lam3 = (*d.v, *d.u, d.p[1], d.p[0], *d.lam)
-    expected = sp.Matrix([(u1 - c * v1 - lam1) / m, (lam1 - lam3 - c * v2) / m, (u3 - c * v3 + lam3) / m])
+    expected = sp.Matrix(
+        [(u1 - c * v1 - lam1) / m, (lam1 - lam3 - c * v2) / m, (u3 - c * v3 + lam3) / m]
+    )
     assert sp.simplify(d.acceleration - expected) == sp.zeros(3, 1)
     assert d.structure.linear
     assert d.structure.constant_mass
@@ -64,8 +76,12 @@ def test_gap_jacobian_is_the_derivative_of_the_gap(scene: Scene):
         return
     gap, J = d.function(-d.penetration, d.q), d.function(d.gap_jacobian, d.q)
     q, step = probe(scene)[0], 1e-6
-    numeric = np.column_stack([(gap(q + step * e) - gap(q - step * e)) / (2 * step) for e in np.eye(scene.nq)])
-    assert np.allclose(J(q), numeric, rtol=0, atol=1e-8)  # central differences of step 1e-6: about 1e-10 of rounding, 1e-12 of truncation
+    numeric = np.column_stack(
+        [(gap(q + step * e) - gap(q - step * e)) / (2 * step) for e in np.eye(scene.nq)]
+    )
+    assert np.allclose(
+        J(q), numeric, rtol=0, atol=1e-8
+    )  # central differences of step 1e-6: about 1e-10 of rounding, 1e-12 of truncation
 
 
 @pytest.mark.slow
@@ -73,8 +89,14 @@ def test_power_balance(scene: Scene):
     """d/dt (T + V) = power of the inputs - dissipated power + power of contact and friction forces, at random states."""
     d = derive(scene)
     energy = sp.Matrix([d.kinetic_energy + d.potential_energy])
-    slope_q, slope_v = d.function(energy.jacobian(d.q), d.q, d.v), d.function(energy.jacobian(d.v), d.q, d.v)
-    M, f = d.function(d.mass_matrix, d.q), d.function(d.generalised_force, d.q, d.v, d.u, (*d.lam, *d.f))
+    slope_q, slope_v = (
+        d.function(energy.jacobian(d.q), d.q, d.v),
+        d.function(energy.jacobian(d.v), d.q, d.v),
+    )
+    M, f = (
+        d.function(d.mass_matrix, d.q),
+        d.function(d.generalised_force, d.q, d.v, d.u, (*d.lam, *d.f)),
+    )
     slip = d.function(d.slip, d.q, d.v) if scene.nf else None
     J = d.function(d.gap_jacobian, d.q) if scene.nc else None
     power_in = d.function([d.input_power], d.q, d.v, d.u)
@@ -86,7 +108,9 @@ def test_power_balance(scene: Scene):
         rate = (slope_q(q, v) @ v + slope_v(q, v) @ a).item()
         contact = float(lam @ (J(q) @ v)) if J is not None else 0.0
         contact += float(friction @ slip(q, v).ravel()) if slip is not None else 0.0
-        assert rate == pytest.approx(power_in(q, v, u).item() - power_out(q, v).item() + contact, abs=1e-9, rel=1e-9)
+        assert rate == pytest.approx(
+            power_in(q, v, u).item() - power_out(q, v).item() + contact, abs=1e-9, rel=1e-9
+        )
 
 
 @pytest.mark.slow
@@ -163,17 +187,26 @@ def test_the_jacobian_of_the_step_against_differences(name: str):
         return np.concatenate([plan.q[-1], plan.v[-1]])
 
     columns = [(after(state + d) - after(state - d)) / 2e-6 for d in 1e-6 * np.eye(len(state))]
-    assert kernel.end_derivatives(state, u, task.step)[0] == pytest.approx(np.array(columns).T, abs=1e-8)
+    assert kernel.end_derivatives(state, u, task.step)[0] == pytest.approx(
+        np.array(columns).T, abs=1e-8
+    )
 
 
 def test_past_the_limit_the_step_does_blow_up():
-    """What the warning promises: contact that is closed once throws the carts out of every bound; below the limit it does not."""
+    """What the warning promises: contact that is closed once throws the carts out of every bound.
+
+    Below the limit it does not.
+    """
     scene = load_scene("three_cart")
     start = np.array([2.5, 2.99, 3.48, 0.0, 0.0, 0.0])
     speeds = []
     for k in (13000.0, 15000.0):
         pressed = scene.with_parameters(k=k)
-        speeds.append(spectral_radius(load_kernel(pressed).end_derivatives(start, np.zeros((1, 2)), scene.task.step)[0]))
+        speeds.append(
+            spectral_radius(
+                load_kernel(pressed).end_derivatives(start, np.zeros((1, 2)), scene.task.step)[0]
+            )
+        )
     assert speeds[0] <= 1.0 + 1e-9
     assert speeds[1] > 1.5
 
@@ -215,7 +248,9 @@ def test_the_order_on_a_free_oscillator(scheme: Scheme) -> None:
     """q = cos t: the slope of log error over log step."""
     kernel, errors = load_kernel(OSCILLATOR), []
     for steps in (8, 16):
-        q, v, made = rollout(kernel, scheme, np.array([1.0, 0.0]), np.zeros((steps, 0)), 2.0 / steps)
+        q, v, made = rollout(
+            kernel, scheme, np.array([1.0, 0.0]), np.zeros((steps, 0)), 2.0 / steps
+        )
         assert made == steps
         errors.append(np.hypot(q[-1, 0] - np.cos(2.0), v[-1, 0] + np.sin(2.0)))
     assert np.log2(errors[0] / errors[1]) == pytest.approx(tableau(scheme).order, abs=0.1)
@@ -232,14 +267,21 @@ def test_the_midpoint_keeps_the_energy_and_radau_loses_some() -> None:
 
 @pytest.mark.parametrize("scheme", COLLOCATIONS)
 def test_a_step_across_a_kink_is_wrong_by_no_more_than_its_bound(scheme: Scheme) -> None:
-    """Two free discs meet after a part of the step; from then on their closing speed is c cos w (t - t_0), w^2 = k (1/m1 + 1/m2)."""
+    """Two free discs meet after a part of the step.
+
+    From then on their closing speed is c cos w (t - t_0), w^2 = k (1/m1 + 1/m2).
+    """
     scene = load_scene("two_body_collision")
     kernel, nothing = load_kernel(scene), np.zeros((1, 0))
     q, v = np.array([scene.task.start[:2]]), np.array([scene.task.start[2:]])
     gap, closing = -float(kernel.penetration(q)[0, 0]), float(v[0, 0] - v[0, 1])
-    response = kernel.acceleration(q, v, nothing, kernel.stiffness()[None]) - kernel.acceleration(q, v, nothing, np.zeros((1, 1)))
+    response = kernel.acceleration(q, v, nothing, kernel.stiffness()[None]) - kernel.acceleration(
+        q, v, nothing, np.zeros((1, 1))
+    )
     w = float(np.sqrt(response[0, 1] - response[0, 0]))
-    share = -float(response[0, 0]) / w**2  # of a change of the closing speed that is the left disc's
+    share = (
+        -float(response[0, 0]) / w**2
+    )  # of a change of the closing speed that is the left disc's
     h = 0.02 / w
     bound = tableau(scheme).switch_constant * h**2 * closing * float(np.abs(response).max())
     errors = []
@@ -249,7 +291,12 @@ def test_a_step_across_a_kink_is_wrong_by_no_more_than_its_bound(scheme: Scheme)
         exact = v[0, 0] - share * closing * (1.0 - np.cos(w * (1.0 - part) * h))
         errors.append(abs(float(after[0, 0]) - exact))
         plan = Trajectory(
-            t=np.array([0.0, h]), q=np.vstack([start, end]), v=np.vstack([v, after]), u=nothing, lam=np.zeros((1, 1)), scheme=scheme
+            t=np.array([0.0, h]),
+            q=np.vstack([start, end]),
+            v=np.vstack([v, after]),
+            u=nothing,
+            lam=np.zeros((1, 1)),
+            scheme=scheme,
         )
         assert switch_error(kernel, plan) == pytest.approx(bound, rel=1e-3)
     assert 0.9 * bound < max(errors) < 1.01 * bound
@@ -257,11 +304,16 @@ def test_a_step_across_a_kink_is_wrong_by_no_more_than_its_bound(scheme: Scheme)
 
 @pytest.mark.parametrize("far", [1e20, 1e60, 1e100, 1e150, 1e160])
 @pytest.mark.parametrize("scheme", COLLOCATIONS)
-def test_a_step_without_a_solution_is_no_number_and_leaves_the_others_alone(scheme: Scheme, far: float) -> None:
+def test_a_step_without_a_solution_is_no_number_and_leaves_the_others_alone(
+    scheme: Scheme, far: float
+) -> None:
     """Of a diverging motion differences are lost in its size, or its squares have no number: once a singular matrix, or a mass matrix of nothing."""
     kernel, u = load_kernel(load_scene("cart_pole_walls")), np.zeros((2, 1))
     q, v = np.array([[0.0, 0.1], [far, 1.0]]), np.array([[0.0, 0.0], [far, far]])
-    both, alone = advance(kernel, scheme, q, v, u, 0.2), advance(kernel, scheme, q[:1], v[:1], u[:1], 0.2)
+    both, alone = (
+        advance(kernel, scheme, q, v, u, 0.2),
+        advance(kernel, scheme, q[:1], v[:1], u[:1], 0.2),
+    )
     for found, own in zip(both, alone, strict=True):
         assert found[0].tobytes() == own[0].tobytes()
         assert np.isnan(found[1]).all()
@@ -277,14 +329,19 @@ def test_a_step_is_the_same_alone_and_beside_others(scheme: Scheme) -> None:
         random.normal(size=(12, 1)),
     )
     together = advance(kernel, scheme, q, v, u, 0.1)
-    alone = [advance(kernel, scheme, *row, 0.1) for row in zip(q[:, None], v[:, None], u[:, None], strict=True)]
+    alone = [
+        advance(kernel, scheme, *row, 0.1)
+        for row in zip(q[:, None], v[:, None], u[:, None], strict=True)
+    ]
     np.testing.assert_array_equal(together, np.concatenate(alone, axis=1))
 
 
 def test_the_defect_is_that_of_the_plans_own_step() -> None:
     scene = load_scene("three_cart")
     kernel = load_kernel(scene)
-    u = 8.0 * np.stack([np.sin(np.linspace(0.0, 6.0, 50)), -np.sin(np.linspace(0.0, 6.0, 50))], axis=1)
+    u = 8.0 * np.stack(
+        [np.sin(np.linspace(0.0, 6.0, 50)), -np.sin(np.linspace(0.0, 6.0, 50))], axis=1
+    )
     q, v, made = rollout(kernel, Scheme.RADAU_IIA_2, np.array(scene.task.start), u, 0.1)
     assert made == 50
     lam = kernel.contact_force(q[:-1])
@@ -295,7 +352,10 @@ def test_the_defect_is_that_of_the_plans_own_step() -> None:
     assert defect(kernel, other).max() > 1e-4
     shifted = q.copy()
     shifted[20, 1] += 1e-5
-    assert defect(kernel, Trajectory(t=plan.t, q=shifted, v=v, u=u, lam=lam, scheme=plan.scheme)).max() >= 1e-5
+    assert (
+        defect(kernel, Trajectory(t=plan.t, q=shifted, v=v, u=u, lam=lam, scheme=plan.scheme)).max()
+        >= 1e-5
+    )
 
 
 def test_friction_is_refused() -> None:
@@ -307,7 +367,12 @@ def test_friction_is_refused() -> None:
 
 def test_a_file_keeps_the_scheme(tmp_path: Path) -> None:
     plan = Trajectory(
-        t=uniform_grid(0.5, 2), q=np.zeros((3, 1)), v=np.ones((3, 1)), u=np.zeros((2, 0)), lam=np.zeros((2, 0)), scheme=Scheme.RADAU_IIA_3
+        t=uniform_grid(0.5, 2),
+        q=np.zeros((3, 1)),
+        v=np.ones((3, 1)),
+        u=np.zeros((2, 0)),
+        lam=np.zeros((2, 0)),
+        scheme=Scheme.RADAU_IIA_3,
     )
     write_netcdf(tmp_path / "plan.nc", plan, OSCILLATOR)
     assert read_netcdf(tmp_path / "plan.nc", OSCILLATOR).scheme is Scheme.RADAU_IIA_3

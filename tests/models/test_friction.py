@@ -15,26 +15,37 @@ from models.trajectory import Trajectory
 
 x1, x2, z, w1, w2, wz, push = sp.symbols("x1 x2 z w1 w2 wz push", real=True)
 m, mu, g, k = sp.symbols("m mu g k", positive=True)
-STEP, STEPS = 0.01, 100
+STEP = 0.01
+STEPS = 100
 LAWS = [(ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3)]
 
 
 def block_on_a_cart(**friction: object) -> Scene:
     """A block rides on a driven cart; nothing but friction moves it."""
-    fields: dict = {"name": "belt", "slip": w2 - w1, "coefficient": mu, "normal_force": m * g} | friction
+    fields: dict = {
+        "name": "belt",
+        "slip": w2 - w1,
+        "coefficient": mu,
+        "normal_force": m * g,
+    } | friction
     return Scene(
         name="block_on_a_cart", title="A block rides on a cart", source="own",
-        coordinates=tuple(Coordinate(symbol=q, velocity=v, unit="m") for q, v in ((x1, w1), (x2, w2), (z, wz))),
+        coordinates=tuple(Coordinate(symbol=q, velocity=v, unit="m") for q,
+                          v in ((x1, w1), (x2, w2), (z, wz))),
         inputs=(Input(symbol=push, unit="N"),),
         parameters=(
-            Parameter(symbol=m, value=2.0, unit="kg"), Parameter(symbol=mu, value=0.3, unit="1"), Parameter(symbol=g, value=10.0, unit="m/s^2"),
+            Parameter(symbol=m, value=2.0, unit="kg"), Parameter(symbol=mu, value=0.3, unit="1"),
+            Parameter(symbol=g, value=10.0, unit="m/s^2"),
             Parameter(symbol=k, value=200.0, unit="N/m"),
         ),
-        kinetic_energy=m * (w1**2 + w2**2 + wz**2) / 2, potential_energy=m * g * z, forces=(push, sp.Integer(0), sp.Integer(0)),
+        kinetic_energy=m * (w1**2 + w2**2 + wz**2) / 2, potential_energy=m * g * z,
+        forces=(push, sp.Integer(0), sp.Integer(0)),
         contacts=(
-            Contact(name="floor", bodies=("block", "ground"), depth=1.0, depth_reason="nothing here goes as deep", penetration=-z, stiffness=k),
+            Contact(name="floor", bodies=("block", "ground"), depth=1.0,
+                    depth_reason="nothing here goes as deep", penetration=-z, stiffness=k),
         ),
-        frictions=(Friction(**fields),), task=Task(start=(0.0,) * 6, goal=(0.0,) * 6, running_cost=push**2, step=STEP, steps=STEPS),
+        frictions=(Friction(**fields),),
+        task=Task(start=(0.0,) * 6, goal=(0.0,) * 6, running_cost=push**2, step=STEP, steps=STEPS),
         limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
     )  # fmt: skip
 
@@ -42,20 +53,33 @@ def block_on_a_cart(**friction: object) -> Scene:
 def two_coupled_frictions() -> Scene:
     """A mass matrix, a slip direction and pressing forces that all depend on the position, and frictions that act on each other."""
     rest = block_on_a_cart()
-    fields = {name: getattr(rest, name) for name in ("title", "source", "coordinates", "inputs", "parameters", "potential_energy")}
+    fields = {
+        name: getattr(rest, name)
+        for name in ("title", "source", "coordinates", "inputs", "parameters", "potential_energy")
+    }
     return Scene(
-        name="two_coupled_frictions", **fields, kinetic_energy=m * (w1**2 + w2**2 + wz**2 * (1 + sp.sin(x1) ** 2 / 4)) / 2,
+        name="two_coupled_frictions", **fields,
+        kinetic_energy=m * (w1**2 + w2**2 + wz**2 * (1 + sp.sin(x1) ** 2 / 4)) / 2,
         forces=(push, sp.Integer(0), sp.Integer(0)), contacts=rest.contacts,
         frictions=(
-            Friction(name="belt", slip=w2 - w1, coefficient=mu, normal_force=m * g * (1 + x1**2 / 10)),
-            Friction(name="foot", slip=w1 * sp.cos(x2) + w2 + wz / 5, coefficient=mu / 2, contact="floor"),
+            Friction(name="belt", slip=w2 - w1, coefficient=mu,
+                     normal_force=m * g * (1 + x1**2 / 10)),
+            Friction(name="foot", slip=w1 * sp.cos(x2) + w2 + wz / 5, coefficient=mu / 2,
+                     contact="floor"),
         ),
-        task=Task(start=(0.0, 0.1, -0.03, 0.0, 0.2, 0.0), goal=(0.0,) * 6, running_cost=push**2, step=STEP, steps=STEPS),
+        task=Task(start=(0.0, 0.1, -0.03, 0.0, 0.2, 0.0), goal=(0.0,) * 6, running_cost=push**2,
+                  step=STEP, steps=STEPS),
         limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
     )  # fmt: skip
 
 
-def roll(kernel: Kernel, scene: Scene, u: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None) -> Rollout:
+def roll(
+    kernel: Kernel,
+    scene: Scene,
+    u: np.ndarray,
+    law: ContactLaw = ContactLaw.RELU,
+    eps: float | None = None,
+) -> Rollout:
     return kernel.rollout(np.array(scene.task.start), u, STEP, law, eps)
 
 
@@ -63,7 +87,9 @@ def roll(kernel: Kernel, scene: Scene, u: np.ndarray, law: ContactLaw = ContactL
 def test_block_sticks_up_to_mu_g_and_then_slips_with_it(acceleration: float) -> None:
     scene = block_on_a_cart()
     kernel = load_kernel(scene)
-    friction = 2.0 * min(acceleration / 2, 3.0)  # both masses 2 kg: while it sticks the push is shared
+    friction = 2.0 * min(
+        acceleration / 2, 3.0
+    )  # both masses 2 kg: while it sticks the push is shared
     result = roll(kernel, scene, np.full((STEPS, 1), 2.0 * acceleration))
     assert np.allclose(result.lam[:, 1], friction, rtol=0, atol=1e-13)
     slip = kernel.slip(result.q[:-1], result.v[1:])
@@ -74,13 +100,19 @@ def test_block_sticks_up_to_mu_g_and_then_slips_with_it(acceleration: float) -> 
 
 def test_block_comes_to_rest_and_stays() -> None:
     scene = block_on_a_cart(slip=w2, normal_force=m * g)
-    start = np.array([0.0, 0.0, 0.0, 0.0, 0.9, 0.0])  # stops after v / (mu g) = 0.3 s, without creep ever after
+    start = np.array(
+        [0.0, 0.0, 0.0, 0.0, 0.9, 0.0]
+    )  # stops after v / (mu g) = 0.3 s, without creep ever after
     result = load_kernel(scene).rollout(start, np.zeros((STEPS, 1)), STEP)
     assert np.array_equal(result.v[31:, 1], np.zeros(STEPS - 30))
-    assert result.q[-1, 1] == pytest.approx(0.9**2 / 6 - 0.9 * STEP / 2, abs=1e-12)  # v^2 / (2 mu g), less half a step: semi-implicit Euler
+    assert result.q[-1, 1] == pytest.approx(
+        0.9**2 / 6 - 0.9 * STEP / 2, abs=1e-12
+    )  # v^2 / (2 mu g), less half a step: semi-implicit Euler
 
 
-@pytest.mark.parametrize("scene", [block_on_a_cart(), two_coupled_frictions()], ids=lambda scene: scene.name)
+@pytest.mark.parametrize(
+    "scene", [block_on_a_cart(), two_coupled_frictions()], ids=lambda scene: scene.name
+)
 def test_coulomb_friction_dissipates_most_within_its_cone(scene: Scene) -> None:
     kernel = load_kernel(scene)
     u = 16.0 * np.random.default_rng(3).normal(size=(STEPS, 1))
@@ -91,15 +123,28 @@ def test_coulomb_friction_dissipates_most_within_its_cone(scene: Scene) -> None:
     sticks = np.abs(force) < limit * (1 - 1e-12)
     assert 0.05 < sticks.mean() < 0.95
     assert np.abs(slip[sticks]).max() < 1e-14
-    assert np.allclose((force * slip)[~sticks], -(limit * np.abs(slip))[~sticks], rtol=0, atol=1e-13)
+    assert np.allclose(
+        (force * slip)[~sticks], -(limit * np.abs(slip))[~sticks], rtol=0, atol=1e-13
+    )
 
 
 def test_regularised_friction_is_the_logistic_function_of_the_slip() -> None:
     scene = two_coupled_frictions()
     kernel = load_kernel(scene)
-    result = roll(kernel, scene, 16.0 * np.random.default_rng(3).normal(size=(STEPS, 1)), ContactLaw.SOFTPLUS, 1e-3)
-    slip, limit = kernel.slip(result.q[:-1], result.v[1:]), kernel.friction_limit(result.q[:-1], result.lam)
-    assert np.allclose(result.lam[:, 1:], -limit * np.tanh(sharpness(1e-3) * slip / (2 * 0.1)), rtol=0, atol=1e-13)
+    result = roll(
+        kernel,
+        scene,
+        16.0 * np.random.default_rng(3).normal(size=(STEPS, 1)),
+        ContactLaw.SOFTPLUS,
+        1e-3,
+    )
+    slip, limit = (
+        kernel.slip(result.q[:-1], result.v[1:]),
+        kernel.friction_limit(result.q[:-1], result.lam),
+    )
+    assert np.allclose(
+        result.lam[:, 1:], -limit * np.tanh(sharpness(1e-3) * slip / (2 * 0.1)), rtol=0, atol=1e-13
+    )
 
 
 @pytest.mark.parametrize("eps", [1e-1, 1e-3, 1e-7, 1e-24])
@@ -107,9 +152,23 @@ def test_regularised_friction_is_found_from_stick_to_slip(eps: float) -> None:
     """Densely where sticking turns into slipping: there Newton's method on tanh goes round in circles for one speed in a thousand."""
     scene = block_on_a_cart(slip=w2, normal_force=m * g)
     kernel, c = load_kernel(scene), sharpness(eps) / (2 * 0.1)
-    limit, grip = 0.3 * 2.0 * 10.0, STEP * 0.3 * 10.0  # mu m g; the speed that it takes away within a step
-    for speed in np.concatenate([np.linspace(0.0, 3.0 * grip, 2000), grip * (1.0 + np.linspace(-1.0, 1.0, 2000) / (1.0 + c * grip))]):
-        result = kernel.rollout(np.array([0.0, 0.0, 0.0, 0.0, speed, 0.0]), np.zeros((1, 1)), STEP, ContactLaw.SOFTPLUS, eps)
+    limit, grip = (
+        0.3 * 2.0 * 10.0,
+        STEP * 0.3 * 10.0,
+    )  # mu m g; the speed that it takes away within a step
+    for speed in np.concatenate(
+        [
+            np.linspace(0.0, 3.0 * grip, 2000),
+            grip * (1.0 + np.linspace(-1.0, 1.0, 2000) / (1.0 + c * grip)),
+        ]
+    ):
+        result = kernel.rollout(
+            np.array([0.0, 0.0, 0.0, 0.0, speed, 0.0]),
+            np.zeros((1, 1)),
+            STEP,
+            ContactLaw.SOFTPLUS,
+            eps,
+        )
         force, slip = result.lam[0, 1], result.v[1, 1]
         # the slip is a difference, of which c makes something of the size of the force
         assert abs(force + limit * np.tanh(c * slip)) <= 1e-14 * limit * (1.0 + c * grip)
@@ -130,7 +189,9 @@ def test_adjoint_is_the_derivative(law: ContactLaw, eps: float | None) -> None:
         return float((moved.q * q_bar).sum() + (moved.v * v_bar).sum())
 
     expected = (loss(1e-6) - loss(-1e-6)) / 2e-6
-    assert float((u_bar * along_u).sum() + start_bar @ along_start) == pytest.approx(expected, rel=1e-6)
+    assert float((u_bar * along_u).sum() + start_bar @ along_start) == pytest.approx(
+        expected, rel=1e-6
+    )
 
 
 def test_friction_is_in_the_equations_and_in_the_plan() -> None:
@@ -140,7 +201,12 @@ def test_friction_is_in_the_equations_and_in_the_plan() -> None:
     assert d.slip_jacobian[1, 0] == sp.cos(x2)
     assert d.generalised_force[1] == d.f[0] + d.f[1]
     assert scene.force_names == ("lam_floor", "friction_belt", "friction_foot")
-    plan = {"t": np.arange(3) * STEP, "q": np.zeros((3, 3)), "v": np.zeros((3, 3)), "u": np.zeros((2, 1))}
+    plan = {
+        "t": np.arange(3) * STEP,
+        "q": np.zeros((3, 3)),
+        "v": np.zeros((3, 3)),
+        "u": np.zeros((2, 1)),
+    }
     Trajectory(**plan, lam=np.zeros((2, 3))).check_fits(scene)
     with pytest.raises(TrajectoryError, match=r"lam has 1 columns, but .* has 3"):
         Trajectory(**plan, lam=np.zeros((2, 1))).check_fits(scene)

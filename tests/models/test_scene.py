@@ -30,7 +30,8 @@ def part(kind: Any, /, **fields: Any) -> Any:
 
 def wall(**changes: Any) -> Contact:
     fields: dict = {
-        "name": "wall", "bodies": ("mass", "wall"), "penetration": x - 1, "stiffness": k, "depth": 0.2, "depth_reason": "a spring",
+        "name": "wall", "bodies": ("mass", "wall"), "penetration": x - 1, "stiffness": k,
+        "depth": 0.2, "depth_reason": "a spring",
     }  # fmt: skip
     return Contact(**(fields | changes))
 
@@ -38,9 +39,12 @@ def wall(**changes: Any) -> Contact:
 def small_scene(**changes: object) -> Scene:
     fields: dict = {
         "name": "small", "title": "a mass before a wall", "source": "this test",
-        "coordinates": (Coordinate(symbol=x, velocity=vx, unit="m"),), "inputs": (Input(symbol=u, unit="N"),),
-        "parameters": (Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=k, value=10.0, unit="N/m")),
-        "kinetic_energy": m * vx**2 / 2, "potential_energy": sp.Integer(0), "forces": (u,), "contacts": (wall(),),
+        "coordinates": (Coordinate(symbol=x, velocity=vx, unit="m"),),
+        "inputs": (Input(symbol=u, unit="N"),),
+        "parameters": (Parameter(symbol=m, value=1.0, unit="kg"),
+                       Parameter(symbol=k, value=10.0, unit="N/m")),
+        "kinetic_energy": m * vx**2 / 2, "potential_energy": sp.Integer(0), "forces": (u,),
+        "contacts": (wall(),),
         "task": Task(start=(0.0, 0.0), goal=(0.5, 0.0), running_cost=u**2, step=0.01, steps=10),
         "limits": goal_limits(position=0.01, velocity=0.01, reason="this test"),
     }  # fmt: skip
@@ -51,7 +55,10 @@ def test_contact_bodies_are_shapes_or_fixed():
     """A scene that draws nothing may name its bodies as it likes."""
     box = Shape(name="mass", kind="disc", x=x, y=sp.Integer(0), size=(1,))
     assert small_scene(shapes=(box,)).contacts[0].bodies == ("mass", "wall")
-    assert small_scene(contacts=(wall(bodies=["here", "there"]),)).contacts[0].bodies == ("here", "there")
+    assert small_scene(contacts=(wall(bodies=["here", "there"]),)).contacts[0].bodies == (
+        "here",
+        "there",
+    )
 
 
 @pytest.mark.parametrize("given", [sp.pi / 3, sp.sqrt(2), sp.Rational(1, 3), np.float32(0.5)])
@@ -66,17 +73,25 @@ def test_what_is_no_number_is_refused(given: Any):
 
 
 def test_a_depth_follows_the_parameters():
-    scene = small_scene(contacts=(wall(depth=w / 4),), parameters=(*small_scene().parameters, Parameter(symbol=w, value=1.0, unit="m")))
+    scene = small_scene(
+        contacts=(wall(depth=w / 4),),
+        parameters=(*small_scene().parameters, Parameter(symbol=w, value=1.0, unit="m")),
+    )
     assert scene.depths == (0.25,)
     assert scene.with_parameters(w=2.0).depths == (0.5,)
 
 
 @pytest.mark.parametrize(("goal", "limits", "missing"), [
-    ((0.5, None), (), "terminal_position_error"), ((0.5, None), ("terminal_position_error",), "replay_terminal_position_error"),
-    ((0.5, 0.0), ("terminal_position_error", "replay_terminal_position_error"), "terminal_velocity_error"),
-    ((None, 0.0), ("terminal_velocity_error",), "replay_terminal_velocity_error"), ((None, None), (), None),
+    ((0.5, None), (), "terminal_position_error"),
+    ((0.5, None), ("terminal_position_error",), "replay_terminal_position_error"),
+    ((0.5, 0.0), ("terminal_position_error", "replay_terminal_position_error"),
+     "terminal_velocity_error"),
+    ((None, 0.0), ("terminal_velocity_error",), "replay_terminal_velocity_error"),
+    ((None, None), (), None),
 ])  # fmt: skip
-def test_a_goal_says_how_near_is_near_enough(goal: tuple, limits: tuple[str, ...], missing: str | None):
+def test_a_goal_says_how_near_is_near_enough(
+    goal: tuple, limits: tuple[str, ...], missing: str | None
+):
     task = Task(start=(0.0, 0.0), goal=goal, running_cost=u**2, step=0.01, steps=10)
     given = tuple(Limit(metric=metric, value=0.01, reason="this test") for metric in limits)
     if missing is None:
@@ -92,9 +107,13 @@ def test_a_goal_says_how_near_is_near_enough(goal: tuple, limits: tuple[str, ...
 
 
 def test_limits_of_a_goal_are_of_the_plan_and_its_replay():
-    found = {limit.metric: limit.value for limit in goal_limits(position=0.02, velocity=0.1, reason="this test")}
+    found = {
+        limit.metric: limit.value
+        for limit in goal_limits(position=0.02, velocity=0.1, reason="this test")
+    }
     assert found == {
-        "terminal_position_error": 0.02, "replay_terminal_position_error": 0.02, "terminal_velocity_error": 0.1,
+        "terminal_position_error": 0.02, "replay_terminal_position_error": 0.02,
+        "terminal_velocity_error": 0.1,
         "replay_terminal_velocity_error": 0.1,
     }  # fmt: skip
     assert goal_limits(reason="nothing is asked") == ()
@@ -103,8 +122,14 @@ def test_limits_of_a_goal_are_of_the_plan_and_its_replay():
 def test_a_metric_has_one_limit():
     """Two that agree are one too many as well: nobody can tell which is meant."""
     one = Limit(metric="replay_error", value=1e-3, reason="a test")
-    for other in (Limit(metric="replay_error", value=1.0, reason="a test"), Limit(metric="replay_error", value=None, reason="a test"), one):
-        with pytest.raises(SceneError, match="there are 2 limits on replay_error; leave one of them"):
+    for other in (
+        Limit(metric="replay_error", value=1.0, reason="a test"),
+        Limit(metric="replay_error", value=None, reason="a test"),
+        one,
+    ):
+        with pytest.raises(
+            SceneError, match="there are 2 limits on replay_error; leave one of them"
+        ):
             small_scene(limits=(*small_scene().limits, one, other))
 
 
@@ -147,7 +172,14 @@ def test_a_quantity_that_moves_may_have_any_value(assumption: str):
 
 
 def test_plain_numbers_are_expressions_and_numbers_of_other_libraries_are_floats():
-    task = part(Task, start=np.array([0, 0]), goal=(sp.Rational(1, 2), np.float32(0)), running_cost=0, step=np.float32(0.5), steps=1)
+    task = part(
+        Task,
+        start=np.array([0, 0]),
+        goal=(sp.Rational(1, 2), np.float32(0)),
+        running_cost=0,
+        step=np.float32(0.5),
+        steps=1,
+    )
     scene = small_scene(potential_energy=0, forces=[0.0], contacts=[wall(stiffness=30)], task=task)
     assert scene.potential_energy is sp.S.Zero
     assert scene.forces[0] is sp.S.Zero, "a force that is not there is left out of every model"
@@ -158,32 +190,45 @@ def test_plain_numbers_are_expressions_and_numbers_of_other_libraries_are_floats
 
 def test_expressions_stay_exact():
     third = sp.Rational(1, 3)
-    scene = small_scene(potential_energy=third, contacts=(wall(penetration=x - third, stiffness=third),))
+    scene = small_scene(
+        potential_energy=third, contacts=(wall(penetration=x - third, stiffness=third),)
+    )
     assert (scene.potential_energy, scene.contacts[0].stiffness) == (third, third)
 
 
 @pytest.mark.parametrize(
     ("force", "words"),
-    [(sp.gamma(x + 2), "gamma, whose derivative contains polygamma"), (sp.sin(sp.LambertW(x + 2)), "LambertW"), (sp.Function("f")(vx), "f")],
+    [(sp.gamma(x + 2), "gamma, whose derivative contains polygamma"),
+     (sp.sin(sp.LambertW(x + 2)), "LambertW"), (sp.Function("f")(vx), "f")],
 )  # fmt: skip
 def test_an_equation_without_a_form_in_c_is_the_scene_s_mistake(force: sp.Expr, words: str):
-    with pytest.raises(SceneError, match=rf"scene small: forces\[x\] contains {words}.*no form in C"):
+    with pytest.raises(
+        SceneError, match=rf"scene small: forces\[x\] contains {words}.*no form in C"
+    ):
         check_expressions(small_scene(forces=(force,)))
     with pytest.raises(SceneError, match=f"task.final_cost contains {words}"):
         check_expressions(small_scene(task=replace(small_scene().task, final_cost=force)))
 
 
 NOT_SMOOTH = {
-    "Abs": (sp.Abs(x), "sqrt(x^2 + r^2) for Abs(x)"), "Max": (sp.Max(x, 1), "(x + y + sqrt((x - y)^2 + r^2))/2 for Max(x, y)"),
-    "Min": (sp.Min(x, 1), "(x + y - sqrt((x - y)^2 + r^2))/2 for Min(x, y)"), "sign": (sp.sign(x), "tanh(x/r) for sign(x)"),
-    "Heaviside": (sp.Heaviside(x), "tanh(x/r)"), "Piecewise": (sp.Piecewise((x, x > 0), (0, True)), "tanh(x/r)"), "floor": (sp.floor(x), "x for floor(x)"),
-    "ceiling": (sp.ceiling(x), "x for ceiling(x)"), "Mod": (sp.Mod(x, 2), "a sine of the same period"),
+    "Abs": (sp.Abs(x), "sqrt(x^2 + r^2) for Abs(x)"),
+    "Max": (sp.Max(x, 1), "(x + y + sqrt((x - y)^2 + r^2))/2 for Max(x, y)"),
+    "Min": (sp.Min(x, 1), "(x + y - sqrt((x - y)^2 + r^2))/2 for Min(x, y)"),
+    "sign": (sp.sign(x), "tanh(x/r) for sign(x)"),
+    "Heaviside": (sp.Heaviside(x), "tanh(x/r)"),
+    "Piecewise": (sp.Piecewise((x, x > 0), (0, True)), "tanh(x/r)"),
+    "floor": (sp.floor(x), "x for floor(x)"),
+    "ceiling": (sp.ceiling(x), "x for ceiling(x)"),
+    "Mod": (sp.Mod(x, 2), "a sine of the same period"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NOT_SMOOTH)
 def test_a_corner_is_said_once(name: str):
-    """Wherever plans need derivatives, and how it is rounded off; a depth is a number, and may be a smallest one."""
+    """Wherever plans need derivatives, and how it is rounded off.
+
+    A depth is a number, and may be a smallest one.
+    """
     bent, advice = NOT_SMOOTH[name]
     task, rubbing = small_scene().task, Friction(name="f", slip=vx, coefficient=1, contact="wall")
     for field, changes in {
@@ -191,7 +236,9 @@ def test_a_corner_is_said_once(name: str):
         "potential_energy": {"potential_energy": k * bent**3},
         "forces[x]": {"forces": (u - k * bent,)},
         "friction f: slip": {"frictions": (replace(rubbing, slip=vx * (2 + bent)),)},
-        "friction f: normal_force": {"frictions": (replace(rubbing, contact=None, normal_force=k * bent),)},
+        "friction f: normal_force": {
+            "frictions": (replace(rubbing, contact=None, normal_force=k * bent),)
+        },
         "task.running_cost": {"task": replace(task, running_cost=u**2 + bent)},
         "task.final_cost": {"task": replace(task, final_cost=bent)},
     }.items():
@@ -206,13 +253,20 @@ def test_a_corner_is_said_once(name: str):
 @pytest.mark.parametrize("field", ["stiffness", "damping"])
 def test_a_corner_of_parameters_is_a_parameter(field: str):
     wall = replace(small_scene().contacts[0], **{field: sp.Max(k, 2 * m)})
-    with pytest.raises(SceneError, match=rf"contact wall: {field} contains Max\(k, 2\*m\), .* make it a parameter of its value"):
+    with pytest.raises(
+        SceneError,
+        match=rf"contact wall: {field} contains Max\(k, 2\*m\), .* make it a parameter of its value",
+    ):
         check_expressions(small_scene(contacts=(wall,)))
 
 
 def test_expressions_without_c_form_are_refused_when_emitted():
     with pytest.raises(SceneError, match=r"scene small: .* contain Integral.*no form in C"):
-        emit_model(small_scene(forces=(u + sp.Integral(sp.cos(sp.Symbol("s") ** 5 + x), (sp.Symbol("s"), 0, 1)),)))
+        emit_model(
+            small_scene(
+                forces=(u + sp.Integral(sp.cos(sp.Symbol("s") ** 5 + x), (sp.Symbol("s"), 0, 1)),)
+            )
+        )
 
 
 def test_a_plan_must_fit_into_memory():
@@ -263,7 +317,9 @@ def test_parameters_made_of_the_step_are_found(kind: str):
     problem = step_problem(text)
     assert problem is not None
     line, words = problem
-    assert "value=" in text.splitlines()[line - 1] or "with_parameters" in text.splitlines()[line - 1]
+    assert (
+        "value=" in text.splitlines()[line - 1] or "with_parameters" in text.splitlines()[line - 1]
+    )
     assert f"the value of parameter {'s' if kind == 'of a table' else 'm'}, " in words
     assert "relaxation_time * damping" in words
     assert "\n" not in words
@@ -278,17 +334,31 @@ def test_parameters_independent_of_the_step_are_accepted(kind: str):
 def test_the_line_and_the_scene_are_named(tmp_path: Path):
     text = (SCENES / "two_link_arm.py").read_text().replace('"two_link_arm"', '"own"')
     path = tmp_path / "own.py"
-    path.write_text(text.replace("q1, q2 =", "STEP = 0.01\nq1, q2 =", 1).replace("step=0.01", "step=STEP"))
+    path.write_text(
+        text.replace("q1, q2 =", "STEP = 0.01\nq1, q2 =", 1).replace("step=0.01", "step=STEP")
+    )
     assert load_scene(str(path)).task.step == 0.01
     path.write_text(path.read_text().replace("value=0.8", "value=80 * STEP"))
-    line = path.read_text().splitlines().index(next(line for line in path.read_text().splitlines() if "80 * STEP" in line)) + 1
+    line = (
+        path.read_text()
+        .splitlines()
+        .index(next(line for line in path.read_text().splitlines() if "80 * STEP" in line))
+        + 1
+    )
     with pytest.raises(SceneError) as caught:
         load_scene(str(path))
     assert not unsaid(caught.value, f"{path}, line {line}: scene own: … parameter m2, 80 * STEP")
 
 
 def test_a_long_file_is_read_at_once():
-    text = "\n".join(["A0 = 1.0", *(f"A{number} = A{number - 1} * 2.0" for number in range(1, 2000)), "STEP = A1999", "Task(step=STEP)"])
+    text = "\n".join(
+        [
+            "A0 = 1.0",
+            *(f"A{number} = A{number - 1} * 2.0" for number in range(1, 2000)),
+            "STEP = A1999",
+            "Task(step=STEP)",
+        ]
+    )
     began = process_time()
     assert step_problem(f"{text}\nParameter(symbol=m, value=A1999)") is not None
     assert step_problem(f"{text}\nParameter(symbol=m, value=A1998)") is None

@@ -28,7 +28,8 @@ def plan() -> Trajectory:
     rng = np.random.default_rng(0)
     steps = 7
     return Trajectory(
-        t=uniform_grid(0.1, steps), q=rng.standard_normal((steps + 1, 3)), v=rng.standard_normal((steps + 1, 3)), u=rng.standard_normal((steps, 2)),
+        t=uniform_grid(0.1, steps), q=rng.standard_normal((steps + 1, 3)),
+        v=rng.standard_normal((steps + 1, 3)), u=rng.standard_normal((steps, 2)),
         lam=rng.uniform(0, 1, (steps, 2)),
     )  # fmt: skip
 
@@ -79,15 +80,22 @@ def test_forces_and_velocities_may_be_left_out(reading):
 
 
 def test_velocities_left_out_are_those_of_the_time_step(reading):
-    """Semi-implicit Euler: q[t+1] = q[t] + h v[t+1]; at the task's start the task's velocities, here at rest."""
+    """Semi-implicit Euler: q[t+1] = q[t] + h v[t+1].
+
+    At the task's start the task's velocities, here at rest.
+    """
     plan = reading("t,q1,q2,q3,u1,u3\n0,2,3,4,1,0\n0.5,2.25,3,4,1,0\n1.5,3,3,4.5,,\n")
     assert np.allclose(plan.v, [[0, 0, 0], [0.5, 0, 0], [0.75, 0, 0.5]], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("text", [
-    PLAIN.replace("\n", "\r\n"), "\ufeff" + PLAIN, PLAIN.replace(",", ";"), PLAIN.replace(",", ";").replace("0.5", "0,5"), PLAIN.replace(",", "\t"),
-    PLAIN.replace(",", " , "), PLAIN.replace("t,q1", '"t","q1"'), "# mine\n\n" + PLAIN + "\n", PLAIN.replace(",,", ""),
-], ids=["CRLF", "BOM", "semicolons", "decimal commas", "tabs", "spaces", "quotes", "comments", "short last row"])  # fmt: skip
+    PLAIN.replace("\n", "\r\n"), "\ufeff" + PLAIN, PLAIN.replace(",", ";"),
+    PLAIN.replace(",", ";").replace("0.5", "0,5"), PLAIN.replace(",", "\t"),
+    PLAIN.replace(",", " , "), PLAIN.replace("t,q1", '"t","q1"'), "# mine\n\n" + PLAIN + "\n",
+    PLAIN.replace(",,", ""),
+],
+ids=["CRLF", "BOM", "semicolons", "decimal commas", "tabs", "spaces", "quotes", "comments",
+     "short last row"])  # fmt: skip
 def test_csv_of_other_programs_is_read(reading, text: str):
     plan = reading(text)
     assert plan.t.tolist() == [0.0, 1.0, 2.0]
@@ -96,16 +104,21 @@ def test_csv_of_other_programs_is_read(reading, text: str):
 
 
 @pytest.mark.parametrize(("text", "words"), [
-    ("", ["0 rows"]), ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n", ["1 row;"]), ("t,q1,q2,q3,u1,u3,w\n0,0,1,2,1,0,1\n1,1,2,3,1,0,1\n", ["'w'", "unknown"]),
-    ("t,q1,q2,q3,u1\n0,0,1,2,1\n1,1,2,3,1\n", ["'u3'", "missing"]), ("t,q1,q1,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'q1'", "twice"]),
+    ("", ["0 rows"]), ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n", ["1 row;"]),
+    ("t,q1,q2,q3,u1,u3,w\n0,0,1,2,1,0,1\n1,1,2,3,1,0,1\n", ["'w'", "unknown"]),
+    ("t,q1,q2,q3,u1\n0,0,1,2,1\n1,1,2,3,1\n", ["'u3'", "missing"]),
+    ("t,q1,q1,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'q1'", "twice"]),
     ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,x,2,3,1,0\n", ["line 3", "'q1'", "'x'"]),
     ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,nan,2,3,1,0\n", ["line 3, column 'q1': 'nan'", "finite"]),
-    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n0,1,2,3,1,0\n", ["time must increase"]), ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1\n", ["line 3"]),
+    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n0,1,2,3,1,0\n", ["time must increase"]),
+    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1\n", ["line 3"]),
     ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0,7\n1,1,2,3,1,0\n", ["line 2", "7 cells", "6 columns"]),
     ("# mine\n\nt,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,x,2,3,1,0\n", ["line 5", "'x'"]),
-    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1_0,2,3,1,0\n", ["line 3, column 'q1': '1_0' is not a number"]),
+    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1_0,2,3,1,0\n",
+     ["line 3, column 'q1': '1_0' is not a number"]),
     ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,٣,2,3,1,0\n", ["line 3, column 'q1': '٣' is not a number"]),
-    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1e999,2,3,1,0\n", ["line 3, column 'q1': '1e999' is not a finite number"]),
+    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1e999,2,3,1,0\n",
+     ["line 3, column 'q1': '1e999' is not a finite number"]),
     ("0,0,1,2,1,0\n1,1,2,3,1,0\n2,1,2,3,1,0\n", ["first line holds numbers", "header"]),
     (",t,q1,q2,q3,u1,u3\n0,0,0,1,2,1,0\n1,1,1,2,3,1,0\n", ["column 1 has no name", "index=False"]),
     ("time,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'time'", "did you mean 't'?"]),
@@ -126,26 +139,43 @@ def test_bad_csv_names_line_and_column(tmp_path: Path, reading, text: str, words
     ("# Hold: linear\n", None, Hold.LINEAR),
     ("  # scheme: semi_implicit_euler\n", Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
     ('"# scheme: semi_implicit_euler"\n', Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
-    ('"# scheme: semi_implicit_euler",,,\n"# mine",,\n', Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
+    ('"# scheme: semi_implicit_euler",,,\n"# mine",,\n', Scheme.SEMI_IMPLICIT_EULER,
+     Hold.ZERO_ORDER),
     ("\t# hold: linear;;;\n", None, Hold.LINEAR),
-    ("# hold the line\n# scheme of mine\n# hold\n# scheme\n# hold zero or linear\n", None, Hold.ZERO_ORDER),
-    ("# made by: me\n# on: Monday\n# a plan; hold your breath\n", None, Hold.ZERO_ORDER),  # any other comment is a comment
+    ("# hold the line\n# scheme of mine\n# hold\n# scheme\n# hold zero or linear\n", None,
+     Hold.ZERO_ORDER),
+    ("# made by: me\n# on: Monday\n# a plan; hold your breath\n", None,
+     Hold.ZERO_ORDER),  # any other comment is a comment
 ])  # fmt: skip
 def test_comments_declare_scheme_and_hold(reading, above: str, scheme, hold):
     plan = reading(above + PLAIN)
     assert (plan.scheme, plan.hold) == (scheme, hold)
 
 
-@pytest.mark.parametrize(("above", "words"), [
-    ("# sheme: semi_implicit_euler\n", "line 1: … no 'sheme' … did you mean 'scheme'?"),
-    ("# mine\n# holds: zero\n", "line 2: … no 'holds' … did you mean 'hold'?"),
-    ("# scheme semi_implicit_euler\n", "line 1: '# scheme semi_implicit_euler' declares nothing; write '# scheme: semi_implicit_euler'."),
-    ("# mine\n# Hold  linear\n", "line 2: '# Hold  linear' declares nothing; write '# hold: linear'."),
-    ("# scheme: semi_implicit_eular\n", "scheme 'semi_implicit_eular' … did you mean semi_implicit_euler?"),
-    ("# scheme: my own\n", "scheme 'my own' … there are semi_implicit_euler,"), ("# scheme: my own\n", "without this line it declares none"),
-    ("# hold: cubic\n", "hold 'cubic' … zero or linear"), ("# hold: zero\n# hold: linear\n", "line 2: … hold 'linear', but 'zero' before"),
-    ("# scheme: semi_implicit_euler\n# hold: linear\n", "the plan's hold is linear; leave one"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("above", "words"),
+    [
+        ("# sheme: semi_implicit_euler\n", "line 1: … no 'sheme' … did you mean 'scheme'?"),
+        ("# mine\n# holds: zero\n", "line 2: … no 'holds' … did you mean 'hold'?"),
+        (
+            "# scheme semi_implicit_euler\n",
+            "line 1: '# scheme semi_implicit_euler' declares nothing; write '# scheme: semi_implicit_euler'.",
+        ),
+        (
+            "# mine\n# Hold  linear\n",
+            "line 2: '# Hold  linear' declares nothing; write '# hold: linear'.",
+        ),
+        (
+            "# scheme: semi_implicit_eular\n",
+            "scheme 'semi_implicit_eular' … did you mean semi_implicit_euler?",
+        ),
+        ("# scheme: my own\n", "scheme 'my own' … there are semi_implicit_euler,"),
+        ("# scheme: my own\n", "without this line it declares none"),
+        ("# hold: cubic\n", "hold 'cubic' … zero or linear"),
+        ("# hold: zero\n# hold: linear\n", "line 2: … hold 'linear', but 'zero' before"),
+        ("# scheme: semi_implicit_euler\n# hold: linear\n", "the plan's hold is linear; leave one"),
+    ],
+)
 def test_a_declaration_that_is_none_is_refused(tmp_path: Path, reading, above: str, words: str):
     with pytest.raises(TrajectoryError) as caught:
         reading(above + PLAIN)
@@ -179,28 +209,45 @@ def test_half_a_group_of_columns_is_refused(reading, scene, header: str, words: 
 
 def test_empty_columns_are_as_none(reading, scene):
     """As a spreadsheet, or pandas, writes what is not known."""
-    plan = reading("t,q1,q2,q3,v1,v2,v3,u1,u3,lam_left,lam_right\n0,0,1,2,,,,1,0,,\n1,1,2,3,,,,1,0,,\n2,2,3,4,,,,,\n")
+    plan = reading(
+        "t,q1,q2,q3,v1,v2,v3,u1,u3,lam_left,lam_right\n0,0,1,2,,,,1,0,,\n1,1,2,3,,,,1,0,,\n2,2,3,4,,,,,\n"
+    )
     assert (plan.steps, plan.missing) == (2, {"v", "lam"})
-    nothing = dict.fromkeys(("q1", "q2", "q3", "lam_left"), np.full(3, np.nan)) | {"lam_right": [None] * 3}
-    plan = trajectory_from(ArrayTable({"t": np.arange(3.0), "u1": np.ones(2), "u3": np.ones(2)} | nothing), scene)
+    nothing = dict.fromkeys(("q1", "q2", "q3", "lam_left"), np.full(3, np.nan)) | {
+        "lam_right": [None] * 3
+    }
+    plan = trajectory_from(
+        ArrayTable({"t": np.arange(3.0), "u1": np.ones(2), "u3": np.ones(2)} | nothing), scene
+    )
     assert (plan.missing, plan.q[-1].tolist()) == ({"q", "v", "lam"}, list(scene.task.start[:3]))
     with pytest.raises(TrajectoryError, match="the column 'u3' is empty; it has t, u1"):
         reading("t,u1,u3\n0,1,\n1,1,\n")
-    with pytest.raises(TrajectoryError, match="the column 'q3' is empty beside 'q1'; give q1, q2, q3, or none"):
+    with pytest.raises(
+        TrajectoryError, match="the column 'q3' is empty beside 'q1'; give q1, q2, q3, or none"
+    ):
         reading("t,q1,q2,q3,u1,u3\n0,0,1,,1,0\n1,1,2,,1,0\n")
 
 
 @pytest.mark.parametrize("last", [True, False])
-def test_inputs_alone_last_as_long_as_the_task_with_and_without_a_final_time(reading, scene, last: bool):
-    """five hundred inputs at 0, 0.01 .. 4.99 s: the last is held for one step more, whether or not 5 s stands there without one."""
+def test_inputs_alone_last_as_long_as_the_task_with_and_without_a_final_time(
+    reading, scene, last: bool
+):
+    """five hundred inputs at 0, 0.01 ..
+
+    4.99 s: the last is held for one step more, whether or not 5 s stands there without one.
+    """
     task = scene.task
-    rows = [f"{task.step * n!r},{n % 3},{-(n % 2)}" for n in range(task.steps)] + [f"{task.horizon!r},,"] * last
+    rows = [f"{task.step * n!r},{n % 3},{-(n % 2)}" for n in range(task.steps)] + [
+        f"{task.horizon!r},,"
+    ] * last
     plan = reading("\n".join(["t,u1,u3", *rows]) + "\n")
     assert plan.steps == task.steps
     assert plan.duration == pytest.approx(task.horizon, abs=1e-12)
     assert plan.u[-1].tolist() == [(task.steps - 1) % 3, -((task.steps - 1) % 2)]
     assert plan.missing == {"q", "v", "lam"}
-    assert np.array_equal(plan.q, np.tile(task.start[:3], (task.steps + 1, 1))), "it stands in for the start alone"
+    assert np.array_equal(plan.q, np.tile(task.start[:3], (task.steps + 1, 1))), (
+        "it stands in for the start alone"
+    )
     arrays = {"t": plan.t[: task.steps + last], "u1": plan.u[:, 0], "u3": plan.u[:, 1]}
     again = trajectory_from(ArrayTable(arrays), scene)
     assert np.array_equal(again.t, plan.t)
@@ -209,24 +256,49 @@ def test_inputs_alone_last_as_long_as_the_task_with_and_without_a_final_time(rea
 
 def test_inputs_at_both_ends_of_the_last_step_need_no_step_more(reading, scene):
     task = scene.task
-    text = "\n".join(["# hold: linear", "t,u1,u3", *(f"{task.step * n!r},{n},0" for n in range(task.steps + 1))]) + "\n"
+    text = (
+        "\n".join(
+            [
+                "# hold: linear",
+                "t,u1,u3",
+                *(f"{task.step * n!r},{n},0" for n in range(task.steps + 1)),
+            ]
+        )
+        + "\n"
+    )
     plan = reading(text)
     assert plan.steps == task.steps
     assert plan.u_end.tolist() == [task.steps, 0.0]
     text = text.replace("linear", "zero")
     held = reading(text)
-    assert (held.steps, held.u_end.tolist()) == (task.steps, [task.steps, 0.0])  # kept, for who should have said `linear`
-    text = text.replace(f"{task.step * task.steps!r},{task.steps},0", f"{task.step * task.steps!r},x,0")
+    assert (held.steps, held.u_end.tolist()) == (
+        task.steps,
+        [task.steps, 0.0],
+    )  # kept, for who should have said `linear`
+    text = text.replace(
+        f"{task.step * task.steps!r},{task.steps},0", f"{task.step * task.steps!r},x,0"
+    )
     assert reading(text).u_end is None, "a held input has no use for what stands there"
 
 
-ARRAYS = {"t": np.arange(4.0), "q1": np.arange(4.0), "q2": np.arange(4.0), "q3": np.arange(4.0), "u1": np.ones(4), "u3": np.ones(3)}
+ARRAYS = {
+    "t": np.arange(4.0),
+    "q1": np.arange(4.0),
+    "q2": np.arange(4.0),
+    "q3": np.arange(4.0),
+    "u1": np.ones(4),
+    "u3": np.ones(3),
+}
 
 
 @pytest.mark.parametrize("changes", [
-    {}, {"u1": np.array([1.0, 1.0, 1.0, np.nan])}, {"u1": [1, 1, 1]}, {"q1": (0, 1, 2, 3)}, {"u1": [True, True, True]},
-    {"u1": np.array([1, Decimal(1), "1.0", None], dtype=object)}, {"q1": ["0", " 1 ", "2.", "+3e0"]}, {"q1": np.ma.masked_array(np.arange(4.0))},
-], ids=["as long as t", "ends in NaN", "one shorter", "no array", "truth", "objects", "text", "a mask that masks nothing"])  # fmt: skip
+    {}, {"u1": np.array([1.0, 1.0, 1.0, np.nan])}, {"u1": [1, 1, 1]}, {"q1": (0, 1, 2, 3)},
+    {"u1": [True, True, True]},
+    {"u1": np.array([1, Decimal(1), "1.0", None], dtype=object)},
+    {"q1": ["0", " 1 ", "2.", "+3e0"]}, {"q1": np.ma.masked_array(np.arange(4.0))},
+],
+ids=["as long as t", "ends in NaN", "one shorter", "no array", "truth", "objects", "text",
+     "a mask that masks nothing"])  # fmt: skip
 def test_arrays_by_name_are_a_plan(scene, changes: dict):
     plan = trajectory_from(ArrayTable(ARRAYS | changes, scheme="semi_implicit_euler"), scene)
     assert (plan.steps, plan.scheme, plan.missing) == (3, Scheme.SEMI_IMPLICIT_EULER, {"v", "lam"})
@@ -235,15 +307,23 @@ def test_arrays_by_name_are_a_plan(scene, changes: dict):
 
 
 @pytest.mark.parametrize(("changes", "words"), [
-    ({"q2": np.arange(3.0)}, "the column 'q2' has 3 numbers, but t has 4"), ({"u1": np.ones(2)}, "the column 'u1' has 2 numbers, but t has 4"),
-    ({"q2": np.array([0.0, np.nan, 2.0, 3.0])}, "'q2', row 1: nan"), ({"q2": np.zeros((4, 2))}, "the column 'q2' has shape (4, 2)"),
-    ({"q2": ["a", "b", "c", "d"]}, "'q2' … real numbers … 'a'"), ({"q2": ["0", "1_0", "2", "3"]}, "'q2' … real numbers … '1_0'"),
-    ({"q2": np.arange(4) + 5j}, "'q2' … complex128 … real numbers"), ({"q2": np.array([1j, 1, 2, 3], dtype=object)}, "'q2' … real numbers … 1j"),
+    ({"q2": np.arange(3.0)}, "the column 'q2' has 3 numbers, but t has 4"),
+    ({"u1": np.ones(2)}, "the column 'u1' has 2 numbers, but t has 4"),
+    ({"q2": np.array([0.0, np.nan, 2.0, 3.0])}, "'q2', row 1: nan"),
+    ({"q2": np.zeros((4, 2))}, "the column 'q2' has shape (4, 2)"),
+    ({"q2": ["a", "b", "c", "d"]}, "'q2' … real numbers … 'a'"),
+    ({"q2": ["0", "1_0", "2", "3"]}, "'q2' … real numbers … '1_0'"),
+    ({"q2": np.arange(4) + 5j}, "'q2' … complex128 … real numbers"),
+    ({"q2": np.array([1j, 1, 2, 3], dtype=object)}, "'q2' … real numbers … 1j"),
     ({"t": np.arange(4).astype("timedelta64[ms]")}, "the column 't' is of type timedelta64[ms]"),
     ({"t": np.arange(4).astype("datetime64[ms]")}, "the column 't' is of type datetime64[ms]"),
-    ({"t": np.array([timedelta(seconds=n) for n in range(4)])}, "'t' … real numbers … datetime.timedelta(0)"),
-    ({"q2": np.ma.masked_equal(np.arange(4.0), 2.0)}, "the column 'q2' has masked values"), ({"q2": [[1.0], 2.0, 3.0, 4.0]}, "'q2' … rows of equal length"),
-    ({0: np.zeros(4)}, "called 0 … must be text"), ({"q4": np.zeros(4)}, "the column 'q4' is unknown"), ({"t": np.zeros(1)}, "1 row; at least two"),
+    ({"t": np.array([timedelta(seconds=n) for n in range(4)])},
+     "'t' … real numbers … datetime.timedelta(0)"),
+    ({"q2": np.ma.masked_equal(np.arange(4.0), 2.0)}, "the column 'q2' has masked values"),
+    ({"q2": [[1.0], 2.0, 3.0, 4.0]}, "'q2' … rows of equal length"),
+    ({0: np.zeros(4)}, "called 0 … must be text"),
+    ({"q4": np.zeros(4)}, "the column 'q4' is unknown"),
+    ({"t": np.zeros(1)}, "1 row; at least two"),
 ])  # fmt: skip
 def test_wrong_arrays_are_named(scene, changes: dict, words: str):
     with pytest.raises(TrajectoryError, match=saying(words)):
@@ -252,7 +332,9 @@ def test_wrong_arrays_are_named(scene, changes: dict, words: str):
 
 def test_arrays_without_time_are_refused(scene):
     with pytest.raises(TrajectoryError, match="the column 't' is missing"):
-        trajectory_from(ArrayTable({name: values for name, values in ARRAYS.items() if name != "t"}), scene)
+        trajectory_from(
+            ArrayTable({name: values for name, values in ARRAYS.items() if name != "t"}), scene
+        )
 
 
 def test_a_file_that_is_no_text(tmp_path: Path, scene):
@@ -267,29 +349,45 @@ def test_a_file_that_is_no_text(tmp_path: Path, scene):
 def test_a_file_of_another_kind_is_called_what_it_is(tmp_path: Path, scene):
     path, kinds = (
         tmp_path / "plan.csv",
-        {b"\xef\xbb\xbf\n <!doctype html>\n<p>\n": "HTML or XML", b'{"t": [0],\n"u1": [1],\n': "JSON", b"[[0, 1],\n [1, 2]]": "JSON"},
+        {
+            b"\xef\xbb\xbf\n <!doctype html>\n<p>\n": "HTML or XML",
+            b'{"t": [0],\n"u1": [1],\n': "JSON",
+            b"[[0, 1],\n [1, 2]]": "JSON",
+        },
     )
     np.savez(tmp_path / "plan.npz", t=np.arange(3.0))
     np.save(tmp_path / "plan.npy", np.arange(3.0))
-    kinds |= {(tmp_path / "plan.npz").read_bytes(): "a zip archive, as .npz", (tmp_path / "plan.npy").read_bytes(): "an array of NumPy"}
+    kinds |= {
+        (tmp_path / "plan.npz").read_bytes(): "a zip archive, as .npz",
+        (tmp_path / "plan.npy").read_bytes(): "an array of NumPy",
+    }
     for data, words in kinds.items():
         path.write_bytes(data)
         with pytest.raises(
             TrajectoryError,
-            match=saying(f"plan {path}: it is {words} … a plan is a CSV file; … not of an FMU, also … NetCDF file called .nc"),
+            match=saying(
+                f"plan {path}: it is {words} … a plan is a CSV file; … not of an FMU, also … NetCDF file called .nc"
+            ),
         ):
             read_csv(path, scene)
 
 
 @pytest.mark.parametrize(("changes", "word"), [
-    ({"t": np.zeros(8)}, "increase"), ({"q": np.zeros((7, 3))}, "q has shape"), ({"v": np.zeros((8, 2))}, "agree"),
+    ({"t": np.zeros(8)}, "increase"), ({"q": np.zeros((7, 3))}, "q has shape"),
+    ({"v": np.zeros((8, 2))}, "agree"),
     ({"u": np.full((7, 2), np.nan)}, r"u\[0, 0\]"), ({"u_end": np.zeros(3)}, "u_end has shape"),
-    ({"scheme": Scheme.SEMI_IMPLICIT_EULER, "hold": Hold.LINEAR}, "holds its inputs over each step"),
-    ({"scheme": "rk4"}, "the scheme 'rk4' is unknown; there are semi_implicit_euler"), ({"scheme": ["radau_iia_2"]}, "the scheme .* is unknown"),
-    ({"hold": "cubic"}, "the hold 'cubic'.*zero or linear"), ({"hold": None}, "the hold None.*zero or linear"),
-    ({"missing": None}, "missing is None.*'q', 'v', 'lam', 'friction', or empty"), ({"missing": "lam"}, "missing is 'lam', but must be a set"),
-    ({"missing": {"foo"}}, "missing is {'foo'}, but must be a set"), ({"missing": [["q"]]}, "missing is .*, but must be a set"),
-    ({"q": np.full((8, 3), 1j)}, "q is of type complex128"), ({"u": "fast"}, "u must be real numbers, but holds 'fast'"),
+    ({"scheme": Scheme.SEMI_IMPLICIT_EULER, "hold": Hold.LINEAR},
+     "holds its inputs over each step"),
+    ({"scheme": "rk4"}, "the scheme 'rk4' is unknown; there are semi_implicit_euler"),
+    ({"scheme": ["radau_iia_2"]}, "the scheme .* is unknown"),
+    ({"hold": "cubic"}, "the hold 'cubic'.*zero or linear"),
+    ({"hold": None}, "the hold None.*zero or linear"),
+    ({"missing": None}, "missing is None.*'q', 'v', 'lam', 'friction', or empty"),
+    ({"missing": "lam"}, "missing is 'lam', but must be a set"),
+    ({"missing": {"foo"}}, "missing is {'foo'}, but must be a set"),
+    ({"missing": [["q"]]}, "missing is .*, but must be a set"),
+    ({"q": np.full((8, 3), 1j)}, "q is of type complex128"),
+    ({"u": "fast"}, "u must be real numbers, but holds 'fast'"),
 ])  # fmt: skip
 def test_shapes_are_checked(plan: Trajectory, changes: dict, word: str):
     with pytest.raises(TrajectoryError, match=word):
@@ -309,22 +407,32 @@ def test_a_plan_of_another_scene_is_refused(scene, plan: Trajectory):
 
 
 @pytest.mark.parametrize("scheme", Scheme)
-def test_a_scheme_that_the_scene_does_not_have_is_refused_where_the_two_meet(tmp_path: Path, scheme: Scheme):
+def test_a_scheme_that_the_scene_does_not_have_is_refused_where_the_two_meet(
+    tmp_path: Path, scheme: Scheme
+):
     """Friction has no collocation step, whoever reads the plan."""
     rubbing, path = load_scene("hopper_planar"), tmp_path / "plan.csv"
     t = uniform_grid(rubbing.task.step, rubbing.task.steps)
     columns = {"t": t} | {item.name: np.zeros(len(t) - 1) for item in rubbing.inputs}
-    rows = ["t," + ",".join(item.name for item in rubbing.inputs), "0" + ",0" * rubbing.nu, "1" + "," * rubbing.nu]
+    rows = [
+        "t," + ",".join(item.name for item in rubbing.inputs),
+        "0" + ",0" * rubbing.nu,
+        "1" + "," * rubbing.nu,
+    ]
     path.write_text(f"# scheme: {scheme.value}\n" + "\n".join(rows) + "\n")
     bare = replace(trajectory_from(ArrayTable(columns), rubbing), scheme=scheme)
     readers = (
-        lambda: bare.check_fits(rubbing), lambda: trajectory_from(ArrayTable(columns, scheme=scheme.value), rubbing), lambda: read_csv(path, rubbing),
+        lambda: bare.check_fits(rubbing),
+        lambda: trajectory_from(ArrayTable(columns, scheme=scheme.value), rubbing),
+        lambda: read_csv(path, rubbing),
     )  # fmt: skip
     for read in readers:
         if scheme is Scheme.SEMI_IMPLICIT_EULER:
             read()
         else:
-            with pytest.raises(TrajectoryError, match=f"scheme {scheme.value}, .*hopper_planar.*semi_implicit"):
+            with pytest.raises(
+                TrajectoryError, match=f"scheme {scheme.value}, .*hopper_planar.*semi_implicit"
+            ):
                 read()
 
 

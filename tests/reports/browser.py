@@ -35,7 +35,10 @@ class BrowserError(Exception):
 
 @dataclass
 class Page:
-    """An open page. messages: console output, exceptions and policy violations; requests: addresses asked for, the page's own first."""
+    """An open page. messages: console output, exceptions and policy violations.
+
+    requests: addresses asked for, the page's own first.
+    """
 
     browser: Browser
     session: str
@@ -48,7 +51,9 @@ class Page:
 
     def evaluate(self, expression: str):
         """The value of a JavaScript expression; it must be plain JSON."""
-        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        answer = self.call(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
         if "exceptionDetails" in answer:
             raise BrowserError(f"{expression}: {json.dumps(answer['exceptionDetails'])[:500]}")
         return answer["result"].get("value")
@@ -57,7 +62,9 @@ class Page:
         for kind in ("keyDown" if key == "Enter" else "rawKeyDown", "keyUp"):
             self.call(
                 "Input.dispatchKeyEvent", type=kind, key=key, code=key,
-                windowsVirtualKeyCode={"Tab": 9, "ArrowRight": 39, "End": 35, "Enter": 13, " ": 32}.get(key, 0), **({"text": "\r"} if kind == "keyDown" else {}),
+                windowsVirtualKeyCode={"Tab": 9, "ArrowRight": 39, "End": 35, "Enter": 13,
+                                       " ": 32}.get(key, 0),
+                                       **({"text": "\r"} if kind == "keyDown" else {}),
             )  # fmt: skip
 
     def heard(self, method: str, parameters: dict) -> None:
@@ -97,7 +104,8 @@ class Browser:
             f"--user-data-dir={profile}",
         ]
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _LAUNCHER, str(command_reads), str(answer_writes), *arguments], pass_fds=(command_reads, answer_writes),
+            [sys.executable, "-c", _LAUNCHER, str(command_reads), str(answer_writes), *arguments],
+            pass_fds=(command_reads, answer_writes),
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
         os.close(command_reads)
@@ -133,15 +141,32 @@ class Browser:
     ) -> Page:
         """Open a file of this machine and wait until it is loaded. metered: `Performance.getMetrics` then tells CPU seconds of its main thread."""
         target = self.call("Target.createTarget", None, url="about:blank")["targetId"]
-        session = self.call("Target.attachToTarget", None, targetId=target, flatten=True)["sessionId"]
+        session = self.call("Target.attachToTarget", None, targetId=target, flatten=True)[
+            "sessionId"
+        ]
         page = self._pages[session] = Page(self, session)
         for domain in ("Page", "Runtime", "Network", "Log"):
             page.call(f"{domain}.enable")
         if metered:
             page.call("Performance.enable", timeDomain="threadTicks")
-        page.call("Network.emulateNetworkConditions", offline=True, latency=0, downloadThroughput=0, uploadThroughput=0)
-        page.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
-        page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}])
+        page.call(
+            "Network.emulateNetworkConditions",
+            offline=True,
+            latency=0,
+            downloadThroughput=0,
+            uploadThroughput=0,
+        )
+        page.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=width < 600,
+        )
+        page.call(
+            "Emulation.setEmulatedMedia",
+            features=[{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}],
+        )
         if not script:
             page.call("Emulation.setScriptExecutionDisabled", value=True)
         page.call("Page.navigate", url=path.resolve().as_uri() + fragment)
@@ -153,7 +178,9 @@ class Browser:
     def call(self, method: str, session: str | None, **parameters: object) -> dict:
         self._number += 1
         number = self._number
-        message = {"id": number, "method": method, "params": parameters} | ({"sessionId": session} if session else {})
+        message = {"id": number, "method": method, "params": parameters} | (
+            {"sessionId": session} if session else {}
+        )
         data = json.dumps(message).encode() + b"\0"
         while data:
             data = data[os.write(self._to, data) :]
@@ -170,7 +197,11 @@ class Browser:
             ready, _, _ = select.select([self._from], [], [], max(0.0, limit - time.monotonic()))
             data = os.read(self._from, 1 << 20) if ready else b""
             if not data:
-                raise BrowserError("the browser does not answer" if not ready else f"the browser ended ({self._process.poll()})")
+                raise BrowserError(
+                    "the browser does not answer"
+                    if not ready
+                    else f"the browser ended ({self._process.poll()})"
+                )
             self._buffer += data
         text, self._buffer = self._buffer.split(b"\0", 1)
         message = json.loads(text)

@@ -34,7 +34,9 @@ def factory():
 @pytest.fixture(scope="session")
 def chromium(tmp_path_factory: pytest.TempPathFactory):
     """An open browser; without one the tests are skipped, except in CI, where that is a failure."""
-    executable = os.environ.get("TOUCHSTONE_CHROMIUM") or next((found for name in _NAMES if (found := shutil.which(name))), None)
+    executable = os.environ.get("TOUCHSTONE_CHROMIUM") or next(
+        (found for name in _NAMES if (found := shutil.which(name))), None
+    )
     if executable is None:
         sentence = f"no Chromium on this machine (looked for {', '.join(_NAMES)}); install one or set TOUCHSTONE_CHROMIUM to its path."
         if os.environ.get("CI") == "true":
@@ -48,9 +50,16 @@ def chromium(tmp_path_factory: pytest.TempPathFactory):
 def full_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All eight pipelines, a crash, a time limit, a refusal, a cut record, and a cell without one."""
     odd = _load("odd_records")
-    records = [*factory.runs(), odd.crashed(factory), odd.out_of_time(factory), odd.refused(factory)]
+    records = [
+        *factory.runs(),
+        odd.crashed(factory),
+        odd.out_of_time(factory),
+        odd.refused(factory),
+    ]
     keys = (*(record.key for record in records), "gone-1")
-    campaign = factory.campaign(records, keys=keys, quick=True, left_out=("the multistart pipelines",))
+    campaign = factory.campaign(
+        records, keys=keys, quick=True, left_out=("the multistart pipelines",)
+    )
     folder = factory.store(tmp_path_factory.mktemp("full") / "all", records, campaign)
     (folder / "runs" / "cut-1").mkdir()
     (folder / "runs" / "cut-1" / "record.json").write_text(records[0].model_dump_json()[:3000])
@@ -62,10 +71,18 @@ def full_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def hostile_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One good run beside one whose every string is markup that would run if it were not escaped."""
     records = [factory.runs()[0], _load("odd_records").hostile(factory)]
-    campaign = factory.campaign(records, title=factory.HOSTILE, command=factory.HOSTILE, left_out=(factory.HOSTILE,), quick=True)
+    campaign = factory.campaign(
+        records,
+        title=factory.HOSTILE,
+        command=factory.HOSTILE,
+        left_out=(factory.HOSTILE,),
+        quick=True,
+    )
     campaign = campaign.model_copy(update={"keys": (*campaign.keys, factory.HOSTILE)})
     folder = factory.store(tmp_path_factory.mktemp("hostile") / "all", records, campaign)
-    (folder / SIMULATORS).write_text(factory.simulators(records[1].key, factory.HOSTILE).model_dump_json())
+    (folder / SIMULATORS).write_text(
+        factory.simulators(records[1].key, factory.HOSTILE).model_dump_json()
+    )
     return folder
 
 

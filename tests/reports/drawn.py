@@ -10,7 +10,12 @@ import numpy as np
 
 from reports.plots import Axis, Plot
 
-_MARKERS = {"circle": "circle", "rect": "square", "l6,6l-6,6l-6,-6z": "diamond", "l6,10.5h-12z": "triangle"}
+_MARKERS = {
+    "circle": "circle",
+    "rect": "square",
+    "l6,6l-6,6l-6,-6z": "diamond",
+    "l6,10.5h-12z": "triangle",
+}
 Place = tuple[float, float]
 
 
@@ -27,7 +32,10 @@ class Mark:
 
 @dataclass(frozen=True)
 class Drawn:
-    """lines: name -> (CSS class, values); marks in their order; tags: (CSS class, words) of the labels that had room."""
+    """lines: name -> (CSS class, values); marks in their order.
+
+    tags: (CSS class, words) of the labels that had room.
+    """
 
     lines: dict[str, tuple[str, list[Place]]]
     marks: list[Mark]
@@ -37,7 +45,9 @@ class Drawn:
 def unpacked(text: str, x: Axis, y: Axis) -> list[tuple[np.ndarray, np.ndarray]]:
     """The series of a plot, by the format as it is written down."""
     planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8)
-    flat = [int(value) for value in np.ascontiguousarray(planes.reshape(8, -1).T).view("<u8").ravel()]
+    flat = [
+        int(value) for value in np.ascontiguousarray(planes.reshape(8, -1).T).view("<u8").ravel()
+    ]
     signed = [-(value + 1) // 2 if value % 2 else value // 2 for value in flat]
     heads = np.array(signed[1 : 1 + 4 * signed[0]]).reshape(-1, 4)
     at, series, xs = 1 + 4 * signed[0], [], np.zeros(0)
@@ -63,13 +73,22 @@ def drawn(plot: Plot) -> Drawn:
         for one in unpacked(html.unescape(found[1]), plot.x, plot.y)
     ]
     lines = re.findall(r'<path class="(?:ln )?([^"]*)" data-n="([^"]*)"', svg)
-    marks = re.findall(r'<(?:a|g) class="pt ([^"]*)"(?: href="([^"]*)")?><title>(.*?)</title><(\w+)(?: d="M[-\d.]+,[-\d.]+(\S+?)")?', svg)
+    marks = re.findall(
+        r'<(?:a|g) class="pt ([^"]*)"(?: href="([^"]*)")?><title>(.*?)</title><(\w+)(?: d="M[-\d.]+,[-\d.]+(\S+?)")?',
+        svg,
+    )
     of_marks = places[len(lines)] if marks else []
     return Drawn(
-        {html.unescape(name): (style, values) for (style, name), values in zip(lines, places, strict=False)},
+        {
+            html.unescape(name): (style, values)
+            for (style, name), values in zip(lines, places, strict=False)
+        },
         [
             Mark(style, _MARKERS[path or shape], html.unescape(tip), html.unescape(link), at)
             for (style, link, tip, shape, path), at in zip(marks, of_marks, strict=True)
         ],
-        [(style, html.unescape(words)) for style, words in re.findall(r'<text class="tag ([^"]*)"[^>]*>(.*?)</text>', svg)],
+        [
+            (style, html.unescape(words))
+            for style, words in re.findall(r'<text class="tag ([^"]*)"[^>]*>(.*?)</text>', svg)
+        ],
     )

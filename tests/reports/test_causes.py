@@ -7,9 +7,18 @@ from reports.judged import by_cause, cause_of
 
 
 def ended(factory, verdict: str, *, name: str = "strict", outcome: str = "solved", **changes):
-    run = factory.run("strict", None, "strict_lcp", key=f"{name}-0", verdict=verdict, outcome=outcome)
+    run = factory.run(
+        "strict", None, "strict_lcp", key=f"{name}-0", verdict=verdict, outcome=outcome
+    )
     (stage,) = run.stages
-    said = {"verdict": verdict, "outcome": outcome, "metrics": (), "advice": "Do this.", "why": "the reason.", **changes}
+    said = {
+        "verdict": verdict,
+        "outcome": outcome,
+        "metrics": (),
+        "advice": "Do this.",
+        "why": "the reason.",
+        **changes,
+    }
     return run.model_copy(update={"pipeline": name, "stages": (stage.model_copy(update=said),)})
 
 
@@ -30,32 +39,60 @@ def test_causes_that_are_metrics_have_a_sentence_and_an_advice(factory, cause, b
 @pytest.mark.parametrize(
     ("cause", "ours", "others"),
     [
-        ("contact_law_error", "eps", "lam_"), ("ghost_impulse", "eps", "lam_"), ("motion", "page of the run", "scheme"),
+        ("contact_law_error", "eps", "lam_"), ("ghost_impulse", "eps", "lam_"),
+        ("motion", "page of the run", "scheme"),
         ("unstable", "multiple_shooting", "feedback"), ("cost", "mpcc", "another guess"),
     ],
 )  # fmt: skip
-def test_what_to_do_about_a_plan_of_somebody_elses_names_nothing_of_ours(factory, cause, ours, others):
-    assert not unsaid(cause_of(ended(factory, "violates", cause=cause, kind="indirect")).advice, ours)
+def test_what_to_do_about_a_plan_of_somebody_elses_names_nothing_of_ours(
+    factory, cause, ours, others
+):
+    assert not unsaid(
+        cause_of(ended(factory, "violates", cause=cause, kind="indirect")).advice, ours
+    )
     advice = cause_of(ended(factory, "violates", cause=cause, kind="given")).advice
     assert not unsaid(advice, others)
     assert unsaid(advice, ours)
 
 
 def test_a_method_of_exact_contact_is_not_sent_to_exact_contact(factory):
-    for outcome, advice in (("solved", "Tighten the solver's tolerance, or take a smaller time step."), ("iteration_limit", "Do this.")):
-        assert cause_of(ended(factory, "violates", cause="physics_scaled", kind="direct", outcome=outcome)).advice == advice
+    for outcome, advice in (
+        ("solved", "Tighten the solver's tolerance, or take a smaller time step."),
+        ("iteration_limit", "Do this."),
+    ):
+        assert (
+            cause_of(
+                ended(factory, "violates", cause="physics_scaled", kind="direct", outcome=outcome)
+            ).advice
+            == advice
+        )
 
 
-@pytest.mark.parametrize(("outcome", "says"), [("stalled", "A local optimum"), ("iteration_limit", "Do this.")])
+@pytest.mark.parametrize(
+    ("outcome", "says"), [("stalled", "A local optimum"), ("iteration_limit", "Do this.")]
+)
 def test_a_plan_that_is_too_dear_is_a_local_optimum_unless_it_was_cut_off(factory, outcome, says):
-    assert cause_of(ended(factory, "violates", cause="cost", outcome=outcome)).advice.startswith(says)
+    assert cause_of(ended(factory, "violates", cause="cost", outcome=outcome)).advice.startswith(
+        says
+    )
 
 
 def test_each_cause_stands_once_the_most_frequent_first(factory):
-    far = [ended(factory, "violates", cause="terminal_position_error", name=f"far {place}") for place in range(3)]
+    far = [
+        ended(factory, "violates", cause="terminal_position_error", name=f"far {place}")
+        for place in range(3)
+    ]
     ghost = ended(factory, "violates", cause="ghost_impulse", name="ghost")
-    fine = [ended(factory, verdict, name=verdict) for verdict in ("holds", "holds with feedback", "consistent", "not applicable")]
+    fine = [
+        ended(factory, verdict, name=verdict)
+        for verdict in ("holds", "holds with feedback", "consistent", "not applicable")
+    ]
     found = by_cause([ghost, far[0], *fine, far[1], far[2]])
-    assert [[run.pipeline for run in runs] for _, runs in found] == [["far 0", "far 1", "far 2"], ["ghost"]]
-    stalled = ended(factory, "violates", cause="terminal_position_error", name="stalled", outcome="stalled")
+    assert [[run.pipeline for run in runs] for _, runs in found] == [
+        ["far 0", "far 1", "far 2"],
+        ["ghost"],
+    ]
+    stalled = ended(
+        factory, "violates", cause="terminal_position_error", name="stalled", outcome="stalled"
+    )
     assert len(by_cause([*far, stalled])) == 2, "what to do differs by how the method ended"

@@ -1,4 +1,7 @@
-"""The report in a browser: read, zoomed, saved, played, sorted and filtered; every way to use it without a mouse."""
+"""The report in a browser: read, zoomed, saved, played, sorted and filtered.
+
+Every way to use it without a mouse.
+"""
 
 import csv
 import re
@@ -14,7 +17,8 @@ from reports.render import PAGES, framed, write_report, write_single
 
 pytestmark = pytest.mark.slow
 
-# Smallest contrast of text that WCAG 2.1 AA allows; all text of the page is held to the one for small text.
+# Smallest contrast of text that WCAG 2.1 AA allows; all text of the page is held to the one for
+# small text.
 _CONTRAST = 4.5
 
 _CONTRASTS = """(() => {
@@ -44,7 +48,9 @@ _CONTRASTS = """(() => {
   return [seen.size, found.slice(0, 5)];
 })()""".replace("LIMIT", str(_CONTRAST))
 
-_OUTLINE = """[...document.querySelectorAll("h1,h2,h3,h4,h5,h6")].map((h) => Number(h.tagName[1]))"""
+_OUTLINE = (
+    """[...document.querySelectorAll("h1,h2,h3,h4,h5,h6")].map((h) => Number(h.tagName[1]))"""
+)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +58,11 @@ def desk(chromium, page_file):
     return chromium.open(page_file)
 
 
-@pytest.mark.parametrize(("width", "dark"), [(1400, False), (1400, True), (390, False)], ids=["light", "dark", "telephone"])
+@pytest.mark.parametrize(
+    ("width", "dark"),
+    [(1400, False), (1400, True), (390, False)],
+    ids=["light", "dark", "telephone"],
+)
 def test_no_complaint_no_request_no_sideways_scrolling(chromium, page_file, width, dark):
     page = chromium.open(page_file, width=width, dark=dark)
     page.evaluate("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
@@ -63,7 +73,9 @@ def test_no_complaint_no_request_no_sideways_scrolling(chromium, page_file, widt
         "[...document.querySelectorAll('main > section > *:not(.scroll)')].filter((e) => e.getBoundingClientRect().right > innerWidth + 1).length"
     )
     assert wide == 0
-    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == ("rgb(20, 23, 27)" if dark else "rgb(255, 255, 255)")
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == (
+        "rgb(20, 23, 27)" if dark else "rgb(255, 255, 255)"
+    )
 
 
 def test_a_frame_shows_its_page_as_it_is(chromium, page_file, tmp_path):
@@ -77,14 +89,20 @@ def test_a_frame_shows_its_page_as_it_is(chromium, page_file, tmp_path):
         assert outside.messages == []
     alone = chromium.open(page_file)
     for what in ("title", "body.innerText.length", "querySelectorAll('.player button').length"):
-        assert outside.evaluate(f"document.querySelector('iframe').contentDocument.{what}") == alone.evaluate(f"document.{what}") != 0
+        assert (
+            outside.evaluate(f"document.querySelector('iframe').contentDocument.{what}")
+            == alone.evaluate(f"document.{what}")
+            != 0
+        )
 
 
 def test_a_long_row_of_figures_wraps_on_a_telephone(chromium, page_file):
     """The efforts of a scene with four inputs are wider than the screen."""
     page = chromium.open(page_file, width=390)
     page.evaluate("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
-    page.evaluate("document.querySelectorAll('.pairs td.n').forEach((cell) => { cell.textContent = '0.00714 N m, '.repeat(8); })")
+    page.evaluate(
+        "document.querySelectorAll('.pairs td.n').forEach((cell) => { cell.textContent = '0.00714 N m, '.repeat(8); })"
+    )
     assert page.evaluate("document.querySelectorAll('.pairs td.n').length") > 0
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
 
@@ -105,7 +123,12 @@ def test_structure_for_those_who_do_not_see_it(desk):
     assert desk.evaluate(
         "['main', 'nav', 'header', 'footer'].map((name) => document.querySelectorAll('body > ' + name + ', .frame-of-page > ' + name).length)"
     ) == [1, 1, 1, 1]
-    assert desk.evaluate("[...document.querySelectorAll('table')].filter((t) => !t.caption || !t.caption.textContent.trim()).length") == 0
+    assert (
+        desk.evaluate(
+            "[...document.querySelectorAll('table')].filter((t) => !t.caption || !t.caption.textContent.trim()).length"
+        )
+        == 0
+    )
     assert desk.evaluate("[...document.querySelectorAll('th')].filter((h) => !h.scope).length") == 0
     assert (
         desk.evaluate(
@@ -114,9 +137,12 @@ def test_structure_for_those_who_do_not_see_it(desk):
         == 0
     )
     assert desk.evaluate("document.querySelectorAll('svg.plot').length") > 100
-    assert desk.evaluate("[...document.querySelectorAll('.sign')].filter((s) => !/\\S+ \\S+/.test(s.textContent)).length") == 0, (
-        "a symbol and a word"
-    )
+    assert (
+        desk.evaluate(
+            "[...document.querySelectorAll('.sign')].filter((s) => !/\\S+ \\S+/.test(s.textContent)).length"
+        )
+        == 0
+    ), "a symbol and a word"
     assert (
         desk.evaluate(
             "[...document.querySelectorAll('button, input, canvas')].filter((e) => !(e.textContent.trim() || e.ariaLabel || e.labels?.length)).length"
@@ -145,7 +171,9 @@ def test_values_are_read_off_a_plot_by_keyboard(desk, full_folder, factory):
 
 def test_points_of_the_front_tell_their_stage_on_focus(desk):
     desk.evaluate("document.querySelector('#front-1 .draw a').focus()")
-    assert desk.evaluate("document.querySelector('#front-1 .fig output').textContent").startswith("strict_lcp: cost 496.63")
+    assert desk.evaluate("document.querySelector('#front-1 .fig output').textContent").startswith(
+        "strict_lcp: cost 496.63"
+    )
 
 
 def test_the_filter_follows_the_address(chromium, page_file):
@@ -163,7 +191,9 @@ def test_the_player_moves(chromium, run_file):
     desk = chromium.open(run_file)
     inside = "document.querySelector('[data-player]')"
     before = desk.evaluate(f"{inside}.querySelector('canvas').toDataURL()")
-    desk.evaluate(f"(() => {{ const s = {inside}.querySelector('input'); s.value = 60; s.dispatchEvent(new Event('input')); }})()")
+    desk.evaluate(
+        f"(() => {{ const s = {inside}.querySelector('input'); s.value = 60; s.dispatchEvent(new Event('input')); }})()"
+    )
     assert desk.evaluate(f"{inside}.querySelector('output').textContent") == "2.00 of 5.00 s"
     assert desk.evaluate(f"{inside}.querySelector('canvas').toDataURL()") != before
 
@@ -188,7 +218,10 @@ def test_names_of_small_bodies_do_not_overlap(chromium, factory, tmp_path):
     """What the picture writes on a body or beside it, at any time: nothing on something else, and nothing left out."""
     run = factory.run("strict", None, "strict_lcp")
     names = {shape.name: f"a long name of the {shape.name} cart" for shape in run.scene.shapes}
-    shapes = tuple(shape.model_copy(update={"name": names[shape.name], "size": (0.02, 0.02)}) for shape in run.scene.shapes)
+    shapes = tuple(
+        shape.model_copy(update={"name": names[shape.name], "size": (0.02, 0.02)})
+        for shape in run.scene.shapes
+    )
     run = run.model_copy(update={"scene": run.scene.model_copy(update={"shapes": shapes})})
     write_report(factory.store(tmp_path / "small", [run]))
     page = chromium.open(tmp_path / "small" / "pages" / f"{run.key}.html")
@@ -217,7 +250,12 @@ def test_every_table_is_saved_as_csv(chromium, page_file):
     """The file's text as the button makes it, numbers as a program reads them."""
     page = chromium.open(page_file)
     page.evaluate("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
-    assert page.evaluate("document.querySelectorAll('button.take').length === document.querySelectorAll('table').length") is True
+    assert (
+        page.evaluate(
+            "document.querySelectorAll('button.take').length === document.querySelectorAll('table').length"
+        )
+        is True
+    )
     page.evaluate(
         "window.saved = []; URL.createObjectURL = (blob) => { saved.push(blob); return 'blob:none'; };"
         "HTMLAnchorElement.prototype.click = function () { saved.push(this.download); }; 0"
@@ -226,14 +264,23 @@ def test_every_table_is_saved_as_csv(chromium, page_file):
     text, name = page.evaluate("saved[0].text().then((text) => [text, saved[1]])")
     rows = list(csv.reader(text.lstrip("\ufeff").splitlines()))
     assert name.endswith(".csv")
-    assert rows[0][:5] == ["Stage", "Verdict", "Cost ours", "Cost ours, relative to the paper's", "Cost paper"]
+    assert rows[0][:5] == [
+        "Stage",
+        "Verdict",
+        "Cost ours",
+        "Cost ours, relative to the paper's",
+        "Cost paper",
+    ]
     assert {len(row) for row in rows} == {len(rows[0])}
     first = next(row for row in rows if row[0].startswith("softplus_dc"))
     assert (float(first[2]), float(first[4])) == (197.863, 197.86)
 
 
 def test_what_a_link_leads_to_is_opened_with_all_around_it(desk):
-    """Where what is next to it is open already, too; a browser that opens nothing itself is one that is told of the address afterwards."""
+    """Where what is next to it is open already, too.
+
+    A browser that opens nothing itself is one that is told of the address afterwards.
+    """
     opened = desk.evaluate("""(async () => {
       const added = document.createElement("details");
       added.innerHTML = "<summary>outer</summary><details open><summary>inner</summary><p id='in-two'>here</p></details>";
@@ -286,7 +333,13 @@ def many(factory, tmp_path_factory):
     """The folder of one pipeline's runs on sixteen scenes, and of stress cases whose sentences are long."""
     one = factory.run("strict", None, "strict_lcp")
     runs = [
-        one.model_copy(update={"key": f"strict-{place:016d}", "scene": factory.scene(f"a_scene_of_number_{place}")}) for place in range(16)
+        one.model_copy(
+            update={
+                "key": f"strict-{place:016d}",
+                "scene": factory.scene(f"a_scene_of_number_{place}"),
+            }
+        )
+        for place in range(16)
     ]
     cases = [
         CheckRecord(
@@ -304,7 +357,9 @@ def many(factory, tmp_path_factory):
         for place in (1, 2)
     ]
     keys = tuple(item.key for item in (*runs, *cases))
-    return factory.store(tmp_path_factory.mktemp("many") / "all", [*runs, *cases], factory.campaign(runs, keys=keys))
+    return factory.store(
+        tmp_path_factory.mktemp("many") / "all", [*runs, *cases], factory.campaign(runs, keys=keys)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -324,7 +379,10 @@ def test_paper_has_the_verdicts_of_all_scenes(chromium, many_file):
 
 
 def test_one_word_opens_for_paper_what_is_closed_but_the_runs(chromium, many):
-    """Motion, stages and log of hundreds of runs would be a thousand pages; a run that is open is printed whole."""
+    """Motion, stages and log of hundreds of runs would be a thousand pages.
+
+    A run that is open is printed whole.
+    """
     page = chromium.open(write_single(many))
     page.evaluate("document.querySelector('#run-2 details.whole > summary').click()")
     told = page.evaluate("""(() => {
@@ -345,7 +403,9 @@ def test_stress_cases_are_read_on_a_telephone_without_scrolling_sideways(chromiu
     assert page.evaluate(
         "(() => { const box = document.querySelector('.cases').parentElement; return box.scrollWidth <= box.clientWidth; })()"
     )
-    texts = page.evaluate("[...document.querySelectorAll('.cases td.text')].map((cell) => cell.getBoundingClientRect().width)")
+    texts = page.evaluate(
+        "[...document.querySelectorAll('.cases td.text')].map((cell) => cell.getBoundingClientRect().width)"
+    )
     assert len(texts) == 6
     assert min(texts) > 250
 
@@ -366,14 +426,26 @@ def test_without_script_nothing_is_offered_that_does_nothing(chromium, pages, ru
     for path in (run_file, pages[0], page_file):
         page = chromium.open(path, script=False)
         shown = "(e) => e.getClientRects().length > 0"
-        assert page.evaluate(f"[...document.querySelectorAll('button, input, select, canvas')].filter({shown}).length") == 0
+        assert (
+            page.evaluate(
+                f"[...document.querySelectorAll('button, input, select, canvas')].filter({shown}).length"
+            )
+            == 0
+        )
         assert "sorts by it" not in page.evaluate("document.body.innerText")
         assert page.messages == []
     page = chromium.open(page_file, script=False)
-    assert not unsaid(page.evaluate("document.querySelector('.scriptless').textContent"), "drawn by the page's script")
-    assert page.evaluate("getComputedStyle(document.querySelector('.scriptless')).display") == "block"
+    assert not unsaid(
+        page.evaluate("document.querySelector('.scriptless').textContent"),
+        "drawn by the page's script",
+    )
+    assert (
+        page.evaluate("getComputedStyle(document.querySelector('.scriptless')).display") == "block"
+    )
     page = chromium.open(page_file)
-    assert page.evaluate("getComputedStyle(document.querySelector('.scriptless')).display") == "none"
+    assert (
+        page.evaluate("getComputedStyle(document.querySelector('.scriptless')).display") == "none"
+    )
     assert page.evaluate("document.querySelectorAll('button.take').length") > 2
 
 
@@ -411,7 +483,8 @@ def test_the_address_and_what_is_shown_agree_on_the_way_back(chromium, page_file
 @pytest.mark.parametrize(
     "fragment",
     [
-        "#%", "#%E0%A4%A", "#matrix?scene=%ZZ&sort=__proto__&x=1", "#runs?%E0%A4%A", "#<script>alert(1)</script>", "#runs?☃", "#" + "x" * 20_000,
+        "#%", "#%E0%A4%A", "#matrix?scene=%ZZ&sort=__proto__&x=1", "#runs?%E0%A4%A",
+        "#<script>alert(1)</script>", "#runs?☃", "#" + "x" * 20_000,
     ],
     ids=range(7),
 )  # fmt: skip
@@ -429,7 +502,9 @@ def test_links_lead_from_page_to_page_and_back(chromium, pages):
         return Path(unquote(urlsplit(page.evaluate(f"document.querySelector({link!r}).href")).path))
 
     page = chromium.open(pages[0])
-    run, scene = (chromium.open(led(page, link)) for link in (".grid-of-runs td a", "#index tbody a"))
+    run, scene = (
+        chromium.open(led(page, link)) for link in (".grid-of-runs td a", "#index tbody a")
+    )
     assert run.evaluate("document.querySelectorAll('article.run svg.plot').length") > 8
     assert scene.evaluate("document.querySelectorAll('[id^=tightening] svg.plot').length") > 8
     assert [led(one, "nav.contents a") for one in (run, scene)] == [pages[0].resolve()] * 2
@@ -447,16 +522,27 @@ def test_a_closed_stage_is_opened_by_the_contents_of_its_page(chromium, pages):
 @pytest.mark.parametrize(("width", "dark"), [(1400, False), (375, True)])
 def test_axe_finds_no_violation(chromium, page_file, pages, width, dark):
     """WCAG 2.0, 2.1 and 2.2, A and AA, by axe-core: a page of each kind, and on a telephone at night all in one file, with everything open."""
-    axe = pytest.importorskip("axe_core_python", reason="axe-core-python is not installed (extra [test])")
+    axe = pytest.importorskip(
+        "axe_core_python", reason="axe-core-python is not installed (extra [test])"
+    )
     script = (Path(axe.__path__[0]) / "axe.min.js").read_text(encoding="utf-8")
-    kinds = (pages[0], next(pages[1].glob("softplus_dc-strict*.html")), next(pages[1].glob("scene-*.html")))
+    kinds = (
+        pages[0],
+        next(pages[1].glob("softplus_dc-strict*.html")),
+        next(pages[1].glob("scene-*.html")),
+    )
     for path in (page_file,) if dark else kinds:
         page = chromium.open(path, width=width, dark=dark)
         assert page.messages == []
         assert page.requests == [path.resolve().as_uri()]
-        # Two runs with all they hold stand for the others: hundreds of plots more are the same markup.
-        page.evaluate("document.querySelectorAll('article.run').forEach((run, place) => { if (place > 1) run.remove(); })")
-        page.evaluate("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
+        # Two runs with all they hold stand for the others: hundreds of plots more are the same
+        # markup.
+        page.evaluate(
+            "document.querySelectorAll('article.run').forEach((run, place) => { if (place > 1) run.remove(); })"
+        )
+        page.evaluate(
+            "document.querySelectorAll('details').forEach((item) => { item.open = true; })"
+        )
         page.evaluate(script + ";0")
         found = page.evaluate(
             "axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa']}).then((result) => "
@@ -469,11 +555,24 @@ def test_axe_finds_no_violation(chromium, page_file, pages, width, dark):
 @pytest.mark.parametrize("width", [1400, 390])
 def test_no_page_complains_asks_or_scrolls_sideways(chromium, pages, width):
     """Every page that is no run's, of whatever it tells, with all it folds open."""
-    kinds = [path for path in (pages[0], *sorted(pages[1].glob("*.html"))) if not path.name.endswith(("-0123456789abcdef.html", "-0.html"))]
-    assert {path.stem for path in kinds} >= {"report", "runs", "simulators", "errata", "provenance", "scene-three_cart"}
+    kinds = [
+        path
+        for path in (pages[0], *sorted(pages[1].glob("*.html")))
+        if not path.name.endswith(("-0123456789abcdef.html", "-0.html"))
+    ]
+    assert {path.stem for path in kinds} >= {
+        "report",
+        "runs",
+        "simulators",
+        "errata",
+        "provenance",
+        "scene-three_cart",
+    }
     for path in kinds:
         page = chromium.open(path, width=width)
-        page.evaluate("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
+        page.evaluate(
+            "document.querySelectorAll('details').forEach((item) => { item.open = true; })"
+        )
         assert (page.messages, page.requests) == ([], [path.resolve().as_uri()])
         assert page.evaluate("document.documentElement.scrollWidth") <= width, path.name
         page.call("Page.close")

@@ -23,8 +23,13 @@ _SAVED = """(async () => {
 
 def _saved(page) -> dict[str, list[list[str]]]:
     found = page.evaluate(_SAVED)
-    tables = {name: list(csv.reader(io.StringIO(text.lstrip("\ufeff"), newline=""), strict=True)) for name, text in found}
-    assert len(tables) == len(found) == page.evaluate("document.querySelectorAll('table').length"), "each has a name of its own"
+    tables = {
+        name: list(csv.reader(io.StringIO(text.lstrip("\ufeff"), newline=""), strict=True))
+        for name, text in found
+    }
+    assert (
+        len(tables) == len(found) == page.evaluate("document.querySelectorAll('table').length")
+    ), "each has a name of its own"
     return tables
 
 
@@ -44,7 +49,11 @@ def test_every_file_has_one_head_and_rows_of_its_length(tables):
 
 
 def test_units_and_second_numbers_have_columns_of_their_own(tables):
-    score = next(rows for name, rows in tables.items() if name == "strict-on-three_cart-stage-1-judgement-of-this-stage.csv")
+    score = next(
+        rows
+        for name, rows in tables.items()
+        if name == "strict-on-three_cart-stage-1-judgement-of-this-stage.csv"
+    )
     value, unit = score[0].index("Value"), score[0].index("Value, unit")
     told = [row for row in score[1:] if row[value]]
     assert len(told) > 5
@@ -60,7 +69,10 @@ def test_a_second_number_of_a_cell_has_a_column_too(chromium, factory, tmp_path)
     run = factory.run("strict", None, "strict_lcp")
     (stage,) = run.stages
     metrics = [
-        item.model_copy(update={"value": 1.25e-3}) if item.name == "replay_terminal_position_error" else item for item in stage.metrics
+        item.model_copy(update={"value": 1.25e-3})
+        if item.name == "replay_terminal_position_error"
+        else item
+        for item in stage.metrics
     ]
     stage = stage.model_copy(update={"metrics": tuple(metrics)})
     folder = factory.store(tmp_path / "two", [run.model_copy(update={"stages": (stage,)})])
@@ -87,10 +99,17 @@ def test_tables_without_heads_are_saved_with_one(tables):
 
 
 def test_nothing_that_a_spreadsheet_would_run_is_saved(chromium, hostile_folder, factory, tmp_path):
-    run = factory.run("=cmd|'/C calc'!A0", None, "strict_lcp", scene=factory.scene('@SUM(1+1)"\n,x'))
+    run = factory.run(
+        "=cmd|'/C calc'!A0", None, "strict_lcp", scene=factory.scene('@SUM(1+1)"\n,x')
+    )
     pages = [hostile_folder, factory.store(tmp_path / "formula", [run])]
     for folder in pages:
         for name, rows in _saved(chromium.open(write_single(folder))).items():
             assert re.fullmatch(r"[\w-]+\.csv", name), name
-            for field in (field for row in rows for field in row if not re.fullmatch(r"-?[\d.]+(e-?\d+)?", field)):
+            for field in (
+                field
+                for row in rows
+                for field in row
+                if not re.fullmatch(r"-?[\d.]+(e-?\d+)?", field)
+            ):
                 assert not field.startswith(("=", "+", "-", "@", "\t", "\r", "−")), (name, field)

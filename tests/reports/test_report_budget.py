@@ -7,32 +7,45 @@ import pytest
 
 from reports.render import PAGES, write_report
 
-SCENES, PIPELINES = 16, 19
-# Bytes: what opens at once over a slow line, and what is read on paper. The page of a scene draws every relaxation at each of its eps, about ten plots
-# each of 4 kB, and lists all of its stages: as much as report.html.
+SCENES = 16
+PIPELINES = 19
+# Bytes: what opens at once over a slow line, and what is read on paper. The page of a scene draws
+# every relaxation at each of its eps, about ten plots each of 4 kB, and lists all of its stages: as
+# much as report.html.
 LARGEST = {"report.html": 600_000, "overview": 150_000, "run": 300_000, "scene": 600_000}
 
 
 @pytest.fixture(scope="module")
 def folder(factory, tmp_path_factory):
-    """Each pipeline with three relaxed stages or none, as in Table I, which others share; half of the runs hold; motions of four runs."""
+    """Each pipeline with three relaxed stages or none, as in Table I, which others share.
+
+    Half of the runs hold; motions of four runs.
+    """
     runs = []
     for scene in range(SCENES):
         where = factory.scene("three_cart" if scene == 0 else f"a_scene_of_number_{scene}")
         for place in range(PIPELINES):
             run = factory.run(*factory.PIPELINES[place % len(factory.PIPELINES)])
-            verdict = ("holds", "violates", "holds with feedback", "not applicable")[(place + scene) % 4]
+            verdict = ("holds", "violates", "holds with feedback", "not applicable")[
+                (place + scene) % 4
+            ]
             why = "driven by its inputs the motion departs from the plan by 0.794 rad, limit 0.2 rad: discretisation error 0.794 rad."
             drawn, options = scene == 0 and place < 4, {"variant": place // len(factory.PIPELINES)}
-            stages = [stage.model_copy(update={"has_plan": drawn, "options": options}) for stage in run.stages]
+            stages = [
+                stage.model_copy(update={"has_plan": drawn, "options": options})
+                for stage in run.stages
+            ]
             stages[-1] = stages[-1].model_copy(update={"verdict": verdict, "why": why})
             changed = {
-                "key": sha256(f"{scene} {place}".encode()).hexdigest(), "pipeline": f"{run.pipeline}_{place}", "scene": where, "verdict": verdict,
+                "key": sha256(f"{scene} {place}".encode()).hexdigest(),
+                "pipeline": f"{run.pipeline}_{place}", "scene": where, "verdict": verdict,
             }  # fmt: skip
             if verdict == "not applicable":
                 stages = []
             message = "strict_lcp: scene has no inputs, so there is nothing to plan."
-            runs.append(run.model_copy(update={**changed, "message": message, "stages": tuple(stages)}))
+            runs.append(
+                run.model_copy(update={**changed, "message": message, "stages": tuple(stages)})
+            )
     return factory.store(tmp_path_factory.mktemp("budget") / "all", runs)
 
 
@@ -43,7 +56,11 @@ def test_pages_keep_their_budget(folder):
     overview = re.search(r'<section id="overview".*?</section>', text, re.DOTALL)
     assert len(overview[0].encode()) <= LARGEST["overview"]
     assert len(text.encode()) <= LARGEST["report.html"]
-    sizes = {path.name: path.stat().st_size for path in (folder / PAGES).iterdir() if re.fullmatch(r"[0-9a-f]{16}", path.stem)}
+    sizes = {
+        path.name: path.stat().st_size
+        for path in (folder / PAGES).iterdir()
+        if re.fullmatch(r"[0-9a-f]{16}", path.stem)
+    }
     assert len(sizes) == SCENES * PIPELINES
     assert 50_000 < max(sizes.values()) <= LARGEST["run"]
     scenes = [path.stat().st_size for path in (folder / PAGES).glob("scene-*.html")]
@@ -54,7 +71,11 @@ def test_pages_keep_their_budget(folder):
 @pytest.mark.slow
 def test_each_tip_stands_once_on_the_first_screen(folder):
     """Hover, the name for assistive technology and the script read the same words."""
-    overview = re.search(r'<section id="overview".*?</section>', write_report(folder).read_text(encoding="utf-8"), re.DOTALL)
+    overview = re.search(
+        r'<section id="overview".*?</section>',
+        write_report(folder).read_text(encoding="utf-8"),
+        re.DOTALL,
+    )
     tips = re.findall(r"<title>([^<]*)</title>", overview[0])
     assert len(tips) > 200
     for tip in tips[:20]:

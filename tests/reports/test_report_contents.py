@@ -10,20 +10,22 @@ from reports.render import _OTHERS, is_current, render_run, write_report, write_
 from tests.reports import record_factory as factory
 
 LEAD = "Does this plan through contact hold? Every plan below was replayed with exact contact, in continuous time, and scored."
-CAMPAIGN, CARTS = "touchstone: all of Table I", "Three carts: the outer two push the middle one"
+CAMPAIGN = "touchstone: all of Table I"
+CARTS = "Three carts: the outer two push the middle one"
 WHOLE = ("../report.html", "The whole report")
-ACROSS, SCENE, HILL = (
-    ["overview", "table1", "failures", "index"],
-    ["scene-1", "pareto-1", "stages-1", "front-1", "model-1"],
-    ["scene-2", "pareto-2", "stages-2", "model-2"],
-)
+ACROSS = ["overview", "table1", "failures", "index"]
+SCENE = ["scene-1", "pareto-1", "stages-1", "front-1", "model-1"]
+HILL = ["scene-2", "pareto-2", "stages-2", "model-2"]
 OF_SCENE = [WHOLE, ("../report.html#index", "All pages")]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two scenes with a run each."""
-    runs = [factory.run("strict", None, "strict_lcp"), factory.ran("x", of=factory.scene("hill", "A hill"))]
+    runs = [
+        factory.run("strict", None, "strict_lcp"),
+        factory.ran("x", of=factory.scene("hill", "A hill")),
+    ]
     made = factory.store(tmp_path_factory.mktemp("contents") / "all", runs)
     for path in (made, *made.rglob("*")):
         os.utime(path, (1e9, 1e9))
@@ -36,22 +38,44 @@ def told(text: str) -> tuple[str, str, list[str], list[tuple[str, str]], str]:
     """Title, lead, sections, links to other pages, and the command that writes it anew."""
     contents = re.search(r"<nav.*?</nav>", text, re.DOTALL)
     assert contents is not None
-    links = [link for link in re.findall(r'<li><a href="([^"]*)">(.*?)</a>', contents[0]) if not link[0].startswith("#")]
+    links = [
+        link
+        for link in re.findall(r'<li><a href="([^"]*)">(.*?)</a>', contents[0])
+        if not link[0].startswith("#")
+    ]
     title, lead = re.findall(r"<h1>(.*?)</h1>\n<p>(.*?)</p>", text)[0]
     again = re.search(r"python -m reports [^<]*", text)
-    return title, lead, re.findall(r'<section id="([^"]*)"', text), links, again[0].strip() if again else ""
+    return (
+        title,
+        lead,
+        re.findall(r'<section id="([^"]*)"', text),
+        links,
+        again[0].strip() if again else "",
+    )
 
 
 @pytest.mark.parametrize(
     ("page", "title", "lead", "sections", "links"),
     [
-        ("report", CAMPAIGN, LEAD, ACROSS, []), ("pages/scene-three_cart", "three_cart", CARTS, SCENE, OF_SCENE),
-        ("pages/scene-hill", "hill", "A hill", HILL, OF_SCENE), ("pages/errata", "Errata of the paper, and what it leaves open", CAMPAIGN, ["errata", "violation"], [WHOLE]),
-        ("pages/provenance", "Provenance", CAMPAIGN, ["provenance"], [WHOLE]), ("pages/runs", "All runs", CAMPAIGN, ["runs"], [WHOLE]),
-        ("pages/x-key", "x on hill", "A hill", ["one"], [WHOLE, ("scene-hill.html", "The scene hill"), ("runs.html", "All runs")]),
+        ("report", CAMPAIGN, LEAD, ACROSS, []),
+        ("pages/scene-three_cart", "three_cart", CARTS, SCENE, OF_SCENE),
+        ("pages/scene-hill", "hill", "A hill", HILL, OF_SCENE),
+        ("pages/errata", "Errata of the paper, and what it leaves open", CAMPAIGN,
+         ["errata", "violation"], [WHOLE]),
+        ("pages/provenance", "Provenance", CAMPAIGN, ["provenance"], [WHOLE]),
+        ("pages/runs", "All runs", CAMPAIGN, ["runs"], [WHOLE]),
+        ("pages/x-key", "x on hill", "A hill", ["one"],
+         [WHOLE, ("scene-hill.html", "The scene hill"), ("runs.html", "All runs")]),
     ],
 )  # fmt: skip
-def test_what_a_page_has(folder: Path, page: str, title: str, lead: str, sections: list[str], links: list[tuple[str, str]]):
+def test_what_a_page_has(
+    folder: Path,
+    page: str,
+    title: str,
+    lead: str,
+    sections: list[str],
+    links: list[tuple[str, str]],
+):
     found = told((folder / f"{page}.html").read_text(encoding="utf-8"))
     assert found[:4] == (title, lead, sections, links)
     assert found[4].startswith("python -m reports DIR")
@@ -61,7 +85,12 @@ def test_what_a_page_has(folder: Path, page: str, title: str, lead: str, section
 def test_there_are_no_other_pages(folder: Path):
     """Those of scenes and runs, and the others in their order, of which these two runs have some."""
     names = {path.stem for path in (folder / "pages").iterdir()}
-    assert names - set(_OTHERS) == {"scene-three_cart", "scene-hill", "x-key", "strict-0123456789abcdef"}
+    assert names - set(_OTHERS) == {
+        "scene-three_cart",
+        "scene-hill",
+        "x-key",
+        "strict-0123456789abcdef",
+    }
     assert names >= {"runs", "errata", "provenance"}
 
 
@@ -70,7 +99,12 @@ def test_the_single_file_has_the_sections_of_all_pages(folder: Path):
     others = [path for name in _OTHERS if (path := folder / "pages" / f"{name}.html").exists()]
     of_others = [anchor for path in others for anchor in told(path.read_text(encoding="utf-8"))[2]]
     assert (title, lead, links) == (CAMPAIGN, LEAD, [])
-    assert sections == [*ACROSS, *(anchor for anchor in SCENE if anchor != "stages-1"), *HILL, *of_others]
+    assert sections == [
+        *ACROSS,
+        *(anchor for anchor in SCENE if anchor != "stages-1"),
+        *HILL,
+        *of_others,
+    ]
     assert again.startswith("python -m reports DIR --single-file")
 
 

@@ -11,7 +11,10 @@ from reports.rows import rows_of
 
 
 def test_a_cold_cost_of_nought_is_no_whole_to_take_a_part_of(factory):
-    cold, warm = factory.run("strict", None, "strict_lcp"), factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp")
+    cold, warm = (
+        factory.run("strict", None, "strict_lcp"),
+        factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp"),
+    )
     nothing = cold.model_copy(update={"stages": (cold.stages[0].model_copy(update={"cost": 0.0}),)})
     text = " ".join(conclude(rows_of((nothing, warm), lambda run: "")))
     assert f"after softplus_dc cost {warm.stages[-1].cost:.2f}, 0.0032 m off the goal" in text
@@ -25,16 +28,27 @@ def followed(factory):
         return MetricRecord(name=name, value=value, unit="m", meaning="m", **changes)
 
     both = (
-        metric("cost", 7.0, question=2, reason="no way is known to be cheap"), metric("replay_error", 0.6, question=4, limit=0.01, ok=False),
+        metric("cost", 7.0, question=2, reason="no way is known to be cheap"),
+        metric("replay_error", 0.6, question=4, limit=0.01, ok=False),
         metric("replay_terminal_position_error", 0.5, question=4, limit=0.06, ok=False),
-        metric("unexplained_force", 1.0, question=4).model_copy(update={"value": None, "reason": "the plan declares a scheme"}),
+        metric("unexplained_force", 1.0,
+               question=4).model_copy(update={"value": None,
+                                              "reason": "the plan declares a scheme"}),
         metric("tracked_replay_error", 0.004, question=4, limit=0.01, ok=True),
         metric("tracked_replay_terminal_position_error", 0.002, question=4, limit=0.06, ok=True),
-        metric("feedback_effort", 0.1, question=4, limit=0.25, ok=True), metric("energy_residual_relative", 1e-9, limit=1e-6, ok=True),
+        metric("feedback_effort", 0.1, question=4, limit=0.25, ok=True),
+        metric("energy_residual_relative", 1e-9, limit=1e-6, ok=True),
         metric("physics", 0.0),
     )  # fmt: skip
     replay = stage.replay.model_copy(update={"judged": "feedback"})
-    return stage.model_copy(update={"metrics": both, "verdict": "holds with feedback", "replay": replay, "questions": factory.questions()})
+    return stage.model_copy(
+        update={
+            "metrics": both,
+            "verdict": "holds with feedback",
+            "replay": replay,
+            "questions": factory.questions(),
+        }
+    )
 
 
 def test_metrics_stand_by_question_with_both_ends_side_by_side(factory):
@@ -46,7 +60,9 @@ def test_metrics_stand_by_question_with_both_ends_side_by_side(factory):
     assert (error.name, error.alone.value, error.followed.value) == ("replay_error", 0.6, 0.004)
     assert (end.alone.ok, end.followed.ok) == (False, True)
     assert (effort.alone, effort.followed.value) == (None, 0.1)
-    assert [view.name for view in found["Is the judge well?"].metrics] == ["energy_residual_relative"]
+    assert [view.name for view in found["Is the judge well?"].metrics] == [
+        "energy_residual_relative"
+    ]
     assert [view.name for view in found["Shown, not judged"].metrics] == ["physics"]
 
 
@@ -63,12 +79,27 @@ def test_the_end_of_a_stage_is_that_of_the_replay_that_is_judged(factory):
 
 def test_the_page_shows_questions_metrics_and_both_ends(factory, tmp_path):
     stage = followed(factory)
-    replay = stage.replay.model_copy(update={"tracked": TrackedRecord(error_estimate=1e-9, rms=(0.1, 0.1), peak=(0.3, 0.3))})
-    stage = stage.model_copy(update={"replay": replay, "not_asked": ("contact_law_error: the plan does not say its forces.",)})
-    scene = factory.scene().model_copy(update={"waived": ("cost: no way is known to be cheap",), "unstable": "It falls over."})
-    run = factory.run("strict", None, "strict_lcp", stages=(stage,), verdict="holds with feedback", scene=scene)
+    replay = stage.replay.model_copy(
+        update={"tracked": TrackedRecord(error_estimate=1e-9, rms=(0.1, 0.1), peak=(0.3, 0.3))}
+    )
+    stage = stage.model_copy(
+        update={
+            "replay": replay,
+            "not_asked": ("contact_law_error: the plan does not say its forces.",),
+        }
+    )
+    scene = factory.scene().model_copy(
+        update={"waived": ("cost: no way is known to be cheap",), "unstable": "It falls over."}
+    )
+    run = factory.run(
+        "strict", None, "strict_lcp", stages=(stage,), verdict="holds with feedback", scene=scene
+    )
     page = write_single(factory.store(tmp_path / "all", [run])).read_text(encoding="utf-8")
-    words = " ".join(html.unescape(re.sub(r"<(script|style)[^>]*>.*?</\1>|<[^>]*>", " ", page, flags=re.DOTALL)).split())
+    words = " ".join(
+        html.unescape(
+            re.sub(r"<(script|style)[^>]*>.*?</\1>|<[^>]*>", " ", page, flags=re.DOTALL)
+        ).split()
+    )
     for told in (
         "strict on three_cart ↻ holds with feedback",  # the head of the run
         "Nearest to its limit replay_error with feedback: 0.004 m, limit 0.01 m.",

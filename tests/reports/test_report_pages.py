@@ -20,13 +20,18 @@ def report_of(factory, folder, runs) -> Report:
 def converged(factory):
     """The same methods and eps as softplus_gd+relu_gd, other options, no row of the paper."""
     run = factory.run("softplus_gd+relu_gd", "softplus_gd", "relu_gd", key="converged-0")
-    stages = tuple(stage.model_copy(update={"paper": {}, "options": {"iterations": "until converged"}}) for stage in run.stages)
+    stages = tuple(
+        stage.model_copy(update={"paper": {}, "options": {"iterations": "until converged"}})
+        for stage in run.stages
+    )
     return run.model_copy(update={"pipeline": "gd_converged", "stages": stages})
 
 
 def test_rows_follow_the_papers_order_and_share_stages(factory, tmp_path):
     report = report_of(factory, tmp_path / "all", factory.runs())
-    assert [(row.methods, row.stage.eps) for row in report.rows] == [(row.methods, row.eps) for row in TABLE_1]
+    assert [(row.methods, row.stage.eps) for row in report.rows] == [
+        (row.methods, row.eps) for row in TABLE_1
+    ]
     assert lacking(report.rows) == []
     warm = report.rows[10]
     assert warm.paper_total == pytest.approx(11.64 + 9.78 + 12.40 + 100.07)
@@ -38,8 +43,19 @@ def test_the_command_runs_this_cell_again_and_no_other(factory, tmp_path, conver
     for run in report.stored.runs:
         words = shlex.split(again(run))
         expression = words[words.index("-k") + 1]
-        names = {other.pipeline: ["three_cart", other.pipeline, *(stage.method for stage in other.stages)] for other in report.stored.runs}
-        chosen = [pipeline for pipeline, own in names.items() if matches(expression, own, f"three_cart x {pipeline}")]
+        names = {
+            other.pipeline: [
+                "three_cart",
+                other.pipeline,
+                *(stage.method for stage in other.stages),
+            ]
+            for other in report.stored.runs
+        }
+        chosen = [
+            pipeline
+            for pipeline, own in names.items()
+            if matches(expression, own, f"three_cart x {pipeline}")
+        ]
         assert chosen == [run.pipeline]
         for name in ("in (one) leap", 'the "great" leap', '"', "it's"):
             odd = run.model_copy(update={"pipeline": name})

@@ -69,7 +69,8 @@ def test_every_section_is_there_and_the_contents_lead_to_it(full):
     assert links
     assert all(link.startswith("#") and link[1:] in ids for link in links)
     names = (
-        "overview", "table1", "failures", "index", "scene-1", "pareto-1", "front-1", "tightening-1", "model-1", "runs", "errata",
+        "overview", "table1", "failures", "index", "scene-1", "pareto-1", "front-1", "tightening-1",
+        "model-1", "runs", "errata",
         "violation", "provenance",
     )  # fmt: skip
     for name in names:
@@ -78,12 +79,24 @@ def test_every_section_is_there_and_the_contents_lead_to_it(full):
 
 def test_the_page_asks_for_nothing_and_allows_only_its_own_style_and_script(full):
     _, page = full
-    assert not [attributes for _, attributes in page.elements if {"src", "srcset", "style", "action", "data"} & set(attributes)]
-    assert not [tag for tag, _ in page.elements if tag in ("link", "img", "iframe", "object", "base", "form", "video")]
-    assert not [name for _, attributes in page.elements for name in attributes if name.startswith("on")]
+    assert not [
+        attributes
+        for _, attributes in page.elements
+        if {"src", "srcset", "style", "action", "data"} & set(attributes)
+    ]
+    assert not [
+        tag
+        for tag, _ in page.elements
+        if tag in ("link", "img", "iframe", "object", "base", "form", "video")
+    ]
+    assert not [
+        name for _, attributes in page.elements for name in attributes if name.startswith("on")
+    ]
     assert not re.search(r"url\(|@import|https?:", page.raw["style"][0])
     policy = next(
-        str(attributes["content"]) for tag, attributes in page.elements if tag == "meta" and "Security" in str(attributes.get("http-equiv"))
+        str(attributes["content"])
+        for tag, attributes in page.elements
+        if tag == "meta" and "Security" in str(attributes.get("http-equiv"))
     )
     assert policy.startswith("default-src 'none'")
     assert "unsafe" not in policy
@@ -105,7 +118,10 @@ def test_numbers_are_written_for_readers(full):
 
 def test_table_1_shows_ours_beside_the_paper(full):
     text, _ = full
-    rows = [re.sub(r"<[^>]+>|[ \n\t]+", " ", row) for row in re.findall(r"<tr class=\"(?:in)?direct\">.*?</tr>", text, re.S)]
+    rows = [
+        re.sub(r"<[^>]+>|[ \n\t]+", " ", row)
+        for row in re.findall(r"<tr class=\"(?:in)?direct\">.*?</tr>", text, re.S)
+    ]
     assert len(rows) == 17, "shared stages are one row each"
     first = next(row for row in rows if "softplus_dc" in row and "10⁻³" in row)
     assert first.count("197.86") == 2
@@ -118,7 +134,9 @@ def test_table_1_shows_ours_beside_the_paper(full):
 @pytest.mark.slow
 def test_rows_that_one_side_lacks_are_shown_as_such(factory, tmp_path):
     only = factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp")
-    ours = factory.stage(0, "strict_lcp", None, None, 0.0, paper={}).model_copy(update={"method": "mpcc"})
+    ours = factory.stage(0, "strict_lcp", None, None, 0.0, paper={}).model_copy(
+        update={"method": "mpcc"}
+    )
     other = factory.run("mpcc", None, "strict_lcp", key="mpcc-0", stages=(ours,))
     text, page = render(factory.store(tmp_path / "part", [only, other]))
     assert text.count("not in our records") == 17 - 4 + 1
@@ -147,7 +165,9 @@ def test_hostile_strings_stay_text(factory, hostile_folder):
     assert not [tag for tag, _ in page.elements if tag in ("img", "b", "iframe")]
     assert page.text.count("<img src=x onerror=") > 20, "the strings are shown, as text"
     assert sum(tag == "script" for tag, _ in page.elements) == 1 + sum(
-        attributes.get("type") == "application/json" for tag, attributes in page.elements if tag == "script"
+        attributes.get("type") == "application/json"
+        for tag, attributes in page.elements
+        if tag == "script"
     )
     assert "\u202e" not in text
     for data in page.raw["script"][:-1]:
@@ -158,8 +178,10 @@ def test_hostile_strings_stay_text(factory, hostile_folder):
 # Of a stage, each odd in its way.
 _ODD_DATA = (
     {"has_plan": False}, {"replay": None},
-    {"has_plan": False, "replay": None, "metrics": (), "cost": None, "verdict": "no plan", "history": {}, "residuals": {}, "options": {}},
-    {"history": {"objective": ()}}, {"history": {"objective": (1.0,), "mu": (0.0, 0.0, 0.0), "step": (1e-300, 1e300)}},
+    {"has_plan": False, "replay": None, "metrics": (), "cost": None, "verdict": "no plan",
+     "history": {}, "residuals": {}, "options": {}},
+    {"history": {"objective": ()}},
+    {"history": {"objective": (1.0,), "mu": (0.0, 0.0, 0.0), "step": (1e-300, 1e300)}},
     {"cost": 0.0, "paper": {"cost": 0.0}}, {"cost": -1e300, "paper": {"time": 0.0}}, {"eps": 0.0},
 )  # fmt: skip
 
@@ -168,22 +190,32 @@ _ODD_DATA = (
 def test_missing_and_odd_data_are_a_dash_and_never_an_exception(factory, tmp_path):
     plain = factory.stage(0, "softplus_dc", 1e-3, None, 0.0).model_dump()
     odd = [StageRecord.model_validate(plain | changes) for changes in _ODD_DATA]
-    runs = [factory.run(f"odd{place}", None, "strict_lcp", stages=(stage,), must_hold=False) for place, stage in enumerate(odd)]
+    runs = [
+        factory.run(f"odd{place}", None, "strict_lcp", stages=(stage,), must_hold=False)
+        for place, stage in enumerate(odd)
+    ]
     write_report(folder := factory.store(tmp_path / "odd", [*runs, factory.runs()[0]]))
     for run, stage in zip(runs, odd, strict=True):
         page = Parsed((folder / "pages" / f"{run.key}.html").read_text(encoding="utf-8"))
         assert "softplus_dc" in page.text
-        told = [not unsaid(page.text, words) for words in ("There is no plan", "No planned trajectory is stored")]
+        told = [
+            not unsaid(page.text, words)
+            for words in ("There is no plan", "No planned trajectory is stored")
+        ]
         assert sum(told) == (not stage.has_plan), (run.pipeline, told)
 
 
 # The columns of a file of motion, none where it is missing, or its bytes; and what is said of it.
 _ODD_MOTIONS = (
-    (None, "cannot be read (there is no such file)"), (b"", "cannot be read ("), (b"CDF\x01 an old one", "cannot be read ("), ({}, "stored"),
+    (None, "cannot be read (there is no such file)"), (b"", "cannot be read ("),
+    (b"CDF\x01 an old one", "cannot be read ("), ({}, "stored"),
     ({"t": ()}, "stored"), ({"t": (0.0, float("nan")), "q1": (1.0, 2.0)}, "stored"),
-    ({"t": (0.0, 1.0, 2.0), "q1": (1.0,), "lam_left": (), "other": (1.0, 2.0), "knots": (0, 9)}, ""),
-    ({"t": (1.0,), "q1": (1.0,), "gap_left": (-1.0,), "pose_x_1": (0.0,), "pose_y_1": (0.0,), "pose_angle_1": (0.0,)}, ""),
-    ({"t": (0.0, 1.0), "q1": (b"a", b"b"), "u1": ((1.0, 2.0), (3.0, 4.0)), "gap_left": (0.0, 1.0, 2.0)}, ""),
+    ({"t": (0.0, 1.0, 2.0), "q1": (1.0,), "lam_left": (), "other": (1.0, 2.0), "knots": (0, 9)},
+     ""),
+    ({"t": (1.0,), "q1": (1.0,), "gap_left": (-1.0,), "pose_x_1": (0.0,), "pose_y_1": (0.0,),
+      "pose_angle_1": (0.0,)}, ""),
+    ({"t": (0.0, 1.0), "q1": (b"a", b"b"), "u1": ((1.0, 2.0), (3.0, 4.0)),
+      "gap_left": (0.0, 1.0, 2.0)}, ""),
 )  # fmt: skip
 
 
@@ -204,7 +236,8 @@ def test_missing_and_odd_motions_are_a_dash_and_never_an_exception(factory, tmp_
         page = Parsed((folder / "pages" / f"{run.key}.html").read_text(encoding="utf-8"))
         assert (
             f"{what}.nc {said}" in page.text
-            or f"No {'planned trajectory' if what == 'trajectory' else 'replay'} is {said}" in page.text
+            or f"No {'planned trajectory' if what == 'trajectory' else 'replay'} is {said}"
+            in page.text
             or not said
         )
         assert "strict_lcp" in page.text
@@ -225,7 +258,10 @@ def test_pages_of_long_motions_stay_small(factory, tmp_path):
     for path in folder.glob("runs/*/*.nc"):
         factory.write_motion(path, {**long, "t": times})
     write_report(folder)
-    sizes = {path.name: path.stat().st_size for path in (folder / "report.html", *(folder / "pages").iterdir())}
+    sizes = {
+        path.name: path.stat().st_size
+        for path in (folder / "report.html", *(folder / "pages").iterdir())
+    }
     assert {"report.html", "scene-three_cart.html", f"{run.key}.html"} <= set(sizes)
     assert max(sizes.values()) < 300_000
 
@@ -236,14 +272,24 @@ def test_the_report_needs_no_solver(full_folder):
         "import sys; from pathlib import Path; from reports.render import write_report; write_report(Path(sys.argv[1])); "
         "print(sorted({'torch', 'pyomo', 'sympy', 'scipy', 'models', 'formulations', 'validate'} & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", program, str(full_folder)], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(full_folder)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert done.stdout.strip() == "[]"
 
 
 @pytest.mark.slow
 def test_the_command_rebuilds_the_page(full_folder):
     (full_folder / "report.html").unlink(missing_ok=True)
-    done = subprocess.run([sys.executable, "-m", "reports", str(full_folder)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "reports", str(full_folder)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert (done.returncode, done.stdout.strip()) == (0, str(full_folder / "report.html"))
     assert (full_folder / "report.html").is_file()
 

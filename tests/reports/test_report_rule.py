@@ -13,17 +13,47 @@ from reports.rule import RESULTS, RULE, failures
 
 def words_of(folder: Path) -> str:
     """The text of a campaign's report."""
-    return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", write_report(folder).read_text(encoding="utf-8"))).split())
+    return " ".join(
+        html.unescape(
+            re.sub(r"<[^>]*>", " ", write_report(folder).read_text(encoding="utf-8"))
+        ).split()
+    )
 
 
-def ended(factory, outcome: str, verdict: str, *, scene: str = "bank", direct: bool = True, paper: bool = False, pipeline: str = "strict"):
-    run = factory.run(pipeline, None, "strict_lcp", outcome=outcome, verdict=verdict, must_hold=direct, message="a reason.")
+def ended(
+    factory,
+    outcome: str,
+    verdict: str,
+    *,
+    scene: str = "bank",
+    direct: bool = True,
+    paper: bool = False,
+    pipeline: str = "strict",
+):
+    run = factory.run(
+        pipeline,
+        None,
+        "strict_lcp",
+        outcome=outcome,
+        verdict=verdict,
+        must_hold=direct,
+        message="a reason.",
+    )
     place = run.scene.model_copy(update={"name": scene})
-    last = run.stages[-1].model_copy(update={"outcome": outcome, "verdict": verdict, "why": "a limit", **({} if paper else {"paper": {}})})
+    last = run.stages[-1].model_copy(
+        update={
+            "outcome": outcome,
+            "verdict": verdict,
+            "why": "a limit",
+            **({} if paper else {"paper": {}}),
+        }
+    )
     return run.model_copy(update={"scene": place, "stages": (*run.stages[:-1], last)})
 
 
-@pytest.mark.parametrize("outcome", ["iteration_limit", "time_limit", "stalled", "diverged", "infeasible", "refused"])
+@pytest.mark.parametrize(
+    "outcome", ["iteration_limit", "time_limit", "stalled", "diverged", "infeasible", "refused"]
+)
 @pytest.mark.parametrize("verdict", ["violates", "undecided", "no plan"])
 def test_an_honest_ending_is_a_result(factory, outcome: str, verdict: str):
     assert failures([ended(factory, "solved", "holds"), ended(factory, outcome, verdict)]) == ()
@@ -34,17 +64,25 @@ def test_a_scene_needs_a_cell_that_holds_once_a_direct_method_ran(factory):
     relaxed = ended(factory, "solved", "violates", direct=False, pipeline="softplus_dc")
     assert failures([stuck, relaxed]) == ("bank: no run holds (strict iteration limit, violates)",)
     assert failures([relaxed]) == (), "nothing direct was selected"
-    assert failures([ended(factory, "refused", "not applicable"), relaxed]) == (), "nothing direct ran"
+    assert failures([ended(factory, "refused", "not applicable"), relaxed]) == (), (
+        "nothing direct ran"
+    )
     assert failures([stuck, ended(factory, "solved", "holds", direct=False)]) == ()
     elsewhere = ended(factory, "solved", "holds", scene="other")
-    assert failures([stuck], among=[stuck, ended(factory, "solved", "holds", pipeline="mpcc")]) == (), "an earlier run of the folder holds"
-    assert failures([stuck, elsewhere]) == ("bank: no run holds (strict iteration limit, violates)",), "another scene does not help"
+    assert (
+        failures([stuck], among=[stuck, ended(factory, "solved", "holds", pipeline="mpcc")]) == ()
+    ), "an earlier run of the folder holds"
+    assert failures([stuck, elsewhere]) == (
+        "bank: no run holds (strict iteration limit, violates)",
+    ), "another scene does not help"
 
 
 def test_feedback_is_enough_only_on_a_scene_that_says_that_it_is_unstable(factory):
     run = ended(factory, "solved", "holds with feedback")
     assert failures([run]) == ("bank x strict: holds with feedback - a limit",)
-    unstable = run.model_copy(update={"scene": run.scene.model_copy(update={"unstable": "It falls over."})})
+    unstable = run.model_copy(
+        update={"scene": run.scene.model_copy(update={"unstable": "It falls over."})}
+    )
     assert failures([unstable]) == ()
     good = ended(factory, "solved", "holds")
     stuck = ended(factory, "iteration_limit", "violates")

@@ -1,4 +1,7 @@
-"""Motions come from the files beside a record; columns of a record are the same after writing and reading, and finite numbers."""
+"""Motions come from the files beside a record.
+
+Columns of a record are the same after writing and reading, and finite numbers.
+"""
 
 import base64
 import json
@@ -38,7 +41,18 @@ def _text(*numbers: float) -> str:
 
 @pytest.mark.parametrize(
     "column",
-    ["###", "[0.0]", "MTIz", _text(1.0)[:-4], _text(0.0, float("nan")), _text(float("inf")), [float("nan")], ["a"], {"0": 1.0}, None],
+    [
+        "###",
+        "[0.0]",
+        "MTIz",
+        _text(1.0)[:-4],
+        _text(0.0, float("nan")),
+        _text(float("inf")),
+        [float("nan")],
+        ["a"],
+        {"0": 1.0},
+        None,
+    ],
     ids=str,
 )
 def test_what_is_no_column_is_refused(factory, column):
@@ -55,18 +69,28 @@ def test_a_plan_and_its_replay_are_read_as_they_were_written(factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp")
     folder = factory.store(tmp_path / "all", [run])
     columns = {
-        name: [float(place) for place in range(4)] for name in ("t", "q1", "q2", "q3", "gap_left", "pose_x_1", "pose_y_1", "pose_angle_1")
+        name: [float(place) for place in range(4)]
+        for name in ("t", "q1", "q2", "q3", "gap_left", "pose_x_1", "pose_y_1", "pose_angle_1")
     }
     place = folder / "runs" / run.key
     factory.write_motion(place / "trajectory.nc", {**columns, "u1": [5.0, 6.0, 7.0]})
-    moved = {**columns, "q2": [0.0, 1.5, 2.0, 3.25], "lam_right": [0.0, 1.0, 0.0, 0.0], "knots": [0, 2, 3], "applied_u1": [8.0, 9.0]}
+    moved = {
+        **columns,
+        "q2": [0.0, 1.5, 2.0, 3.25],
+        "lam_right": [0.0, 1.0, 0.0, 0.0],
+        "knots": [0, 2, 3],
+        "applied_u1": [8.0, 9.0],
+    }
     factory.write_motion(place / "replay.nc", moved)
     found = factory.motion(folder, run, run.stages[0])
     assert (found.tracked, found.problems) == (None, ())
     assert found.plan.t.tolist() == found.plan.columns["gap_left"].tolist() == [0.0, 1.0, 2.0, 3.0]
     assert found.plan.columns["u1"].tolist() == [5.0, 6.0, 7.0]
-    assert {name: poses.tolist() for name, poses in found.plan.poses.items()} == {"left": [[place] * 3 for place in (0.0, 1.0, 2.0, 3.0)]}
-    # The plan's nodes are rows 0, 2 and 3 of the replay: there it is at 0, 1 and 2, the replay at 0, 2 and 3.25 of q2, and so on.
+    assert {name: poses.tolist() for name, poses in found.plan.poses.items()} == {
+        "left": [[place] * 3 for place in (0.0, 1.0, 2.0, 3.0)]
+    }
+    # The plan's nodes are rows 0, 2 and 3 of the replay: there it is at 0, 1 and 2, the replay at
+    # 0, 2 and 3.25 of q2, and so on.
     assert found.replay.columns["position_error"].tolist() == pytest.approx([0.0, 0.5, 1.0, 1.25])
     assert found.replay.columns["u1"].tolist() == [8.0, 8.0, 9.0, 9.0]
     assert contact_phases(found.replay, "right") == [(1.0, 2.0)]
@@ -76,7 +100,9 @@ def test_long_motions_are_thinned_with_their_ends(factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp")
     folder = factory.store(tmp_path / "all", [run])
     times = [float(place) for place in range(20_001)]
-    factory.write_motion(folder / "runs" / run.key / "trajectory.nc", {"t": times, "q1": times, "u1": times[:-1]})
+    factory.write_motion(
+        folder / "runs" / run.key / "trajectory.nc", {"t": times, "q1": times, "u1": times[:-1]}
+    )
     plan = factory.motion(folder, run, run.stages[0]).plan
     assert len(plan.t) == LONGEST
     assert plan.t[[0, -1]].tolist() == [0.0, 20_000.0]
@@ -87,7 +113,10 @@ def test_long_motions_are_thinned_with_their_ends(factory, tmp_path):
 def test_a_stage_without_a_plan_has_no_motion_whatever_lies_there(factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp")
     folder = factory.store(tmp_path / "all", [run])
-    assert factory.motion(folder, run, run.stages[0].model_copy(update={"has_plan": False})) == Motion()
+    assert (
+        factory.motion(folder, run, run.stages[0].model_copy(update={"has_plan": False}))
+        == Motion()
+    )
 
 
 def of(factory, **trace):
@@ -107,13 +136,21 @@ def test_phases_of_contact_begin_and_end_at_their_times(factory):
 
 
 def test_values_between_stored_times_are_linear_and_constant_beyond():
-    assert at_all([0.0, 1.0, 3.0], [2.0, 4.0, 8.0], np.array([-1.0, 0.5, 2.0, 9.0])).tolist() == [2.0, 3.0, 6.0, 8.0]
+    assert at_all([0.0, 1.0, 3.0], [2.0, 4.0, 8.0], np.array([-1.0, 0.5, 2.0, 9.0])).tolist() == [
+        2.0,
+        3.0,
+        6.0,
+        8.0,
+    ]
     assert at_all([0.0, 1.0, 3.0], [2.0, 4.0], np.array([0.5, 9.0])).tolist() == [3.0, 4.0]
     assert at_all([0.0, 1.0], [2.0, 4.0, 8.0], np.array([9.0])).tolist() == [4.0]
 
 
 def written(factory, folder, run, **files):
-    """What is read of a stage of which these files are written; the others lie there as the factory writes them."""
+    """What is read of a stage of which these files are written.
+
+    The others lie there as the factory writes them.
+    """
     factory.store(folder, [run])
     for what, columns in files.items():
         factory.write_motion(folder / "runs" / run.key / f"{what}.nc", columns)
@@ -131,19 +168,33 @@ def test_each_motion_is_read_from_its_own_file(factory, tmp_path):
     run = tracked_run(factory)
     t = [0.0, 1.0, 2.0]
     found = written(
-        factory, tmp_path, run, trajectory={"t": t, "q1": [1.0, 2.0, 3.0]}, replay={"t": t, "q1": [4.0, 5.0, 6.0]},
-        tracked={"t": t, "q1": [7.0, 8.0, 9.0], "u1": [1.0, 1.0, 1.0], "knots": [0, 1, 2], "applied_u1": [5.0, 6.0]},
+        factory, tmp_path, run, trajectory={"t": t, "q1": [1.0, 2.0, 3.0]},
+        replay={"t": t, "q1": [4.0, 5.0, 6.0]},
+        tracked={"t": t, "q1": [7.0, 8.0, 9.0], "u1": [1.0, 1.0, 1.0], "knots": [0, 1, 2],
+                 "applied_u1": [5.0, 6.0]},
     )  # fmt: skip
-    assert [trace.columns["q1"].tolist() for trace in (found.plan, found.replay, found.tracked)] == [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
+    assert [
+        trace.columns["q1"].tolist() for trace in (found.plan, found.replay, found.tracked)
+    ] == [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
     assert found.tracked.columns["u1"].tolist() == [5.0, 6.0, 6.0]
     assert found.tracked.columns["position_error"].tolist() == [6.0, 6.0, 6.0]
     assert "position_error" not in found.replay.columns, "its nodes are not known"
     assert found.problems == ()
     stage = run.stages[0]
     assert found.judged(stage) is found.replay
-    assert found.judged(stage.model_copy(update={"replay": stage.replay.model_copy(update={"judged": "feedback"})})) is found.tracked
+    assert (
+        found.judged(
+            stage.model_copy(
+                update={"replay": stage.replay.model_copy(update={"judged": "feedback"})}
+            )
+        )
+        is found.tracked
+    )
     assert read_plan(tmp_path / "runs" / run.key, run, stage).columns["q1"].tolist() == [1, 2, 3]
-    assert read_plan(tmp_path / "runs" / run.key, run, stage.model_copy(update={"has_plan": False})) is None
+    assert (
+        read_plan(tmp_path / "runs" / run.key, run, stage.model_copy(update={"has_plan": False}))
+        is None
+    )
 
 
 def test_files_that_cannot_be_read_are_told_and_the_others_shown(factory, tmp_path):
@@ -164,33 +215,50 @@ def test_files_that_cannot_be_read_are_told_and_the_others_shown(factory, tmp_pa
 
 @pytest.mark.parametrize(
     ("knots", "error"),
-    [([0, 1], [1.0, 2.0, 2.0]), ([0, 2], [1.0, 2.0, 3.0]), ([0, 3], None), ([-1, 2], None), ([], None), ([0, 1, 2, 2], None)],
+    [([0, 1], [1.0, 2.0, 2.0]), ([0, 2], [1.0, 2.0, 3.0]), ([0, 3], None), ([-1, 2], None),
+     ([], None), ([0, 1, 2, 2], None)],
 )  # fmt: skip
 def test_the_error_is_that_of_the_plans_nodes(factory, tmp_path, knots, error):
     """The replay is 1, 2, 4 and the plan 0, 0, 1 of q1; of q2 it is nearer."""
     run = factory.run("strict", None, "strict_lcp")
     t = [0.0, 1.0, 2.0]
-    replay = {"t": t, "q1": [1.0, 2.0, 4.0], "q2": [0.5, 0.5, 0.5]} | ({"knots": knots} if knots else {})
-    found = written(factory, tmp_path, run, trajectory={"t": t, "q1": [0.0, 0.0, 1.0], "q2": [0.0, 0.0, 0.0]}, replay=replay).replay
+    replay = {"t": t, "q1": [1.0, 2.0, 4.0], "q2": [0.5, 0.5, 0.5]} | (
+        {"knots": knots} if knots else {}
+    )
+    found = written(
+        factory,
+        tmp_path,
+        run,
+        trajectory={"t": t, "q1": [0.0, 0.0, 1.0], "q2": [0.0, 0.0, 0.0]},
+        replay=replay,
+    ).replay
     if error is None:
         assert "position_error" not in found.columns
     else:
         planned = {0: 0.0, 1: 0.0, 2: 1.0}
-        largest = [max(abs(replay["q1"][knot] - planned[node]), 0.5) for node, knot in enumerate(knots)]
-        assert found.columns["position_error"].tolist() == pytest.approx(np.interp(t, [t[knot] for knot in knots], largest).tolist())
+        largest = [
+            max(abs(replay["q1"][knot] - planned[node]), 0.5) for node, knot in enumerate(knots)
+        ]
+        assert found.columns["position_error"].tolist() == pytest.approx(
+            np.interp(t, [t[knot] for knot in knots], largest).tolist()
+        )
 
 
 def test_what_is_no_column_of_finite_numbers_is_missing(factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp")
     t = [0.0, 1.0, 2.0]
     one = {
-        "pose_x_1": [5.0], "pose_y_1": [1.0, 2.0, 3.0], "pose_angle_1": [0.5], "pose_x_2": [1.0, 2.0], "pose_y_2": t, "pose_angle_2": t,
+        "pose_x_1": [5.0], "pose_y_1": [1.0, 2.0, 3.0], "pose_angle_1": [0.5],
+        "pose_x_2": [1.0, 2.0], "pose_y_2": t, "pose_angle_2": t,
         "pose_x_3": t, "pose_y_3": t,
     }  # fmt: skip
     columns = {
-        "t": t, "q1": [1.0, float("nan"), 2.0], "q2": [[1.0], [2.0], [3.0]], "q3": [1.0, 2.0, 3.0, 4.0], "u1": [1, 2], "other": t, **one,
+        "t": t, "q1": [1.0, float("nan"), 2.0], "q2": [[1.0], [2.0], [3.0]],
+        "q3": [1.0, 2.0, 3.0, 4.0], "u1": [1, 2], "other": t, **one,
     }  # fmt: skip
     found = written(factory, tmp_path, run, trajectory=columns).plan
     assert sorted(found.columns) == ["u1"]
-    assert {name: poses.tolist() for name, poses in found.poses.items()} == {"left": [[5.0, 1.0, 0.5], [5.0, 2.0, 0.5], [5.0, 3.0, 0.5]]}
+    assert {name: poses.tolist() for name, poses in found.poses.items()} == {
+        "left": [[5.0, 1.0, 0.5], [5.0, 2.0, 0.5], [5.0, 3.0, 0.5]]
+    }
     assert written(factory, tmp_path / "none", run, trajectory={"q1": t}).plan is None

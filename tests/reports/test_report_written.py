@@ -1,5 +1,6 @@
 """Which pages are written, and when: what goes across runs each time, a run's page where there is none that is younger than its record; and whether
-anything of them would change."""
+anything of them would change.
+"""
 
 import os
 import re
@@ -16,9 +17,17 @@ from reports.render import PAGES, write_report, write_single
 
 @pytest.fixture
 def folder(factory, tmp_path: Path) -> Path:
-    """A chain with a sweep of eps, a short run, and a run in two parts; all of it was stored long ago."""
+    """A chain with a sweep of eps, a short run, and a run in two parts.
+
+    All of it was stored long ago.
+    """
     chain, short = factory.runs()[2], factory.runs()[0]
-    parts = [short.model_copy(update={"key": f"part-{place}", "pipeline": "parted", "part": place, "parts": 2}) for place in (1, 2)]
+    parts = [
+        short.model_copy(
+            update={"key": f"part-{place}", "pipeline": "parted", "part": place, "parts": 2}
+        )
+        for place in (1, 2)
+    ]
     stored = factory.store(tmp_path / "all", [chain, short, *parts])
     for path in stored.glob("runs/*/*"):
         os.utime(path, (1e9, 1e9))
@@ -27,12 +36,18 @@ def folder(factory, tmp_path: Path) -> Path:
 
 def _written(folder: Path) -> dict[str, tuple[int, int]]:
     """Which file each page is, and when it was written: the number of a file that is gone may be given to the next."""
-    return {path.name: (path.stat().st_ino, path.stat().st_mtime_ns) for path in (folder / PAGES).iterdir()}
+    return {
+        path.name: (path.stat().st_ino, path.stat().st_mtime_ns)
+        for path in (folder / PAGES).iterdir()
+    }
 
 
 def test_every_link_leads_to_an_anchor_of_a_page(full_folder):
     write_report(full_folder)
-    texts = {path.resolve(): path.read_text(encoding="utf-8") for path in (full_folder / "report.html", *(full_folder / PAGES).iterdir())}
+    texts = {
+        path.resolve(): path.read_text(encoding="utf-8")
+        for path in (full_folder / "report.html", *(full_folder / PAGES).iterdir())
+    }
     anchors = {path: set(re.findall(r' id="([^"]+)"', text)) for path, text in texts.items()}
     for path, text in texts.items():
         for address, anchor in re.findall(r' href="([^"#]*)(?:#([^"]*))?"', text):
@@ -40,15 +55,30 @@ def test_every_link_leads_to_an_anchor_of_a_page(full_folder):
             assert not anchor or anchor in anchors[target], (path, address, anchor)
             assert target in texts
     names = {path.stem for path in texts}
-    assert {"report", "runs", "simulators", "errata", "provenance", "scene-three_cart", "strict-0123456789abcdef"} <= names
+    assert {
+        "report",
+        "runs",
+        "simulators",
+        "errata",
+        "provenance",
+        "scene-three_cart",
+        "strict-0123456789abcdef",
+    } <= names
 
 
 @pytest.mark.slow
 def test_pages_together_show_every_figure_of_the_single_file(full_folder):
     single = write_single(full_folder).read_text(encoding="utf-8")
     write_report(full_folder)
-    pages = "".join(path.read_text(encoding="utf-8") for path in (full_folder / "report.html", *(full_folder / PAGES).iterdir()))
-    figures = [figure for figure in re.findall(r"<figure .*?</figure>", single, re.DOTALL) if "href=" not in figure]
+    pages = "".join(
+        path.read_text(encoding="utf-8")
+        for path in (full_folder / "report.html", *(full_folder / PAGES).iterdir())
+    )
+    figures = [
+        figure
+        for figure in re.findall(r"<figure .*?</figure>", single, re.DOTALL)
+        if "href=" not in figure
+    ]
     assert len(figures) > 100
     assert all(figure in pages for figure in figures)
 
@@ -72,13 +102,17 @@ def test_a_page_that_stands_is_left_and_any_other_is_written(folder: Path):
 
 
 @pytest.mark.slow
-def test_another_program_writes_all_pages(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_another_program_writes_all_pages(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     write_report(folder)
     before = _written(folder)
     (tmp_path / "room").mkdir()
     (tmp_path / "room" / "wording.py").write_text("")
     os.utime(tmp_path / "room" / "wording.py", (4e9, 4e9))
-    monkeypatch.setattr(module, "_due", lambda report, due=module._due: _with_room(due, report, tmp_path / "room"))
+    monkeypatch.setattr(
+        module, "_due", lambda report, due=module._due: _with_room(due, report, tmp_path / "room")
+    )
     write_report(folder)
     assert not {name for name, place in _written(folder).items() if before[name] == place}
 
@@ -92,13 +126,23 @@ def _with_room(due, report, room: Path):
 
 
 @pytest.mark.slow
-def test_pages_are_the_same_by_one_process_and_by_several(factory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    one, several = (factory.store(tmp_path / name / "all", factory.runs()) for name in ("one", "several"))
+def test_pages_are_the_same_by_one_process_and_by_several(
+    factory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    one, several = (
+        factory.store(tmp_path / name / "all", factory.runs()) for name in ("one", "several")
+    )
     write_report(one, 1)
     monkeypatch.setattr(module, "_WORTH", 1)
-    monkeypatch.setattr(threading, "active_count", lambda: 1)  # a browser's or a plugin's threads hold nothing that a page needs
+    monkeypatch.setattr(
+        threading, "active_count", lambda: 1
+    )  # a browser's or a plugin's threads hold nothing that a page needs
     drawn = []
-    monkeypatch.setattr(module, "_write_run", lambda *words, write=module._write_run: (drawn.append(words[-1]), write(*words)))
+    monkeypatch.setattr(
+        module,
+        "_write_run",
+        lambda *words, write=module._write_run: (drawn.append(words[-1]), write(*words)),
+    )
     write_report(several, 3)
     assert drawn == [], "this process drew none"
     assert {path.name: path.read_bytes() for path in (one / PAGES).iterdir()} == {
@@ -115,7 +159,9 @@ def test_few_pages_start_no_process(factory, tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.slow
-def test_what_a_process_leaves_undone_is_done_here(factory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_what_a_process_leaves_undone_is_done_here(
+    factory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     folder = factory.store(tmp_path / "all", factory.runs())
     monkeypatch.setattr(module, "_WORTH", 1)
     monkeypatch.setattr(threading, "active_count", lambda: 1)
@@ -142,17 +188,23 @@ def test_a_folder_in_the_place_of_a_page_is_one_sentence(folder: Path):
 def test_a_folder_that_is_renamed_has_the_same_pages(factory, tmp_path: Path):
     folder = factory.store(tmp_path / "all", factory.runs()[:1])
     write_report(folder)
-    before = {path.name: path.read_bytes() for path in (folder / PAGES).iterdir()} | {"report": (folder / "report.html").read_bytes()}
+    before = {path.name: path.read_bytes() for path in (folder / PAGES).iterdir()} | {
+        "report": (folder / "report.html").read_bytes()
+    }
     other = folder.rename(tmp_path / "another")
     for path in (other / PAGES).iterdir():
         path.unlink()
     write_report(other)
-    assert {path.name: path.read_bytes() for path in (other / PAGES).iterdir()} | {"report": (other / "report.html").read_bytes()} == before
+    assert {path.name: path.read_bytes() for path in (other / PAGES).iterdir()} | {
+        "report": (other / "report.html").read_bytes()
+    } == before
 
 
 @pytest.mark.parametrize("name", ["../../etc/passwd", "a/b", "☃", "x" * 300, "CON scene"])
 def test_a_scene_of_any_name_has_a_page_in_its_folder(factory, tmp_path: Path, name: str):
-    folder = factory.store(tmp_path / "all", [factory.run("strict", None, "strict_lcp", scene=factory.scene(name))])
+    folder = factory.store(
+        tmp_path / "all", [factory.run("strict", None, "strict_lcp", scene=factory.scene(name))]
+    )
     write_report(folder)
     (page,) = (folder / PAGES).glob("scene-*.html")
     assert f'href="{PAGES}/{page.name}"' in (folder / "report.html").read_text(encoding="utf-8")

@@ -15,31 +15,50 @@ FAKES_FOLDER = Path(__file__).parent / "fakes"
 
 @pytest.fixture(scope="session")
 def cli_environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """With a cache of its own, which goes with the folders of the tests: commands are killed here. Processes of pytest-xdist share one."""
+    """With a cache of its own, which goes with the folders of the tests: commands are killed here.
+
+    Processes of pytest-xdist share one.
+    """
     base = tmp_path_factory.getbasetemp()
     cache = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"
     cache.mkdir(exist_ok=True)
-    return {**os.environ, "PYTHONPATH": str(FAKES_FOLDER), "TOUCHSTONE_CACHE": str(cache), "NO_COLOR": "1"}
+    return {
+        **os.environ,
+        "PYTHONPATH": str(FAKES_FOLDER),
+        "TOUCHSTONE_CACHE": str(cache),
+        "NO_COLOR": "1",
+    }
 
 
 @pytest.fixture(scope="session")
-def cli(cli_environment: dict[str, str]) -> Iterator[Callable[..., subprocess.CompletedProcess[str]]]:
+def cli(
+    cli_environment: dict[str, str],
+) -> Iterator[Callable[..., subprocess.CompletedProcess[str]]]:
     """cli("list", "--json") runs `python -m validate list --json` to its end, in a process that need not import what others have."""
     with forked_commands(cli_environment) as run:
-        yield lambda *arguments, **environment: run(["-m", "validate", *arguments], {**cli_environment, **environment})
+        yield lambda *arguments, **environment: run(
+            ["-m", "validate", *arguments], {**cli_environment, **environment}
+        )
 
 
 @pytest.fixture
 def start_cli(cli_environment: dict[str, str]):
     """The same without waiting: a Popen in a session of its own, killed at the end of the test."""
     started: list[subprocess.Popen[str]] = []
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell, which what it starts would inherit
+    if (
+        signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    ):  # in the background of a shell, which what it starts would inherit
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def start(*arguments: str) -> subprocess.Popen[str]:
         command = [sys.executable, "-m", "validate", *arguments]
         process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=cli_environment, start_new_session=True
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=cli_environment,
+            start_new_session=True,
         )
         started.append(process)
         return process

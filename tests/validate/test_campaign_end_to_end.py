@@ -23,7 +23,13 @@ def twice(cli, cli_environment, tmp_path_factory):
     """The second in a process of its own, which orders its sets otherwise."""
     first, second = folders = [tmp_path_factory.mktemp(name) for name in ("first", "second")]
     command = [sys.executable, "-m", "validate", *CHOICE, "--out", str(second)]
-    alone = subprocess.run(command, capture_output=True, text=True, env={**cli_environment, "PYTHONHASHSEED": "7"}, check=False)
+    alone = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        env={**cli_environment, "PYTHONHASHSEED": "7"},
+        check=False,
+    )
     return folders, [cli(*CHOICE, "--out", str(first)), alone]
 
 
@@ -34,7 +40,11 @@ def _rows(folder) -> list[dict[str, str]]:
 def test_results_are_equal_to_the_bit_apart_from_times(twice):
     (first, second), _ = twice
     rows = [
-        [{name: value for name, value in row.items() if not name.endswith("_s")} for row in _rows(folder)] for folder in (first, second)
+        [
+            {name: value for name, value in row.items() if not name.endswith("_s")}
+            for row in _rows(folder)
+        ]
+        for folder in (first, second)
     ]
     assert rows[0] == rows[1]
     assert len(rows[0]) == 4
@@ -43,7 +53,9 @@ def test_results_are_equal_to_the_bit_apart_from_times(twice):
 def test_the_papers_costs_come_out(twice):
     (first, _), done = twice
     assert done[0].returncode == 0, done[0].stderr + done[0].stdout
-    assert [float(row["cost"]) for row in _rows(first)] == pytest.approx([149.17, 166.45, 215.14, 309.42], abs=0.02)
+    assert [float(row["cost"]) for row in _rows(first)] == pytest.approx(
+        [149.17, 166.45, 215.14, 309.42], abs=0.02
+    )
     assert [row["verdict"] for row in _rows(first)] == ["violates", "violates", "violates", "holds"]
     assert _rows(first)[-1]["physics"] == "0.0"
 
@@ -62,7 +74,9 @@ def test_the_folder_holds_everything(twice):
     (path,) = first.glob("runs/*/record.json")
     record = RunRecord.model_validate_json(path.read_bytes())
     names = {item.name for item in path.parent.iterdir()}
-    plans = {f"{kind}{stage}.nc" for kind in ("trajectory", "replay") for stage in ("", "_1", "_2", "_3")}
+    plans = {
+        f"{kind}{stage}.nc" for kind in ("trajectory", "replay") for stage in ("", "_1", "_2", "_3")
+    }
     assert names == {"record.json", "log.txt", "task.json", "files.json", *plans}
     last = record.stages[-1]
     assert last.paper == {"cost": 309.42, "stability": 0.05, "physics": 0.21, "time": 2.38}
@@ -71,11 +85,15 @@ def test_the_folder_holds_everything(twice):
     assert motion.problems == ()
     for trace in (motion.plan, motion.replay):
         assert len(trace.t) <= 1500
-        assert trace.columns.keys() >= {"q1", "u1", "lam_left", "gap_left"} - ({"u1"} if trace is motion.replay else set())
+        assert trace.columns.keys() >= {"q1", "u1", "lam_left", "gap_left"} - (
+            {"u1"} if trace is motion.replay else set()
+        )
         assert set(trace.poses) == {"left", "middle", "right"}
         gap = trace.columns["q2"] - trace.columns["q1"] - 0.5
         assert trace.columns["gap_left"] == pytest.approx(gap, abs=1e-9)
-    assert motion.replay.columns["position_error"].max() == pytest.approx(last.metric("replay_error").value, rel=1e-6)
+    assert motion.replay.columns["position_error"].max() == pytest.approx(
+        last.metric("replay_error").value, rel=1e-6
+    )
     assert last.seconds.total == pytest.approx(sum(stage.seconds.stage for stage in record.stages))
     assert (first / "report.html").stat().st_size > 10_000
     assert (first / "pages" / run_page(record)).stat().st_size > 100_000

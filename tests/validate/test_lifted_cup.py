@@ -42,7 +42,12 @@ def test_the_relaxed_plan_violates_and_says_where_its_forces_come_from(plans):
     found = judged(plans[0])
     assert found.verdict is Verdict.VIOLATES
     beyond = {metric.name for metric in found.metrics if metric.ok is False}
-    assert {"physics_scaled", "friction_dissipation_error", "ghost_impulse", "discrete_terminal_velocity_error"} <= beyond
+    assert {
+        "physics_scaled",
+        "friction_dissipation_error",
+        "ghost_impulse",
+        "discrete_terminal_velocity_error",
+    } <= beyond
     assert not unsaid(found.why, "not those of contact")
     assert dict(found.questions)[Question.GOAL] == "yes", "on paper"
 

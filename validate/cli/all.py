@@ -21,7 +21,13 @@ from validate.plan.runs import CampaignSettings
 from validate.store.provenance import command_line
 from validate.store.results import check_rows, rows
 
-_RULE = "\n\n".join(["A campaign fails (exit code 1) if", *(f"- {line}{'.' if line == RULE[-1] else ';'}" for line in RULE), *RESULTS])
+_RULE = "\n\n".join(
+    [
+        "A campaign fails (exit code 1) if",
+        *(f"- {line}{'.' if line == RULE[-1] else ';'}" for line in RULE),
+        *RESULTS,
+    ]
+)
 _EPILOG = f"""{_RULE}
 
 What is stored is used again, except runs that crashed, ran out of a shorter
@@ -55,11 +61,13 @@ configuration or nothing selected; 3 a system requirement is missing;
 def command(arguments: tuple[str, ...], as_json: bool, as_table: bool, **options: Any) -> int:
     """Run every scene by every pipeline, replay and score each plan, write the report.
 
-    Progress goes to stderr; to stdout what was found, why runs fail, and the path of the report. DIR then holds report.html with its
-    pages, results.csv (one row a stage), checks.csv (one row a check, such as that of a scene's FMU), violation.csv,
-    starts.csv (one row a start), front.csv (one row a terminal tolerance), campaign.json and, for each run, runs/<key>.
+    Progress goes to stderr; to stdout what was found, why runs fail, and the path of the report.
+    DIR then holds report.html with its pages, results.csv (one row a stage), checks.csv (one row a
+    check, such as that of a scene's FMU), violation.csv, starts.csv (one row a start), front.csv
+    (one row a terminal tolerance), campaign.json and, for each run, runs/<key>.
 
-    A part (-k, --scene, --quick, --last-failed) leaves the other runs of DIR in these tables and in the report.
+    A part (-k, --scene, --quick, --last-failed) leaves the other runs of DIR in these tables and in
+    the report.
     """
     settings = CampaignSettings(command=command_line(arguments), **options)
     return run_and_tell(settings, arguments, as_json=as_json, as_table=as_table)
@@ -86,12 +94,28 @@ _TITLES = (
     ("stage_s", "wall s", ".2f"),
 )
 _NUMBERS = ("stage", "eps", "cost", "terminal error", "replayed", "physics", "CPU s", "wall s")
-_DROPPED = ("wall s", "stage", "physics", "terminal error", "outcome", "replayed", "method", "eps", "CPU s")
+_DROPPED = (
+    "wall s",
+    "stage",
+    "physics",
+    "terminal error",
+    "outcome",
+    "replayed",
+    "method",
+    "eps",
+    "CPU s",
+)
 
 
-def run_and_tell(settings: CampaignSettings, arguments: Sequence[str], *, as_json: bool, as_table: bool) -> int:
-    """Run it, progress on stderr, results on stdout; the exit code. arguments: the words of the command. Raises TouchstoneError."""
-    # A closed terminal and a polite kill end like Ctrl-C: children stopped, finished runs kept. What nohup ignores stays ignored.
+def run_and_tell(
+    settings: CampaignSettings, arguments: Sequence[str], *, as_json: bool, as_table: bool
+) -> int:
+    """Run it, progress on stderr, results on stdout.
+
+    The exit code. arguments: the words of the command. Raises TouchstoneError.
+    """
+    # A closed terminal and a polite kill end like Ctrl-C: children stopped, finished runs kept.
+    # What nohup ignores stays ignored.
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler)
@@ -100,7 +124,9 @@ def run_and_tell(settings: CampaignSettings, arguments: Sequence[str], *, as_jso
     try:
         outcome = run_campaign(settings, teller)
         if settings.stop_early and teller.stored + teller.done < teller.total:
-            click.echo(f"stopped at the first failure (-x): {teller.so_far(settings.out)}", err=True)
+            click.echo(
+                f"stopped at the first failure (-x): {teller.so_far(settings.out)}", err=True
+            )
         if as_json:
             _print_json(outcome, settings)
         else:
@@ -151,13 +177,20 @@ def _print_causes(runs: Sequence[RunRecord]) -> None:
     """Why runs that should hold do not, although nothing is wrong with touchstone: each cause once, with what to do."""
     lines = [[str(len(mine)), cause.sentence, cause.advice] for cause, mine in by_cause(runs)]
     if lines:
-        print_table(["runs", "why they do not hold", "what to do"], lines, ("runs",), drop=("what to do",))
+        print_table(
+            ["runs", "why they do not hold", "what to do"], lines, ("runs",), drop=("what to do",)
+        )
         click.echo()
 
 
 def _grouped(outcome: CampaignResult) -> list[str]:
     """Why the campaign fails: a sentence for each cause that several runs share, and for each failure that is alone with its cause."""
-    causes = {sentence: cause for run in outcome.records if (cause := cause_of(run)) for sentence in failures([run])[:1]}
+    causes = {
+        sentence: cause
+        for run in outcome.records
+        if (cause := cause_of(run))
+        for sentence in failures([run])[:1]
+    }
     groups: dict[Cause | str, list[str]] = {}
     for sentence in outcome.failures:
         groups.setdefault(causes.get(sentence, sentence), []).append(sentence)
@@ -167,7 +200,9 @@ def _grouped(outcome: CampaignResult) -> list[str]:
         if isinstance(cause, str) or len(names) == 1:
             told.append(sentences[0])
         else:
-            told.append(f"{len(names)} runs - {cause.sentence}. {cause.advice} ({', '.join(names)})")
+            told.append(
+                f"{len(names)} runs - {cause.sentence}. {cause.advice} ({', '.join(names)})"
+            )
     return told
 
 
@@ -192,14 +227,19 @@ def _print_json(outcome: CampaignResult, settings: CampaignSettings) -> None:
 
 
 def _print_results(records: Sequence[RunRecord]) -> None:
-    """What of results.csv a terminal has room for; `replayed` is the terminal error after the replay that is judged."""
+    """What of results.csv a terminal has room for.
+
+    `replayed` is the terminal error after the replay that is judged.
+    """
     content = rows(records)
     for row in content:
         if row["judged"] == "feedback":
             row["replay_terminal_error"] = row["tracked_replay_terminal_error"]
     cells = [[short(row[name], pattern) for name, _, pattern in _TITLES] for row in content]
     place = [name for name, _, _ in _TITLES].index("verdict")
-    for line, stage in zip(cells, [stage for record in records for stage in record.stages], strict=True):
+    for line, stage in zip(
+        cells, [stage for record in records for stage in record.stages], strict=True
+    ):
         if stage.kind == "indirect" and stage.verdict == "violates":
             line[place] = "as expected: violates"
     print_table([title for _, title, _ in _TITLES], cells, _NUMBERS, drop=_DROPPED)

@@ -1,4 +1,8 @@
-"""`check`: whether FMUs do what they say; on the terminal as it is found, and as other tools read it: JSON, a page, JUnit XML, SARIF and Markdown."""
+"""`check`: whether FMUs do what they say.
+
+On the terminal as it is found, and as other tools read it: JSON, a page, JUnit XML, SARIF and
+Markdown.
+"""
 
 from __future__ import annotations
 
@@ -34,24 +38,62 @@ Examples:
 Exit codes: 0 nothing failed that is not waived; 1 something did; 2 a file is no FMU of
 version 2.0 or 3.0; 3 nothing failed, but code cannot be run on this machine.
 """
-_COLOURS = {"passed": "green", "failed": "red", "not offered": "bright_black", "advice": "yellow", "waived": "cyan"}
+_COLOURS = {
+    "passed": "green",
+    "failed": "red",
+    "not offered": "bright_black",
+    "advice": "yellow",
+    "waived": "cyan",
+}
 _SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-", "advice": "!", "waived": "~"}
 
 
 @click.command(epilog=_EPILOG)
-@click.argument("files", type=click.Path(path_type=Path), metavar="FILE.fmu...", nargs=-1, required=True)
-@click.option("--only", "names", multiple=True, metavar="NAME", help="Only the check of this name; may be repeated.")
-@click.option("--time-limit", type=FiniteRange(min=0.1), default=60.0, show_default=True, metavar="SECONDS", help="For each check.")
+@click.argument(
+    "files", type=click.Path(path_type=Path), metavar="FILE.fmu...", nargs=-1, required=True
+)
+@click.option(
+    "--only",
+    "names",
+    multiple=True,
+    metavar="NAME",
+    help="Only the check of this name; may be repeated.",
+)
+@click.option(
+    "--time-limit",
+    type=FiniteRange(min=0.1),
+    default=60.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="For each check.",
+)
 @click.option(
     "--importers",
     is_flag=True,
     help="Also by other people's importers, each in a process of its own, their numbers against ours: FMPy, fmuloader, libcosimpy, CasADi, fmutool, as far as they are installed (extra [fmu-check]).",
 )
-@click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout: an object; of several FMUs, a list of them.")
+@click.option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="The results as JSON on stdout: an object; of several FMUs, a list of them.",
+)
 @written_to("--html", "html_file", "FILE.html", "a page with every check")
-@written_to("--junit", "junit_file", "FILE.xml", "JUnit XML, for CI: a test suite an FMU, a test case a check")
-@written_to("--sarif", "sarif_file", "FILE.sarif", "SARIF, for code scanning: what failed, what was waived, and advice")
-@written_to("--markdown", "markdown_file", "FILE.md", "Markdown, to be pasted into an issue or a README")
+@written_to(
+    "--junit",
+    "junit_file",
+    "FILE.xml",
+    "JUnit XML, for CI: a test suite an FMU, a test case a check",
+)
+@written_to(
+    "--sarif",
+    "sarif_file",
+    "FILE.sarif",
+    "SARIF, for code scanning: what failed, what was waived, and advice",
+)
+@written_to(
+    "--markdown", "markdown_file", "FILE.md", "Markdown, to be pasted into an issue or a README"
+)
 @click.option(
     "--waive",
     "waivers",
@@ -76,20 +118,30 @@ def command(
 ) -> int:
     """Check any FMU (FMI 2.0 or 3.0, Model Exchange and Co-Simulation), its files and how its code behaves.
 
-    Each check claims something of a sound FMU. It is passed, failed or not offered, and a sentence says what was found. The FMU runs
-    in child processes: one that hangs or crashes fails the check, and harms nothing else.
+    Each check claims something of a sound FMU. It is passed, failed or not offered, and a sentence
+    says what was found. The FMU runs in child processes: one that hangs or crashes fails the check,
+    and harms nothing else.
     """
     checked: list[Checked] = []
     waived, context = _waivers(waivers), click.get_current_context()
 
     def told(row: FmuCheckRow) -> None:
-        with context.scope(cleanup=False):  # rows are told by another thread, which knows no --wide of its own
+        with context.scope(
+            cleanup=False
+        ):  # rows are told by another thread, which knows no --wide of its own
             _print(row)
 
     for file in files:
         before = os.times()
         tell = None if as_json else told
-        report = check_fmu(file, names=names or None, seconds=time_limit, waived=waived, told=tell, importers=importers)
+        report = check_fmu(
+            file,
+            names=names or None,
+            seconds=time_limit,
+            waived=waived,
+            told=tell,
+            importers=importers,
+        )
         after = os.times()
         cpu = sum(after[:4]) - sum(before[:4])
         checked.append((report, after.elapsed - before.elapsed, cpu))
@@ -118,8 +170,15 @@ def _summary(report: CheckReport) -> str:
 def _print(row: FmuCheckRow) -> None:
     """A row, as soon as it is there."""
     word = row.status.value
-    clause = f" [{row.clause}]" if row.status in (Status.FAILED, Status.WAIVED) and row.clause else ""
-    say(f"{row.title}: {row.sentence}{clause}", begin=f"{_SIGNS[word]} {word:<11}  ", indent=" " * 15, colour=_COLOURS[word])
+    clause = (
+        f" [{row.clause}]" if row.status in (Status.FAILED, Status.WAIVED) and row.clause else ""
+    )
+    say(
+        f"{row.title}: {row.sentence}{clause}",
+        begin=f"{_SIGNS[word]} {word:<11}  ",
+        indent=" " * 15,
+        colour=_COLOURS[word],
+    )
 
 
 def _waivers(texts: tuple[str, ...]) -> dict[str, str]:
@@ -161,7 +220,8 @@ def _page(checked: Sequence[Checked], arguments: tuple[str, ...]) -> str:
     return render_checks(records)
 
 
-# Levels of SARIF by severity, and what its results are about: what passed or is not offered is no result.
+# Levels of SARIF by severity, and what its results are about: what passed or is not offered is no
+# result.
 _LEVELS = {"error": "error", "behaviour": "warning", "advice": "note"}
 _TOLD = (Status.FAILED, Status.WAIVED, Status.ADVICE)
 
@@ -169,8 +229,19 @@ _TOLD = (Status.FAILED, Status.WAIVED, Status.ADVICE)
 def data(report: CheckReport) -> dict[str, Any]:
     """The report as JSON holds it."""
     told = ("type", "claim", "status", "severity", "clause", "sentence", "seconds")
-    rows = [{"check": row.name} | {name: getattr(row, name) for name in told} | {"status": row.status.value} for row in report.rows]
-    head = {"file": report.path, "fmi": report.version, "types": list(report.types), "ok": report.ok, "exit_code": report.exit_code}
+    rows = [
+        {"check": row.name}
+        | {name: getattr(row, name) for name in told}
+        | {"status": row.status.value}
+        for row in report.rows
+    ]
+    head = {
+        "file": report.path,
+        "fmi": report.version,
+        "types": list(report.types),
+        "ok": report.ok,
+        "exit_code": report.exit_code,
+    }
     return {**head, "rows": rows}
 
 
@@ -179,17 +250,39 @@ def junit(reports: Sequence[tuple[CheckReport, float]]) -> bytes:
     suites = ElementTree.Element("testsuites", name="touchstone check")
     for report, spent in reports:
         skipped = [row for row in report.rows if row.status in (Status.NOT_OFFERED, Status.WAIVED)]
-        suite = ElementTree.SubElement(suites, "testsuite", name=one_line(report.path), time=f"{spent:.3f}", tests=str(len(report.rows)))
-        suite.attrib |= {"failures": str(len(report.failures())), "skipped": str(len(skipped)), "errors": "0"}
+        suite = ElementTree.SubElement(
+            suites,
+            "testsuite",
+            name=one_line(report.path),
+            time=f"{spent:.3f}",
+            tests=str(len(report.rows)),
+        )
+        suite.attrib |= {
+            "failures": str(len(report.failures())),
+            "skipped": str(len(skipped)),
+            "errors": "0",
+        }
         for row in report.rows:
-            case = ElementTree.SubElement(suite, "testcase", name=row.title, classname=one_line(report.path), time=f"{row.seconds:.3f}")
+            case = ElementTree.SubElement(
+                suite,
+                "testcase",
+                name=row.title,
+                classname=one_line(report.path),
+                time=f"{row.seconds:.3f}",
+            )
             if row.status is Status.FAILED:
-                failure = ElementTree.SubElement(case, "failure", message=one_line(row.sentence), type=row.severity)
-                failure.text = f"A sound FMU: {one_line(row.claim)}{f' ({row.clause})' if row.clause else ''}"
+                failure = ElementTree.SubElement(
+                    case, "failure", message=one_line(row.sentence), type=row.severity
+                )
+                failure.text = (
+                    f"A sound FMU: {one_line(row.claim)}{f' ({row.clause})' if row.clause else ''}"
+                )
             elif row in skipped:
                 ElementTree.SubElement(case, "skipped", message=one_line(row.sentence))
             elif row.status is Status.ADVICE:
-                ElementTree.SubElement(case, "system-out").text = f"Advice: {one_line(row.sentence)}"
+                ElementTree.SubElement(
+                    case, "system-out"
+                ).text = f"Advice: {one_line(row.sentence)}"
     ElementTree.indent(suites)
     return ElementTree.tostring(suites, encoding="utf-8", xml_declaration=True)
 
@@ -207,7 +300,11 @@ def sarif(reports: Sequence[CheckReport]) -> str:
         }
         for _, row in told
     }
-    driver = {"name": "touchstone check", "version": version("touchstone-contact"), "rules": list(rules.values())}
+    driver = {
+        "name": "touchstone check",
+        "version": version("touchstone-contact"),
+        "rules": list(rules.values()),
+    }
     run = {"tool": {"driver": driver}, "results": [_result(report, row) for report, row in told]}
     schema = "https://json.schemastore.org/sarif-2.1.0.json"
     return json.dumps({"$schema": schema, "version": "2.1.0", "runs": [run]}, indent=1)
@@ -217,7 +314,12 @@ def _result(report: CheckReport, row: FmuCheckRow) -> dict[str, Any]:
     clause = f" [{row.clause}]" if row.clause else ""
     where = {"physicalLocation": {"artifactLocation": {"uri": quote(Path(report.path).as_posix())}}}
     message = {"text": f"{row.title}: {one_line(row.sentence)}{clause}"}
-    result = {"ruleId": _identity(row), "level": _LEVELS[row.severity], "message": message, "locations": [where]}
+    result = {
+        "ruleId": _identity(row),
+        "level": _LEVELS[row.severity],
+        "message": message,
+        "locations": [where],
+    }
     if row.status is Status.WAIVED:
         result["suppressions"] = [{"kind": "external", "justification": one_line(row.sentence)}]
     return result
@@ -225,22 +327,39 @@ def _result(report: CheckReport, row: FmuCheckRow) -> dict[str, Any]:
 
 def _identity(row: FmuCheckRow) -> str:
     """The check's name as a rule is named: letters, digits and hyphens."""
-    return "-".join("".join(letter if letter.isalnum() else " " for letter in row.name.replace("'", "")).lower().split())
+    return "-".join(
+        "".join(letter if letter.isalnum() else " " for letter in row.name.replace("'", ""))
+        .lower()
+        .split()
+    )
 
 
 def markdown(reports: Sequence[CheckReport], command: str) -> str:
-    """A table an FMU, what failed first; with the file's SHA-256 and what it was checked by, so that it can be cited."""
+    """A table an FMU, what failed first.
+
+    With the file's SHA-256 and what it was checked by, so that it can be cited.
+    """
     order = (Status.FAILED, Status.WAIVED, Status.ADVICE, Status.PASSED, Status.NOT_OFFERED)
     parts = []
     for report in reports:
         digest = hashlib.sha256(Path(report.path).read_bytes()).hexdigest()
         about = f"FMI {report.version}, {' and '.join(report.types)}. " if report.types else ""
-        rows = sorted((row for row in report.rows if not row.name.startswith(IMPORTER)), key=lambda row: order.index(row.status))
+        rows = sorted(
+            (row for row in report.rows if not row.name.startswith(IMPORTER)),
+            key=lambda row: order.index(row.status),
+        )
         cells = [[_status(row), *map(_cell, (row.title, row.sentence, row.clause))] for row in rows]
         table = ["| outcome | check | what was found | clause |", "|---|---|---|---|"]
         table += [f"| {' | '.join(row)} |" for row in cells]
         table += _importers(report)
-        parts += [f"## {_cell(Path(report.path).name)}", "", f"{about}{report.counts}. SHA-256 `{digest}`.", "", *table, ""]
+        parts += [
+            f"## {_cell(Path(report.path).name)}",
+            "",
+            f"{about}{report.counts}. SHA-256 `{digest}`.",
+            "",
+            *table,
+            "",
+        ]
     origin = f"touchstone {version('touchstone-contact')}, {platform.system()} {platform.machine()}, against FMI 2.0.4 and 3.0.2"
     return "\n".join([*parts, f"Checked by `{one_line(command)}` ({origin}).", ""])
 
@@ -249,15 +368,28 @@ def _importers(report: CheckReport) -> list[str]:
     """A table importer x interface; nothing where none was asked."""
     table = []
     for importer, cells in by_importer(report.rows).items():
-        told = [f"{cells[kind].status.value}: {cells[kind].sentence}" if kind in cells else "-" for kind in ("ME", "CS", "")]
+        told = [
+            f"{cells[kind].status.value}: {cells[kind].sentence}" if kind in cells else "-"
+            for kind in ("ME", "CS", "")
+        ]
         table.append(f"| {' | '.join(map(_cell, [importer, *told]))} |")
-    return ["", "| importer | Model Exchange | Co-Simulation | file |", "|---|---|---|---|", *table] if table else []
+    return (
+        ["", "| importer | Model Exchange | Co-Simulation | file |", "|---|---|---|---|", *table]
+        if table
+        else []
+    )
 
 
 def _status(row: FmuCheckRow) -> str:
-    return f"**{row.status.value}** ({row.severity})" if row.status is Status.FAILED else row.status.value
+    return (
+        f"**{row.status.value}** ({row.severity})"
+        if row.status is Status.FAILED
+        else row.status.value
+    )
 
 
 def _cell(text: str) -> str:
     """Text from anywhere in a cell of Markdown: nothing in it is a mark."""
-    return "".join(f"\\{letter}" if letter in "\\`*_{}[]<>|#!" else letter for letter in one_line(text))
+    return "".join(
+        f"\\{letter}" if letter in "\\`*_{}[]<>|#!" else letter for letter in one_line(text)
+    )

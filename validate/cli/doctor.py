@@ -1,8 +1,9 @@
 """`doctor`: what this machine can do, tried and not guessed.
 
-Each trial runs a small piece of the real thing in a child (`run_isolated`), returns a sentence of what was found, and raises where it cannot. It ends with
-a number that is known beforehand: an installation that computes something else has failed it. Each imports what it tries by itself: what cannot be
-imported is its finding, and nobody else's.
+Each trial runs a small piece of the real thing in a child (`run_isolated`), returns a sentence of
+what was found, and raises where it cannot. It ends with a number that is known beforehand: an
+installation that computes something else has failed it. Each imports what it tries by itself: what
+cannot be imported is its finding, and nobody else's.
 
 for finding in examine_machine(Path("runs/all")):
     print(finding.name, finding.state, finding.sentence, finding.remedy)
@@ -46,7 +47,10 @@ _SECONDS = 300.0
 
 
 class State(Enum):
-    """OK; ABSENT: an extra that is not installed, and nothing else is wrong; BROKEN: something the main job needs does not work."""
+    """OK; ABSENT: an extra that is not installed, and nothing else is wrong.
+
+    BROKEN: something the main job needs does not work.
+    """
 
     OK = "works"
     ABSENT = "not installed"
@@ -66,7 +70,12 @@ def command(folder: Path, as_json: bool) -> int:
         findings.append(finding)
         if not as_json:
             begin, indent = f"{finding.state.value:13}  ", " " * 15
-            say(f"{finding.name}: {finding.sentence}", begin=begin, indent=indent, colour=_COLOURS[finding.state])
+            say(
+                f"{finding.name}: {finding.sentence}",
+                begin=begin,
+                indent=indent,
+                colour=_COLOURS[finding.state],
+            )
             if finding.remedy:
                 say(f"to mend it: {finding.remedy}", begin=indent, indent=indent)
     code = 3 if any(finding.state is State.BROKEN for finding in findings) else 0
@@ -81,7 +90,10 @@ def command(folder: Path, as_json: bool) -> int:
 
 
 class MachineFinding(NamedTuple):
-    """sentence: what was found; remedy: what to do about it ("" if nothing); seconds of the clock."""
+    """sentence: what was found; remedy: what to do about it ("" if nothing).
+
+    Seconds of the clock.
+    """
 
     name: str
     state: State
@@ -93,7 +105,8 @@ class MachineFinding(NamedTuple):
 class Trial(NamedTuple):
     """A small piece of the real thing, run in a child.
 
-    needed: the main job does not work without it; absent: what an empty answer means; remedy: how to mend it; rests_on: trials that it cannot pass if
+    needed: the main job does not work without it; absent: what an empty answer means; remedy: how
+        to mend it; rests_on: trials that it cannot pass if
     they fail.
     """
 
@@ -116,7 +129,13 @@ TRIALS = (
     Trial("Ipopt", "ipopt", "pip install --force-reinstall cyipopt-wheels==1.7.0.dev0"),
     Trial("PyTorch", "gradient", "pip install --force-reinstall 'torch>=2.4'", rests_on=_COMPILED),
     Trial("FMU", "fmu", _FOR_FMUS, rests_on=_COMPILED),
-    Trial("proofs (extra [global])", "integer_programs", "pip install pyscipopt", False, "method global will say that it cannot run"),
+    Trial(
+        "proofs (extra [global])",
+        "integer_programs",
+        "pip install pyscipopt",
+        False,
+        "method global will say that it cannot run",
+    ),
     Trial(
         "MuJoCo (extra [engines])",
         "other_simulator",
@@ -132,9 +151,16 @@ def examine_machine(out: Path, trials: tuple[Trial, ...] = TRIALS) -> Iterator[M
     broken = set()
     for trial in trials:
         limits = Limits(seconds=_SECONDS, memory=16 * 1024**3)
-        done = run_isolated(f"validate.cli.doctor:{trial.function}", str(out.absolute()), limits=limits, what=trial.name)
+        done = run_isolated(
+            f"validate.cli.doctor:{trial.function}",
+            str(out.absolute()),
+            limits=limits,
+            what=trial.name,
+        )
         if done.ok and done.value:
-            yield MachineFinding(name=trial.name, state=State.OK, sentence=str(done.value), seconds=done.wall)
+            yield MachineFinding(
+                name=trial.name, state=State.OK, sentence=str(done.value), seconds=done.wall
+            )
             continue
         state, remedy = State.ABSENT, trial.remedy
         if trial.needed and not done.ok:
@@ -142,12 +168,19 @@ def examine_machine(out: Path, trials: tuple[Trial, ...] = TRIALS) -> Iterator[M
             state, remedy = State.BROKEN, f"mend {' and '.join(first)} first" if first else remedy
             broken.add(trial.name)
         sentence = trial.absent if done.ok else _why(done)
-        yield MachineFinding(name=trial.name, state=state, sentence=sentence, remedy=remedy, seconds=done.wall)
+        yield MachineFinding(
+            name=trial.name, state=state, sentence=sentence, remedy=remedy, seconds=done.wall
+        )
 
 
 def _why(done: Isolated) -> str:
     last = done.output.strip().splitlines()[-1:] or [""]
-    return " ".join([done.sentence.rstrip("."), *(f"(last line of its output: {line.strip()[:200]})" for line in last if line.strip())])
+    return " ".join(
+        [
+            done.sentence.rstrip("."),
+            *(f"(last line of its output: {line.strip()[:200]})" for line in last if line.strip()),
+        ]
+    )
 
 
 # The square root of 2 by Newton's iteration.
@@ -189,7 +222,9 @@ def store(out: str, arrays: Any) -> str:
         room = shutil.disk_usage(place).free
     except (OSError, MachineError) as error:
         cause = error.__cause__ or error
-        raise TrialError(f"{place} cannot be written to ({getattr(cause, 'strerror', cause)})") from error
+        raise TrialError(
+            f"{place} cannot be written to ({getattr(cause, 'strerror', cause)})"
+        ) from error
     if room < _ROOM:
         raise TrialError(f"{place} can be written to, but has {room / 1024**2:.0f} MiB free.")
     return f"{place} can be written to and has {room / 1024**3:.1f} GiB free"
@@ -214,7 +249,9 @@ def cache(out: str, arrays: Any) -> str:
         with tempfile.TemporaryDirectory(dir=folder, prefix="touchstone-doctor-") as inside:
             Path(inside, "file").write_bytes(b"touchstone")
     except OSError as error:
-        raise MachineError(f"the cache folder {folder} cannot be written to ({error.strerror}).") from error
+        raise MachineError(
+            f"the cache folder {folder} cannot be written to ({error.strerror})."
+        ) from error
     return f"compiled scenes and FMUs are kept in {folder}"
 
 
@@ -233,8 +270,15 @@ def ipopt(out: str, arrays: Any) -> str:
     model.product = pyo.Constraint(expr=x[0] * x[1] * x[2] * x[3] >= 25.0)
     model.length = pyo.Constraint(expr=sum(x[i] ** 2 for i in range(4)) == 40.0)
     pyo.SolverFactory("touchstone_ipopt").solve(model)
-    _compare("the optimum of problem 71 of Hock and Schittkowski", pyo.value(model.cost), 17.014017289156, 1e-7)
-    return f"{version()}, linear systems by {linear_solver()}; the optimum of a known problem to 1e-7"
+    _compare(
+        "the optimum of problem 71 of Hock and Schittkowski",
+        pyo.value(model.cost),
+        17.014017289156,
+        1e-7,
+    )
+    return (
+        f"{version()}, linear systems by {linear_solver()}; the optimum of a known problem to 1e-7"
+    )
 
 
 def gradient(out: str, arrays: Any) -> str:
@@ -266,12 +310,16 @@ def fmu(out: str, arrays: Any) -> str:
     scene = load_scene("bouncing_mass").with_task(steps=5)
     result = replayed(scene, rolled(scene))
     if len(result.t) == 0:
-        raise TrialError(f"the FMU of a scene could not be run: {result.message or result.outcome.value}")
+        raise TrialError(
+            f"the FMU of a scene could not be run: {result.message or result.outcome.value}"
+        )
     gravity = scene.parameter_values[next(p.symbol for p in scene.parameters if p.name == "g")]
     time = float(result.t[-1])
     expected = scene.task.start[0] + scene.task.start[1] * time - gravity * time**2 / 2
     _compare("the height of a falling mass in its FMU", float(result.q[-1, 0]), expected, 1e-9)
-    return "an FMU was exported and run by Model Exchange and Co-Simulation; the fall is right to 1e-9"
+    return (
+        "an FMU was exported and run by Model Exchange and Co-Simulation; the fall is right to 1e-9"
+    )
 
 
 def integer_programs(out: str, arrays: Any) -> str:
@@ -284,7 +332,9 @@ def integer_programs(out: str, arrays: Any) -> str:
     model.hideOutput()
     take = [model.addVar(vtype="B") for _ in range(4)]
     model.addCons(quicksum(w * x for w, x in zip((5, 4, 3, 2), take, strict=True)) <= 9)
-    model.setObjective(quicksum(c * x for c, x in zip((10, 9, 7, 3), take, strict=True)), "maximize")
+    model.setObjective(
+        quicksum(c * x for c, x in zip((10, 9, 7, 3), take, strict=True)), "maximize"
+    )
     model.optimize()
     _compare("the optimum of a knapsack", model.getObjVal(), 19.0, 1e-9)
     return f"SCIP {model.version()}"
@@ -297,8 +347,12 @@ def other_simulator(out: str, arrays: Any) -> str:
     except ImportError:
         return ""
     ball = '<body><freejoint/><geom size="0.1"/></body>'
-    model = mujoco.MjModel.from_xml_string(f'<mujoco><option integrator="RK4" gravity="0 0 -8"/><worldbody>{ball}</worldbody></mujoco>')
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option integrator="RK4" gravity="0 0 -8"/><worldbody>{ball}</worldbody></mujoco>'
+    )
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, 100)
-    _compare("the height of a ball falling in MuJoCo", float(data.qpos[2]), -4.0 * data.time**2, 1e-9)
+    _compare(
+        "the height of a ball falling in MuJoCo", float(data.qpos[2]), -4.0 * data.time**2, 1e-9
+    )
     return f"MuJoCo {mujoco.__version__}; a ball falls right to 1e-9"

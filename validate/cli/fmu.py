@@ -43,12 +43,26 @@ compiler or no MuJoCo, or it cannot be written.
     metavar="A:B",
     help="With --mjcf: force and gap between two geoms or bodies as outputs; may be repeated.",
 )
-@click.option("--keyframe", metavar="NAME", help="With --mjcf: start there instead of at the model's default.")
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), required=True, metavar="FILE", help="Where to write the FMU."
+    "--keyframe", metavar="NAME", help="With --mjcf: start there instead of at the model's default."
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, dir_okay=False),
+    required=True,
+    metavar="FILE",
+    help="Where to write the FMU.",
 )
 @apart("-o", "output")
-@click.option("--fmi", "version", type=click.Choice(["2", "3"]), default="2", show_default=True, help="Version of FMI.")
+@click.option(
+    "--fmi",
+    "version",
+    type=click.Choice(["2", "3"]),
+    default="2",
+    show_default=True,
+    help="Version of FMI.",
+)
 @click.option(
     "--platform",
     "platforms",
@@ -74,13 +88,29 @@ def command(
     """Export a scene, or a robot of MuJoCo, as an FMU: Co-Simulation and Model Exchange in one file."""
     ending, other = (".ssp", ".fmu") if coupled else (".fmu", ".ssp")
     named = f"call it {output.stem}{ending}."
-    own = "--coupled writes an .ssp" if coupled else "this is an FMU, and only --coupled writes an .ssp"
+    own = (
+        "--coupled writes an .ssp"
+        if coupled
+        else "this is an FMU, and only --coupled writes an .ssp"
+    )
     for wrong, sentence in (
         ((scene is None) == (mjcf is None), "give either a scene or --mjcf ROBOT.xml."),
-        (mjcf and (coupled or platforms), "--mjcf writes one FMU for this machine; leave out --coupled and --platform."),
-        (mjcf and output.suffix.lower() != ".fmu", f"{output}: with --mjcf it is an FMU, beside which its map is written; {named}"),
-        (not mjcf and (contacts or keyframe), "--contact and --keyframe belong to --mjcf; a scene has its own contacts and its own start."),
-        (coupled and (version != "2" or platforms), "--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform."),
+        (
+            mjcf and (coupled or platforms),
+            "--mjcf writes one FMU for this machine; leave out --coupled and --platform.",
+        ),
+        (
+            mjcf and output.suffix.lower() != ".fmu",
+            f"{output}: with --mjcf it is an FMU, beside which its map is written; {named}",
+        ),
+        (
+            not mjcf and (contacts or keyframe),
+            "--contact and --keyframe belong to --mjcf; a scene has its own contacts and its own start.",
+        ),
+        (
+            coupled and (version != "2" or platforms),
+            "--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform.",
+        ),
         (output.suffix.lower() == other, f"{output}: {own}; {named}"),
     ):
         if wrong:
@@ -89,12 +119,18 @@ def command(
         return _robot(mjcf, contacts, keyframe, output, f"{version}.0")
     loaded = load_scene(str(scene))
     warn(warnings_of([loaded]))
-    built = build_ssp(loaded) if coupled else build_fmu(loaded, version=f"{version}.0", platforms=platforms)
+    built = (
+        build_ssp(loaded)
+        if coupled
+        else build_fmu(loaded, version=f"{version}.0", platforms=platforms)
+    )
     _copy(built, output)
     return 0
 
 
-def _robot(mjcf: Path, contacts: tuple[str, ...], keyframe: str | None, output: Path, version: str) -> int:
+def _robot(
+    mjcf: Path, contacts: tuple[str, ...], keyframe: str | None, output: Path, version: str
+) -> int:
     """A robot's FMU, and its map beside it: one that is there already may be somebody's work, and stays."""
     robot = read_robot(mjcf, contacts, keyframe)
     built = build_robot(robot, version)
@@ -104,8 +140,15 @@ def _robot(mjcf: Path, contacts: tuple[str, ...], keyframe: str | None, output: 
     if not map_file.exists():
         write_durably(map_file, robot.map_text)
         click.echo(str(map_file))
-    elif not map_file.is_file() or map_file.read_text(encoding="utf-8", errors="replace") != robot.map_text:
-        warn([f"{map_file} is there already and was kept; where it does not fit this FMU, remove it and export again."])
+    elif (
+        not map_file.is_file()
+        or map_file.read_text(encoding="utf-8", errors="replace") != robot.map_text
+    ):
+        warn(
+            [
+                f"{map_file} is there already and was kept; where it does not fit this FMU, remove it and export again."
+            ]
+        )
     return 0
 
 

@@ -73,7 +73,9 @@ Environment:
 class LazyGroup(click.Group):
     """Commands that are imported when they are used. lazy: name -> (module whose `command` it is, what the overview says)."""
 
-    def __init__(self, *arguments: Any, lazy: Mapping[str, tuple[str, str]], **options: Any) -> None:
+    def __init__(
+        self, *arguments: Any, lazy: Mapping[str, tuple[str, str]], **options: Any
+    ) -> None:
         super().__init__(*arguments, **options)
         self.lazy = lazy
 
@@ -88,11 +90,18 @@ class LazyGroup(click.Group):
             return own
         return importlib.import_module(self.lazy[cmd_name][0]).command
 
-    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
         """As click does, but `_` is read as `-`, and a name that is none is refused with the nearest one."""
         if args and args[0].replace("_", "-") in self.lazy:
             args = [args[0].replace("_", "-"), *args[1:]]
-        if args and args[0] not in self.lazy and not args[0].startswith("-") and not ctx.resilient_parsing:
+        if (
+            args
+            and args[0] not in self.lazy
+            and not args[0].startswith("-")
+            and not ctx.resilient_parsing
+        ):
             hint = did_you_mean(args[0], self.lazy, f"there are {', '.join(self.lazy)}.")
             raise click.UsageError(f"there is no command {args[0]!r}; {hint}", ctx=ctx)
         return super().resolve_command(ctx, args)
@@ -115,11 +124,16 @@ def group() -> None:
 
 
 def run(arguments: Sequence[str], command: click.Group = group, program: str = PROGRAM) -> int:
-    """Run one command line of a program; the exit code. Nothing but TOUCHSTONE_DEBUG=1 lets a traceback through."""
+    """Run one command line of a program; the exit code.
+
+    Nothing but TOUCHSTONE_DEBUG=1 lets a traceback through.
+    """
     _open_closed_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal without our characters shows others instead of failing
+            stream.reconfigure(
+                errors="replace"
+            )  # a terminal without our characters shows others instead of failing
     if wanted := os.environ.get(_COMPLETE):
         from click.shell_completion import shell_complete
 
@@ -132,7 +146,9 @@ def run(arguments: Sequence[str], command: click.Group = group, program: str = P
 
 def _run(arguments: Sequence[str], command: click.Group, program: str) -> int:
     try:
-        code = command.main(list(arguments), prog_name=program, standalone_mode=False, obj=tuple(arguments))
+        code = command.main(
+            list(arguments), prog_name=program, standalone_mode=False, obj=tuple(arguments)
+        )
         sys.stdout.flush()
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.ctx.get_help() if error.ctx is not None else "", err=True)
@@ -151,7 +167,9 @@ def _run(arguments: Sequence[str], command: click.Group, program: str) -> int:
         return code
     except BrokenPipeError:
         raise
-    except SystemExit:  # click's end of a broken pipe: 1, as if something did not hold, and streams of its own
+    except (
+        SystemExit
+    ):  # click's end of a broken pipe: 1, as if something did not hold, and streams of its own
         if isinstance(sys.stdout, io.TextIOBase):
             raise
         return _reader_gone()
@@ -160,7 +178,8 @@ def _run(arguments: Sequence[str], command: click.Group, program: str) -> int:
             raise
         if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
             return _say(
-                f"{str(error.filename)[:60]!r}..: the disk has no names as long as this; give a shorter one.", TouchstoneError.exit_code
+                f"{str(error.filename)[:60]!r}..: the disk has no names as long as this; give a shorter one.",
+                TouchstoneError.exit_code,
             )
         if isinstance(error, OSError) and error.errno in _FULL:
             why = f"what there is to tell cannot be written ({error.strerror}); make room, or have it written elsewhere."
@@ -209,7 +228,11 @@ def _sentence(error: click.ClickException) -> str:
     if isinstance(error, click.NoSuchOption) and error.option_name in _RENAMED:
         return f"{error.option_name} is called {_RENAMED[error.option_name]} now."
     text = error.format_message()
-    if isinstance(error, click.UsageError) and error.ctx is not None and "did you mean" not in text.lower():
+    if (
+        isinstance(error, click.UsageError)
+        and error.ctx is not None
+        and "did you mean" not in text.lower()
+    ):
         text = f"{text.rstrip('.')}; {error.ctx.command_path} --help says what is possible."
     return text[:1].lower() + text[1:]
 
@@ -220,7 +243,9 @@ def _unexpected(error: Exception) -> str:
 
     where = "TOUCHSTONE_DEBUG=1 shows where"
     try:
-        with tempfile.NamedTemporaryFile("w", prefix="touchstone-", suffix=".log", delete=False, encoding="utf-8") as log:
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="touchstone-", suffix=".log", delete=False, encoding="utf-8"
+        ) as log:
             traceback.print_exc(file=log)
         where = f"the traceback is in {log.name}"
     except OSError:

@@ -1,4 +1,7 @@
-"""`list`: what there is. Nothing is imported for it: titles are the first lines of the files' docstrings."""
+"""`list`: what there is.
+
+Nothing is imported for it: titles are the first lines of the files' docstrings.
+"""
 
 from __future__ import annotations
 
@@ -40,24 +43,47 @@ def command(as_json: bool) -> int:
                 "name": pipeline.name,
                 "title": pipeline.title,
                 "quick": pipeline.name in QUICK,
-                "stages": [{"method": leg.method, "eps": list(leg.schedule)} for leg in pipeline.legs],
+                "stages": [
+                    {"method": leg.method, "eps": list(leg.schedule)} for leg in pipeline.legs
+                ],
             }
             for pipeline in PIPELINES
         ],
-        "methods": [{"name": name, "title": _title(methods / f"{name}.py")} for name in method_names()],
-        "stress cases": [{"name": name, "title": case.title, "quick": case.quick, "expected": case.expected} for name, case in cases],
+        "methods": [
+            {"name": name, "title": _title(methods / f"{name}.py")} for name in method_names()
+        ],
+        "stress cases": [
+            {"name": name, "title": case.title, "quick": case.quick, "expected": case.expected}
+            for name, case in cases
+        ],
     }
     if as_json:
         click.echo(json.dumps(data, indent=1))
         return 0
-    click.echo(table(["scene", "what it is"], [[item["name"], item["title"]] for item in data["scenes"]]))
+    click.echo(
+        table(["scene", "what it is"], [[item["name"], item["title"]] for item in data["scenes"]])
+    )
     click.echo()
-    rows = [[item["name"], "quick" if item["quick"] else "", _stages(item["stages"]), item["title"]] for item in data["pipelines"]]
-    click.echo(table(["pipeline", "", "stages (method: eps)", "what it is"], rows, drop=("stages (method: eps)",)))
+    rows = [
+        [item["name"], "quick" if item["quick"] else "", _stages(item["stages"]), item["title"]]
+        for item in data["pipelines"]
+    ]
+    click.echo(
+        table(
+            ["pipeline", "", "stages (method: eps)", "what it is"],
+            rows,
+            drop=("stages (method: eps)",),
+        )
+    )
     click.echo()
-    click.echo(table(["method", "what it is"], [[item["name"], item["title"]] for item in data["methods"]]))
+    click.echo(
+        table(["method", "what it is"], [[item["name"], item["title"]] for item in data["methods"]])
+    )
     click.echo()
-    told = [[item["name"], "quick" if item["quick"] else "", item["title"]] for item in data["stress cases"]]
+    told = [
+        [item["name"], "quick" if item["quick"] else "", item["title"]]
+        for item in data["stress cases"]
+    ]
     click.echo(table(["stress case", "", "what it is"], told))
     return 0
 

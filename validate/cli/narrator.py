@@ -34,7 +34,10 @@ class PlainNarrator:
         self._refused: list[RunRecord] = []  # of scenes whose other runs have not ended
 
     def begins(self, total: int, stored: int, anew: int) -> None:
-        """stored: runs and checks whose records are used; anew: others, of which a record is stored too."""
+        """stored: runs and checks whose records are used.
+
+        anew: others, of which a record is stored too.
+        """
         self.total, self.stored, self.anew = total, stored, anew
         again = f", {anew} of them again" if anew else ""
         self.notes(f"{stored} stored, {total - stored} to run{again}")
@@ -44,7 +47,11 @@ class PlainNarrator:
         if not out.is_dir():
             return f"{out} is gone, and what was stored in it with it"
         count = f"{self.stored + self.done} of {self.total} runs"
-        return f"{count} are done, what {out} holds of the others is kept" if self.anew else f"{count} are stored in {out}"
+        return (
+            f"{count} are done, what {out} holds of the others is kept"
+            if self.anew
+            else f"{count} are stored in {out}"
+        )
 
     def notes(self, sentence: str) -> None:
         """What is worth knowing, on a line."""
@@ -60,7 +67,9 @@ class PlainNarrator:
         refused: dict[str, list[str]] = {}
         for run in runs:
             method, _, why = run.message.partition(": ")
-            refused.setdefault(why if method.isidentifier() else run.message, []).append(run.pipeline)
+            refused.setdefault(why if method.isidentifier() else run.message, []).append(
+                run.pipeline
+            )
         for why, pipelines in refused.items():
             self.notes(f"not applicable: {', '.join(pipelines)}: {why}")
 
@@ -72,7 +81,10 @@ class PlainNarrator:
         """Called many times a second with what runs: what each task is called -> its unfinished folder."""
 
     def finished(self, record: RunRecord | CheckRecord) -> None:
-        """A run or check ended with this record; runs that do not apply to their scene are told together (`found`)."""
+        """A run or check ended with this record.
+
+        Runs that do not apply to their scene are told together (`found`).
+        """
         self.done += 1
         if record.outcome != "refused":
             self.notes(f"[{self.stored + self.done}/{self.total}] {_summary(record)}")
@@ -90,7 +102,13 @@ class BarNarrator(PlainNarrator):
     def begins(self, total: int, stored: int, anew: int) -> None:
         """Show the bar."""
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+        )
         from rich.table import Column
 
         def whole() -> Column:  # what runs is cut off where the terminal ends, the numbers never
@@ -102,7 +120,11 @@ class BarNarrator(PlainNarrator):
             MofNCompleteColumn(table_column=whole()),
             TimeElapsedColumn(table_column=whole()),
             TextColumn("{task.fields[left]}", table_column=whole()),
-            TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
+            TextColumn(
+                "{task.description}",
+                markup=False,
+                table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1),
+            ),
             console=self._console,
             transient=True,
             expand=True,
@@ -149,7 +171,11 @@ def _on_scene(runs: Sequence[RunRecord]) -> str:
         return f"{scene.name}: nothing is asked of its {len(runs)} runs"
     holding = [run for run in asked if run.verdict in HOLD]
     said = f"{scene.name}: {len(holding)} of {len(asked)} runs that end with exact contact hold"
-    cheapest = min((run for run in holding if run.cost is not None), key=lambda run: run.cost or 0.0, default=None)
+    cheapest = min(
+        (run for run in holding if run.cost is not None),
+        key=lambda run: run.cost or 0.0,
+        default=None,
+    )
     if cheapest is None:
         return said
     end = end_of(cheapest.stages[-1], scene)

@@ -1,7 +1,8 @@
 """Options that commands share: those by which a campaign is chosen and run - by `all`, by `plan`, which says what `all` would do, and by `run`, where a file chooses.
 
-Each of these is a parameter named like the field of validate.plan.runs.CampaignSettings that it fills. Beside them: a range of finite numbers, since click's lets
-nan and inf through, and what a shell offers while a scene is being typed.
+Each of these is a parameter named like the field of validate.plan.runs.CampaignSettings that it
+fills. Beside them: a range of finite numbers, since click's lets nan and inf through, and what a
+shell offers while a scene is being typed.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ def scenes(context: click.Context, parameter: click.Parameter, begun: str) -> li
 class FiniteRange(click.FloatRange):
     """A finite number within a range."""
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
         """The number; nan, inf and what is outside the range are refused."""
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
@@ -46,11 +49,14 @@ class FiniteRange(click.FloatRange):
 
 
 def written_to(option: str, name: str, metavar: str, what: str) -> Callable[[Command], Command]:
-    """An option for a file that a command writes. name: of the command's parameter; what: is written."""
+    """An option for a file that a command writes. name: of the command's parameter.
+
+    what: is written.
+    """
     kind = click.Path(path_type=Path, dir_okay=False)
-    return lambda command: click.option(option, name, type=kind, metavar=metavar, help=f"Where to write {what}.")(
-        apart(option, name)(command)
-    )
+    return lambda command: click.option(
+        option, name, type=kind, metavar=metavar, help=f"Where to write {what}."
+    )(apart(option, name)(command))
 
 
 def apart(option: str, name: str) -> Callable[[Command], Command]:
@@ -62,8 +68,16 @@ def apart(option: str, name: str) -> Callable[[Command], Command]:
             file = given[name]
             if file is not None and not file.name:
                 raise click.UsageError(f"{option}: {str(file)!r} names no file; give its path.")
-            others = [one for key, value in given.items() if key != name for one in (value if isinstance(value, tuple) else (value,))]
-            if file is not None and any(isinstance(one, (str, Path)) and Path(one).resolve() == file.resolve() for one in others):
+            others = [
+                one
+                for key, value in given.items()
+                if key != name
+                for one in (value if isinstance(value, tuple) else (value,))
+            ]
+            if file is not None and any(
+                isinstance(one, (str, Path)) and Path(one).resolve() == file.resolve()
+                for one in others
+            ):
                 raise click.UsageError(
                     f"{option} {file}: this file is named twice, and what it holds would be lost; name another for {option}."
                 )
@@ -75,7 +89,10 @@ def apart(option: str, name: str) -> Callable[[Command], Command]:
 
 
 def write(file: Path | None, make: Callable[[], str | bytes]) -> None:
-    """Write what is made for such a file, if there is to be one, and its folder too. Raises MachineError where the disk refuses."""
+    """Write what is made for such a file, if there is to be one, and its folder too.
+
+    Raises MachineError where the disk refuses.
+    """
     if file is not None:
         content = make()
         make_folder(file.parent)
@@ -84,7 +101,15 @@ def write(file: Path | None, make: Callable[[], str | bytes]) -> None:
 
 def folder_of(option: str, words: str) -> Callable[[Command], Command]:
     """An option for the folder of a campaign, runs/all without it."""
-    return click.option(option, "folder", type=A_FILE, default="runs/all", show_default=True, metavar="DIR", help=words)
+    return click.option(
+        option,
+        "folder",
+        type=A_FILE,
+        default="runs/all",
+        show_default=True,
+        metavar="DIR",
+        help=words,
+    )
 
 
 def options(*wanted: Callable[[Any], Any]) -> Callable[[Command], Command]:
@@ -105,9 +130,13 @@ def _our_plugin() -> str:
     return DEFAULT_PLUGIN
 
 
-def _one_expression(context: click.Context, option: click.Parameter, given: tuple[str, ...]) -> str | None:
+def _one_expression(
+    context: click.Context, option: click.Parameter, given: tuple[str, ...]
+) -> str | None:
     if len(given) > 1:
-        raise click.UsageError(f"-k is given {len(given)} times; join what is meant in one: -k '{' or '.join(map('({})'.format, given))}'.")
+        raise click.UsageError(
+            f"-k is given {len(given)} times; join what is meant in one: -k '{' or '.join(map('({})'.format, given))}'."
+        )
     return given[0] if given else None
 
 
@@ -152,7 +181,12 @@ SELECTING = options(
         show_default=True,
         help="Whether plans that hold are tried in perturbed worlds, up to 256 of them (docs/robustness.md).",
     ),
-    click.option("--last-failed", "--lf", is_flag=True, help="Run what failed when the campaign in DIR last ran, and nothing else."),
+    click.option(
+        "--last-failed",
+        "--lf",
+        is_flag=True,
+        help="Run what failed when the campaign in DIR last ran, and nothing else.",
+    ),
     click.option(
         "-j",
         "--jobs",
@@ -177,14 +211,40 @@ ENDING = options(
         metavar="local|dask[:ADDRESS|:FILE.json]",
         help="Where runs are executed: child processes here, Dask workers here, or the Dask cluster of a scheduler, by its address or by the file it wrote.",
     ),
-    click.option("-x", "stop_early", is_flag=True, help="Stop at the first run that makes the campaign fail."),
-    click.option("--retry", "retries", type=click.IntRange(min=0), default=0, metavar="N", help="Run again what crashes, up to N times."),
+    click.option(
+        "-x", "stop_early", is_flag=True, help="Stop at the first run that makes the campaign fail."
+    ),
+    click.option(
+        "--retry",
+        "retries",
+        type=click.IntRange(min=0),
+        default=0,
+        metavar="N",
+        help="Run again what crashes, up to N times.",
+    ),
 )
-OUT = click.option("--out", type=A_FILE, default="runs/all", show_default=True, metavar="DIR", help="The folder of the campaign.")
-OUT_OF_FILE = click.option("--out", type=A_FILE, metavar="DIR", help="The folder of the campaign.  [default: runs/NAME of the file]")
+OUT = click.option(
+    "--out",
+    type=A_FILE,
+    default="runs/all",
+    show_default=True,
+    metavar="DIR",
+    help="The folder of the campaign.",
+)
+OUT_OF_FILE = click.option(
+    "--out",
+    type=A_FILE,
+    metavar="DIR",
+    help="The folder of the campaign.  [default: runs/NAME of the file]",
+)
 # How results are printed.
 PRINTING = options(
-    click.option("--table", "as_table", is_flag=True, help="A table with a row for each stage of each run (`plan`: for each run)."),
+    click.option(
+        "--table",
+        "as_table",
+        is_flag=True,
+        help="A table with a row for each stage of each run (`plan`: for each run).",
+    ),
     wide_option,
     click.option("--json", "as_json", is_flag=True, help="All of it, as JSON on stdout."),
 )

@@ -12,7 +12,14 @@ import click
 from validate.cli.options import CHOOSING, OUT, PRINTING, SELECTING
 from validate.cli.table import in_words, print_table, say, short, warn
 from validate.execution.process import usable_cores
-from validate.plan.runs import CampaignSettings, past_seconds, reasons, scenes_of, select, with_stored
+from validate.plan.runs import (
+    CampaignSettings,
+    past_seconds,
+    reasons,
+    scenes_of,
+    select,
+    with_stored,
+)
 from validate.plan.warnings import warnings_of
 from validate.store.store import Store
 from validate.store.stored import earlier_schema
@@ -50,17 +57,30 @@ def tell_plan(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> i
         warn([sentence])
     store = Store(settings.out)
     entries = with_stored(entries, store, settings)
-    groups = [entry.task.scene_name if isinstance(entry.task, RunTask) else entry.task.kind for entry in entries]
+    groups = [
+        entry.task.scene_name if isinstance(entry.task, RunTask) else entry.task.kind
+        for entry in entries
+    ]
     explained = zip(entries, groups, reasons(entries, store), strict=True)
     told = [_Line(entry.task.title, group, entry.task.key, why) for entry, group, why in explained]
     seconds = past_seconds(entries, store)
-    limits = {name: [f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None] for name, scene in scenes.items()}
+    limits = {
+        name: [f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None]
+        for name, scene in scenes.items()
+    }
     waived = {name: sentences for name, sentences in limits.items() if sentences}
     unstable = {name: scene.unstable for name, scene in scenes.items() if scene.unstable}
     due = [line for line in told if line.why]
     if as_json:
         data = {
-            "runs": [{**line._asdict(), "stored": not line.why, "past_cpu_seconds": seconds.get(line.key)} for line in told],
+            "runs": [
+                {
+                    **line._asdict(),
+                    "stored": not line.why,
+                    "past_cpu_seconds": seconds.get(line.key),
+                }
+                for line in told
+            ],
             "stored": len(told) - len(due),
             "to_run": len(due),
             "left_out": list(left_out),
@@ -74,10 +94,15 @@ def tell_plan(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> i
     if left_out:
         say(f"left out by --quick: {', '.join(left_out)}")
     if as_table:
-        for name, sentence in ((name, sentence) for name, sentences in waived.items() for sentence in sentences):
+        for name, sentence in (
+            (name, sentence) for name, sentences in waived.items() for sentence in sentences
+        ):
             say(f"waived by {name}: {sentence}", indent="  ")
         for name, reason in unstable.items():
-            say(f"{name} is unstable in the open loop, so that feedback is enough there: {reason}", indent="  ")
+            say(
+                f"{name} is unstable in the open loop, so that feedback is enough there: {reason}",
+                indent="  ",
+            )
     for why, count in Counter(line.why for line in due).items():
         say(f"{count} to run: {why}", indent="  ")
     takes = f"; {_duration(due, seconds, settings.jobs or usable_cores())}" if due else ""
@@ -86,7 +111,10 @@ def tell_plan(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> i
 
 
 class _Line(NamedTuple):
-    """A run or check. group: its scene, or the kind of the check; why: it is run, empty if it is stored."""
+    """A run or check. group: its scene, or the kind of the check.
+
+    why: it is run, empty if it is stored.
+    """
 
     name: str
     group: str
@@ -95,8 +123,16 @@ class _Line(NamedTuple):
 
 
 def _print_runs(told: Sequence[_Line], seconds: Mapping[str, float]) -> None:
-    rows = [[line.name, "run" if line.why else "stored", short(seconds.get(line.key), ".1f"), line.why] for line in told]
-    print_table(["run or check", "", "CPU s before", "why"], rows, ("CPU s before",), drop=("CPU s before", "why"))
+    rows = [
+        [line.name, "run" if line.why else "stored", short(seconds.get(line.key), ".1f"), line.why]
+        for line in told
+    ]
+    print_table(
+        ["run or check", "", "CPU s before", "why"],
+        rows,
+        ("CPU s before",),
+        drop=("CPU s before", "why"),
+    )
 
 
 def _print_groups(told: Sequence[_Line], seconds: Mapping[str, float]) -> None:
@@ -105,7 +141,15 @@ def _print_groups(told: Sequence[_Line], seconds: Mapping[str, float]) -> None:
         mine = [line for line in told if line.group == group]
         due = [line for line in mine if line.why]
         known = [seconds[line.key] for line in due if line.key in seconds]
-        rows.append([group, str(len(mine)), str(len(mine) - len(due)), str(len(due)), f"{sum(known):.0f}" if known else ""])
+        rows.append(
+            [
+                group,
+                str(len(mine)),
+                str(len(mine) - len(due)),
+                str(len(due)),
+                f"{sum(known):.0f}" if known else "",
+            ]
+        )
     numbers = ("in all", "stored", "to run", "CPU s before")
     print_table(["scene or check", *numbers], rows, numbers, drop=("CPU s before",))
 

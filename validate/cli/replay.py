@@ -28,36 +28,77 @@ if TYPE_CHECKING:
     from validate.judge.score import Verdict
 
 
-# A plan so many times as long as the task may be in another unit of time, and is replayed for minutes.
+# A plan so many times as long as the task may be in another unit of time, and is replayed for
+# minutes.
 _LONG = 10.0
 
 
 # What names somebody's FMU, and how it is run.
 FMU_OPTIONS = options(
-    click.option("--fmu", type=A_FILE, metavar="FILE.fmu", help="Somebody's FMU (2.0 or 3.0) instead of a scene's own."),
-    click.option("--map", "map_path", type=A_FILE, metavar="MAP.toml",
-        help="Which column of the plan is which variable of the FMU. Without it: those of equal names."),
-    click.option("--hold", type=click.Choice(["zero", "linear"]),
-        help="Inputs between two rows: constant (the default), or a line to the next row. The CSV may say so itself: # hold: linear."),
-    click.option("--time-limit", type=FiniteRange(min=0.1), default=300.0, show_default=True, metavar="SECONDS",
-        help="The FMU is ended after them."),
-    click.option("--memory-limit", type=FiniteRange(min=0.5), default=4.0, show_default=True, metavar="GIB",
-        help="Address space of the FMU's process."),
-    click.option("--own-step", is_flag=True,
-        help="With --fmu: judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it; its error is what four change."),
-)  # fmt: skip
+    click.option(
+        "--fmu",
+        type=A_FILE,
+        metavar="FILE.fmu",
+        help="Somebody's FMU (2.0 or 3.0) instead of a scene's own.",
+    ),
+    click.option(
+        "--map",
+        "map_path",
+        type=A_FILE,
+        metavar="MAP.toml",
+        help="Which column of the plan is which variable of the FMU. Without it: those of equal names.",
+    ),
+    click.option(
+        "--hold",
+        type=click.Choice(["zero", "linear"]),
+        help="Inputs between two rows: constant (the default), or a line to the next row. The CSV may say so itself: # hold: linear.",
+    ),
+    click.option(
+        "--time-limit",
+        type=FiniteRange(min=0.1),
+        default=300.0,
+        show_default=True,
+        metavar="SECONDS",
+        help="The FMU is ended after them.",
+    ),
+    click.option(
+        "--memory-limit",
+        type=FiniteRange(min=0.5),
+        default=4.0,
+        show_default=True,
+        metavar="GIB",
+        help="Address space of the FMU's process.",
+    ),
+    click.option(
+        "--own-step",
+        is_flag=True,
+        help="With --fmu: judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it; its error is what four change.",
+    ),
+)
 
 
 def read_fmu_options(
-    scene: str | None, fmu: Path | None, *, map_path: Path | None, hold: str | None, time_limit: float, memory_limit: float, own_step: bool
+    scene: str | None,
+    fmu: Path | None,
+    *,
+    map_path: Path | None,
+    hold: str | None,
+    time_limit: float,
+    memory_limit: float,
+    own_step: bool,
 ) -> dict[str, Any]:
-    """What `wire_fmu` asks beside FMU and plan, of these options. Raises click.UsageError for what belongs to the other of scene and FMU."""
+    """What `wire_fmu` asks beside FMU and plan, of these options.
+
+    Raises click.UsageError for what belongs to the other of scene and FMU.
+    """
     if (scene is None) == (fmu is None):
         raise click.UsageError("give either --scene or --fmu.")
     if map_path is not None and fmu is None:
         raise click.UsageError("--map belongs to --fmu; a scene knows its own names.")
     if own_step and fmu is None:
-        raise click.UsageError("--own-step belongs to --fmu; a scene's plan is judged by the true motion.")
+        raise click.UsageError(
+            "--own-step belongs to --fmu; a scene's plan is judged by the true motion."
+        )
     limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
     return {"map_path": map_path, "hold": hold, "limits": limits, "own_step": own_step}
 
@@ -78,7 +119,9 @@ or FMU; 3 a system requirement is missing.
 """
 )
 @click.argument("plan", type=click.Path(path_type=Path), metavar="PLAN.csv|PLAN.nc")
-@click.option("--scene", metavar="NAME|FILE.py", shell_complete=scenes, help="The scene the plan is for.")
+@click.option(
+    "--scene", metavar="NAME|FILE.py", shell_complete=scenes, help="The scene the plan is for."
+)
 @FMU_OPTIONS
 @click.option(
     "--track",
@@ -108,7 +151,12 @@ or FMU; 3 a system requirement is missing.
 @click.option("--json", "as_json", is_flag=True, help="The score as JSON on stdout.")
 @wide_option
 @written_to("--html", "html_file", "FILE.html", "a page with verdict, player, plots and metrics")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write score.json and replay.nc there.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Write score.json and replay.nc there.",
+)
 @click.pass_obj
 def command(
     arguments: tuple[str, ...],
@@ -126,28 +174,37 @@ def command(
 ) -> int:
     """Replay a plan through an FMU, in a process of its own, and print its score.
 
-    PLAN.csv has one row a node: t and the inputs by name, and positions, velocities and contact forces where the plan has them. What it
-    does not say is not asked. A scene takes the plans of a campaign too: DIR/runs/KEY/trajectory.nc. docs/replay.md describes plan and
-    map, docs/verdict.md what is asked.
+    PLAN.csv has one row a node: t and the inputs by name, and positions, velocities and contact
+    forces where the plan has them. What it does not say is not asked. A scene takes the plans of a
+    campaign too: DIR/runs/KEY/trajectory.nc. docs/replay.md describes plan and map, docs/verdict.md
+    what is asked.
     """
     wired = read_fmu_options(scene, fmu, **given)
     if varied and fmu is None:
-        raise click.UsageError("--vary belongs to --fmu; how much of a scene's parameters a plan can take, robust says.")
+        raise click.UsageError(
+            "--vary belongs to --fmu; how much of a scene's parameters a plan can take, robust says."
+        )
     factors = _factors(varied)
     if engines is not None and fmu is not None:
-        raise click.UsageError("--engine belongs to --scene: another simulator cannot step somebody's FMU.")
+        raise click.UsageError(
+            "--engine belongs to --scene: another simulator cannot step somebody's FMU."
+        )
     asked = named_engines(engines) if engines is not None else ()
-    # NumPy's OpenBLAS starts a thread for each core as it is imported, and a process with threads is not forked (validate.execution.process).
+    # NumPy's OpenBLAS starts a thread for each core as it is imported, and a process with threads
+    # is not forked (validate.execution.process).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if fmu is not None:
         from validate.judge.judgement import wire_fmu
 
         wire = partial(wire_fmu, fmu, plan, **wired)
-        # All are wired before anything is replayed, the map as it stands first: what is wrong there, and what cannot be varied, is refused at once.
+        # All are wired before anything is replayed, the map as it stands first: what is wrong
+        # there, and what cannot be varied, is refused at once.
         stated = wire()
         others = [(wire(factors={name: factor}), name, factor) for name, factor in factors.items()]
         judgement, warnings = stated.judge(track), []
-        changes = [_change(judgement, other.judge(track), name, factor) for other, name, factor in others]
+        changes = [
+            _change(judgement, other.judge(track), name, factor) for other, name, factor in others
+        ]
     else:
         judgement, warnings = _of_scene(str(scene), plan, wired["hold"], wired["limits"], track)
         changes = []
@@ -155,7 +212,13 @@ def command(
     if asked:
         from validate.judge.elsewhere import elsewhere
 
-        rows = elsewhere(judgement, asked, limits=wired["limits"], jobs=usable_cores(), tell=lambda text: say(text, err=True))
+        rows = elsewhere(
+            judgement,
+            asked,
+            limits=wired["limits"],
+            jobs=usable_cores(),
+            tell=lambda text: say(text, err=True),
+        )
     told = _told(judgement, warnings)
     if changes:
         told["varied"] = changes
@@ -193,11 +256,24 @@ def _factors(texts: tuple[str, ...]) -> dict[str, float]:
 def _change(before: Judgement, after: Judgement, name: str, factor: float) -> dict[str, Any]:
     """What another parameter makes of a judgement: the verdict, and what moves most in its limits."""
     old, new = before.score.verdict.value, after.score.verdict.value
-    verdict = f"the verdict stays, {new}" if old == new else f"the verdict turns from {old} to {new}"
-    values = [(metric, after.score.metric(metric.name)) for metric in before.score.metrics if metric.limit and metric.value is not None]
+    verdict = (
+        f"the verdict stays, {new}" if old == new else f"the verdict turns from {old} to {new}"
+    )
+    values = [
+        (metric, after.score.metric(metric.name))
+        for metric in before.score.metrics
+        if metric.limit and metric.value is not None
+    ]
     both = [(one, other) for one, other in values if other is not None and other.value is not None]
     sentence = f"With {name} times {factor:g} {verdict}"
-    told = {"parameter": name, "factor": factor, "verdict": new, "metric": None, "value": None, "before": None}
+    told = {
+        "parameter": name,
+        "factor": factor,
+        "verdict": new,
+        "metric": None,
+        "value": None,
+        "before": None,
+    }
     if both:
         one, other = max(both, key=lambda pair: abs(pair[1].value - pair[0].value) / pair[0].limit)  # type: ignore[operator] - both were asked for
         sentence += f"; most changes {one.name}, {_size(one.value or 0.0)} to {_size(other.value or 0.0)} {one.unit} of {one.limit:g}"
@@ -206,12 +282,19 @@ def _change(before: Judgement, after: Judgement, name: str, factor: float) -> di
 
 
 def exit_code(verdict: Verdict, require: str) -> int:
-    """0 for what holds (`require` "holds": by its inputs alone) and for what is asked nothing; 1 for violates and undecided."""
-    accepted = {"holds", "consistent", "not applicable"} | ({"holds with feedback"} if require != "holds" else set())
+    """0 for what holds (`require` "holds": by its inputs alone) and for what is asked nothing.
+
+    1 for violates and undecided.
+    """
+    accepted = {"holds", "consistent", "not applicable"} | (
+        {"holds with feedback"} if require != "holds" else set()
+    )
     return 0 if verdict.value in accepted else 1
 
 
-def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool) -> tuple[Judgement, list[str]]:
+def _of_scene(
+    scene: str, plan: Path, hold: str | None, limits: Any, track: bool
+) -> tuple[Judgement, list[str]]:
     from models.fmu import build_fmu
     from validate.judge.judgement import ANOTHER_UNIT, as_trajectory, judge_trajectory
     from validate.plan.warnings import warnings_of
@@ -225,8 +308,12 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
         say(f"{plan}: {doubt}", err=True)
     longest = float(max(after - before for before, after in pairwise(trajectory.t)))
     same = math.isclose(longest, loaded.task.step, rel_tol=1e-9)
-    warnings = warnings_of([loaded if same else loaded.with_task(step=longest)], steps=trajectory.scheme is not None)
-    return judge_trajectory(loaded, build_fmu(loaded, results=False), trajectory, feedback=track, limits=limits), warnings
+    warnings = warnings_of(
+        [loaded if same else loaded.with_task(step=longest)], steps=trajectory.scheme is not None
+    )
+    return judge_trajectory(
+        loaded, build_fmu(loaded, results=False), trajectory, feedback=track, limits=limits
+    ), warnings
 
 
 def _told(judgement: Judgement, warnings: list[str]) -> dict[str, Any]:
@@ -237,15 +324,24 @@ def _told(judgement: Judgement, warnings: list[str]) -> dict[str, Any]:
         "verdict": result.verdict.value,
         "why": result.why,
         "judged": result.judged,
-        "questions": [{"number": question.number, "question": question.value, "answer": answer} for question, answer in result.questions],
+        "questions": [
+            {"number": question.number, "question": question.value, "answer": answer}
+            for question, answer in result.questions
+        ],
         "metrics": [
-            {**asdict(metric), "question": metric.question.number, "error": metric.error if math.isfinite(metric.error) else None}
+            {
+                **asdict(metric),
+                "question": metric.question.number,
+                "error": metric.error if math.isfinite(metric.error) else None,
+            }
             for metric in result.metrics
         ],
         "waived": list(result.waived),
         "not_asked": list(result.not_asked),
         "warnings": warnings,
-        "growth": None if replay is None or replay.growth is None else {**asdict(replay.growth), "rate": replay.growth.rate},
+        "growth": None
+        if replay is None or replay.growth is None
+        else {**asdict(replay.growth), "rate": replay.growth.rate},
         "replay": None if replay is None else _facts(replay),
         "tracked": None if replay is None or replay.tracked is None else _facts(replay.tracked),
     }
@@ -282,11 +378,15 @@ def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
             write_netcdf(out / "plan.nc", plan, subject, replay.tracked.feedback.gains)
 
 
-def _page(judgement: Judgement, plan: Path, arguments: tuple[str, ...], told: dict[str, Any]) -> str:
+def _page(
+    judgement: Judgement, plan: Path, arguments: tuple[str, ...], told: dict[str, Any]
+) -> str:
     from validate.store.provenance import command_line
     from validate.tasks.shown import JudgedPlan
 
-    return JudgedPlan.of(judgement, plan).page(command_line(arguments), told["warnings"], told.get("engines", ()))
+    return JudgedPlan.of(judgement, plan).page(
+        command_line(arguments), told["warnings"], told.get("engines", ())
+    )
 
 
 def _print(judgement: Judgement) -> None:
@@ -297,7 +397,11 @@ def _print(judgement: Judgement) -> None:
     for metric in result.metrics:
         if metric.name.startswith(TRACKED):
             continue  # beside its twin
-        alone, tracked = (None, metric) if metric.name.startswith("feedback") else (metric, result.metric(f"{TRACKED}{metric.name}"))
+        alone, tracked = (
+            (None, metric)
+            if metric.name.startswith("feedback")
+            else (metric, result.metric(f"{TRACKED}{metric.name}"))
+        )
         rows.append((metric.question.number, metric.name, alone, tracked))
     followed = replay is not None and replay.tracked is not None
     print_metrics(rows, followed=followed, tracked=result.judged == "feedback")
@@ -318,16 +422,32 @@ def _print_engines(rows: list[EngineVerdict]) -> None:
     if not rows:
         return
     same = {None: "", True: "yes", False: "no"}
-    cells = [[row.engine, row.verdict, same[row.agrees], row.kind.value, row.sentence] for row in rows]
+    cells = [
+        [row.engine, row.verdict, same[row.agrees], row.kind.value, row.sentence] for row in rows
+    ]
     print_table(["engine", "verdict", "as ours", "why not", "measured"], cells, ())
     asked = [row for row in rows if row.agrees is not None]
-    say(f"The same in {sum(bool(row.agrees) for row in asked)} of {len(asked)} engines that step this scene, at every step.")
+    say(
+        f"The same in {sum(bool(row.agrees) for row in asked)} of {len(asked)} engines that step this scene, at every step."
+    )
 
 
 def _own_error(what: str, replay: Replay) -> str:
-    estimate, ratio, source = replay.error.estimate, replay.error.step_ratio, replay.error.step_source
-    shrinks = "" if ratio is None else f"; half the step divides the everyday replay's error by {ratio:.3g}"
-    own = "has no estimate" if estimate is None else f"is {_size(estimate.position)} in any position, {_size(estimate.state)} in the state"
+    estimate, ratio, source = (
+        replay.error.estimate,
+        replay.error.step_ratio,
+        replay.error.step_source,
+    )
+    shrinks = (
+        ""
+        if ratio is None
+        else f"; half the step divides the everyday replay's error by {ratio:.3g}"
+    )
+    own = (
+        "has no estimate"
+        if estimate is None
+        else f"is {_size(estimate.position)} in any position, {_size(estimate.state)} in the state"
+    )
     told = "" if source == "none" else f"; error of the step by {source}"
     events = "1 event" if len(replay.events) == 1 else f"{len(replay.events)} events"
     return f"{what}'s own error {own} ({replay.method}; {events}{shrinks}{told}). {replay.message}".rstrip()

@@ -31,22 +31,33 @@ answered is kept.
 """
 )
 @click.argument("folder", type=click.Path(path_type=Path), default="runs/all", metavar="[DIR]")
-@click.option("--single-file", is_flag=True, help="Everything in one file, DIR/single.html, instead of pages.")
+@click.option(
+    "--single-file", is_flag=True, help="Everything in one file, DIR/single.html, instead of pages."
+)
 @click.option(
     "--engine",
     "engines",
     metavar="NAME,..|all",
     help="First ask other simulators of the cheapest plan that holds on each scene, for a page of its own (docs/engines.md); all: those that are installed.",
 )
-@click.option("-j", "--jobs", type=click.IntRange(min=1), help="Pages are drawn by so many processes (default: all cores).")
+@click.option(
+    "-j",
+    "--jobs",
+    type=click.IntRange(min=1),
+    help="Pages are drawn by so many processes (default: all cores).",
+)
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout.")
-def command(folder: Path, single_file: bool, engines: str | None, jobs: int | None, as_json: bool) -> int:
+def command(
+    folder: Path, single_file: bool, engines: str | None, jobs: int | None, as_json: bool
+) -> int:
     """Rebuild results.csv, checks.csv, violation.csv, starts.csv, front.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed.
 
     report.html leads to a page for each scene and each run in DIR/pages.
     """
     try:
-        stored = load(folder)  # a pipeline that ran in parts is one row, as in the campaign's own table
+        stored = load(
+            folder
+        )  # a pipeline that ran in parts is one row, as in the campaign's own table
     except ReportError:
         stored = Stored(None, ())
     if not (stored.campaign or stored.runs or stored.checks):
@@ -54,10 +65,14 @@ def command(folder: Path, single_file: bool, engines: str | None, jobs: int | No
     if engines is not None:
         from validate.tasks.simulators import ask_simulators
 
-        ask_simulators(folder, stored, named_engines(engines), tell=lambda text: say(text, err=True))
+        ask_simulators(
+            folder, stored, named_engines(engines), tell=lambda text: say(text, err=True)
+        )
     # Where no record can be read, the tables may be all that is left.
     if stored.runs or stored.checks or not (stored.campaign and stored.campaign.keys):
-        write_tables(folder, stored.runs, stored.checks, stored.campaign.violation if stored.campaign else ())
+        write_tables(
+            folder, stored.runs, stored.checks, stored.campaign.violation if stored.campaign else ()
+        )
     try:
         report = write_single(folder) if single_file else write_report(folder, jobs)
     except ReportError as error:  # of a room that knows none of our errors
@@ -65,7 +80,11 @@ def command(folder: Path, single_file: bool, engines: str | None, jobs: int | No
     for line in _lacking(stored, folder):
         say(line, err=True)
     if as_json:
-        found = {"results": rows(stored.runs), "checks": check_rows(stored.checks), "report": str(report)}
+        found = {
+            "results": rows(stored.runs),
+            "checks": check_rows(stored.checks),
+            "report": str(report),
+        }
         click.echo(json.dumps(found, indent=1, allow_nan=False))
     else:
         click.echo(f"report:  {report}")
@@ -81,11 +100,17 @@ def _lacking(stored: Stored, folder: Path) -> list[str]:
         broken = f"campaign.json cannot be read: the report shows the {there} records that can; the command that made them writes it anew."
         lines.append(broken)
     elif there < len(campaign.keys):
-        missing = f"{len(campaign.keys) - there} of {len(campaign.keys)} runs have no readable record"
-        lines.append(f"{missing}; the command of the campaign, with --out {folder}, runs them: {campaign.command}")
+        missing = (
+            f"{len(campaign.keys) - there} of {len(campaign.keys)} runs have no readable record"
+        )
+        lines.append(
+            f"{missing}; the command of the campaign, with --out {folder}, runs them: {campaign.command}"
+        )
     store = Store(folder)
     for run in (run for parts in stored.parts for run in parts):
         if name := store.damaged_file(run.key):
             file = store.runs / run.key / name
-            lines.append(f"{run.title}: {file} is gone or cut off; remove that folder, and the command of the campaign runs it again.")
+            lines.append(
+                f"{run.title}: {file} is gone or cut off; remove that folder, and the command of the campaign runs it again."
+            )
     return lines

@@ -38,10 +38,23 @@ with; 3 a system requirement is missing; 130 interrupted: what was tried is told
 """
 )
 @click.argument("plan", metavar="PLAN.csv|RUN")
-@click.option("--scene", metavar="NAME|FILE.py", shell_complete=scenes, help="The scene the plan is for; of a run, its own.")
+@click.option(
+    "--scene",
+    metavar="NAME|FILE.py",
+    shell_complete=scenes,
+    help="The scene the plan is for; of a run, its own.",
+)
 @folder_of("--in", "The campaign of a run.")
-@click.option("--samples", type=int, default=1000, show_default=True, help="How many worlds; a quarter of them with feedback too.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the worlds.")
+@click.option(
+    "--samples",
+    type=int,
+    default=1000,
+    show_default=True,
+    help="How many worlds; a quarter of them with feedback too.",
+)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the worlds."
+)
 @FMU_OPTIONS
 @click.option(
     "--perturb",
@@ -54,7 +67,12 @@ with; 3 a system requirement is missing; 130 interrupted: what was tried is told
 @click.option("--json", "as_json", is_flag=True, help="What was measured as JSON on stdout.")
 @wide_option
 @written_to("--html", "html_file", "FILE.html", "a page with curves and player")
-@written_to("--csv", "csv_file", "FILE.csv", "every world: what was otherwise in it, and how near to its limit the plan came")
+@written_to(
+    "--csv",
+    "csv_file",
+    "FILE.csv",
+    "every world: what was otherwise in it, and how near to its limit the plan came",
+)
 def command(
     plan: str,
     scene: str | None,
@@ -71,17 +89,23 @@ def command(
 ) -> int:
     """Try a plan in perturbed worlds: in what share of them it still arrives, and what it takes least of.
 
-    Parameters, start, gain of the inputs, noise and delay are otherwise by up to the sizes of docs/robustness.md, all at once; then each by itself until
-    the plan fails. Inputs alone and with feedback apart.
+    Parameters, start, gain of the inputs, noise and delay are otherwise by up to the sizes of
+    docs/robustness.md, all at once; then each by itself until the plan fails. Inputs alone and with
+    feedback apart.
     """
     if fmu is not None:
-        subject, trajectory, name = wire_fmu(fmu, plan, **read_fmu_options(scene, fmu, **given)), None, Path(plan).name
+        subject, trajectory, name = (
+            wire_fmu(fmu, plan, **read_fmu_options(scene, fmu, **given)),
+            None,
+            Path(plan).name,
+        )
     elif given["map_path"] is not None or given["own_step"] or given["hold"] is not None:
         raise click.UsageError("--map, --own-step and --hold belong to --fmu.")
     else:
         subject, trajectory, name = _plan_of(plan, scene, folder)
     found = robustness(
-        subject, trajectory, samples=samples, seed=seed, kinds=kinds or tuple(PerturbationKind), anyway=anyway,
+        subject, trajectory, samples=samples, seed=seed, kinds=kinds or tuple(PerturbationKind),
+        anyway=anyway,
         tell=lambda text: click.echo(f"{text} ..", err=True),
     )  # fmt: skip
     record = RobustnessRecord.model_validate(found)
@@ -111,9 +135,17 @@ def _worlds(found: Robustness) -> str:
     """A row a world: its number, what is otherwise in sizes, the largest share of a limit inputs alone, and with feedback."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["world", *(cause.name for cause in found.causes), *(f"share of limit, {way.name}" for way in found.ways)])
+    rows.writerow(
+        [
+            "world",
+            *(cause.name for cause in found.causes),
+            *(f"share of limit, {way.name}" for way in found.ways),
+        ]
+    )
     for number in range(len(found.alone.tried)):
-        shares = (repr(float(way.tried[number])) if number < len(way.tried) else "" for way in found.ways)
+        shares = (
+            repr(float(way.tried[number])) if number < len(way.tried) else "" for way in found.ways
+        )
         rows.writerow([number, *(repr(float(size)) for size in found.points[number]), *shares])
     return text.getvalue()
 
@@ -122,20 +154,47 @@ def _print(record: RobustnessRecord) -> None:
     rows = []
     for item in sorted(record.failures, key=lambda item: (item.sizes is None, item.sizes)):
         unit = "" if item.cause.unit == "1" else f" {item.cause.unit}"
-        at = f"not up to {short(item.tried, '.3g')} sizes" if item.amount is None else f"{short(item.amount, '.3g')}{unit}"
-        rows.append([item.cause.name, "+" if item.direction > 0 else "-", short(item.sizes, ".3g"), at, item.by, item.compared])
+        at = (
+            f"not up to {short(item.tried, '.3g')} sizes"
+            if item.amount is None
+            else f"{short(item.amount, '.3g')}{unit}"
+        )
+        rows.append(
+            [
+                item.cause.name,
+                "+" if item.direction > 0 else "-",
+                short(item.sizes, ".3g"),
+                at,
+                item.by,
+                item.compared,
+            ]
+        )
     if rows:
-        print_table(["perturbation", "", "sizes", "first fails at", "by", "first order"], rows, ("sizes",), drop=["by", "first order"])
+        print_table(
+            ["perturbation", "", "sizes", "first fails at", "by", "first order"],
+            rows,
+            ("sizes",),
+            drop=["by", "first order"],
+        )
         click.echo()
     for way in record.ways:
         fails, checked = way.fails, way.checked
-        say(f"{way.name}: it arrives in {way.share.words}{f'; it fails by {fails}' if fails else ''}.")
+        say(
+            f"{way.name}: it arrives in {way.share.words}{f'; it fails by {fails}' if fails else ''}."
+        )
         if way.curve is not None:
-            half = f"half of the worlds are left at {short(way.curve.half, '.3g')} times these sizes"
-            every = {"above": "more than half are left at all sizes tried", "below": "fewer than half are left at all sizes tried"}
+            half = (
+                f"half of the worlds are left at {short(way.curve.half, '.3g')} times these sizes"
+            )
+            every = {
+                "above": "more than half are left at all sizes tried",
+                "below": "fewer than half are left at all sizes tried",
+            }
             shares = zip(way.curve.scales, way.curve.shares, strict=True)
             told = ", ".join(f"{short(scale)}: {share.share:.2f}" for scale, share in shares)
-            say(f"{way.name}: {half if way.curve.half is not None else every[way.curve.beyond]} ({told}).")
+            say(
+                f"{way.name}: {half if way.curve.half is not None else every[way.curve.beyond]} ({told})."
+            )
         if checked is not None:
             differ, largest = len(checked.differ), f"{checked.largest_difference:.1e}"
             say(

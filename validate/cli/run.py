@@ -37,8 +37,15 @@ missing; 130 interrupted.
 @SELECTING
 @ENDING
 @OUT_OF_FILE
-@click.option("--plan", "only_plan", is_flag=True, help="Run nothing: say what would run, what is stored, and why the rest is not.")
-@click.option("--schema", is_flag=True, help="Print the JSON Schema of campaign files, for editors, and end.")
+@click.option(
+    "--plan",
+    "only_plan",
+    is_flag=True,
+    help="Run nothing: say what would run, what is stored, and why the rest is not.",
+)
+@click.option(
+    "--schema", is_flag=True, help="Print the JSON Schema of campaign files, for editors, and end."
+)
 @PRINTING
 @click.pass_obj
 def command(
@@ -52,7 +59,10 @@ def command(
 ) -> int:
     """Run a campaign of your own: scenes by name or file, with changed and swept numbers, pipelines, eps schedules and seeds."""
     if schema:
-        data = {"$schema": "https://json-schema.org/draft/2020-12/schema", **CampaignFile.model_json_schema()}
+        data = {
+            "$schema": "https://json-schema.org/draft/2020-12/schema",
+            **CampaignFile.model_json_schema(),
+        }
         click.echo(json.dumps(data, indent=1))
         return 0
     if file is None:

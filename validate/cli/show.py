@@ -38,7 +38,8 @@ _LOG_LINES = 15
 def command(run: str, folder: Path, as_json: bool) -> int:
     """One run: its stages, verdict, questions, metrics, options, the end of its log, and the command that runs it again.
 
-    The run is named by its folder, by the beginning of its key, by its name, or by a part of its name that no other has.
+    The run is named by its folder, by the beginning of its key, by its name, or by a part of its
+    name that no other has.
     """
     folder, record = find_run(run, folder)
     if as_json:
@@ -53,7 +54,10 @@ def command(run: str, folder: Path, as_json: bool) -> int:
 
 
 def find_run(run: str, folder: Path) -> tuple[Path, RunRecord | CheckRecord]:
-    """The campaign's folder and the record of a run, by its folder, key or name. Raises CampaignError."""
+    """The campaign's folder and the record of a run, by its folder, key or name.
+
+    Raises CampaignError.
+    """
     path = Path(run)
     if path.name == RECORD and len(path.parts) > 1:
         path = path.parent
@@ -74,14 +78,20 @@ def find_run(run: str, folder: Path) -> tuple[Path, RunRecord | CheckRecord]:
         found = [record for key in fitting if (record := store.read(key)) is not None]
         if fitting and not found:
             broken = store.runs / fitting[0] / RECORD
-            raise CampaignError(f"{names[fitting[0]]}: {broken} cannot be read; the command of the campaign runs it again.")
+            raise CampaignError(
+                f"{names[fitting[0]]}: {broken} cannot be read; the command of the campaign runs it again."
+            )
         if len(found) == 1:
             return folder, found[0]
         if found:
             shown = "; ".join(f"{names[record.key]} ({record.key[:12]})" for record in found[:8])
-            raise CampaignError(f"{run!r} means {len(found)} runs: {shown}{' and more' if len(found) > 8 else ''}. Give one of these keys.")
+            raise CampaignError(
+                f"{run!r} means {len(found)} runs: {shown}{' and more' if len(found) > 8 else ''}. Give one of these keys."
+            )
     what = f"its runs are listed in {folder / 'results.csv'}, which `python -m validate report {folder}` writes again."
-    raise CampaignError(f"there is no run {run!r} in {folder}; {did_you_mean(run, list(names.values()), what, 0.4)}")
+    raise CampaignError(
+        f"there is no run {run!r} in {folder}; {did_you_mean(run, list(names.values()), what, 0.4)}"
+    )
 
 
 def _tell_run(record: RunRecord) -> None:
@@ -96,7 +106,11 @@ def _tell_run(record: RunRecord) -> None:
         return
     if last.why and last.why != record.message:
         click.echo()
-        say(f"the last stage {last.verdict}: {last.why}" if last.verdict not in ("no plan", "not applicable") else last.why)
+        say(
+            f"the last stage {last.verdict}: {last.why}"
+            if last.verdict not in ("no plan", "not applicable")
+            else last.why
+        )
     if last.metrics:
         _tell_score(last)
     for sentence in record.scene.waived:
@@ -117,8 +131,21 @@ def _print_stages(record: RunRecord) -> None:
         found = [stage.outcome, short(stage.cost, ".4f"), str(stage.iterations), stage.verdict]
         took = [short(stage.seconds.stage_cpu, ".2f"), short(stage.seconds.stage, ".2f")]
         rows.append([str(stage.index + 1), stage.method, short(stage.eps, "g"), *found, *took])
-    titles = ["stage", "method", "eps", "outcome", "cost", "iterations", "verdict", "CPU s", "wall s"]
-    right, drop = ("stage", "eps", "cost", "iterations", "CPU s", "wall s"), ("wall s", "iterations", "CPU s", "stage")
+    titles = [
+        "stage",
+        "method",
+        "eps",
+        "outcome",
+        "cost",
+        "iterations",
+        "verdict",
+        "CPU s",
+        "wall s",
+    ]
+    right, drop = (
+        ("stage", "eps", "cost", "iterations", "CPU s", "wall s"),
+        ("wall s", "iterations", "CPU s", "stage"),
+    )
     print_table(titles, rows, right, drop=drop)
 
 
@@ -126,23 +153,37 @@ def _tell_score(stage: StageRecord) -> None:
     """Questions and their answers, the metrics, and what was not asked."""
     if stage.questions:
         of = "the replay with feedback" if stage.is_tracked else "the inputs alone"
-        rows = [["" if item.number is None else str(item.number), item.text, item.answer] for item in stage.questions]
+        rows = [
+            ["" if item.number is None else str(item.number), item.text, item.answer]
+            for item in stage.questions
+        ]
         click.echo()
         print_table(["", f"question, of {of}", "answer"], rows, ("",))
     click.echo()
-    rows = [(question.number, view.name, view.alone, view.followed) for question in questions_of(stage) for view in question.metrics]
+    rows = [
+        (question.number, view.name, view.alone, view.followed)
+        for question in questions_of(stage)
+        for view in question.metrics
+    ]
     print_metrics(rows, followed=stage.is_followed, tracked=stage.is_tracked)
     for sentence in stage.not_asked:
         say(f"not asked: {sentence}")
 
 
 def _print_check(record: CheckRecord) -> None:
-    ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else record.outcome
+    ended = (
+        ("passed" if record.passed else "failed")
+        if record.outcome == "answered"
+        else record.outcome
+    )
     say(f"{record.title}: {ended}")
     say(f"expected: {record.expected}")
     say(f"found: {record.found or record.message}")
     if record.figures:
-        rows = [[figure.name, short(figure.value, ".4g"), figure.unit, short(figure.limit, ".3g")] for figure in record.figures]
+        rows = [
+            [figure.name, short(figure.value, ".4g"), figure.unit, short(figure.limit, ".3g")]
+            for figure in record.figures
+        ]
         click.echo()
         print_table(["figure", "value", "unit", "limit"], rows, ("value", "limit"))
 
@@ -155,5 +196,7 @@ def _tell_end(record: RunRecord | CheckRecord, folder: Path) -> None:
     where = folder / "runs" / record.key
     click.echo(f"\nfiles: {where}")
     provenance = record.provenance
-    say(f"made by touchstone {provenance.touchstone} {provenance.commit[:12]}, {provenance.started}, {provenance.cpu}")
+    say(
+        f"made by touchstone {provenance.touchstone} {provenance.commit[:12]}, {provenance.started}, {provenance.cpu}"
+    )
     click.echo(f"again: {again(record)}")

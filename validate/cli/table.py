@@ -1,7 +1,8 @@
 """Plain text tables and sentences that fit a terminal, and numbers as short as they can be read.
 
-print(table(["scene", "cost", "why"], rows, ("cost",), drop=("cost",)))      # `why` breaks between words; `cost` goes where there is no room
-print_metrics([(4, "replay_error", metric, None)], followed=False, tracked=False)       # what `replay` prints of a plan just judged, `show` of a run
+print(table(["scene", "cost", "why"], rows, ("cost",), drop=("cost",))) # `why` breaks between
+words; `cost` goes where there is no room print_metrics([(4, "replay_error", metric, None)],
+followed=False, tracked=False) # what `replay` prints of a plan just judged, `show` of a run
 """
 
 from __future__ import annotations
@@ -22,10 +23,18 @@ if TYPE_CHECKING:
 
 # From here on decimals would fill the line: a diverged plan may cost 1e200.
 _LARGE = 1e9
-_VERDICTS = {"holds": "green", "holds with feedback": "cyan", "violates": "red", "undecided": "yellow", "no plan": "red"}
+_VERDICTS = {
+    "holds": "green",
+    "holds with feedback": "cyan",
+    "violates": "red",
+    "undecided": "yellow",
+    "no plan": "red",
+}
 _GAP = "  "
-# A column of sentences is no narrower than this [characters], before another column is left out; one that may itself be left out is so before it is.
-_SENTENCE, _LEFT_OUT = 20, 30
+# A column of sentences is no narrower than this [characters], before another column is left out;
+# one that may itself be left out is so before it is.
+_SENTENCE = 20
+_LEFT_OUT = 30
 _WIDE = "touchstone.wide"
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -37,24 +46,40 @@ def _keep_wide(context: click.Context, parameter: click.Parameter, value: bool) 
 def wide_option(command: _Command) -> _Command:
     """`--wide`, for commands that print tables."""
     words = "Tables with all columns, however wide."
-    return click.option("--wide", is_flag=True, expose_value=False, callback=_keep_wide, help=words)(command)
+    return click.option(
+        "--wide", is_flag=True, expose_value=False, callback=_keep_wide, help=words
+    )(command)
 
 
 def terminal_width(stream: IO[str] | None = None) -> int | None:
-    """Characters in a line of the terminal that a stream (stdout) is, or COLUMNS where that is set; None: no limit, in a file, a pipe and with --wide."""
+    """Characters in a line of the terminal that a stream (stdout) is, or COLUMNS where that is set.
+
+    None: no limit, in a file, a pipe and with --wide.
+    """
     context = click.get_current_context(silent=True)
     if context is not None and context.meta.get(_WIDE):
         return None
-    return shutil.get_terminal_size().columns if os.environ.get("COLUMNS") or (stream or sys.stdout).isatty() else None
+    return (
+        shutil.get_terminal_size().columns
+        if os.environ.get("COLUMNS") or (stream or sys.stdout).isatty()
+        else None
+    )
 
 
-def say(text: str, *, err: bool = False, begin: str = "", indent: str = "", colour: str | None = None) -> None:
+def say(
+    text: str, *, err: bool = False, begin: str = "", indent: str = "", colour: str | None = None
+) -> None:
     """Print a sentence, broken between words where the terminal ends.
 
-    err: to stderr; begin, indent: before the first line, and before each further one; colour: of `begin`.
+    err: to stderr; begin, indent: before the first line, and before each further one; colour: of
+        `begin`.
     """
     lines = wrapped(begin + one_line(text), terminal_width(sys.stderr if err else None), indent)
-    click.echo(click.style(begin, fg=colour) + lines[len(begin) :] if colour else lines, err=err, color=use_colour())
+    click.echo(
+        click.style(begin, fg=colour) + lines[len(begin) :] if colour else lines,
+        err=err,
+        color=use_colour(),
+    )
 
 
 def warn(sentences: Iterable[str]) -> None:
@@ -64,14 +89,22 @@ def warn(sentences: Iterable[str]) -> None:
 
 
 def wrapped(text: str, width: int | None, indent: str = "") -> str:
-    """Text in lines of at most `width` characters; a longer word stays whole. indent: of all lines but the first."""
+    """Text in lines of at most `width` characters.
+
+    A longer word stays whole. indent: of all lines but the first.
+    """
     if width is None or len(text) <= width:
         return text
-    return textwrap.fill(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    return textwrap.fill(
+        text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def use_colour() -> bool | None:
-    """False where the user said NO_COLOR, or the terminal knows no colours; None leaves it to whether the output is a terminal."""
+    """False where the user said NO_COLOR, or the terminal knows no colours.
+
+    None leaves it to whether the output is a terminal.
+    """
     return False if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb" else None
 
 
@@ -90,26 +123,42 @@ def table(
 ) -> str:
     """A table that fits the terminal.
 
-    titles, rows: text, all rows as long as `titles`; right: titles of columns that are aligned to the right, and never broken; drop: titles of the
-    columns that are left out, in this order, where there is no room; colours: of cells with these words. The others break between words.
+    titles, rows: text, all rows as long as `titles`; right: titles of columns that are aligned to
+        the right, and never broken; drop: titles of the
+    columns that are left out, in this order, where there is no room; colours: of cells with these
+        words. The others break between words.
     """
     rows = [[one_line(cell) for cell in row] for row in rows]
     places, width, left_out = list(range(len(titles))), terminal_width(), []
-    natural = [max(len(title), *(len(row[place]) for row in rows)) if rows else len(title) for place, title in enumerate(titles)]
+    natural = [
+        max(len(title), *(len(row[place]) for row in rows)) if rows else len(title)
+        for place, title in enumerate(titles)
+    ]
     narrow = [_LEFT_OUT if title in drop else _SENTENCE for title in titles]
-    least = [_narrowest(title, [row[place] for row in rows], narrow[place]) for place, title in enumerate(titles)]
-    least = [natural[place] if title in right else least[place] for place, title in enumerate(titles)]
+    least = [
+        _narrowest(title, [row[place] for row in rows], narrow[place])
+        for place, title in enumerate(titles)
+    ]
+    least = [
+        natural[place] if title in right else least[place] for place, title in enumerate(titles)
+    ]
 
     def excess(widths: Sequence[int]) -> int:
         """By how many characters the columns are wider than the terminal."""
-        return 0 if width is None else sum(widths[place] for place in places) + len(_GAP) * (len(places) - 1) - width
+        return (
+            0
+            if width is None
+            else sum(widths[place] for place in places) + len(_GAP) * (len(places) - 1) - width
+        )
 
     for title in drop:
         if excess(least) > 0:
             places.remove(titles.index(title))
             left_out.append(title)
     widths = natural
-    while excess(widths) > 0 and (wider := [place for place in places if widths[place] > least[place]]):
+    while excess(widths) > 0 and (
+        wider := [place for place in places if widths[place] > least[place]]
+    ):
         widths[max(wider, key=lambda place: widths[place])] -= 1
 
     def line(cells: Sequence[str]) -> str:
@@ -118,7 +167,12 @@ def table(
         high = range(max(map(len, parts)))
         return "\n".join(
             _GAP.join(
-                _padded(part[number] if number < len(part) else "", widths[place], colours.get(cells[place]), titles[place] in right)
+                _padded(
+                    part[number] if number < len(part) else "",
+                    widths[place],
+                    colours.get(cells[place]),
+                    titles[place] in right,
+                )
                 for part, place in zip(parts, places, strict=True)
             ).rstrip()
             for number in high
@@ -126,7 +180,9 @@ def table(
 
     lines = [line(titles), line(["-" * width for width in widths]), *map(line, rows)]
     if left_out := [title for title in left_out if title]:
-        lines.append(wrapped(f"(no room for: {', '.join(left_out)}; --wide shows all columns)", width))
+        lines.append(
+            wrapped(f"(no room for: {', '.join(left_out)}; --wide shows all columns)", width)
+        )
     return "\n".join(lines)
 
 
@@ -151,7 +207,13 @@ def short(value: Any, pattern: str = ".4g") -> str:
     """A number in few digits; empty where nothing is known."""
     if pattern.endswith("f") and isinstance(value, float) and abs(value) >= _LARGE:
         pattern = ".4g"
-    return "" if value is None else format(value + 0.0, pattern) if isinstance(value, float) else str(value)  # + 0.0: a zero has no sign
+    return (
+        ""
+        if value is None
+        else format(value + 0.0, pattern)
+        if isinstance(value, float)
+        else str(value)
+    )  # + 0.0: a zero has no sign
 
 
 def in_words(seconds: float) -> str:
@@ -161,8 +223,11 @@ def in_words(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-# The number of a question, the name, and the metric for the inputs alone and with feedback; None where there is none.
-Row: TypeAlias = "tuple[int | None, str, Metric | MetricRecord | None, Metric | MetricRecord | None]"
+# The number of a question, the name, and the metric for the inputs alone and with feedback; None
+# where there is none.
+Row: TypeAlias = (
+    "tuple[int | None, str, Metric | MetricRecord | None, Metric | MetricRecord | None]"
+)
 
 
 def print_metrics(rows: Iterable[Row], *, followed: bool, tracked: bool) -> None:
@@ -173,16 +238,41 @@ def print_metrics(rows: Iterable[Row], *, followed: bool, tracked: bool) -> None
         judged = (with_feedback if tracked else alone) or alone or with_feedback
         if judged is None or (judged.value is None and judged.limit is None):
             continue  # not asked, which a sentence says
-        found = [None if metric is None else metric.value for metric in (alone, with_feedback)[: len(values)]]
+        found = [
+            None if metric is None else metric.value
+            for metric in (alone, with_feedback)[: len(values)]
+        ]
         known, asked = judged.value is not None, number is not None
-        limit = "waived" if known and asked and judged.limit is None and judged.reason else short(judged.limit, ".3g")
-        limit = "" if not known and judged.default else limit  # in nominal sizes, which nobody knows where nothing could be measured
+        limit = (
+            "waived"
+            if known and asked and judged.limit is None and judged.reason
+            else short(judged.limit, ".3g")
+        )
+        limit = (
+            "" if not known and judged.default else limit
+        )  # in nominal sizes, which nobody knows where nothing could be measured
         unknown = judged.error is None or math.isinf(judged.error)
         own = "unknown" if unknown else short(judged.error, ".1e") if judged.error else ""
-        cells = [*(short(value, ".5g") for value in found), own, judged.unit, limit, _against(judged)]
+        cells = [
+            *(short(value, ".5g") for value in found),
+            own,
+            judged.unit,
+            limit,
+            _against(judged),
+        ]
         why = [judged.meaning, judged.reason] if known else [judged.reason, ""]
         lines.append([str(number) if asked else "", name, *cells, *why])
-    titles = ["question", "metric", *values, "+-", "unit", "limit", "", "meaning", "reason of the limit"]
+    titles = [
+        "question",
+        "metric",
+        *values,
+        "+-",
+        "unit",
+        "limit",
+        "",
+        "meaning",
+        "reason of the limit",
+    ]
     drop = ("reason of the limit", "meaning", "+-", "question", "limit", "unit", *values[:-1])
     print_table(titles, lines, ("question", *values, "+-", "limit"), drop=drop)
 

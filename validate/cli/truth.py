@@ -3,7 +3,8 @@
     found = measure(("fmu", "mujoco"), jobs=2, tell=print)
     found[0].problem, found[0].engine, found[0].levels[-1].error, found[0].order, found[0].sentence
 
-Why an engine is wrong is measured (validate.judge.disagreement). Nothing but times differs between two runs.
+Why an engine is wrong is measured (validate.judge.disagreement). Nothing but times differs between
+two runs.
 """
 
 from __future__ import annotations
@@ -46,9 +47,11 @@ from validate.truth.problems import TruthProblem, problems
 # Of the CSV.
 _OF_ROWS = ("phenomenon", "problem", "engine", "came", "kind", "worst", "order", "sentence")
 _OF_LEVELS = ("step", "tolerance", "error", "energy", "microseconds", "seconds")
-# Problems whose error is drawn against CPU time, by phenomenon: one with a closed form of each kind of contact.
+# Problems whose error is drawn against CPU time, by phenomenon: one with a closed form of each kind
+# of contact.
 _DRAWN = ("rebound", "two-body collision", "grazing contact", "stick-slip")
-# The reference must come this near to every answer [-]: what its tolerance leaves after 1000 bounces is a hundredth of it.
+# The reference must come this near to every answer [-]: what its tolerance leaves after 1000
+# bounces is a hundredth of it.
 NEAR = 1e-7
 # Errors below this share are rounding, and have no order.
 _ROUNDING = 1e-11
@@ -67,22 +70,44 @@ are; 1 it is not; 2 a mistake; 3 an engine that was asked for by name is not
 installed, or a system requirement is missing.
 """
 )
-@click.option("--engine", "engines", metavar="NAME,..", help="Engines to ask, by name; without it all there are.")
-@click.option("-j", "--jobs", type=click.IntRange(min=1), metavar="N", help="Problems at a time.  [default: the number of cores]")
 @click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write truth.html, truth.csv and truth.json there."
+    "--engine",
+    "engines",
+    metavar="NAME,..",
+    help="Engines to ask, by name; without it all there are.",
+)
+@click.option(
+    "-j",
+    "--jobs",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Problems at a time.  [default: the number of cores]",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Write truth.html, truth.csv and truth.json there.",
 )
 @written_to("--markdown", "markdown", "FILE.md", "the table of errors, as docs/truth.md is")
 @wide_option
 @click.pass_obj
-def command(arguments: tuple[str, ...], engines: str | None, jobs: int | None, out: Path | None, markdown: Path | None) -> int:
+def command(
+    arguments: tuple[str, ...],
+    engines: str | None,
+    jobs: int | None,
+    out: Path | None,
+    markdown: Path | None,
+) -> int:
     """Put problems with exact answers to our FMU and to other simulators.
 
-    Thirteen phenomena, from a rebound to stick-slip, each at four steps: error, order, energy, time, and a sentence on the largest disagreement.
-    docs/engines.md says what each engine is told.
+    Thirteen phenomena, from a rebound to stick-slip, each at four steps: error, order, energy,
+    time, and a sentence on the largest disagreement. docs/engines.md says what each engine is told.
     """
     asked = named_engines(engines) if engines else engine_names()
-    found = measure(asked, jobs=jobs or usable_cores(), tell=lambda text: click.echo(text, err=True))
+    found = measure(
+        asked, jobs=jobs or usable_cores(), tell=lambda text: click.echo(text, err=True)
+    )
     record = recorded(asked, found)
     if out is not None:
         write(out / "truth.html", lambda: render_truth(record, command_line(arguments)))
@@ -95,25 +120,36 @@ def command(arguments: tuple[str, ...], engines: str | None, jobs: int | None, o
     for of in record.problems:
         worst = largest_disagreement(of)
         if worst is not None:
-            say(f"{worst.phenomenon}, {worst.problem}: furthest is {worst.engine}: {worst.sentence}.")
+            say(
+                f"{worst.phenomenon}, {worst.problem}: furthest is {worst.engine}: {worst.sentence}."
+            )
     say(record.summary)
     return 0 if reference_is_right(record.rows) else 1
 
 
 def reference_is_right(rows: Sequence[TruthRow]) -> bool:
     """Whether our reference, where it was asked, is as near to every answer as it must be."""
-    return all(row.error is not None and row.error <= NEAR for row in rows if row.engine == REFERENCE)
+    return all(
+        row.error is not None and row.error <= NEAR for row in rows if row.engine == REFERENCE
+    )
 
 
 def recorded(engines: tuple[str, ...], rows: Sequence[TruthRow]) -> TruthRecord:
     """What is written of it."""
     about = {name: describe_engine(name) for name in engines}
-    versions = {name: installed(item.package, "") if item.package else "" for name, item in about.items()}
-    told = {name: f"{item.title} {versions[name]}".rstrip() + f"; {item.law}" for name, item in about.items()}
+    versions = {
+        name: installed(item.package, "") if item.package else "" for name, item in about.items()
+    }
+    told = {
+        name: f"{item.title} {versions[name]}".rstrip() + f"; {item.law}"
+        for name, item in about.items()
+    }
     summary = f"{len({row.phenomenon for row in rows})} phenomena in {len(rows) // len(engines)} problems, by {', '.join(engines)}."
     own = [row.error for row in rows if row.engine == REFERENCE and row.error is not None]
     if own:
-        summary += f" Our reference is within {max(own):.1g} of every answer ({NEAR:g} is asked of it)."
+        summary += (
+            f" Our reference is within {max(own):.1g} of every answer ({NEAR:g} is asked of it)."
+        )
     charts = tuple(chart for name in _DRAWN if (chart := _chart(name, rows)) is not None)
     return TruthRecord(engines=told, rows=tuple(rows), summary=summary, charts=charts)
 
@@ -122,37 +158,59 @@ def _chart(phenomenon: str, rows: Sequence[TruthRow]) -> ChartRecord | None:
     """Error against CPU time of the first problem of a phenomenon, a curve an engine."""
     of = [row for row in rows if row.phenomenon == phenomenon]
     drawn = {
-        row.engine: ([level.seconds for level in row.levels], [math.nan if level.error is None else level.error for level in row.levels])
+        row.engine: (
+            [level.seconds for level in row.levels],
+            [math.nan if level.error is None else level.error for level in row.levels],
+        )
         for row in of
         if row.problem == of[0].problem and row.levels
     }
     if not drawn:
         return None
     words = "Down and to the left is better: less error for less time. Each curve is one engine at four steps or tolerances."
-    return chart(f"{phenomenon}, {of[0].problem}", ("CPU time", "s"), ("error", ""), drawn, log="xy", words=words)
+    return chart(
+        f"{phenomenon}, {of[0].problem}",
+        ("CPU time", "s"),
+        ("error", ""),
+        drawn,
+        log="xy",
+        words=words,
+    )
 
 
 def as_csv(record: TruthRecord) -> str:
-    """A row a level: all that was measured; times come last, as nothing else differs between two runs."""
+    """A row a level: all that was measured.
+
+    Times come last, as nothing else differs between two runs.
+    """
     content = [
-        {name: getattr(row, name) for name in _OF_ROWS} | {name: getattr(level, name, None) for name in _OF_LEVELS}
+        {name: getattr(row, name) for name in _OF_ROWS}
+        | {name: getattr(level, name, None) for name in _OF_LEVELS}
         for row in record.rows
         for level in row.levels or (None,)
     ]
     return table_text((*_OF_ROWS, *_OF_LEVELS), content)
 
 
-def measure(engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None] = lambda text: None) -> list[TruthRow]:
+def measure(
+    engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None] = lambda text: None
+) -> list[TruthRow]:
     """All problems by these engines, each in a child of its own, so many at a time, the longest first.
 
-    Raises UnknownNameError for an engine that there is not, MachineError without a compiler or room.
+    Raises UnknownNameError for an engine that there is not, MachineError without a compiler or
+    room.
     """
     asked = list(product(problems(), engines))
     ends = {problem.name: problem.end() for problem in dict(asked)}
 
     def one(item: tuple[TruthProblem, str]) -> TruthRow:
         problem, engine = item
-        row = judged(problem, engine, run_engine(engine, drives(problem, describe_engine(engine))), ends[problem.name])
+        row = judged(
+            problem,
+            engine,
+            run_engine(engine, drives(problem, describe_engine(engine))),
+            ends[problem.name],
+        )
         tell(f"{problem.phenomenon}, {problem.name}: {engine}: {row.sentence}")
         return row
 
@@ -164,9 +222,15 @@ def measure(engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None
 
 def drives(problem: TruthProblem, about: Simulator) -> list[Drive]:
     """Of its four levels."""
-    start, tolerances = np.array(problem.scene.task.start, dtype=float), about.tolerances or (1.0,) * len(problem.parts)
+    start, tolerances = (
+        np.array(problem.scene.task.start, dtype=float),
+        about.tolerances or (1.0,) * len(problem.parts),
+    )
     levels = zip(problem.parts, tolerances, strict=True)
-    return [Drive(scene=problem.scene, plan=problem.plan, start=start, parts=parts, tolerance=tolerance) for parts, tolerance in levels]
+    return [
+        Drive(scene=problem.scene, plan=problem.plan, start=start, parts=parts, tolerance=tolerance)
+        for parts, tolerance in levels
+    ]
 
 
 def judged(
@@ -200,35 +264,65 @@ def judged(
         For an engine that there is not.
     """
     row = TruthRow(
-        phenomenon=problem.phenomenon, problem=problem.name, source=problem.source, engine=engine, came=answer.came.value,
+        phenomenon=problem.phenomenon, problem=problem.name, source=problem.source, engine=engine,
+        came=answer.came.value,
         sentence=answer.why.rstrip("."),
     )  # fmt: skip
     if answer.came is not Came.DONE:
         return row
-    energy, adaptive, asked = _energy_of(problem.scene), describe_engine(engine).adaptive, drives(problem, describe_engine(engine))
+    energy, adaptive, asked = (
+        _energy_of(problem.scene),
+        describe_engine(engine).adaptive,
+        drives(problem, describe_engine(engine)),
+    )
     told = [_errors(problem, motion, end, energy) for motion in answer.motions]
     worst = [_worst(item, problem) for item in told]
     errors = [error for error, _ in worst]
     levels = tuple(
         LevelRecord(
-            step=None if adaptive else drive.step, tolerance=drive.tolerance if adaptive else None, error=_finite(error),
-            energy=_finite(item.get("energy", math.inf)), microseconds=None if adaptive else 1e6 * motion.seconds / (problem.nodes * drive.parts),
+            step=None if adaptive else drive.step, tolerance=drive.tolerance if adaptive else None,
+            error=_finite(error),
+            energy=_finite(item.get("energy", math.inf)),
+            microseconds=None if adaptive else 1e6 * motion.seconds / (problem.nodes * drive.parts),
             seconds=motion.seconds,
         )
         for drive, item, error, motion in zip(asked, told, errors, answer.motions, strict=True)
     )  # fmt: skip
     kind, sentence = "", f"right to {size(errors[-1])}"
     if errors[-1] > _RIGHT:
-        found, words = why(engine, asked, errors, lambda motion: _worst(_errors(problem, motion, end, energy), problem)[0], ask=ask)
+        found, words = why(
+            engine,
+            asked,
+            errors,
+            lambda motion: _worst(_errors(problem, motion, end, energy), problem)[0],
+            ask=ask,
+        )
         kind, sentence = found.value, f"{found.value}: {words}"
     order = None if adaptive else observed_order(errors)
-    return row.model_copy(update={"sentence": sentence, "kind": kind, "worst": worst[-1][1], "order": order, "levels": levels})
+    return row.model_copy(
+        update={
+            "sentence": sentence,
+            "kind": kind,
+            "worst": worst[-1][1],
+            "order": order,
+            "levels": levels,
+        }
+    )
 
 
 def observed_order(errors: Sequence[float]) -> float | None:
-    """Slope of log error over log step, each step half the one before; None where fewer than two errors are more than rounding."""
-    halvings = [place for place, error in enumerate(errors) if math.isfinite(error) and error > _ROUNDING]
-    return None if len(halvings) < 2 else -float(np.polyfit(halvings, [math.log2(errors[place]) for place in halvings], 1)[0])
+    """Slope of log error over log step, each step half the one before.
+
+    None where fewer than two errors are more than rounding.
+    """
+    halvings = [
+        place for place, error in enumerate(errors) if math.isfinite(error) and error > _ROUNDING
+    ]
+    return (
+        None
+        if len(halvings) < 2
+        else -float(np.polyfit(halvings, [math.log2(errors[place]) for place in halvings], 1)[0])
+    )
 
 
 def _finite(value: float) -> float | None:
@@ -236,27 +330,44 @@ def _finite(value: float) -> float | None:
 
 
 def _errors(
-    problem: TruthProblem, motion: SimulatedMotion, end: np.ndarray, energy: Callable[[np.ndarray, np.ndarray], float]
+    problem: TruthProblem,
+    motion: SimulatedMotion,
+    end: np.ndarray,
+    energy: Callable[[np.ndarray, np.ndarray], float],
 ) -> dict[str, float]:
     """By quantity, as shares, the energy beside them."""
     if not motion.finite:
         return {"the motion": math.inf}
     start = np.split(np.array(problem.scene.task.start, dtype=float), 2)
-    true = energy(*start) if problem.energy_kept else energy(*np.split(end, 2)) if np.isfinite(end).all() else math.nan
+    true = (
+        energy(*start)
+        if problem.energy_kept
+        else energy(*np.split(end, 2))
+        if np.isfinite(end).all()
+        else math.nan
+    )
     share = abs(energy(motion.q[-1], motion.v[-1]) - true) / max(abs(energy(*start)), abs(true))
     found = problem.errors(problem.plan.t, motion.q, motion.v, end)
     return found | ({"energy": share} if math.isfinite(share) else {})
 
 
 def _worst(told: dict[str, float], problem: TruthProblem) -> tuple[float, str]:
-    """The largest error and its quantity; the energy, of which there may be next to none, decides only where it is kept."""
-    return max((error, name) for name, error in told.items() if name != "energy" or problem.energy_kept)
+    """The largest error and its quantity.
+
+    The energy, of which there may be next to none, decides only where it is kept.
+    """
+    return max(
+        (error, name) for name, error in told.items() if name != "energy" or problem.energy_kept
+    )
 
 
 def _energy_of(scene: Scene) -> Callable[[np.ndarray, np.ndarray], float]:
     """Kinetic, potential and contact energy [J] of positions and velocities (nq,) [m, m/s]."""
     d = derive(scene)
-    plain, contact = d.function([d.kinetic_energy + d.potential_energy], d.q, d.v), d.function([d.penetration, d.stiffness], d.q)
+    plain, contact = (
+        d.function([d.kinetic_energy + d.potential_energy], d.q, d.v),
+        d.function([d.penetration, d.stiffness], d.q),
+    )
 
     def energy(q: np.ndarray, v: np.ndarray) -> float:
         """Of q, v (nq,) [m, m/s]: [J]. Raises nothing."""

@@ -3,7 +3,8 @@
     outcome = run_campaign(CampaignSettings(out=Path("runs/all"), quick=True), narrator)
     outcome.exit_code, outcome.records, outcome.report
 
-Tasks are content-addressed: a stored one is used again, unless it crashed, or ran out of a shorter time limit than it would have now.
+Tasks are content-addressed: a stored one is used again, unless it crashed, or ran out of a shorter
+time limit than it would have now.
 """
 
 from __future__ import annotations
@@ -69,8 +70,10 @@ _SILENCE = 5.0
 class CampaignResult:
     """What came of a campaign.
 
-    records, checks, failures, findings: of what was selected; findings are what the replay found that fails nothing (reports.rule). conclusions:
-    three sentences on all runs that the folder's campaign holds; report: None where it was not written.
+    records, checks, failures, findings: of what was selected; findings are what the replay found
+        that fails nothing (reports.rule). conclusions:
+    three sentences on all runs that the folder's campaign holds; report: None where it was not
+        written.
     """
 
     records: tuple[RunRecord, ...]
@@ -90,11 +93,13 @@ class CampaignResult:
 def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> CampaignResult:
     """Run what is not stored and write campaign.json, results.csv, checks.csv, violation.csv, starts.csv, front.csv and the report.
 
-    Raises TouchstoneError for what the user can mend; KeyboardInterrupt passes through when children are stopped and what finished is written.
+    Raises TouchstoneError for what the user can mend; KeyboardInterrupt passes through when
+    children are stopped and what finished is written.
     """
     check_engine(settings.engine)
     entries, left_out = select(settings)
-    find_compiler()  # the compiled time step and the FMU need one: better said now than by every task
+    # the compiled time step and the FMU need one: better said now than by every task
+    find_compiler()
     store = Store(settings.out)
     check_folder(settings.out, (*TABLES, REPORT, PAGES, *settings.files))
     if settings.last_failed:
@@ -108,34 +113,69 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
     named = {identity(task_to_json(entry.task)): entry.task.key for entry in entries}
     before, other_schema = found_campaign(settings.out), earlier_schema(settings.out)
     # The keys of the folder's campaign from now on, in order.
-    keys = with_others(store, before, named) if settings.is_part and before is not None else tuple(named.values())
+    keys = (
+        with_others(store, before, named)
+        if settings.is_part and before is not None
+        else tuple(named.values())
+    )
     records = {entry.task.key: entry.stored for entry in entries if entry.stored is not None}
-    others = {key: record for key in set(keys).difference(selected) if (record := store.read(key)) is not None}
+    others = {
+        key: record
+        for key in set(keys).difference(selected)
+        if (record := store.read(key)) is not None
+    }
     steps = time_steps(scenes.values(), () if before is None else before.time_steps)
-    campaign = _campaign(settings, entries, left_out, steps, before if others else None, keys, provenance)
+    campaign = _campaign(
+        settings, entries, left_out, steps, before if others else None, keys, provenance
+    )
     text, ran = campaign.model_dump_json(indent=1), len(records) < len(entries)
 
     def write() -> tuple[RunRecord, ...]:
-        """All that is told of the folder; the runs, those of one that was split into parts as one."""
-        done, checks = divided({**others, **records}[key] for key in keys if key in others or key in records)
-        if ran or before is None or not same_campaign(campaign, before):  # else it says as before when and how these results were made
+        """All that is told of the folder.
+
+        The runs, those of one that was split into parts as one.
+        """
+        done, checks = divided(
+            {**others, **records}[key] for key in keys if key in others or key in records
+        )
+        if (
+            ran or before is None or not same_campaign(campaign, before)
+        ):  # else it says as before when and how these results were made
             write_durably(settings.out / CAMPAIGN, text)
         merged = collected(done)
         write_tables(settings.out, merged, checks, campaign.violation)
         return merged
 
     waiting = [entry.task.key for entry in entries if entry.stored is None]
-    anew = store.mark_for_rerun(waiting) if settings.fresh or settings.last_failed else [key for key in waiting if store.needs_rerun(key)]
-    if ran:  # before the first task ends: what is stored can be shown while the others run, and if they never end
+    anew = (
+        store.mark_for_rerun(waiting)
+        if settings.fresh or settings.last_failed
+        else [key for key in waiting if store.needs_rerun(key)]
+    )
+    # before the first task ends: what is stored can be shown while the others run, and if they
+    # never end
+    if ran:
         write_durably(settings.out / CAMPAIGN, text)
     narrator.begins(len(entries), len(records), len(anew))
     if others:
-        narrator.notes(f"{len(others)} other runs and checks of the campaign in {settings.out} stay in its tables and report")
-    unstable = [item.warning for item in campaign.time_steps if item.warning and item.scene in scenes]
+        narrator.notes(
+            f"{len(others)} other runs and checks of the campaign in {settings.out} stay in its tables and report"
+        )
+    unstable = [
+        item.warning for item in campaign.time_steps if item.warning and item.scene in scenes
+    ]
     for sentence in (*filter(None, [other_schema]), *unstable, *warnings_of(scenes.values())):
         narrator.warns(sentence)
     try:
-        with closing(_run([entry for entry in entries if entry.stored is None], store, provenance, settings, narrator)) as finished:
+        with closing(
+            _run(
+                [entry for entry in entries if entry.stored is None],
+                store,
+                provenance,
+                settings,
+                narrator,
+            )
+        ) as finished:
             for record in finished:
                 records[record.key] = record
                 narrator.finished(record)
@@ -178,11 +218,21 @@ def _campaign(
     """What campaign.json says. earlier: the campaign of the folder whose other runs stay, if there are any; keys: of all runs and checks from now on."""
     title, command, quick, violation = settings.title or TITLE, settings.command, settings.quick, ()
     if earlier is not None:
-        title, quick, violation = settings.title or earlier.title, quick and earlier.quick, earlier.violation
-        command = earlier.command if {entry.task.key for entry in entries} <= set(earlier.keys) else command
+        title, quick, violation = (
+            settings.title or earlier.title,
+            quick and earlier.quick,
+            earlier.violation,
+        )
+        command = (
+            earlier.command
+            if {entry.task.key for entry in entries} <= set(earlier.keys)
+            else command
+        )
         named = {item.scene for item in steps}
         steps = (*(item for item in earlier.time_steps if item.scene not in named), *steps)
-    if not violation:  # what relaxations do to contact physics, on the first scene that has contacts
+    if (
+        not violation
+    ):  # what relaxations do to contact physics, on the first scene that has contacts
         violation = next((measure(scene) for scene in scenes_of(entries).values() if scene.nc), ())
     return CampaignRecord(
         title=title,
@@ -197,10 +247,13 @@ def _campaign(
     )
 
 
-def time_steps(scenes: Iterable[Scene], earlier: Iterable[TimeStepRecord] = ()) -> tuple[TimeStepRecord, ...]:
+def time_steps(
+    scenes: Iterable[Scene], earlier: Iterable[TimeStepRecord] = ()
+) -> tuple[TimeStepRecord, ...]:
     """Whether the time step of each scene is stable while contacts are closed, looked at before anything runs.
 
-    earlier: what an earlier campaign found, used again where the scene is the same. Raises MachineError without a compiler.
+    earlier: what an earlier campaign found, used again where the scene is the same. Raises
+        MachineError without a compiler.
     """
     known = {(item.scene, item.digest): item for item in earlier}
     found = []
@@ -211,14 +264,32 @@ def time_steps(scenes: Iterable[Scene], earlier: Iterable[TimeStepRecord] = ()) 
             continue
         stability = step_stability(scene)
         largest = stability.largest_step if math.isfinite(stability.largest_step) else None
-        found.append(TimeStepRecord(**{**asdict(stability), "largest_step": largest, "digest": digest, "warning": stability.sentence}))
+        found.append(
+            TimeStepRecord(
+                **{
+                    **asdict(stability),
+                    "largest_step": largest,
+                    "digest": digest,
+                    "warning": stability.sentence,
+                }
+            )
+        )
     return tuple(found)
 
 
-def _note_scene(record: TaskRecord, entries: Sequence[PlannedTask], records: Mapping[str, TaskRecord], narrator: PlainNarrator) -> None:
+def _note_scene(
+    record: TaskRecord,
+    entries: Sequence[PlannedTask],
+    records: Mapping[str, TaskRecord],
+    narrator: PlainNarrator,
+) -> None:
     """Say what was found on a scene when the last of its runs has ended."""
     if isinstance(record, RunRecord):
-        keys = [entry.task.key for entry in entries if isinstance(entry.task, RunTask) and entry.task.scene_name == record.scene.name]
+        keys = [
+            entry.task.key
+            for entry in entries
+            if isinstance(entry.task, RunTask) and entry.task.scene_name == record.scene.name
+        ]
         if all(key in records for key in keys):
             narrator.found(collected(divided(records[key] for key in keys)[0]))
 
@@ -278,7 +349,9 @@ def run_tasks(
                 yield record
 
 
-def _startable(waiting: deque[Task], running: list[Task], jobs: int | None, context: ExecutionContext) -> Iterator[Task]:
+def _startable(
+    waiting: deque[Task], running: list[Task], jobs: int | None, context: ExecutionContext
+) -> Iterator[Task]:
     """The tasks that may run beside those that do, taken out of what waits. jobs: at most so many at a time."""
     for task in tuple(waiting):
         if jobs is not None and len(running) >= jobs:

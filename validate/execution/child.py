@@ -1,7 +1,9 @@
-"""What the child of one task does (validate.execution.worker): FOLDER/task.json says what to run; FOLDER/record.json is the answer.
+"""What the child of one task does (validate.execution.worker): FOLDER/task.json says what to run.
 
-The record is written last and whole, so that its presence alone says that the task came to its end. What a task needs is imported inside `main`, so
-that its profile says what that took.
+FOLDER/record.json is the answer.
+
+The record is written last and whole, so that its presence alone says that the task came to its end.
+What a task needs is imported inside `main`, so that its profile says what that took.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from validate.tasks.profile import Profile
 
 # A task that wrote MACHINE ends with this; the file, not the code, is what counts.
 _EXIT_MACHINE = 3
-# No file of a task comes near this size; a log that runs away stops here instead of at the end of the disk.
+# No file of a task comes near this size; a log that runs away stops here instead of at the end of
+# the disk.
 _LARGEST_FILE = 2 * 1024**3
 
 
@@ -58,7 +61,10 @@ def main(folder: Path) -> int:
 
 
 def _machine(folder: Path, error: Exception) -> int:
-    """Say why this machine cannot. A disk may refuse even that: whoever reads it sees whether the line is whole."""
+    """Say why this machine cannot.
+
+    A disk may refuse even that: whoever reads it sees whether the line is whole.
+    """
     from validate.store.store import MACHINE
 
     with contextlib.suppress(OSError):

@@ -1,15 +1,19 @@
 """The engine that runs tasks on the workers of a Dask cluster: one of this machine's processes, or one that stands somewhere.
 
-    with open_dask("", 2, context, 100) as engine: ...                 # two worker processes here, which end with the campaign
-    with open_dask("tcp://10.0.0.1:8786", None, context, 100) as engine: ...     # or the path of a scheduler file, FILE.json
+    with open_dask("", 2, context, 100) as engine: ... # two worker processes here, which end with
+    the campaign with open_dask("tcp://10.0.0.1:8786", None, context, 100) as engine: ... # or the
+    path of a scheduler file, FILE.json
 
-A task whose worker is lost is run again by Dask's scheduler, as often as its `allowed-failures` says (3 times); then it has crashed. The scheduler also
-counts against a task that it only waited on a worker that was lost: one that was begun less often is given to it anew. What is left of a
-worker that went without a trace is removed when the campaign ends.
+A task whose worker is lost is run again by Dask's scheduler, as often as its `allowed-failures`
+says (3 times); then it has crashed. The scheduler also counts against a task that it only waited on
+a worker that was lost: one that was begun less often is given to it anew. What is left of a worker
+that went without a trace is removed when the campaign ends.
 
-A task runs on a worker as it does here: in a child process, watched by the thread of the Dask task, into the folder of the campaign, which is reached
-by its path: campaign and workers share a file system. A worker that sees another folder there, or that has other sources, libraries or another compiler
-than the campaign, says so and runs nothing, since a record is filed under a key that all of them decide.
+A task runs on a worker as it does here: in a child process, watched by the thread of the Dask task,
+into the folder of the campaign, which is reached by its path: campaign and workers share a file
+system. A worker that sees another folder there, or that has other sources, libraries or another
+compiler than the campaign, says so and runs nothing, since a record is filed under a key that all
+of them decide.
 """
 
 from __future__ import annotations
@@ -52,24 +56,39 @@ def quieten() -> None:
     """From now on Dask says nothing on stderr: what a user should know, sentences and records say."""
     import distributed  # noqa: F401 # pyright: ignore[reportMissingImports] - it sets up its loggers
 
-    for name in ("asyncio", "tornado.application", *filter(lambda name: name.startswith("distributed"), logging.root.manager.loggerDict)):
+    for name in (
+        "asyncio",
+        "tornado.application",
+        *filter(lambda name: name.startswith("distributed"), logging.root.manager.loggerDict),
+    ):
         logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 @contextmanager
 def remote_cluster(where: str) -> Iterator[Any]:
-    """A client of the cluster at an address, or of a scheduler file. Raises MachineError where none answers."""
+    """A client of the cluster at an address, or of a scheduler file.
+
+    Raises MachineError where none answers.
+    """
     import asyncio  # 0.05 s: not for campaigns without Dask, whose process imports this file too
 
     from distributed import Client  # pyright: ignore[reportMissingImports]
 
     try:
-        address = json.loads(Path(where).read_text(encoding="utf-8"))["address"] if where.endswith(".json") else where
-        asyncio.run(_ask(address))  # beforehand: a Client that finds nobody leaves a thread and its words behind
+        address = (
+            json.loads(Path(where).read_text(encoding="utf-8"))["address"]
+            if where.endswith(".json")
+            else where
+        )
+        asyncio.run(
+            _ask(address)
+        )  # beforehand: a Client that finds nobody leaves a thread and its words behind
         client = Client(address, timeout=_CONNECT, set_as_default=False)
     except Exception as error:  # what Dask raises for a wrong address, or for somebody else who answers, is of any type
         why = next(iter(str(error).splitlines()), "") or "nothing is said there"
-        raise MachineError(f"--engine dask:{where}: no Dask scheduler answers there ({why}); start one, or correct the address.") from error
+        raise MachineError(
+            f"--engine dask:{where}: no Dask scheduler answers there ({why}); start one, or correct the address."
+        ) from error
     with client:
         yield client
 
@@ -82,14 +101,17 @@ async def _ask(address: str) -> None:
     from distributed.comm.core import connect  # pyright: ignore[reportMissingImports]
 
     asked = connect(address, timeout=_CONNECT, **Security().get_connection_args("client"))
-    comm = await asyncio.wait_for(asked, 2 * _CONNECT)  # Dask itself waits for ever for one who takes a connection and says nothing
+    comm = await asyncio.wait_for(
+        asked, 2 * _CONNECT
+    )  # Dask itself waits for ever for one who takes a connection and says nothing
     await comm.close()
 
 
 @contextmanager
 def _terminal_blocked() -> Iterator[None]:
     """Threads and processes started meanwhile, and what these ever start, do not hear Ctrl-C and a closed terminal: those are for us."""
-    multiprocessing.resource_tracker.ensure_running()  # it would lift the mask when it is started later
+    # it would lift the mask when it is started later
+    multiprocessing.resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
@@ -99,7 +121,10 @@ def _terminal_blocked() -> Iterator[None]:
 
 @contextmanager
 def local_cluster(workers: int) -> Iterator[Any]:
-    """A client of a cluster of worker processes on this machine; its files are removed even if we are killed. Raises MachineError."""
+    """A client of a cluster of worker processes on this machine.
+
+    Its files are removed even if we are killed. Raises MachineError.
+    """
     import dask.config as dask_config  # pyright: ignore[reportMissingImports]
     from distributed import Client, LocalCluster  # pyright: ignore[reportMissingImports]
 
@@ -107,10 +132,16 @@ def local_cluster(workers: int) -> Iterator[Any]:
         try:
             folder = Path(tempfile.mkdtemp(prefix=".partial-dask-"))
             open_now.enter_context(closing(KeptFolder(folder)))
-            # Else the scheduler's own files lie in the folder for temporary files of everybody, and stay there; and a worker that its nanny
-            # takes longer than 15 s to start anew is given up by the cluster, nanny and all, for which nobody starts another.
+            # Else the scheduler's own files lie in the folder for temporary files of everybody, and
+            # stay there; and a worker that its nanny takes longer than 15 s to start anew is given
+            # up by the cluster, nanny and all, for which nobody starts another.
             open_now.enter_context(
-                dask_config.set({"temporary-directory": str(folder), "distributed.deploy.lost-worker-timeout": "1000 days"})
+                dask_config.set(
+                    {
+                        "temporary-directory": str(folder),
+                        "distributed.deploy.lost-worker-timeout": "1000 days",
+                    }
+                )
             )
             with _terminal_blocked():
                 cluster = LocalCluster(
@@ -132,33 +163,51 @@ def local_cluster(workers: int) -> Iterator[Any]:
         yield client
 
 
-# How long a folder that another machine has just made may be invisible: file systems over a network remember for so long what was not there [s].
+# How long a folder that another machine has just made may be invisible: file systems over a network
+# remember for so long what was not there [s].
 _PATIENCE = 5.0
 # Pause between two looks at a folder [s].
 _LOOK = 0.05
-# `preloaded`: what the tasks of this thread are forked from; it ends with the thread, and a thread of a Dask worker runs one task after the other.
+# `preloaded`: what the tasks of this thread are forked from; it ends with the thread, and a thread
+# of a Dask worker runs one task after the other.
 _OF_THREAD = threading.local()
 
 
 def run_on_worker(
-    task: Task, name: str, *, folder: Path, mark: str, token: str, provenance: ProvenanceRecord, sources: str, tasks: int
+    task: Task,
+    name: str,
+    *,
+    folder: Path,
+    mark: str,
+    token: str,
+    provenance: ProvenanceRecord,
+    sources: str,
+    tasks: int,
 ) -> TaskRecord | None:
     """Run one task to its end; None if the campaign wanted it no longer. Raises MachineError.
 
-    name: by which the campaign counts how often the task was begun; folder: the campaign's; mark: the name of the folder in it by which the worker sees that
-    it has the same one before it; token: the campaign's; sources: their fingerprint there; tasks: how many will come to one thread.
+    name: by which the campaign counts how often the task was begun; folder: the campaign's; mark:
+        the name of the folder in it by which the worker sees that
+    it has the same one before it; token: the campaign's; sources: their fingerprint there; tasks:
+        how many will come to one thread.
     """
     wanted, store = _wanted(), Store(folder)
     try:
         _check(store, mark, sources)
         with refusals_in_words(folder):
-            (store.runs / mark / f"{name}-{uuid.uuid4().hex}").touch()  # the task was begun once more
+            (
+                store.runs / mark / f"{name}-{uuid.uuid4().hex}"
+            ).touch()  # the task was begun once more
         if getattr(_OF_THREAD, "preloaded", None) is None:  # nor was it worth it until now
             _OF_THREAD.preloaded = preloaded_for(tasks)
         here = provenance.model_copy(update=machine())
-        return Worker(task, here, store, preloaded=_OF_THREAD.preloaded, token_begins=token).run(wanted)
+        return Worker(task, here, store, preloaded=_OF_THREAD.preloaded, token_begins=token).run(
+            wanted
+        )
     except MachineError as error:
-        raise MachineError(f"{error} (said by the Dask worker on {socket.gethostname()}, process {os.getpid()})") from None
+        raise MachineError(
+            f"{error} (said by the Dask worker on {socket.gethostname()}, process {os.getpid()})"
+        ) from None
 
 
 def _wanted() -> Callable[[], bool]:
@@ -170,14 +219,23 @@ def _wanted() -> Callable[[], bool]:
 
     def wanted() -> bool:
         task = worker.state.tasks.get(key)
-        ends = worker.status in {Status.closing, Status.closed, Status.failed}  # its scheduler is gone, or has dismissed it
-        return not ends and task is not None and task.state in {"executing", "long-running", "resumed"}
+        ends = worker.status in {
+            Status.closing,
+            Status.closed,
+            Status.failed,
+        }  # its scheduler is gone, or has dismissed it
+        return (
+            not ends and task is not None and task.state in {"executing", "long-running", "resumed"}
+        )
 
     return wanted
 
 
 def _check(store: Store, mark: str, sources: str) -> None:
-    """That the campaign's folder and sources are what they are where the campaign is. Raises MachineError."""
+    """That the campaign's folder and sources are what they are where the campaign is.
+
+    Raises MachineError.
+    """
     until = time.monotonic() + _PATIENCE
     while not (store.runs / mark).is_dir():
         if time.monotonic() > until:
@@ -197,21 +255,28 @@ def _check(store: Store, mark: str, sources: str) -> None:
 _TIDY = 10.0
 # How often a task is given anew to workers that are lost before they begin it.
 _GIVEN_ANEW = 5
-_GONE = "the Dask scheduler is gone; what finished is stored, and the same command goes on from there."
+_GONE = (
+    "the Dask scheduler is gone; what finished is stored, and the same command goes on from there."
+)
 
 
 @contextmanager
-def open_dask(where: str, jobs: int | None, context: ExecutionContext, tasks: int) -> Iterator[DaskEngine]:
+def open_dask(
+    where: str, jobs: int | None, context: ExecutionContext, tasks: int
+) -> Iterator[DaskEngine]:
     """The engine of a cluster.
 
-    where: address or scheduler file, "" for worker processes here; jobs: that many of them (None: one a core), or tasks at a time; tasks: how many there are.
+    where: address or scheduler file, "" for worker processes here; jobs: that many of them (None:
+        one a core), or tasks at a time; tasks: how many there are.
     Raises MachineError where there is no cluster.
     """
     quieten()
     with contextlib.ExitStack() as open_now:
         mark = context.store.open_partial(CAMPAIGN, context.token).resolve()
         open_now.enter_context(closing(KeptFolder(mark)))
-        client = open_now.enter_context(remote_cluster(where) if where else local_cluster(jobs or usable_cores()))
+        client = open_now.enter_context(
+            remote_cluster(where) if where else local_cluster(jobs or usable_cores())
+        )
         engine = DaskEngine(client, context, jobs if where else None, mark, tasks)
         try:
             yield engine
@@ -241,11 +306,15 @@ class _Tries:
 class DaskEngine:
     """See the module docstring.
 
-    jobs: at most so many tasks are given to Dask at a time, None: all, since a cluster grows by what waits for it; mark: the
-    folder by which a worker sees that it has the campaign's folder before it; tasks: how many there are.
+    jobs: at most so many tasks are given to Dask at a time, None: all, since a cluster grows by
+        what waits for it; mark: the
+    folder by which a worker sees that it has the campaign's folder before it; tasks: how many there
+        are.
     """
 
-    def __init__(self, client: Any, context: ExecutionContext, jobs: int | None, mark: Path, tasks: int) -> None:
+    def __init__(
+        self, client: Any, context: ExecutionContext, jobs: int | None, mark: Path, tasks: int
+    ) -> None:
         self._client, self._context, self.jobs, self._mark = client, context, jobs, mark
         self._executor = client.get_executor(pure=False)
         self._run = partial(
@@ -262,7 +331,9 @@ class DaskEngine:
     def submit(self, task: Task) -> Future[TaskRecord | None]:
         """See LocalEngine."""
         with _gone_in_words():
-            return self._executor.submit(self._run, task, self._tries.setdefault(task.key, _Tries()).name)
+            return self._executor.submit(
+                self._run, task, self._tries.setdefault(task.key, _Tries()).name
+            )
 
     def result(self, task: Task, future: Future[TaskRecord | None]) -> TaskRecord | None:
         """See LocalEngine."""
@@ -276,10 +347,14 @@ class DaskEngine:
         except KilledWorker as error:
             begun = len(list(self._mark.glob(f"{tries.name}*")))
             if begun > error.allowed_failures:
-                record = self._crashed(task, tries, f"{begun} workers of the Dask cluster were lost while they ran it.")
+                record = self._crashed(
+                    task, tries, f"{begun} workers of the Dask cluster were lost while they ran it."
+                )
         except MachineError:
             raise
-        except Exception as error:  # of any type: what a worker with other packages raises while it reads the task
+        except (
+            Exception
+        ) as error:  # of any type: what a worker with other packages raises while it reads the task
             why = (str(error).splitlines() or [""])[0]
             raise MachineError(
                 f"a Dask worker could not run {task.title} ({type(error).__name__}: {why}); "
@@ -290,15 +365,21 @@ class DaskEngine:
             return record
         tries.given_up += 1  # before it was begun, or with a worker that took itself for dismissed
         if tries.given_up > _GIVEN_ANEW:
-            raise MachineError(f"workers of the Dask cluster are lost before they begin {task.title}; their logs say why.")
+            raise MachineError(
+                f"workers of the Dask cluster are lost before they begin {task.title}; their logs say why."
+            )
         return None
 
     def _crashed(self, task: Task, tries: _Tries, message: str) -> TaskRecord:
         """The record of a task that took its workers with it, stored."""
         context = self._context
         folder = context.store.open_partial(task.key, context.token)
-        child = ChildExit(outcome="crashed", message=message, wall=time.monotonic() - tries.since, cpu=0.0, log="")
-        record = record_for_crash(task, context.provenance, child, folder, context.loaded.get(task.key))
+        child = ChildExit(
+            outcome="crashed", message=message, wall=time.monotonic() - tries.since, cpu=0.0, log=""
+        )
+        record = record_for_crash(
+            task, context.provenance, child, folder, context.loaded.get(task.key)
+        )
         write_request(folder, task, context.provenance)
         write_durably(folder / LOG, "")
         write_durably(folder / RECORD, record.model_dump_json(indent=1))
@@ -306,13 +387,19 @@ class DaskEngine:
         return record
 
     def why_idle(self, submitted: int) -> str:
-        """See LocalEngine. Raises MachineError where no worker can come any more: those of this machine, when none could be started anew."""
+        """See LocalEngine.
+
+        Raises MachineError where no worker can come any more: those of this machine, when none
+        could be started anew.
+        """
         from distributed import Status  # pyright: ignore[reportMissingImports]
 
         if self._threads():
             return ""
         here = self._client.cluster
-        if here is not None and all(nanny.status in {Status.closed, Status.failed} for nanny in here.workers.values()):
+        if here is not None and all(
+            nanny.status in {Status.closed, Status.failed} for nanny in here.workers.values()
+        ):
             raise MachineError(
                 f"--engine dask: its workers ended and could not be started anew; {submitted} tasks wait. What finished is stored: give the same "
                 "command when the machine has room, or let --engine local run the tasks."

@@ -1,10 +1,13 @@
-"""Where the tasks of a campaign run: executors of concurrent.futures, whose futures are records. What runs when is the campaign's (validate.execution.campaign).
+"""Where the tasks of a campaign run: executors of concurrent.futures, whose futures are records.
+
+What runs when is the campaign's (validate.execution.campaign).
 
     with open_local(2, context, len(tasks)) as engine:       # or validate.execution.dask, open_dask
         future = engine.submit(task)
         record = engine.result(task, future)
 
-Another engine is another class with `jobs`, `submit`, `result` and `why_idle`: it has a Worker run where a task is to run, and a Worker stores what it finished by itself.
+Another engine is another class with `jobs`, `submit`, `result` and `why_idle`: it has a Worker run
+where a task is to run, and a Worker stores what it finished by itself.
 """
 
 from __future__ import annotations
@@ -31,8 +34,10 @@ from validate.store.store import Store
 from validate.tasks.path import LoadedRun
 from validate.tasks.task import Task, TaskRecord
 
-LOCAL, DASK = "local", "dask"
-# In place of a key, in the name of an unfinished folder that is no task's but the campaign's (validate.execution.dask).
+LOCAL = "local"
+DASK = "dask"
+# In place of a key, in the name of an unfinished folder that is no task's but the campaign's
+# (validate.execution.dask).
 CAMPAIGN = "campaign"
 
 
@@ -44,7 +49,8 @@ class EngineError(TouchstoneError):
 class ExecutionContext:
     """What an engine has of a campaign.
 
-    token: 16 letters and digits, by which the campaign knows its own unfinished folders; loaded: its runs, by
+    token: 16 letters and digits, by which the campaign knows its own unfinished folders; loaded:
+        its runs, by
     key, as they are loaded here.
     """
 
@@ -55,7 +61,11 @@ class ExecutionContext:
 
     def unfinished(self) -> list[Path]:
         """Folders of the campaign's tasks that are being written."""
-        return [path for path in self.store.runs.glob(f"{PARTIAL}*-{self.token}*") if not path.name.startswith(f"{PARTIAL}{CAMPAIGN}-")]
+        return [
+            path
+            for path in self.store.runs.glob(f"{PARTIAL}*-{self.token}*")
+            if not path.name.startswith(f"{PARTIAL}{CAMPAIGN}-")
+        ]
 
 
 def check_engine(name: str) -> None:
@@ -64,9 +74,13 @@ def check_engine(name: str) -> None:
     if name == LOCAL:
         return
     if kind != DASK or (colon and not where):
-        raise EngineError(f"--engine {name}: there is no such engine; the engines are local, dask, dask:ADDRESS and dask:FILE.json.")
+        raise EngineError(
+            f"--engine {name}: there is no such engine; the engines are local, dask, dask:ADDRESS and dask:FILE.json."
+        )
     if importlib.util.find_spec("distributed") is None:
-        raise MachineError(f"--engine {name} needs the package distributed: pip install distributed.")
+        raise MachineError(
+            f"--engine {name} needs the package distributed: pip install distributed."
+        )
     if where.endswith(".json"):
         _check_scheduler_file(Path(where))
 
@@ -74,9 +88,15 @@ def check_engine(name: str) -> None:
 def _check_scheduler_file(path: Path) -> None:
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:  # not there, no JSON, or nested without end
+    except (
+        OSError,
+        ValueError,
+        RecursionError,
+    ) as error:  # not there, no JSON, or nested without end
         why = error.strerror if isinstance(error, OSError) else "it is no JSON"
-        raise EngineError(f"--engine dask:{path}: the scheduler file cannot be read ({why}); start a scheduler that writes it.") from error
+        raise EngineError(
+            f"--engine dask:{path}: the scheduler file cannot be read ({why}); start a scheduler that writes it."
+        ) from error
     if not isinstance(content, dict) or not isinstance(content.get("address"), str):
         raise EngineError(
             f"--engine dask:{path}: this is no scheduler file of Dask (it has no `address`); give the one the scheduler wrote."
@@ -110,8 +130,10 @@ MODULES = (
     "formulations.contact_modes.session",
     "formulations.multiple_shooting.method",
 )
-# What one task in four imports: PyTorch, in 1.5 CPU s and half a gigabyte that all children then share. Worth it from so many tasks on.
-TORCH_MODULES, TORCH_WORTH = ("formulations.shooting.session",), 20
+# What one task in four imports: PyTorch, in 1.5 CPU s and half a gigabyte that all children then
+# share. Worth it from so many tasks on.
+TORCH_MODULES = ("formulations.shooting.session",)
+TORCH_WORTH = 20
 # From so many tasks on, the process that imports has saved the time of its own start.
 WORTH = 4
 
@@ -130,7 +152,11 @@ def preloaded_for(tasks: int) -> Preloaded | None:
 
 @contextmanager
 def open_local(jobs: int | None, context: ExecutionContext, tasks: int) -> Iterator[LocalEngine]:
-    """The engine of this machine; at the end, what runs is stopped. jobs: tasks at a time (None: one a core); tasks: how many there are. Raises MachineError."""
+    """The engine of this machine.
+
+    At the end, what runs is stopped. jobs: tasks at a time (None: one a core); tasks: how many
+    there are. Raises MachineError.
+    """
     engine = LocalEngine(jobs or usable_cores(), context, preloaded_for(tasks))
     try:
         yield engine
@@ -153,11 +179,21 @@ class LocalEngine:
     def _run(self, task: Task) -> TaskRecord | None:
         context = self._context
         loaded = context.loaded.get(task.key)
-        worker = Worker(task, context.provenance, context.store, loaded=loaded, preloaded=self._preloaded, token_begins=context.token)
+        worker = Worker(
+            task,
+            context.provenance,
+            context.store,
+            loaded=loaded,
+            preloaded=self._preloaded,
+            token_begins=context.token,
+        )
         return worker.run(lambda: not self._closed.is_set())
 
     def result(self, task: Task, future: Future[TaskRecord | None]) -> TaskRecord | None:
-        """What came of it, stored; None if it is to be submitted anew. Raises MachineError if this machine, or its own, cannot."""
+        """What came of it, stored; None if it is to be submitted anew.
+
+        Raises MachineError if this machine, or its own, cannot.
+        """
         return future.result()
 
     def why_idle(self, submitted: int) -> str:

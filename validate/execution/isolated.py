@@ -1,7 +1,8 @@
 """run_isolated(): one function call in a child process, with limits, its end put into words, nothing left of it afterwards.
 
-How an isolated run can end is a closed list. `main` is what the child does: it leaves no core file, stays within its limits, and tells why it crashes if it
-was for memory. A fork of it that comes back through our code - an FMU may fork within doStep - ends silently: only the first process answers.
+How an isolated run can end is a closed list. `main` is what the child does: it leaves no core file,
+stays within its limits, and tells why it crashes if it was for memory. A fork of it that comes back
+through our code - an FMU may fork within doStep - ends silently: only the first process answers.
 """
 
 from __future__ import annotations
@@ -28,7 +29,13 @@ from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError, TouchstoneError
 from validate.execution.process import TEMPORARY, Child, Ended, Fork, can_fork, exit_in_words
-from validate.store.disk import no_temporary_folder, raise_if_disk_ended, read_json, tail, temporary_folder
+from validate.store.disk import (
+    no_temporary_folder,
+    raise_if_disk_ended,
+    read_json,
+    tail,
+    temporary_folder,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -58,25 +65,37 @@ class ModelFault(Exception):  # noqa: N818 - a finding about the model, not an e
         self.ending = ending
 
 
-REQUEST, ANSWER, OUTPUT = "request.json", "answer.json", "output.txt"
-GIVEN, TAKEN, REFUSED = "given.npz", "answer.npz", "memory-refused"
+REQUEST = "request.json"
+ANSWER = "answer.json"
+OUTPUT = "output.txt"
+GIVEN = "given.npz"
+TAKEN = "answer.npz"
+REFUSED = "memory-refused"
 FOLDER_PREFIX = ".partial-isolated-"
-# How a child that is called again is asked, and answers; how often it is looked whether it lives [s]; calls after which it is a new one: what an FMU
-# leaks a run (2.6 kB of PythonFMU's) adds up to the limit of 4 GiB only from 8 MB a run on.
-_ASKED, _ANSWERED, _LOOK, _MOST_CALLS = "ask", "answers", 0.05, 500
+# How a child that is called again is asked, and answers; how often it is looked whether it lives
+# [s]; calls after which it is a new one: what an FMU leaks a run (2.6 kB of PythonFMU's) adds up to
+# the limit of 4 GiB only from 8 MB a run on.
+_ASKED = "ask"
+_ANSWERED = "answers"
+_LOOK = 0.05
+_MOST_CALLS = 500
 # Written to see whether there is room [bytes].
-_ROOM, _ROOM_BYTES = "room", 2**16
+_ROOM = "room"
+_ROOM_BYTES = 2**16
 # From which share of its memory limit on a crash is put down to it.
 _NEAR = 0.8
-# What C++ says last where nobody catches a refused allocation, and how far from the end of the output it is looked for [bytes].
-_BAD_ALLOC, _LAST_WORDS = "std::bad_alloc", 4000
+# What C++ says last where nobody catches a refused allocation, and how far from the end of the
+# output it is looked for [bytes].
+_BAD_ALLOC = "std::bad_alloc"
+_LAST_WORDS = 4000
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
     """What a call may use.
 
-    seconds: wall time [s], and twice that of CPU time; memory: address space [bytes], Python's own 0.3 GB included; file: any one file it writes [bytes],
+    seconds: wall time [s], and twice that of CPU time; memory: address space [bytes], Python's own
+        0.3 GB included; file: any one file it writes [bytes],
     what it prints included; output: how much of what it printed is recorded, from its end [bytes].
     """
 
@@ -88,9 +107,12 @@ class Limits:
 
 @dataclass(frozen=True, kw_only=True)
 class Isolated:
-    """How the call ended. value, arrays: what the function gave, only if ok; sentence: why not, else empty.
+    """How the call ended. value, arrays: what the function gave, only if ok.
 
-    output: the last bytes of what it printed; strays: processes it left behind, ended by us; cpu, wall [s]; memory: the largest seen [bytes].
+    sentence: why not, else empty.
+
+    output: the last bytes of what it printed; strays: processes it left behind, ended by us; cpu,
+        wall [s]; memory: the largest seen [bytes].
     """
 
     ending: Ending
@@ -133,7 +155,8 @@ def run_isolated(
     what
         The subject of the sentence that says how it ended.
     ours
-        Whether all that runs there is ours: it may then be a fork of this process (validate.execution.process).
+        Whether all that runs there is ours: it may then be a fork of this process
+        (validate.execution.process).
 
     Returns
     -------
@@ -151,14 +174,19 @@ def run_isolated(
         _write_request(folder, function, request, arrays, limits)
         began = time.monotonic()
         begin = Fork if ours and can_fork() else Child
-        with closing(begin("validate.execution.isolated:main", folder, output=folder / OUTPUT)) as child:
+        with closing(
+            begin("validate.execution.isolated:main", folder, output=folder / OUTPUT)
+        ) as child:
             over_time = not child.wait(limits.seconds)
             ended = child.end()
             return _told(folder, ended, over_time, time.monotonic() - began, limits, what)
 
 
 def packed(*things: Any) -> dict[str, np.ndarray]:
-    """What is neither JSON nor an array, as the arrays of a call. Only of ours, on its way to a child: what comes back lay beside foreign code."""
+    """What is neither JSON nor an array, as the arrays of a call.
+
+    Only of ours, on its way to a child: what comes back lay beside foreign code.
+    """
     import numpy as np
 
     return {"packed": np.frombuffer(pickle.dumps(things), dtype=np.uint8)}
@@ -172,14 +200,17 @@ def unpacked_from(arrays: Mapping[str, np.ndarray]) -> Any:
 class IsolatedCalls:
     """`run_isolated` for many calls, in one child as long as each comes back: `calls(function, request, arrays)`; to be closed.
 
-    A call that ends the process of earlier ones is made once more, in a new one: none pays for what another left behind. limits.seconds is a call's.
+    A call that ends the process of earlier ones is made once more, in a new one: none pays for what
+    another left behind. limits.seconds is a call's.
     """
 
     def __init__(self, limits: Limits, what: str) -> None:
         self._limits, self._what, self._made = limits, what, 0
         self._child: Child | None = None
 
-    def __call__(self, function: str, request: Any, arrays: Mapping[str, np.ndarray] | None = None) -> Isolated:
+    def __call__(
+        self, function: str, request: Any, arrays: Mapping[str, np.ndarray] | None = None
+    ) -> Isolated:
         """As `run_isolated`. Raises MachineError."""
         done = self._call(function, request, arrays)
         if self._child is None and self._made > 1 and done.ending is not Ending.TIME_LIMIT:
@@ -188,7 +219,9 @@ class IsolatedCalls:
             self.close()
         return done
 
-    def _call(self, function: str, request: Any, arrays: Mapping[str, np.ndarray] | None) -> Isolated:
+    def _call(
+        self, function: str, request: Any, arrays: Mapping[str, np.ndarray] | None
+    ) -> Isolated:
         if self._child is None:
             self._begin()
         folder, child, began = self._folder, self._child, time.monotonic()
@@ -218,7 +251,12 @@ class IsolatedCalls:
         except OSError as error:
             raise no_temporary_folder(error) from error
         _write_request(self._folder, "", None, None, self._limits)
-        self._child, self._made = Child("validate.execution.isolated:main_again", self._folder, output=self._folder / OUTPUT), 0
+        self._child, self._made = (
+            Child(
+                "validate.execution.isolated:main_again", self._folder, output=self._folder / OUTPUT
+            ),
+            0,
+        )
 
     def _pipe(self, name: str) -> int:
         """Open for both ways: neither side waits for the other to open it."""
@@ -234,9 +272,22 @@ class IsolatedCalls:
                 os.close(pipe)
 
 
-def _write_request(folder: Path, function: str, request: Any, arrays: Mapping[str, np.ndarray] | None, limits: Limits) -> None:
+def _write_request(
+    folder: Path,
+    function: str,
+    request: Any,
+    arrays: Mapping[str, np.ndarray] | None,
+    limits: Limits,
+) -> None:
     text = json.dumps(
-        {"function": function, "request": request, "memory": limits.memory, "seconds": limits.seconds, "file": limits.file}, allow_nan=False
+        {
+            "function": function,
+            "request": request,
+            "memory": limits.memory,
+            "seconds": limits.seconds,
+            "file": limits.file,
+        },
+        allow_nan=False,
     )
     try:
         (folder / TEMPORARY).mkdir(exist_ok=True)
@@ -247,7 +298,9 @@ def _write_request(folder: Path, function: str, request: Any, arrays: Mapping[st
 
             np.savez(folder / GIVEN, allow_pickle=False, **arrays)
     except OSError as error:
-        raise MachineError(f"cannot write {folder} ({error.strerror}); make room or set TMPDIR.") from error
+        raise MachineError(
+            f"cannot write {folder} ({error.strerror}); make room or set TMPDIR."
+        ) from error
 
 
 def _see_room(folder: Path) -> None:
@@ -261,13 +314,17 @@ def _see_room(folder: Path) -> None:
         raise_if_disk_ended(folder, error)
 
 
-def _told(folder: Path, ended: Ended, over_time: bool, wall: float, limits: Limits, what: str) -> Isolated:
+def _told(
+    folder: Path, ended: Ended, over_time: bool, wall: float, limits: Limits, what: str
+) -> Isolated:
     """What came of a call whose child has ended."""
     peak = max(ended.space, ended.memory)
     answer, arrays = left_by(folder)
     if not answer:
         _see_room(folder)
-    refused = (folder / REFUSED).exists() or (ended.code == -signal.SIGABRT and _BAD_ALLOC in tail(folder / OUTPUT, _LAST_WORDS))
+    refused = (folder / REFUSED).exists() or (
+        ended.code == -signal.SIGABRT and _BAD_ALLOC in tail(folder / OUTPUT, _LAST_WORDS)
+    )
     ending, sentence = _classify(answer, ended, over_time, peak, limits, what, refused)
     return Isolated(
         ending=ending,
@@ -283,7 +340,9 @@ def _told(folder: Path, ended: Ended, over_time: bool, wall: float, limits: Limi
 
 
 def left_by(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The child's answer and its arrays (any shape) [any unit]; empty if it left none that are whole.
+    """The child's answer and its arrays (any shape) [any unit].
+
+    Empty if it left none that are whole.
 
     Foreign code ran beside ours, and may have written there: nothing raises for what it left.
     """
@@ -298,21 +357,36 @@ def left_by(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 def _answer(folder: Path) -> dict[str, Any]:
     answer = read_json(folder / ANSWER)
-    if not isinstance(answer, dict) or not isinstance(answer.get("ending"), str) or answer["ending"] not in Ending.__members__:
+    if (
+        not isinstance(answer, dict)
+        or not isinstance(answer.get("ending"), str)
+        or answer["ending"] not in Ending.__members__
+    ):
         return {}
     return {"value": None, "sentence": "", **answer}
 
 
 def _classify(
-    answer: dict[str, Any], ended: Ended, over_time: bool, peak: int, limits: Limits, what: str, refused: bool
+    answer: dict[str, Any],
+    ended: Ended,
+    over_time: bool,
+    peak: int,
+    limits: Limits,
+    what: str,
+    refused: bool,
 ) -> tuple[Ending, str]:
     ending = Ending[answer["ending"]] if answer else None
     if ending is Ending.OK:
         return ending, ""
     if ending in (Ending.ERROR, Ending.MACHINE):
         return ending, str(answer["sentence"])
-    if ending is Ending.MEMORY_LIMIT or (not over_time and (refused or peak >= _NEAR * limits.memory)):
-        return Ending.MEMORY_LIMIT, f"{what}: {Ending.MEMORY_LIMIT.value} of {limits.memory / 1024**3:.3g} GiB."
+    if ending is Ending.MEMORY_LIMIT or (
+        not over_time and (refused or peak >= _NEAR * limits.memory)
+    ):
+        return (
+            Ending.MEMORY_LIMIT,
+            f"{what}: {Ending.MEMORY_LIMIT.value} of {limits.memory / 1024**3:.3g} GiB.",
+        )
     if ending is not None:
         return ending, f"{what}: {ending.value}: {str(answer['sentence']).rstrip('.')}."
     if over_time or ended.code == -signal.SIGXCPU:
@@ -333,16 +407,22 @@ def _arrays_in(path: Path) -> dict[str, np.ndarray]:
         return {name: stored[name] for name in stored.files}
 
 
-# New objects after which Python looks for cycles among them, instead of 700: those of NumPy and FMPy stay, and looking took a fifteenth of a replay.
+# New objects after which Python looks for cycles among them, instead of 700: those of NumPy and
+# FMPy stay, and looking took a fifteenth of a replay.
 _OBJECTS = 200_000
 # No module's bytecode is larger [bytes].
 _ANY_BYTECODE = 16 * 1024**2
 
 
-def limit_resources(*, file_bytes: int, memory_bytes: int | None = None, cpu_seconds: float | None = None) -> None:
-    """No core file, no file larger than that; address space and CPU time where given. Limits that are narrower already stay.
+def limit_resources(
+    *, file_bytes: int, memory_bytes: int | None = None, cpu_seconds: float | None = None
+) -> None:
+    """No core file, no file larger than that; address space and CPU time where given.
 
-    Under a narrow limit no bytecode is written: Python would write what fits, and every later process would stumble over it.
+    Limits that are narrower already stay.
+
+    Under a narrow limit no bytecode is written: Python would write what fits, and every later
+    process would stumble over it.
     """
     if file_bytes < _ANY_BYTECODE:
         sys.dont_write_bytecode = True
@@ -363,8 +443,9 @@ def limit_resources(*, file_bytes: int, memory_bytes: int | None = None, cpu_sec
 def mark_refused_memory(mark: Path) -> Any:
     """Let a crash that follows a refused allocation leave the file `mark`: C code that does not look at what malloc gave writes to address 0.
 
-    Then errno is still ENOMEM. The handler runs as Python, which it can where C code was called through ctypes, as FMUs are; it puts the former handler
-    back and returns, so that the crash goes on as it would have. What is returned must live as long as the process lives.
+    Then errno is still ENOMEM. The handler runs as Python, which it can where C code was called
+    through ctypes, as FMUs are; it puts the former handler back and returns, so that the crash goes
+    on as it would have. What is returned must live as long as the process lives.
     """
     signals = (signal.SIGSEGV, signal.SIGBUS)
     set_handler: Any = ctypes.CDLL(None).signal
@@ -386,14 +467,19 @@ def _call(folder: Path, request: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     module, _, name = request["function"].partition(":")
     arrays = _arrays_in(folder / GIVEN)
     function = getattr(importlib.import_module(module), name)
-    sys.dont_write_bytecode = True  # foreign code may narrow the limit of files, and what Python then writes is cut off
+    sys.dont_write_bytecode = (
+        True  # foreign code may narrow the limit of files, and what Python then writes is cut off
+    )
     value = function(request["request"], arrays)
     return value if isinstance(value, tuple) else (value, {})
 
 
 def _write_answer(folder: Path, ending: Ending, *, value: Any = None, sentence: str = "") -> None:
     aside = folder / f".{ANSWER}"
-    aside.write_text(json.dumps({"ending": ending.name, "value": value, "sentence": sentence}, allow_nan=False), encoding="utf-8")
+    aside.write_text(
+        json.dumps({"ending": ending.name, "value": value, "sentence": sentence}, allow_nan=False),
+        encoding="utf-8",
+    )
     os.replace(aside, folder / ANSWER)
 
 
@@ -407,7 +493,10 @@ def main_again(folder: Path) -> None:
     """The same for every call of `IsolatedCalls`, until the end of its process ends this one."""
     _, _kept = _limited(folder, again=True)
     first = os.getpid()
-    with open(folder / _ASKED, "rb", buffering=0) as asked, open(folder / _ANSWERED, "wb", buffering=0) as answers:
+    with (
+        open(folder / _ASKED, "rb", buffering=0) as asked,
+        open(folder / _ANSWERED, "wb", buffering=0) as answers,
+    ):
         while asked.read(1):
             _answered(folder, json.loads((folder / REQUEST).read_text(encoding="utf-8")), first)
             answers.write(b".")

@@ -1,20 +1,21 @@
 """A child process under a supervisor (validate.execution.supervisor): started, watched, and ended with everything it started. Tasks and isolated FMUs use the same.
 
-child = Child("validate.execution.child:main", folder, output=folder / "log.txt")        # calls main(folder) there
-while not child.wait(0.05): ...
-ended = child.end()                 # how, what it cost; no process of it is left
-child.close()                       # and no folder
+child = Child("validate.execution.child:main", folder, output=folder / "log.txt") # calls
+main(folder) there while not child.wait(0.05): ... ended = child.end() # how, what it cost; no
+process of it is left child.close() # and no folder
 
-Every child process is given one thread for every library, no hash randomisation, and temporary files in its own folder. What must not be cut short by
-Ctrl-C: it is held back for a moment, and heard then.
+Every child process is given one thread for every library, no hash randomisation, and temporary
+files in its own folder. What must not be cut short by Ctrl-C: it is held back for a moment, and
+heard then.
 
-Code of our own may run in a fork of this process instead, which has imported already what it needs: that takes a third of a replay.
+Code of our own may run in a fork of this process instead, which has imported already what it needs:
+that takes a third of a replay.
 
     if can_fork():
         child = Fork("module:main", folder, output=folder / "output.txt")    # used like a Child
 
-Foreign code gets a process of its own under a supervisor, which finds whatever it starts; here nothing is looked for. When this process is killed, the
-fork removes its folder and ends.
+Foreign code gets a process of its own under a supervisor, which finds whatever it starts; here
+nothing is looked for. When this process is killed, the fork removes its folder and ends.
 """
 
 from __future__ import annotations
@@ -40,12 +41,17 @@ from models.errors import MachineError
 from validate.execution.supervisor import ENDED, LENGTH, READY, be_child
 
 # What ends a campaign in words: Ctrl-C, a polite kill, a closed terminal.
-ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+ENDING = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
 
 
 @contextmanager
 def interrupts_wait() -> Iterator[None]:
-    """What would raise KeyboardInterrupt raises it when the block has ended; the second of them at once. Outside the main thread nothing is held back."""
+    """What would raise KeyboardInterrupt raises it when the block has ended.
+
+    The second of them at once. Outside the main thread nothing is held back.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -71,7 +77,8 @@ def interrupts_wait() -> Iterator[None]:
 ROOT = Path(__file__).resolve().parents[2]
 # In the folder of a child.
 TEMPORARY = "tmp"
-# One thread for every library of a child: times compare, sums are added in one order, and -j N uses N cores.
+# One thread for every library of a child: times compare, sums are added in one order, and -j N uses
+# N cores.
 THREADS = 1
 _THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -90,7 +97,11 @@ def usable_cores() -> int:
 
 def child_environment(temporary: Path | None = None) -> dict[str, str]:
     """The environment of a process that we start. temporary: its folder for temporary files, if not ours."""
-    given = [str(Path(part).resolve()) for part in os.environ.get("PYTHONPATH", "").split(os.pathsep) if part]
+    given = [
+        str(Path(part).resolve())
+        for part in os.environ.get("PYTHONPATH", "").split(os.pathsep)
+        if part
+    ]
     # What the parent can import because it was started with `python -m`, the child can import too.
     here = [os.getcwd()] if {"", os.getcwd()} & set(sys.path) else []
     return {
@@ -104,10 +115,19 @@ def child_environment(temporary: Path | None = None) -> dict[str, str]:
     }
 
 
-def _start_supervisor(channel: socket.socket, environment: Mapping[str, str], modules: Sequence[str] = ()) -> subprocess.Popen[bytes]:
+def _start_supervisor(
+    channel: socket.socket, environment: Mapping[str, str], modules: Sequence[str] = ()
+) -> subprocess.Popen[bytes]:
     """The process at the other end of a channel. Raises MachineError."""
     # -P: the folder it runs in is not searched for modules.
-    command = [sys.executable, "-P", "-m", "validate.execution.supervisor", str(channel.fileno()), *modules]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "validate.execution.supervisor",
+        str(channel.fileno()),
+        *modules,
+    ]
     nothing = subprocess.DEVNULL
     try:
         return subprocess.Popen(
@@ -121,13 +141,16 @@ def _start_supervisor(channel: socket.socket, environment: Mapping[str, str], mo
             start_new_session=True,
         )
     except OSError as error:
-        raise MachineError(f"a process cannot be started ({error.strerror}); end what is not needed.") from error
+        raise MachineError(
+            f"a process cannot be started ({error.strerror}); end what is not needed."
+        ) from error
 
 
 class Preloaded:
     """A process that has imported what children need, and from which their supervisors are forked: a child then begins in milliseconds instead of a second.
 
-    Linux only. Raises MachineError where there can be none: a library has started threads in it, or it cannot be started.
+    Linux only. Raises MachineError where there can be none: a library has started threads in it, or
+    it cannot be started.
     """
 
     def __init__(self, modules: Sequence[str]) -> None:
@@ -144,7 +167,10 @@ class Preloaded:
             raise MachineError("supervisors cannot be forked: a library has started threads.")
 
     def fork(self, channel: socket.socket) -> bool:
-        """Have a supervisor at the other end of a channel; whether there is one: somebody may have ended this process."""
+        """Have a supervisor at the other end of a channel.
+
+        Whether there is one: somebody may have ended this process.
+        """
         with contextlib.suppress(OSError):
             socket.send_fds(self._channel, [b"f"], [channel.fileno()])
             return self._process.poll() is None
@@ -161,8 +187,10 @@ class Preloaded:
 class Ended:
     """How a child ended and what it cost.
 
-    code: its exit code, negative for a signal; strays: how many processes it left behind, all ended; cpu [s]: of the child and those it waited for;
-    memory: its largest resident size [bytes]; space: its largest address space [bytes], 0 where it is not known.
+    code: its exit code, negative for a signal; strays: how many processes it left behind, all
+        ended; cpu [s]: of the child and those it waited for;
+    memory: its largest resident size [bytes]; space: its largest address space [bytes], 0 where it
+        is not known.
     """
 
     code: int
@@ -173,16 +201,26 @@ class Ended:
 
 
 class KeptFolder:
-    """A folder that is gone once it is closed, or we have ended, in whatever way; its name begins with `.partial-`. Raises MachineError."""
+    """A folder that is gone once it is closed, or we have ended, in whatever way.
 
-    def __init__(self, folder: Path, order: Mapping[str, Any] | None = None, preloaded: Preloaded | None = None) -> None:
+    Its name begins with `.partial-`. Raises MachineError.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        order: Mapping[str, Any] | None = None,
+        preloaded: Preloaded | None = None,
+    ) -> None:
         self._folder, self._supervisor = folder, None
         environment = child_environment(folder / TEMPORARY)
         self._channel, other = socket.socketpair()
         with other:
             if preloaded is None or not preloaded.fork(other):
                 self._supervisor = _start_supervisor(other, environment)
-        asked = json.dumps({"folder": str(folder), "environment": environment, **(order or {})}).encode()
+        asked = json.dumps(
+            {"folder": str(folder), "environment": environment, **(order or {})}
+        ).encode()
         with contextlib.suppress(OSError):  # somebody has ended it: the child has ended then
             self._channel.sendall(LENGTH.pack(len(asked)) + asked)
 
@@ -199,15 +237,20 @@ class KeptFolder:
 
 
 class Child(KeptFolder):
-    """A function of ours at work in a process of its own; see the module docstring. Raises MachineError.
+    """A function of ours at work in a process of its own; see the module docstring.
 
-    function: `module:name`; folder: what it is given, where TEMPORARY is for its temporary files; output: where what it prints goes; preloaded: what
+    Raises MachineError.
+
+    function: `module:name`; folder: what it is given, where TEMPORARY is for its temporary files;
+        output: where what it prints goes; preloaded: what
     its supervisor is forked from.
     """
 
     _ended: Ended | None = None
 
-    def __init__(self, function: str, folder: Path, *, output: Path, preloaded: Preloaded | None = None) -> None:
+    def __init__(
+        self, function: str, folder: Path, *, output: Path, preloaded: Preloaded | None = None
+    ) -> None:
         super().__init__(folder, {"function": function, "output": str(output)}, preloaded)
 
     def wait(self, seconds: float) -> bool:
@@ -273,19 +316,28 @@ class Fork:
     _ended: Ended | None = None
 
     def __init__(self, function: str, folder: Path, *, output: Path) -> None:
-        order = {"function": function, "folder": str(folder), "output": str(output), "environment": child_environment(folder / TEMPORARY)}
+        order = {
+            "function": function,
+            "folder": str(folder),
+            "output": str(output),
+            "environment": child_environment(folder / TEMPORARY),
+        }
         sys.stdout.flush()
         sys.stderr.flush()
         self._line, line = socket.socketpair()  # each side hears the end of the other
         self._pid = os.fork()
         if self._pid == 0:
             self._line.close()
-            be_child(order, threading.Thread(target=_end_with, args=(line, folder), daemon=True).start)
+            be_child(
+                order, threading.Thread(target=_end_with, args=(line, folder), daemon=True).start
+            )
         line.close()
 
     def wait(self, seconds: float) -> bool:
         """Wait at most that long [s]; whether it ended."""
-        return self._ended is not None or bool(select.select([self._line], [], [], max(0.0, seconds))[0])
+        return self._ended is not None or bool(
+            select.select([self._line], [], [], max(0.0, seconds))[0]
+        )
 
     def end(self) -> Ended:
         """End it, if it lives; once more, it says the same."""

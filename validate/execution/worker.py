@@ -1,9 +1,11 @@
 """One child process a task: started, watched, ended, and its end put into words.
 
-    record = Worker(task, provenance, store).run(wanted=lambda: True)          # a record whatever happened, already stored
+    record = Worker(task, provenance, store).run(wanted=lambda: True) # a record whatever happened,
+    already stored
 
-The child runs in a session of its own, with its output in log.txt and nothing but its result file believed: a process
-that exits with 0 and leaves no record has crashed; one that left a whole record has answered, whatever its exit code.
+The child runs in a session of its own, with its output in log.txt and nothing but its result file
+believed: a process that exits with 0 and leaves no record has crashed; one that left a whole record
+has answered, whatever its exit code.
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ from validate.tasks.task import CheckTask, ChildExit, Task, TaskRecord, task_to_
 
 # What a child says of its machine is no longer [bytes].
 _LONGEST_WORDS = 10_000
-# How often it is asked whether a task is still wanted, and has time left [s]; its end is seen at once.
+# How often it is asked whether a task is still wanted, and has time left [s]; its end is seen at
+# once.
 _LOOK = 0.05
 # What a child does.
 _FUNCTION = "validate.execution.child:main"
@@ -41,8 +44,10 @@ _FUNCTION = "validate.execution.child:main"
 class Worker:
     """One task at work; see the module docstring.
 
-    loaded: the run, if it is loaded here already; preloaded: what its child is forked from, if there is something; token_begins: at most 16 letters and
-    digits by which a campaign knows its own. Starting it raises MachineError if the folder cannot be written, or no process can be started.
+    loaded: the run, if it is loaded here already; preloaded: what its child is forked from, if
+        there is something; token_begins: at most 16 letters and
+    digits by which a campaign knows its own. Starting it raises MachineError if the folder cannot
+        be written, or no process can be started.
     """
 
     def __init__(
@@ -62,14 +67,18 @@ class Worker:
             with refusals_in_words(self._folder):
                 (self._folder / TEMPORARY).mkdir()
                 (self._folder / LOG).touch()
-            self._child = Child(_FUNCTION, self._folder, output=self._folder / LOG, preloaded=preloaded)
+            self._child = Child(
+                _FUNCTION, self._folder, output=self._folder / LOG, preloaded=preloaded
+            )
         except BaseException:
             shutil.rmtree(self._folder, ignore_errors=True)
             raise
         self._began = time.monotonic()
 
     def run(self, wanted: Callable[[], bool]) -> TaskRecord | None:
-        """Its record, which is stored; None if it was not wanted any more. Nothing else is left of it.
+        """Its record, which is stored; None if it was not wanted any more.
+
+        Nothing else is left of it.
 
         Raises MachineError if the child, or this process, found that this machine cannot.
         """
@@ -87,7 +96,9 @@ class Worker:
         for path in tuple(self._folder.iterdir()):
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
-            elif path.name not in {RECORD, LOG, REQUEST} and not (has_plan and path.suffix == ".nc"):
+            elif path.name not in {RECORD, LOG, REQUEST} and not (
+                has_plan and path.suffix == ".nc"
+            ):
                 remove(path)
         self._store.commit(self._folder, record.key)
 
@@ -111,14 +122,22 @@ class Worker:
         """Why the child says that this machine cannot."""
         text = tail(self._folder / MACHINE, _LONGEST_WORDS)
         whole = text.endswith("\n") and text.strip()
-        return MachineError(text.strip()) if whole else disk_error(self._folder, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+        return (
+            MachineError(text.strip())
+            if whole
+            else disk_error(self._folder, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+        )
 
     def _without_record(self, ended: Ended, problem: str, *, over_time: bool) -> TaskRecord:
         place, log = progress_in(self._folder), log_in(self._folder)
         if over_time:
             message = f"ended at its time limit of {self._task.time_limit:g} s, during {place}."
         else:
-            words = (f"the process ended with {exit_in_words(ended.code)} during {place}", problem, _last_line(log, ended.code))
+            words = (
+                f"the process ended with {exit_in_words(ended.code)} during {place}",
+                problem,
+                _last_line(log, ended.code),
+            )
             message = "; ".join(filter(None, words)) + "."
         outcome, wall = "time_limit" if over_time else "crashed", time.monotonic() - self._began
         child = ChildExit(outcome=outcome, message=message, wall=wall, cpu=ended.cpu, log=log)
@@ -134,15 +153,26 @@ def write_request(folder: Path, task: Task, provenance: ProvenanceRecord) -> Non
 
 
 def record_for_crash(
-    task: Task, provenance: ProvenanceRecord, child: ChildExit, folder: Path, loaded: LoadedRun | None = None
+    task: Task,
+    provenance: ProvenanceRecord,
+    child: ChildExit,
+    folder: Path,
+    loaded: LoadedRun | None = None,
 ) -> TaskRecord:
-    """The record of a task whose child left none. loaded: of a run, if it is loaded already; a scene file may have changed since."""
+    """The record of a task whose child left none. loaded: of a run, if it is loaded already.
+
+    A scene file may have changed since.
+    """
     if isinstance(task, CheckTask):
         return unfinished_check(task, provenance, child)
-    return unfinished_run(task, loaded or load_run(task, Profile(time.monotonic())), provenance, child, folder)
+    return unfinished_run(
+        task, loaded or load_run(task, Profile(time.monotonic())), provenance, child, folder
+    )
 
 
 def _last_line(log: str, code: int) -> str:
     """The last line of the log where it says why: that of a Python traceback."""
     lines = [line.strip() for line in log.splitlines() if line.strip()]
-    return f"its last log line: {lines[-1][:300]}" if code > 0 and lines and "Traceback" in log else ""
+    return (
+        f"its last log line: {lines[-1][:300]}" if code > 0 and lines and "Traceback" in log else ""
+    )

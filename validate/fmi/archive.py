@@ -1,10 +1,13 @@
-"""The archive: what an FMU file must be before anything of it is unpacked or loaded. Every refusal is one sentence.
+"""The archive: what an FMU file must be before anything of it is unpacked or loaded.
+
+Every refusal is one sentence.
 
 archive = check_archive(path)     # raises ArchiveError at the first problem
 problems(path)                    # all that can be found, for a table
 unpack(archive, folder)           # bounded by the sizes that were checked
 
-Of the XML texts the root is read and the interfaces an FMU offers - and no DOCTYPE, whose entities can read files and fill the memory.
+Of the XML texts the root is read and the interfaces an FMU offers - and no DOCTYPE, whose entities
+can read files and fill the memory.
 """
 
 from __future__ import annotations
@@ -25,9 +28,13 @@ from xml.parsers import expat
 
 from models.errors import MachineError, TouchstoneError
 
-# What is let in: bytes unpacked altogether; entries; unpacked over packed, from a size on where it matters; bytes of one XML text.
-MOST_UNPACKED, MOST_ENTRIES, MOST_XML = 2 * 1024**3, 20_000, 64 * 1024**2
-MOST_RATIO, RATIO_MATTERS_FROM = 100.0, 32 * 1024**2
+# What is let in: bytes unpacked altogether; entries; unpacked over packed, from a size on where it
+# matters; bytes of one XML text.
+MOST_UNPACKED = 2 * 1024**3
+MOST_ENTRIES = 20_000
+MOST_XML = 64 * 1024**2
+MOST_RATIO = 100.0
+RATIO_MATTERS_FROM = 32 * 1024**2
 _ROOT = "fmiModelDescription"
 # Interfaces of FMI, by what is short for them.
 INTERFACES = {"ME": "ModelExchange", "CS": "CoSimulation", "SE": "ScheduledExecution"}
@@ -46,7 +53,11 @@ class XmlReader:
         self.kinds: dict[str, dict[str, str]] = {}
 
     def read(self, text: bytes) -> None:
-        """Parse one XML text. Raises HasDoctype, ExpatError for a text that is not well-formed, LookupError for an unknown encoding."""
+        """Parse one XML text.
+
+        Raises HasDoctype, ExpatError for a text that is not well-formed, LookupError for an unknown
+        encoding.
+        """
         parser = self._parser = expat.ParserCreate()
         parser.StartDoctypeDeclHandler = self._doctype
         parser.StartElementHandler = self._element
@@ -60,7 +71,9 @@ class XmlReader:
             self.root_name, self.root = name, attributes
         elif name in INTERFACES.values():
             self.kinds.setdefault(name, attributes)
-        if name == "ModelVariables" or self.root_name != _ROOT:  # interfaces come before it, and hundreds of thousands of elements after
+        if (
+            name == "ModelVariables" or self.root_name != _ROOT
+        ):  # interfaces come before it, and hundreds of thousands of elements after
             self._parser.StartElementHandler = None
 
 
@@ -80,7 +93,8 @@ _MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 _ENDINGS = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 
 
-# Those that are not about what is inside; others are zip, description, version, kind, scheduled, identifier and binary.
+# Those that are not about what is inside; others are zip, description, version, kind, scheduled,
+# identifier and binary.
 ARCHIVE_CHECKS = ("size", "ratio", "entries", "names", "links", "duplicates", "encryption", "xml")
 
 
@@ -89,7 +103,10 @@ class FmuError(TouchstoneError):
 
 
 class ArchiveError(FmuError):
-    """A problem of an FMU file, for which it is not accepted: what is wrong and what was expected; `check` says which check it failed."""
+    """A problem of an FMU file, for which it is not accepted: what is wrong and what was expected.
+
+    `check` says which check it failed.
+    """
 
     def __init__(self, check: str, sentence: str) -> None:
         super().__init__(sentence)
@@ -100,7 +117,8 @@ class ArchiveError(FmuError):
 class FmuArchive:
     """An FMU file that was accepted.
 
-    version: as it says, for example 2.0; kinds: interface -> what it says of itself, those with a binary for this platform; digest: SHA-256 of the file;
+    version: as it says, for example 2.0; kinds: interface -> what it says of itself, those with a
+        binary for this platform; digest: SHA-256 of the file;
     unpacked [bytes].
     """
 
@@ -112,7 +130,10 @@ class FmuArchive:
 
 
 def check_archive(path: Path, *, but_for: Sequence[str] = ()) -> FmuArchive:
-    """See the module docstring. but_for: checks that need not hold. Raises ArchiveError with the first problem, MachineError if the file cannot be read."""
+    """See the module docstring. but_for: checks that need not hold.
+
+    Raises ArchiveError with the first problem, MachineError if the file cannot be read.
+    """
     check = _ArchiveCheck(path)
     for problem in check.problems():
         if problem.check not in but_for:
@@ -126,15 +147,26 @@ def problems(path: Path) -> tuple[ArchiveError, ...]:
 
 
 def unpack(archive: FmuArchive, folder: Path, leave_out: tuple[str, ...] = ()) -> None:
-    """Unpack a checked file, but for entries whose names begin with one of `leave_out`. Raises ArchiveError if it is not what was checked, MachineError if the disk refuses."""
+    """Unpack a checked file, but for entries whose names begin with one of `leave_out`.
+
+    Raises ArchiveError if it is not what was checked, MachineError if the disk refuses.
+    """
     try:
         with zipfile.ZipFile(archive.path) as packed:
             if sum(item.file_size for item in packed.infolist()) != archive.unpacked:
-                raise ArchiveError("zip", f"FMU {archive.path}: the file changed while it was read; try again.")
-            members = [item for item in packed.infolist() if not item.filename.startswith(leave_out)]
-            packed.extractall(folder, members)  # reads no more of an entry than its stated size, which was added up
+                raise ArchiveError(
+                    "zip", f"FMU {archive.path}: the file changed while it was read; try again."
+                )
+            members = [
+                item for item in packed.infolist() if not item.filename.startswith(leave_out)
+            ]
+            packed.extractall(
+                folder, members
+            )  # reads no more of an entry than its stated size, which was added up
     except (zipfile.BadZipFile, *_DAMAGED) as error:
-        raise ArchiveError("zip", f"FMU {archive.path}: it cannot be unpacked ({_first(error)}); it is damaged.") from error
+        raise ArchiveError(
+            "zip", f"FMU {archive.path}: it cannot be unpacked ({_first(error)}); it is damaged."
+        ) from error
     except OSError as error:
         raise MachineError(
             f"FMU {archive.path}: it cannot be unpacked to {folder} ({error.strerror or error}); make room there or permit it, or set TMPDIR."
@@ -151,17 +183,32 @@ class _ArchiveCheck:
 
     def archive(self) -> FmuArchive:
         """What was found, where there are no problems."""
-        present = {kind: interface for kind, interface in self._kinds.items() if self._library(interface) in self._names}
+        present = {
+            kind: interface
+            for kind, interface in self._kinds.items()
+            if self._library(interface) in self._names
+        }
         with open(self._path, "rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         unpacked = sum(item.file_size for item in self._items)
-        return FmuArchive(path=self._path, digest=digest, version=self._root.get("fmiVersion", ""), kinds=present, unpacked=unpacked)
+        return FmuArchive(
+            path=self._path,
+            digest=digest,
+            version=self._root.get("fmiVersion", ""),
+            kinds=present,
+            unpacked=unpacked,
+        )
 
     def problems(self) -> Iterator[ArchiveError]:
         """Those that make further reading unsafe end it."""
         try:
             if not self._path.is_file():
-                yield self._problem("zip", "it is a folder; an FMU is a file." if self._path.exists() else "there is no such file.")
+                yield self._problem(
+                    "zip",
+                    "it is a folder; an FMU is a file."
+                    if self._path.exists()
+                    else "there is no such file.",
+                )
                 return
             with zipfile.ZipFile(self._path) as archive:
                 self._items = archive.infolist()
@@ -174,7 +221,9 @@ class _ArchiveCheck:
         except _DAMAGED as error:
             yield self._problem("zip", f"it is a zip file that cannot be read ({_first(error)}).")
         except OSError as error:
-            raise MachineError(f"FMU {self._path}: it cannot be read ({error.strerror or error}).") from error
+            raise MachineError(
+                f"FMU {self._path}: it cannot be read ({error.strerror or error})."
+            ) from error
 
     def _problem(self, check: str, text: str) -> ArchiveError:
         return ArchiveError(check, f"FMU {self._path}: {text}")
@@ -184,9 +233,15 @@ class _ArchiveCheck:
         unpacked = sum(item.file_size for item in items)
         packed = max(1, self._path.stat().st_size)
         if len(items) > MOST_ENTRIES:
-            yield self._problem("entries", f"it holds {len(items)} files, more than the {MOST_ENTRIES} that are let in.")
+            yield self._problem(
+                "entries",
+                f"it holds {len(items)} files, more than the {MOST_ENTRIES} that are let in.",
+            )
         if unpacked > MOST_UNPACKED:
-            yield self._problem("size", f"unpacked it has {_size(unpacked)}, more than the {_size(MOST_UNPACKED)} that are let in.")
+            yield self._problem(
+                "size",
+                f"unpacked it has {_size(unpacked)}, more than the {_size(MOST_UNPACKED)} that are let in.",
+            )
         if unpacked > RATIO_MATTERS_FROM and unpacked > MOST_RATIO * packed:
             yield self._problem(
                 "ratio",
@@ -197,22 +252,35 @@ class _ArchiveCheck:
         names = Counter(item.filename.rstrip("/") for item in items)
         for name, count in names.items():
             if count > 1:
-                yield self._problem("duplicates", f"the entry {name!r} is there {count} times; the last one counts.")
+                yield self._problem(
+                    "duplicates", f"the entry {name!r} is there {count} times; the last one counts."
+                )
         files = {item.filename for item in items if not item.filename.endswith("/")}
         for name in files:
-            inside = next((str(parent) for parent in PurePosixPath(name).parents if str(parent) in files), None)
+            inside = next(
+                (str(parent) for parent in PurePosixPath(name).parents if str(parent) in files),
+                None,
+            )
             if inside is not None:
-                yield self._problem("names", f"the entry {inside!r} is both a file and the folder of {name!r}.")
+                yield self._problem(
+                    "names", f"the entry {inside!r} is both a file and the folder of {name!r}."
+                )
 
     def _of_entry(self, item: zipfile.ZipInfo) -> Iterator[ArchiveError]:
         name = item.orig_filename
         kind = stat.S_IFMT(item.external_attr >> 16)
         if "\\" in name:
-            yield self._problem("names", f"the entry {name!r} has a backslash in its name; FMI wants forward slashes.")
+            yield self._problem(
+                "names",
+                f"the entry {name!r} has a backslash in its name; FMI wants forward slashes.",
+            )
         elif not name or "\0" in name:
             yield self._problem("names", f"the entry {name!r} has no proper name.")
         elif name.startswith("/") or re.match(r"[A-Za-z]:", name):
-            yield self._problem("names", f"the entry {name!r} has an absolute path; it would be unpacked outside its folder.")
+            yield self._problem(
+                "names",
+                f"the entry {name!r} has an absolute path; it would be unpacked outside its folder.",
+            )
         elif ".." in PurePosixPath(name).parts:
             yield self._problem("names", f"the entry {name!r} leads out of its folder.")
         if stat.S_ISLNK(kind):
@@ -240,7 +308,10 @@ class _ArchiveCheck:
 
     def _of_xml(self, archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> Iterator[ArchiveError]:
         if item.file_size > MOST_XML:
-            yield self._problem("size", f"{item.filename} has {_size(item.file_size)}, more than the {_size(MOST_XML)} that are let in.")
+            yield self._problem(
+                "size",
+                f"{item.filename} has {_size(item.file_size)}, more than the {_size(MOST_XML)} that are let in.",
+            )
             return
         is_description = item.filename == DESCRIPTION
         reader = XmlReader()
@@ -248,50 +319,91 @@ class _ArchiveCheck:
             reader.read(archive.read(item))
         except HasDoctype:
             yield self._problem(
-                "xml", f"{item.filename} has a DOCTYPE, which FMI does not allow (its entities can read files and fill the memory)."
+                "xml",
+                f"{item.filename} has a DOCTYPE, which FMI does not allow (its entities can read files and fill the memory).",
             )
-        except (expat.ExpatError, LookupError) as error:  # a lookup of an encoding that nobody knows
+        except (
+            expat.ExpatError,
+            LookupError,
+        ) as error:  # a lookup of an encoding that nobody knows
             if is_description:
-                yield self._problem("description", f"{DESCRIPTION} is not well-formed XML ({error}).")
+                yield self._problem(
+                    "description", f"{DESCRIPTION} is not well-formed XML ({error})."
+                )
         if is_description:
             self._root, self._kinds = reader.root, reader.kinds
             if reader.root_name not in ("", _ROOT):
-                yield self._problem("description", f"{DESCRIPTION} begins with <{reader.root_name}> instead of <{_ROOT}>.")
+                yield self._problem(
+                    "description",
+                    f"{DESCRIPTION} begins with <{reader.root_name}> instead of <{_ROOT}>.",
+                )
 
     def _of_description(self) -> Iterator[ArchiveError]:
         version = self._root.get("fmiVersion", "")
         if version != "2.0" and not _is_three(version):
-            yield self._problem("version", f"it says FMI version {version!r}; 2.0 and 3.0 can be run.")
+            yield self._problem(
+                "version", f"it says FMI version {version!r}; 2.0 and 3.0 can be run."
+            )
             return
         only_scheduled = self._kinds.pop("ScheduledExecution", None) is not None
         if not self._kinds:
-            also = ", only Scheduled Execution, which needs a scheduler of its own" if only_scheduled else ""
-            yield self._problem("scheduled" if only_scheduled else "kind", f"it offers neither Model Exchange nor Co-Simulation{also}.")
+            also = (
+                ", only Scheduled Execution, which needs a scheduler of its own"
+                if only_scheduled
+                else ""
+            )
+            yield self._problem(
+                "scheduled" if only_scheduled else "kind",
+                f"it offers neither Model Exchange nor Co-Simulation{also}.",
+            )
             return
-        for wrong in wrong_identifiers(interface.get("modelIdentifier") for interface in self._kinds.values()):
+        for wrong in wrong_identifiers(
+            interface.get("modelIdentifier") for interface in self._kinds.values()
+        ):
             yield self._problem("identifier", f"{wrong}.")
         if not any(self._library(interface) in self._names for interface in self._kinds.values()):
             interface = next(iter(self._kinds.values()))
-            there = sorted({PurePosixPath(name).parts[1] for name in self._names if re.match(r"binaries/[^/]+/.", name)})
+            there = sorted(
+                {
+                    PurePosixPath(name).parts[1]
+                    for name in self._names
+                    if re.match(r"binaries/[^/]+/.", name)
+                }
+            )
             has = ", ".join(there) or "none at all"
-            yield self._problem("binary", f"it has no binary for this machine ({self._library(interface)}); it has {has}.")
+            yield self._problem(
+                "binary",
+                f"it has no binary for this machine ({self._library(interface)}); it has {has}.",
+            )
 
     def _library(self, interface: dict[str, str]) -> str:
         return binary_name(self._root.get("fmiVersion", ""), interface.get("modelIdentifier", ""))
 
 
-# The name of a file has 255 bytes at most (NAME_MAX of Linux, NTFS and APFS); the longest ending is .dylib.
+# The name of a file has 255 bytes at most (NAME_MAX of Linux, NTFS and APFS); the longest ending is
+# .dylib.
 _LONGEST_IDENTIFIER = 249
 
 
 def wrong_identifiers(identifiers: Iterable[str | None]) -> list[str]:
-    """What is wrong with the modelIdentifiers of interfaces, clauses without full stop; of one with which nothing is wrong alone a path may be made."""
+    """What is wrong with the modelIdentifiers of interfaces, clauses without full stop.
+
+    Of one with which nothing is wrong alone a path may be made.
+    """
     wrong = []
     for text in dict.fromkeys(identifiers):
         if not re.fullmatch(rf"[A-Za-z_]\w{{,{_LONGEST_IDENTIFIER - 1}}}", text or "", re.ASCII):
-            shown = "missing" if text is None else ascii(text) if len(text) < 100 else f"{text[:40]!a}.., {len(text)} letters"
+            shown = (
+                "missing"
+                if text is None
+                else ascii(text)
+                if len(text) < 100
+                else f"{text[:40]!a}.., {len(text)} letters"
+            )
             wanted = f"a C identifier of at most {_LONGEST_IDENTIFIER} letters, as the binary is called by it"
-            wrong.append(f"{DESCRIPTION}: modelIdentifier is {shown}; expected {wanted} (FMI 2.0.4, 2.3; 3.0.2, 2.5.1); export it anew")
+            wrong.append(
+                f"{DESCRIPTION}: modelIdentifier is {shown}; expected {wanted} (FMI 2.0.4, 2.3; 3.0.2, 2.5.1); export it anew"
+            )
     return wrong
 
 
@@ -301,7 +413,9 @@ def binary_name(version: str, identifier: str) -> str:
     if _is_three(version):
         folder = f"{_MACHINES.get(machine, machine)}-{system}"
     else:
-        folder = f"{'win' if system == 'windows' else system}{'64' if sys.maxsize > 2**32 else '32'}"
+        folder = (
+            f"{'win' if system == 'windows' else system}{'64' if sys.maxsize > 2**32 else '32'}"
+        )
     return f"binaries/{folder}/{identifier}{_ENDINGS.get(system, '.so')}"
 
 

@@ -1,11 +1,11 @@
 """CVODE, the integrator of SUNDIALS 7, called by the addresses of its functions in the libraries that scikit-sundae brings.
 
-    solver = Cvode(ADAMS, y, rates=.., data=.., rtol=1e-9, absolute=.., min_step=0.0, max_step=0.1, max_steps=1000)
-    solver.renew(0.0)                                # from y at t = 0 on
-    solver.advance(0.5, 1.0, one_step=False)         # to t = 0.5, never beyond 1: a flag; solver.time, solver.y, solver.roots
-    solver.close()
+    solver = Cvode(ADAMS, y, rates=.., data=.., rtol=1e-9, absolute=.., min_step=0.0, max_step=0.1,
+    max_steps=1000) solver.renew(0.0) # from y at t = 0 on solver.advance(0.5, 1.0, one_step=False)
+    # to t = 0.5, never beyond 1: a flag; solver.time, solver.y, solver.roots solver.close()
 
-scikit-sundae itself is not imported: that imports SciPy, and took 0.45 s of every check of an FMU. A solver is what its CVODE(..) makes, call by call.
+scikit-sundae itself is not imported: that imports SciPy, and took 0.45 s of every check of an FMU.
+A solver is what its CVODE(..) makes, call by call.
 """
 
 from __future__ import annotations
@@ -26,33 +26,57 @@ from models.errors import MachineError
 
 # The only major version whose arguments are known to be these.
 _VERSION = 7
-_TYPES = {"i": ctypes.c_int, "l": ctypes.c_long, "n": ctypes.c_int64, "d": ctypes.c_double, "p": ctypes.c_void_p}
+_TYPES = {
+    "i": ctypes.c_int,
+    "l": ctypes.c_long,
+    "n": ctypes.c_int64,
+    "d": ctypes.c_double,
+    "p": ctypes.c_void_p,
+}
 # Result and arguments of SUNDIALS' functions.
 _SIGNATURES = {
-    "SUNContext_Create": "i:ip", "SUNContext_ClearErrHandlers": "i:p", "SUNContext_GetLogger": "i:pp", "SUNContext_Free": "i:p",
+    "SUNContext_Create": "i:ip", "SUNContext_ClearErrHandlers": "i:p",
+    "SUNContext_GetLogger": "i:pp", "SUNContext_Free": "i:p",
     "SUNLogger_SetWarningFilename": "i:pp", "N_VNew_Serial": "p:np", "N_VGetArrayPointer": "p:p",
-    "N_VDestroy": "i:p", "SUNDenseMatrix": "p:nnp", "SUNMatDestroy": "i:p", "SUNLinSol_Dense": "p:ppp", "SUNLinSolFree": "i:p", "CVodeCreate": "p:ip",
-    "CVodeFree": "i:p", "CVodeInit": "i:ppdp", "CVodeReInit": "i:pdp", "CVodeSVtolerances": "i:pdp", "CVodeSetUserData": "i:pp",
-    "CVodeSetLinearSolver": "i:ppp", "CVodeSetMaxNonlinIters": "i:pi", "CVodeSetMaxConvFails": "i:pi", "CVodeRootInit": "i:pip",
-    "CVodeSetRootDirection": "i:pp", "CVodeSetInitStep": "i:pd", "CVodeSetMinStep": "i:pd", "CVodeSetMaxStep": "i:pd", "CVodeSetMaxOrd": "i:pi",
-    "CVodeSetMaxNumSteps": "i:pl", "CVodeSetStopTime": "i:pd", "CVodeClearStopTime": "i:p", "CVode": "i:pdppi", "CVodeGetRootInfo": "i:pp",
+    "N_VDestroy": "i:p", "SUNDenseMatrix": "p:nnp", "SUNMatDestroy": "i:p",
+    "SUNLinSol_Dense": "p:ppp", "SUNLinSolFree": "i:p", "CVodeCreate": "p:ip",
+    "CVodeFree": "i:p", "CVodeInit": "i:ppdp", "CVodeReInit": "i:pdp", "CVodeSVtolerances": "i:pdp",
+    "CVodeSetUserData": "i:pp",
+    "CVodeSetLinearSolver": "i:ppp", "CVodeSetMaxNonlinIters": "i:pi",
+    "CVodeSetMaxConvFails": "i:pi", "CVodeRootInit": "i:pip",
+    "CVodeSetRootDirection": "i:pp", "CVodeSetInitStep": "i:pd", "CVodeSetMinStep": "i:pd",
+    "CVodeSetMaxStep": "i:pd", "CVodeSetMaxOrd": "i:pi",
+    "CVodeSetMaxNumSteps": "i:pl", "CVodeSetStopTime": "i:pd", "CVodeClearStopTime": "i:p",
+    "CVode": "i:pdppi", "CVodeGetRootInfo": "i:pp",
 }  # fmt: skip
 # Methods, with the highest order of each.
-ADAMS, BDF = (1, 12), (2, 5)
-_NONLINEAR_ITERATIONS, _FAILURES = 3, 10
-_NORMAL, _ONE_STEP = 1, 2
+ADAMS = (1, 12)
+BDF = (2, 5)
+_NONLINEAR_ITERATIONS = 3
+_FAILURES = 10
+_NORMAL = 1
+_ONE_STEP = 2
 ROOT_RETURN = 2
 # What a negative flag of `advance` means.
 _WHY = {
-    -1: "Could not reach endpoint after 'max_num_steps'.", -2: "Could not satisfy demanded accuracy for an internal step.",
-    -3: "Error tests failed too many times, or reached min step size.", -4: "Convergence tests failed too many times, or reached min step size.",
-    -5: "Linear solver initialization routine failed.", -6: "Linear solver setup function unrecoverably failed.",
-    -7: "Linear solver solve function unrecoverably failed.", -8: "The right-hand-side function had a non-recoverable error.",
-    -9: "The right-hand-side function failed on the first call.", -12: "Event-detection routine unrecoverably failed.",
-    -22: "One of the function inputs is invalid.", -27: "The output and initial times are too close to each other.",
+    -1: "Could not reach endpoint after 'max_num_steps'.",
+    -2: "Could not satisfy demanded accuracy for an internal step.",
+    -3: "Error tests failed too many times, or reached min step size.",
+    -4: "Convergence tests failed too many times, or reached min step size.",
+    -5: "Linear solver initialization routine failed.",
+    -6: "Linear solver setup function unrecoverably failed.",
+    -7: "Linear solver solve function unrecoverably failed.",
+    -8: "The right-hand-side function had a non-recoverable error.",
+    -9: "The right-hand-side function failed on the first call.",
+    -12: "Event-detection routine unrecoverably failed.",
+    -22: "One of the function inputs is invalid.",
+    -27: "The output and initial times are too close to each other.",
 }  # fmt: skip
-# CVRhsFn and CVRootFn: time, address of y's vector (or of its array's for roots), of what is to be filled, data.
-FILLS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+# CVRhsFn and CVRootFn: time, address of y's vector (or of its array's for roots), of what is to be
+# filled, data.
+FILLS = ctypes.CFUNCTYPE(
+    ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p
+)
 
 
 def why(flag: int) -> str:
@@ -65,21 +89,40 @@ def functions() -> Any:
     """The library, whose functions are its attributes. Raises MachineError."""
     what, found = "the integrator of Model Exchange, CVODE,", importlib.util.find_spec("sksundae")
     folders = map(Path, (found.submodule_search_locations or ()) if found is not None else ())
-    path = next((path for folder in folders for path in sorted(folder.glob("_cy_cvode*")) if path.suffix in (".so", ".dylib")), None)
+    path = next(
+        (
+            path
+            for folder in folders
+            for path in sorted(folder.glob("_cy_cvode*"))
+            if path.suffix in (".so", ".dylib")
+        ),
+        None,
+    )
     if path is None:
-        raise MachineError(f"{what} is missing: scikit-sundae has no module _cy_cvode here; install scikit-sundae.")
+        raise MachineError(
+            f"{what} is missing: scikit-sundae has no module _cy_cvode here; install scikit-sundae."
+        )
     version = [ctypes.c_int() for _ in range(3)]
     label = ctypes.create_string_buffer(32)
     try:
-        module = ctypes.CDLL(str(path))  # a lookup by this handle goes on to the libraries that the module needs
+        module = ctypes.CDLL(
+            str(path)
+        )  # a lookup by this handle goes on to the libraries that the module needs
         module.SUNDIALSGetVersionNumber(*map(ctypes.byref, version), label, len(label))
         for name, signature in _SIGNATURES.items():
             function, (result, arguments) = getattr(module, name), signature.split(":")
-            function.restype, function.argtypes = _TYPES[result], [_TYPES[letter] for letter in arguments]
+            function.restype, function.argtypes = (
+                _TYPES[result],
+                [_TYPES[letter] for letter in arguments],
+            )
     except (OSError, AttributeError) as error:
-        raise MachineError(f"{what} cannot be reached in {path} ({error}); install scikit-sundae anew.") from error
+        raise MachineError(
+            f"{what} cannot be reached in {path} ({error}); install scikit-sundae anew."
+        ) from error
     if (major := version[0].value) != _VERSION:
-        raise MachineError(f"{what} is of SUNDIALS {major} in {path}, not {_VERSION}; install another scikit-sundae.")
+        raise MachineError(
+            f"{what} is of SUNDIALS {major} in {path}, not {_VERSION}; install another scikit-sundae."
+        )
     return module
 
 
@@ -97,9 +140,12 @@ def array_of(vector: int) -> int:
 class Cvode:
     """A solver with dense Newton iterations; see the module docstring.
 
-    y: (n,) where it is, which `renew` begins at and `advance` moves [unit of each state]; rates: its right-hand side, indicators: what it looks for zeros
-    of, `count` of them (FILLS, or the addresses of such functions); data: their last argument; absolute: (n,) tolerances [unit of each state].
-    time [s]; roots: (count,) the sign of the slope of each indicator that `advance` stopped at, else 0.
+    y: (n,) where it is, which `renew` begins at and `advance` moves [unit of each state]; rates:
+        its right-hand side, indicators: what it looks for zeros
+    of, `count` of them (FILLS, or the addresses of such functions); data: their last argument;
+        absolute: (n,) tolerances [unit of each state].
+    time [s]; roots: (count,) the sign of the slope of each indicator that `advance` stopped at,
+        else 0.
     """
 
     method: tuple[int, int]
@@ -119,11 +165,16 @@ class Cvode:
         self.time, self.roots = 0.0, np.zeros(self.count, dtype=np.int32)
         self.memory = self.vector = 0  # addresses, 0 without a solver
         given = self.rates, self.indicators, self.data
-        self._rates, self._indicators, self._data = (ctypes.cast(item, ctypes.c_void_p) for item in given)
+        self._rates, self._indicators, self._data = (
+            ctypes.cast(item, ctypes.c_void_p) for item in given
+        )
         self._made = contextlib.ExitStack()  # frees what was made
 
     def renew(self, time: float) -> None:
-        """A new solver from y at `time` [s]. Raises RuntimeError where CVODE refuses what it is given."""
+        """A new solver from y at `time` [s].
+
+        Raises RuntimeError where CVODE refuses what it is given.
+        """
         self.close()
         self.time = time
         call, size, context, logger = functions(), len(self.y), ctypes.c_void_p(), ctypes.c_void_p()
@@ -137,7 +188,8 @@ class Cvode:
         self._made.callback(call.SUNContext_Free, ctypes.byref(context))
         call.SUNContext_ClearErrHandlers(context)
         self._accepted(
-            call.SUNContext_GetLogger(context, ctypes.byref(logger)), call.SUNLogger_SetWarningFilename(logger, os.devnull.encode())
+            call.SUNContext_GetLogger(context, ctypes.byref(logger)),
+            call.SUNLogger_SetWarningFilename(logger, os.devnull.encode()),
         )
         self.vector = made(call.N_VNew_Serial(size, context), call.N_VDestroy)
         tolerances = made(call.N_VNew_Serial(size, context), call.N_VDestroy)
@@ -145,7 +197,10 @@ class Cvode:
             ctypes.memmove(array_of(vector), values.ctypes.data, 8 * size)
         matrix = made(call.SUNDenseMatrix(size, size, context), call.SUNMatDestroy)
         linear = made(call.SUNLinSol_Dense(self.vector, matrix, context), call.SUNLinSolFree)
-        memory = made(call.CVodeCreate(self.method[0], context), lambda place: call.CVodeFree(ctypes.byref(ctypes.c_void_p(place))))
+        memory = made(
+            call.CVodeCreate(self.method[0], context),
+            lambda place: call.CVodeFree(ctypes.byref(ctypes.c_void_p(place))),
+        )
         self.memory = memory
         self._accepted(
             call.CVodeSetUserData(memory, self._data),
@@ -172,11 +227,16 @@ class Cvode:
             raise RuntimeError(f"CVODE refused to be set up at t = {self.time:.6g} s")
 
     def advance(self, target: float, stop: float, *, one_step: bool) -> int:
-        """To `target` [s], or one step towards it, never beyond `stop` [s]; CVODE's flag, negative for a failure. Raises RuntimeError for a stop that lies behind."""
+        """To `target` [s], or one step towards it, never beyond `stop` [s].
+
+        CVODE's flag, negative for a failure. Raises RuntimeError for a stop that lies behind.
+        """
         call, time = functions(), ctypes.c_double()
         if call.CVodeSetStopTime(self.memory, stop) < 0:
             raise RuntimeError(f"CVODE refused its stop time at t = {self.time:.6g} s")
-        flag = call.CVode(self.memory, target, self.vector, ctypes.byref(time), _ONE_STEP if one_step else _NORMAL)
+        flag = call.CVode(
+            self.memory, target, self.vector, ctypes.byref(time), _ONE_STEP if one_step else _NORMAL
+        )
         if flag == ROOT_RETURN:
             call.CVodeGetRootInfo(self.memory, self.roots.ctypes.data)
         call.CVodeClearStopTime(self.memory)

@@ -15,7 +15,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from validate.fmi.archive import DESCRIPTION, FmuArchive, FmuError, check_archive, unpack, wrong_identifiers
+from validate.fmi.archive import (
+    DESCRIPTION,
+    FmuArchive,
+    FmuError,
+    check_archive,
+    unpack,
+    wrong_identifiers,
+)
 from validate.store.disk import temporary_folder
 
 # The types of a number in FMI 2.0 and 3.0.
@@ -52,8 +59,15 @@ class Package(FmuArchive):
 
 
 def interface_of(description: Any, kind: str) -> Any:
-    """FMPy's description of an interface: "ME", "CS" or "SE", Scheduled Execution; None where the FMU does not offer it."""
-    return {"ME": description.modelExchange, "CS": description.coSimulation, "SE": getattr(description, "scheduledExecution", None)}[kind]
+    """FMPy's description of an interface: "ME", "CS" or "SE", Scheduled Execution.
+
+    None where the FMU does not offer it.
+    """
+    return {
+        "ME": description.modelExchange,
+        "CS": description.coSimulation,
+        "SE": getattr(description, "scheduledExecution", None),
+    }[kind]
 
 
 @contextmanager
@@ -94,24 +108,36 @@ def understood(path: Path) -> Any:
         with without_garbage():
             return fmpy.read_model_description(str(path), validate=False)
     except Exception as error:  # noqa: BLE001 - FMPy raises anything for what it does not understand
-        raise FmuError(in_words(error)) from error.with_traceback(None)  # FMPy's frames would hold the file open
+        raise FmuError(in_words(error)) from error.with_traceback(
+            None
+        )  # FMPy's frames would hold the file open
 
 
 def unfit(description: Any) -> list[str]:
     """Why an FMU may not be run as it is described, clauses without full stop.
 
-    Of two elements of one interface FMPy takes the last, the archive the first; of a value reference C takes the last 32 bits, another variable's.
+    Of two elements of one interface FMPy takes the last, the archive the first; of a value
+    reference C takes the last 32 bits, another variable's.
     """
     offered = (interface_of(description, kind) for kind in ("ME", "CS", "SE"))
-    wrong = wrong_identifiers(interface.modelIdentifier for interface in offered if interface is not None)
-    wide = next((item for item in description.modelVariables if not 0 <= item.valueReference < 2**32), None)
+    wrong = wrong_identifiers(
+        interface.modelIdentifier for interface in offered if interface is not None
+    )
+    wide = next(
+        (item for item in description.modelVariables if not 0 <= item.valueReference < 2**32), None
+    )
     if wide is not None:
-        wrong.append(f"{DESCRIPTION}: {wide.name!r} has the value reference {wide.valueReference}; expected a number from 0 to {2**32 - 1}")
+        wrong.append(
+            f"{DESCRIPTION}: {wide.name!r} has the value reference {wide.valueReference}; expected a number from 0 to {2**32 - 1}"
+        )
     return wrong
 
 
 def read_description(path: Path) -> Any:
-    """The same of an FMU that is to be run. Raises FmuError, a clause without full stop, for what is `unfit`; as `understood`."""
+    """The same of an FMU that is to be run.
+
+    Raises FmuError, a clause without full stop, for what is `unfit`; as `understood`.
+    """
     description = understood(path)
     for wrong in unfit(description):
         raise FmuError(wrong)
@@ -119,7 +145,10 @@ def read_description(path: Path) -> Any:
 
 
 def read_package(path: Path) -> Package:
-    """Check and describe an FMU, without unpacking it. Raises ArchiveError, FmuError, MachineError."""
+    """Check and describe an FMU, without unpacking it.
+
+    Raises ArchiveError, FmuError, MachineError.
+    """
     archive = check_archive(path)
     try:
         description = read_description(path)
@@ -133,7 +162,10 @@ def read_package(path: Path) -> Package:
 
 @contextmanager
 def unpacked(package: Package) -> Iterator[Package]:
-    """The package unpacked, as far as an FMU that runs may look into it; the folder is removed afterwards. One that lies unpacked is given as it is."""
+    """The package unpacked, as far as an FMU that runs may look into it.
+
+    The folder is removed afterwards. One that lies unpacked is given as it is.
+    """
     if package.folder is not None:
         yield package
         return

@@ -6,8 +6,8 @@
     fmu.read(outputs)
     fmu.unload()
 
-A call that is refused raises FMPy's FMICallException, what else keeps a run from going on a Fault. `Instance.fmu` is FMPy's object, for calls that need
-no words of ours.
+A call that is refused raises FMPy's FMICallException, what else keeps a run from going on a Fault.
+`Instance.fmu` is FMPy's object, for calls that need no words of ours.
 """
 
 from __future__ import annotations
@@ -66,8 +66,17 @@ def faults_of(path: Path) -> Iterator[None]:
 class References:
     """Value references of one type, doubles unless said, that are read or written at once. values: (size,) the memory that C reads and writes."""
 
-    def __init__(self, references: Sequence[int], kind: str = "", size: int | None = None, number: Any = ctypes.c_double) -> None:
-        """kind: as the functions of FMI name it, empty for doubles; size: entries of all, one a reference unless said; number: of C."""
+    def __init__(
+        self,
+        references: Sequence[int],
+        kind: str = "",
+        size: int | None = None,
+        number: Any = ctypes.c_double,
+    ) -> None:
+        """kind: as the functions of FMI name it, empty for doubles.
+
+        size: entries of all, one a reference unless said; number: of C.
+        """
         self.count, self.kind = len(references), kind
         self.size = self.count if size is None else size
         self.array = (ctypes.c_uint * self.count)(*references)
@@ -79,14 +88,17 @@ class References:
         self.values.fill(math.nan if self.values.dtype.kind == "f" else 0)
 
 
-# FMPy's classes of FMI 2.0 and FMI 3.0, with one name for what the two versions name, or pass, differently. What is the same in both - terminate, reset,
-# enterEventMode, getContinuousStates, .. - is FMPy's own. A class must be called FMU2.. or FMU3..: FMPy takes the prefix of the functions from that.
+# FMPy's classes of FMI 2.0 and FMI 3.0, with one name for what the two versions name, or pass,
+# differently. What is the same in both - terminate, reset, enterEventMode, getContinuousStates, ..
+# - is FMPy's own. A class must be called FMU2.. or FMU3..: FMPy takes the prefix of the functions
+# from that.
 
 
 class StepAnswer(NamedTuple):
     """What a communication step answered.
 
-    event: one is to be handled; ends: the FMU asks for the end of the simulation; early: it returned early; reached: the time it says it reached [s]
+    event: one is to be handled; ends: the FMU asks for the end of the simulation; early: it
+        returned early; reached: the time it says it reached [s]
     (FMI 2.0 says nothing: the end of the step).
     """
 
@@ -108,7 +120,11 @@ class _Calls(_FMU):
     def _call(self, fname: str, *args: Any) -> Any:
         function = self._functions[fname]
         answer = function(*args)
-        if function.restype is ctypes.c_int and answer != fmi2.fmi2OK and answer != fmi2.fmi2Warning:
+        if (
+            function.restype is ctypes.c_int
+            and answer != fmi2.fmi2OK
+            and answer != fmi2.fmi2Warning
+        ):
             self.refuse(fname, answer)
         return answer
 
@@ -122,28 +138,40 @@ class _Calls(_FMU):
         return ctypes.cast(self._functions[self.prefix + function], ctypes.c_void_p).value or 0
 
     @classmethod
-    def references(cls, kind: str, references: Sequence[int], size: int | None = None) -> References:
+    def references(
+        cls, kind: str, references: Sequence[int], size: int | None = None
+    ) -> References:
         """Of variables of a type, with memory as C has it; size: entries of all."""
         name = cls.whole if kind == "Enumeration" else kind
-        return References(references, name, size, getattr(sys.modules[f"fmpy.{cls.prefix}"], cls.prefix + name))
+        return References(
+            references, name, size, getattr(sys.modules[f"fmpy.{cls.prefix}"], cls.prefix + name)
+        )
 
     def transfer(self, verb: str, what: References) -> None:
         """Get or Set. Raises FMICallException."""
         size = (what.size,) if self.prefix == "fmi3" else ()
-        getattr(self, f"{self.prefix}{verb}{what.kind or self.doubles}")(self.component, what.array, what.count, what.memory, *size)
+        getattr(self, f"{self.prefix}{verb}{what.kind or self.doubles}")(
+            self.component, what.array, what.count, what.memory, *size
+        )
 
     def save_to(self, place: Any) -> None:
         self._call(f"{self.prefix}Get{self.state}", self.component, ctypes.byref(place))
 
 
 class _Fmi2(_Calls):
-    prefix, doubles, whole, state = "fmi2", "Real", "Integer", "FMUstate"
+    prefix = "fmi2"
+    doubles = "Real"
+    whole = "Integer"
+    state = "FMUstate"
 
     def make(self, log: Callable[..., None], options: Mapping[str, Any]) -> None:
         if self.callbacks is None:
             own = fmi2.fmi2CallbackFunctions()
             own.logger = fmi2.fmi2CallbackLoggerTYPE(log)
-            own.allocateMemory, own.freeMemory = fmi2.defaultCallbacks.allocateMemory, fmi2.defaultCallbacks.freeMemory
+            own.allocateMemory, own.freeMemory = (
+                fmi2.defaultCallbacks.allocateMemory,
+                fmi2.defaultCallbacks.freeMemory,
+            )
             self.callbacks = own
         self.instantiate(callbacks=self.callbacks, **options)
 
@@ -160,7 +188,9 @@ class _Fmi2(_Calls):
         try:
             self.doStep(time, length)
         except FMICallException as error:
-            if error.status == fmi2.fmi2Discard and self._status(self.getBooleanStatus, fmi2.fmi2Terminated):
+            if error.status == fmi2.fmi2Discard and self._status(
+                self.getBooleanStatus, fmi2.fmi2Terminated
+            ):
                 return StepAnswer(False, True, False, time + length)
             raise
         return StepAnswer(False, False, False, time + length)
@@ -173,14 +203,19 @@ class _Fmi2(_Calls):
         with contextlib.suppress(FMICallException):
             return ask(what)
 
-    def directional(self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float], size: int) -> Sequence[float]:
+    def directional(
+        self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float], size: int
+    ) -> Sequence[float]:
         return self.getDirectionalDerivative(unknowns, knowns, seed)
 
 
 class _Fmi3(_Calls):
     """Co-Simulation without event mode and without early return, unless the options ask for them."""
 
-    prefix, doubles, whole, state = "fmi3", "Float64", "Int64", "FMUState"
+    prefix = "fmi3"
+    doubles = "Float64"
+    whole = "Int64"
+    state = "FMUState"
 
     def make(self, log: Callable[..., None], options: Mapping[str, Any]) -> None:
         self.instantiate(logMessage=log, **options)
@@ -198,17 +233,23 @@ class _Fmi3(_Calls):
         """FMI 3.0 tells it with the step."""
         return None
 
-    def directional(self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float], size: int) -> Sequence[float]:
+    def directional(
+        self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float], size: int
+    ) -> Sequence[float]:
         return self.getDirectionalDerivative(unknowns, knowns, seed, nSensitivity=size)
 
-    def adjoint(self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float], size: int) -> Sequence[float]:
+    def adjoint(
+        self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float], size: int
+    ) -> Sequence[float]:
         return self.getAdjointDerivative(unknowns, knowns, seed, nSensitivity=size)
 
 
 class FMU2Exchange(_Fmi2, fmi2.FMU2Model):
     """FMI 2.0, Model Exchange."""
 
-    rates, update, leave = fmi2.FMU2Model.getDerivatives, fmi2.FMU2Model.newDiscreteStates, fmi2.FMU2Model.enterContinuousTimeMode
+    rates = fmi2.FMU2Model.getDerivatives
+    update = fmi2.FMU2Model.newDiscreteStates
+    leave = fmi2.FMU2Model.enterContinuousTimeMode
 
 
 class FMU2Stepping(_Fmi2, fmi2.FMU2Slave):
@@ -219,61 +260,100 @@ class FMU3Exchange(_Fmi3, fmi3.FMU3Model):
     """FMI 3.0, Model Exchange."""
 
     rates = fmi3.FMU3Model.getContinuousStateDerivatives
-    update, leave = fmi3.FMU3Model.updateDiscreteStates, fmi3.FMU3Model.enterContinuousTimeMode
+    update = fmi3.FMU3Model.updateDiscreteStates
+    leave = fmi3.FMU3Model.enterContinuousTimeMode
 
 
 class FMU3Stepping(_Fmi3, fmi3.FMU3Slave):
     """FMI 3.0, Co-Simulation."""
 
-    update, leave = fmi3.FMU3Slave.updateDiscreteStates, fmi3.FMU3Slave.enterStepMode
+    update = fmi3.FMU3Slave.updateDiscreteStates
+    leave = fmi3.FMU3Slave.enterStepMode
 
 
 class FMU3Scheduling(_Fmi3, fmi3._FMU3):
     """FMI 3.0, Scheduled Execution: FMPy has its functions, and no class."""
 
-    def instantiate(self, logMessage: Callable[..., None], clockUpdate: Callable[..., None], locks: Sequence[Callable[[], None]]) -> None:
-        """clockUpdate: the FMU wants its clocks looked at; locks: called before and after what must not be interrupted."""
+    def instantiate(
+        self,
+        logMessage: Callable[..., None],
+        clockUpdate: Callable[..., None],
+        locks: Sequence[Callable[[], None]],
+    ) -> None:
+        """clockUpdate: the FMU wants its clocks looked at.
+
+        locks: called before and after what must not be interrupted.
+        """
         self._callbacks = (  # held as long as C may call them
             fmi3.fmi3LogMessageCallback(logMessage), fmi3.fmi3ClockUpdateCallback(clockUpdate),
             fmi3.fmi3LockPreemptionCallback(locks[0]), fmi3.fmi3UnlockPreemptionCallback(locks[1]),
         )  # fmt: skip
         resources = os.path.join(self.unzipDirectory, "resources", "")
         self.component = self.fmi3InstantiateScheduledExecution(
-            self.instanceName.encode(), self.guid.encode(), resources.encode(), False, False, None, *self._callbacks
+            self.instanceName.encode(),
+            self.guid.encode(),
+            resources.encode(),
+            False,
+            False,
+            None,
+            *self._callbacks,
         )
         if not self.component:
             raise RuntimeError("no instance")
 
 
 CLASSES: dict[tuple[int, str], Any] = {
-    (2, "ME"): FMU2Exchange, (2, "CS"): FMU2Stepping, (3, "ME"): FMU3Exchange, (3, "CS"): FMU3Stepping, (3, "SE"): FMU3Scheduling,
+    (2, "ME"): FMU2Exchange, (2, "CS"): FMU2Stepping, (3, "ME"): FMU3Exchange,
+    (3, "CS"): FMU3Stepping, (3, "SE"): FMU3Scheduling,
 }  # fmt: skip
 
 
 class Instance:
     """One instance of an unpacked FMU; kind: "ME", "CS" or "SE".
 
-    time: to which it was brought [s]; next_event: the time event it told of, infinite without; said: what it logged last.
+    time: to which it was brought [s]; next_event: the time event it told of, infinite without;
+        said: what it logged last.
     """
 
-    def __init__(self, description: Any, folder: Path, kind: str, name: str, options: Mapping[str, Any] | None = None) -> None:
-        """description: FMPy's; options: more arguments of FMPy's instantiate(). Raises Fault if it cannot be loaded or gives no instance."""
+    def __init__(
+        self,
+        description: Any,
+        folder: Path,
+        kind: str,
+        name: str,
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
+        """description: FMPy's; options: more arguments of FMPy's instantiate().
+
+        Raises Fault if it cannot be loaded or gives no instance.
+        """
         self.description, self.kind, self.options = description, kind, dict(options or {})
         self.said: deque[str] = deque(maxlen=4)
         self.time, self.next_event = math.nan, math.inf
         interface = interface_of(description, kind)
         self._needs_tool = bool(interface.needsExecutionTool)
         try:
-            with contextlib.chdir(os.getcwd()):  # FMPy goes to the library's folder, and stays there if that fails
+            with contextlib.chdir(
+                os.getcwd()
+            ):  # FMPy goes to the library's folder, and stays there if that fails
                 self.fmu: Any = CLASSES[self.major, kind](
-                    guid=description.guid, modelIdentifier=interface.modelIdentifier, unzipDirectory=str(folder), instanceName=name
+                    guid=description.guid,
+                    modelIdentifier=interface.modelIdentifier,
+                    unzipDirectory=str(folder),
+                    instanceName=name,
                 )
         except AttributeError as error:
-            raise Misbehaviour(f"a function of FMI is missing in the binary ({_inside(folder, error)})") from error
-        except Exception as error:  # FMPy raises a bare Exception where a binary is missing or does not load
+            raise Misbehaviour(
+                f"a function of FMI is missing in the binary ({_inside(folder, error)})"
+            ) from error
+        except (
+            Exception
+        ) as error:  # FMPy raises a bare Exception where a binary is missing or does not load
             absent = re.search(r"(\S+): cannot open shared object file", str(error))
             if absent and not list(folder.rglob(absent[1])):
-                raise Lacking(f"its binary needs {absent[1]}, which neither the FMU carries nor this machine has; install it") from error
+                raise Lacking(
+                    f"its binary needs {absent[1]}, which neither the FMU carries nor this machine has; install it"
+                ) from error
             raise Misbehaviour(f"the binary cannot be loaded ({_inside(folder, error)})") from error
         self.instantiate()
 
@@ -307,13 +387,16 @@ class Instance:
         text = " ".join(self.said[-1].split()) if self.said else ""
         return f"; it said: {text[:200]}" if text else ""
 
-    def initialise(self, time: float, settings: Sequence[tuple[int, float]], inputs: References, u: np.ndarray) -> None:
+    def initialise(
+        self, time: float, settings: Sequence[tuple[int, float]], inputs: References, u: np.ndarray
+    ) -> None:
         """Through initialisation, with some variables set before and the first inputs in it.
 
         Parameters
         ----------
         time : start of the run [s].
-        settings : value reference and value [unit of the variable] of what is set before initialisation.
+        settings : value reference and value [unit of the variable] of what is set before
+            initialisation.
         inputs : value references of the inputs.
         u : (nu,) first inputs [unit of each input], set in initialisation.
 
@@ -332,7 +415,10 @@ class Instance:
     def choose(self, choices: Sequence[tuple[int, int]]) -> None:
         """Set whole numbers (enumerations), (reference, value), before `initialise`."""
         if choices:
-            self.write(self.fmu.references("Enumeration", [reference for reference, _ in choices]), [value for _, value in choices])
+            self.write(
+                self.fmu.references("Enumeration", [reference for reference, _ in choices]),
+                [value for _, value in choices],
+            )
 
     def free(self) -> None:
         """Free the instance, if it lives and reported no fatal status."""
@@ -394,7 +480,10 @@ class Instance:
     # Saved states
 
     def save(self, place: Any = None) -> Any:
-        """A saved state, a ctypes.c_void_p; kept in `place` if given, which used again takes no new memory. Freed by `forget`."""
+        """A saved state, a ctypes.c_void_p.
+
+        Kept in `place` if given, which used again takes no new memory. Freed by `forget`.
+        """
         place = ctypes.c_void_p() if place is None else place
         self.fmu.save_to(place)
         return place
@@ -437,7 +526,9 @@ class Instance:
         raise endless()
 
     def _array(self, call: Callable[..., Any], size: int) -> np.ndarray:
-        array = (ctypes.c_double * size)(*[math.nan] * size)  # a pointer into a numpy array costs more than all else here
+        array = (ctypes.c_double * size)(
+            *[math.nan] * size
+        )  # a pointer into a numpy array costs more than all else here
         call(array, size)
         return np.frombuffer(memoryview(array)) if size else np.empty(0)
 
@@ -452,26 +543,43 @@ class Instance:
         return int(self.description.numberOfEventIndicators)
 
     def states(self) -> np.ndarray:
-        """Continuous states, (nx,) [unit of each state]. Raises FMICallException if the FMU refuses the call."""
+        """Continuous states, (nx,) [unit of each state].
+
+        Raises FMICallException if the FMU refuses the call.
+        """
         return self._array(self.fmu.getContinuousStates, self.state_count)
 
     def nominals(self) -> np.ndarray:
-        """Nominal values of the continuous states, (nx,) [unit of each state]. Raises FMICallException if the FMU refuses the call."""
+        """Nominal values of the continuous states, (nx,) [unit of each state].
+
+        Raises FMICallException if the FMU refuses the call.
+        """
         return self._array(self.fmu.getNominalsOfContinuousStates, self.state_count)
 
     def rates(self) -> np.ndarray:
-        """Derivatives of the continuous states, (nx,) [unit of each state per s]. Raises FMICallException if the FMU refuses the call."""
+        """Derivatives of the continuous states, (nx,) [unit of each state per s].
+
+        Raises FMICallException if the FMU refuses the call.
+        """
         return self._array(self.fmu.rates, self.state_count)
 
     def indicators(self) -> np.ndarray:
-        """Event indicators, (ni,) [unit of each indicator]. Raises FMICallException if the FMU refuses the call."""
+        """Event indicators, (ni,) [unit of each indicator].
+
+        Raises FMICallException if the FMU refuses the call.
+        """
         return self._array(self.fmu.getEventIndicators, self.indicator_count)
 
     def move(self, time: float, states: np.ndarray) -> None:
-        """Set time [s] and continuous states (nx,) [unit of each state]. Raises FMICallException if the FMU refuses."""
+        """Set time [s] and continuous states (nx,) [unit of each state].
+
+        Raises FMICallException if the FMU refuses.
+        """
         self.set_time(time)
         if self.state_count:
-            self.fmu.setContinuousStates((ctypes.c_double * self.state_count)(*states.tolist()), self.state_count)
+            self.fmu.setContinuousStates(
+                (ctypes.c_double * self.state_count)(*states.tolist()), self.state_count
+            )
 
     def set_time(self, time: float) -> None:
         """Set the time [s] of a Model Exchange FMU. Raises FMICallException."""
@@ -479,7 +587,10 @@ class Instance:
         self.fmu.setTime(time)
 
     def completed(self) -> bool:
-        """Tell of an accepted integrator step; whether the FMU wants an event. Raises TerminationRequested if it wants to end."""
+        """Tell of an accepted integrator step; whether the FMU wants an event.
+
+        Raises TerminationRequested if it wants to end.
+        """
         event, ends = self.fmu.completedIntegratorStep()
         if ends:
             raise TerminationRequested(self.time)
@@ -489,7 +600,11 @@ class Instance:
     def wants_steps(self) -> bool:
         """Whether `completed` must be called: FMI 3.0 turned the flag round."""
         interface = self.description.modelExchange
-        return bool(interface.needsCompletedIntegratorStep) if self.major >= 3 else not interface.completedIntegratorStepNotNeeded
+        return (
+            bool(interface.needsCompletedIntegratorStep)
+            if self.major >= 3
+            else not interface.completedIntegratorStepNotNeeded
+        )
 
     # Co-Simulation
 
@@ -517,4 +632,6 @@ def load_instance(package: Package, kind: str) -> Instance:
     try:
         return Instance(package.description, package.folder, kind, "replay")
     except Fault as fault:
-        raise FmuError(f"FMU {package.path}: it cannot be loaded on this machine ({fault}).") from fault
+        raise FmuError(
+            f"FMU {package.path}: it cannot be loaded on this machine ({fault})."
+        ) from fault

@@ -23,19 +23,34 @@ from models.errors import MachineError
 from validate.fmi.instance import Instance, References, TerminationRequested, endless
 
 _SOURCE = Path(__file__).with_suffix(".c").read_text(encoding="utf-8")
-_SIZE, _ADDRESS = ctypes.c_int64, ctypes.c_void_p
+_SIZE = ctypes.c_int64
+_ADDRESS = ctypes.c_void_p
 
-# The functions of FMI 2.0 and FMI 3.0, in the order of loops.c; FMI 3.0 has no call for slopes of inputs.
+# The functions of FMI 2.0 and FMI 3.0, in the order of loops.c; FMI 3.0 has no call for slopes of
+# inputs.
 CALLS = (
-    ("GetReal", "GetFloat64"), ("SetReal", "SetFloat64"), ("SetTime", "SetTime"), ("SetContinuousStates", "SetContinuousStates"),
-    ("GetContinuousStates", "GetContinuousStates"), ("GetDerivatives", "GetContinuousStateDerivatives"), ("GetEventIndicators", "GetEventIndicators"),
-    ("CompletedIntegratorStep", "CompletedIntegratorStep"), ("EnterEventMode", "EnterEventMode"), ("NewDiscreteStates", "UpdateDiscreteStates"),
-    ("EnterContinuousTimeMode", "EnterContinuousTimeMode"), ("DoStep", "DoStep"), ("SetRealInputDerivatives", ""),
+    ("GetReal", "GetFloat64"), ("SetReal", "SetFloat64"), ("SetTime", "SetTime"),
+    ("SetContinuousStates", "SetContinuousStates"),
+    ("GetContinuousStates", "GetContinuousStates"),
+    ("GetDerivatives", "GetContinuousStateDerivatives"),
+    ("GetEventIndicators", "GetEventIndicators"),
+    ("CompletedIntegratorStep", "CompletedIntegratorStep"), ("EnterEventMode", "EnterEventMode"),
+    ("NewDiscreteStates", "UpdateDiscreteStates"),
+    ("EnterContinuousTimeMode", "EnterContinuousTimeMode"), ("DoStep", "DoStep"),
+    ("SetRealInputDerivatives", ""),
     ("GetFMUstate", "GetFMUState"), ("SetFMUstate", "SetFMUState"),
 )  # fmt: skip
 
-# The functions of SUNDIALS that the loops call, in the order of loops.c; a solver is made in Python (cvode.py).
-SOLVER = ("N_VGetArrayPointer", "CVodeReInit", "CVodeSetStopTime", "CVodeClearStopTime", "CVode", "CVodeGetRootInfo")
+# The functions of SUNDIALS that the loops call, in the order of loops.c; a solver is made in Python
+# (cvode.py).
+SOLVER = (
+    "N_VGetArrayPointer",
+    "CVodeReInit",
+    "CVodeSetStopTime",
+    "CVodeClearStopTime",
+    "CVode",
+    "CVodeGetRootInfo",
+)
 _COUNTS = {"CALLS": len(CALLS), "SOLVER_CALLS": len(SOLVER)}
 
 
@@ -51,19 +66,32 @@ Reason = IntEnum(
 @cache
 def structure(name: str) -> type[ctypes.Structure]:
     """A struct of loops.c, for ctypes: its fields as they are declared there."""
-    body = re.search(rf"^struct {name} {{$(.*?)^}};$", re.sub(r"/\*.*?\*/", "", _SOURCE, flags=re.DOTALL), re.DOTALL | re.MULTILINE)
+    body = re.search(
+        rf"^struct {name} {{$(.*?)^}};$",
+        re.sub(r"/\*.*?\*/", "", _SOURCE, flags=re.DOTALL),
+        re.DOTALL | re.MULTILINE,
+    )
     assert body is not None, name
     kinds = {"double": ctypes.c_double, "int64_t": _SIZE, "function": _ADDRESS}
     fields: list[tuple[str, Any]] = []
     for kind, declared in re.findall(r"(?:const )?(struct \w+|\w+) (.*?);", body[1], re.DOTALL):
         for star, field, count in re.findall(r"(\*?)(\w+)(?:\[(\w+)\])?", declared):
-            one = _ADDRESS if star else structure(kind.removeprefix("struct ")) if kind.startswith("struct ") else kinds[kind]
+            one = (
+                _ADDRESS
+                if star
+                else structure(kind.removeprefix("struct "))
+                if kind.startswith("struct ")
+                else kinds[kind]
+            )
             fields.append((field, one * _COUNTS[count] if count else one))
     return type(name, (ctypes.Structure,), {"_fields_": fields})
 
 
 def library_path() -> Path:
-    """The compiled loops, built if they are not in the cache. Raises MachineError without a compiler that takes them."""
+    """The compiled loops, built if they are not in the cache.
+
+    Raises MachineError without a compiler that takes them.
+    """
     return cached_library({"loops.c": _SOURCE})
 
 
@@ -83,7 +111,9 @@ def load() -> Any:
     try:
         library = ctypes.CDLL(str(path))
     except OSError as error:
-        raise MachineError(f"{path} cannot be loaded ({error}); let TOUCHSTONE_CACHE name a folder that may hold programs.") from error
+        raise MachineError(
+            f"{path} cannot be loaded ({error}); let TOUCHSTONE_CACHE name a folder that may hold programs."
+        ) from error
     for name, arguments in {
         "step_through": (_ADDRESS, _SIZE, _SIZE),
         "integration_restart": (_ADDRESS,),
@@ -107,7 +137,9 @@ def describe(
 ) -> ctypes.Structure:
     """The FMU for a loop that calls `needed` (FMI 2.0's names): FMPy loads no binary that lacks one of them. What is given must live as long as the answer."""
     is_three = instance.major == 3
-    fmu = structure("fmu")(component=instance.fmu.component, three=is_three, states=states, indicators=indicators)
+    fmu = structure("fmu")(
+        component=instance.fmu.component, three=is_three, states=states, indicators=indicators
+    )
     for name, group in (("input", inputs), ("output", outputs), ("rate", rates or References([]))):
         setattr(fmu, f"{name}s", group.count)
         setattr(fmu, f"{name}_references", ctypes.addressof(group.array))
@@ -128,5 +160,8 @@ def unsettled(reason: Reason, time: float) -> NoReturn:
 
 
 def address_of(array: np.ndarray) -> int:
-    """Address of an array's memory, whatever its shape (n,) or (rows, n) and unit [any]. Raises nothing."""
+    """Address of an array's memory, whatever its shape (n,) or (rows, n) and unit [any].
+
+    Raises nothing.
+    """
     return array.ctypes.data

@@ -1,11 +1,12 @@
 """Files of reference solutions: tables of numbers over time, settings, and the manifest of LS-REF by which an FMU carries them.
 
-    table = read_table("model_ref.csv", text)     # Table(times, {name: (rows, entries)})
-    settings = read_settings("model_ref.opt", text)
-    found = stored_results(folder, path)          # results in the LS-REF folder of an unpacked FMU, and beside the FMU
+    table = read_table("model_ref.csv", text) # Table(times, {name: (rows, entries)}) settings =
+    read_settings("model_ref.opt", text) found = stored_results(folder, path) # results in the
+    LS-REF folder of an unpacked FMU, and beside the FMU
 
-LS-REF is the FMI project's layered standard for files related to an FMU (1.0.0-alpha.1); `*_ref.csv`, `*_ref.opt`, `*_in.csv` and `*_cc.csv` are how the FMI
-cross-check named them. Beside both, `*_ref_error.csv` has the error bar of each number of `*_ref.csv`.
+LS-REF is the FMI project's layered standard for files related to an FMU (1.0.0-alpha.1);
+`*_ref.csv`, `*_ref.opt`, `*_in.csv` and `*_cc.csv` are how the FMI cross-check named them. Beside
+both, `*_ref_error.csv` has the error bar of each number of `*_ref.csv`.
 """
 
 from __future__ import annotations
@@ -26,24 +27,52 @@ import numpy as np
 from validate.fmi.archive import FmuError, XmlReader
 
 LS_REF = "LS-REF 1.0.0-alpha.1"
-FOLDER, MANIFEST = "extra/org.fmi-standard.fmi-ls-ref", "fmi-ls-manifest.xml"
+FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
+MANIFEST = "fmi-ls-manifest.xml"
 _NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
 _DESCRIPTION = "Layered Standard providing information on related files included in an FMU."
-_ATTRIBUTES = {"fmi-ls-name": "org.fmi-standard.fmi-ls-ref", "fmi-ls-version": "1.0.0-alpha.1", "fmi-ls-description": _DESCRIPTION}
-RESULT, ERROR, SETTINGS, INPUT, CHECKED, EXPERIMENT = "_ref.csv", "_ref_error.csv", "_ref.opt", "_in.csv", "_cc.csv", ".exp"
+_ATTRIBUTES = {
+    "fmi-ls-name": "org.fmi-standard.fmi-ls-ref",
+    "fmi-ls-version": "1.0.0-alpha.1",
+    "fmi-ls-description": _DESCRIPTION,
+}
+RESULT = "_ref.csv"
+ERROR = "_ref_error.csv"
+SETTINGS = "_ref.opt"
+INPUT = "_in.csv"
+CHECKED = "_cc.csv"
+EXPERIMENT = ".exp"
 # What each of our files is, for the manifest: MIME type, role, words.
 _FILES = {
-    RESULT: ("text/csv", "result", "Reference solution of the experiment, with the settings of the .opt file and, where there is one, the input of the _in.csv file"),
+    RESULT: (
+        "text/csv",
+        "result",
+        "Reference solution of the experiment, with the settings of the .opt file and, where there is one, the input of the _in.csv file",
+    ),
     ERROR: ("text/csv", "result", "Error bar of each number of the reference solution"),
-    SETTINGS: ("text/plain", "configuration", "Start, stop, step and tolerance of the reference solution"),
+    SETTINGS: (
+        "text/plain",
+        "configuration",
+        "Start, stop, step and tolerance of the reference solution",
+    ),
     INPUT: ("text/csv", "other", "Input of the reference solution"),
-    EXPERIMENT: ("application/x-ma-ls-experiments", "experiment/validation", "The experiment of the reference solution"),
-}  # fmt: skip
+    EXPERIMENT: (
+        "application/x-ma-ls-experiments",
+        "experiment/validation",
+        "The experiment of the reference solution",
+    ),
+}
 # Settings that there must be, as the FMI cross-check named them, and as LS-REF does.
-_SETTINGS = {"StartTime": "startTime", "StopTime": "stopTime", "StepSize": "stepSize", "RelTol": "tolerance"}
+_SETTINGS = {
+    "StartTime": "startTime",
+    "StopTime": "stopTime",
+    "StepSize": "stepSize",
+    "RelTol": "tolerance",
+}
 # Bytes of a file of these that is read.
 _MOST_BYTES = 256 * 1024**2
-# Lines of a result that is written: each has a time and a value at least, of up to 25 bytes with what parts them.
+# Lines of a result that is written: each has a time and a value at least, of up to 25 bytes with
+# what parts them.
 MOST_ROWS = _MOST_BYTES // 50
 
 
@@ -67,7 +96,9 @@ class StoredResult:
 
 
 def read_table(where: str, text: str, leave_out: Container[str] = ()) -> Table:
-    """A table of numbers whose first column is the time; the entries of an array are separated by blanks.
+    """A table of numbers whose first column is the time.
+
+    The entries of an array are separated by blanks.
 
     leave_out: columns of other things than numbers. Raises FmuError.
     """
@@ -81,21 +112,29 @@ def read_table(where: str, text: str, leave_out: Container[str] = ()) -> Table:
             f"{where}: it is no table of numbers; expected a line with `time` and names of variables, and a line of numbers for each time."
         )
     if len(set(names)) < len(names):
-        raise FmuError(f"{where}: the column {next(name for name in names if names.count(name) > 1)!r} is there twice.")
+        raise FmuError(
+            f"{where}: the column {next(name for name in names if names.count(name) > 1)!r} is there twice."
+        )
     columns: list[list[list[float]]] = [[] for _ in names]
     for number, row in enumerate(rows[1:], start=2):
         if len(row) != len(names):
-            raise FmuError(f"{where}: line {number} has {len(row)} cells, the first line has {len(names)}.")
+            raise FmuError(
+                f"{where}: line {number} has {len(row)} cells, the first line has {len(names)}."
+            )
         for name, cell, column in zip(names, row, columns, strict=True):
             place = f"{where}: line {number}, column {name!r}"
             column.append(_numbers(place, cell))
             if len(column[-1]) != len(column[0]):
-                raise FmuError(f"{place} has {len(column[-1])} numbers, the line before has {len(column[0])}.")
+                raise FmuError(
+                    f"{place} has {len(column[-1])} numbers, the line before has {len(column[0])}."
+                )
     times = np.array(columns[0])[:, 0]
     backward = np.flatnonzero(~(np.diff(times) >= 0.0))
     if backward.size or not np.isfinite(times).all():
         one, other = times[[backward[0], backward[0] + 1] if backward.size else [0, -1]]
-        raise FmuError(f"{where}: the first column, {names[0]!r}, is no time that goes on: after {one:g} comes {other:g}.")
+        raise FmuError(
+            f"{where}: the first column, {names[0]!r}, is no time that goes on: after {one:g} comes {other:g}."
+        )
     return Table(times, dict(zip(names[1:], map(np.array, columns[1:]), strict=True)))
 
 
@@ -113,12 +152,23 @@ def table_text(table: Table) -> str:
     out = csv.writer(file, lineterminator="\n")
     out.writerow(["time", *table.columns])
     for row, time in enumerate(table.times):
-        out.writerow([repr(float(time)), *(" ".join(repr(float(value)) for value in column[row]) for column in table.columns.values())])
+        out.writerow(
+            [
+                repr(float(time)),
+                *(
+                    " ".join(repr(float(value)) for value in column[row])
+                    for column in table.columns.values()
+                ),
+            ]
+        )
     return file.getvalue()
 
 
 def read_settings(where: str, text: str) -> dict[str, float]:
-    """StartTime, StopTime, StepSize [s] (0: the solver's) and RelTol [-] of a cross-check. Raises FmuError."""
+    """StartTime, StopTime, StepSize [s] (0: the solver's) and RelTol [-] of a cross-check.
+
+    Raises FmuError.
+    """
     found: dict[str, float] = {}
     for line in text.splitlines():
         name, _, value = line.partition(",")
@@ -130,7 +180,9 @@ def read_settings(where: str, text: str) -> dict[str, float]:
         if not math.isfinite(found[name]) or (name in ("StepSize", "RelTol") and found[name] < 0.0):
             raise FmuError(f"{where}: {name} is {found[name]:g}.")
     if found["StopTime"] <= found["StartTime"]:
-        raise FmuError(f"{where}: StopTime is {found['StopTime']:g}, not after StartTime, {found['StartTime']:g}.")
+        raise FmuError(
+            f"{where}: StopTime is {found['StopTime']:g}, not after StartTime, {found['StartTime']:g}."
+        )
     return found
 
 
@@ -143,7 +195,9 @@ def read_text(path: Path) -> str:
     """Raises FmuError."""
     try:
         if path.stat().st_size > _MOST_BYTES:
-            raise FmuError(f"{path.name}: it is larger than {_MOST_BYTES // 1024**2} MB, and is not read.")
+            raise FmuError(
+                f"{path.name}: it is larger than {_MOST_BYTES // 1024**2} MB, and is not read."
+            )
         return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise FmuError(f"{path.name}: it cannot be read ({error}).") from error
@@ -156,7 +210,10 @@ def beside(path: Path) -> StoredResult:
 
 def _result(result: Path, where: str) -> StoredResult:
     stem = result.stem.removesuffix("_ref").removesuffix("_out")
-    paths = (result.with_name(name) for name in (f"{result.stem}_error.csv", f"{stem}{SETTINGS}", f"{stem}{INPUT}"))
+    paths = (
+        result.with_name(name)
+        for name in (f"{result.stem}_error.csv", f"{stem}{SETTINGS}", f"{stem}{INPUT}")
+    )
     error, settings, inputs = (path if path.is_file() else None for path in paths)
     return StoredResult(where, result, error, settings, inputs)
 
@@ -167,10 +224,16 @@ def stored_results(folder: Path, path: Path) -> Iterator[StoredResult | FmuError
     folder: the unpacked FMU; path: its file. Raises FmuError for a manifest that cannot be read.
     """
     manifest = folder / FOLDER / MANIFEST
-    related = [dict(item.attrib) for item in _parsed(manifest).iter("Related")] if manifest.is_file() else []
+    related = (
+        [dict(item.attrib) for item in _parsed(manifest).iter("Related")]
+        if manifest.is_file()
+        else []
+    )
     tried: set[Path] = set()
     for item in related:
-        if item.get("role", "").startswith("experiment") and item.get("source", "").endswith(EXPERIMENT):
+        if item.get("role", "").startswith("experiment") and item.get("source", "").endswith(
+            EXPERIMENT
+        ):
             try:
                 for result in _experiments(folder, item["source"]):
                     tried.add(result.result)
@@ -179,7 +242,11 @@ def stored_results(folder: Path, path: Path) -> Iterator[StoredResult | FmuError
                 yield error
     for item in related:
         source = item.get("source", "")
-        if item.get("role") == "result" and source.endswith(".csv") and not source.endswith("_error.csv"):
+        if (
+            item.get("role") == "result"
+            and source.endswith(".csv")
+            and not source.endswith("_error.csv")
+        ):
             try:
                 named = _named(folder, manifest, "result", source)
             except FmuError as error:
@@ -200,10 +267,22 @@ def _experiments(folder: Path, source: str) -> Iterator[StoredResult]:
         if references is None:
             continue
         result = _named(folder, place, "reference", references.get("source", ""))
-        text = {name: item.get(attribute, "1e-4" if name == "RelTol" else "0") for name, attribute in _SETTINGS.items()}
-        settings = read_settings(where, "".join(f"{name}, {value}\n" for name, value in text.items()))
-        inputs = None if stimuli is None else _named(folder, place, "stimuli", stimuli.get("source", ""))
-        yield replace(_result(result, _where(folder, result)), settings=None, inputs=inputs, experiment=settings)
+        text = {
+            name: item.get(attribute, "1e-4" if name == "RelTol" else "0")
+            for name, attribute in _SETTINGS.items()
+        }
+        settings = read_settings(
+            where, "".join(f"{name}, {value}\n" for name, value in text.items())
+        )
+        inputs = (
+            None if stimuli is None else _named(folder, place, "stimuli", stimuli.get("source", ""))
+        )
+        yield replace(
+            _result(result, _where(folder, result)),
+            settings=None,
+            inputs=inputs,
+            experiment=settings,
+        )
 
 
 def _named(folder: Path, by: Path, what: str, source: str) -> Path:
@@ -218,21 +297,28 @@ def _where(folder: Path, path: Path) -> str:
     return path.resolve().relative_to(folder.resolve()).as_posix()
 
 
-def _parsed(path: Path, root_name: str = "fmiReferences", text: bytes | None = None) -> ElementTree.Element:
+def _parsed(
+    path: Path, root_name: str = "fmiReferences", text: bytes | None = None
+) -> ElementTree.Element:
     """The root of an XML file, or of its text. Raises FmuError."""
     text = path.read_bytes() if text is None else text
     try:
         XmlReader().read(text)  # no DOCTYPE
         root = ElementTree.fromstring(text)
     except Exception as error:  # of expat, of an encoding, HasDoctype
-        raise FmuError(f"{FOLDER}/{path.name} is no XML that can be read ({error or 'it has a DOCTYPE'})") from error
+        raise FmuError(
+            f"{FOLDER}/{path.name} is no XML that can be read ({error or 'it has a DOCTYPE'})"
+        ) from error
     if root.tag != root_name:
         raise FmuError(f"{FOLDER}/{path.name} begins with <{root.tag}> instead of <{root_name}>")
     return root
 
 
 def missing_attributes(folder: Path) -> list[str]:
-    """Which attributes that LS-REF demands the manifest of an unpacked FMU does not have. Raises FmuError."""
+    """Which attributes that LS-REF demands the manifest of an unpacked FMU does not have.
+
+    Raises FmuError.
+    """
     manifest = folder / FOLDER / MANIFEST
     if not manifest.is_file():
         return []
@@ -250,14 +336,19 @@ def held(fmu: Path, stem: str) -> list[str]:
 def with_references(fmu: Path, stem: str, texts: Mapping[str, str]) -> bytes:
     """The FMU's file with texts in its LS-REF folder, and named in its manifest, where whatever else it names stays.
 
-    stem: how the files' names begin; texts: ending (RESULT, ERROR, SETTINGS, INPUT) -> content. Raises FmuError.
+    stem: how the files' names begin; texts: ending (RESULT, ERROR, SETTINGS, INPUT) -> content.
+        Raises FmuError.
     """
     ElementTree.register_namespace("fmi-ls", _NAMESPACE)
     made = io.BytesIO()
     with zipfile.ZipFile(fmu) as packed, zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as out:
         items = {item.filename: item for item in packed.infolist()}
         manifest = f"{FOLDER}/{MANIFEST}"
-        root = _parsed(Path(manifest), text=packed.read(manifest)) if manifest in items else ElementTree.Element("fmiReferences")
+        root = (
+            _parsed(Path(manifest), text=packed.read(manifest))
+            if manifest in items
+            else ElementTree.Element("fmiReferences")
+        )
         for name, value in _ATTRIBUTES.items():
             root.set(f"{{{_NAMESPACE}}}{name}", value)
         sources = [f"{stem}{ending}" for ending in _FILES]
@@ -265,7 +356,9 @@ def with_references(fmu: Path, stem: str, texts: Mapping[str, str]) -> bytes:
             root.remove(old)
         for ending in texts:
             kind, role, words = _FILES[ending]
-            related = ElementTree.Element("Related", type=kind, source=f"{stem}{ending}", role=role, description=words)
+            related = ElementTree.Element(
+                "Related", type=kind, source=f"{stem}{ending}", role=role, description=words
+            )
             root.insert(len(root.findall("Related")), related)
         ElementTree.indent(root)
         new = {manifest: ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)}
@@ -282,7 +375,11 @@ def with_references(fmu: Path, stem: str, texts: Mapping[str, str]) -> bytes:
 def experiment_text(stem: str, settings: Mapping[str, float], with_inputs: bool) -> str:
     """The experiment as LS-REF's .exp files have it."""
     root = ElementTree.Element("Experiments", name=stem)
-    item = ElementTree.SubElement(root, "Experiment", {"name": stem, **{_SETTINGS[name]: repr(value) for name, value in settings.items()}})
+    item = ElementTree.SubElement(
+        root,
+        "Experiment",
+        {"name": stem, **{_SETTINGS[name]: repr(value) for name, value in settings.items()}},
+    )
     if with_inputs:
         ElementTree.SubElement(item, "Stimuli", source=f"{stem}{INPUT}", type="text/csv")
     ElementTree.SubElement(item, "References", source=f"{stem}{RESULT}", type="text/csv")
@@ -290,6 +387,11 @@ def experiment_text(stem: str, settings: Mapping[str, float], with_inputs: bool)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
 
 
-def columns_of(names: Sequence[str], sizes: Sequence[int], values: np.ndarray) -> dict[str, np.ndarray]:
-    """(rows, entries) values, split into the columns of a Table [unit of each variable]. Raises ValueError where the sizes do not add up."""
+def columns_of(
+    names: Sequence[str], sizes: Sequence[int], values: np.ndarray
+) -> dict[str, np.ndarray]:
+    """(rows, entries) values, split into the columns of a Table [unit of each variable].
+
+    Raises ValueError where the sizes do not add up.
+    """
     return dict(zip(names, np.split(values, np.cumsum(sizes)[:-1], axis=1), strict=True))

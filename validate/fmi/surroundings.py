@@ -20,14 +20,16 @@ from typing import Any
 
 import numpy as np
 
-# Half of the smallest normal number: what is flushed to zero where denormal numbers are switched off.
+# Half of the smallest normal number: what is flushed to zero where denormal numbers are switched
+# off.
 _DENORMAL = np.float64(2.0**-1022)
 _LC_ALL = 6  # of glibc
 _MASKS = {0: "to nearest", 0x400: "downward", 0x800: "upward", 0xC00: "toward zero"}
 # Room for struct sigaction, which begins with the handler's address.
 _SIGACTION = 256
 # How a file is called, and how many of them are looked at.
-_FILE, _MOST_FILES = "the file here ", 1000
+_FILE = "the file here "
+_MOST_FILES = 1000
 
 
 @lru_cache(maxsize=1)
@@ -44,13 +46,21 @@ def surroundings() -> dict[str, Any]:
     found: dict[str, Any] = {"the working folder": "gone"}
     with contextlib.suppress(OSError):
         found["the working folder"] = os.getcwd()
-    found["what becomes of denormal numbers"] = "they stay" if float(_DENORMAL / 2.0) > 0.0 else "zero"
-    found |= {f"the environment variable {name}": value for name, value in _environment().items()} | _files() | _descriptors()
+    found["what becomes of denormal numbers"] = (
+        "they stay" if float(_DENORMAL / 2.0) > 0.0 else "zero"
+    )
+    found |= (
+        {f"the environment variable {name}": value for name, value in _environment().items()}
+        | _files()
+        | _descriptors()
+    )
     mask = os.umask(0)
     os.umask(mask)
     found["the mask of new files"] = f"{mask:03o}"
     if hasattr(signal, "getitimer"):
-        found["the alarm clock"] = "set" if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0 else "not set"
+        found["the alarm clock"] = (
+            "set" if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0 else "not set"
+        )
     call = symbols()
     if call is None or sys.platform != "linux":
         return found
@@ -66,7 +76,8 @@ def surroundings() -> dict[str, Any]:
     return found
 
 
-# By how a thing's name begins what is said of it where it is gone, new, or another one; of others what it is and was.
+# By how a thing's name begins what is said of it where it is gone, new, or another one; of others
+# what it is and was.
 _SAID = {
     "file descriptor": ("closed", "", "another file"),
     "the handler": ("another one", "another one", "another one"),
@@ -76,15 +87,24 @@ _SAID = {
 
 
 def changes(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
-    """What is not as it was, in words; file descriptors that were not there before may stay open while an FMU lives."""
+    """What is not as it was, in words.
+
+    File descriptors that were not there before may stay open while an FMU lives.
+    """
     said = []
     moved = before["the working folder"] != after["the working folder"]
     for name in [*before, *(name for name in after if name not in before)]:
         one, two = before.get(name), after.get(name)
-        if one == two or (moved and name.startswith(_FILE)) or (one is None and name.startswith("file descriptor")):
+        if (
+            one == two
+            or (moved and name.startswith(_FILE))
+            or (one is None and name.startswith("file descriptor"))
+        ):
             continue
         words = next((words for kind, words in _SAID.items() if name.startswith(kind)), None)
-        said.append(f"{name} is {words[0 if two is None else 1 if one is None else 2] if words else f'{two}, it was {one}'}")
+        said.append(
+            f"{name} is {words[0 if two is None else 1 if one is None else 2] if words else f'{two}, it was {one}'}"
+        )
     return said
 
 
@@ -111,7 +131,13 @@ def _environment() -> dict[str, bytes]:
         rows = ctypes.POINTER(ctypes.c_char_p).in_dll(call, "environ")
     except (AttributeError, TypeError, ValueError):
         return {name: value.encode() for name, value in os.environ.items()}
-    texts = itertools.takewhile(lambda text: text is not None, (rows[place] for place in itertools.count())) if rows else ()
+    texts = (
+        itertools.takewhile(
+            lambda text: text is not None, (rows[place] for place in itertools.count())
+        )
+        if rows
+        else ()
+    )
     pairs = (text.partition(b"=") for text in texts)
     return {name.decode(errors="replace"): value for name, _, value in pairs}
 

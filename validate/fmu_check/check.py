@@ -1,7 +1,8 @@
 """A check of an FMU: what it claims, the fork in which it runs, and what it finds - passed, failed or not offered, and one sentence with figures.
 
-The process that forks never loads an FMU itself: libraries are imported once, and each check has a fresh process. The answer is a file written last and
-whole; what the FMU prints, and how the process exits, cannot pass for one. A Fault is raised here as it was there.
+The process that forks never loads an FMU itself: libraries are imported once, and each check has a
+fresh process. The answer is a file written last and whole; what the FMU prints, and how the process
+exits, cannot pass for one. A Fault is raised here as it was there.
 """
 
 from __future__ import annotations
@@ -63,12 +64,18 @@ class Finding(NamedTuple):
     pace: float | None = None
 
 
-# Each makes the Finding of a sentence; of advice: nothing that the standard or common sense forbids, but worth a change.
-passed, failed, not_offered, advice = (partial(Finding, status) for status in Status if status is not Status.WAIVED)
+# Each makes the Finding of a sentence; of advice: nothing that the standard or common sense
+# forbids, but worth a change.
+passed, failed, not_offered, advice = (
+    partial(Finding, status) for status in Status if status is not Status.WAIVED
+)
 
 
 def unless(wrong: list[str], sentence: str, end: str = ".") -> Finding:
-    """Failed with the first few things that are wrong, and `end` behind them; without any, passed with the sentence."""
+    """Failed with the first few things that are wrong, and `end` behind them.
+
+    Without any, passed with the sentence.
+    """
     return failed(f"{listed(wrong)}{end}") if wrong else passed(sentence)
 
 
@@ -80,8 +87,9 @@ class Failed(Exception):  # noqa: N818 - a finding about the FMU, not an error o
 class Check:
     """One check: its name in the table, and the function that finds out, whose docstring, one sentence, is what it claims of a sound FMU.
 
-    run(subject) for Scope.FILE, run(subject, type) with type "ME", "CS" or "SE" otherwise; clauses: the sections of FMI 2.0.4 and 3.0.2 that demand it, empty
-    where none does; needs: the ability that the type must claim, by its names in FMI 2.0 and 3.0, empty in a version that has none.
+    run(subject) for Scope.FILE, run(subject, type) with type "ME", "CS" or "SE" otherwise; clauses:
+    the sections of FMI 2.0.4 and 3.0.2 that demand it, empty where none does; needs: the ability
+    that the type must claim, by its names in FMI 2.0 and 3.0, empty in a version that has none.
     """
 
     name: str
@@ -97,7 +105,10 @@ class Check:
         return claim[:1].lower() + claim[1:]
 
     def clause(self, major: int) -> str:
-        """The section that demands it, for example `FMI 2.0.4, 2.1.8`; empty where no section does. major: the version of FMI, 0 if it is not known."""
+        """The section that demands it, for example `FMI 2.0.4, 2.1.8`.
+
+        Empty where no section does. major: the version of FMI, 0 if it is not known.
+        """
         section = self.clauses[major >= 3]
         return f"FMI {STANDARDS[major >= 3]}, {section}" if major and section else ""
 
@@ -118,19 +129,30 @@ class Check:
             return failed(str(failure))
         except Exception as error:  # noqa: BLE001 - our own mistake must not pass for the FMU's
             traceback.print_exc()
-            return failed(f"this check itself broke off ({type(error).__name__}: {error}); please report it with the FMU.")
+            return failed(
+                f"this check itself broke off ({type(error).__name__}: {error}); please report it with the FMU."
+            )
 
 
 def check(
-    name: str, scope: Scope, *, clauses: tuple[str, str] = ("", ""), needs: tuple[str, str] | None = None
+    name: str,
+    scope: Scope,
+    *,
+    clauses: tuple[str, str] = ("", ""),
+    needs: tuple[str, str] | None = None,
 ) -> Callable[[Callable[..., Finding]], Check]:
     """Make a function a Check: see there."""
-    return lambda function: Check(name=name, scope=scope, run=function, clauses=clauses, needs=needs)
+    return lambda function: Check(
+        name=name, scope=scope, run=function, clauses=clauses, needs=needs
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class FmuCheckRow:
-    """A line of the table: check, FMI type ("", "ME" or "CS"), outcome, seconds it took; clause: see `Check`."""
+    """A line of the table: check, FMI type ("", "ME" or "CS"), outcome, seconds it took.
+
+    clause: see `Check`.
+    """
 
     name: str
     type: str
@@ -153,7 +175,10 @@ class FmuCheckRow:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckReport:
-    """All that was found about one FMU. version: of FMI; types: those it offers; unrunnable: there is no binary for this machine, or it needs what the machine does not have."""
+    """All that was found about one FMU. version: of FMI; types: those it offers.
+
+    unrunnable: there is no binary for this machine, or it needs what the machine does not have.
+    """
 
     path: str
     version: str
@@ -170,7 +195,11 @@ class CheckReport:
         """How many rows there are of each outcome; of advice and waivers, if there are any."""
         found = [row.status for row in self.rows]
         always = (Status.PASSED, Status.FAILED, Status.NOT_OFFERED)
-        return ", ".join(f"{found.count(status)} {status.value}" for status in Status if status in always or status in found)
+        return ", ".join(
+            f"{found.count(status)} {status.value}"
+            for status in Status
+            if status in always or status in found
+        )
 
     @property
     def ok(self) -> bool:
@@ -192,7 +221,8 @@ _LOOK = 0.005
 def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = False) -> Any:
     """What function() gives in a fork, as JSON holds it. own_group: a process group of its own, ended as a whole at the time limit.
 
-    Raises TerminationRequested and Lacking as the function did; Misbehaviour for its own, for a call that was refused, and for a process that crashed or hung.
+    Raises TerminationRequested and Lacking as the function did; Misbehaviour for its own, for a
+    call that was refused, and for a process that crashed or hung.
     """
     with tempfile.TemporaryDirectory(prefix="answer-", ignore_cleanup_errors=True) as folder:
         path = Path(folder, "answer.json")
@@ -200,12 +230,16 @@ def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = Fa
         if child == 0:
             _answer(function, path, own_group)
         problem = _wait(child, seconds, own_group)
-        if problem and own_group:  # what stood between was ended while the code went on: its answer does not count
+        if (
+            problem and own_group
+        ):  # what stood between was ended while the code went on: its answer does not count
             raise Misbehaviour(problem)
         try:
             answer = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError):
-            raise Misbehaviour(problem or "its process ended without a result (exit code 0)") from None
+            raise Misbehaviour(
+                problem or "its process ended without a result (exit code 0)"
+            ) from None
     for fault in _FAULTS:
         if fault.__name__ in answer:
             raise fault(answer[fault.__name__])
@@ -213,7 +247,11 @@ def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = Fa
 
 
 def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
-    """In the child: never returns. With a group of its own a process stands between: code that ends its parent ends that one, and is told by how it ended."""
+    """In the child: never returns.
+
+    With a group of its own a process stands between: code that ends its parent ends that one, and
+    is told by how it ended.
+    """
     code = 1
     try:
         if own_group:
@@ -221,13 +259,20 @@ def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
             if guarded := os.fork():
                 _end_like(guarded)
         first = os.getpid()
-        gc.freeze()  # what was there before the fork is no garbage of the check, and need not be looked through
+        # what was there before the fork is no garbage of the check, and need not be looked through
+        gc.freeze()
         try:
             answer = {"value": function()}
         except _FAULTS as fault:
-            answer = {type(fault).__name__: fault.time if isinstance(fault, TerminationRequested) else str(fault)}
+            answer = {
+                type(fault).__name__: fault.time
+                if isinstance(fault, TerminationRequested)
+                else str(fault)
+            }
         except FMICallException as error:
-            answer = {Misbehaviour.__name__: f"a call that must be possible is refused ({str(error).rstrip('.')})"}
+            answer = {
+                Misbehaviour.__name__: f"a call that must be possible is refused ({str(error).rstrip('.')})"
+            }
         except MemoryError:
             answer = {Misbehaviour.__name__: "it was ended at its memory limit"}
         if os.getpid() == first:  # an FMU may fork within a call: only the first process answers
@@ -246,7 +291,10 @@ def _end_like(child: int) -> None:
     _, status = os.waitpid(child, 0)
     code = os.waitstatus_to_exitcode(status)
     if code < 0:
-        signal.signal(-code, signal.SIG_DFL) if -code not in (signal.SIGKILL, signal.SIGSTOP) else None
+        signal.signal(-code, signal.SIG_DFL) if -code not in (
+            signal.SIGKILL,
+            signal.SIGSTOP,
+        ) else None
         os.kill(os.getpid(), -code)
     os._exit(max(code, 1) if code < 0 else code)
 
@@ -265,7 +313,11 @@ def _wait(child: int, seconds: float, own_group: bool) -> str:
         return f"it hung: it was ended at its time limit of {seconds:g} s"
     if code == 0:
         return ""
-    return f"it crashed with {exit_in_words(code)}" if code < 0 else f"its process ended without a result ({exit_in_words(code)})"
+    return (
+        f"it crashed with {exit_in_words(code)}"
+        if code < 0
+        else f"its process ended without a result ({exit_in_words(code)})"
+    )
 
 
 def _ended_within(child: int, seconds: float) -> bool:

@@ -14,7 +14,17 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour
-from validate.fmu_check.check import Failed, Finding, Scope, advice, check, failed, not_offered, passed, unless
+from validate.fmu_check.check import (
+    Failed,
+    Finding,
+    Scope,
+    advice,
+    check,
+    failed,
+    not_offered,
+    passed,
+    unless,
+)
 from validate.fmu_check.motion import compare, fresh_run, require_equal, run
 from validate.fmu_check.subject import HOLD, Block, CheckedInstance, Subject
 
@@ -22,8 +32,10 @@ from validate.fmu_check.subject import HOLD, Block, CheckedInstance, Subject
 _SAME = 1e-6
 # The status of FMI for a step that was not made whole.
 _DISCARD = 2
-# Steps of the first run, from which the pace is known (in Model Exchange from evaluations, of which CVODE takes about so many a step).
-_FIRST_STEPS, _EVALUATIONS = 5, 30
+# Steps of the first run, from which the pace is known (in Model Exchange from evaluations, of which
+# CVODE takes about so many a step).
+_FIRST_STEPS = 5
+_EVALUATIONS = 30
 
 
 @check("starts and ends", Scope.EACH, clauses=("2.1.6", "2.3"))
@@ -34,7 +46,9 @@ def lives(subject: Subject, kind: str) -> Finding:
     with CheckedInstance(subject, kind) as instance:
         answer = instance.fmu.getVersion()
         if not answer.startswith(version):
-            return failed(f"the binary says that it is FMI {answer}, the description says {version}.")
+            return failed(
+                f"the binary says that it is FMI {answer}, the description says {version}."
+            )
         instance.begin()
         paces = []
         for step in range(steps):
@@ -42,13 +56,18 @@ def lives(subject: Subject, kind: str) -> Finding:
             if kind == "CS":
                 instance.make_step(step)
             elif instance.state_count:
-                instance.move(subject.time(step), instance.states() + 1e-3 * subject.step * instance.rates())
+                instance.move(
+                    subject.time(step), instance.states() + 1e-3 * subject.step * instance.rates()
+                )
             paces.append(time.perf_counter() - began)
         # The first ones also load what was not in memory yet.
         pace = min(paces) * (_EVALUATIONS if kind == "ME" else 1)
         instance.fmu.terminate()
         instance.free()
-    return passed(f"{steps} {'evaluations' if kind == 'ME' else f'steps of {subject.step:g} s'}; a step takes about {pace:.1g} s.", pace)
+    return passed(
+        f"{steps} {'evaluations' if kind == 'ME' else f'steps of {subject.step:g} s'}; a step takes about {pace:.1g} s.",
+        pace,
+    )
 
 
 @check("time after a step", Scope.EACH, clauses=("2.2.7", "2.4.7.4"))
@@ -72,7 +91,9 @@ def keeps_time(subject: Subject, kind: str) -> Finding:
                 reached = instance.do_step(begin, subject.step).reached
                 if subject.major >= 3:
                     look("fmi3DoStep's lastSuccessfulTime", reached, end)
-            for name, told in zip(subject.clocks.names, instance.get(subject.clocks).tolist(), strict=True):
+            for name, told in zip(
+                subject.clocks.names, instance.get(subject.clocks).tolist(), strict=True
+            ):
                 look(f"the variable {name}", told, end)
     if wrong and kind == "CS" and subject.step < subject.internal_step * (1.0 - _SAME):
         return advice(
@@ -94,7 +115,9 @@ def stop_time(subject: Subject, kind: str) -> Finding:
                 instance.make_step(step)
             except FMICallException:
                 end = subject.time(step + 1)
-                return failed(f"the step to t = {end:.6g} s is refused, though the stop time is {stop:.6g} s{instance.quote()}.")
+                return failed(
+                    f"the step to t = {end:.6g} s is refused, though the stop time is {stop:.6g} s{instance.quote()}."
+                )
         before = instance.observe()
         try:
             instance.make_step(steps)
@@ -103,32 +126,50 @@ def stop_time(subject: Subject, kind: str) -> Finding:
             if reached is not None and not abs(reached - stop) <= _SAME * subject.step:
                 told = f"the last successful time is told as {reached:.6g} s; it is {stop:.6g} s"
                 return failed(f"the step beyond the stop time is discarded, and {told}.")
-            return passed(f"{steps} steps up to the stop time {stop:.6g} s are made, the next one is refused.")
-        still = " (though no output changes)" if np.array_equal(before, instance.observe(), equal_nan=True) else ""
+            return passed(
+                f"{steps} steps up to the stop time {stop:.6g} s are made, the next one is refused."
+            )
+        still = (
+            " (though no output changes)"
+            if np.array_equal(before, instance.observe(), equal_nan=True)
+            else ""
+        )
     answer = f"a step to t = {subject.time(steps + 1):.6g} s is answered with OK{still}"
     return failed(f"{answer}, though the stop time given was {stop:.6g} s.")
 
 
 # Steps that go nowhere before they are called endless.
 _STILL = 100
-# Two ways through the same motion: a value is elsewhere if it is off by this share of its range, the motion if it is so at this share of the times.
-_OFF, _OFTEN = 0.05, 0.25
+# Two ways through the same motion: a value is elsewhere if it is off by this share of its range,
+# the motion if it is so at this share of the times.
+_OFF = 0.05
+_OFTEN = 0.25
 _UPDATE = "providesIntermediateUpdate"
 # An FMU that may return early from a step, and says so.
 MIGHT_RETURN = "mightReturnEarlyFromDoStep"
 
 
 class EventStepping(CheckedInstance):
-    """An instance whose steps have event mode, where it is Co-Simulation; events, early: how many it had, and how often it returned early."""
+    """An instance whose steps have event mode, where it is Co-Simulation.
+
+    events, early: how many it had, and how often it returned early.
+    """
 
     events = early = 0
 
     def __init__(self, subject: Subject, kind: str, *, early: bool) -> None:
         """early: whether it may return early."""
-        super().__init__(subject, kind, options={"eventModeUsed": True, "earlyReturnAllowed": early} if kind == "CS" else None)
+        super().__init__(
+            subject,
+            kind,
+            options={"eventModeUsed": True, "earlyReturnAllowed": early} if kind == "CS" else None,
+        )
 
     def make_step(self, step: int) -> None:
-        """One communication step, through all events in it. Raises Misbehaviour where an answer of fmi3DoStep cannot be right."""
+        """One communication step, through all events in it.
+
+        Raises Misbehaviour where an answer of fmi3DoStep cannot be right.
+        """
         self.step_to(self.subject.time(step + 1))
 
     def step_to(self, goal: float) -> None:
@@ -142,16 +183,22 @@ class EventStepping(CheckedInstance):
             if early and not self.options["earlyReturnAllowed"]:
                 raise Misbehaviour(f"{where} returned early, which was not allowed")
             if not early and abs(reached - target) > near:
-                raise Misbehaviour(f"{where} says that it did not return early, and that it reached {reached:.9g} s")
+                raise Misbehaviour(
+                    f"{where} says that it did not return early, and that it reached {reached:.9g} s"
+                )
             if not t - near <= reached <= target + near:
                 raise Misbehaviour(f"{where} says that it reached {reached:.9g} s")
             for name, told in zip(subject.clocks.names, self.get(subject.clocks), strict=True):
                 if abs(told - reached) > near:
-                    raise Misbehaviour(f"{where} says that it reached {reached:.9g} s, the variable {name} says {told:.9g} s")
+                    raise Misbehaviour(
+                        f"{where} says that it reached {reached:.9g} s, the variable {name} says {told:.9g} s"
+                    )
             self.early += early
             still = still + 1 if reached - t <= near else 0
             if still > _STILL:
-                raise Misbehaviour(f"{where} stands still: {_STILL} times it comes back without getting on, whatever events are handled")
+                raise Misbehaviour(
+                    f"{where} stands still: {_STILL} times it comes back without getting on, whatever events are handled"
+                )
             t = self.time = reached
             if asked or t >= self.next_event - near:
                 self.events += 1
@@ -162,7 +209,10 @@ class _Eventful(EventStepping):
     """An instance with event mode, whose every event is tried once more."""
 
     def run(self, steps: int) -> np.ndarray:
-        """From its beginning, (steps + 1, observed) [unit of each variable]. Raises as `motion.run`."""
+        """From its beginning, (steps + 1, observed) [unit of each variable].
+
+        Raises as `motion.run`.
+        """
         self.begin().settle()
         return run(self, 0, steps)
 
@@ -173,11 +223,18 @@ class _Eventful(EventStepping):
         _, where = compare(self.subject, before[np.newaxis], self.observe()[np.newaxis])
         if again or where:
             what = "asks for another one" if again else f"changes values ({where})"
-            raise Misbehaviour(f"at t = {self.time:.6g} s fmi3UpdateDiscreteStates was content, but called once more it {what}")
+            raise Misbehaviour(
+                f"at t = {self.time:.6g} s fmi3UpdateDiscreteStates was content, but called once more it {what}"
+            )
 
 
-def _require_same_way(subject: Subject, plain: np.ndarray, other: np.ndarray, how: str, than: str) -> None:
-    """Raise Failed if a state goes another way; how: what was done in the other run, than: what is said behind it."""
+def _require_same_way(
+    subject: Subject, plain: np.ndarray, other: np.ndarray, how: str, than: str
+) -> None:
+    """Raise Failed if a state goes another way.
+
+    how: what was done in the other run, than: what is said behind it.
+    """
     columns: dict[int, slice] = {}
     for item, (begin, end) in zip(subject.observed, pairwise(subject.observed.ends), strict=True):
         columns.setdefault(item.reference, slice(begin, end))
@@ -189,18 +246,34 @@ def _require_same_way(subject: Subject, plain: np.ndarray, other: np.ndarray, ho
         off = apart > _OFF * np.ptp(one, axis=0) + 1e-6 * np.abs(one).max(axis=0)
         share = float(off.any(axis=1).mean())
         if share > _OFTEN:
-            raise Failed(f"{how}, {item.name} is another one at {share:.0%} of the times (by up to {apart.max():.3g}) than {than}.")
+            raise Failed(
+                f"{how}, {item.name} is another one at {share:.0%} of the times (by up to {apart.max():.3g}) than {than}."
+            )
 
 
-@check("event mode of Co-Simulation", Scope.COSIMULATION, clauses=("", "2.3.5"), needs=("", "hasEventMode"))
+@check(
+    "event mode of Co-Simulation",
+    Scope.COSIMULATION,
+    clauses=("", "2.3.5"),
+    needs=("", "hasEventMode"),
+)
 def event_mode(subject: Subject, kind: str) -> Finding:
-    """Events are announced; a second update changes nothing; the motion is that without event mode; reset forgets."""
+    """Events are announced; a second update changes nothing; the motion is that without event mode.
+
+    Reset forgets.
+    """
     steps = subject.long_steps(kind)
     plain = fresh_run(subject, kind, steps)
     with _Eventful(subject, kind, early=subject.can(kind, MIGHT_RETURN)) as instance:
         rows = instance.run(steps)
         events = instance.events
-        _require_same_way(subject, plain, rows, "with event mode", "without: not every event is announced and handled")
+        _require_same_way(
+            subject,
+            plain,
+            rows,
+            "with event mode",
+            "without: not every event is announced and handled",
+        )
         instance.fmu.reset()
         require_equal(subject, rows, instance.run(steps), "after reset in a run with event mode")
     return passed(f"{events} events handled in {steps} steps; the same after reset, bit for bit.")
@@ -209,11 +282,15 @@ def event_mode(subject: Subject, kind: str) -> Finding:
 @check("early return", Scope.COSIMULATION, clauses=("", "4.1.3"))
 def early_return(subject: Subject, kind: str) -> Finding:
     """Only where it is allowed, at the time that is told, and where it is asked for."""
-    might, asked = (subject.can(kind, name) for name in (MIGHT_RETURN, "canReturnEarlyAfterIntermediateUpdate"))
+    might, asked = (
+        subject.can(kind, name) for name in (MIGHT_RETURN, "canReturnEarlyAfterIntermediateUpdate")
+    )
     if subject.major < 3:
         return not_offered("FMI 2.0 has none.")
     if not (might or asked):
-        return not_offered(f"neither {MIGHT_RETURN} nor canReturnEarlyAfterIntermediateUpdate is true.")
+        return not_offered(
+            f"neither {MIGHT_RETURN} nor canReturnEarlyAfterIntermediateUpdate is true."
+        )
     said = []
     if subject.can(kind, "hasEventMode"):
         for may in (False, True):
@@ -224,22 +301,44 @@ def early_return(subject: Subject, kind: str) -> Finding:
         said.append(f"{instance.early} times at events")
     if asked and subject.can(kind, _UPDATE):
         offered = _returns_where_asked(subject, kind)
-        said.append("where it was asked to" if offered else "nowhere on demand, as its intermediate update never offered that")
+        said.append(
+            "where it was asked to"
+            if offered
+            else "nowhere on demand, as its intermediate update never offered that"
+        )
     if not said:
-        return not_offered("it has neither event mode nor intermediate update, by which it could be asked.")
+        return not_offered(
+            "it has neither event mode nor intermediate update, by which it could be asked."
+        )
     return passed(f"it returned early {' and '.join(said)}; the times told are right.")
 
 
 def _returns_where_asked(subject: Subject, kind: str) -> bool:
-    """Ask for an early return at the first chance; whether there was one. Raises Failed where it does something else."""
+    """Ask for an early return at the first chance; whether there was one.
+
+    Raises Failed where it does something else.
+    """
     chances: list[float] = []
 
-    def ask(_environment: Any, time: float, _set: bool, _get: bool, finished: bool, may: bool, early: Any, when: Any) -> None:
+    def ask(
+        _environment: Any,
+        time: float,
+        _set: bool,
+        _get: bool,
+        finished: bool,
+        may: bool,
+        early: Any,
+        when: Any,
+    ) -> None:
         if may and finished and not chances:
             chances.append(time)
             early[0], when[0] = True, time
 
-    step = 10.0 * subject.step if subject.can(kind, "canHandleVariableCommunicationStepSize") else subject.step
+    step = (
+        10.0 * subject.step
+        if subject.can(kind, "canHandleVariableCommunicationStepSize")
+        else subject.step
+    )
     options = {"earlyReturnAllowed": True, "intermediateUpdate": ask}
     with CheckedInstance(subject, kind, options=options).begin() as instance:
         begin = subject.start_time
@@ -248,15 +347,24 @@ def _returns_where_asked(subject: Subject, kind: str) -> bool:
         if not chances:
             return False
         if not early and begin + step - chances[0] > near:
-            raise Failed(f"it was asked at {chances[0]:.9g} s to return early, and went on to {reached:.9g} s.")
+            raise Failed(
+                f"it was asked at {chances[0]:.9g} s to return early, and went on to {reached:.9g} s."
+            )
         if early and not chances[0] - near <= reached < begin + step + near:
-            raise Failed(f"it was asked to return at {chances[0]:.9g} s, and says that it reached {reached:.9g} s.")
-        instance.do_step(reached, begin + step - reached if begin + step - reached > near else subject.step)
+            raise Failed(
+                f"it was asked to return at {chances[0]:.9g} s, and says that it reached {reached:.9g} s."
+            )
+        instance.do_step(
+            reached, begin + step - reached if begin + step - reached > near else subject.step
+        )
     return True
 
 
-# Stairs in place of a line: how many, and how much nearer to the line they must be than the constant is. What a slope changes must be this share of a value.
-_STAIRS, _NEARER, _VISIBLE = 64, 0.1, 1e-7
+# Stairs in place of a line: how many, and how much nearer to the line they must be than the
+# constant is. What a slope changes must be this share of a value.
+_STAIRS = 64
+_NEARER = 0.1
+_VISIBLE = 1e-7
 
 
 @check("intermediate update", Scope.COSIMULATION, clauses=("", "4.2.2"), needs=("", _UPDATE))
@@ -267,13 +375,24 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
     calls = [0, 0]  # all, those in which values may be got
     last = [-math.inf]
 
-    def update(_environment: Any, time: float, _set: bool, may_get: bool, _finished: bool, may: bool, _early: Any, _when: Any) -> None:
+    def update(
+        _environment: Any,
+        time: float,
+        _set: bool,
+        may_get: bool,
+        _finished: bool,
+        may: bool,
+        _early: Any,
+        _when: Any,
+    ) -> None:
         # An exception in a callback would be lost.
         calls[0] += 1
         calls[1] += may_get
         begin, near = instance.time, _SAME * subject.step
         if not begin - near <= time <= begin + subject.step + near:
-            wrong.append(f"in the step from t = {begin:.6g} s to {begin + subject.step:.6g} s it is called for t = {time:.9g} s")
+            wrong.append(
+                f"in the step from t = {begin:.6g} s to {begin + subject.step:.6g} s it is called for t = {time:.9g} s"
+            )
         elif time < last[0] - near and may_get:
             wrong.append(f"it is called for t = {time:.9g} s after {last[0]:.9g} s")
         if may:
@@ -284,7 +403,9 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
                 if not np.isfinite(instance.get(watched)).all():
                     wrong.append(f"at t = {time:.6g} s a value is no finite number")
             except FMICallException as error:
-                wrong.append(f"at t = {time:.6g} s values may be got, but that is refused ({str(error).rstrip('.')})")
+                wrong.append(
+                    f"at t = {time:.6g} s values may be got, but that is refused ({str(error).rstrip('.')})"
+                )
 
     def stepped(instance: CheckedInstance, step: int) -> None:
         instance.time = subject.time(step + 1)
@@ -304,12 +425,23 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
     )
 
 
-@check("input derivatives", Scope.COSIMULATION, clauses=("4.2.1", ""), needs=("canInterpolateInputs", ""))
+@check(
+    "input derivatives",
+    Scope.COSIMULATION,
+    clauses=("4.2.1", ""),
+    needs=("canInterpolateInputs", ""),
+)
 def input_derivatives(subject: Subject, kind: str) -> Finding:
     """A step with sloping inputs is what many small steps with stairs come to."""
     inputs = subject.continuous_inputs
-    if not inputs or not subject.states or not subject.can(kind, "canHandleVariableCommunicationStepSize"):
-        return not_offered("that needs continuous inputs, states that are named, and communication steps of any length.")
+    if (
+        not inputs
+        or not subject.states
+        or not subject.can(kind, "canHandleVariableCommunicationStepSize")
+    ):
+        return not_offered(
+            "that needs continuous inputs, states that are named, and communication steps of any length."
+        )
     length = subject.step * HOLD
     first, last = subject.inputs_at(0), subject.inputs_at(HOLD, seed=1)
     slope = (last - first) / length
@@ -318,10 +450,14 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
         """States (entries,) [unit of each] after the span, in so many stairs, with slopes (nu,) or without. Raises FMICallException."""
         with CheckedInstance(subject, kind).begin() as instance:
             for stair in range(stairs):
-                at = first if slopes is not None else first + climb * length * (stair + 0.5) / stairs
+                at = (
+                    first if slopes is not None else first + climb * length * (stair + 0.5) / stairs
+                )
                 instance.set(inputs, at)
                 if slopes is not None:
-                    instance.fmu.setRealInputDerivatives(inputs.references, [1] * len(inputs), [float(value) for value in slopes])
+                    instance.fmu.setRealInputDerivatives(
+                        inputs.references, [1] * len(inputs), [float(value) for value in slopes]
+                    )
                 begin = subject.start_time + length * stair / stairs
                 instance.do_step(begin, subject.start_time + length * (stair + 1) / stairs - begin)
             return instance.get(subject.states)

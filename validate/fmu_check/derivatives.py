@@ -1,8 +1,9 @@
 """Derivatives and dependencies that the FMU declares, against finite differences at points along a run.
 
-The differences know their own error: central ones with steps h, h/4, ... (Ridders, Accurate computation of F'(x), Adv. Eng. Software 4, 1982), two
-neighbours extrapolated, and of these the pair that changes least. Where the two one-sided differences do not approach each other, however small the
-step, there is a kink and no derivative.
+The differences know their own error: central ones with steps h, h/4, ... (Ridders, Accurate
+computation of F'(x), Adv. Eng. Software 4, 1982), two neighbours extrapolated, and of these the
+pair that changes least. Where the two one-sided differences do not approach each other, however
+small the step, there is a kink and no derivative.
 """
 
 from __future__ import annotations
@@ -22,13 +23,16 @@ from validate.fmu_check.motion import Record, fresh_run, run
 from validate.fmu_check.subject import HOLD, Block, CheckedInstance, FmuVariable, Subject
 
 # Steps: from this share of the variable's size, each a quarter of the one before.
-_LARGEST, _COUNT = 1e-2, 9
+_LARGEST = 1e-2
+_COUNT = 9
 # Rounding of one evaluation, in units of the last place of its value.
 _ULPS = 16.0
-# Derivatives that an FMU computes by differences itself are less than this off, and are none the worse for their users; wrong ones are farther.
+# Derivatives that an FMU computes by differences itself are less than this off, and are none the
+# worse for their users; wrong ones are farther.
 _SHARE = 5e-5
 _EPS = float(np.finfo(float).eps)
-# What rounding leaves of such an entry where it is zero, in typical sizes: forward differences do best with steps of the root of rounding.
+# What rounding leaves of such an entry where it is zero, in typical sizes: forward differences do
+# best with steps of the root of rounding.
 _FLOOR = math.sqrt(_EPS)
 
 
@@ -48,14 +52,21 @@ def _rounding(claimed: np.ndarray) -> float:
 
 def _agrees(claimed: np.ndarray, found: _DerivativeColumn, floor: np.ndarray) -> np.ndarray:
     """(unknowns,) whether a claimed column is within the error of the one found, or below `floor` as it is; True where nothing can be said."""
-    allowed = 10.0 * found.error + _SHARE * np.maximum(np.abs(claimed), np.abs(found.value)) + _rounding(claimed) + floor
+    allowed = (
+        10.0 * found.error
+        + _SHARE * np.maximum(np.abs(claimed), np.abs(found.value))
+        + _rounding(claimed)
+        + floor
+    )
     return (np.abs(claimed - found.value) <= allowed) | found.kink | ~np.isfinite(found.error)
 
 
 def _resolved(claimed: np.ndarray, found: _DerivativeColumn) -> np.ndarray:
     """(unknowns,) whether an error of a thousandth of the entry would show."""
     size = np.maximum(np.abs(claimed), np.abs(found.value))
-    return ~found.kink & ((found.error <= 1e-3 * size) | (np.abs(claimed - found.value) <= found.error))
+    return ~found.kink & (
+        (found.error <= 1e-3 * size) | (np.abs(claimed - found.value) <= found.error)
+    )
 
 
 # Where in a run points are taken, and after how many of its first events.
@@ -79,7 +90,10 @@ class _CheckedPoint:
     is_initial: bool = False
 
     def evaluate(self, x: np.ndarray) -> np.ndarray:
-        """Unknowns (entries,) [unit of each] for knowns x (entries,) [unit of each]. Raises FMICallException."""
+        """Unknowns (entries,) [unit of each] for knowns x (entries,) [unit of each].
+
+        Raises FMICallException.
+        """
         if self.state_entries:
             self.instance.move(self.time, x[: self.state_entries])
         self.instance.set(self._given, x[self.state_entries :])
@@ -109,7 +123,12 @@ class _CheckedPoint:
             central.append((up - down) / (right + left))
             forward.append((up - middle) / right)
             backward.append((middle - down) / left)
-            noise.append(_ULPS * _EPS * np.maximum(np.maximum(np.abs(up), np.abs(down)), np.abs(middle)) / step)
+            noise.append(
+                _ULPS
+                * _EPS
+                * np.maximum(np.maximum(np.abs(up), np.abs(down)), np.abs(middle))
+                / step
+            )
         d, rounding = np.array(central), np.array(noise)
         extrapolated = (16.0 * d[1:] - d[:-1]) / 15.0
         error = np.abs(extrapolated[1:] - extrapolated[:-1]) + 2.0 * rounding[2:]
@@ -117,7 +136,8 @@ class _CheckedPoint:
         best = np.argmin(error, axis=0)
         columns = np.arange(d.shape[1])
         gap = np.abs(np.array(forward) - np.array(backward))
-        # A smooth function's one-sided differences approach each other as the step; four times smaller, four times nearer.
+        # A smooth function's one-sided differences approach each other as the step; four times
+        # smaller, four times nearer.
         here, before = gap[best + 2, columns], gap[best + 1, columns]
         kink = (here > 0.5 * before) & (here > 10.0 * rounding[best + 2, columns])
         return _DerivativeColumn(extrapolated[best + 1, columns], error[best, columns], kink)
@@ -127,7 +147,12 @@ class _CheckedPoint:
         every = [*enumerate(item for item in self.knowns for _ in range(item.size))]
         if len(every) <= MOST_KNOWNS:
             return every
-        return [every[place] for place in sorted(np.random.default_rng(3).choice(len(every), MOST_KNOWNS, replace=False))]
+        return [
+            every[place]
+            for place in sorted(
+                np.random.default_rng(3).choice(len(every), MOST_KNOWNS, replace=False)
+            )
+        ]
 
 
 def _points(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
@@ -135,7 +160,11 @@ def _points(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
     steps = subject.long_steps(kind)
     exchange = kind == "ME"
     outputs = [item for item in subject.outputs if item.is_float]
-    states = subject.states if exchange and subject.states.entries == int(subject.description.numberOfContinuousStates) else Block()
+    states = (
+        subject.states
+        if exchange and subject.states.entries == int(subject.description.numberOfContinuousStates)
+        else Block()
+    )
     knowns = Block([*states, *subject.continuous_inputs])
     unknowns = Block([*(subject.derivatives if exchange else []), *outputs])
     if not knowns or not unknowns:
@@ -146,8 +175,21 @@ def _points(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
         for before, place in itertools.pairwise([0, *places]):
             if place > before:
                 run(instance, before, place, observe="end")
-            x = np.concatenate([instance.states() if count else np.empty(0), instance.get(subject.continuous_inputs)])
-            point = _CheckedPoint(f"at t = {subject.time(place):.6g} s", instance, knowns, unknowns, x, subject.time(place), count)
+            x = np.concatenate(
+                [
+                    instance.states() if count else np.empty(0),
+                    instance.get(subject.continuous_inputs),
+                ]
+            )
+            point = _CheckedPoint(
+                f"at t = {subject.time(place):.6g} s",
+                instance,
+                knowns,
+                unknowns,
+                x,
+                subject.time(place),
+                count,
+            )
             yield point
             point.back()
 
@@ -158,17 +200,34 @@ def _places(subject: Subject, kind: str, steps: int) -> list[int]:
     if kind == "ME":
         record = Record()
         fresh_run(subject, kind, steps, "events", observe="end", record=record)
-        ends = [math.ceil((time - subject.start_time) / subject.step) for time, crossed, _ in record.events if crossed]
+        ends = [
+            math.ceil((time - subject.start_time) / subject.step)
+            for time, crossed, _ in record.events
+            if crossed
+        ]
         # Where events crowd, a run that starts afresh at each point could not follow.
-        last = math.floor((min(record.crowded, subject.time(steps)) - subject.start_time) / subject.step) - 1
-        places = {place for place in places | set(list(dict.fromkeys(ends))[:AFTER_EVENTS]) if place <= max(last, 0)}
+        last = (
+            math.floor(
+                (min(record.crowded, subject.time(steps)) - subject.start_time) / subject.step
+            )
+            - 1
+        )
+        places = {
+            place
+            for place in places | set(list(dict.fromkeys(ends))[:AFTER_EVENTS])
+            if place <= max(last, 0)
+        }
     return sorted(places)
 
 
 def _initial_point(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
     """In Initialization Mode: unknowns are those of the ModelStructure, knowns all that has an exact start; none if there are none or it is refused."""
-    unknowns = Block(item for item in subject.of(subject.description.initialUnknowns) if item.is_float)
-    knowns = Block(item for item in subject.exact if item.is_float and item.variability != "constant")
+    unknowns = Block(
+        item for item in subject.of(subject.description.initialUnknowns) if item.is_float
+    )
+    knowns = Block(
+        item for item in subject.exact if item.is_float and item.variability != "constant"
+    )
     if not knowns or not unknowns:
         return
     instance = CheckedInstance(subject, kind, "initial")
@@ -177,7 +236,16 @@ def _initial_point(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
     instance.set(*subject.varied)
     instance.enter_initialisation()
     x = instance.get(knowns)
-    point = _CheckedPoint("in Initialization Mode", instance, knowns, unknowns, x, subject.start_time, 0, is_initial=True)
+    point = _CheckedPoint(
+        "in Initialization Mode",
+        instance,
+        knowns,
+        unknowns,
+        x,
+        subject.start_time,
+        0,
+        is_initial=True,
+    )
     try:
         point.back()
     except FMICallException:
@@ -207,7 +275,9 @@ def directional(subject: Subject, kind: str) -> Finding:
                 point.back()
                 seed, ends = np.zeros(known.size), point.knowns.ends
                 seed[place - ends[np.searchsorted(ends, place, side="right") - 1]] = 1.0
-                claimed = point.instance.fmu.directional(point.unknowns.references, [known.reference], list(seed), point.unknowns.entries)
+                claimed = point.instance.fmu.directional(
+                    point.unknowns.references, [known.reference], list(seed), point.unknowns.entries
+                )
                 claimed = np.array(claimed)
                 found = point.column(place)
                 looked += claimed.size
@@ -216,15 +286,29 @@ def directional(subject: Subject, kind: str) -> Finding:
                 wrong.extend(_wrong(point, place, known, claimed, found))
             places += 1
         except FMICallException:
-            if not point.is_initial:  # there by parameters, or of a value outside its range: not every FMU has those
+            if (
+                not point.is_initial
+            ):  # there by parameters, or of a value outside its range: not every FMU has those
                 raise
     if not looked and not wrong:
-        return not_offered("there is nothing to derive: no states or inputs, or no derivatives or outputs.")
+        return not_offered(
+            "there is nothing to derive: no states or inputs, or no derivatives or outputs."
+        )
     at_kinks = f", {kinks} lie at kinks" if kinks else ""
-    return unless(wrong, f"{looked} entries at {places} points agree; for {sharp} an error of a thousandth would show{at_kinks}.", end="")
+    return unless(
+        wrong,
+        f"{looked} entries at {places} points agree; for {sharp} an error of a thousandth would show{at_kinks}.",
+        end="",
+    )
 
 
-def _wrong(point: _CheckedPoint, place: int, known: FmuVariable, claimed: np.ndarray, found: _DerivativeColumn) -> list[str]:
+def _wrong(
+    point: _CheckedPoint,
+    place: int,
+    known: FmuVariable,
+    claimed: np.ndarray,
+    found: _DerivativeColumn,
+) -> list[str]:
     floor = _FLOOR * point.unknowns.scales / point.knowns.scales[place]
     bad = ~_agrees(claimed, found, floor)
     if not bad.any():
@@ -238,7 +322,12 @@ def _wrong(point: _CheckedPoint, place: int, known: FmuVariable, claimed: np.nda
     ]
 
 
-@check("adjoint derivatives", Scope.EACH, clauses=("", "2.2.12.2"), needs=("", "providesAdjointDerivatives"))
+@check(
+    "adjoint derivatives",
+    Scope.EACH,
+    clauses=("", "2.2.12.2"),
+    needs=("", "providesAdjointDerivatives"),
+)
 def adjoint(subject: Subject, kind: str) -> Finding:
     """They are the transpose of what finite differences give."""
     looked = 0
@@ -250,7 +339,9 @@ def adjoint(subject: Subject, kind: str) -> Finding:
         point.back()
         rows = point.unknowns.entries
         for seed in [*np.eye(rows), dice.uniform(-1.0, 1.0, rows)]:
-            claimed = point.instance.fmu.adjoint(point.unknowns.references, point.knowns.references, list(seed), point.knowns.entries)
+            claimed = point.instance.fmu.adjoint(
+                point.unknowns.references, point.knowns.references, list(seed), point.knowns.entries
+            )
             claimed = np.array(claimed)
             used = seed != 0.0
             for (place, known), found in zip(point.entries(), columns, strict=True):
@@ -260,8 +351,12 @@ def adjoint(subject: Subject, kind: str) -> Finding:
                 error = float(np.abs(seed[used]) @ found.error[used])
                 size = float(np.abs(seed[used]) @ np.abs(found.value[used]))
                 looked += 1
-                if not abs(claimed[place] - value) <= 10.0 * error + 1e-6 * max(size, abs(claimed[place])) + _rounding(claimed):
-                    names = [name for name, one in zip(point.unknowns.names, used, strict=True) if one]
+                if not abs(claimed[place] - value) <= 10.0 * error + 1e-6 * max(
+                    size, abs(claimed[place])
+                ) + _rounding(claimed):
+                    names = [
+                        name for name, one in zip(point.unknowns.names, used, strict=True) if one
+                    ]
                     return failed(
                         f"the adjoint of {listed(names, 1)} by {known.name} {point.where} is {claimed[place]:.6g}, "
                         f"finite differences give {value:.6g} +- {error:.1g}."
@@ -294,12 +389,17 @@ def dependencies(subject: Subject, kind: str) -> Finding:
 
 
 def _declared(subject: Subject, unknowns: list) -> dict[str, dict[str, str]]:
-    """Unknown -> its declared knowns -> kind; unknowns that declare nothing depend on everything."""
+    """Unknown -> its declared knowns -> kind.
+
+    Unknowns that declare nothing depend on everything.
+    """
     found = {}
     for item in unknowns:
         if item.dependencies is not None and item.variable.name in subject.by_name:
             kinds = item.dependenciesKind or ["dependent"] * len(item.dependencies)
-            found[item.variable.name] = {known.name: kind for known, kind in zip(item.dependencies, kinds, strict=False)}
+            found[item.variable.name] = {
+                known.name: kind for known, kind in zip(item.dependencies, kinds, strict=False)
+            }
     return found
 
 
@@ -309,15 +409,22 @@ def _missing(point: _CheckedPoint, declared: dict[str, dict[str, str]], wrong: l
     point.back()
     base = point.evaluate(point.x)
     asked = np.array([name in declared for name in names], dtype=bool)
-    # For each value that is moved, the rows that must stay: of what declares none of its names, and is none of them.
+    # For each value that is moved, the rows that must stay: of what declares none of its names, and
+    # is none of them.
     independent = {known.reference: asked.copy() for _, known in drawn}
-    reference = {item.name: item.reference for item in point.knowns if item.reference in independent}
+    reference = {
+        item.name: item.reference for item in point.knowns if item.reference in independent
+    }
     for row, name in enumerate(names):
         for other in reference.keys() & {name, *declared.get(name, ())}:
             independent[reference[other]][row] = False
     for place, known in drawn:
         moved = point.x.copy()
-        moved[place] += 1e-2 * max(point.knowns.scales[place], abs(moved[place])) * (-1.0 if moved[place] >= known.upper else 1.0)
+        moved[place] += (
+            1e-2
+            * max(point.knowns.scales[place], abs(moved[place]))
+            * (-1.0 if moved[place] >= known.upper else 1.0)
+        )
         try:
             values = point.evaluate(moved)
         except FMICallException:
@@ -334,12 +441,19 @@ def _missing(point: _CheckedPoint, declared: dict[str, dict[str, str]], wrong: l
 
 
 def _factors(
-    point: _CheckedPoint, declared: dict[str, dict[str, str]], slopes: dict[tuple[str, str], tuple[float, float, str]], wrong: list[str]
+    point: _CheckedPoint,
+    declared: dict[str, dict[str, str]],
+    slopes: dict[tuple[str, str], tuple[float, float, str]],
+    wrong: list[str],
 ) -> None:
     """Compare the slopes of dependencies declared `constant` or `fixed` with those at the points before."""
     names = point.unknowns.names
     for place, known in point.entries():
-        rows = [row for row, name in enumerate(names) if declared.get(name, {}).get(known.name) in ("constant", "fixed")]
+        rows = [
+            row
+            for row, name in enumerate(names)
+            if declared.get(name, {}).get(known.name) in ("constant", "fixed")
+        ]
         if not rows:
             continue
         found = point.column(place)
@@ -348,23 +462,31 @@ def _factors(
             value, error = float(found.value[row]), float(found.error[row])
             if found.kink[row]:
                 continue
-            first, first_error, where = slopes.setdefault((names[row], known.name), (value, error, point.where))
-            if abs(value - first) > 10.0 * (error + first_error) + 1e-6 * max(abs(value), abs(first)):
+            first, first_error, where = slopes.setdefault(
+                (names[row], known.name), (value, error, point.where)
+            )
+            if abs(value - first) > 10.0 * (error + first_error) + 1e-6 * max(
+                abs(value), abs(first)
+            ):
                 wrong.append(
                     f"{names[row]} is declared to depend on {known.name} by a {declared[names[row]][known.name]} factor, "
                     f"which is {first:.6g} {where} and {value:.6g} {point.where}"
                 )
 
 
-# Points at which derivatives are compared with what their states do, and how short a step is made there, as a share of the FMU's.
-_PLACES, _SHORT = 6, 1e-5
+# Points at which derivatives are compared with what their states do, and how short a step is made
+# there, as a share of the FMU's.
+_PLACES = 6
+_SHORT = 1e-5
 
 
 @check("derivatives are those of the states", Scope.COSIMULATION, clauses=("2.2.7", "2.4.7.4"))
 def rates(subject: Subject, kind: str) -> Finding:
     """A variable that is the derivative of another is how fast that moves in a very short step."""
     if not subject.rates or not subject.can(kind, "canHandleVariableCommunicationStepSize"):
-        return not_offered("that needs variables that are derivatives, and communication steps of any length.")
+        return not_offered(
+            "that needs variables that are derivatives, and communication steps of any length."
+        )
     derivatives, moving = (Block(pair[place] for pair in subject.rates) for place in (0, 1))
     steps, short = subject.steps(kind), _SHORT * subject.step
     names, places, resolved = derivatives.names, 0, False
@@ -384,10 +506,18 @@ def rates(subject: Subject, kind: str) -> Finding:
             before, after = (middle - first) / short, (last - middle) / short
             rounding = _ULPS * _EPS * np.maximum(np.abs(middle), abs(time)) / short
             size = np.maximum(np.abs(claimed), np.maximum(np.abs(before), np.abs(after)))
-            away = np.maximum(np.minimum(before, after) - claimed, claimed - np.maximum(before, after))
-            # What does not move at all has a step of its own inside; where it bends within so short a step, something jumps.
+            away = np.maximum(
+                np.minimum(before, after) - claimed, claimed - np.maximum(before, after)
+            )
+            # What does not move at all has a step of its own inside; where it bends within so short
+            # a step, something jumps.
             allowed = 0.1 * _SHARE * size
-            told = (middle != first) & (last != middle) & (np.abs(after - before) <= allowed + rounding) & (rounding <= allowed)
+            told = (
+                (middle != first)
+                & (last != middle)
+                & (np.abs(after - before) <= allowed + rounding)
+                & (rounding <= allowed)
+            )
             places, resolved = places + 1, resolved or bool(told.any())
             wrong = told & (away > _SHARE * size)
             if wrong.any():
@@ -397,5 +527,9 @@ def rates(subject: Subject, kind: str) -> Finding:
                 )
             instance.do_step(time + 2.0 * short, subject.step - 2.0 * short)
     if not resolved:
-        return not_offered(f"in steps of {short:g} s nothing moves evenly: it has a step of its own inside.")
-    return passed(f"{len(names)} derivatives at {places} times are what steps of {short:.1g} s make of their states.")
+        return not_offered(
+            f"in steps of {short:g} s nothing moves evenly: it has a step of its own inside."
+        )
+    return passed(
+        f"{len(names)} derivatives at {places} times are what steps of {short:.1g} s make of their states."
+    )

@@ -1,9 +1,11 @@
 """Model Exchange: states, derivatives and nominals are those of the description, event indicators announce events, and Co-Simulation moves the same.
 
-For the last, Model Exchange is integrated by CVODE with two tolerances, Co-Simulation with the steps h, h/2 and h/4, all with the same piecewise
-constant inputs. The difference must be explained: by the error of either, as the halved step and the other tolerance show it, or by the FMU's
-tolerance. Co-Simulation that does not heed the communication step (it has an internal one) is measured against explicit Euler with its smallest step on
-the same equations: the plainest integrator of order one.
+For the last, Model Exchange is integrated by CVODE with two tolerances, Co-Simulation with the
+steps h, h/2 and h/4, all with the same piecewise constant inputs. The difference must be explained:
+by the error of either, as the halved step and the other tolerance show it, or by the FMU's
+tolerance. Co-Simulation that does not heed the communication step (it has an internal one) is
+measured against explicit Euler with its smallest step on the same equations: the plainest
+integrator of order one.
 """
 
 from __future__ import annotations
@@ -20,10 +22,13 @@ from validate.fmu_check.subject import HOLD, Block, CheckedInstance, Subject
 
 # Values read in two ways are the same number.
 _SAME = 1e-12
-# At an event that CVODE located its indicator is this small, as a share of what it was over the run.
+# At an event that CVODE located its indicator is this small, as a share of what it was over the
+# run.
 _ZERO = 1e-6
-# The run that looks at events: relative tolerance, and looks at the FMU between events in each communication step.
-_RTOL, _LOOKS = 1e-8, 3
+# The run that looks at events: relative tolerance, and looks at the FMU between events in each
+# communication step.
+_RTOL = 1e-8
+_LOOKS = 3
 
 
 @check("states and derivatives are the listed ones", Scope.EXCHANGE, clauses=("2.2.8", "2.4.8"))
@@ -35,7 +40,9 @@ def arrays(subject: Subject, kind: str) -> Finding:
     worst: list[str] = []
     with CheckedInstance(subject, kind).begin() as instance:
         if subject.major >= 3 and (reported := instance.fmu.getNumberOfContinuousStates()) != count:
-            return failed(f"the binary says {reported} continuous states, the description lists {count}.")
+            return failed(
+                f"the binary says {reported} continuous states, the description lists {count}."
+            )
 
         def look(step: int) -> None:
             for what, variables, values in (
@@ -43,16 +50,23 @@ def arrays(subject: Subject, kind: str) -> Finding:
                 ("derivative", subject.derivatives, instance.rates()),
             ):
                 if variables.entries != count:
-                    worst.append(f"the description lists {len(variables)} {what} variables for {count} states")
+                    worst.append(
+                        f"the description lists {len(variables)} {what} variables for {count} states"
+                    )
                     return
                 worst.extend(_unequal(instance, what, variables, values, subject.time(step)))
 
         look(0)
         run(instance, 0, steps, after=lambda step: look(step + 1), observe="end")
-    return unless(worst[:1], f"{count} states and {count} derivatives, by array and by variable, at {steps + 1} times: equal.")
+    return unless(
+        worst[:1],
+        f"{count} states and {count} derivatives, by array and by variable, at {steps + 1} times: equal.",
+    )
 
 
-def _unequal(instance: CheckedInstance, what: str, variables: Block, values: np.ndarray, time: float) -> list[str]:
+def _unequal(
+    instance: CheckedInstance, what: str, variables: Block, values: np.ndarray, time: float
+) -> list[str]:
     read = instance.get(variables)
     return [
         f"{what} {place} is {values[place]:.10g} in the array, but the variable {variables.names[place]} is {read[place]:.10g} at t = {time:.6g} s"
@@ -73,8 +87,12 @@ def nominals(subject: Subject, kind: str) -> Finding:
     declared = [item.nominal for item in subject.states for _ in range(item.size)]
     for place, (value, nominal) in enumerate(zip(values, declared, strict=False)):
         if nominal is not None and not np.isclose(value, nominal, rtol=1e-6):
-            return failed(f"state {place} has the nominal {value:g} in the binary and {nominal:g} in the description.")
-    return passed(f"{count} nominals; {sum(nominal is not None for nominal in declared)} are given in the description and agree.")
+            return failed(
+                f"state {place} has the nominal {value:g} in the binary and {nominal:g} in the description."
+            )
+    return passed(
+        f"{count} nominals; {sum(nominal is not None for nominal in declared)} are given in the description and agree."
+    )
 
 
 @check("event indicators announce events", Scope.EXCHANGE, clauses=("3.1", "3.1.1"))
@@ -84,10 +102,16 @@ def indicators(subject: Subject, kind: str) -> Finding:
         count = instance.indicator_count
         if subject.major >= 3:
             if (reported := instance.fmu.getNumberOfEventIndicators()) != count:
-                return failed(f"the binary says {reported} event indicators, the description lists {count}.")
+                return failed(
+                    f"the binary says {reported} event indicators, the description lists {count}."
+                )
             listed = subject.of(subject.description.eventIndicators)
             all_listed = count and len(listed) == len(subject.description.eventIndicators)
-            if all_listed and (wrong := _unequal(instance, "event indicator", listed, instance.indicators(), subject.start_time)):
+            if all_listed and (
+                wrong := _unequal(
+                    instance, "event indicator", listed, instance.indicators(), subject.start_time
+                )
+            ):
                 return failed(f"{wrong[0]}.")
         steps = subject.long_steps(kind)
         size = np.abs(instance.indicators()) if count else np.empty(0)
@@ -102,7 +126,8 @@ def indicators(subject: Subject, kind: str) -> Finding:
                     break
                 now = np.abs(instance.indicators()) if count else size
                 size = np.maximum(size, now)
-                # The look falls on an event, which its indicator announces by being zero, or its time.
+                # The look falls on an event, which its indicator announces by being zero, or its
+                # time.
                 if ((now <= _ZERO * size) & (size > 0)).any() or mover.is_at_time_event:
                     continue
                 mover.update_unannounced()
@@ -123,7 +148,9 @@ def indicators(subject: Subject, kind: str) -> Finding:
                 )
     state_events = sum(bool(event[1]) for event in mover.record.events)
     others = len(mover.record.events) - state_events
-    return passed(f"{count} indicators; {state_events} state events and {others} others by t = {mover.time:.4g} s.")
+    return passed(
+        f"{count} indicators; {state_events} state events and {others} others by t = {mover.time:.4g} s."
+    )
 
 
 @check("events tell that they change states", Scope.EXCHANGE, clauses=("3.2.2", "2.3.5"))
@@ -137,7 +164,9 @@ def told(subject: Subject, kind: str) -> Finding:
         return failed(
             f"an event update changes {record.untold[0]}, but valuesOfContinuousStatesChanged is false: an importer goes on with its own states."
         )
-    return passed(f"no state changes untold, in {len(record.events)} events of its own and where inputs jump.")
+    return passed(
+        f"no state changes untold, in {len(record.events)} events of its own and where inputs jump."
+    )
 
 
 _RTOLS = (1e-7, 1e-9)
@@ -146,7 +175,8 @@ _PARTS = (1, 2, 4)
 _SAFETY = 4.0
 # Below this share of a value's size nothing is told apart, whatever tolerance the FMU proposes.
 _FINEST = 1e-6
-# With a larger difference than this share of the value's size nothing was compared [-]: "passed" would say too much.
+# With a larger difference than this share of the value's size nothing was compared [-]: "passed"
+# would say too much.
 _COMPARED = 0.1
 # Of more values than twice that, every second, third, .. is compared.
 _MOST_COMPARED = 10_000
@@ -157,7 +187,11 @@ def agree(subject: Subject) -> Finding:
     """As the step shrinks, or within the FMU's tolerance."""
     if subject.types != ("ME", "CS"):
         return not_offered(f"the FMU offers {' and '.join(subject.types) or 'neither'} only.")
-    compared = [item for item in subject.observed if item.is_continuous and item.causality in ("output", "local")]
+    compared = [
+        item
+        for item in subject.observed
+        if item.is_continuous and item.causality in ("output", "local")
+    ]
     if not compared:
         return not_offered("there are no continuous outputs or locals to compare.")
     compared = Block(compared[:: max(1, len(compared) // _MOST_COMPARED)])
@@ -166,20 +200,29 @@ def agree(subject: Subject) -> Finding:
     coarse, _ = by_adams_or_bdf(partial(_integrated, subject, compared, len(fine) - 1, _RTOLS[0]))
     length = min(len(fine), len(coarse))
     truth, error, parts, awake = fine[:length], np.abs(fine[:length] - coarse[:length]), {}, 1
-    for number in _PARTS if subject.can("CS", "canHandleVariableCommunicationStepSize") else _PARTS[:1]:
+    for number in (
+        _PARTS if subject.can("CS", "canHandleVariableCommunicationStepSize") else _PARTS[:1]
+    ):
         parts[number], awake = _cosimulation(subject, compared, length - 1, number)
     size = np.maximum(np.abs(truth).max(axis=0), 1e-3 * compared.scales)
     finest = parts[max(parts)]
     apart = np.abs(finest - truth)
     shrink = np.abs(finest - parts[max(parts) // 2]) if len(parts) > 1 else np.zeros_like(apart)
-    allowed = max(subject.tolerance, _FINEST) * size + _SAFETY * (_running(shrink) + _running(error))
+    allowed = max(subject.tolerance, _FINEST) * size + _SAFETY * (
+        _running(shrink) + _running(error)
+    )
     shares = {number: float((np.abs(rows - truth) / size).max()) for number, rows in parts.items()}
-    shown = ", ".join(f"{share:.2g} with h{f'/{number}' if number > 1 else ''}" for number, share in shares.items())
+    shown = ", ".join(
+        f"{share:.2g} with h{f'/{number}' if number > 1 else ''}"
+        for number, share in shares.items()
+    )
     where = f"{len(compared.names)} values over {length - 1} steps of h = {subject.step:g} s, {events} events; largest difference {shown} of the value's size"
     unexplained = ~(apart <= allowed)
     told = passed if shares[max(shares)] <= _COMPARED else not_offered
     if not unexplained.any():
-        return told(f"{where}{'' if told is passed else ': steps and tolerances may explain it, which tells nothing'}.")
+        return told(
+            f"{where}{'' if told is passed else ': steps and tolerances may explain it, which tells nothing'}."
+        )
     if (euler := _euler(subject, compared, length - 1, awake)) is not None:
         unexplained &= ~(apart <= allowed + _SAFETY * _running(np.abs(euler - truth)))
         if not unexplained.any():
@@ -201,10 +244,14 @@ def _running(rows: np.ndarray) -> np.ndarray:
 
 def _begun(subject: Subject, kind: str, name: str) -> CheckedInstance:
     """An instance that begins with the first inputs."""
-    return CheckedInstance(subject, kind, name).begin(during=(subject.continuous_inputs, subject.inputs_at(0)))
+    return CheckedInstance(subject, kind, name).begin(
+        during=(subject.continuous_inputs, subject.inputs_at(0))
+    )
 
 
-def _integrated(subject: Subject, compared: Block, steps: int, rtol: float, method: tuple[int, int]) -> tuple[np.ndarray, int]:
+def _integrated(
+    subject: Subject, compared: Block, steps: int, rtol: float, method: tuple[int, int]
+) -> tuple[np.ndarray, int]:
     """Values by CVODE, and how many state events there were; shorter if events crowd."""
     with _begun(subject, "ME", "reference") as instance:
         mover = Exchange(instance, rtol, method)
@@ -221,7 +268,9 @@ def _integrated(subject: Subject, compared: Block, steps: int, rtol: float, meth
         return np.array(rows), sum(bool(event[1]) for event in mover.record.events)
 
 
-def _cosimulation(subject: Subject, compared: Block, steps: int, parts: int) -> tuple[np.ndarray, int]:
+def _cosimulation(
+    subject: Subject, compared: Block, steps: int, parts: int
+) -> tuple[np.ndarray, int]:
     """Values after each step, and in how many of its parts (at most, over all steps) they moved."""
     with _begun(subject, "CS", f"parts {parts}") as instance:
         rows = [instance.get(compared)]
@@ -242,7 +291,10 @@ def _cosimulation(subject: Subject, compared: Block, steps: int, parts: int) -> 
 
 
 def _euler(subject: Subject, compared: Block, steps: int, parts: int) -> np.ndarray | None:
-    """Explicit Euler with a part of the communication step, events looked for at its ends; None if it diverges into errors."""
+    """Explicit Euler with a part of the communication step, events looked for at its ends.
+
+    None if it diverges into errors.
+    """
     length = subject.step / parts
     with _begun(subject, "ME", "euler") as instance:
         rows = [instance.get(compared)]
@@ -253,7 +305,11 @@ def _euler(subject: Subject, compared: Block, steps: int, parts: int) -> np.ndar
                 instance.settle()
             try:
                 for part in range(1, parts + 1):
-                    x = instance.states() + length * instance.rates() if instance.state_count else np.empty(0)
+                    x = (
+                        instance.states() + length * instance.rates()
+                        if instance.state_count
+                        else np.empty(0)
+                    )
                     instance.move(subject.time(step) + part * length, x)
                     instance.event()
                 rows.append(instance.get(compared))

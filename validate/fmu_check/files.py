@@ -1,8 +1,10 @@
 """The files of an FMU: its archive, the binary for this machine, and the description - valid, and free of contradictions that no schema sees.
 
-What a shared library of Linux exports and needs is read without loading it (System V Application Binary Interface, chapters 4 and 5: sections, symbol
-table, dynamic section). Where there is none, it is compiled from what sources/buildDescription.xml says in FMI 3.0 and 2.0.4, or modelDescription.xml
-in FMI 2.0. Options of compilers are not taken over: they are for the compiler they name.
+What a shared library of Linux exports and needs is read without loading it (System V Application
+Binary Interface, chapters 4 and 5: sections, symbol table, dynamic section). Where there is none,
+it is compiled from what sources/buildDescription.xml says in FMI 3.0 and 2.0.4, or
+modelDescription.xml in FMI 2.0. Options of compilers are not taken over: they are for the compiler
+they name.
 """
 
 from __future__ import annotations
@@ -38,8 +40,10 @@ _PART = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
 _PLAIN = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*(,[0-9]+)?\)")
 _HEADER = 52  # bytes of the shorter header, that of 32 bits
 _MACHINES = {3: "x86", 62: "x86_64", 183: "aarch64"}
-_DYNAMIC_SECTION, _SYMBOL_SECTION = 6, 11
-_NEEDED, _UNDEFINED = 1, 0
+_DYNAMIC_SECTION = 6
+_SYMBOL_SECTION = 11
+_NEEDED = 1
+_UNDEFINED = 0
 _FUNCTION_KINDS = (2, 10)  # STT_FUNC, STT_GNU_IFUNC
 
 
@@ -49,7 +53,10 @@ class NotElf(ValueError):  # noqa: N818 - says what the file is not
 
 @dataclass(frozen=True)
 class Library:
-    """exported: names of functions; needed: other libraries; glibc: the newest version of the GNU C library it asks for ("" if none)."""
+    """exported: names of functions; needed: other libraries.
+
+    glibc: the newest version of the GNU C library it asks for ("" if none).
+    """
 
     machine: str
     exported: frozenset[str]
@@ -73,8 +80,14 @@ def read_library(data: bytes) -> Library:
 
     try:
         (table,), (size, count) = read("Q", 40), read("HH2x", 58)
-        sections = [read("4xI16xQQI12xQ", table + place * size) for place in range(count)]  # kind, offset, length, link and size of a row
-        if sum(length for kind, _, length, _, _ in sections if kind in (_DYNAMIC_SECTION, _SYMBOL_SECTION)) > len(data):
+        sections = [
+            read("4xI16xQQI12xQ", table + place * size) for place in range(count)
+        ]  # kind, offset, length, link and size of a row
+        if sum(
+            length
+            for kind, _, length, _, _ in sections
+            if kind in (_DYNAMIC_SECTION, _SYMBOL_SECTION)
+        ) > len(data):
             raise NotElf("its tables are larger than the file")
         exported: set[str] = set()
         needed: list[str] = []
@@ -92,7 +105,10 @@ def read_library(data: bytes) -> Library:
                     tag, value = read("QQ", at)
                     if tag == _NEEDED:
                         needed.append(_text(strings, value))
-        versions = [tuple(map(int, item.split(b"."))) for item in re.findall(rb"\0GLIBC_([0-9.]+)(?=\0)", strings)]
+        versions = [
+            tuple(map(int, item.split(b".")))
+            for item in re.findall(rb"\0GLIBC_([0-9.]+)(?=\0)", strings)
+        ]
         glibc = ".".join(map(str, max(versions))) if versions else ""
         return Library(machine, frozenset(exported), tuple(needed), glibc)
     except (struct.error, IndexError, ValueError, OverflowError) as error:
@@ -104,8 +120,19 @@ def _text(strings: bytes, at: int) -> str:
 
 
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-# Libraries that every Linux has; with others the FMU runs only where they are installed, or in the FMU.
-_EVERYWHERE = ("libc.so", "libm.so", "libpthread.so", "libdl.so", "librt.so", "libgcc_s.so", "libstdc++.so", "ld-linux", "linux-vdso")
+# Libraries that every Linux has; with others the FMU runs only where they are installed, or in the
+# FMU.
+_EVERYWHERE = (
+    "libc.so",
+    "libm.so",
+    "libpthread.so",
+    "libdl.so",
+    "librt.so",
+    "libgcc_s.so",
+    "libstdc++.so",
+    "ld-linux",
+    "linux-vdso",
+)
 
 
 _TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
@@ -115,11 +142,17 @@ _TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 def archive(path: Path) -> Finding:
     """A zip file of deflated or stored entries with forward slashes, no links, nothing that leaves its folder."""
     # Looks at the file only: comes before anything is unpacked.
-    wrong = [str(problem).removeprefix(f"FMU {path}: ").rstrip(".") for problem in problems(path) if problem.check in ARCHIVE_CHECKS]
+    wrong = [
+        str(problem).removeprefix(f"FMU {path}: ").rstrip(".")
+        for problem in problems(path)
+        if problem.check in ARCHIVE_CHECKS
+    ]
     with zipfile.ZipFile(path) as packed:
         items = packed.infolist()
     wrong += [
-        f"the entry {item.filename!r} is packed by a method other than deflate" for item in items if item.compress_type not in _METHODS
+        f"the entry {item.filename!r} is packed by a method other than deflate"
+        for item in items
+        if item.compress_type not in _METHODS
     ]
     unpacked = sum(item.file_size for item in items)
     return unless(wrong, f"{len(items)} entries, {path.stat().st_size} bytes, {unpacked} unpacked.")
@@ -127,7 +160,9 @@ def archive(path: Path) -> Finding:
 
 def library_path(subject: Subject, kind: str) -> Path:
     """Where the binary for this machine must be."""
-    return subject.folder / binary_name(subject.description.fmiVersion, subject.interface(kind).modelIdentifier)
+    return subject.folder / binary_name(
+        subject.description.fmiVersion, subject.interface(kind).modelIdentifier
+    )
 
 
 # Seconds of compilation.
@@ -143,19 +178,36 @@ def _sources_of(subject: Subject, kind: str) -> tuple[list[str], list[str], list
         described = read_build_description(str(subject.folder), validate=False)
     except Exception as error:  # FMPy raises anything
         raise FmuError(f"sources/buildDescription.xml cannot be read ({error})") from error
-    configurations, identifier = (*described, *subject.description.buildConfigurations), subject.interface(kind).modelIdentifier
-    sets = next((item.sourceFileSets for item in configurations if item.modelIdentifier == identifier), [])
+    configurations, identifier = (
+        (*described, *subject.description.buildConfigurations),
+        subject.interface(kind).modelIdentifier,
+    )
+    sets = next(
+        (item.sourceFileSets for item in configurations if item.modelIdentifier == identifier), []
+    )
     definitions = (item for one in sets for item in one.preprocessorDefinitions)
     return (
         [name or "" for one in sets for name in one.sourceFiles],
         [name or "" for one in sets for name in one.includeDirectories],
-        [item.name if item.value is None else f"{item.name}={item.value}" for item in definitions if not item.optional],
+        [
+            item.name if item.value is None else f"{item.name}={item.value}"
+            for item in definitions
+            if not item.optional
+        ],
     )
 
 
-def _compile(subject: Subject, files: list[str], folders: list[str], definitions: list[str], library: Path) -> str:
-    """Compile an unpacked FMU's binary to `library`; by which compiler. Raises FmuError with what the compiler says, MachineError without one."""
-    from models.fmu.description import find_standard, standard_headers  # SymPy with it, 0.6 s, which few FMUs need
+def _compile(
+    subject: Subject, files: list[str], folders: list[str], definitions: list[str], library: Path
+) -> str:
+    """Compile an unpacked FMU's binary to `library`; by which compiler.
+
+    Raises FmuError with what the compiler says, MachineError without one.
+    """
+    from models.fmu.description import (
+        find_standard,
+        standard_headers,
+    )  # SymPy with it, 0.6 s, which few FMUs need
 
     place, compiler = (subject.folder / "sources").resolve(), find_compiler()
     paths = [(place / name).resolve() for name in (*files, *folders)]
@@ -166,7 +218,12 @@ def _compile(subject: Subject, files: list[str], folders: list[str], definitions
     for name, text in standard_headers(find_standard(f"{subject.major}.0")).items():
         (headers / name).parent.mkdir(parents=True, exist_ok=True)
         (headers / name).write_text(text, encoding="utf-8")
-    includes = {place, *paths[len(files) :], headers, *(path.parent for path in headers.rglob("*.h"))}
+    includes = {
+        place,
+        *paths[len(files) :],
+        headers,
+        *(path.parent for path in headers.rglob("*.h")),
+    }
     command = [
         *(*compiler.command, "-O2", "-w", "-fPIC", "-shared"),
         f"-DFMI{subject.major}_OVERRIDE_FUNCTION_PREFIX",  # names as a shared library has them
@@ -177,8 +234,14 @@ def _compile(subject: Subject, files: list[str], folders: list[str], definitions
     ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=_LONGEST, check=False)
     if done.returncode:
-        lines = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines() or ["no word"]
-        raise FmuError(f"{compiler.command[0]} cannot compile it: {lines[0].replace(str(place), 'sources')}")
+        lines = (
+            [line for line in done.stderr.splitlines() if "error" in line]
+            or done.stderr.splitlines()
+            or ["no word"]
+        )
+        raise FmuError(
+            f"{compiler.command[0]} cannot compile it: {lines[0].replace(str(place), 'sources')}"
+        )
     return Path(compiler.command[0]).name
 
 
@@ -215,29 +278,53 @@ def exports(subject: Subject, kind: str) -> Finding:
         return failed(f"{path.relative_to(subject.folder)}: {error}.")
     machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
     if library.machine != machine:
-        return failed(f"{path.relative_to(subject.folder)} is for {library.machine}, but this platform is {machine}.")
-    required = {name for name in dir(CLASSES[subject.major, kind]) if name.startswith(f"fmi{subject.major}") and name[4:5].isupper()}
+        return failed(
+            f"{path.relative_to(subject.folder)} is for {library.machine}, but this platform is {machine}."
+        )
+    required = {
+        name
+        for name in dir(CLASSES[subject.major, kind])
+        if name.startswith(f"fmi{subject.major}") and name[4:5].isupper()
+    }
     if missing := sorted(required - library.exported):
-        return failed(f"{len(missing)} missing: {', '.join(missing[:6])}{' and more' if len(missing) > 6 else ''}.")
-    foreign = [name for name in library.needed if not name.startswith(_EVERYWHERE) and not (path.parent / name).exists()]
+        return failed(
+            f"{len(missing)} missing: {', '.join(missing[:6])}{' and more' if len(missing) > 6 else ''}."
+        )
+    foreign = [
+        name
+        for name in library.needed
+        if not name.startswith(_EVERYWHERE) and not (path.parent / name).exists()
+    ]
     needs = f", needs {', '.join(foreign)} of the machine" if foreign else ""
-    return passed(f"all {len(required)} are there{f', glibc {library.glibc} or newer' if library.glibc else ''}{needs}.")
+    return passed(
+        f"all {len(required)} are there{f', glibc {library.glibc} or newer' if library.glibc else ''}{needs}."
+    )
 
 
 @check("description is valid", Scope.FILE, clauses=("2.2", "2.4"))
 def valid(path: Path) -> Finding:
-    """modelDescription.xml obeys its schema and the rules of FMI (FMPy's validation); the binary is called by a C identifier; terminals name variables that there are."""
+    """modelDescription.xml obeys its schema and the rules of FMI (FMPy's validation).
+
+    The binary is called by a C identifier; terminals name variables that there are.
+    """
     # Looks at the unpacked folder; comes before the description is read without validation.
     with without_garbage():
-        problems = [" ".join(str(problem).split()).rstrip(".") for problem in _by_fmpy(path)] + _of_terminals(path)
+        problems = [
+            " ".join(str(problem).split()).rstrip(".") for problem in _by_fmpy(path)
+        ] + _of_terminals(path)
     return unless(problems, "0 problems.")
 
 
 def _by_fmpy(path: Path) -> list[str]:
-    """What FMPy's validation says; of names only those go through its parser, a millisecond each, that are no plain ones."""
+    """What FMPy's validation says.
+
+    Of names only those go through its parser, a millisecond each, that are no plain ones.
+    """
     problems, description = [], None
     try:
-        description = read_model_description(str(path), validate=True, validate_model_structure=True)
+        description = read_model_description(
+            str(path), validate=True, validate_model_structure=True
+        )
     except ValidationError as error:
         problems = list(error.problems)
         with contextlib.suppress(FmuError):  # it has said why
@@ -246,8 +333,14 @@ def _by_fmpy(path: Path) -> list[str]:
         return [in_words(error)]
     if description is not None:
         names = copy.copy(description)
-        names.modelVariables = [item for item in description.modelVariables if not _PLAIN.fullmatch(item.name)]
-        found = validate_model_description(names, validate_variable_names=True) if names.modelVariables else []
+        names.modelVariables = [
+            item for item in description.modelVariables if not _PLAIN.fullmatch(item.name)
+        ]
+        found = (
+            validate_model_description(names, validate_variable_names=True)
+            if names.modelVariables
+            else []
+        )
         problems += [problem for problem in found if problem not in problems] + unfit(description)
     return problems
 
@@ -262,13 +355,27 @@ def _of_terminals(folder: Path) -> list[str]:
     except (ElementTree.ParseError, ValueError) as error:
         return [f"{_TERMINALS} is no XML that can be read ({error})"]
     with contextlib.suppress(ElementTree.ParseError):  # told by FMPy's validation
-        known = {item.get("name") for item in ElementTree.parse(folder / "modelDescription.xml").iter() if "valueReference" in item.attrib}
+        known = {
+            item.get("name")
+            for item in ElementTree.parse(folder / "modelDescription.xml").iter()
+            if "valueReference" in item.attrib
+        }
         named = [item.get("variableName") for item in root.iter("TerminalMemberVariable")]
-        wrong = [f"{_TERMINALS} names the variable {name!r}, which there is not" for name in named if name not in known]
+        wrong = [
+            f"{_TERMINALS} names the variable {name!r}, which there is not"
+            for name in named
+            if name not in known
+        ]
         for parent in root.iter():
             for kind, attribute in (("Terminal", "name"), ("TerminalMemberVariable", "memberName")):
-                names = [item.get(attribute) for item in parent.findall(kind) if item.get(attribute)]
-                wrong += [f"{_TERMINALS} has the {attribute} {name!r} twice" for name in dict.fromkeys(names) if names.count(name) > 1]
+                names = [
+                    item.get(attribute) for item in parent.findall(kind) if item.get(attribute)
+                ]
+                wrong += [
+                    f"{_TERMINALS} has the {attribute} {name!r} twice"
+                    for name in dict.fromkeys(names)
+                    if names.count(name) > 1
+                ]
         return wrong
     return []
 
@@ -276,7 +383,11 @@ def _of_terminals(folder: Path) -> list[str]:
 @check("variables are consistent", Scope.FILE, clauses=("2.2.7", "2.4.7"))
 def consistent(subject: Subject) -> Finding:
     """Starts lie within ranges, ranges are not empty, nominals positive, units of derivatives those of states per second."""
-    wrong = [*itertools.chain.from_iterable(map(_of_variable, subject.variables)), *_of_aliases(subject), *_of_derivatives(subject)]
+    wrong = [
+        *itertools.chain.from_iterable(map(_of_variable, subject.variables)),
+        *_of_aliases(subject),
+        *_of_derivatives(subject),
+    ]
     if not subject.description.guid:
         wrong.append("the GUID or instantiation token is empty")
     return unless(wrong, f"{len(subject.variables)} variables.")
@@ -287,7 +398,9 @@ def _of_variable(item: FmuVariable) -> list[str]:
     if item.lower > item.upper:
         wrong.append(f"{item.name} has the empty range {item.lower:g} .. {item.upper:g}")
     elif item.start is not None and ((item.start < item.lower) | (item.start > item.upper)).any():
-        wrong.append(f"{item.name} starts at {item.start[0]:g}, outside its range {item.lower:g} .. {item.upper:g}")
+        wrong.append(
+            f"{item.name} starts at {item.start[0]:g}, outside its range {item.lower:g} .. {item.upper:g}"
+        )
     if item.start is not None and not all(map(math.isfinite, item.start)):
         wrong.append(f"{item.name} starts at {item.start[0]:g}")
     if item.nominal is not None and not (item.nominal > 0.0 and math.isfinite(item.nominal)):
@@ -301,21 +414,36 @@ def _of_aliases(subject: Subject) -> list[str]:
     wrong = []
     for item in subject.variables:
         other = first.setdefault((item.reference, item.type), item)
-        if other.start is not None and item.start is not None and not (other.start == item.start).all():
-            wrong.append(f"{other.name} and {item.name} have one value reference, {item.reference}, but different starts")
+        if (
+            other.start is not None
+            and item.start is not None
+            and not (other.start == item.start).all()
+        ):
+            wrong.append(
+                f"{other.name} and {item.name} have one value reference, {item.reference}, but different starts"
+            )
     return wrong
 
 
 def _of_derivatives(subject: Subject) -> list[str]:
     """A derivative's unit must be that of its state per second, where both are defined by base units."""
-    units = {unit.name: unit.baseUnit for unit in subject.description.unitDefinitions if unit.baseUnit is not None}
+    units = {
+        unit.name: unit.baseUnit
+        for unit in subject.description.unitDefinitions
+        if unit.baseUnit is not None
+    }
     return [
         f"{rate.name} has the unit {rate.unit}, but is the derivative of {state.name} in {state.unit}"
         for rate, state in subject.rates
-        if rate.unit in units and state.unit in units and _exponents(units[rate.unit]) != _exponents(units[state.unit], seconds=-1)
+        if rate.unit in units
+        and state.unit in units
+        and _exponents(units[rate.unit]) != _exponents(units[state.unit], seconds=-1)
     ]
 
 
 def _exponents(base: Any, seconds: int = 0) -> tuple[int, ...]:
     """Exponents of the base units; an angle counts as a number, as many models mix the two."""
-    return tuple(int(getattr(base, name)) + (seconds if name == "s" else 0) for name in ("kg", "m", "s", "A", "K", "mol", "cd"))
+    return tuple(
+        int(getattr(base, name)) + (seconds if name == "s" else 0)
+        for name in ("kg", "m", "s", "A", "K", "mol", "cd")
+    )

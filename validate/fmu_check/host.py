@@ -1,8 +1,10 @@
 """check_fmu(): the file is checked, unpacked, and checked by the table of checks in an isolated child (validate.execution.isolated).
 
-    run_checks({"path": ..., "folder": ..., "told": ..., "names": [...], "seconds": 60}, {}) -> what the rows are about
+    run_checks({"path": ..., "folder": ..., "told": ..., "names": [...], "seconds": 60}, {}) -> what
+    the rows are about
 
-is what the child runs: each check in a fork of its own. It appends each row to the file `told`, as a line of JSON, when the check has ended.
+is what the child runs: each check in a fork of its own. It appends each row to the file `told`, as
+a line of JSON, when the check has ended.
 """
 
 from __future__ import annotations
@@ -24,8 +26,27 @@ from validate.fmi import cvode
 from validate.fmi.archive import ARCHIVE_CHECKS, ArchiveError, FmuError, check_archive, unpack
 from validate.fmi.description import read_description
 from validate.fmi.instance import Lacking, Misbehaviour, TerminationRequested
-from validate.fmu_check import clocks, communication, derivatives, exchange, files, importers, reference, states, values
-from validate.fmu_check.check import Check, CheckReport, Finding, FmuCheckRow, Status, failed, in_fork, not_offered
+from validate.fmu_check import (
+    clocks,
+    communication,
+    derivatives,
+    exchange,
+    files,
+    importers,
+    reference,
+    states,
+    values,
+)
+from validate.fmu_check.check import (
+    Check,
+    CheckReport,
+    Finding,
+    FmuCheckRow,
+    Status,
+    failed,
+    in_fork,
+    not_offered,
+)
 from validate.fmu_check.subject import Subject
 from validate.store.disk import temporary_folder
 
@@ -36,10 +57,13 @@ STATIC: tuple[Check, ...] = (files.archive, files.valid)
 FIRST = communication.lives
 READING: tuple[Check, ...] = (files.consistent, files.compiled, files.exports)
 BEHAVIOUR: tuple[Check, ...] = (
-    FIRST, values.readable, values.starts, values.obeyed, values.finite, values.still, values.get_order,
-    communication.keeps_time, communication.stop_time, communication.event_mode, communication.early_return,
+    FIRST, values.readable, values.starts, values.obeyed, values.finite, values.still,
+    values.get_order,
+    communication.keeps_time, communication.stop_time, communication.event_mode,
+    communication.early_return,
     communication.intermediate_update, communication.input_derivatives,
-    states.repeats, states.resets, states.independent, states.leaks, states.surrounded, states.token, states.restores, states.serialises,
+    states.repeats, states.resets, states.independent, states.leaks, states.surrounded,
+    states.token, states.restores, states.serialises,
     exchange.arrays, exchange.nominals, exchange.indicators, exchange.told,
     derivatives.directional, derivatives.adjoint, derivatives.dependencies, derivatives.rates,
     exchange.agree, clocks.ticking, clocks.activated, reference.stored, *importers.CHECKS,
@@ -52,7 +76,9 @@ _ALWAYS = (FIRST.name, files.compiled.name)
 
 def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, Any]:
     """See the module docstring."""
-    if set(request["names"]) >= set(NAMES) - set(_BY_OTHERS):  # a few of them may need no integrator, which may be missing
+    if set(request["names"]) >= set(NAMES) - set(
+        _BY_OTHERS
+    ):  # a few of them may need no integrator, which may be missing
         cvode.functions()  # 7 ms, once, before anything is forked
     table = _Table(request)
     path, folder = Path(request["path"]), Path(request["folder"])
@@ -74,14 +100,22 @@ def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, An
         for kind in item.scope.value:
             if kind in ("", *types):
                 table.of_description(item, kind, subject)
-    return {"version": description.fmiVersion, "types": types, "lacking": table.lacking or not table.ran}
+    return {
+        "version": description.fmiVersion,
+        "types": types,
+        "lacking": table.lacking or not table.ran,
+    }
 
 
 class _Table:
     """Writes the rows, and knows which types turned out not to run."""
 
     def __init__(self, request: dict[str, Any]) -> None:
-        self._names, self._seconds, self._told = request["names"], request["seconds"], Path(request["told"])
+        self._names, self._seconds, self._told = (
+            request["names"],
+            request["seconds"],
+            Path(request["told"]),
+        )
         self.major = int(request["version"][:1] or 0)
         self._broken: set[str] = set()
         self.ran = False  # whether any of its code could be run
@@ -122,7 +156,10 @@ class _Table:
         return found
 
     def _found(self, item: Check, kind: str, arguments: tuple[Any, ...]) -> Finding:
-        """What the check finds, or what kept it from that; shorter once more where the FMU ends the simulation."""
+        """What the check finds, or what kept it from that.
+
+        Shorter once more where the FMU ends the simulation.
+        """
         while True:
             try:
                 status, *rest = in_fork(lambda: item(*arguments), self._seconds, own_group=True)
@@ -134,7 +171,9 @@ class _Table:
             except Lacking as lack:
                 return not_offered(f"{lack}.")
             except Misbehaviour as fault:
-                if item in STATIC:  # none of the FMU's code ran: a large description takes FMPy's validation minutes
+                if (
+                    item in STATIC
+                ):  # none of the FMU's code ran: a large description takes FMPy's validation minutes
                     return not_offered(f"it was not found out within {self._seconds:g} s: {fault}.")
                 return failed(f"{fault}.")
 
@@ -143,14 +182,29 @@ class _Table:
             self._row(item, kind, not_offered(sentence), time.monotonic())
 
     def _row(self, item: Check, kind: str, found: Finding, began: float) -> None:
-        row = {"name": item.name, "type": kind, "claim": item.claim, "status": found.status, "sentence": found.sentence}
+        row = {
+            "name": item.name,
+            "type": kind,
+            "claim": item.claim,
+            "status": found.status,
+            "sentence": found.sentence,
+        }
         with self._told.open("a", encoding="utf-8") as file:
-            file.write(f"{json.dumps({**row, 'seconds': time.monotonic() - began, 'clause': item.clause(self.major)})}\n")
+            file.write(
+                f"{json.dumps({**row, 'seconds': time.monotonic() - began, 'clause': item.clause(self.major)})}\n"
+            )
 
 
 def _shorten(subject: Subject, kind: str, end: float) -> bool:
-    """Let runs end before `end` [s]; whether that is earlier than it was, and leaves a step to make."""
-    earlier = {name: end for name in ((kind,) if kind else subject.types) if end < subject.ends.get(name, math.inf)}
+    """Let runs end before `end` [s].
+
+    Whether that is earlier than it was, and leaves a step to make.
+    """
+    earlier = {
+        name: end
+        for name in ((kind,) if kind else subject.types)
+        if end < subject.ends.get(name, math.inf)
+    }
     subject.ends |= earlier
     return bool(earlier) and all(subject.before_end(name, 1) for name in subject.ends)
 
@@ -173,20 +227,33 @@ def check_fmu(
 ) -> CheckReport:
     """All checks of an FMU file, or those named.
 
-    importers: also by other people's importers, where no names are given; seconds: of the clock, for each check; waived: the reason why a failure of the check of this name is right; told: called with each row as soon as it is there.
-    Raises ArchiveError if the file is no FMU of version 2.0 or 3.0, MachineError if this machine cannot, UnknownNameError for a name.
+    importers: also by other people's importers, where no names are given; seconds: of the clock,
+        for each check; waived: the reason why a failure of the check of this name is right; told:
+        called with each row as soon as it is there.
+    Raises ArchiveError if the file is no FMU of version 2.0 or 3.0, MachineError if this machine
+        cannot, UnknownNameError for a name.
     """
     waived = waived or {}
     for name in (*(names or ()), *waived):
         if name not in NAMES:
             there = f"there are: {', '.join(NAMES)}."
-            raise UnknownNameError(f"there is no check {name!r}; {did_you_mean(name, NAMES, there)}")
-    asked = (*names, *_ALWAYS) if names is not None else NAMES if importers else [name for name in NAMES if name not in _BY_OTHERS]
+            raise UnknownNameError(
+                f"there is no check {name!r}; {did_you_mean(name, NAMES, there)}"
+            )
+    asked = (
+        (*names, *_ALWAYS)
+        if names is not None
+        else NAMES
+        if importers
+        else [name for name in NAMES if name not in _BY_OTHERS]
+    )
     rows: list[FmuCheckRow] = []
 
     def take(row: FmuCheckRow) -> None:
         if row.status is Status.FAILED and row.name in waived:
-            row = replace(row, status=Status.WAIVED, sentence=f"{row.sentence} Waived: {waived[row.name]}")
+            row = replace(
+                row, status=Status.WAIVED, sentence=f"{row.sentence} Waived: {waived[row.name]}"
+            )
         rows.append(row)
         if told is not None:
             told(row)
@@ -197,9 +264,27 @@ def check_fmu(
         if error.check not in ARCHIVE_CHECKS:
             raise
         finding, reason = files.archive(path), "the archive is not unpacked: it is unsafe."
-        take(FmuCheckRow(name=NAMES[0], type="", claim=files.archive.claim, status=finding.status, sentence=finding.sentence, seconds=0.0))
+        take(
+            FmuCheckRow(
+                name=NAMES[0],
+                type="",
+                claim=files.archive.claim,
+                status=finding.status,
+                sentence=finding.sentence,
+                seconds=0.0,
+            )
+        )
         for name in NAMES[1:]:
-            take(FmuCheckRow(name=name, type="", claim="", status=Status.NOT_OFFERED, sentence=reason, seconds=0.0))
+            take(
+                FmuCheckRow(
+                    name=name,
+                    type="",
+                    claim="",
+                    status=Status.NOT_OFFERED,
+                    sentence=reason,
+                    seconds=0.0,
+                )
+            )
         return CheckReport(path=str(path), version="", types=(), rows=tuple(rows))
     with temporary_folder("touchstone-check-") as folder:
         unpacked, lines = folder / "fmu", folder / "rows.jsonl"
@@ -207,23 +292,36 @@ def check_fmu(
         unpack(archive, unpacked)
         lines.touch()
         request = {
-            "path": str(path.resolve()), "folder": str(unpacked), "told": str(lines), "version": archive.version, "seconds": seconds,
+            "path": str(path.resolve()), "folder": str(unpacked), "told": str(lines),
+            "version": archive.version, "seconds": seconds,
             "runnable": bool(archive.kinds), "names": list(asked),
         }  # fmt: skip
         limits = Limits(seconds=60.0 + 2 * len(NAMES) * seconds, memory=_MEMORY)
         with _following(lines, take):
-            done = run_isolated("validate.fmu_check.host:run_checks", request, limits=limits, what=f"the check of {path}")
+            done = run_isolated(
+                "validate.fmu_check.host:run_checks",
+                request,
+                limits=limits,
+                what=f"the check of {path}",
+            )
     if done.ending is Ending.MACHINE:
         raise MachineError(done.sentence)
     if not done.ok:
-        raise MachineError(f"{done.sentence.rstrip('.')}; the checks themselves did not come to an end.")
+        raise MachineError(
+            f"{done.sentence.rstrip('.')}; the checks themselves did not come to an end."
+        )
     version, types, lacking = (done.value[name] for name in ("version", "types", "lacking"))
-    return CheckReport(path=str(path), version=version, types=tuple(types), rows=tuple(rows), unrunnable=lacking)
+    return CheckReport(
+        path=str(path), version=version, types=tuple(types), rows=tuple(rows), unrunnable=lacking
+    )
 
 
 @contextlib.contextmanager
 def _following(lines: Path, take: Callable[[FmuCheckRow], None]) -> Iterator[None]:
-    """Give each row to `take` soon after its line is in the file; all of them before the end. What that raises, a closed pipe for example, is raised here."""
+    """Give each row to `take` soon after its line is in the file; all of them before the end.
+
+    What that raises, a closed pipe for example, is raised here.
+    """
     over = threading.Event()
 
     def follow() -> None:

@@ -1,6 +1,7 @@
 """Runs of an instance, and how far two of them are apart: communication steps of Co-Simulation, and CVODE with event location over Model Exchange.
 
-A run is a pure function of the instance's state, the steps and the inputs: two runs from equal states must give equal bits.
+A run is a pure function of the instance's state, the steps and the inputs: two runs from equal
+states must give equal bits.
 """
 
 from __future__ import annotations
@@ -19,11 +20,14 @@ from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Failed
 from validate.fmu_check.subject import HOLD, CheckedInstance, Subject
 
-# Runs that should be equal may differ by this share of a variable's size where an FMU's own integrator starts afresh.
+# Runs that should be equal may differ by this share of a variable's size where an FMU's own
+# integrator starts afresh.
 _RESTART = 1e-6
 
 
-def compare(subject: Subject, one: np.ndarray, other: np.ndarray, first: int = 0) -> tuple[float, str]:
+def compare(
+    subject: Subject, one: np.ndarray, other: np.ndarray, first: int = 0
+) -> tuple[float, str]:
     """How far two runs are apart.
 
     Parameters
@@ -34,7 +38,8 @@ def compare(subject: Subject, one: np.ndarray, other: np.ndarray, first: int = 0
 
     Returns
     -------
-    The difference that is largest as a share of the variable's size over the run [-], infinite for runs of different length; the variable, the difference
+    The difference that is largest as a share of the variable's size over the run [-], infinite for
+        runs of different length; the variable, the difference
     and the time as a clause, empty where the runs are equal bit for bit.
 
     Raises
@@ -43,20 +48,29 @@ def compare(subject: Subject, one: np.ndarray, other: np.ndarray, first: int = 0
     """
     if len(one) != len(other):
         end = subject.time(first + min(len(one), len(other)))
-        return np.inf, f"the length of the run ({len(one)} against {len(other)} steps) differs by inf at t = {end:.6g} s"
+        return (
+            np.inf,
+            f"the length of the run ({len(one)} against {len(other)} steps) differs by inf at t = {end:.6g} s",
+        )
     if np.array_equal(one, other, equal_nan=True):
         return 0.0, ""
     with np.errstate(invalid="ignore"):
         apart = np.where(one == other, 0.0, np.abs(one - other))
-    apart = np.where(np.isnan(one) & np.isnan(other), 0.0, np.nan_to_num(apart, nan=np.inf, posinf=np.inf))
-    size = np.maximum(np.nan_to_num(np.abs(one), nan=0.0, posinf=0.0).max(axis=0), subject.observed.scales * 1e-6)
+    apart = np.where(
+        np.isnan(one) & np.isnan(other), 0.0, np.nan_to_num(apart, nan=np.inf, posinf=np.inf)
+    )
+    size = np.maximum(
+        np.nan_to_num(np.abs(one), nan=0.0, posinf=0.0).max(axis=0), subject.observed.scales * 1e-6
+    )
     shares = apart / size
     row, column = np.unravel_index(int(np.argmax(shares)), shares.shape)
     where = f"{subject.observed.names[column]} differs by {apart[row, column]:.2g} at t = {subject.time(first + int(row)):.6g} s"
     return float(shares[row, column]), where
 
 
-def require_equal(subject: Subject, one: np.ndarray, other: np.ndarray, clause: str, first: int = 0) -> None:
+def require_equal(
+    subject: Subject, one: np.ndarray, other: np.ndarray, clause: str, first: int = 0
+) -> None:
     """Raise Failed if two runs differ in any bit.
 
     Parameters
@@ -73,7 +87,9 @@ def require_equal(subject: Subject, one: np.ndarray, other: np.ndarray, clause: 
         raise Failed(f"{clause}, {where}.")
 
 
-def fresh_run(subject: Subject, kind: str, steps: int, name: str = "check", **how: Any) -> np.ndarray:
+def fresh_run(
+    subject: Subject, kind: str, steps: int, name: str = "check", **how: Any
+) -> np.ndarray:
     """A run of a fresh instance from its start; how: see `run`.
 
     Returns
@@ -97,13 +113,15 @@ def restart_limit(subject: Subject) -> float:
 TOLERANCE = 1e-6
 # Internal steps to the next communication point before the integrator is given up.
 _STEP_LIMIT = 200_000
-# More events than this in one run: it ends here, as does one whose events crowd (a bouncing ball that comes to rest).
+# More events than this in one run: it ends here, as does one whose events crowd (a bouncing ball
+# that comes to rest).
 _MOST_EVENTS = 2000
 _CROWDED = 1e-7
 # What changes by more than this share of its size at an event update jumps.
 _JUMP = 1e-8
-# Less than this, as a share of the time (of 1 s near 0), is no time to integrate over: what is so near a time event is at it. It is 450 units in the last
-# place of 1: a time that an FMU sums up from 500 periods, as many as the longest run has steps, is up to 250 units off.
+# Less than this, as a share of the time (of 1 s near 0), is no time to integrate over: what is so
+# near a time event is at it. It is 450 units in the last place of 1: a time that an FMU sums up
+# from 500 periods, as many as the longest run has steps, is up to 250 units off.
 _NO_TIME = 1e-13
 
 
@@ -111,8 +129,10 @@ _NO_TIME = 1e-13
 class Record:
     """What a run of Model Exchange noted.
 
-    events: (time, indicators that crossed, indicators there); surprises: jumps at events that nothing announced, in words; untold: states that an event
-    changed and the FMU did not say so, in words; crowded: from when on events crowd; most: events after which the run ends.
+    events: (time, indicators that crossed, indicators there); surprises: jumps at events that
+        nothing announced, in words; untold: states that an event
+    changed and the FMU did not say so, in words; crowded: from when on events crowd; most: events
+        after which the run ends.
     """
 
     events: list[tuple[float, tuple[int, ...], np.ndarray]] = field(default_factory=list)
@@ -154,7 +174,8 @@ def run(
 
     Returns
     -------
-    (last - first + 1, observed) values of all variables [unit of each variable], at the beginning and at each step's end; (1, observed) of the end.
+    (last - first + 1, observed) values of all variables [unit of each variable], at the beginning
+        and at each step's end; (1, observed) of the end.
 
     Raises
     ------
@@ -162,12 +183,18 @@ def run(
     """
     subject = instance.subject
     rows = [instance.observe()] if observe == "each" else []
-    exchange = contextlib.closing(Exchange(instance, TOLERANCE, record=record)) if instance.kind == "ME" else contextlib.nullcontext()
+    exchange = (
+        contextlib.closing(Exchange(instance, TOLERANCE, record=record))
+        if instance.kind == "ME"
+        else contextlib.nullcontext()
+    )
     with exchange as mover, contextlib.suppress(Crowded):
         for step in range(first, last):
             if step == first or step % HOLD == 0:
                 values = subject.inputs_at(step, seed)
-                mover.jump(subject.time(step), values) if mover else instance.set(subject.continuous_inputs, values)
+                mover.jump(subject.time(step), values) if mover else instance.set(
+                    subject.continuous_inputs, values
+                )
             mover.advance(subject.time(step + 1)) if mover else instance.make_step(step)
             if observe == "each":
                 rows.append(instance.observe())
@@ -185,15 +212,25 @@ def by_adams_or_bdf(simulate: Callable[[tuple[int, int]], Any]) -> Any:
 
 
 class Exchange:
-    """CVODE over an instance in Continuous-Time Mode; drive: called after each change of the time [s], to set inputs that move with it."""
+    """CVODE over an instance in Continuous-Time Mode.
+
+    drive: called after each change of the time [s], to set inputs that move with it.
+    """
 
     def __init__(
-        self, instance: CheckedInstance, rtol: float, method: tuple[int, int] = BDF, *, drive: Any = None, record: Record | None = None
+        self,
+        instance: CheckedInstance,
+        rtol: float,
+        method: tuple[int, int] = BDF,
+        *,
+        drive: Any = None,
+        record: Record | None = None,
     ) -> None:
         self.instance, self._drive, self.record = instance, drive, record or Record()
         self.problem: Exception | None = None
         self.count, indicators = instance.state_count, instance.indicator_count
-        # An FMU without continuous states still has time and events: a state that stands still lets CVODE find them.
+        # An FMU without continuous states still has time and events: a state that stands still lets
+        # CVODE find them.
         self.nominal = np.abs(instance.nominals()) if self.count else np.ones(1)
         self.nominal[~(self.nominal > 0.0)] = 1.0
         self.time = math.nan
@@ -204,7 +241,8 @@ class Exchange:
             self._filling(fmu.getEventIndicators, indicators, in_vector=False),
         )
         self._solver = Cvode(
-            method, self.y, rates=self._calls[0], indicators=self._calls[1], count=indicators, rtol=rtol, absolute=0.1 * rtol * self.nominal,
+            method, self.y, rates=self._calls[0], indicators=self._calls[1], count=indicators,
+            rtol=rtol, absolute=0.1 * rtol * self.nominal,
             min_step=0.0, max_step=10.0 * instance.subject.step, max_steps=_STEP_LIMIT,
         )  # fmt: skip
 
@@ -234,7 +272,10 @@ class Exchange:
         self._solver.close()
 
     def advance(self, target: float) -> None:
-        """Integrate to `target` through all events; the instance is left there. Raises Crowded where events do not end."""
+        """Integrate to `target` through all events; the instance is left there.
+
+        Raises Crowded where events do not end.
+        """
         instance = self.instance
         while self.time < target:
             if self.time >= self.record.crowded:
@@ -251,13 +292,19 @@ class Exchange:
             if problem is not None:
                 raise problem
             if flag < 0:
-                raise Misbehaviour(f"CVODE cannot integrate its derivatives beyond t = {self.time:.6g} s ({why(flag)})")
+                raise Misbehaviour(
+                    f"CVODE cannot integrate its derivatives beyond t = {self.time:.6g} s ({why(flag)})"
+                )
             self.time = self._solver.time
             self._move(self.time, self.y)
             root = flag == ROOT_RETURN
             wanted = instance.wants_steps and not root and instance.completed()
             if root or wanted or (self.time >= instance.next_event):
-                crossed = tuple(int(place) for place in np.flatnonzero(self._solver.roots)) if root else ()
+                crossed = (
+                    tuple(int(place) for place in np.flatnonzero(self._solver.roots))
+                    if root
+                    else ()
+                )
                 self._event(crossed)
         self._move(target, self.y)
 
@@ -275,7 +322,9 @@ class Exchange:
             self.update_unannounced()
         events.append((self.time, crossed, indicators))
         length = self.instance.subject.step
-        if len(events) >= self.record.most or (len(events) > 20 and self.time - events[-20][0] < 20 * _CROWDED * length):
+        if len(events) >= self.record.most or (
+            len(events) > 20 and self.time - events[-20][0] < 20 * _CROWDED * length
+        ):
             self.record.crowded = self.time
         self.renew(self.time)
 
@@ -288,7 +337,10 @@ class Exchange:
         before, rates = instance.states(), instance.rates()
         self._update()
         largest = np.maximum(np.abs(rates).max(), self.nominal)
-        for what, old, new, scale in (("state", before, instance.states(), self.nominal), ("derivative", rates, instance.rates(), largest)):
+        for what, old, new, scale in (
+            ("state", before, instance.states(), self.nominal),
+            ("derivative", rates, instance.rates(), largest),
+        ):
             self.record.surprises += self._jumps(what, old, new, scale)
 
     def _update(self) -> None:
@@ -303,7 +355,10 @@ class Exchange:
             self.record.untold += self._jumps("state", before, self.instance.states(), self.nominal)
 
     def _jumps(self, what: str, old: np.ndarray, new: np.ndarray, scale: np.ndarray) -> list[str]:
-        """The largest jump of states, or of derivatives, (nx,) [unit of each], in words; nothing if none jumps."""
+        """The largest jump of states, or of derivatives, (nx,) [unit of each], in words.
+
+        Nothing if none jumps.
+        """
         jump = np.abs(new - old) / np.maximum(np.abs(old), scale)
         place = int(np.argmax(jump))
         if not jump[place] > _JUMP:
@@ -311,7 +366,9 @@ class Exchange:
         subject = self.instance.subject
         names = (subject.states if what == "state" else subject.derivatives).names
         name = names[place] if place < len(names) else f"{what} {place}"
-        return [f"{name} from {old[place]:.6g} to {new[place]:.6g} at t = {self.instance.time:.6g} s"]
+        return [
+            f"{name} from {old[place]:.6g} to {new[place]:.6g} at t = {self.instance.time:.6g} s"
+        ]
 
     def _move(self, time: float, y: np.ndarray) -> None:
         self.instance.move(time, y[: self.count])
@@ -319,7 +376,10 @@ class Exchange:
             self._drive(time)
 
     def _filling(self, call: Callable[[Any, int], Any], size: int, *, in_vector: bool) -> Any:
-        """What CVODE calls for rates, or indicators, at a time and states; in_vector: whether into a vector of its own, not an array."""
+        """What CVODE calls for rates, or indicators, at a time and states.
+
+        in_vector: whether into a vector of its own, not an array.
+        """
         states, values = ctypes.c_double * self.count, ctypes.c_double * size
         unset = values(*[math.nan] * size)
 
@@ -329,7 +389,9 @@ class Exchange:
             try:
                 self.instance.set_time(time)
                 if self.count:
-                    self.instance.fmu.setContinuousStates(states.from_address(array_of(y)), self.count)
+                    self.instance.fmu.setContinuousStates(
+                        states.from_address(array_of(y)), self.count
+                    )
                 if self._drive is not None:
                     self._drive(time)
                 call(values.from_address(place), size)

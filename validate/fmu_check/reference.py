@@ -1,8 +1,10 @@
 """Reference solutions: an FMU's motion with an error bar for each variable and time, and whether results that others stored keep what they claim.
 
-Model Exchange is integrated by CVODE at three tolerances, Co-Simulation stepped with h, h/2, h/4 and h/8, all through the same inputs. The bar of the
-finest run is how far the second finest is from it nearby, times a factor for what both share; where runs do not come nearer to each other it is how far
-all of them are apart. What neither a step nor a tolerance changes has no bar that could be known, and is refused.
+Model Exchange is integrated by CVODE at three tolerances, Co-Simulation stepped with h, h/2, h/4
+and h/8, all through the same inputs. The bar of the finest run is how far the second finest is from
+it nearby, times a factor for what both share; where runs do not come nearer to each other it is how
+far all of them are apart. What neither a step nor a tolerance changes has no bar that could be
+known, and is refused.
 """
 
 from __future__ import annotations
@@ -23,17 +25,30 @@ from validate.fmi.archive import FmuError
 from validate.fmi.cvode import ADAMS
 from validate.fmi.description import read_description
 from validate.fmi.instance import Fault, TerminationRequested
-from validate.fmi.references import LS_REF, StoredResult, Table, missing_attributes, read_settings, read_table, read_text, stored_results
+from validate.fmi.references import (
+    LS_REF,
+    StoredResult,
+    Table,
+    missing_attributes,
+    read_settings,
+    read_table,
+    read_text,
+    stored_results,
+)
 from validate.fmi.surroundings import listed
 from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
 from validate.fmu_check.motion import Crowded, Exchange, Record, by_adams_or_bdf
 from validate.fmu_check.subject import RUN_SECONDS, Block, CheckedInstance, FmuVariable, Subject
 
 # Tolerances of CVODE, and into how many parts communication steps are divided: the finest last.
-_RTOLS, _PARTS = (1e-6, 1e-8, 1e-10), (1, 2, 4, 8)
+_RTOLS = (1e-6, 1e-8, 1e-10)
+_PARTS = (1, 2, 4, 8)
 _TOLERANCES = (1e-4, 1e-6, 1e-8)
-# A bar is this many times what two runs are apart, within so many rows of a number; and so many units in its last place.
-_SAFETY, _NEARBY, _ULPS = 4.0, 3, 64.0
+# A bar is this many times what two runs are apart, within so many rows of a number; and so many
+# units in its last place.
+_SAFETY = 4.0
+_NEARBY = 3
+_ULPS = 64.0
 # Points of an experiment that names no step.
 POINTS = 500
 # Events of one run, before they are called endless.
@@ -57,23 +72,35 @@ class Signals:
         last = max(int(self.times.searchsorted(time, side="left" if early else "right")) - 1, 0)
         after = min(last + 1, len(self.times) - 1)
         length = self.times[after] - self.times[last]
-        share = (time - self.times[last]) / length if length > 0.0 and time > self.times[last] else 0.0
+        share = (
+            (time - self.times[last]) / length if length > 0.0 and time > self.times[last] else 0.0
+        )
         begin = self.values[last]
-        return np.where(self.variables.continuous, begin + share * (self.values[after] - begin), begin)
+        return np.where(
+            self.variables.continuous, begin + share * (self.values[after] - begin), begin
+        )
 
     def lines(self) -> Signals:
         """Those alone that move between the times. Raises nothing."""
-        return Signals(self.times, Block(item for item in self.variables if item.is_continuous), self.values[:, self.variables.continuous])
+        return Signals(
+            self.times,
+            Block(item for item in self.variables if item.is_continuous),
+            self.values[:, self.variables.continuous],
+        )
 
     def jumps(self) -> np.ndarray:
         """(n,) times [s] at which a value jumps: there twice, or of a variable that does not move between. Raises nothing."""
-        jumps = (np.diff(self.times) == 0.0) | (np.diff(self.values[:, ~self.variables.continuous], axis=0) != 0.0).any(axis=1)
+        jumps = (np.diff(self.times) == 0.0) | (
+            np.diff(self.values[:, ~self.variables.continuous], axis=0) != 0.0
+        ).any(axis=1)
         return np.unique(self.times[1:][jumps])
 
 
 @dataclass(frozen=True)
 class ErrorBounded:
-    """values, bars: (rows, entries) of the watched variables [unit of each]; before: the same where an input jumps, just before that; events: times [s].
+    """values, bars: (rows, entries) of the watched variables [unit of each].
+
+    before: the same where an input jumps, just before that; events: times [s].
 
     how: by what it was found, in words.
     """
@@ -92,8 +119,14 @@ def signals_of(subject: Subject, where: str, table: Table | None) -> Signals:
     variables = Block(named(subject, where, name, column) for name, column in table.columns.items())
     for item in variables:
         if item.causality != "input":
-            raise FmuError(f"{where}: {item.name!r} is no input, but {item.causality}; leave the column out.")
-    return Signals(table.times, variables, np.hstack([np.empty((len(table.times), 0)), *table.columns.values()]))
+            raise FmuError(
+                f"{where}: {item.name!r} is no input, but {item.causality}; leave the column out."
+            )
+    return Signals(
+        table.times,
+        variables,
+        np.hstack([np.empty((len(table.times), 0)), *table.columns.values()]),
+    )
 
 
 def no_variable(subject: Subject, where: str, name: str) -> FmuError:
@@ -107,11 +140,15 @@ def named(subject: Subject, where: str, name: str, column: np.ndarray) -> FmuVar
     if (item := subject.by_name.get(name)) is None:
         raise no_variable(subject, where, name)
     if column.shape[1] != item.size:
-        raise FmuError(f"{where}: {name!r} has {column.shape[1]} numbers a time; the variable has {item.size}.")
+        raise FmuError(
+            f"{where}: {name!r} has {column.shape[1]} numbers a time; the variable has {item.size}."
+        )
     return item
 
 
-def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watched: Block) -> ErrorBounded:
+def solve(
+    subject: Subject, kind: str, times: np.ndarray, signals: Signals, watched: Block
+) -> ErrorBounded:
     """Values and error bars at some times.
 
     Parameters
@@ -123,7 +160,8 @@ def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watc
 
     Returns
     -------
-    ErrorBounded. Source: the comparison of two tolerances or steps (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.4).
+    ErrorBounded. Source: the comparison of two tolerances or steps (Hairer, Norsett, Wanner,
+        Solving Ordinary Differential Equations I, II.4).
 
     Raises
     ------
@@ -131,14 +169,24 @@ def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watc
     """
     runs: list[_Run]
     if kind == "ME":
-        method, runs = by_adams_or_bdf(lambda by: (by, [_exchanged(subject, times, signals, watched, rtol, by) for rtol in _RTOLS]))
+        method, runs = by_adams_or_bdf(
+            lambda by: (
+                by,
+                [_exchanged(subject, times, signals, watched, rtol, by) for rtol in _RTOLS],
+            )
+        )
         how = f"CVODE ({'Adams' if method is ADAMS else 'BDF'}) at the tolerances {', '.join(f'{rtol:g}' for rtol in _RTOLS)}"
     else:
-        parts = _PARTS if subject.can(kind, "canHandleVariableCommunicationStepSize") else _PARTS[:1]
+        parts = (
+            _PARTS if subject.can(kind, "canHandleVariableCommunicationStepSize") else _PARTS[:1]
+        )
         runs = [_stepped(subject, times, signals, watched, number, None) for number in parts]
         how = f"communication steps h/1 .. h/{parts[-1]}, h = {subject.step:g} s"
         if _same([run.rows for run in runs]):
-            runs = [_stepped(subject, times, signals, watched, 1, tolerance) for tolerance in _TOLERANCES]
+            runs = [
+                _stepped(subject, times, signals, watched, 1, tolerance)
+                for tolerance in _TOLERANCES
+            ]
             how = f"the FMU's own tolerances {', '.join(f'{value:g}' for value in _TOLERANCES)}"
         if _same([run.rows for run in runs]):
             if ((np.ptp(runs[-1].rows, axis=0) != 0.0) & watched.continuous).any():
@@ -148,12 +196,16 @@ def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watc
                 )
             how = "steps and tolerances alike, as nothing continuous moves"
     for rows in (rows for run in runs for rows in (run.before, run.rows)):
-        for row, column in np.argwhere(~np.isfinite(rows))[:1]:  # it is no reference, and no bar can be told of it
+        for row, column in np.argwhere(~np.isfinite(rows))[
+            :1
+        ]:  # it is no reference, and no bar can be told of it
             raise FmuError(
                 f"{watched.names[column]} is {rows[row, column]:g} at t = {times[row]:.6g} s, which is no number to hold others against; "
                 "end the experiment before that."
             )
-    return ErrorBounded(runs[-1].rows, runs[-1].before, bars([run.rows for run in runs]), runs[-1].events, how)
+    return ErrorBounded(
+        runs[-1].rows, runs[-1].before, bars([run.rows for run in runs]), runs[-1].events, how
+    )
 
 
 class _Run(NamedTuple):
@@ -189,7 +241,9 @@ def bars(runs: Sequence[np.ndarray]) -> np.ndarray:
         return np.broadcast_to(rounding, finest.shape)
     near = _nearby(np.abs(finest - runs[-2]))
     before = _nearby(np.abs(runs[-2] - runs[-3])) if len(runs) > 2 else near
-    stalls = near.max(axis=0) > 0.7 * before.max(axis=0)  # what does not shrink tells nothing about the limit
+    stalls = near.max(axis=0) > 0.7 * before.max(
+        axis=0
+    )  # what does not shrink tells nothing about the limit
     return _SAFETY * np.where(stalls, np.maximum(near, before), near) + rounding
 
 
@@ -199,7 +253,14 @@ def _nearby(rows: np.ndarray) -> np.ndarray:
     return np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEARBY + 1, axis=0).max(axis=-1)
 
 
-def _exchanged(subject: Subject, times: np.ndarray, signals: Signals, watched: Block, rtol: float, method: tuple[int, int]) -> _Run:
+def _exchanged(
+    subject: Subject,
+    times: np.ndarray,
+    signals: Signals,
+    watched: Block,
+    rtol: float,
+    method: tuple[int, int],
+) -> _Run:
     """By CVODE."""
     with CheckedInstance(subject, "ME", "reference") as instance:
         lines = signals.lines()
@@ -209,7 +270,13 @@ def _exchanged(subject: Subject, times: np.ndarray, signals: Signals, watched: B
             instance.set(lines.variables, lines.at(time, early=time > begun[-1]))
 
         instance.begin(during=(signals.variables, signals.values[0]))
-        mover = Exchange(instance, rtol, method, drive=drive if lines.variables else None, record=Record(most=_EVENTS))
+        mover = Exchange(
+            instance,
+            rtol,
+            method,
+            drive=drive if lines.variables else None,
+            record=Record(most=_EVENTS),
+        )
 
         def jump(time: float) -> None:
             instance.fmu.enterEventMode()
@@ -236,10 +303,19 @@ def _exchanged(subject: Subject, times: np.ndarray, signals: Signals, watched: B
             ) from None
         finally:
             mover.close()
-        return _Run(np.array(rows), np.array(before), np.array([event[0] for event in mover.record.events]))
+        return _Run(
+            np.array(rows), np.array(before), np.array([event[0] for event in mover.record.events])
+        )
 
 
-def _stepped(subject: Subject, times: np.ndarray, signals: Signals, watched: Block, parts: int, tolerance: float | None) -> _Run:
+def _stepped(
+    subject: Subject,
+    times: np.ndarray,
+    signals: Signals,
+    watched: Block,
+    parts: int,
+    tolerance: float | None,
+) -> _Run:
     """By communication steps: the inputs of the middle of each during it, those of its end after it."""
     with CheckedInstance(subject, "CS", "reference") as instance:
         instance.tolerance = tolerance
@@ -267,24 +343,34 @@ def _in_words() -> Iterator[None]:
     try:
         yield
     except FMICallException as error:
-        raise FmuError(f"it refuses a call that must be possible ({str(error).rstrip('.')}).") from error
+        raise FmuError(
+            f"it refuses a call that must be possible ({str(error).rstrip('.')})."
+        ) from error
     except TerminationRequested as end:
-        raise FmuError(f"it asks for the end of the simulation at t = {end.time:.6g} s; end the experiment before that.") from end
+        raise FmuError(
+            f"it asks for the end of the simulation at t = {end.time:.6g} s; end the experiment before that."
+        ) from end
     except Fault as fault:
         raise FmuError(f"{fault}.") from fault
 
 
-def run_reference(request: dict[str, Any], arrays: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def run_reference(
+    request: dict[str, Any], arrays: dict[str, np.ndarray]
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """In the isolated child: request and answer of `reference_solution`, arrays (rows, entries) [unit of each]. Raises FmuError."""
     folder = Path(request["folder"])
     subject = Subject(Path(request["path"]), folder, read_description(folder))
     times = arrays.pop("times")
     subject.start_time = float(times[0])
     columns = {name: arrays[f"input {place}"] for place, name in enumerate(request["inputs"])}
-    signals = signals_of(subject, request["input_file"], Table(arrays["input_times"], columns) if columns else None)
+    signals = signals_of(
+        subject, request["input_file"], Table(arrays["input_times"], columns) if columns else None
+    )
     watched = Block(dict.fromkeys([*subject.outputs, *subject.states]))
     if not watched:
-        raise FmuError("it has neither outputs nor states that are numbers: there is nothing to write.")
+        raise FmuError(
+            "it has neither outputs nor states that are numbers: there is nothing to write."
+        )
     with _in_words():
         found = solve(subject, request["type"], times, signals, watched)
     names, sizes = [item.name for item in watched], [item.size for item in watched]
@@ -295,7 +381,10 @@ def run_reference(request: dict[str, Any], arrays: dict[str, np.ndarray]) -> tup
 def reference_solution(
     request: dict[str, Any], arrays: dict[str, np.ndarray], seconds: float
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """`run_reference` in a process of its own, for at most so many seconds; arrays (rows, entries) [unit of each]. Raises FmuError, MachineError."""
+    """`run_reference` in a process of its own, for at most so many seconds.
+
+    Arrays (rows, entries) [unit of each]. Raises FmuError, MachineError.
+    """
     function, limits = "validate.fmu_check.reference:run_reference", Limits(seconds=seconds)
     done = run_isolated(function, request, arrays, limits=limits, what="the reference solution")
     if not done.ok:
@@ -306,7 +395,12 @@ def reference_solution(
 @check("stored results hold", Scope.FILE)
 def stored(subject: Subject) -> Finding:
     """Reference results that come with the FMU, in its LS-REF folder or beside it, are as exact as they claim."""
-    told: dict[Callable[[str], Finding], list[str]] = {failed: [], advice: [], passed: [], not_offered: []}
+    told: dict[Callable[[str], Finding], list[str]] = {
+        failed: [],
+        advice: [],
+        passed: [],
+        not_offered: [],
+    }
     try:
         results = list(stored_results(subject.folder, subject.path))
         if missing := missing_attributes(subject.folder):
@@ -315,7 +409,11 @@ def stored(subject: Subject) -> Finding:
         return failed(f"{str(error).rstrip('.')}.")
     for result in results if subject.types else ():
         try:
-            outcome, sentence = (advice, str(result)) if isinstance(result, FmuError) else _of_result(subject, result)
+            outcome, sentence = (
+                (advice, str(result))
+                if isinstance(result, FmuError)
+                else _of_result(subject, result)
+            )
         except FmuError as error:
             outcome, sentence = failed, str(error)
         told[outcome].append(sentence.rstrip("."))
@@ -335,17 +433,33 @@ def _of_result(subject: Subject, result: StoredResult) -> tuple[Callable[[str], 
             raise no_variable(subject, where, name.strip())
     table = read_table(where, text, others)
     watched = Block(named(subject, where, name, column) for name, column in table.columns.items())
-    settings = read_settings(result.settings.name, read_text(result.settings)) if result.settings else result.experiment
-    claims, driven = (read_table(path.name, read_text(path)) if path else None for path in (result.error, result.inputs))
+    settings = (
+        read_settings(result.settings.name, read_text(result.settings))
+        if result.settings
+        else result.experiment
+    )
+    claims, driven = (
+        read_table(path.name, read_text(path)) if path else None
+        for path in (result.error, result.inputs)
+    )
     inputs = signals_of(subject, result.inputs.name if result.inputs else "", driven)
-    if claims is not None and ([*claims.columns] != [*table.columns] or not np.array_equal(claims.times, table.times)):
+    if claims is not None and (
+        [*claims.columns] != [*table.columns] or not np.array_equal(claims.times, table.times)
+    ):
         raise FmuError(f"{where}: its error bars have other columns or times than it")
-    subject = Subject(subject.path, subject.folder, subject.description, dict(subject.pace), dict(subject.ends))
-    subject.start_time = settings["StartTime"] if settings else min(subject.start_time, float(table.times[0]))
+    subject = Subject(
+        subject.path, subject.folder, subject.description, dict(subject.pace), dict(subject.ends)
+    )
+    subject.start_time = (
+        settings["StartTime"] if settings else min(subject.start_time, float(table.times[0]))
+    )
     kind = subject.types[0]
     rows = _affordable(subject, kind, table.times)
     if rows < 2:
-        return not_offered, f"{where}: a step of the FMU takes {subject.pace[kind]:.1g} s, too long to try"
+        return (
+            not_offered,
+            f"{where}: a step of the FMU takes {subject.pace[kind]:.1g} s, too long to try",
+        )
     try:
         with _in_words():
             found = solve(subject, kind, table.times[:rows], inputs, watched)
@@ -354,33 +468,62 @@ def _of_result(subject: Subject, result: StoredResult) -> tuple[Callable[[str], 
     theirs = np.hstack(list(table.columns.values()))[:rows]
     size = np.maximum(np.abs(found.values).max(axis=0), 1e-3 * watched.scales)
     apart = _apart(watched, theirs, found, table.times[:rows])
-    stated = np.hstack(list(claims.columns.values()))[:rows] if claims else (settings["RelTol"] if settings else subject.tolerance) * size
-    excess = apart - stated - found.bars - _TEXT * np.minimum(size, np.abs(theirs)) * (claims is None and settings is None)
-    row, column = np.unravel_index(int(np.argmax(np.where(np.isfinite(excess), excess / size, np.inf))), excess.shape)
+    stated = (
+        np.hstack(list(claims.columns.values()))[:rows]
+        if claims
+        else (settings["RelTol"] if settings else subject.tolerance) * size
+    )
+    excess = (
+        apart
+        - stated
+        - found.bars
+        - _TEXT * np.minimum(size, np.abs(theirs)) * (claims is None and settings is None)
+    )
+    row, column = np.unravel_index(
+        int(np.argmax(np.where(np.isfinite(excess), excess / size, np.inf))), excess.shape
+    )
     names, worst = watched.names, apart / size
     shown = f"{where}: {len(names)} values at {rows} times, off by up to {np.nanmax(worst):.2g} of their size"
-    claim = "its error bars" if claims else f"the tolerance {settings['RelTol'] if settings else subject.tolerance:g}"
+    claim = (
+        "its error bars"
+        if claims
+        else f"the tolerance {settings['RelTol'] if settings else subject.tolerance:g}"
+    )
     if not excess[row, column] > 0.0 and np.isfinite(excess[row, column]):
         return passed, f"{shown}, within {claim}; by {found.how}"
     clause = f"{where}: {names[column]} is {theirs[row, column]:.9g} at t = {table.times[row]:.6g} s, by {found.how} {found.values[row, column]:.9g} +- {found.bars[row, column]:.1g}"
     if claims or settings:
         allowed = f"{claim} allow{'' if claims else 's'} {np.broadcast_to(stated, apart.shape)[row, column]:.2g}"
         return failed, f"{clause}: {apart[row, column]:.2g} off, where {allowed}"
-    if not worst[row, column] <= _ANOTHER and (again := _again(subject, watched, table.times[:rows], inputs, theirs, size)):
+    if not worst[row, column] <= _ANOTHER and (
+        again := _again(subject, watched, table.times[:rows], inputs, theirs, size)
+    ):
         return failed, f"{clause}; {again}"
-    return advice, f"{clause}: {worst[row, column]:.1g} of its size off, and it does not say how exact it is"
+    return (
+        advice,
+        f"{clause}: {worst[row, column]:.1g} of its size off, and it does not say how exact it is",
+    )
 
 
 def _affordable(subject: Subject, kind: str, times: np.ndarray) -> int:
     """How many of the times are reached within some seconds, by all runs together."""
     runs = len(_RTOLS) if kind == "ME" else sum(_PARTS)
-    pace = subject.pace.get(kind, 0.0) * runs * max(1.0, float(times[-1] - times[0]) / (max(len(times) - 1, 1) * subject.step))
+    pace = (
+        subject.pace.get(kind, 0.0)
+        * runs
+        * max(1.0, float(times[-1] - times[0]) / (max(len(times) - 1, 1) * subject.step))
+    )
     most = len(times) if pace <= 0.0 else min(len(times), int(5.0 * RUN_SECONDS / pace))
     return int(np.searchsorted(times[:most], subject.ends.get(kind, np.inf)))
 
 
-def _apart(watched: Block, theirs: np.ndarray, found: ErrorBounded, times: np.ndarray) -> np.ndarray:
-    """(rows, entries) how far stored values are off [unit of each]. At an event either value counts, and those between; of what is not continuous, the neighbours'."""
+def _apart(
+    watched: Block, theirs: np.ndarray, found: ErrorBounded, times: np.ndarray
+) -> np.ndarray:
+    """(rows, entries) how far stored values are off [unit of each].
+
+    At an event either value counts, and those between; of what is not continuous, the neighbours'.
+    """
     apart = np.abs(theirs - found.values)
     discrete = ~watched.continuous
     for row in range(len(times)):
@@ -388,17 +531,35 @@ def _apart(watched: Block, theirs: np.ndarray, found: ErrorBounded, times: np.nd
         eventful = ((found.events >= times[first]) & (found.events <= times[last])).any()
         either = discrete | eventful
         near = np.vstack([found.values[first : last + 1], found.before[row]])
-        outside = np.maximum(np.maximum(near.min(axis=0) - theirs[row], theirs[row] - near.max(axis=0)), 0.0)
-        apart[row] = np.where(either, outside, np.minimum(apart[row], np.abs(theirs[row] - found.before[row])))
+        outside = np.maximum(
+            np.maximum(near.min(axis=0) - theirs[row], theirs[row] - near.max(axis=0)), 0.0
+        )
+        apart[row] = np.where(
+            either, outside, np.minimum(apart[row], np.abs(theirs[row] - found.before[row]))
+        )
     return apart
 
 
-def _again(subject: Subject, watched: Block, times: np.ndarray, inputs: Signals, theirs: np.ndarray, size: np.ndarray) -> str:
-    """Why a result that is far off is wrong: plain Co-Simulation does not give it either; empty if it does."""
+def _again(
+    subject: Subject,
+    watched: Block,
+    times: np.ndarray,
+    inputs: Signals,
+    theirs: np.ndarray,
+    size: np.ndarray,
+) -> str:
+    """Why a result that is far off is wrong: plain Co-Simulation does not give it either.
+
+    Empty if it does.
+    """
     with contextlib.suppress(FmuError):
         if "CS" in subject.types:
             with _in_words():
                 plain = _stepped(subject, times, inputs, watched, 1, None).rows
             off = float((np.abs(plain - theirs) / size).max())
-            return f"plain Co-Simulation is {off:.2g} of its size off as well" if not off <= _ANOTHER else ""
+            return (
+                f"plain Co-Simulation is {off:.2g} of its size off as well"
+                if not off <= _ANOTHER
+                else ""
+            )
     return "nothing of it is what the FMU gives"

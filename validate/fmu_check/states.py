@@ -1,9 +1,10 @@
 """What an instance remembers, and what it leaves behind in the process whose guest it is.
 
-A saved state restores everything, serialised in another process too; runs repeat, reset forgets everything, instances do not know each other, and
-what is freed is given back. What is looked at while an instance lives are folder, environment, signals, descriptors and floating-point modes
-(validate.fmi.surroundings); after it was freed, child processes, threads, open files and files on the disk, of which each life of an instance must not
-leave more.
+A saved state restores everything, serialised in another process too; runs repeat, reset forgets
+everything, instances do not know each other, and what is freed is given back. What is looked at
+while an instance lives are folder, environment, signals, descriptors and floating-point modes
+(validate.fmi.surroundings); after it was freed, child processes, threads, open files and files on
+the disk, of which each life of an instance must not leave more.
 """
 
 from __future__ import annotations
@@ -27,22 +28,36 @@ import numpy as np
 
 from validate.fmi.instance import Fault, Misbehaviour
 from validate.fmi.surroundings import changes, listed, surroundings, symbols
-from validate.fmu_check.check import Finding, Scope, advice, check, failed, in_fork, not_offered, passed, unless
+from validate.fmu_check.check import (
+    Finding,
+    Scope,
+    advice,
+    check,
+    failed,
+    in_fork,
+    not_offered,
+    passed,
+    unless,
+)
 from validate.fmu_check.motion import compare, fresh_run, require_equal, restart_limit, run
 from validate.fmu_check.subject import CheckedInstance, Subject
 
 # Where in a run states are saved.
 _SHARES = (0.0, 0.3, 0.7)
-# The error of an integrator that starts afresh: with this tolerance it is at most this share of what it is with the FMU's own, and at different times
-# it varies by such a factor.
-_TIGHT, _SHRUNK, _SAFETY = 1e-8, 0.1, 4.0
+# The error of an integrator that starts afresh: with this tolerance it is at most this share of
+# what it is with the FMU's own, and at different times it varies by such a factor.
+_TIGHT = 1e-8
+_SHRUNK = 0.1
+_SAFETY = 4.0
 # Seconds for one half of the serialisation check.
 _HALF_SECONDS = 25.0
-# Memory taken before the FMU is loaded a second time, so that nothing lies where it lay: an address in the bytes shows.
+# Memory taken before the FMU is loaded a second time, so that nothing lies where it lay: an address
+# in the bytes shows.
 _SHIFT = 37 * 1024**2
 
 # How FMI 2.0 and 3.0 spell it.
-_SAVES, _SERIALISES = ("canGetAndSetFMUstate", "canGetAndSetFMUState"), ("canSerializeFMUstate", "canSerializeFMUState")
+_SAVES = ("canGetAndSetFMUstate", "canGetAndSetFMUState")
+_SERIALISES = ("canSerializeFMUstate", "canSerializeFMUState")
 
 
 @check("set state restores", Scope.EACH, clauses=("2.1.8", "2.2.7.4"), needs=_SAVES)
@@ -59,28 +74,41 @@ def restores(subject: Subject, kind: str) -> Finding:
             before = instance.observe()
             saved, next_event = instance.save(), instance.next_event
             reference = run(instance, place, place + length)
-            run(instance, place + length, place + 2 * length, seed=1)  # elsewhere, with other inputs
+            run(
+                instance, place + length, place + 2 * length, seed=1
+            )  # elsewhere, with other inputs
             state = f"the state saved at t = {subject.time(place):.6g} s"
             for turn in ("", "a second time "):
                 _restore(instance, saved, next_event, place)
-                _, where = compare(subject, before[np.newaxis], instance.observe()[np.newaxis], place)
+                _, where = compare(
+                    subject, before[np.newaxis], instance.observe()[np.newaxis], place
+                )
                 if where:
                     return failed(f"{state} was set {turn}again, but {where}.")
-                share, where = compare(subject, reference, run(instance, place, place + length), place)
+                share, where = compare(
+                    subject, reference, run(instance, place, place + length), place
+                )
                 if share > limit and limit == restart_limit(subject):
                     limit = max(limit, _restart_error(subject, kind, place, length))
                 if share > limit:
                     return failed(f"continued {turn}from {state}, {where}.")
                 worst = max(worst, share)
             instance.forget(saved)
-    how = "equal bits" if worst == 0.0 else f"equal to {worst:.1g} of their size (its integrator starts afresh)"
-    return passed(f"saved at {len(places)} times, set twice each, continued for {length} steps: {how}.")
+    how = (
+        "equal bits"
+        if worst == 0.0
+        else f"equal to {worst:.1g} of their size (its integrator starts afresh)"
+    )
+    return passed(
+        f"saved at {len(places)} times, set twice each, continued for {length} steps: {how}."
+    )
 
 
 def _restart_error(subject: Subject, kind: str, first: int, length: int) -> float:
     """How far a run that goes on from a set state may be from the first one, as a share of a variable's size, because the FMU's integrator starts afresh.
 
-    That error shrinks with the FMU's tolerance; what was forgotten does not. 0 where a tighter tolerance does not help.
+    That error shrinks with the FMU's tolerance; what was forgotten does not. 0 where a tighter
+    tolerance does not help.
     """
     shares = []
     for tolerance in (None, _TIGHT) if kind == "CS" else ():
@@ -97,14 +125,20 @@ def _restart_error(subject: Subject, kind: str, first: int, length: int) -> floa
 
 
 def _restore(instance: CheckedInstance, saved: Any, next_event: float, step: int) -> None:
-    """Set a saved state; to Model Exchange the time of its step and its next event are given again: both are from outside, and need not be part of it."""
+    """Set a saved state.
+
+    To Model Exchange the time of its step and its next event are given again: both are from
+    outside, and need not be part of it.
+    """
     instance.restore(saved)
     if instance.kind == "ME":
         instance.set_time(instance.subject.time(step))
     instance.next_event = next_event
 
 
-@check("serialised state loads elsewhere", Scope.EACH, clauses=("2.1.8", "2.2.7.4"), needs=_SERIALISES)
+@check(
+    "serialised state loads elsewhere", Scope.EACH, clauses=("2.1.8", "2.2.7.4"), needs=_SERIALISES
+)
 def serialises(subject: Subject, kind: str) -> Finding:
     """The bytes of a state, loaded in a new process, continue as the first process did."""
     steps = subject.steps(kind)
@@ -117,7 +151,12 @@ def serialises(subject: Subject, kind: str) -> Finding:
             data = instance.fmu.serializeFMUState(saved)
             again = instance.fmu.serializeFMUState(saved)
             rows = run(instance, place, place + length)
-        return {"data": data.hex(), "same": data == again, "rows": rows.tolist(), "next": next_event}
+        return {
+            "data": data.hex(),
+            "same": data == again,
+            "rows": rows.tolist(),
+            "next": next_event,
+        }
 
     def second(data: bytes, next_event: float) -> list[list[float]]:
         junk = mmap.mmap(-1, _SHIFT)
@@ -142,14 +181,24 @@ def serialises(subject: Subject, kind: str) -> Finding:
         return failed(f"continued in a new process from the serialised state, {where}.")
     if not found["same"]:
         return failed("one state serialised twice gives different bytes.")
-    how = f"equal to {share:.1g} of their size (its integrator starts afresh)" if where else "equal bits"
-    return passed(f"{len(found['data']) // 2} bytes saved at t = {subject.time(place):.6g} s, continued for {length} steps: {how}.")
+    how = (
+        f"equal to {share:.1g} of their size (its integrator starts afresh)"
+        if where
+        else "equal bits"
+    )
+    return passed(
+        f"{len(found['data']) // 2} bytes saved at t = {subject.time(place):.6g} s, continued for {length} steps: {how}."
+    )
 
 
 # Steps of instances that are stepped in turn.
 _IN_TURN = 20
-# Runs before memory is measured, batches that are measured, runs in each (at most), seconds for all.
-_WARM, _BATCHES, _RUNS, _LEAK_SECONDS = 25, 6, 40, 3.0
+# Runs before memory is measured, batches that are measured, runs in each (at most), seconds for
+# all.
+_WARM = 25
+_BATCHES = 6
+_RUNS = 40
+_LEAK_SECONDS = 3.0
 # Bytes a run may keep: the least that malloc gives is 32, what is less on average is its noise.
 _KEPT = 24.0
 # Of few runs, so much a batch is Python's own [bytes].
@@ -181,7 +230,9 @@ def resets(subject: Subject, kind: str) -> Finding:
             clause = f"after reset{' from a terminated run' if terminated else ''}"
             require_equal(subject, reference, run(instance.begin(), 0, steps), clause)
             instance.fmu.reset()
-    return passed(f"reset after and without terminate, then {len(reference) - 1} steps each: equal bits.")
+    return passed(
+        f"reset after and without terminate, then {len(reference) - 1} steps each: equal bits."
+    )
 
 
 @check("instances do not disturb each other", Scope.EACH, clauses=("2.1.5", "2.3.1"))
@@ -194,7 +245,8 @@ def independent(subject: Subject, kind: str) -> Finding:
     def in_turn(name: str, *seeds: int) -> Iterator[np.ndarray]:
         """(steps + 1, observed) [unit of each variable] before and after each step, of an instance for each seed: two know other parameters and inputs.
 
-        Each is read again when another has stepped. Raises as `run`; Failed where that gives something else.
+        Each is read again when another has stepped. Raises as `run`; Failed where that gives
+        something else.
         """
         instances = {seed: CheckedInstance(subject, kind, f"{name} {seed}") for seed in seeds}
         for seed, instance in instances.items():
@@ -204,7 +256,9 @@ def independent(subject: Subject, kind: str) -> Finding:
             rows[seed].append(run(instance, step, step + 1, seed=seed, observe="end")[0])
             for other in instances.keys() - {seed}:
                 last, again = np.array(rows[other][-1:]), instances[other].observe()[np.newaxis]
-                require_equal(subject, last, again, "after a step of another instance", len(rows[other]) - 1)
+                require_equal(
+                    subject, last, again, "after a step of another instance", len(rows[other]) - 1
+                )
         for instance in instances.values():
             instance.close()
         yield from map(np.array, rows.values())
@@ -212,7 +266,9 @@ def independent(subject: Subject, kind: str) -> Finding:
     alone = [*in_turn("alone", 0), *in_turn("alone", 1)]
     for one, beside in zip(alone, in_turn("pair", 0, 1), strict=True):
         require_equal(subject, one, beside, "beside another instance")
-    return passed(f"{steps} steps each in turn, with different parameters and inputs, each read again after the other's step: equal bits.")
+    return passed(
+        f"{steps} steps each in turn, with different parameters and inputs, each read again after the other's step: equal bits."
+    )
 
 
 @check("freed instances give memory back", Scope.EACH, clauses=("2.1.5", "2.3.1"))
@@ -243,7 +299,9 @@ def leaks(subject: Subject, kind: str) -> Finding:
     began = time.perf_counter()
     for _ in range(5):
         once()
-    runs = int(np.clip(_LEAK_SECONDS / _BATCHES / ((time.perf_counter() - began) / 5 + 1e-6), 3, _RUNS))
+    runs = int(
+        np.clip(_LEAK_SECONDS / _BATCHES / ((time.perf_counter() - began) / 5 + 1e-6), 3, _RUNS)
+    )
     for _ in range(_WARM):
         once()
     marks = [_memory()]
@@ -252,11 +310,17 @@ def leaks(subject: Subject, kind: str) -> Finding:
             once()
         marks.append(_memory())
     grown = np.diff(np.array(marks), axis=0) / runs
-    for column, (what, kept) in enumerate((("allocated", max(_KEPT, _BATCH_KEPT / runs)), ("resident", _RESIDENT_KEPT))):
+    for column, (what, kept) in enumerate(
+        (("allocated", max(_KEPT, _BATCH_KEPT / runs)), ("resident", _RESIDENT_KEPT))
+    ):
         # A leak grows in every batch; what settles, or jumps once, is no leak.
         if np.min(grown[:, column]) > 0.0 and np.median(grown[:, column]) >= kept:
-            return failed(f"each run keeps {np.median(grown[:, column]):.0f} bytes of {what} memory ({runs * _BATCHES} runs).")
-    return passed(f"{runs * _BATCHES} runs: {max(0.0, np.median(grown[:, 0])):.0f} bytes kept by each.")
+            return failed(
+                f"each run keeps {np.median(grown[:, column]):.0f} bytes of {what} memory ({runs * _BATCHES} runs)."
+            )
+    return passed(
+        f"{runs * _BATCHES} runs: {max(0.0, np.median(grown[:, 0])):.0f} bytes kept by each."
+    )
 
 
 class _MallocInfo(ctypes.Structure):
@@ -266,7 +330,10 @@ class _MallocInfo(ctypes.Structure):
 
 
 def _memory() -> tuple[float, float]:
-    """(bytes allocated on the heap, bytes resident), Python's own garbage collected; 0 where the system does not tell."""
+    """(bytes allocated on the heap, bytes resident), Python's own garbage collected.
+
+    0 where the system does not tell.
+    """
     gc.collect()
     allocated = resident = 0.0
     if mallinfo2 := getattr(symbols(), "mallinfo2", None):  # of the GNU C library alone
@@ -279,8 +346,10 @@ def _memory() -> tuple[float, float]:
     return allocated, resident
 
 
-# Communication steps, or evaluations, of one life of an instance; and how long what it started may take to end [s].
-_LIFE, _GRACE = 20, 0.2
+# Communication steps, or evaluations, of one life of an instance; and how long what it started may
+# take to end [s].
+_LIFE = 20
+_GRACE = 0.2
 # Of prctl: what a process leaves behind becomes a child of ours.
 _CHILD_SUBREAPER = 36
 # How much of what was printed is quoted.
@@ -301,7 +370,11 @@ def surrounded(subject: Subject, kind: str) -> Finding:
         before, threads = surroundings(), _threads()
         _live(subject, kind, steps, wrong)
         after = surroundings()
-        wrong += [f"after an instance was freed {text}" for text in changes(before, after) if text not in " ".join(wrong)]
+        wrong += [
+            f"after an instance was freed {text}"
+            for text in changes(before, after)
+            if text not in " ".join(wrong)
+        ]
         if opened := {name for name in after if name.startswith("file descriptor")} - set(before):
             wrong.append(f"an instance leaves {_count(opened, 'file')} open")
         if more := _lasting(lambda: _threads() - threads):
@@ -353,7 +426,10 @@ def _children() -> set[int]:
     """Child processes; those that have ended are not counted, unless nobody can wait for them."""
     found: set[int] = set()
     for thread in _threads():
-        with contextlib.suppress(OSError), open(f"/proc/self/task/{thread}/children", encoding="ascii") as file:
+        with (
+            contextlib.suppress(OSError),
+            open(f"/proc/self/task/{thread}/children", encoding="ascii") as file,
+        ):
             found.update(map(int, file.read().split()))
     return found
 
@@ -388,4 +464,8 @@ def token(subject: Subject, kind: str) -> Finding:
     except Fault:
         return passed("it gives no instance for another one.")
     said = f"it gives an instance for the {'token' if subject.major >= 3 else 'GUID'} {description.guid!r}, which is not its own"
-    return failed(f"{said}.") if subject.major >= 3 else advice(f"{said}: a description of another version would go unnoticed.")
+    return (
+        failed(f"{said}.")
+        if subject.major >= 3
+        else advice(f"{said}: a description of another version would go unnoticed.")
+    )

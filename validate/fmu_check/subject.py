@@ -22,18 +22,33 @@ from validate.fmi.description import interface_of, without_garbage
 from validate.fmi.instance import CLASSES, Instance, Misbehaviour, References
 
 _FLOATS = ("Real", "Float64", "Float32")
-_WHOLE = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Enumeration")
-# Communication steps of a run that is repeated often; of one that is to meet the model's events, at most.
+_WHOLE = (
+    "Integer",
+    "Int8",
+    "UInt8",
+    "Int16",
+    "UInt16",
+    "Int32",
+    "UInt32",
+    "Int64",
+    "UInt64",
+    "Enumeration",
+)
+# Communication steps of a run that is repeated often; of one that is to meet the model's events, at
+# most.
 STEPS = {"CS": 100, "ME": 40}
 LONG_STEPS = 500
 # A run of a slow FMU is shortened to about this [s], but not below FEWEST_STEPS.
-RUN_SECONDS, FEWEST_STEPS = 2.0, 8
+RUN_SECONDS = 2.0
+FEWEST_STEPS = 8
 # Values of one run that are compared, at most, but for those FEWEST_STEPS.
 _MOST_VALUES = 4_000_000
 # Steps for which the inputs stay as they are.
 HOLD = 10
-# Inputs move about their starts by this share of their range, or of their size if they have no range.
-RANGE_SHARE, SIZE_SHARE = 0.3, 0.1
+# Inputs move about their starts by this share of their range, or of their size if they have no
+# range.
+RANGE_SHARE = 0.3
+SIZE_SHARE = 0.1
 # Parameters are varied by this share of their size.
 _VARIED = 0.01
 # Tolerance of an FMU that proposes none (the value FMI's own examples use).
@@ -42,7 +57,10 @@ DEFAULT_TOLERANCE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class FmuVariable:
-    """A variable of the FMU that has a number: `size` entries, start as numbers (or None); it may be read and set only while one of `clocks` ticks, if it has any."""
+    """A variable of the FMU that has a number: `size` entries, start as numbers (or None).
+
+    It may be read and set only while one of `clocks` ticks, if it has any.
+    """
 
     name: str
     reference: int
@@ -73,12 +91,17 @@ class FmuVariable:
         """Typical magnitude: the nominal, else that of the start, else 1."""
         if self.nominal:
             return abs(self.nominal)
-        size = float(np.max(np.abs(self.start))) if self.start is not None and self.start.size else 0.0
+        size = (
+            float(np.max(np.abs(self.start))) if self.start is not None and self.start.size else 0.0
+        )
         return size if size > 0.0 and math.isfinite(size) else 1.0
 
 
 class Block(tuple[FmuVariable, ...]):
-    """Variables that are read or written together, by one call a type; what that takes is found out once. Entries: all of the first variable, then of the second."""
+    """Variables that are read or written together, by one call a type.
+
+    What that takes is found out once. Entries: all of the first variable, then of the second.
+    """
 
     @cached_property
     def sizes(self) -> np.ndarray:
@@ -122,7 +145,15 @@ class Block(tuple[FmuVariable, ...]):
     @cached_property
     def starts(self) -> np.ndarray:
         """(entries,) starts, NaN without one [unit of each]. Raises nothing."""
-        return np.concatenate([np.empty(0), *(np.full(item.size, math.nan) if item.start is None else item.start for item in self)])
+        return np.concatenate(
+            [
+                np.empty(0),
+                *(
+                    np.full(item.size, math.nan) if item.start is None else item.start
+                    for item in self
+                ),
+            ]
+        )
 
     def near(self, share: float) -> np.ndarray:
         """Other values than the starts: `share` of the size away, on the side that the range allows; the same where it allows none.
@@ -135,20 +166,33 @@ class Block(tuple[FmuVariable, ...]):
         -------
         (entries,) [unit of each]. Raises nothing.
         """
-        value, upper, lower = self.starts, self.each(lambda item: item.upper), self.each(lambda item: item.lower)
+        value, upper, lower = (
+            self.starts,
+            self.each(lambda item: item.upper),
+            self.each(lambda item: item.lower),
+        )
         away = share * np.where(value == 0.0, self.scales, np.abs(value))
         above, below = value + away, value - away
         return np.where(above <= upper, above, np.where(below >= lower, below, value))
 
     def parts(self, fmu: Any) -> list[tuple[References, Any]]:
-        """Of each type its references, with memory, and the places of its entries; fmu: an object or class of `validate.fmi.instance`."""
+        """Of each type its references, with memory, and the places of its entries.
+
+        fmu: an object or class of `validate.fmi.instance`.
+        """
         if self._parts is None:
             self._parts = []
             kinds = [item.type for item in self]
             for kind in dict.fromkeys(kinds):
                 chosen = np.fromiter((other == kind for other in kinds), bool, len(kinds))
-                references = fmu.references(kind, [item.reference for item in self if item.type == kind], int(self.sizes[chosen].sum()))
-                self._parts.append((references, slice(None) if chosen.all() else np.repeat(chosen, self.sizes)))
+                references = fmu.references(
+                    kind,
+                    [item.reference for item in self if item.type == kind],
+                    int(self.sizes[chosen].sum()),
+                )
+                self._parts.append(
+                    (references, slice(None) if chosen.all() else np.repeat(chosen, self.sizes))
+                )
         return self._parts
 
     _parts: list[tuple[References, Any]] | None = None
@@ -163,8 +207,8 @@ NOTHING: Settings = (Block(), np.empty(0))
 class Subject:
     """An unpacked FMU.
 
-    `description` is FMPy's; `pace`: the seconds of one step of each type, once known; `ends`: the time [s] that a run of each type cannot reach, as
-    the FMU ended it before.
+    `description` is FMPy's; `pace`: the seconds of one step of each type, once known; `ends`: the
+    time [s] that a run of each type cannot reach, as the FMU ended it before.
     """
 
     path: Path
@@ -206,9 +250,22 @@ class Subject:
         return {variable.name: variable for variable in self.variables}
 
     def prepare(self) -> None:
-        """Find out, once for all forks, what follows from the description. Raises ValueError, KeyError for one that contradicts itself."""
+        """Find out, once for all forks, what follows from the description.
+
+        Raises ValueError, KeyError for one that contradicts itself.
+        """
         with without_garbage():
-            for name in ("_interfaces", "by_name", "states", "derivatives", "outputs", "observed", "continuous_inputs", "exact", "varied"):
+            for name in (
+                "_interfaces",
+                "by_name",
+                "states",
+                "derivatives",
+                "outputs",
+                "observed",
+                "continuous_inputs",
+                "exact",
+                "varied",
+            ):
                 getattr(self, name)
             for block in (self.observed, self.exact, self.varied[0]):
                 block.parts(CLASSES[self.major, "CS"])
@@ -216,12 +273,20 @@ class Subject:
 
     def of(self, unknowns: list[Any]) -> Block:
         """The variables of a section of the ModelStructure, those without numbers left out."""
-        return Block(self.by_name[item.variable.name] for item in unknowns if item.variable.name in self.by_name)
+        return Block(
+            self.by_name[item.variable.name]
+            for item in unknowns
+            if item.variable.name in self.by_name
+        )
 
     @cached_property
     def states(self) -> Block:
         """Of which the derivatives are listed, in that order."""
-        names = [item.variable.derivative.name for item in self.description.derivatives if item.variable.derivative is not None]
+        names = [
+            item.variable.derivative.name
+            for item in self.description.derivatives
+            if item.variable.derivative is not None
+        ]
         return Block(self.by_name[name] for name in names if name in self.by_name)
 
     @cached_property
@@ -232,8 +297,15 @@ class Subject:
     @cached_property
     def rates(self) -> list[tuple[FmuVariable, FmuVariable]]:
         """Variables that are derivatives, each with what it is the derivative of."""
-        named = [(item.name, getattr(item.derivative, "name", None)) for item in self.description.modelVariables]
-        return [(self.by_name[rate], self.by_name[state]) for rate, state in named if rate in self.by_name and state in self.by_name]
+        named = [
+            (item.name, getattr(item.derivative, "name", None))
+            for item in self.description.modelVariables
+        ]
+        return [
+            (self.by_name[rate], self.by_name[state])
+            for rate, state in named
+            if rate in self.by_name and state in self.by_name
+        ]
 
     @cached_property
     def outputs(self) -> Block:
@@ -243,22 +315,38 @@ class Subject:
     @cached_property
     def observed(self) -> Block:
         """One variable a value reference and type, but for clocked ones: what runs are compared by."""
-        return Block(list({(item.reference, item.type): item for item in reversed(self.variables) if not item.clocks}.values())[::-1])
+        return Block(
+            list(
+                {
+                    (item.reference, item.type): item
+                    for item in reversed(self.variables)
+                    if not item.clocks
+                }.values()
+            )[::-1]
+        )
 
     @cached_property
     def continuous_inputs(self) -> Block:
         """Continuous floating-point inputs."""
-        return Block(item for item in self.variables if item.causality == "input" and item.is_continuous)
+        return Block(
+            item for item in self.variables if item.causality == "input" and item.is_continuous
+        )
 
     @cached_property
     def clocks(self) -> Block:
         """Variables that tell the time."""
-        return Block(item for item in self.variables if item.causality == "independent" and item.is_float)
+        return Block(
+            item for item in self.variables if item.causality == "independent" and item.is_float
+        )
 
     @cached_property
     def exact(self) -> Block:
         """Variables whose start is their value in initialisation."""
-        return Block(item for item in self.variables if item.start is not None and (item.initial == "exact" or item.causality == "input"))
+        return Block(
+            item
+            for item in self.variables
+            if item.start is not None and (item.initial == "exact" or item.causality == "input")
+        )
 
     @cached_property
     def varied(self) -> Settings:
@@ -266,7 +354,10 @@ class Subject:
         parameters = Block(
             item
             for item in self.variables
-            if item.causality == "parameter" and item.is_float and item.variability != "constant" and item.start is not None
+            if item.causality == "parameter"
+            and item.is_float
+            and item.variability != "constant"
+            and item.start is not None
         )
         return parameters, parameters.near(_VARIED)
 
@@ -285,7 +376,10 @@ class Subject:
 
     @property
     def internal_step(self) -> float:
-        """The step [s] that Co-Simulation makes inside, as FMI 3.0 declares it; 0 where it does not."""
+        """The step [s] that Co-Simulation makes inside, as FMI 3.0 declares it.
+
+        0 where it does not.
+        """
         return float(getattr(self.description.coSimulation, "fixedInternalStepSize", None) or 0.0)
 
     @cached_property
@@ -309,16 +403,30 @@ class Subject:
     def long_steps(self, kind: str) -> int:
         """Communication steps of a run through the FMU's experiment."""
         length = self._experiment("stopTime", math.nan) - self.start_time
-        return self._affordable(kind, min(LONG_STEPS, max(STEPS["CS"], round(length / self.step))) if length > 0.0 else STEPS["CS"])
+        return self._affordable(
+            kind,
+            min(LONG_STEPS, max(STEPS["CS"], round(length / self.step)))
+            if length > 0.0
+            else STEPS["CS"],
+        )
 
     def _affordable(self, kind: str, steps: int) -> int:
         pace = self.pace.get(kind, 0.0)
         steps = min(steps, max(FEWEST_STEPS, _MOST_VALUES // max(len(self.observed), 1)))
-        return self.before_end(kind, steps if pace <= 0.0 else int(np.clip(RUN_SECONDS / pace, min(FEWEST_STEPS, steps), steps)))
+        return self.before_end(
+            kind,
+            steps
+            if pace <= 0.0
+            else int(np.clip(RUN_SECONDS / pace, min(FEWEST_STEPS, steps), steps)),
+        )
 
     def before_end(self, kind: str, steps: int) -> int:
         """So many steps, or as many as the FMU makes before it ends the simulation itself."""
-        left = math.ceil((self.ends.get(kind, math.inf) - self.start_time) / self.step - 1e-9) - 1 if kind in self.ends else steps
+        left = (
+            math.ceil((self.ends.get(kind, math.inf) - self.start_time) / self.step - 1e-9) - 1
+            if kind in self.ends
+            else steps
+        )
         return max(0, min(steps, left))
 
     def time(self, step: int) -> float:
@@ -326,14 +434,21 @@ class Subject:
         return self.start_time + step * self.step
 
     def inputs_at(self, step: int, seed: int = 0) -> np.ndarray:
-        """Values of the continuous inputs from this step on; they change every HOLD steps. Another seed, another signal.
+        """Values of the continuous inputs from this step on; they change every HOLD steps.
+
+        Another seed, another signal.
 
         Returns
         -------
         (nu,) [unit of each input]. Raises nothing.
         """
         start, size, lower, upper = self._inputs
-        return np.clip(start + size * np.random.default_rng([seed, step // HOLD]).uniform(-1.0, 1.0, start.shape), lower, upper)
+        return np.clip(
+            start
+            + size * np.random.default_rng([seed, step // HOLD]).uniform(-1.0, 1.0, start.shape),
+            lower,
+            upper,
+        )
 
     @cached_property
     def _inputs(self) -> tuple[np.ndarray, ...]:
@@ -341,7 +456,12 @@ class Subject:
         inputs = self.continuous_inputs
         lower, upper = inputs.each(lambda item: item.lower), inputs.each(lambda item: item.upper)
         bounded = np.isfinite(lower) & np.isfinite(upper)
-        return np.nan_to_num(inputs.starts), np.where(bounded, RANGE_SHARE * (upper - lower), SIZE_SHARE * inputs.scales), lower, upper
+        return (
+            np.nan_to_num(inputs.starts),
+            np.where(bounded, RANGE_SHARE * (upper - lower), SIZE_SHARE * inputs.scales),
+            lower,
+            upper,
+        )
 
 
 def _variable(item: Any) -> FmuVariable | None:
@@ -355,13 +475,20 @@ def _variable(item: Any) -> FmuVariable | None:
 
     size, start = int(np.prod(item.shape)) if item.shape else 1, None
     with contextlib.suppress(ValueError):
-        start = None if item.start is None else np.array([_number(word) for word in str(item.start).split()])
+        start = (
+            None
+            if item.start is None
+            else np.array([_number(word) for word in str(item.start).split()])
+        )
     if start is not None and start.size != size:
         start = np.full(size, start[0]) if start.size == 1 else None
     return FmuVariable(
-        name=item.name, reference=int(item.valueReference), type=item.type, causality=item.causality, variability=item.variability, initial=item.initial,
-        size=size, start=start, lower=number("min", -math.inf), upper=number("max", math.inf), nominal=number("nominal"),
-        unit=item.unit or getattr(item.declaredType, "unit", None), clocks=tuple(int(clock.valueReference) for clock in item.clocks or ()),
+        name=item.name, reference=int(item.valueReference), type=item.type,
+        causality=item.causality, variability=item.variability, initial=item.initial,
+        size=size, start=start, lower=number("min", -math.inf), upper=number("max", math.inf),
+        nominal=number("nominal"),
+        unit=item.unit or getattr(item.declaredType, "unit", None),
+        clocks=tuple(int(clock.valueReference) for clock in item.clocks or ()),
     )  # fmt: skip
 
 
@@ -371,10 +498,22 @@ def _number(text: Any) -> float:
 
 
 class CheckedInstance(Instance):
-    """One instance of `subject` of type "ME" or "CS", which knows the FMU's variables. After a failure it is left as it is: the process ends soon."""
+    """One instance of `subject` of type "ME" or "CS", which knows the FMU's variables.
 
-    def __init__(self, subject: Subject, kind: str, name: str = "check", options: Mapping[str, Any] | None = None) -> None:
-        """options: more arguments of FMPy's instantiate(). Raises Fault if the binary cannot be loaded or refuses."""
+    After a failure it is left as it is: the process ends soon.
+    """
+
+    def __init__(
+        self,
+        subject: Subject,
+        kind: str,
+        name: str = "check",
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
+        """options: more arguments of FMPy's instantiate().
+
+        Raises Fault if the binary cannot be loaded or refuses.
+        """
         self.subject = subject
         self.tolerance: float | None = None  # for the FMU's own integrator; None: what it likes
         super().__init__(subject.description, subject.folder, kind, name, options)
@@ -399,12 +538,15 @@ class CheckedInstance(Instance):
         """Into Initialization Mode; stop: the stop time [s]."""
         self.fmu.enter(self.subject.start_time, stop, self.tolerance)
 
-    def begin(self, before: Settings = NOTHING, during: Settings = NOTHING, stop: float | None = None) -> Self:
+    def begin(
+        self, before: Settings = NOTHING, during: Settings = NOTHING, stop: float | None = None
+    ) -> Self:
         """Through initialisation, and to Continuous-Time Mode or the first step.
 
         Parameters
         ----------
-        before, during : variables and their values (entries,) [unit of the variable] that are set before and in initialisation.
+        before, during : variables and their values (entries,) [unit of the variable] that are set
+            before and in initialisation.
         stop : stop time [s].
 
         Raises
@@ -439,7 +581,9 @@ class CheckedInstance(Instance):
         self.do_step(self.subject.time(step), self.subject.step)
 
     def live(self, steps: int, *, completed: bool = False) -> None:
-        """So many communication steps; of Model Exchange as many evaluations, if it has states. Raises as `do_step`.
+        """So many communication steps; of Model Exchange as many evaluations, if it has states.
+
+        Raises as `do_step`.
 
         completed: whether each is told to be an accepted step.
         """
@@ -475,7 +619,8 @@ class CheckedInstance(Instance):
         Parameters
         ----------
         variables : in any order.
-        values : (entries,) [unit of each variable], all entries of the first variable, then of the second.
+        values : (entries,) [unit of each variable], all entries of the first variable, then of the
+            second.
 
         Raises
         ------
@@ -485,5 +630,8 @@ class CheckedInstance(Instance):
             self.write(references, values[places])
 
     def observe(self) -> np.ndarray:
-        """Values (entries,) [unit of each variable] of all that runs are compared by. Raises FMICallException."""
+        """Values (entries,) [unit of each variable] of all that runs are compared by.
+
+        Raises FMICallException.
+        """
         return self.get(self.subject.observed)

@@ -10,16 +10,37 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Fault, Misbehaviour
-from validate.fmu_check.check import Finding, Scope, check, failed, in_fork, not_offered, passed, unless
+from validate.fmu_check.check import (
+    Finding,
+    Scope,
+    check,
+    failed,
+    in_fork,
+    not_offered,
+    passed,
+    unless,
+)
 from validate.fmu_check.motion import Record, fresh_run, require_equal, run
-from validate.fmu_check.subject import FEWEST_STEPS, HOLD, NOTHING, Block, CheckedInstance, FmuVariable, Settings, Subject
+from validate.fmu_check.subject import (
+    FEWEST_STEPS,
+    HOLD,
+    NOTHING,
+    Block,
+    CheckedInstance,
+    FmuVariable,
+    Settings,
+    Subject,
+)
 
 # A start value may lose its last digits on its way through text.
 _TEXT = 1e-9
 # A Float32 holds seven digits.
 _SINGLE = 1e-6
-# So many variables are read one by one, and of a large FMU as many as read so many values in all where each reading computes all of them, but for the least.
-_ONE_BY_ONE, _COMPUTED, _LEAST = 2000, 40_000_000, 100
+# So many variables are read one by one, and of a large FMU as many as read so many values in all
+# where each reading computes all of them, but for the least.
+_ONE_BY_ONE = 2000
+_COMPUTED = 40_000_000
+_LEAST = 100
 # How far a start value is moved to see whether it is obeyed.
 _MOVED = 0.01
 # How long a run from other starts may take [s].
@@ -34,7 +55,9 @@ def readable(subject: Subject, kind: str) -> Finding:
         problems = [
             f"{item.name} (value reference {item.reference}, {item.type}) is refused{instance.quote()}"
             for kind in dict.fromkeys(item.type for item in variables)
-            for item in itertools.islice(_refused(instance, Block(item for item in variables if item.type == kind)), _LEAST)
+            for item in itertools.islice(
+                _refused(instance, Block(item for item in variables if item.type == kind)), _LEAST
+            )
         ]
         texts = dict(_texts(instance))
     problems += [f"{name} is {said}" for name, said in texts.items() if said]
@@ -45,14 +68,24 @@ def readable(subject: Subject, kind: str) -> Finding:
 def _texts(instance: CheckedInstance) -> Iterator[tuple[str, str]]:
     """Of each string and binary that is no array its name, and what is wrong with its value: it cannot be read, or one that nobody set is not its start."""
     for item in instance.subject.description.modelVariables:
-        if item.type not in ("String", "Binary") or getattr(item, "dimensions", None) or item.clocks:
+        if (
+            item.type not in ("String", "Binary")
+            or getattr(item, "dimensions", None)
+            or item.clocks
+        ):
             continue
         said, start = "", "".join(item.start[:1]) if isinstance(item.start, list) else item.start
         try:
             value = getattr(instance.fmu, f"get{item.type}")([item.valueReference])[0]
-            found = value.hex() if item.type == "Binary" else (value if isinstance(value, str) else value.decode())
+            found = (
+                value.hex()
+                if item.type == "Binary"
+                else (value if isinstance(value, str) else value.decode())
+            )
             wanted = start.lower() if start is not None and item.type == "Binary" else start
-            kept = item.causality == "input" or (item.initial == "exact" and item.variability in ("constant", "fixed", "tunable"))
+            kept = item.causality == "input" or (
+                item.initial == "exact" and item.variability in ("constant", "fixed", "tunable")
+            )
             if kept and wanted is not None and found != wanted:
                 said = f"{found[:40]!r} in the binary, {wanted[:40]!r} in the description"
         except FMICallException:
@@ -85,21 +118,37 @@ def starts(subject: Subject, kind: str) -> Finding:
         values = instance.get(variables)
     names, starts = variables.names, variables.starts
     share = variables.each(lambda item: _SINGLE if item.type == "Float32" else _TEXT)
-    bad = ~((values == starts) | (np.abs(values - starts) <= share * np.abs(starts)) | (np.isnan(values) & np.isnan(starts)))
-    wrong = [f"{names[at]} is {values[at]:.10g} in the binary, {starts[at]:.10g} in the description" for at in np.flatnonzero(bad)]
+    bad = ~(
+        (values == starts)
+        | (np.abs(values - starts) <= share * np.abs(starts))
+        | (np.isnan(values) & np.isnan(starts))
+    )
+    wrong = [
+        f"{names[at]} is {values[at]:.10g} in the binary, {starts[at]:.10g} in the description"
+        for at in np.flatnonzero(bad)
+    ]
     return unless(wrong, f"{len(variables)} start values agree to {_TEXT:g}.", end="")
 
 
 def _movable(item: FmuVariable) -> bool:
-    """Whether another value may be given to it; another whole number may switch the model to something else."""
-    changes = item.variability != "constant" and item.causality != "structuralParameter" and not item.clocks
+    """Whether another value may be given to it.
+
+    Another whole number may switch the model to something else.
+    """
+    changes = (
+        item.variability != "constant"
+        and item.causality != "structuralParameter"
+        and not item.clocks
+    )
     return changes and (item.is_float or (item.type == "Boolean" and item.causality == "input"))
 
 
 def _moved(block: Block) -> np.ndarray:
     """Another value of one variable than its start, as far as there is one in its range."""
     value = block.near(_MOVED) if block[0].is_float else 1.0 - block.starts
-    return value.astype(np.float32).astype(float) if block[0].type == "Float32" else value  # what it can hold
+    return (
+        value.astype(np.float32).astype(float) if block[0].type == "Float32" else value
+    )  # what it can hold
 
 
 @check("start values are obeyed", Scope.EACH, clauses=("2.1.7", "2.2.7.2"))
@@ -107,16 +156,23 @@ def obeyed(subject: Subject, kind: str) -> Finding:
     """A start value set before or in initialisation is the value from then on."""
     every = [item for item in subject.exact if _movable(item)]
     drawn = [Block([every[place]]) for place in sorted(_drawn(len(every), len(subject.variables)))]
-    moved = {block: value for block in drawn if not np.array_equal(value := _moved(block), block.starts)}
+    moved = {
+        block: value for block in drawn if not np.array_equal(value := _moved(block), block.starts)
+    }
     if not moved:
         return not_offered("no start value can be moved.")
     with CheckedInstance(subject, kind, "default").begin() as instance:
         default = {block: instance.get(block) for block in moved}
     wrong, refused, tried = [], 0, 0
-    for block, value, phase in ((block, value, phase) for block, value in moved.items() for phase in ("before", "in")):
+    for block, value, phase in (
+        (block, value, phase) for block, value in moved.items() for phase in ("before", "in")
+    ):
         try:
-            instance.instantiate()  # of the library that is loaded: FMPy takes 2 ms to look through it
-        except Misbehaviour:  # no more of them after others were freed: told by the check of freed instances
+            # of the library that is loaded: FMPy takes 2 ms to look through it
+            instance.instantiate()
+        except (
+            Misbehaviour
+        ):  # no more of them after others were freed: told by the check of freed instances
             break
         tried += 1
         with instance:
@@ -129,7 +185,9 @@ def obeyed(subject: Subject, kind: str) -> Finding:
                     instance.set(block, value)
                 inside = instance.get(block)
             except FMICallException:
-                wrong.append(f"{block[0].name} cannot be set {phase} initialisation{instance.quote()}")
+                wrong.append(
+                    f"{block[0].name} cannot be set {phase} initialisation{instance.quote()}"
+                )
                 continue
             try:
                 if _is_kept(block[0]):
@@ -145,12 +203,20 @@ def obeyed(subject: Subject, kind: str) -> Finding:
     if tried < 2 * len(moved):
         more += f" After {tried + 1} instances the FMU gave no other one for the {len(moved) - tried // 2} that are left."
     of_all = "" if len(drawn) == len(every) else f", drawn from {len(every)}"
-    return unless(wrong, f"{tried // 2} start values were moved, each before and in initialisation{of_all}.{more}", end="")
+    return unless(
+        wrong,
+        f"{tried // 2} start values were moved, each before and in initialisation{of_all}.{more}",
+        end="",
+    )
 
 
 def _drawn(count: int, size: int) -> list[int]:
     """Places of those of `count` that are looked at one by one in an FMU of this size: all of a small one, ever fewer of larger ones."""
-    return np.random.default_rng(5).permutation(count)[: min(_ONE_BY_ONE, max(_LEAST, _COMPUTED // max(size, 1)))].tolist()
+    return (
+        np.random.default_rng(5)
+        .permutation(count)[: min(_ONE_BY_ONE, max(_LEAST, _COMPUTED // max(size, 1)))]
+        .tolist()
+    )
 
 
 def _is_kept(item: FmuVariable) -> bool:
@@ -159,11 +225,18 @@ def _is_kept(item: FmuVariable) -> bool:
 
 
 def _ignored(
-    item: FmuVariable, kind: str, phase: str, value: np.ndarray, inside: np.ndarray, after: np.ndarray, default: np.ndarray
+    item: FmuVariable,
+    kind: str,
+    phase: str,
+    value: np.ndarray,
+    inside: np.ndarray,
+    after: np.ndarray,
+    default: np.ndarray,
 ) -> list[str]:
     """Why the value was not obeyed; nothing if it was.
 
-    Co-Simulation makes its first event update as it leaves initialisation: that may compute anew what is discrete, and move a state, but not back to where it would be anyhow.
+    Co-Simulation makes its first event update as it leaves initialisation: that may compute anew
+    what is discrete, and move a state, but not back to where it would be anyhow.
     """
     clause = f"{item.name} was set to {value[0]:.10g} {phase} initialisation"
     if not np.allclose(inside, value, rtol=_TEXT, atol=0.0):
@@ -182,35 +255,63 @@ def finite(subject: Subject, kind: str) -> Finding:
     bad = np.argwhere(~np.isfinite(rows))
     if len(bad):
         row, column = bad[0]
-        return failed(f"{subject.observed.names[column]} is {rows[row, column]} at t = {subject.time(row):.6g} s.")
+        return failed(
+            f"{subject.observed.names[column]} is {rows[row, column]} at t = {subject.time(row):.6g} s."
+        )
     return passed(f"{rows.shape[1]} values over {len(rows) - 1} steps of {subject.step:g} s.")
 
 
 @check("variables move as their variability says", Scope.EACH, clauses=("2.2.7", "2.4.7.4"))
 def still(subject: Subject, kind: str) -> Finding:
-    """Constant, fixed, tunable and discrete variables do not move between events; of Co-Simulation, where a discrete one may change in each step, the others."""
+    """Constant, fixed, tunable and discrete variables do not move between events.
+
+    Of Co-Simulation, where a discrete one may change in each step, the others.
+    """
     bound = {"constant", "fixed", "tunable"} | ({"discrete"} if kind == "ME" else set())
     if not (count := sum(item.variability in bound for item in subject.observed)):
         return not_offered("there are none.")
-    steps, states = subject.long_steps(kind), Block(item for item in subject.exact if item.is_continuous and item.causality != "input")
+    steps, states = (
+        subject.long_steps(kind),
+        Block(item for item in subject.exact if item.is_continuous and item.causality != "input"),
+    )
     if moves := _moves(subject, kind, bound, steps):
         return failed(moves)
-    # From elsewhere too, where other equations may hold. That a model cannot live there is no fault of it.
+    # From elsewhere too, where other equations may hold. That a model cannot live there is no fault
+    # of it.
     with contextlib.suppress(Fault):
-        if moves := in_fork(lambda: _moves(subject, kind, bound, FEWEST_STEPS, (states, states.near(1.0))), _ELSEWHERE_SECONDS):
+        if moves := in_fork(
+            lambda: _moves(subject, kind, bound, FEWEST_STEPS, (states, states.near(1.0))),
+            _ELSEWHERE_SECONDS,
+        ):
             return failed(moves)
-    return passed(f"{count} variables in a run of at most {steps} steps, and in a few from other starts.")
+    return passed(
+        f"{count} variables in a run of at most {steps} steps, and in a few from other starts."
+    )
 
 
-def _moves(subject: Subject, kind: str, bound: set[str], steps: int, before: Settings = NOTHING) -> str:
-    """The first variable of a variability in `bound` that moves in a run, as a sentence; empty without one. before: what is set before it. Raises as `run`."""
+def _moves(
+    subject: Subject, kind: str, bound: set[str], steps: int, before: Settings = NOTHING
+) -> str:
+    """The first variable of a variability in `bound` that moves in a run, as a sentence.
+
+    Empty without one. before: what is set before it. Raises as `run`.
+    """
     record, events = Record(), [0]
     with CheckedInstance(subject, kind).begin(before) as instance:
-        rows = run(instance, 0, steps, record=record, after=lambda _: events.append(len(record.events)))
+        rows = run(
+            instance, 0, steps, record=record, after=lambda _: events.append(len(record.events))
+        )
     old, new = rows[:-1], rows[1:]
-    moved = (old != new) & ~(np.isnan(old) & np.isnan(new)) & (subject.observed.each(lambda item: item.variability in bound) > 0.0)
+    moved = (
+        (old != new)
+        & ~(np.isnan(old) & np.isnan(new))
+        & (subject.observed.each(lambda item: item.variability in bound) > 0.0)
+    )
     if kind == "ME":  # inputs change by an event every HOLD steps
-        moved &= np.array([step % HOLD > 0 and events[step] == events[step + 1] for step in range(len(moved))], bool)[:, np.newaxis]
+        moved &= np.array(
+            [step % HOLD > 0 and events[step] == events[step + 1] for step in range(len(moved))],
+            bool,
+        )[:, np.newaxis]
     else:  # an event may be in a step, but not in each
         moved = moved[:-2] & moved[1:-1] & moved[2:]
     if not moved.any():
@@ -234,7 +335,10 @@ def get_order(subject: Subject, kind: str) -> Finding:
     with CheckedInstance(subject, kind, "single") as instance:
 
         def shuffled() -> None:
-            single = {place: instance.get(blocks[place]) for place in (*dice.permutation(drawn), *dice.permutation(drawn))}
+            single = {
+                place: instance.get(blocks[place])
+                for place in (*dice.permutation(drawn), *dice.permutation(drawn))
+            }
             values = instance.observe()
             for place, value in single.items():
                 values[observed.ends[place] : observed.ends[place + 1]] = value
@@ -244,6 +348,11 @@ def get_order(subject: Subject, kind: str) -> Finding:
         shuffled()
         run(instance, 0, steps, after=lambda _: shuffled(), observe="end")
     last = fresh_run(subject, kind, steps, "last", observe="end")
-    for rows, how in ((np.array(other), "read one by one in another order"), (last, "read only at the end")):
+    for rows, how in (
+        (np.array(other), "read one by one in another order"),
+        (last, "read only at the end"),
+    ):
         require_equal(subject, reference[-len(rows) :], rows, how, len(reference) - len(rows))
-    return passed(f"{len(drawn)} variables over {steps} steps: all at once, one by one in other orders, and at the end only: equal bits.")
+    return passed(
+        f"{len(drawn)} variables over {steps} steps: all at once, one by one in other orders, and at the end only: equal bits."
+    )

@@ -13,7 +13,8 @@ __all__ = ["judge"]
 
 
 def __getattr__(name: str) -> object:
-    # Who simulates in a child process imports this package too, and needs neither scenes nor scores: 0.4 s.
+    # Who simulates in a child process imports this package too, and needs neither scenes nor
+    # scores: 0.4 s.
     if name == "judge":
         from validate.judge.judgement import judge
 

@@ -1,8 +1,12 @@
-"""Why an engine is wrong, or disagrees: a class, by measurement, and what was measured; the same of a problem with an exact answer and of a plan.
+"""Why an engine is wrong, or disagrees: a class, by measurement, and what was measured.
 
-    kind, sentence = why("mujoco", drives, errors, wrong)        # errors: of its motions by these drives, the coarsest first; wrong: of one more motion
+The same of a problem with an exact answer and of a plan.
 
-In this order: its step made shorter, its own softness of friction changed, the motion's own instability, all contacts stiffened.
+    kind, sentence = why("mujoco", drives, errors, wrong) # errors: of its motions by these drives,
+    the coarsest first; wrong: of one more motion
+
+In this order: its step made shorter, its own softness of friction changed, the motion's own
+instability, all contacts stiffened.
 """
 
 from __future__ import annotations
@@ -17,14 +21,28 @@ import numpy as np
 from models.codegen.kernel import load_kernel
 from models.dynamics import derive
 from validate.judge.replay.wiring import HeldInputs
-from validate.judge.simulator import Came, Drive, EngineAnswer, SimulatedMotion, describe_engine, run_engine
+from validate.judge.simulator import (
+    Came,
+    Drive,
+    EngineAnswer,
+    SimulatedMotion,
+    describe_engine,
+    run_engine,
+)
 
 REFERENCE = "fmu"
-# An error falls if the last is so small a share of the first, over three halvings of the step at least.
+# An error falls if the last is so small a share of the first, over three halvings of the step at
+# least.
 _FALLS = 0.25
-# What the last step is shortened by where that has not decided, or to so many radians of the stiffest contact, while its steps are no more than these; a tolerance
-# by the square, to that at least. What softness and stiffness are changed by.
-_MUCH, _RADIANS, _MOST, _TIGHTEST, _SOFTER, _STIFFER = 16, 0.01, 1_000_000, 1e-14, 4.0, (8.0, 64.0)
+# What the last step is shortened by where that has not decided, or to so many radians of the
+# stiffest contact, while its steps are no more than these; a tolerance by the square, to that at
+# least. What softness and stiffness are changed by.
+_MUCH = 16
+_RADIANS = 0.01
+_MOST = 1_000_000
+_TIGHTEST = 1e-14
+_SOFTER = 4.0
+_STIFFER = (8.0, 64.0)
 
 
 class Otherwise(Enum):
@@ -40,7 +58,10 @@ class Otherwise(Enum):
 
 
 def level_of(drive: Drive, engine: str) -> float:
-    """The step [s] or the tolerance of a drive, whichever this engine is told. Raises UnknownNameError."""
+    """The step [s] or the tolerance of a drive, whichever this engine is told.
+
+    Raises UnknownNameError.
+    """
     return drive.tolerance if describe_engine(engine).adaptive else drive.step
 
 
@@ -61,13 +82,15 @@ def why(
     engine
         Who disagrees.
     drives, errors
-        Its levels, the coarsest first, and how wrong each motion is, in what unit ever; infinite where it diverged.
+        Its levels, the coarsest first, and how wrong each motion is, in what unit ever; infinite
+        where it diverged.
     wrong
         The same of another motion of the engine.
     settled
         Whether the finest level does not disagree any more.
     unstable
-        In words, that the motion itself makes this of a small error; empty: it does not, or nobody knows.
+        In words, that the motion itself makes this of a small error; empty: it does not, or nobody
+        knows.
     ask
         How engines are asked.
 
@@ -93,10 +116,19 @@ def why(
     if settled or last <= _FALLS * first < math.inf or math.isfinite(last) > math.isfinite(first):
         return Otherwise.STEP, begun
     factor = (
-        _MUCH if about.adaptive else min(max(_MUCH, math.ceil(_radians(finest) / _RADIANS)), _MOST // (finest.plan.steps * finest.parts))
+        _MUCH
+        if about.adaptive
+        else min(
+            max(_MUCH, math.ceil(_radians(finest) / _RADIANS)),
+            _MOST // (finest.plan.steps * finest.parts),
+        )
     )
     if factor > 1:
-        much = replace(finest, parts=finest.parts * factor, tolerance=max(finest.tolerance / factor**2, _TIGHTEST))
+        much = replace(
+            finest,
+            parts=finest.parts * factor,
+            tolerance=max(finest.tolerance / factor**2, _TIGHTEST),
+        )
         more = again(much)
         begun += f", {size(more)} at {level_of(much, engine):.2g}"
         if more <= last / 2.0 < math.inf or math.isfinite(more) > math.isfinite(last):
@@ -106,7 +138,10 @@ def why(
     if about.softens and finest.scene.nf:
         soft = again(replace(finest, soft=_SOFTER))
         if max(soft, last) >= _SOFTER / 2.0 * min(soft, last):
-            return Otherwise.FRICTION, f"{begun}; with its friction {_SOFTER:g} times as soft {size(soft)}"
+            return (
+                Otherwise.FRICTION,
+                f"{begun}; with its friction {_SOFTER:g} times as soft {size(soft)}",
+            )
     if words := unstable():
         return Otherwise.UNSTABLE, f"{begun}; {words}"
     # What contacts give is less the stiffer they are; where they meet is not.
@@ -119,18 +154,29 @@ def why(
 def _radians(drive: Drive) -> float:
     """How many radians of the stiffest contact, at the start, a step is."""
     d = derive(drive.scene)
-    gap, mass, k = (d.function(part, d.q)(drive.start[: drive.scene.nq]) for part in (d.gap_jacobian, d.mass_matrix, d.stiffness))
-    return drive.step * math.sqrt(float((k.ravel() * np.diag(gap @ np.linalg.solve(mass, gap.T))).max()))
+    gap, mass, k = (
+        d.function(part, d.q)(drive.start[: drive.scene.nq])
+        for part in (d.gap_jacobian, d.mass_matrix, d.stiffness)
+    )
+    return drive.step * math.sqrt(
+        float((k.ravel() * np.diag(gap @ np.linalg.solve(mass, gap.T))).max())
+    )
 
 
-def _depths_apart(engine: str, drive: Drive, stiffer: float, ask: Callable[[str, Sequence[Drive]], EngineAnswer]) -> float:
+def _depths_apart(
+    engine: str, drive: Drive, stiffer: float, ask: Callable[[str, Sequence[Drive]], EngineAnswer]
+) -> float:
     """How much deeper, or less deep, an engine's contacts are than our reference's at their deepest, or at any time where they are closed at the start, all so much stiffer [m]; infinite without a number."""
-    contacts = tuple(replace(contact, stiffness=stiffer * contact.stiffness) for contact in drive.scene.contacts)
+    contacts = tuple(
+        replace(contact, stiffness=stiffer * contact.stiffness) for contact in drive.scene.contacts
+    )
     held, plan, part = HeldInputs(drive.plan), drive.plan, np.arange(drive.rows) / drive.rows
     # Each row a node of its own: our FMU gives nothing between them.
     h = np.diff(plan.t)[:, None]
     t = np.append((plan.t[:-1, None] + h * part).ravel(), plan.t[-1])
-    u = (held.values[:, None] + held.slopes[:, None] * (h * part)[:, :, None]).reshape(len(t) - 1, -1)
+    u = (held.values[:, None] + held.slopes[:, None] * (h * part)[:, :, None]).reshape(
+        len(t) - 1, -1
+    )
     nothing = np.zeros((len(t), 0))
     fine = replace(plan, t=t, u=u, q=nothing, v=nothing, lam=nothing[1:], scheme=None)
     # What rests on a contact at the start does so on a stiffer one too.
@@ -139,8 +185,13 @@ def _depths_apart(engine: str, drive: Drive, stiffer: float, ask: Callable[[str,
     lift = (1.0 - 1.0 / stiffer) * np.maximum(kernel.penetration(q[None])[0], 0.0)
     start = np.append(q + np.linalg.pinv(d.function(d.gap_jacobian, d.q)(q)) @ lift, v)
     scene = replace(drive.scene, contacts=contacts)
-    asked = replace(drive, scene=scene, plan=fine, start=start, parts=drive.parts // drive.rows, rows=1)
-    told = ask(engine, [asked]), ask(REFERENCE, [replace(asked, tolerance=describe_engine(REFERENCE).tolerances[-1])])
+    asked = replace(
+        drive, scene=scene, plan=fine, start=start, parts=drive.parts // drive.rows, rows=1
+    )
+    told = (
+        ask(engine, [asked]),
+        ask(REFERENCE, [replace(asked, tolerance=describe_engine(REFERENCE).tolerances[-1])]),
+    )
     if any(answer.came is not Came.DONE for answer in told):
         return math.inf
     one, other = (kernel.penetration(answer.motions[0].q) for answer in told)

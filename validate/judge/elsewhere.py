@@ -1,11 +1,15 @@
-"""The verdict matrix: does a plan hold in other simulators, and where one says otherwise, why. By measurement.
+"""The verdict matrix: does a plan hold in other simulators, and where one says otherwise, why.
 
-    rows = elsewhere(judgement, ("fmu_everyday", "mujoco"))        # judgement: of the plan on its scene, by our reference
-    rows[1].verdict, rows[1].kind, rows[1].sentence
+By measurement.
 
-Every engine gets the plan's inputs from its start, at three steps or tolerances, each a quarter of the one before, and what it makes of them is scored as our own
-replay is, with the difference of the last two as its error; with feedback, our law around the plan, where the score asks for that. A disagreement is of any
-of the three with our verdict; its class is measured (validate.judge.disagreement).
+    rows = elsewhere(judgement, ("fmu_everyday", "mujoco")) # judgement: of the plan on its scene,
+    by our reference rows[1].verdict, rows[1].kind, rows[1].sentence
+
+Every engine gets the plan's inputs from its start, at three steps or tolerances, each a quarter of
+the one before, and what it makes of them is scored as our own replay is, with the difference of the
+last two as its error; with feedback, our law around the plan, where the score asks for that. A
+disagreement is of any of the three with our verdict; its class is measured
+(validate.judge.disagreement).
 """
 
 from __future__ import annotations
@@ -32,13 +36,25 @@ from validate.judge.replay.tracking import TrackingError, design_feedback, nomin
 from validate.judge.replay.wiring import Feedback, measure_effort
 from validate.judge.score import Score, score, wants_feedback
 from validate.judge.score.unexplained import with_velocities
-from validate.judge.simulator import LIMITS, Came, Drive, EngineAnswer, SimulatedMotion, describe_engine, run_engine
+from validate.judge.simulator import (
+    LIMITS,
+    Came,
+    Drive,
+    EngineAnswer,
+    SimulatedMotion,
+    describe_engine,
+    run_engine,
+)
 
-# Rows a step of the plan at which an engine's motion is looked at, and its steps in each: a quarter of the one before at each level.
-ROWS, LEVELS = 4, (1, 4, 16)
+# Rows a step of the plan at which an engine's motion is looked at, and its steps in each: a quarter
+# of the one before at each level.
+ROWS = 4
+LEVELS = (1, 4, 16)
 # From which growth of an error on a motion is called unstable.
 _GROWS = 30.0
-_OF_THE_JUDGE = "of the judge's own health; what an engine loses or gains is what its motion is judged by"
+_OF_THE_JUDGE = (
+    "of the judge's own health; what an engine loses or gains is what its motion is judged by"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,15 +85,32 @@ class EngineVerdict:
 
     def as_json(self) -> dict[str, Any]:
         """As JSON holds it: what is infinite is null."""
-        levels = [asdict(level) | {"distance": level.distance if math.isfinite(level.distance) else None} for level in self.levels]
-        told = {"engine": self.engine, "verdict": self.verdict, "agrees": self.agrees, "kind": self.kind.value, "sentence": self.sentence}
+        levels = [
+            asdict(level) | {"distance": level.distance if math.isfinite(level.distance) else None}
+            for level in self.levels
+        ]
+        told = {
+            "engine": self.engine,
+            "verdict": self.verdict,
+            "agrees": self.agrees,
+            "kind": self.kind.value,
+            "sentence": self.sentence,
+        }
         return told | {"why": "" if self.score is None else self.score.why, "levels": levels}
 
 
 def elsewhere(
-    judgement: Judgement, engines: Sequence[str], *, limits: Limits = LIMITS, jobs: int = 1, tell: Callable[[str], None] = lambda text: None
+    judgement: Judgement,
+    engines: Sequence[str],
+    *,
+    limits: Limits = LIMITS,
+    jobs: int = 1,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> list[EngineVerdict]:
-    """A row for each engine. Raises SceneError for a plan without a scene or a replay, UnknownNameError, MachineError."""
+    """A row for each engine.
+
+    Raises SceneError for a plan without a scene or a replay, UnknownNameError, MachineError.
+    """
     matrix = _Matrix(judgement, limits)
 
     def row(engine: str) -> EngineVerdict:
@@ -94,27 +127,62 @@ class _Matrix:
 
     def __init__(self, judgement: Judgement, limits: Limits) -> None:
         scene = judgement.scene
-        if not isinstance(scene, Scene) or judgement.plan is None or judgement.replay is None or not judgement.replay.ok:
-            raise SceneError("engines: they step scenes, by a plan whose own replay came to its end; this is not one.")
+        if (
+            not isinstance(scene, Scene)
+            or judgement.plan is None
+            or judgement.replay is None
+            or not judgement.replay.ok
+        ):
+            raise SceneError(
+                "engines: they step scenes, by a plan whose own replay came to its end; this is not one."
+            )
         self.ours, self.plan, self.limits = judgement, judgement.plan, limits
-        waived = tuple(Limit(metric=name, value=None, reason=_OF_THE_JUDGE) for name in ("energy_residual_relative", "answer_error"))
-        own = tuple(limit for limit in scene.limits if limit.metric not in {item.metric for item in waived})
-        self.scene, self.kernel = replace(scene, limits=(*own, *waived)), load_kernel(scene.continuous())
+        waived = tuple(
+            Limit(metric=name, value=None, reason=_OF_THE_JUDGE)
+            for name in ("energy_residual_relative", "answer_error")
+        )
+        own = tuple(
+            limit for limit in scene.limits if limit.metric not in {item.metric for item in waived}
+        )
+        self.scene, self.kernel = (
+            replace(scene, limits=(*own, *waived)),
+            load_kernel(scene.continuous()),
+        )
         self.replay, self.nominal = judgement.replay, nominals(scene)[: scene.nq]
         self.feedback: Feedback | None = None
         if self.plan.has_states and scene.nu:
             with suppress(TrackingError):
-                self.feedback = design_feedback(load_kernel(scene), scene, with_velocities(scene, self.plan, judgement.replay))
+                self.feedback = design_feedback(
+                    load_kernel(scene), scene, with_velocities(scene, self.plan, judgement.replay)
+                )
 
     def row(self, engine: str) -> EngineVerdict:
         """Ask one engine. Raises UnknownNameError, MachineError."""
         if engine == REFERENCE:
-            levels = (EngineLevel(step=describe_engine(engine).tolerances[-1], verdict=self.ours.verdict.value, distance=0.0),)
+            levels = (
+                EngineLevel(
+                    step=describe_engine(engine).tolerances[-1],
+                    verdict=self.ours.verdict.value,
+                    distance=0.0,
+                ),
+            )
             said = "what the others are held against"
-            return EngineVerdict(engine=engine, came=Came.DONE, agrees=True, score=self.ours.score, levels=levels, sentence=said)
+            return EngineVerdict(
+                engine=engine,
+                came=Came.DONE,
+                agrees=True,
+                score=self.ours.score,
+                levels=levels,
+                sentence=said,
+            )
         tolerances = describe_engine(engine).tolerances[1:] or (1.0,) * len(LEVELS)
-        base = Drive(scene=self.scene.continuous(), plan=self.plan, start=self.plan.start, rows=ROWS)
-        drives = [replace(base, parts=ROWS * parts, tolerance=tolerance) for parts, tolerance in zip(LEVELS, tolerances, strict=True)]
+        base = Drive(
+            scene=self.scene.continuous(), plan=self.plan, start=self.plan.start, rows=ROWS
+        )
+        drives = [
+            replace(base, parts=ROWS * parts, tolerance=tolerance)
+            for parts, tolerance in zip(LEVELS, tolerances, strict=True)
+        ]
         answer, scores = self._scored(engine, drives)
         if answer.came is not Came.DONE:
             return EngineVerdict(engine=engine, came=answer.came, sentence=answer.why.rstrip("."))
@@ -129,11 +197,18 @@ class _Matrix:
         if not all(agreeing):
             kind, sentence = why(
                 engine, drives, apart, lambda motion: self._distance(motion.q),
-                settled=agreeing[-1], unstable=lambda: self._unstable(answer.motions[-1].q), ask=self._ask,
+                settled=agreeing[-1], unstable=lambda: self._unstable(answer.motions[-1].q),
+                ask=self._ask,
             )  # fmt: skip
             sentence = f"{', '.join(words)}; from ours {sentence}"
         return EngineVerdict(
-            engine=engine, came=Came.DONE, agrees=all(agreeing), score=scores[-1], levels=levels, kind=kind, sentence=sentence
+            engine=engine,
+            came=Came.DONE,
+            agrees=all(agreeing),
+            score=scores[-1],
+            levels=levels,
+            kind=kind,
+            sentence=sentence,
         )
 
     def _ask(self, engine: str, drives: Sequence[Drive]) -> EngineAnswer:
@@ -164,36 +239,66 @@ class _Matrix:
         if followed.came is not Came.DONE:
             return followed, []
         tracked = self._replays(asked, followed.motions)
-        return answer, [score(self.scene, self.plan, replace(item, tracked=other)) for item, other in zip(opened, tracked, strict=True)]
+        return answer, [
+            score(self.scene, self.plan, replace(item, tracked=other))
+            for item, other in zip(opened, tracked, strict=True)
+        ]
 
     def _replays(self, drives: Sequence[Drive], motions: Sequence[SimulatedMotion]) -> list[Replay]:
-        """Motions as replays of the scene. Of first order, at least, each is a third as wrong as it differs from the one at four times its step: said is a half."""
+        """Motions as replays of the scene.
+
+        Of first order, at least, each is a third as wrong as it differs from the one at four times
+        its step: said is a half.
+        """
         made = [self._replay(drive, motion) for drive, motion in zip(drives, motions, strict=True)]
         nodes = [item.rows(item.knots) if item.ok else None for item in made]
         apart = [difference(*pair) for pair in pairwise(nodes)]
-        errors = [by_entry(lambda value: 2.0 * value, apart[0]), *(by_entry(lambda value: 0.5 * value, item) for item in apart)]
-        return [replace(item, error=ReplayError(estimate=error)) for item, error in zip(made, errors, strict=True)]
+        errors = [
+            by_entry(lambda value: 2.0 * value, apart[0]),
+            *(by_entry(lambda value: 0.5 * value, item) for item in apart),
+        ]
+        return [
+            replace(item, error=ReplayError(estimate=error))
+            for item, error in zip(made, errors, strict=True)
+        ]
 
     def _replay(self, drive: Drive, motion: SimulatedMotion) -> Replay:
-        plan, count = self.plan, int(np.isfinite(np.hstack([motion.q, motion.v])).all(axis=1).argmin()) or len(motion.q)
+        plan, count = (
+            self.plan,
+            int(np.isfinite(np.hstack([motion.q, motion.v])).all(axis=1).argmin()) or len(motion.q),
+        )
         rows = (len(motion.q) - 1) // plan.steps
-        t = np.append(np.concatenate([np.linspace(a, b, rows, endpoint=False) for a, b in pairwise(plan.t)]), plan.t[-1])[:count]
+        t = np.append(
+            np.concatenate([np.linspace(a, b, rows, endpoint=False) for a, b in pairwise(plan.t)]),
+            plan.t[-1],
+        )[:count]
         q, v = motion.q[:count], motion.v[:count]
         whole, nothing = count == len(motion.q), np.zeros(count)
         kinetic, potential = self.kernel.energy(q, v)
         gap = -self.kernel.penetration(q)
         found = replace(
-            self.replay, outcome=ReplayOutcome.OK if whole else ReplayOutcome.DIVERGED, message="", method="everyday", t=t, q=q, v=v,
-            lam=self.kernel.contact_force(q, v=v), gap=gap, friction=np.zeros((count, self.scene.nf)), knots=np.arange(0, count, rows),
-            kinetic_energy=kinetic, potential_energy=potential, contact_energy=nothing, input_work=None, dissipated_work=None, contact_impulse=None,
+            self.replay, outcome=ReplayOutcome.OK if whole else ReplayOutcome.DIVERGED, message="",
+            method="everyday", t=t, q=q, v=v,
+            lam=self.kernel.contact_force(q, v=v), gap=gap,
+            friction=np.zeros((count, self.scene.nf)), knots=np.arange(0, count, rows),
+            kinetic_energy=kinetic, potential_energy=potential, contact_energy=nothing,
+            input_work=None, dissipated_work=None, contact_impulse=None,
             events=(), tracked=None, feedback=None, applied=None, effort=None,
         )  # fmt: skip
         if drive.feedback is None or motion.applied is None:
             return found
         applied = motion.applied[: len(found.knots) - 1]
-        return replace(found, feedback=drive.feedback, applied=applied, effort=measure_effort(plan, applied, drive.feedback))
+        return replace(
+            found,
+            feedback=drive.feedback,
+            applied=applied,
+            effort=measure_effort(plan, applied, drive.feedback),
+        )
 
     def _distance(self, q: np.ndarray, times: slice = slice(None)) -> float:
         """The largest distance of a motion (rows, nq) [m, rad] from ours at the plan's nodes, in nominal sizes [-]; infinite where it diverged."""
-        apart = np.abs(q[:: (len(q) - 1) // self.plan.steps] - self.replay.q[self.replay.knots])[times] / self.nominal
+        apart = (
+            np.abs(q[:: (len(q) - 1) // self.plan.steps] - self.replay.q[self.replay.knots])[times]
+            / self.nominal
+        )
         return float(np.nan_to_num(apart, nan=np.inf).max())

@@ -1,11 +1,11 @@
 """What an engine is told, what it gives back, and how it is called: in a child with limits, so that a crash, a hang or a missing package is a row.
 
-    name in engine_names(); describe_engine("mujoco").title            # nothing of it is imported
-    answer = run_engine("mujoco", scene, drives)                       # one motion a drive, or a sentence
-    answer.motions[0].q, answer.motions[0].seconds, answer.why
+    name in engine_names(); describe_engine("mujoco").title # nothing of it is imported answer =
+    run_engine("mujoco", scene, drives) # one motion a drive, or a sentence answer.motions[0].q,
+    answer.motions[0].seconds, answer.why
 
-An engine is a file in `engines` (found by its name), which defines `ENGINE` and `simulate`. It steps a scene from the scene's own parameters; what it
-cannot express it says by CannotExpressError.
+An engine is a file in `engines` (found by its name), which defines `ENGINE` and `simulate`. It
+steps a scene from the scene's own parameters; what it cannot express it says by CannotExpressError.
 """
 
 from __future__ import annotations
@@ -26,12 +26,15 @@ from models.loading import declared
 from validate.execution.isolated import Ending, Limits, packed, run_isolated, unpacked_from
 from validate.judge.replay.wiring import Feedback, HeldInputs
 
-if TYPE_CHECKING:  # the child of an engine that needs no scene's equations imports no SymPy before it reads one
+if (
+    TYPE_CHECKING
+):  # the child of an engine that needs no scene's equations imports no SymPy before it reads one
     from models.scene import Scene
     from models.trajectory import Trajectory
 
 FOLDER = Path(__file__).parent / "engines"
-# What a run of an engine may use; the largest of the truth suite, 1000 bounces by SAP, takes some 200 s of a quiet core.
+# What a run of an engine may use; the largest of the truth suite, 1000 bounces by SAP, takes some
+# 200 s of a quiet core.
 LIMITS = Limits(seconds=900.0)
 
 
@@ -43,8 +46,10 @@ class CannotExpressError(TouchstoneError):
 class Simulator:
     """What an engine says of itself, in literals.
 
-    title: what it is called; package: what it imports, empty for our own; extra: what brings it; tolerances: four that it is told, the loosest first, where it takes no step;
-    law: how it makes contact, in a few words; softens: what is its own and no part of any scene, that `Drive.soft` scales, empty where there is nothing.
+    title: what it is called; package: what it imports, empty for our own; extra: what brings it;
+        tolerances: four that it is told, the loosest first, where it takes no step;
+    law: how it makes contact, in a few words; softens: what is its own and no part of any scene,
+        that `Drive.soft` scales, empty where there is nothing.
     """
 
     title: str
@@ -64,8 +69,10 @@ class Simulator:
 class Drive:
     """A scene to be stepped.
 
-    plan: times (nodes,) [s], inputs (steps, nu) [N, N m] and their hold; the rest of it is not looked at. start (2 nq,): positions, then velocities [m, rad,
-    m/s, rad/s]. parts: steps of the engine between two nodes; rows: how many of them, evenly, are given back; tolerance: relative, of an adaptive engine;
+    plan: times (nodes,) [s], inputs (steps, nu) [N, N m] and their hold; the rest of it is not
+        looked at. start (2 nq,): positions, then velocities [m, rad,
+    m/s, rad/s]. parts: steps of the engine between two nodes; rows: how many of them, evenly, are
+        given back; tolerance: relative, of an adaptive engine;
     soft: what its own regularisation is scaled by; feedback: what corrects the inputs at each node.
     """
 
@@ -88,8 +95,8 @@ class Drive:
 class SimulatedMotion:
     """What an engine made of a drive.
 
-    q, v (rows, nq) [m, rad, m/s, rad/s], not finite from where it diverged; applied (steps made, nu): inputs with feedback [N, N m]; seconds: of CPU
-    time [s].
+    q, v (rows, nq) [m, rad, m/s, rad/s], not finite from where it diverged; applied (steps made,
+    nu): inputs with feedback [N, N m]; seconds: of CPU time [s].
     """
 
     q: np.ndarray
@@ -131,7 +138,9 @@ def describe_engine(name: str) -> Simulator:
     """What an engine says of itself, without importing it. Raises UnknownNameError."""
     if name not in engine_names():
         known = f"there are {', '.join(engine_names())}."
-        raise UnknownNameError(f"there is no engine {name!r}; {did_you_mean(name, engine_names(), known)}")
+        raise UnknownNameError(
+            f"there is no engine {name!r}; {did_you_mean(name, engine_names(), known)}"
+        )
     return declared(FOLDER / f"{name}.py", "ENGINE", Simulator)
 
 
@@ -141,16 +150,23 @@ def missing(name: str) -> str:
     package = about.package
     if not package or importlib.util.find_spec(package) is not None:
         return ""
-    return f"engine {name}: the package {package} is not installed; pip install -e '.[{about.extra}]'"
+    return (
+        f"engine {name}: the package {package} is not installed; pip install -e '.[{about.extra}]'"
+    )
 
 
 def named_engines(text: str) -> tuple[str, ...]:
-    """The engines of a comma-separated list, each once; `all`: those that are installed. Raises UnknownNameError, MachineError for one whose package is missing."""
+    """The engines of a comma-separated list, each once; `all`: those that are installed.
+
+    Raises UnknownNameError, MachineError for one whose package is missing.
+    """
     if text.strip() == "all":
         return tuple(name for name in engine_names() if not missing(name))
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     if not names:
-        raise UnknownNameError(f"--engine: name at least one engine; there are {', '.join(engine_names())}.")
+        raise UnknownNameError(
+            f"--engine: name at least one engine; there are {', '.join(engine_names())}."
+        )
     absent = [sentence for name in names if (sentence := missing(name))]
     if absent:
         raise MachineError(f"{'; '.join(absent)}.")
@@ -177,7 +193,8 @@ def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -
     Returns
     -------
     EngineAnswer
-        Motions, or a sentence: of what the engine cannot express, of a missing package, of how the child ended.
+        Motions, or a sentence: of what the engine cannot express, of a missing package, of how the
+        child ended.
 
     Raises
     ------
@@ -189,20 +206,33 @@ def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -
     if absent := missing(name):
         return EngineAnswer(came=Came.MISSING, why=absent)
     # A scene has no other form that keeps what a case changed of it.
-    done = run_isolated("validate.judge.simulator:answer", name, packed(*drives), limits=limits, what=f"engine {name}")
+    done = run_isolated(
+        "validate.judge.simulator:answer",
+        name,
+        packed(*drives),
+        limits=limits,
+        what=f"engine {name}",
+    )
     if done.ending is Ending.ERROR:
         return EngineAnswer(came=Came.CANNOT, why=done.sentence)
     if not done.ok:
         return EngineAnswer(came=Came.FAILED, why=done.sentence)
     found = done.arrays
     motions = tuple(
-        SimulatedMotion(q=found[f"{number}_q"], v=found[f"{number}_v"], applied=found.get(f"{number}_applied"), seconds=seconds)
+        SimulatedMotion(
+            q=found[f"{number}_q"],
+            v=found[f"{number}_v"],
+            applied=found.get(f"{number}_applied"),
+            seconds=seconds,
+        )
         for number, seconds in enumerate(done.value)
     )
     return EngineAnswer(came=Came.DONE, motions=motions)
 
 
-def answer(name: str, arrays: Mapping[str, np.ndarray]) -> tuple[list[float], dict[str, np.ndarray]]:
+def answer(
+    name: str, arrays: Mapping[str, np.ndarray]
+) -> tuple[list[float], dict[str, np.ndarray]]:
     """In the child: all motions of the engine.
 
     Parameters
@@ -226,11 +256,18 @@ def answer(name: str, arrays: Mapping[str, np.ndarray]) -> tuple[list[float], di
     for number, drive in enumerate(unpacked_from(arrays)):
         motion = simulate(drive)
         value.append(motion.seconds)
-        found |= {f"{number}_{part}": array for part in ("q", "v", "applied") if (array := getattr(motion, part)) is not None}
+        found |= {
+            f"{number}_{part}": array
+            for part in ("q", "v", "applied")
+            if (array := getattr(motion, part)) is not None
+        }
     return value, found
 
 
-def stepped(drive: Drive, advance: Callable[[np.ndarray, np.ndarray, int, float], tuple[np.ndarray, np.ndarray]]) -> SimulatedMotion:
+def stepped(
+    drive: Drive,
+    advance: Callable[[np.ndarray, np.ndarray, int, float], tuple[np.ndarray, np.ndarray]],
+) -> SimulatedMotion:
     """The motion row by row, by an engine that holds its state.
 
     Parameters
@@ -238,8 +275,8 @@ def stepped(drive: Drive, advance: Callable[[np.ndarray, np.ndarray, int, float]
     drive
         What is to be done.
     advance
-        Under inputs (nu,) [N, N m] that change by so much a second (nu,) makes so many steps of so many seconds [s], and gives positions and velocities
-        (nq,) [m, rad, m/s, rad/s].
+        Under inputs (nu,) [N, N m] that change by so much a second (nu,) makes so many steps of so
+        many seconds [s], and gives positions and velocities (nq,) [m, rad, m/s, rad/s].
 
     Returns
     -------
@@ -251,7 +288,11 @@ def stepped(drive: Drive, advance: Callable[[np.ndarray, np.ndarray, int, float]
     CannotExpressError
         Whatever `advance` raises.
     """
-    nq, inputs, count = drive.scene.nq, HeldInputs(drive.plan, drive.feedback), drive.parts // drive.rows
+    nq, inputs, count = (
+        drive.scene.nq,
+        HeldInputs(drive.plan, drive.feedback),
+        drive.parts // drive.rows,
+    )
     steps, u = np.diff(drive.plan.t), np.zeros(drive.scene.nu)
     states = np.full((drive.plan.steps * drive.rows + 1, 2 * nq), np.nan)
     states[0] = drive.start
@@ -261,9 +302,13 @@ def stepped(drive: Drive, advance: Callable[[np.ndarray, np.ndarray, int, float]
         if part == 0:
             u = inputs.begin(interval, states[row])
         h, slope = float(steps[interval]), inputs.slopes[interval]
-        state = np.concatenate(advance(u + slope * (h * part / drive.rows), slope, count, h / drive.parts))
+        state = np.concatenate(
+            advance(u + slope * (h * part / drive.rows), slope, count, h / drive.parts)
+        )
         if not np.isfinite(state).all():
             break
         states[row + 1] = state
     applied = None if drive.feedback is None else inputs.values
-    return SimulatedMotion(q=states[:, :nq], v=states[:, nq:], seconds=time.process_time() - began, applied=applied)
+    return SimulatedMotion(
+        q=states[:, :nq], v=states[:, nq:], seconds=time.process_time() - began, applied=applied
+    )

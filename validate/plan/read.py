@@ -1,8 +1,11 @@
-"""Reads a campaign file, in full or not at all: TOML -> what a campaign runs. Every mistake of a file is reported at once, with its place.
+"""Reads a campaign file, in full or not at all: TOML -> what a campaign runs.
+
+Every mistake of a file is reported at once, with its place.
 
 run_campaign(read_campaign(Path("stiffness.toml"), out=out), narrator)
 
-Pipelines: ours by name, its own as they are spelt out, each once a seed where it draws at random. Scenes: loaded, changed and named, one for each
+Pipelines: ours by name, its own as they are spelt out, each once a seed where it draws at random.
+    Scenes: loaded, changed and named, one for each
 combination of swept values.
 """
 
@@ -25,36 +28,57 @@ from models.scene import Scene
 from models.scene.checks import check_expressions
 from validate.judge.score import metric_names
 from validate.plan.runs import CampaignSettings, referred
-from validate.plan.schema import FREE, CampaignFile, CampaignLimit, LegEntry, PipelineEntry, SceneEntry, resolved_text
+from validate.plan.schema import (
+    FREE,
+    CampaignFile,
+    CampaignLimit,
+    LegEntry,
+    PipelineEntry,
+    SceneEntry,
+    resolved_text,
+)
 from validate.plan.toml_text import TomlError, mistake, read_toml
 from validate.tasks.plugins import DEFAULT_PLUGIN, load_plugin
 from validate.tasks.task import SceneReference, Variant, state_names, varied
 
 # Stored beside the results: the file as it was given, and with everything filled in.
-GIVEN, RESOLVED = "campaign.toml", "resolved.toml"
+GIVEN = "campaign.toml"
+RESOLVED = "resolved.toml"
 # A file of nothing but mistakes: the first say enough.
 MOST_SHOWN = 50
 SOURCE = "a campaign file"
 _LONGEST_NAME = 60
-# A sweep of more is a slip of the pen: at a second a task it would run for a quarter of an hour by each pipeline.
+# A sweep of more is a slip of the pen: at a second a task it would run for a quarter of an hour by
+# each pipeline.
 MOST_VARIANTS = 1000
 _Place = tuple[str | int, ...]
 _Change = tuple[str, str]  # section (or steps, step) and name
 
 
 class ConfigError(TouchstoneError):
-    """A campaign file with mistakes; `mistakes` has a sentence for each, which begins with its place in the file."""
+    """A campaign file with mistakes.
+
+    `mistakes` has a sentence for each, which begins with its place in the file.
+    """
 
     def __init__(self, path: Path, mistakes: list[str]) -> None:
-        shown = mistakes[:MOST_SHOWN] + ([f"and {len(mistakes) - MOST_SHOWN} more"] if len(mistakes) > MOST_SHOWN else [])
+        shown = mistakes[:MOST_SHOWN] + (
+            [f"and {len(mistakes) - MOST_SHOWN} more"] if len(mistakes) > MOST_SHOWN else []
+        )
         self.mistakes = tuple(" ".join(mistake.split()) for mistake in shown)
         count = f"{len(mistakes)} mistakes" if len(mistakes) > 1 else "a mistake"
-        self.headline = f"campaign {path}: there {'are' if len(mistakes) > 1 else 'is'} {count} in it"
+        self.headline = (
+            f"campaign {path}: there {'are' if len(mistakes) > 1 else 'is'} {count} in it"
+        )
         super().__init__(f"{self.headline}: {'; '.join(self.mistakes)}")
 
 
-def read_campaign(path: Path, *, out: Path | None = None, plugin: str = DEFAULT_PLUGIN, **given: Any) -> CampaignSettings:
-    """Read and check. out: runs/NAME of the file without it; given: other fields of the settings, which a file does not decide.
+def read_campaign(
+    path: Path, *, out: Path | None = None, plugin: str = DEFAULT_PLUGIN, **given: Any
+) -> CampaignSettings:
+    """Read and check. out: runs/NAME of the file without it.
+
+    given: other fields of the settings, which a file does not decide.
 
     Raises ConfigError with every mistake, UnknownNameError for `plugin`.
     """
@@ -69,8 +93,14 @@ def read_campaign(path: Path, *, out: Path | None = None, plugin: str = DEFAULT_
     scenes, bases, wrong = _references(file.scenes, path.parent)
     mistakes += wrong
     # All pipelines there are for these scenes; all of ours where no scene can be read.
-    known = {pipeline.name: pipeline for reference in bases for pipeline in loaded.pipelines_for(reference.scene)}
-    pipelines, wrong = _chosen_pipelines(file, known or {pipeline.name: pipeline for pipeline in PIPELINES}, loaded.load_method)
+    known = {
+        pipeline.name: pipeline
+        for reference in bases
+        for pipeline in loaded.pipelines_for(reference.scene)
+    }
+    pipelines, wrong = _chosen_pipelines(
+        file, known or {pipeline.name: pipeline for pipeline in PIPELINES}, loaded.load_method
+    )
     mistakes += wrong
     if mistakes:
         raise ConfigError(path, mistakes)
@@ -90,7 +120,9 @@ def read_campaign(path: Path, *, out: Path | None = None, plugin: str = DEFAULT_
 def _hint(name: str, known: Iterable[str]) -> str:
     """`did you mean k?`, or what there is."""
     known = list(known)
-    return did_you_mean(name, known, f"there are {', '.join(known)}." if known else "there are none.")
+    return did_you_mean(
+        name, known, f"there are {', '.join(known)}." if known else "there are none."
+    )
 
 
 def _place_text(place: Sequence[str | int]) -> str:
@@ -121,7 +153,9 @@ def _checked(data: dict[str, Any]) -> tuple[CampaignFile | None, list[str]]:
 def _sentence(problem: Any) -> str:
     place, where = problem["loc"], _place_text(problem["loc"])
     if problem["type"] == "extra_forbidden":
-        return f"{where}: there is no such key; {_hint(str(place[-1]), _model_at(place).model_fields)}"
+        return (
+            f"{where}: there is no such key; {_hint(str(place[-1]), _model_at(place).model_fields)}"
+        )
     return f"{where}: {mistake(problem)}"
 
 
@@ -135,7 +169,10 @@ def _model_at(place: _Place) -> type[BaseModel]:
 
 
 def _remove(data: Any, place: _Place) -> None:
-    """Take out what is at a place, or, where nothing is, what it is missing from; a list loses all, so that no place in it moves."""
+    """Take out what is at a place, or, where nothing is, what it is missing from.
+
+    A list loses all, so that no place in it moves.
+    """
     way = [data]
     for part in place:
         inside = _inside(way[-1], part)
@@ -153,7 +190,11 @@ def _remove(data: Any, place: _Place) -> None:
 def _inside(data: Any, part: str | int) -> Any:
     if isinstance(data, dict):
         return data.get(part)
-    return data[part] if isinstance(data, list) and isinstance(part, int) and part < len(data) else None
+    return (
+        data[part]
+        if isinstance(data, list) and isinstance(part, int) and part < len(data)
+        else None
+    )
 
 
 def _chosen_pipelines(
@@ -165,11 +206,18 @@ def _chosen_pipelines(
     for name, entry in file.pipeline.items():
         wrong = [*_name_mistakes(name, known), *_leg_mistakes(entry, load_method)]
         mistakes += [f"pipeline.{name[:_LONGEST_NAME]}{sentence}" for sentence in wrong]
-        own[name] = Pipeline(name=name, title=entry.title or name, legs=tuple(_leg(leg) for leg in entry.legs), source=SOURCE)
+        own[name] = Pipeline(
+            name=name,
+            title=entry.title or name,
+            legs=tuple(_leg(leg) for leg in entry.legs),
+            source=SOURCE,
+        )
     names = file.pipelines or list(own)
     for place, name in enumerate(names):
         if name not in known and name not in own:
-            mistakes.append(f"pipelines[{place}]: there is no pipeline {name[:80]!r}; {_hint(name, [*own, *known])}")
+            mistakes.append(
+                f"pipelines[{place}]: there is no pipeline {name[:80]!r}; {_hint(name, [*own, *known])}"
+            )
         elif name in names[:place]:
             mistakes.append(f"pipelines[{place}]: {name!r} stands there twice")
     if mistakes:
@@ -204,7 +252,10 @@ def _leg_mistakes(entry: PipelineEntry, load_method: Callable[[str], Method]) ->
 
 
 def _option_mistakes(leg: LegEntry, method: Method) -> Iterator[str]:
-    sections = {"options": leg.options, **{f"stage_options[{number}]": own for number, own in enumerate(leg.stage_options)}}
+    sections = {
+        "options": leg.options,
+        **{f"stage_options[{number}]": own for number, own in enumerate(leg.stage_options)},
+    }
     single = [
         sentence
         for section, options in sections.items()
@@ -243,10 +294,14 @@ def _seeded(
     found: list[Pipeline] = []
     mistakes: list[str] = []
     for pipeline in pipelines:
-        draws = {leg.method for leg in pipeline.legs if hasattr(load_method(leg.method).options, "seed")}
+        draws = {
+            leg.method for leg in pipeline.legs if hasattr(load_method(leg.method).options, "seed")
+        }
         for name in sorted(draws):
             for place, seed in enumerate(seeds):
-                mistakes += _refused(f"seeds[{place}]", load_method(name).read_options, {"seed": seed})
+                mistakes += _refused(
+                    f"seeds[{place}]", load_method(name).read_options, {"seed": seed}
+                )
         found += [_with_seed(pipeline, draws, seed) for seed in seeds] if draws else [pipeline]
     if len(found) == len(pipelines) and not mistakes and found == list(pipelines):
         mistakes.append("seeds: none of these pipelines draws at random; leave them out")
@@ -254,11 +309,21 @@ def _seeded(
 
 
 def _with_seed(pipeline: Pipeline, draws: set[str], seed: int) -> Pipeline:
-    legs = tuple(replace(leg, options={**leg.options, "seed": seed}) if leg.method in draws else leg for leg in pipeline.legs)
-    return replace(pipeline, name=f"{pipeline.name} seed {seed}", title=f"{pipeline.title}; seed {seed}", legs=legs)
+    legs = tuple(
+        replace(leg, options={**leg.options, "seed": seed}) if leg.method in draws else leg
+        for leg in pipeline.legs
+    )
+    return replace(
+        pipeline,
+        name=f"{pipeline.name} seed {seed}",
+        title=f"{pipeline.title}; seed {seed}",
+        legs=legs,
+    )
 
 
-def _references(entries: Sequence[SceneEntry], folder: Path) -> tuple[list[SceneReference], list[SceneReference], list[str]]:
+def _references(
+    entries: Sequence[SceneEntry], folder: Path
+) -> tuple[list[SceneReference], list[SceneReference], list[str]]:
     """Scenes in order with their variants, the unchanged scenes they come from, and mistakes. folder: from which paths are looked up."""
     found: list[SceneReference] = []
     bases: dict[str, SceneReference] = {}
@@ -266,7 +331,9 @@ def _references(entries: Sequence[SceneEntry], folder: Path) -> tuple[list[Scene
     for place, entry in enumerate(entries):
         where = f"scenes[{place}]"
         try:
-            base = referred(str(folder / entry.scene) if entry.scene.endswith(".py") else entry.scene)
+            base = referred(
+                str(folder / entry.scene) if entry.scene.endswith(".py") else entry.scene
+            )
         except (TouchstoneError, OSError, ValueError) as error:
             mistakes.append(f"{where}.scene: {error}")
             continue
@@ -309,14 +376,18 @@ def _scene_mistakes(entry: SceneEntry, scene: Scene) -> Iterator[str]:
     lengths = [len(values) for values in _changes(entry).values() if len(values) > 1]
     if entry.sweep == "together" and len(set(lengths)) > 1:
         yield f'sweep: "together" needs lists of one length, but theirs are {", ".join(map(str, lengths))}'
-    elif (count := lengths[0] if entry.sweep == "together" and lengths else math.prod(lengths)) > MOST_VARIANTS:
+    elif (
+        count := lengths[0] if entry.sweep == "together" and lengths else math.prod(lengths)
+    ) > MOST_VARIANTS:
         yield f"sweep: these lists give {count} scenes, more than {MOST_VARIANTS}; leave out some values"
 
 
 def _changes(entry: SceneEntry) -> dict[_Change, list[Any]]:
     """Everything that is changed, by section and name, with its values."""
     sections = {"parameters": entry.parameters, "start": entry.start, "goal": entry.goal}
-    changes: dict[_Change, list[Any]] = {(part, name): values for part, given in sections.items() for name, values in given.items()}
+    changes: dict[_Change, list[Any]] = {
+        (part, name): values for part, given in sections.items() for name, values in given.items()
+    }
     changes |= {} if entry.steps is None else {("steps", ""): entry.steps}
     return changes | ({} if entry.step is None else {("step", ""): entry.step})
 
@@ -343,7 +414,9 @@ def _combinations(lists: Sequence[Sequence[Any]], sweep: str) -> Iterator[tuple[
         yield from itertools.product(*lists)
         return
     longest = max((len(values) for values in lists), default=1)
-    yield from zip(*(list(values) * (longest if len(values) == 1 else 1) for values in lists), strict=True)
+    yield from zip(
+        *(list(values) * (longest if len(values) == 1 else 1) for values in lists), strict=True
+    )
 
 
 def _variant(name: str, chosen: Mapping[_Change, Any], entry: SceneEntry) -> Variant:
@@ -356,17 +429,34 @@ def _variant(name: str, chosen: Mapping[_Change, Any], entry: SceneEntry) -> Var
         steps=chosen.get(("steps", "")),
         step=None if ("step", "") not in chosen else float(chosen["step", ""]),
         start={name: float(value) for name, value in section("start").items()},
-        goal={name: None if value == FREE else float(value) for name, value in section("goal").items()},
-        limits={figure: (float(limit.value), limit.reason) for figure, limit in entry.limits.items()},
+        goal={
+            name: None if value == FREE else float(value) for name, value in section("goal").items()
+        },
+        limits={
+            figure: (float(limit.value), limit.reason) for figure, limit in entry.limits.items()
+        },
     )
 
 
-def _name(entry: SceneEntry, scene: Scene, changes: Mapping[_Change, Sequence[Any]], chosen: Mapping[_Change, Any]) -> str:
+def _name(
+    entry: SceneEntry,
+    scene: Scene,
+    changes: Mapping[_Change, Sequence[Any]],
+    chosen: Mapping[_Change, Any],
+) -> str:
     """`three_cart_k_300`: the name given or the scene's, then what tells its scenes apart (without a name given: all that is changed)."""
     distinct = [change for change in changes if entry.name is None or len(changes[change]) > 1]
     parts = [entry.name or scene.name]
     for section, name in distinct:
-        parts += [word for word in ("" if section == "parameters" else section, name, _letters(chosen[section, name])) if word]
+        parts += [
+            word
+            for word in (
+                "" if section == "parameters" else section,
+                name,
+                _letters(chosen[section, name]),
+            )
+            if word
+        ]
     if entry.name is None and not changes:
         parts.append("limits")
     return "_".join(parts)

@@ -1,4 +1,6 @@
-"""Which tasks a campaign has, in order: scenes by pipelines, then checks; and which of them are stored.
+"""Which tasks a campaign has, in order: scenes by pipelines, then checks.
+
+And which of them are stored.
 
 entries, left_out = select(CampaignSettings(out=Path("runs/all"), quick=True))
 entries = with_stored(entries, store, settings)
@@ -34,14 +36,19 @@ _UNKNOWN = 3
 
 
 class NothingSelectedError(CampaignError):
-    """A -k that selects nothing; `mistakes` has a sentence for each of its words that is in no name."""
+    """A -k that selects nothing.
+
+    `mistakes` has a sentence for each of its words that is in no name.
+    """
 
     def __init__(self, expression: str, names: Sequence[str]) -> None:
         self.headline = f"nothing to run: -k {expression!r} selects no run and no check"
         unknown = [word for word in words_of(expression) if not matches(word, names)]
         self.mistakes = tuple(_unknown(word, names) for word in unknown[:_UNKNOWN])
         if not unknown:
-            self.mistakes = ("each of its words is in a name, but no scene with its pipeline and methods has all that it asks for",)
+            self.mistakes = (
+                "each of its words is in a name, but no scene with its pipeline and methods has all that it asks for",
+            )
         self.mistakes += ("`python -m validate list` has all names; =NAME asks for the whole name",)
         super().__init__(f"{self.headline}: {'; '.join(self.mistakes)}.")
 
@@ -56,10 +63,14 @@ def _unknown(word: str, names: Sequence[str]) -> str:
 class CampaignSettings:
     """What the user asked for.
 
-    scenes: names or paths; empty for all of the catalog. last_failed: of what is not stored, run only what failed when the folder's campaign
-    last ran, and that in any case; stop_early: at the first failure; retries: of a task that crashes; engine: which runs the tasks
-    (validate.execution.engine); robust: whether plans that hold are tried in perturbed worlds; jobs: tasks at a time, None for what the engine chooses.
-    Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; checked: scenes whose FMUs are checked; title: of the
+    scenes: names or paths; empty for all of the catalog. last_failed: of what is not stored, run
+        only what failed when the folder's campaign
+    last ran, and that in any case; stop_early: at the first failure; retries: of a task that
+        crashes; engine: which runs the tasks
+    (validate.execution.engine); robust: whether plans that hold are tried in perturbed worlds;
+        jobs: tasks at a time, None for what the engine chooses.
+    Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; checked:
+        scenes whose FMUs are checked; title: of the
     report; files: texts written into the folder, by name.
     """
 
@@ -97,7 +108,8 @@ class CampaignSettings:
 class PlannedTask:
     """A task with what the parent knows of it.
 
-    loaded: a run as it is loaded here; stored: its record if that can be used; why: it is run, although something like it may be stored.
+    loaded: a run as it is loaded here; stored: its record if that can be used; why: it is run,
+        although something like it may be stored.
     """
 
     task: Task
@@ -108,11 +120,16 @@ class PlannedTask:
 
 def scenes_of(entries: Iterable[PlannedTask]) -> dict[str, Scene]:
     """The scenes of the runs among these tasks, by name."""
-    return {entry.loaded.scene.name: entry.loaded.scene for entry in entries if entry.loaded is not None}
+    return {
+        entry.loaded.scene.name: entry.loaded.scene for entry in entries if entry.loaded is not None
+    }
 
 
 def select(settings: CampaignSettings) -> tuple[list[PlannedTask], tuple[str, ...]]:
-    """The tasks asked for, in order, and what a quick campaign leaves out, in words. Raises TouchstoneError."""
+    """The tasks asked for, in order, and what a quick campaign leaves out, in words.
+
+    Raises TouchstoneError.
+    """
     plugin = load_plugin(settings.plugin)
     scenes = list(settings.chosen) or _scenes(settings)
     entries: list[PlannedTask] = []
@@ -125,21 +142,32 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedTask], tuple[str, ..
         for pipeline in pipelines:
             methods = dict.fromkeys(leg.method for leg in pipeline.legs)
             seen += [scene.name, pipeline.name, *methods]
-            if settings.wants((scene.name, pipeline.name, *methods), f"{scene.name} x {pipeline.name}"):
+            if settings.wants(
+                (scene.name, pipeline.name, *methods), f"{scene.name} x {pipeline.name}"
+            ):
                 if _is_too_long(settings, scene):
                     long.append(scene.name)
                 elif settings.quick and pipeline.name not in plugin.quick:
                     left_out.append((scene.name, pipeline.name))
                 else:
-                    entries += [_entry(settings, plugin, reference, part) for part in parts_of(pipeline)]
+                    entries += [
+                        _entry(settings, plugin, reference, part) for part in parts_of(pipeline)
+                    ]
     long = list(dict.fromkeys(long))
-    skipped = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
-    checks, unchecked = _checks(settings, plugin, settings.checked if settings.chosen else scenes, seen)
+    skipped = (
+        *_in_words(left_out, len(scenes) - len(long)),
+        *(f"{name} x every pipeline" for name in long),
+    )
+    checks, unchecked = _checks(
+        settings, plugin, settings.checked if settings.chosen else scenes, seen
+    )
     skipped += unchecked
     if entries or checks:
         return [*entries, *checks], skipped
     if skipped:
-        raise CampaignError(f"nothing to run: --quick leaves out all that is selected ({', '.join(skipped)}); drop --quick.")
+        raise CampaignError(
+            f"nothing to run: --quick leaves out all that is selected ({', '.join(skipped)}); drop --quick."
+        )
     raise NothingSelectedError(settings.expression or "", tuple(dict.fromkeys(seen)))
 
 
@@ -152,13 +180,22 @@ def _scenes(settings: CampaignSettings) -> list[SceneReference]:
     scenes: list[SceneReference] = []
     for name in dict.fromkeys(settings.scenes or scene_names()):
         found = referred(name)
-        if any(other.scene.name == found.scene.name and other.scene is not found.scene for other in scenes):
-            raise CampaignError(f"--scene {name}: another scene of this campaign is named {found.scene.name!r} too; rename one of them.")
+        if any(
+            other.scene.name == found.scene.name and other.scene is not found.scene
+            for other in scenes
+        ):
+            raise CampaignError(
+                f"--scene {name}: another scene of this campaign is named {found.scene.name!r} too; rename one of them."
+            )
         scenes.append(found)
     if settings.scenes:
         return scenes
-    # What is read first is there first: Table I after a minute, and the cheap scenes before the dear ones.
-    return sorted(scenes, key=lambda reference: (reference.scene.name != PAPER_SCENE, scene_cost(reference.scene)))
+    # What is read first is there first: Table I after a minute, and the cheap scenes before the
+    # dear ones.
+    return sorted(
+        scenes,
+        key=lambda reference: (reference.scene.name != PAPER_SCENE, scene_cost(reference.scene)),
+    )
 
 
 def referred(name: str) -> SceneReference:
@@ -171,16 +208,23 @@ def referred(name: str) -> SceneReference:
 def scene_cost(scene: Scene) -> int:
     """How dear a scene is beside others, known before anything runs: steps times states times contacts, the friction of a contact counted as another.
 
-    Nothing for a scene without inputs: its motion is only simulated. Over the 16 scenes that come with touchstone the order that this gives has a
-    rank correlation of 0.94 with the CPU seconds of all their runs.
+    Nothing for a scene without inputs: its motion is only simulated. Over the 16 scenes that come
+    with touchstone the order that this gives has a rank correlation of 0.94 with the CPU seconds of
+    all their runs.
     """
-    return scene.task.steps * 2 * scene.nq * max(1, scene.nc + len(scene.frictions)) if scene.inputs else 0
+    return (
+        scene.task.steps * 2 * scene.nq * max(1, scene.nc + len(scene.frictions))
+        if scene.inputs
+        else 0
+    )
 
 
 def _checks(
     settings: CampaignSettings, plugin: Plugin, scenes: Sequence[SceneReference], seen: list[str]
 ) -> tuple[list[PlannedTask], tuple[str, ...]]:
-    """The checks asked for, and what of them a quick campaign leaves out; their names are added to `seen`.
+    """The checks asked for, and what of them a quick campaign leaves out.
+
+    Their names are added to `seen`.
 
     Where scenes are named, only checks of these scenes are meant.
     """
@@ -196,7 +240,9 @@ def _checks(
         if settings.quick and (not item.quick or item.scene in long):
             left_out.append(item)
             continue
-        wanted.append(PlannedTask(replace(item, key=check_key(item), time_limit=settings.time_limit)))
+        wanted.append(
+            PlannedTask(replace(item, key=check_key(item), time_limit=settings.time_limit))
+        )
     return wanted, _counted(left_out)
 
 
@@ -205,22 +251,37 @@ def _counted(checks: Sequence[CheckTask]) -> tuple[str, ...]:
     groups: dict[str, list[str]] = {}
     for item in checks:
         groups.setdefault(item.group or item.kind, []).append(item.title)
-    return tuple(titles[0] if len(titles) == 1 else f"{group}: {len(titles)} checks" for group, titles in groups.items())
+    return tuple(
+        titles[0] if len(titles) == 1 else f"{group}: {len(titles)} checks"
+        for group, titles in groups.items()
+    )
 
 
 def _in_words(runs: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
-    """(scene, pipeline) -> `scene x pipeline`; a pipeline of all of several scenes once, as `every scene x pipeline`."""
+    """(scene, pipeline) -> `scene x pipeline`.
+
+    A pipeline of all of several scenes once, as `every scene x pipeline`.
+    """
     times = Counter(pipeline for _, pipeline in runs)
-    return tuple(dict.fromkeys(f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}" for scene, pipeline in runs))
+    return tuple(
+        dict.fromkeys(
+            f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}"
+            for scene, pipeline in runs
+        )
+    )
 
 
-def _entry(settings: CampaignSettings, plugin: Plugin, reference: SceneReference, pipeline: Pipeline) -> PlannedTask:
+def _entry(
+    settings: CampaignSettings, plugin: Plugin, reference: SceneReference, pipeline: Pipeline
+) -> PlannedTask:
     scene, plan = reference.scene, planned_stages(pipeline, plugin.methods_of(pipeline))
     source = plugin_source(settings.plugin)
 
     def key_of(stages: Sequence[Planned], *named: str, robust: bool = False) -> str:
         asked = [*named, [planned.asked() for planned in stages]]
-        return content_key(scene, asked, {planned.name for planned in stages}, source, robust=robust)
+        return content_key(
+            scene, asked, {planned.name for planned in stages}, source, robust=robust
+        )
 
     task = RunTask(
         key=key_of(plan, pipeline.name, pipeline.title, robust=settings.robust),
@@ -236,32 +297,51 @@ def _entry(settings: CampaignSettings, plugin: Plugin, reference: SceneReference
     return PlannedTask(task, LoadedRun(scene=scene, plan=plan))
 
 
-def with_stored(entries: Sequence[PlannedTask], store: Store, settings: CampaignSettings) -> list[PlannedTask]:
+def with_stored(
+    entries: Sequence[PlannedTask], store: Store, settings: CampaignSettings
+) -> list[PlannedTask]:
     """The same tasks, each with its stored record where that can be used again, else with the reason why not.
 
-    Of a campaign that runs what failed the last time, those alone (`only_last_failed`), which may raise CampaignError.
+    Of a campaign that runs what failed the last time, those alone (`only_last_failed`), which may
+    raise CampaignError.
     """
     usable = (_usable(store, entry.task, settings.fresh) for entry in entries)
-    found = [replace(entry, stored=record, why=why) for entry, (record, why) in zip(entries, usable, strict=True)]
+    found = [
+        replace(entry, stored=record, why=why)
+        for entry, (record, why) in zip(entries, usable, strict=True)
+    ]
     return only_last_failed(found, store) if settings.last_failed else found
 
 
 def _usable(store: Store, task: Task, fresh: bool) -> tuple[TaskRecord | None, str]:
     record = store.read(task.key)
     if record is None:
-        return None, "stored, but its record cannot be read" if (store.runs / task.key).is_dir() else NOTHING_STORED
+        return None, "stored, but its record cannot be read" if (
+            store.runs / task.key
+        ).is_dir() else NOTHING_STORED
     if fresh:
         return None, "stored, but --fresh runs it anew"
     stages = record.stages if isinstance(record, RunRecord) else ()
     outcomes = {record.outcome, *(stage.outcome for stage in stages)}
     if "crashed" in outcomes:
         return None, "stored, but it crashed"
-    without_survey = isinstance(task, RunTask) and task.robust and any(stage.verdict in HOLD and stage.survey is None for stage in stages)
-    if "time_limit" in outcomes or without_survey or any(stage.certificate_missing for stage in stages):
+    without_survey = (
+        isinstance(task, RunTask)
+        and task.robust
+        and any(stage.verdict in HOLD and stage.survey is None for stage in stages)
+    )
+    if (
+        "time_limit" in outcomes
+        or without_survey
+        or any(stage.certificate_missing for stage in stages)
+    ):
         asked = store.request(task.key).get("time_limit")
         before = asked if isinstance(asked, (int, float)) else 0.0
         if not before >= task.time_limit:
-            return None, f"stored, but it ran out of {before:g} s and would have {task.time_limit:g} s now"
+            return (
+                None,
+                f"stored, but it ran out of {before:g} s and would have {task.time_limit:g} s now",
+            )
     if file := store.damaged_file(task.key):
         return None, f"stored, but {file} is gone or cut off"
     if store.needs_rerun(task.key):
@@ -270,7 +350,10 @@ def _usable(store: Store, task: Task, fresh: bool) -> tuple[TaskRecord | None, s
 
 
 def reasons(entries: Sequence[PlannedTask], store: Store) -> list[str]:
-    """For each task why it would be run, "" where its record is used; one of which another version is stored says that."""
+    """For each task why it would be run, "" where its record is used.
+
+    One of which another version is stored says that.
+    """
     others = {identity(request) for request in store.requests()}
     return [
         "stored for other code, options, libraries or another scene file"
@@ -288,16 +371,23 @@ def past_seconds(entries: Sequence[PlannedTask], store: Store) -> dict[str, floa
     found: dict[str, float] = {}
     for entry in entries:
         if entry.stored is None:
-            before = [record for key in keys.get(identity(task_to_json(entry.task)), ()) if (record := store.read(key)) is not None]
+            before = [
+                record
+                for key in keys.get(identity(task_to_json(entry.task)), ())
+                if (record := store.read(key)) is not None
+            ]
             if before:
-                found[entry.task.key] = max(before, key=lambda record: record.provenance.started).cpu_seconds
+                found[entry.task.key] = max(
+                    before, key=lambda record: record.provenance.started
+                ).cpu_seconds
     return found
 
 
 def only_last_failed(entries: Sequence[PlannedTask], store: Store) -> list[PlannedTask]:
     """Of these tasks those that failed when the folder's campaign last ran, to be run anew, and those that are stored, as they are.
 
-    What is neither is left out. Raises CampaignError where there is no campaign, or nothing of this choice failed.
+    What is neither is left out. Raises CampaignError where there is no campaign, or nothing of this
+    choice failed.
     """
     records = tuple(filter(None, map(store.read, campaign_of(store.folder).keys)))
     failing = failed_keys(records)
@@ -309,7 +399,9 @@ def only_last_failed(entries: Sequence[PlannedTask], store: Store) -> list[Plann
             named = sorted(record.title for record in records if record.key in failing)
             more = f" and {len(named) - 3} more" if len(named) > 3 else ""
             hint = f"what did is not selected ({', '.join(named[:3])}{more}): select it as it was, by -k, --scene, --plugin or the file of `run`."
-        raise CampaignError(f"nothing to run: nothing that is selected failed when the campaign in {store.folder} last ran; {hint}")
+        raise CampaignError(
+            f"nothing to run: nothing that is selected failed when the campaign in {store.folder} last ran; {hint}"
+        )
     why = "it failed the last time"
     return [
         replace(entry, stored=None, why=why) if entry.task.key in again else entry

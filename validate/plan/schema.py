@@ -1,9 +1,11 @@
-"""What may stand in a campaign file. The descriptions are those of the JSON Schema that `python -m validate run --schema` prints.
+"""What may stand in a campaign file.
+
+The descriptions are those of the JSON Schema that `python -m validate run --schema` prints.
 
 A campaign file in which nothing is left open: run again, it gives the same tasks by the same keys.
 
-Every scene stands there with one number for each change, scene files by their absolute paths, pipelines of one's own with their methods'
-defaults.
+Every scene stands there with one number for each change, scene files by their absolute paths,
+pipelines of one's own with their methods' defaults.
 """
 
 from __future__ import annotations
@@ -34,7 +36,11 @@ def _listed(value: Any) -> Any:
 
 
 def _short_limit(value: Any) -> Any:
-    return {"value": value} if isinstance(value, (int, float)) and not isinstance(value, bool) else value
+    return (
+        {"value": value}
+        if isinstance(value, (int, float)) and not isinstance(value, bool)
+        else value
+    )
 
 
 def _short_scene(value: Any) -> Any:
@@ -55,19 +61,34 @@ def _end(value: Any) -> Any:
 
 
 # A number, or several of them: each gives a scene of its own.
-Numbers = Annotated[list[float], BeforeValidator(_listed, json_schema_input_type=float | list[float]), Field(min_length=1)]
+Numbers = Annotated[
+    list[float],
+    BeforeValidator(_listed, json_schema_input_type=float | list[float]),
+    Field(min_length=1),
+]
 Counts = Annotated[
-    list[Annotated[int, Field(ge=1, le=MOST_STEPS)]], BeforeValidator(_listed, json_schema_input_type=int | list[int]), Field(min_length=1)
+    list[Annotated[int, Field(ge=1, le=MOST_STEPS)]],
+    BeforeValidator(_listed, json_schema_input_type=int | list[int]),
+    Field(min_length=1),
 ]
 Steps = Annotated[
-    list[Annotated[float, Field(gt=0.0)]], BeforeValidator(_listed, json_schema_input_type=float | list[float]), Field(min_length=1)
+    list[Annotated[float, Field(gt=0.0)]],
+    BeforeValidator(_listed, json_schema_input_type=float | list[float]),
+    Field(min_length=1),
 ]
 Ends = Annotated[
     list[Annotated[Any, BeforeValidator(_end, json_schema_input_type=float | Literal["free"])]],
-    BeforeValidator(_listed, json_schema_input_type=float | Literal["free"] | list[float | Literal["free"]]),
+    BeforeValidator(
+        _listed, json_schema_input_type=float | Literal["free"] | list[float | Literal["free"]]
+    ),
     Field(min_length=1),
 ]
-Option = Annotated[Any, BeforeValidator(_option, json_schema_input_type=bool | int | float | str | list[bool | int | float | str])]
+Option = Annotated[
+    Any,
+    BeforeValidator(
+        _option, json_schema_input_type=bool | int | float | str | list[bool | int | float | str]
+    ),
+]
 
 
 class CampaignLimit(_Strict):
@@ -77,26 +98,44 @@ class CampaignLimit(_Strict):
     reason: str = "set in the campaign file"
 
 
-OfLimit = Annotated[CampaignLimit, BeforeValidator(_short_limit, json_schema_input_type=float | CampaignLimit)]
+OfLimit = Annotated[
+    CampaignLimit, BeforeValidator(_short_limit, json_schema_input_type=float | CampaignLimit)
+]
 
 
 class SceneEntry(_Strict):
-    """A scene, and what is changed of it. Where a list stands for a number, each of its values gives a scene of its own."""
+    """A scene, and what is changed of it.
 
-    scene: str = Field(min_length=1, description="A name (`python -m validate list`), or the path of a scene file, from the campaign file.")
+    Where a list stands for a number, each of its values gives a scene of its own.
+    """
+
+    scene: str = Field(
+        min_length=1,
+        description="A name (`python -m validate list`), or the path of a scene file, from the campaign file.",
+    )
     name: str | None = Field(
         default=None,
         pattern=r"^[A-Za-z][A-Za-z0-9_]{0,60}$",
         description="What the changed scene is called; its own name and the changes without.",
     )
-    parameters: dict[str, Numbers] = Field(default={}, description="Parameters of the scene by name, in its units.")
+    parameters: dict[str, Numbers] = Field(
+        default={}, description="Parameters of the scene by name, in its units."
+    )
     steps: Counts | None = Field(default=None, description="How many time steps.")
     step: Steps | None = Field(default=None, description="Length of a time step [s].")
-    start: dict[str, Numbers] = Field(default={}, description="Components of the first state, by coordinate or velocity.")
-    goal: dict[str, Ends] = Field(default={}, description='Components of the last state; "free" leaves one open.')
-    limits: dict[str, OfLimit] = Field(default={}, description="Limits on figures of the score instead of, or beside, those of the scene.")
+    start: dict[str, Numbers] = Field(
+        default={}, description="Components of the first state, by coordinate or velocity."
+    )
+    goal: dict[str, Ends] = Field(
+        default={}, description='Components of the last state; "free" leaves one open.'
+    )
+    limits: dict[str, OfLimit] = Field(
+        default={},
+        description="Limits on figures of the score instead of, or beside, those of the scene.",
+    )
     sweep: Literal["product", "together"] = Field(
-        default="product", description="Lists are combined each with each, or value by value (then they are equally long)."
+        default="product",
+        description="Lists are combined each with each, or value by value (then they are equally long).",
     )
 
 
@@ -104,8 +143,14 @@ class LegEntry(_Strict):
     """A run of one method over a schedule of eps."""
 
     method: str = Field(min_length=1, description="A name (`python -m validate list`).")
-    eps: list[float] = Field(default=[], max_length=1000, description="The relaxation of each stage, in order; none for a method without.")
-    options: dict[str, Option] = Field(default={}, description="Options of the method, for all stages.")
+    eps: list[float] = Field(
+        default=[],
+        max_length=1000,
+        description="The relaxation of each stage, in order; none for a method without.",
+    )
+    options: dict[str, Option] = Field(
+        default={}, description="Options of the method, for all stages."
+    )
     stage_options: list[dict[str, Option]] = Field(
         default=[], max_length=1000, description="Options of stage 1, 2, ..., laid over `options`."
     )
@@ -119,22 +164,43 @@ class PipelineEntry(_Strict):
 
 
 class CampaignFile(_Strict):
-    """A campaign of touchstone: scenes by pipelines. Run it with `python -m validate run FILE.toml`."""
+    """A campaign of touchstone: scenes by pipelines.
+
+    Run it with `python -m validate run FILE.toml`.
+    """
 
     title: str = Field(default="", description="The title of the report.")
-    scenes: list[Annotated[SceneEntry, BeforeValidator(_short_scene, json_schema_input_type=str | SceneEntry)]] = Field(min_length=1)
+    scenes: list[
+        Annotated[
+            SceneEntry, BeforeValidator(_short_scene, json_schema_input_type=str | SceneEntry)
+        ]
+    ] = Field(min_length=1)
     pipelines: list[str] = Field(
-        default=[], description="Names of pipelines, ours or of this file; without it all of this file, and if it has none, all of ours."
+        default=[],
+        description="Names of pipelines, ours or of this file; without it all of this file, and if it has none, all of ours.",
     )
-    pipeline: dict[str, PipelineEntry] = Field(default={}, description="Pipelines of one's own, by name.")
+    pipeline: dict[str, PipelineEntry] = Field(
+        default={}, description="Pipelines of one's own, by name."
+    )
     seeds: list[Annotated[int, Field(ge=0)]] = Field(
-        default=[], max_length=1000, description="Each pipeline that draws at random is run once for each of them."
+        default=[],
+        max_length=1000,
+        description="Each pipeline that draws at random is run once for each of them.",
     )
-    time_limit: float = Field(default=240.0, gt=0.0, description="Seconds for each run, all its stages and replays.")
-    checks: bool = Field(default=False, description="Whether the FMUs of the unchanged scenes are checked too.")
+    time_limit: float = Field(
+        default=240.0, gt=0.0, description="Seconds for each run, all its stages and replays."
+    )
+    checks: bool = Field(
+        default=False, description="Whether the FMUs of the unchanged scenes are checked too."
+    )
 
 
-def resolved_text(file: CampaignFile, scenes: Sequence[SceneReference], load_method: Callable[[str], Method], name: str) -> str:
+def resolved_text(
+    file: CampaignFile,
+    scenes: Sequence[SceneReference],
+    load_method: Callable[[str], Method],
+    name: str,
+) -> str:
     """The file as text. name: of the file it was made from."""
     head = {
         "title": file.title,
@@ -142,7 +208,10 @@ def resolved_text(file: CampaignFile, scenes: Sequence[SceneReference], load_met
         "checks": file.checks,
         "pipelines": file.pipelines or list(file.pipeline),
     }
-    lines = [f"# {' '.join(name.split())}, with everything filled in", *_lines(head | ({"seeds": file.seeds} if file.seeds else {}))]
+    lines = [
+        f"# {' '.join(name.split())}, with everything filled in",
+        *_lines(head | ({"seeds": file.seeds} if file.seeds else {})),
+    ]
     for reference in scenes:
         lines += ["", "[[scenes]]", *_lines(_scene(reference))]
     for own, entry in file.pipeline.items():
@@ -150,7 +219,14 @@ def resolved_text(file: CampaignFile, scenes: Sequence[SceneReference], load_met
         for leg in entry.legs:
             options = {**_defaults(load_method(leg.method)), **leg.options}
             lines += ["", f"[[pipeline.{toml_text(own)}.legs]]"]
-            lines += _lines({"method": leg.method, "eps": leg.eps, "options": options, "stage_options": leg.stage_options})
+            lines += _lines(
+                {
+                    "method": leg.method,
+                    "eps": leg.eps,
+                    "options": options,
+                    "stage_options": leg.stage_options,
+                }
+            )
     return "\n".join(lines) + "\n"
 
 
@@ -160,7 +236,11 @@ def _lines(data: Mapping[str, Any]) -> list[str]:
 
 def _defaults(method: Method) -> dict[str, Any]:
     """Those that TOML can hold."""
-    return {name: value for name, value in asdict(method.options()).items() if isinstance(value, (bool, int, float, str))}
+    return {
+        name: value
+        for name, value in asdict(method.options()).items()
+        if isinstance(value, (bool, int, float, str))
+    }
 
 
 def _scene(reference: SceneReference) -> dict[str, Any]:
@@ -174,6 +254,13 @@ def _scene(reference: SceneReference) -> dict[str, Any]:
         "parameters": variant.parameters,
         "start": variant.start,
         "goal": {name: FREE if value is None else value for name, value in variant.goal.items()},
-        "limits": {metric: {"value": value, "reason": reason} for metric, (value, reason) in variant.limits.items()},
+        "limits": {
+            metric: {"value": value, "reason": reason}
+            for metric, (value, reason) in variant.limits.items()
+        },
     }
-    return {"scene": reference.where, "name": variant.name, **{key: value for key, value in changes.items() if value not in (None, {})}}
+    return {
+        "scene": reference.where,
+        "name": variant.name,
+        **{key: value for key, value in changes.items() if value not in (None, {})},
+    }

@@ -2,9 +2,10 @@
 
     matches("strict and not relaxed", ["three_cart", "softplus_dc+strict", "strict_lcp"])   # True
 
-A word is true if it is part of one of the task's names (its scene, its pipeline, its methods), upper and lower case alike, and `=word` (or `="some words"`)
-if it is all of one, or all of what the task is called (`="three_cart x strict"`); words are joined with `and`, `or`, `not` and parentheses, as in pytest.
-A quotation mark between quotation marks is written twice.
+A word is true if it is part of one of the task's names (its scene, its pipeline, its methods),
+upper and lower case alike, and `=word` (or `="some words"`) if it is all of one, or all of what the
+task is called (`="three_cart x strict"`); words are joined with `and`, `or`, `not` and parentheses,
+as in pytest. A quotation mark between quotation marks is written twice.
 """
 
 from __future__ import annotations
@@ -27,7 +28,10 @@ class SelectionError(TouchstoneError):
 
 
 def matches(expression: str, names: Iterable[str], title: str = "") -> bool:
-    """Whether the expression is true of a task of these names and this title. Raises SelectionError."""
+    """Whether the expression is true of a task of these names and this title.
+
+    Raises SelectionError.
+    """
     names = tuple(name.lower() for name in names)
     truth, wants_name, opened = [], True, 0
     for mark, word in _TOKEN.findall(expression):
@@ -36,7 +40,9 @@ def matches(expression: str, names: Iterable[str], title: str = "") -> bool:
         if wants_name and ends:
             raise _error(expression, f"a name is missing before {token!r}")
         if not wants_name and (not ends or (token == ")" and not opened)):
-            raise _error(expression, "a ')' is missing" if opened else f"{token!r} was not expected there")
+            raise _error(
+                expression, "a ')' is missing" if opened else f"{token!r} was not expected there"
+            )
         wants_name = token in ("and", "or", "not", "(")
         opened += {"(": 1, ")": -1}.get(token, 0)
         truth.append(token if wants_name or ends else str(_is_meant(token, names, title.lower())))
@@ -45,9 +51,13 @@ def matches(expression: str, names: Iterable[str], title: str = "") -> bool:
     if opened:
         raise _error(expression, "a ')' is missing")
     try:
-        return eval(" ".join(truth))  # of nothing but True, False, and, or, not and parentheses, in an order that was checked
+        return eval(
+            " ".join(truth)
+        )  # of nothing but True, False, and, or, not and parentheses, in an order that was checked
     except (SyntaxError, RecursionError, MemoryError):  # the ways in which Python says so
-        raise SelectionError(f"-k {expression[:20]!r}..: it is nested deeper than can be read; write it with fewer parentheses.") from None
+        raise SelectionError(
+            f"-k {expression[:20]!r}..: it is nested deeper than can be read; write it with fewer parentheses."
+        ) from None
 
 
 def _is_meant(word: str, names: Sequence[str], title: str) -> bool:
@@ -57,26 +67,46 @@ def _is_meant(word: str, names: Sequence[str], title: str) -> bool:
 
 
 def _error(expression: str, problem: str) -> SelectionError:
-    return SelectionError(f"-k {expression!r}: {problem}; write names joined with and, or, not, for example -k 'strict and not relaxed'.")
+    return SelectionError(
+        f"-k {expression!r}: {problem}; write names joined with and, or, not, for example -k 'strict and not relaxed'."
+    )
 
 
 def words_of(expression: str) -> list[str]:
     """The names in an expression, each as it is written, each once."""
-    return list(dict.fromkeys(word for _, word in _TOKEN.findall(expression) if word and word not in ("and", "or", "not")))
+    return list(
+        dict.fromkeys(
+            word
+            for _, word in _TOKEN.findall(expression)
+            if word and word not in ("and", "or", "not")
+        )
+    )
 
 
 def near(word: str, names: Iterable[str]) -> list[str]:
-    """The names of which a part is most like a word that is in none of them; the nearest first, at least one."""
+    """The names of which a part is most like a word that is in none of them.
+
+    The nearest first, at least one.
+    """
     wanted = _unquoted(word.removeprefix("=")).lower()
 
     def likeness(name: str) -> float:
         parts = [name, *re.split(r"[^a-z0-9]+", name.lower())]
-        return max(difflib.SequenceMatcher(None, wanted, part.lower()).ratio() for part in parts if part)
+        return max(
+            difflib.SequenceMatcher(None, wanted, part.lower()).ratio() for part in parts if part
+        )
 
     names = list(names)
-    ranked = sorted([name for name in names if " " not in name] or names, key=lambda name: (-likeness(name), len(name)))
+    ranked = sorted(
+        [name for name in names if " " not in name] or names,
+        key=lambda name: (-likeness(name), len(name)),
+    )
     return [name for name in ranked[:_NEAR] if likeness(name) >= 0.6] or ranked[:1]
 
 
 def _unquoted(word: str) -> str:
-    return word[1:-1].replace('""', '"') if len(word) > 1 and word[0] == word[-1] == '"' else word.strip('"')
+    return (
+        word[1:-1].replace('""', '"')
+        if len(word) > 1 and word[0] == word[-1] == '"'
+        else word.strip('"')
+    )

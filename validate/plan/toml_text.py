@@ -25,11 +25,17 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
     try:
         with open(path, "rb") as file:
             data = file.read(MOST_BYTES + 1)
-        text = data.decode("utf-8-sig")  # with or without the mark that editors of Windows begin with
+        text = data.decode(
+            "utf-8-sig"
+        )  # with or without the mark that editors of Windows begin with
     except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise TomlError(f"it cannot be read ({getattr(error, 'strerror', None) or error})") from error
+        raise TomlError(
+            f"it cannot be read ({getattr(error, 'strerror', None) or error})"
+        ) from error
     if len(data) > MOST_BYTES:
-        raise TomlError(f"it is larger than {MOST_BYTES // 1_000_000} MB, so it is not a file for this")
+        raise TomlError(
+            f"it is larger than {MOST_BYTES // 1_000_000} MB, so it is not a file for this"
+        )
     try:
         return text, tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -40,18 +46,26 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
         raise TomlError(f"it is not TOML that can be read ({error})") from error
 
 
-# What a value must be, by the types of pydantic's errors that the schemas of campaign files and maps can raise.
+# What a value must be, by the types of pydantic's errors that the schemas of campaign files and
+# maps can raise.
 _WANTED = {
-    "string_type": "text", "bool_type": "true or false", "int_type": "a whole number", "float_type": "a number", "finite_number": "a finite number",
-    "list_type": "a list", "dict_type": "a table", "model_type": "a table", "literal_error": "{expected}", "value_error": "{error}",
-    "string_too_short": "a name", "string_pattern_mismatch": "a letter, and behind it at most 60 letters, digits and _",
+    "string_type": "text", "bool_type": "true or false", "int_type": "a whole number",
+    "float_type": "a number", "finite_number": "a finite number",
+    "list_type": "a list", "dict_type": "a table", "model_type": "a table",
+    "literal_error": "{expected}", "value_error": "{error}",
+    "string_too_short": "a name",
+    "string_pattern_mismatch": "a letter, and behind it at most 60 letters, digits and _",
     "too_short": "a list of {min_length} or more", "too_long": "a list of {max_length} or fewer",
-    "greater_than": "above {gt:g}", "greater_than_equal": "at least {ge:g}", "less_than_equal": "at most {le}",
+    "greater_than": "above {gt:g}", "greater_than_equal": "at least {ge:g}",
+    "less_than_equal": "at most {le}",
 }  # fmt: skip
 
 
 def mistake(problem: Mapping[str, Any]) -> str:
-    """What one of pydantic's errors says, in our words; a validator of ours that raises ValueError says what the value must be, PydanticCustomError all."""
+    """What one of pydantic's errors says, in our words.
+
+    A validator of ours that raises ValueError says what the value must be, PydanticCustomError all.
+    """
     if problem["type"] == "missing":
         return "it is missing"
     if problem["type"] in _WANTED:
@@ -61,8 +75,15 @@ def mistake(problem: Mapping[str, Any]) -> str:
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is a finite number, and no truth; TOML's whole numbers may be larger than any that a computer calculates with."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+    """Whether it is a finite number, and no truth.
+
+    TOML's whole numbers may be larger than any that a computer calculates with.
+    """
+    return (
+        isinstance(value, (int, float))
+        and not isinstance(value, bool)
+        and abs(value) <= sys.float_info.max
+    )
 
 
 def toml_value(value: Any) -> str:
@@ -72,7 +93,15 @@ def toml_value(value: Any) -> str:
     if isinstance(value, (int, float)):
         return repr(value)
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{toml_text(str(key))} = {toml_value(item)}" for key, item in value.items()) + " }" if value else "{}"
+        return (
+            "{ "
+            + ", ".join(
+                f"{toml_text(str(key))} = {toml_value(item)}" for key, item in value.items()
+            )
+            + " }"
+            if value
+            else "{}"
+        )
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(toml_value, value)) + "]"
     return toml_text(str(value))

@@ -1,6 +1,7 @@
 """Plausibility warnings: what is possible in a scene, but probably a mistake; they stop nothing.
 
-scene_doubts(scene)     # ("scene own: contact wall is 0.4 deep at the start, 8 times its nominal 0.05; ...",)
+scene_doubts(scene) # ("scene own: contact wall is 0.4 deep at the start, 8 times its nominal 0.05;
+...",)
 """
 
 from __future__ import annotations
@@ -29,7 +30,10 @@ def scene_doubts(scene: Scene) -> tuple[str, ...]:
 def warnings_of(scenes: Iterable[Scene], *, steps: bool = False) -> list[str]:
     """Sentences on scenes, each scene once. steps: also on a time step that is unstable in contact, for which scenes that are not in the bank are compiled."""
     each = list({scene.name: scene for scene in scenes}.values())
-    return [*(sentence for scene in each for sentence in scene_doubts(scene)), *(_unstable(each) if steps else ())]
+    return [
+        *(sentence for scene in each for sentence in scene_doubts(scene)),
+        *(_unstable(each) if steps else ()),
+    ]
 
 
 def _unstable(scenes: Iterable[Scene]) -> Iterator[str]:
@@ -43,7 +47,13 @@ def _unstable(scenes: Iterable[Scene]) -> Iterator[str]:
 
 
 def _deep_starts(scene: Scene) -> Iterator[str]:
-    start = {**scene.parameter_values, **{item.symbol: value for item, value in zip(scene.coordinates, scene.task.start, strict=False)}}
+    start = {
+        **scene.parameter_values,
+        **{
+            item.symbol: value
+            for item, value in zip(scene.coordinates, scene.task.start, strict=False)
+        },
+    }
     for contact in scene.contacts:
         depth = float(contact.penetration.subs(start).evalf())
         if depth > DEEP * contact.nominal:
@@ -54,8 +64,15 @@ def _deep_starts(scene: Scene) -> Iterator[str]:
 
 
 def _deep_goals(scene: Scene) -> Iterator[str]:
-    """Contacts into which the goal leads deeper than their model reaches; of a goal that leaves a body free nothing is known."""
-    goal = {item.symbol: value for item, value in zip(scene.coordinates, scene.task.goal, strict=False) if value is not None}
+    """Contacts into which the goal leads deeper than their model reaches.
+
+    Of a goal that leaves a body free nothing is known.
+    """
+    goal = {
+        item.symbol: value
+        for item, value in zip(scene.coordinates, scene.task.goal, strict=False)
+        if value is not None
+    }
     for contact, most in zip(scene.contacts, scene.depths, strict=True):
         penetration = contact.penetration.subs(scene.parameter_values).subs(goal)
         if penetration.is_number and (depth := float(penetration.evalf())) > most:
@@ -67,9 +84,19 @@ def _deep_goals(scene: Scene) -> Iterator[str]:
 
 def _idle(scene: Scene) -> list[str]:
     physics: list[sp.Expr | None] = [scene.kinetic_energy, scene.potential_energy, *scene.forces]
-    physics += [part for contact in scene.contacts for part in (contact.penetration, contact.stiffness, contact.damping)]
-    physics += [part for friction in scene.frictions for part in (friction.slip, friction.coefficient, friction.normal_force)]
-    drawn = [part for shape in scene.shapes for part in (shape.x, shape.y, shape.angle, *shape.size)]
+    physics += [
+        part
+        for contact in scene.contacts
+        for part in (contact.penetration, contact.stiffness, contact.damping)
+    ]
+    physics += [
+        part
+        for friction in scene.frictions
+        for part in (friction.slip, friction.coefficient, friction.normal_force)
+    ]
+    drawn = [
+        part for shape in scene.shapes for part in (shape.x, shape.y, shape.angle, *shape.size)
+    ]
     asked = [scene.task.running_cost, scene.task.final_cost]
     used = _symbols([*physics, *asked, *drawn])
     moving = _symbols(scene.forces)
@@ -79,7 +106,9 @@ def _idle(scene: Scene) -> list[str]:
         if item.symbol not in used
     ]
     found += [
-        f"scene {scene.name}: input {item.name} moves nothing; no force contains it." for item in scene.inputs if item.symbol not in moving
+        f"scene {scene.name}: input {item.name} moves nothing; no force contains it."
+        for item in scene.inputs
+        if item.symbol not in moving
     ]
     return found
 

@@ -19,22 +19,44 @@ from models.errors import MachineError
 # How the name of what is not finished begins.
 PARTIAL = ".partial-"
 # What the operating system says when a disk will take no more, as opposed to a mistake of ours.
-_DISK_REFUSES = frozenset({errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.ENOTDIR})
+_DISK_REFUSES = frozenset(
+    {
+        errno.EACCES,
+        errno.EPERM,
+        errno.EROFS,
+        errno.ENOSPC,
+        errno.EDQUOT,
+        errno.EIO,
+        errno.EFBIG,
+        errno.ENOTDIR,
+    }
+)
 # Of these, what no method and no check does by a mistake of its own.
 _DISK_ENDS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
 
 
 def disk_error(path: Path, error: OSError) -> MachineError:
     """One sentence for a disk that refuses."""
-    what = "the disk is full" if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG} else (error.strerror or str(error)).lower()
+    what = (
+        "the disk is full"
+        if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+        else (error.strerror or str(error)).lower()
+    )
     if error.errno == errno.ENOENT and not path.parent.exists():
-        return MachineError(f"cannot write {path} (its folder is gone); somebody removed or moved it, or its disk is no longer there.")
-    return MachineError(f"cannot write {path} ({what}); make room or permit it, or write elsewhere.")
+        return MachineError(
+            f"cannot write {path} (its folder is gone); somebody removed or moved it, or its disk is no longer there."
+        )
+    return MachineError(
+        f"cannot write {path} ({what}); make room or permit it, or write elsewhere."
+    )
 
 
 @contextmanager
 def refusals_in_words(path: Path) -> Iterator[None]:
-    """What is done to a file or folder here; where the disk refuses, a MachineError says so of it."""
+    """What is done to a file or folder here.
+
+    Where the disk refuses, a MachineError says so of it.
+    """
     try:
         yield
     except OSError as error:
@@ -51,7 +73,9 @@ def raise_if_disk_ended(path: Path, error: BaseException) -> None:
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, OSError) and cause.errno in _DISK_ENDS:
-            raise disk_error(Path(cause.filename) if isinstance(cause.filename, str) else path, cause) from error
+            raise disk_error(
+                Path(cause.filename) if isinstance(cause.filename, str) else path, cause
+            ) from error
         cause = cause.__cause__ or cause.__context__
 
 
@@ -79,7 +103,9 @@ def temporary_folder(prefix: str) -> Iterator[Path]:
     try:
         yield Path(folder.name)
     finally:
-        with contextlib.suppress(OSError):  # of another user's files, which foreign code may have left, it is not silent all the same
+        with contextlib.suppress(
+            OSError
+        ):  # of another user's files, which foreign code may have left, it is not silent all the same
             folder.cleanup()
 
 
@@ -122,7 +148,10 @@ def fsync_whole(folder: Path) -> None:
 
 
 def renamed(folder: Path, target: Path) -> bool:
-    """Whether a folder has its name now; not if there is one of that name. Raises OSError where the disk refuses."""
+    """Whether a folder has its name now; not if there is one of that name.
+
+    Raises OSError where the disk refuses.
+    """
     try:
         os.rename(folder, target)
     except OSError as error:

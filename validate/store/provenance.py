@@ -1,7 +1,8 @@
 """Where a result comes from: our commit and sources, the versions of what we stand on, the machine, the command.
 
-`content_key` (of a run) and `check_key` hash what decides the numbers of a task - scene, pipeline, options, seed, our sources, library versions, compiler - and no
-times, paths or hosts: equal content, equal key, wherever it runs.
+`content_key` (of a run) and `check_key` hash what decides the numbers of a task - scene, pipeline,
+options, seed, our sources, library versions, compiler - and no times, paths or hosts: equal
+content, equal key, wherever it runs.
 """
 
 from __future__ import annotations
@@ -31,8 +32,19 @@ if TYPE_CHECKING:
     from validate.tasks.task import CheckTask
 
 SEED = 0
-LIBRARIES = ("numpy", "scipy", "sympy", "pyomo", "cyipopt-wheels", "clarabel", "torch", "fmpy", "scikit-sundae")
-# Parts of us that cannot change a number of a task: how tasks are chosen, run side by side, listed and reported.
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "sympy",
+    "pyomo",
+    "cyipopt-wheels",
+    "clarabel",
+    "torch",
+    "fmpy",
+    "scikit-sundae",
+)
+# Parts of us that cannot change a number of a task: how tasks are chosen, run side by side, listed
+# and reported.
 _NO_INFLUENCE = (
     "validate/cli",
     "validate/__main__.py",
@@ -52,9 +64,11 @@ _OF_CHECKS = (
     "validate/stress/",
     "reports/records/check_record.py",
 )
-# What tries plans that hold in perturbed worlds: it decides nothing of how they are found and judged.
+# What tries plans that hold in perturbed worlds: it decides nothing of how they are found and
+# judged.
 _OF_SURVEYS = "validate/judge/robustness/"
-# Parts of the room of reports that decide what is in a record: its form, how columns are written, and the paper's numbers beside ours.
+# Parts of the room of reports that decide what is in a record: its form, how columns are written,
+# and the paper's numbers beside ours.
 _RECORDS = ("records/record", "records/check_record", "paper")
 # Scenes and methods count one by one: a task depends on its own.
 _ONE_BY_ONE = ("models/scenes", "formulations/methods")
@@ -67,7 +81,11 @@ def _source_digests() -> dict[str, str]:
     for room in ("models", "formulations", "validate"):
         for path in sorted((ROOT / room).rglob("*")):
             name = path.relative_to(ROOT).as_posix()
-            if path.suffix in _SOURCE_SUFFIXES and "__pycache__" not in path.parts and not name.startswith(_NO_INFLUENCE):
+            if (
+                path.suffix in _SOURCE_SUFFIXES
+                and "__pycache__" not in path.parts
+                and not name.startswith(_NO_INFLUENCE)
+            ):
                 digests[name] = hashlib.sha256(path.read_bytes()).hexdigest()
     for name in (f"reports/{module}.py" for module in _RECORDS):
         digests[name] = hashlib.sha256((ROOT / name).read_bytes()).hexdigest()
@@ -75,20 +93,34 @@ def _source_digests() -> dict[str, str]:
 
 
 def source_digests(methods: Iterable[str], *, robust: bool = False) -> dict[str, str]:
-    """Digest of each of our files that a task of these methods depends on; robust: and what tries plans in perturbed worlds."""
+    """Digest of each of our files that a task of these methods depends on.
+
+    robust: and what tries plans in perturbed worlds.
+    """
     without = _OF_CHECKS if robust else (*_OF_CHECKS, _OF_SURVEYS)
-    return {name: digest for name, digest in _digests_with(methods).items() if not name.startswith(without)}
+    return {
+        name: digest
+        for name, digest in _digests_with(methods).items()
+        if not name.startswith(without)
+    }
 
 
 def _digests_with(methods: Iterable[str]) -> dict[str, str]:
     own = {f"formulations/methods/{method}.py" for method in methods}
-    return {name: digest for name, digest in _source_digests().items() if name in own or not name.startswith(_ONE_BY_ONE)}
+    return {
+        name: digest
+        for name, digest in _source_digests().items()
+        if name in own or not name.startswith(_ONE_BY_ONE)
+    }
 
 
 @lru_cache(maxsize=1)
 def library_versions() -> dict[str, str]:
     """Installed versions of the libraries that decide numbers, and of Python."""
-    return {"python": platform.python_version(), **{name: installed(name, "not installed") for name in LIBRARIES}}
+    return {
+        "python": platform.python_version(),
+        **{name: installed(name, "not installed") for name in LIBRARIES},
+    }
 
 
 def installed(package: str, otherwise: str) -> str:
@@ -99,13 +131,17 @@ def installed(package: str, otherwise: str) -> str:
         return otherwise
 
 
-def content_key(scene: Scene, stages: Any, methods: Iterable[str], extra: str = "", *, robust: bool = False) -> str:
+def content_key(
+    scene: Scene, stages: Any, methods: Iterable[str], extra: str = "", *, robust: bool = False
+) -> str:
     """The key of a task: sha256 over its content. stages: method, eps and filled options in order (JSON data); robust: whether plans are tried in perturbed worlds."""
     sources = _digest_of_sources(frozenset(methods), robust)
     return _hash({"scene": scene_text(scene), "stages": stages, "sources": sources, "extra": extra})
 
 
-@lru_cache  # a campaign asks for some thirty sets of methods 1,700 times: 0.4 of the 3 s that a repeated one takes
+# a campaign asks for some thirty sets of methods 1,700 times: 0.4 of the 3 s that a repeated one
+# takes
+@lru_cache
 def _digest_of_sources(methods: frozenset[str], robust: bool) -> str:
     return hashlib.sha256(json.dumps(source_digests(methods, robust=robust)).encode()).hexdigest()
 
@@ -119,7 +155,11 @@ def check_key(task: CheckTask) -> str:
         {
             "asked": [*asked, dict(task.arguments)],
             "content": task.content,
-            "sources": {name: digest for name, digest in digests.items() if not task.sources or name.startswith(wanted)},
+            "sources": {
+                name: digest
+                for name, digest in digests.items()
+                if not task.sources or name.startswith(wanted)
+            },
         }
     )
 
@@ -134,7 +174,9 @@ def _hash(content: Mapping[str, Any]) -> str:
         "compiler": compiler_text(),
         "machine": platform.machine(),
     }
-    return hashlib.sha256(json.dumps({**around, **content}, sort_keys=True, default=repr).encode()).hexdigest()
+    return hashlib.sha256(
+        json.dumps({**around, **content}, sort_keys=True, default=repr).encode()
+    ).hexdigest()
 
 
 def fingerprint() -> str:
@@ -152,12 +194,26 @@ def compiler_text() -> str:
 
 
 def commit() -> str:
-    """The commit of our sources, with `+` if they were changed since; empty if they are not in a git work tree or git is missing."""
+    """The commit of our sources, with `+` if they were changed since.
+
+    Empty if they are not in a git work tree or git is missing.
+    """
     if not (ROOT / ".git").exists():
         return ""
-    command = ["git", "-C", str(ROOT), "describe", "--always", "--exclude=*", "--abbrev=40", "--dirty=+"]
+    command = [
+        "git",
+        "-C",
+        str(ROOT),
+        "describe",
+        "--always",
+        "--exclude=*",
+        "--abbrev=40",
+        "--dirty=+",
+    ]
     try:
-        return subprocess.run(command, capture_output=True, text=True, timeout=20, check=True).stdout.strip()
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=20, check=True
+        ).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return ""
 
@@ -198,5 +254,8 @@ def machine() -> dict[str, Any]:
 
 def command_line(arguments: Iterable[str], program: str = "python -m validate") -> str:
     """The command as the user can type it again, into any shell: zsh takes an unquoted =word for the path of a program."""
-    words = (f"'{word}'" if word.startswith("=") and shlex.quote(word) == word else shlex.quote(word) for word in arguments)
+    words = (
+        f"'{word}'" if word.startswith("=") and shlex.quote(word) == word else shlex.quote(word)
+        for word in arguments
+    )
     return " ".join([program, *words])

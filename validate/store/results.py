@@ -1,9 +1,12 @@
-"""results.csv: one row a stage, and checks.csv: one row a check; rebuilt from records at any time, numbers in full (repr), nothing where nothing is known.
+"""results.csv: one row a stage, and checks.csv: one row a check.
 
-Rows stand in the order of the campaign's tasks; apart from the columns whose names end in `_s` (seconds) the file is the same bytes whenever
-the same tasks are run on the same machine.
+Rebuilt from records at any time, numbers in full (repr), nothing where nothing is known.
 
-starts.csv and front.csv: one row a start, one row a terminal tolerance, absent where there are none; violation.csv: one row a relaxation and eps.
+Rows stand in the order of the campaign's tasks; apart from the columns whose names end in `_s`
+(seconds) the file is the same bytes whenever the same tasks are run on the same machine.
+
+starts.csv and front.csv: one row a start, one row a terminal tolerance, absent where there are
+none; violation.csv: one row a relaxation and eps.
 """
 
 from __future__ import annotations
@@ -15,11 +18,23 @@ from pathlib import Path
 from typing import Any
 
 from reports.records.check_record import CheckRecord
-from reports.records.record import CertificateRecord, RunRecord, StageRecord, SurveyRecord, ViolationPoint
+from reports.records.record import (
+    CertificateRecord,
+    RunRecord,
+    StageRecord,
+    SurveyRecord,
+    ViolationPoint,
+)
 from validate.judge.score import metric_names
 from validate.store.disk import remove, write_durably
 
-TABLES = RESULTS, CHECKS, VIOLATION, STARTS, FRONT = "results.csv", "checks.csv", "violation.csv", "starts.csv", "front.csv"
+TABLES = RESULTS, CHECKS, VIOLATION, STARTS, FRONT = (
+    "results.csv",
+    "checks.csv",
+    "violation.csv",
+    "starts.csv",
+    "front.csv",
+)
 _METRICS_FIRST = (
     "terminal_error",
     "physics",
@@ -30,26 +45,50 @@ _METRICS_FIRST = (
     "replay_terminal_position_error",
     "replay_terminal_velocity_error",
 )
-_METRICS_LAST = ("replay_error", "max_penetration", "ghost_impulse", "missed_impulse", "energy_residual")
+_METRICS_LAST = (
+    "replay_error",
+    "max_penetration",
+    "ghost_impulse",
+    "missed_impulse",
+    "energy_residual",
+)
 # Of the replay with feedback, and which of the two replays the verdict is on.
-_METRICS_FEEDBACK = ("tracked_replay_terminal_error", "tracked_replay_error", "feedback_effort", "feedback_share")
+_METRICS_FEEDBACK = (
+    "tracked_replay_terminal_error",
+    "tracked_replay_error",
+    "feedback_effort",
+    "feedback_share",
+)
 _COLUMNS = (
     *("scene", "pipeline", "stage", "method", "eps", "outcome", "cost"),
     *_METRICS_FIRST,
     *_METRICS_LAST,
-    *("verdict", "iterations", "build_s", "solve_s", "stage_s", "stage_cpu_s", "total_s", "replay_s"),
+    *(
+        "verdict",
+        "iterations",
+        "build_s",
+        "solve_s",
+        "stage_s",
+        "stage_cpu_s",
+        "total_s",
+        "replay_s",
+    ),
     *("judged", *_METRICS_FEEDBACK, "growth_rate"),
 )
 # Every other metric that can be limited, in the order of the table.
 _METRICS_MORE = tuple(name for name in metric_names() if name not in _COLUMNS)
-# Of plans that hold: worlds tried, the shares that arrive, and of which perturbation the plan takes how many sizes at most.
+# Of plans that hold: worlds tried, the shares that arrive, and of which perturbation the plan takes
+# how many sizes at most.
 _SURVEY = ("worlds", "share_arriving", "share_arriving_with_feedback", "weakest", "weakest_sizes")
 COLUMNS = (*_COLUMNS, *_METRICS_MORE, *_SURVEY)
 _VIOLATION_COLUMNS = ("law", "eps", "measured", "closed_form", "relative_difference")
 
 
 def rows(records: Iterable[RunRecord]) -> list[dict[str, Any]]:
-    """One dictionary a stage, by column name; None where nothing is known. Stages are counted from 1."""
+    """One dictionary a stage, by column name; None where nothing is known.
+
+    Stages are counted from 1.
+    """
     return [_row(record, stage) for record in records for stage in record.stages]
 
 
@@ -64,11 +103,17 @@ def _row(record: RunRecord, stage: StageRecord) -> dict[str, Any]:
         "eps": stage.eps,
         "outcome": stage.outcome,
         "cost": stage.cost,
-        **{name: metrics.get(name) for name in (*_METRICS_FIRST, *_METRICS_LAST, *_METRICS_FEEDBACK, *_METRICS_MORE)},
+        **{
+            name: metrics.get(name)
+            for name in (*_METRICS_FIRST, *_METRICS_LAST, *_METRICS_FEEDBACK, *_METRICS_MORE)
+        },
         "verdict": stage.verdict,
         "iterations": stage.iterations if ran else None,
         "build_s": stage.seconds.build + stage.seconds.translate if ran else None,
-        **{f"{name}_s": getattr(stage.seconds, name) if ran else None for name in ("solve", "stage", "stage_cpu", "total", "replay")},
+        **{
+            f"{name}_s": getattr(stage.seconds, name) if ran else None
+            for name in ("solve", "stage", "stage_cpu", "total", "replay")
+        },
         "judged": stage.replay.judged if stage.replay is not None else None,
         "growth_rate": stage.replay.growth_rate if stage.replay is not None else None,
         **dict(zip(_SURVEY, _survey(stage.survey), strict=True)),
@@ -78,11 +123,20 @@ def _row(record: RunRecord, stage: StageRecord) -> dict[str, Any]:
 def _survey(found: SurveyRecord | None) -> tuple[Any, ...]:
     if found is None or found.alone is None:
         return (None,) * len(_SURVEY)
-    return found.alone.samples, found.alone.share, None if found.feedback is None else found.feedback.share, found.weakest, found.sizes
+    return (
+        found.alone.samples,
+        found.alone.share,
+        None if found.feedback is None else found.feedback.share,
+        found.weakest,
+        found.sizes,
+    )
 
 
 def check_rows(records: Iterable[CheckRecord]) -> list[dict[str, Any]]:
-    """One dictionary a check, by column name; message: what was found, or why there is no answer."""
+    """One dictionary a check, by column name.
+
+    message: what was found, or why there is no answer.
+    """
     return [
         {
             "kind": record.kind,
@@ -98,7 +152,9 @@ def check_rows(records: Iterable[CheckRecord]) -> list[dict[str, Any]]:
     ]
 
 
-def tables(runs: Sequence[RunRecord], checks: Sequence[CheckRecord], violation: Sequence[ViolationPoint]) -> dict[str, str]:
+def tables(
+    runs: Sequence[RunRecord], checks: Sequence[CheckRecord], violation: Sequence[ViolationPoint]
+) -> dict[str, str]:
     """The text of each table by its file's name; of one that says nothing an empty one."""
     return {
         RESULTS: table_text(COLUMNS, rows(runs)),
@@ -109,8 +165,16 @@ def tables(runs: Sequence[RunRecord], checks: Sequence[CheckRecord], violation: 
     }
 
 
-def write_tables(folder: Path, runs: Sequence[RunRecord], checks: Sequence[CheckRecord], violation: Sequence[ViolationPoint]) -> None:
-    """Write each table into a campaign's folder, and remove one that says nothing. Raises MachineError if the disk refuses."""
+def write_tables(
+    folder: Path,
+    runs: Sequence[RunRecord],
+    checks: Sequence[CheckRecord],
+    violation: Sequence[ViolationPoint],
+) -> None:
+    """Write each table into a campaign's folder, and remove one that says nothing.
+
+    Raises MachineError if the disk refuses.
+    """
     for name, text in tables(runs, checks, violation).items():
         if text:
             write_durably(folder / name, text)
@@ -132,7 +196,10 @@ def _table(found: Sequence[dict[str, Any]]) -> str:
 
 
 def _violation_row(point: ViolationPoint) -> dict[str, Any]:
-    return {**point.model_dump(), "relative_difference": abs(point.measured - point.closed_form) / point.closed_form}
+    return {
+        **point.model_dump(),
+        "relative_difference": abs(point.measured - point.closed_form) / point.closed_form,
+    }
 
 
 def _starts(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
@@ -172,8 +239,16 @@ def _front(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
 
 
 def _certificate(certificate: CertificateRecord | None) -> dict[str, Any]:
-    names = {"primal": "primal", "complementarity": "complementarity", "dual": "dual", "class": "letter"}
-    return {title: None if certificate is None else getattr(certificate, name) for title, name in names.items()}
+    names = {
+        "primal": "primal",
+        "complementarity": "complementarity",
+        "dual": "dual",
+        "class": "letter",
+    }
+    return {
+        title: None if certificate is None else getattr(certificate, name)
+        for title, name in names.items()
+    }
 
 
 def _windows(windows: tuple[tuple[str, int, int], ...]) -> str:

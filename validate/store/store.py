@@ -1,10 +1,13 @@
-"""Where finished tasks lie: one folder a task, written aside, made durable, then renamed; no lock, nothing half-written.
+"""Where finished tasks lie: one folder a task, written aside, made durable, then renamed.
 
-    DIR/runs/<key>/record.json, trajectory.nc, replay.nc, log.txt, task.json, files.json      DIR/runs/.partial-*   being written
-    DIR/legs/<key>/                        what they are made of (validate.tasks.leg)
-    DIR/surveys/<key>.json                 how their plans fare in perturbed worlds (validate.tasks.path)
+No lock, nothing half-written.
 
-Whatever kills a campaign, a folder under its key is whole. Two campaigns may write into the same DIR.
+    DIR/runs/<key>/record.json, trajectory.nc, replay.nc, log.txt, task.json, files.json
+    DIR/runs/.partial-* being written DIR/legs/<key>/ what they are made of (validate.tasks.leg)
+    DIR/surveys/<key>.json how their plans fare in perturbed worlds (validate.tasks.path)
+
+Whatever kills a campaign, a folder under its key is whole. Two campaigns may write into the same
+DIR.
 """
 
 from __future__ import annotations
@@ -22,9 +25,24 @@ from typing import Any
 from models.errors import TouchstoneError
 from reports.records.check_record import CheckRecord, record_of
 from reports.records.record import RunRecord
-from validate.store.disk import PARTIAL, aside_name, disk_error, fsync, fsync_whole, read_json, refusals_in_words, remove, renamed, tail
+from validate.store.disk import (
+    PARTIAL,
+    aside_name,
+    disk_error,
+    fsync,
+    fsync_whole,
+    read_json,
+    refusals_in_words,
+    remove,
+    renamed,
+    tail,
+)
 
-RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "task.json", "progress.txt", "machine.txt"
+RECORD = "record.json"
+LOG = "log.txt"
+REQUEST = "task.json"
+PROGRESS = "progress.txt"
+MACHINE = "machine.txt"
 # Names and sizes [bytes] of a run's NetCDF files, so that it is seen where one is gone or cut off.
 FILES = "files.json"
 # How much of a log is read, from its end [bytes].
@@ -66,9 +84,14 @@ class Store:
         self.runs, self.legs, self.surveys = folder / "runs", folder / "legs", folder / "surveys"
 
     def prepare(self) -> None:
-        """Create the folder, see that it can be written, and remove what dead campaigns left. Raises StoreError, MachineError."""
+        """Create the folder, see that it can be written, and remove what dead campaigns left.
+
+        Raises StoreError, MachineError.
+        """
         if self.folder.exists() and not self.folder.is_dir():
-            raise StoreError(f"--out {self.folder}: there is a file of that name; a campaign needs a folder.")
+            raise StoreError(
+                f"--out {self.folder}: there is a file of that name; a campaign needs a folder."
+            )
         with refusals_in_words(self.folder):
             self.runs.mkdir(parents=True, exist_ok=True)
             probe = self.runs / f"{PARTIAL}probe-{uuid.uuid4().hex}"
@@ -87,7 +110,9 @@ class Store:
 
     def _put_back(self, old: Path) -> None:
         """A run that was to be replaced when its campaign was killed, and was not."""
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):  # damaged, or the newer run is there
+        with contextlib.suppress(
+            OSError, ValueError, KeyError, TypeError, RecursionError
+        ):  # damaged, or the newer run is there
             key = json.loads((old / RECORD).read_bytes())["key"]
             if key == Path(key).name and not key.startswith("."):
                 os.rename(old, self.runs / key)
@@ -114,11 +139,17 @@ class Store:
         return _request(self.runs / key / REQUEST)
 
     def mark_for_rerun(self, keys: Iterable[str]) -> list[str]:
-        """Mark stored runs as to be run anew, until they are, whatever ends this campaign; the keys of those that are stored. Raises MachineError."""
+        """Mark stored runs as to be run anew, until they are, whatever ends this campaign.
+
+        The keys of those that are stored. Raises MachineError.
+        """
         stored = [key for key in keys if os.path.exists(self.runs / key / RECORD)]
         for key in stored:
             mark = self.runs / key / _DUE
-            with refusals_in_words(mark), contextlib.suppress(FileNotFoundError):  # another campaign replaces it at this moment
+            with (
+                refusals_in_words(mark),
+                contextlib.suppress(FileNotFoundError),
+            ):  # another campaign replaces it at this moment
                 mark.touch()
         return stored
 
@@ -143,18 +174,25 @@ class Store:
         return folder
 
     def commit(self, partial: Path, key: str) -> Path:
-        """Make a partial folder durable and give it its name; an older run of the same key is replaced."""
+        """Make a partial folder durable and give it its name.
+
+        An older run of the same key is replaced.
+        """
         target, old = self.runs / key, partial.with_name(f"{partial.name}{_OLD}")
         try:
             (partial / FILES).write_text(json.dumps(_sizes(partial)), encoding="utf-8")
             fsync_whole(partial)
             while not renamed(partial, target):
                 shutil.rmtree(old, ignore_errors=True)
-                with contextlib.suppress(FileNotFoundError):  # another campaign replaces it at this moment
+                with contextlib.suppress(
+                    FileNotFoundError
+                ):  # another campaign replaces it at this moment
                     os.rename(target, old)
             fsync(self.runs)
         except OSError as error:
-            with contextlib.suppress(OSError):  # the older run, if it is aside and nothing is in its place
+            with contextlib.suppress(
+                OSError
+            ):  # the older run, if it is aside and nothing is in its place
                 os.rename(old, target)
             if target.exists():
                 shutil.rmtree(old, ignore_errors=True)
@@ -165,7 +203,9 @@ class Store:
 
 def _sizes(folder: Path) -> dict[str, int]:
     """Name of each NetCDF file in a folder -> bytes."""
-    return {path.name: path.stat().st_size for path in sorted(folder.glob("*.nc")) if path.is_file()}
+    return {
+        path.name: path.stat().st_size for path in sorted(folder.glob("*.nc")) if path.is_file()
+    }
 
 
 def _request(path: Path) -> dict[str, Any]:

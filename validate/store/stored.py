@@ -39,7 +39,10 @@ def check_folder(folder: Path, names: Iterable[str]) -> None:
 
 
 def title_of(task: Mapping[str, Any]) -> str:
-    """What a task is called, of what was asked for. Raises LookupError or TypeError where that is damaged."""
+    """What a task is called, of what was asked for.
+
+    Raises LookupError or TypeError where that is damaged.
+    """
     if "pipeline" not in task:
         return f"{task['kind']}: {task['name']}"
     pipeline = task["pipeline"]
@@ -48,17 +51,23 @@ def title_of(task: Mapping[str, Any]) -> str:
 
 
 def identity(task: Mapping[str, Any]) -> str:
-    """What a task is called, whatever its content; of data that came from a file, and may be damaged."""
+    """What a task is called, whatever its content.
+
+    Of data that came from a file, and may be damaged.
+    """
     pipeline = task.get("pipeline")
     if isinstance(pipeline, Mapping):
-        return json.dumps([task.get("scene_name"), pipeline.get("name"), pipeline.get("part") or None])
+        return json.dumps(
+            [task.get("scene_name"), pipeline.get("name"), pipeline.get("part") or None]
+        )
     return json.dumps([task.get("kind"), task.get("name"), task.get("scene")])
 
 
 def stored_names(store: Store, keys: Iterable[str]) -> dict[str, str]:
     """Key -> what the task is called. Tasks of which nothing can be read are left out.
 
-    It is read from what was asked for, in a hundredth of the time of the record; only where that is damaged from the record.
+    It is read from what was asked for, in a hundredth of the time of the record; only where that is
+    damaged from the record.
     """
     names = {}
     for key in keys:
@@ -82,7 +91,9 @@ def campaign_of(folder: Path) -> CampaignRecord:
         ) from error
     except ValidationError as error:
         if sentence := earlier_schema(folder):
-            raise CampaignError(f"{sentence.partition(': ')[0]}; run the campaign again.") from error
+            raise CampaignError(
+                f"{sentence.partition(': ')[0]}; run the campaign again."
+            ) from error
         raise CampaignError(
             f"{path}: it is damaged, or of another version ({error.error_count()} fields do not fit); run the campaign again."
         ) from error
@@ -95,7 +106,9 @@ def found_campaign(folder: Path) -> CampaignRecord | None:
     return None
 
 
-def with_others(store: Store, earlier: CampaignRecord, selected: Mapping[str, str]) -> tuple[str, ...]:
+def with_others(
+    store: Store, earlier: CampaignRecord, selected: Mapping[str, str]
+) -> tuple[str, ...]:
     """The keys of a part of the campaign that a folder holds and of all its other runs that are stored, each behind what it stood behind.
 
     selected: what a task of the part is called (`identity`) -> its key.
@@ -113,9 +126,16 @@ def with_others(store: Store, earlier: CampaignRecord, selected: Mapping[str, st
 
 
 def earlier_schema(folder: Path) -> str:
-    """Why nothing of a folder is used again whose campaign was recorded by another version; empty where there is none, or it is of this one."""
+    """Why nothing of a folder is used again whose campaign was recorded by another version.
+
+    Empty where there is none, or it is of this one.
+    """
     content = read_json(folder / CAMPAIGN)
-    version = content.get("schema_version", SCHEMA_VERSION) if isinstance(content, dict) else SCHEMA_VERSION
+    version = (
+        content.get("schema_version", SCHEMA_VERSION)
+        if isinstance(content, dict)
+        else SCHEMA_VERSION
+    )
     if version == SCHEMA_VERSION:
         return ""
     return (

@@ -5,8 +5,9 @@
     def measure() -> Found:
         return finding("...", at_most("...", 1e-9, 1e-6, reason="..."), charts=(chart("...", ...),))
 
-A case passes if each figure with a limit keeps it. A figure that is not a finite number fails, and so does a case without a figure.
-A case may end in an honest refusal: that is then what its figures count.
+A case passes if each figure with a limit keeps it. A figure that is not a finite number fails, and
+so does a case without a figure. A case may end in an honest refusal: that is then what its figures
+count.
 """
 
 from __future__ import annotations
@@ -66,17 +67,26 @@ def check(arguments: Mapping[str, Any], course: Course) -> Found:
 
 
 def finding(happened: str, *figures: MetricRecord, charts: Sequence[ChartRecord] = ()) -> Found:
-    """What happened, in a sentence or two, with figures and the data of plots. It passes if each figure with a limit keeps it, and there is one."""
+    """What happened, in a sentence or two, with figures and the data of plots.
+
+    It passes if each figure with a limit keeps it, and there is one.
+    """
     judged = [figure.ok for figure in figures if figure.ok is not None]
-    return Found(bool(judged) and all(judged), " ".join(happened.split()), figures, {"charts": tuple(charts)})
+    return Found(
+        bool(judged) and all(judged), " ".join(happened.split()), figures, {"charts": tuple(charts)}
+    )
 
 
-def at_most(name: str, value: float, limit: float, unit: str = "1", *, reason: str, meaning: str = "") -> MetricRecord:
+def at_most(
+    name: str, value: float, limit: float, unit: str = "1", *, reason: str, meaning: str = ""
+) -> MetricRecord:
     """A figure with a limit from above, and why this limit."""
     return _figure(name, value, unit, meaning, limit=limit, reason=reason)
 
 
-def at_least(name: str, value: float, limit: float, unit: str = "1", *, reason: str) -> MetricRecord:
+def at_least(
+    name: str, value: float, limit: float, unit: str = "1", *, reason: str
+) -> MetricRecord:
     """A figure with a limit from below, and why this limit."""
     return _figure(name, value, unit, limit=limit, reason=reason, at_least=True)
 
@@ -92,11 +102,35 @@ def none_of(name: str, wrong: Sequence[str], *, reason: str) -> MetricRecord:
 
 
 def _figure(
-    name: str, value: float, unit: str, meaning: str = "", *, limit: float | None = None, reason: str = "", at_least: bool = False
+    name: str,
+    value: float,
+    unit: str,
+    meaning: str = "",
+    *,
+    limit: float | None = None,
+    reason: str = "",
+    at_least: bool = False,
 ) -> MetricRecord:
     number = float(value) if math.isfinite(value) else None  # a number that is none keeps nothing
-    ok = False if number is None else None if limit is None else number >= limit if at_least else number <= limit
-    return MetricRecord(name=name, value=number, unit=unit, meaning=meaning, limit=limit, at_least=at_least, reason=reason, ok=ok)
+    ok = (
+        False
+        if number is None
+        else None
+        if limit is None
+        else number >= limit
+        if at_least
+        else number <= limit
+    )
+    return MetricRecord(
+        name=name,
+        value=number,
+        unit=unit,
+        meaning=meaning,
+        limit=limit,
+        at_least=at_least,
+        reason=reason,
+        ok=ok,
+    )
 
 
 def refusal(what: str, words: Iterable[str], act: Callable[[], object]) -> list[str]:
@@ -105,7 +139,11 @@ def refusal(what: str, words: Iterable[str], act: Callable[[], object]) -> list[
         act()
     except TouchstoneError as error:
         named = any(word in str(error) for word in words) and "\n" not in str(error)
-        return [] if named else [f"{what}: the sentence does not name {' or '.join(map(repr, words))}: {error}"]
+        return (
+            []
+            if named
+            else [f"{what}: the sentence does not name {' or '.join(map(repr, words))}: {error}"]
+        )
     except Exception as error:  # noqa: BLE001 - anything else is what is looked for
         return [f"{what}: {type(error).__name__} instead of a sentence: {error}"]
     return [f"{what} is taken"]
@@ -123,7 +161,8 @@ def chart(
 ) -> ChartRecord:
     """Data of one plot.
 
-    x, y: (quantity, unit); series: for the legend, (x, y) of equal length, of which values that are not finite are left out; log: the logarithmic axes, of "xy";
+    x, y: (quantity, unit); series: for the legend, (x, y) of equal length, of which values that are
+        not finite are left out; log: the logarithmic axes, of "xy";
     level: a horizontal line (value, words).
     """
     value, level_words = level or (None, "")
@@ -139,5 +178,11 @@ def chart(
 
 
 def _series(name: str, x: Iterable[float], y: Iterable[float]) -> SeriesRecord:
-    pairs = [(float(one), float(other)) for one, other in zip(x, y, strict=False) if math.isfinite(one) and math.isfinite(other)]
-    return SeriesRecord(name=name, x=tuple(one for one, _ in pairs), y=tuple(other for _, other in pairs))
+    pairs = [
+        (float(one), float(other))
+        for one, other in zip(x, y, strict=False)
+        if math.isfinite(one) and math.isfinite(other)
+    ]
+    return SeriesRecord(
+        name=name, x=tuple(one for one, _ in pairs), y=tuple(other for _, other in pairs)
+    )

@@ -19,9 +19,13 @@ FOLDER = Path(__file__).parent / "cases"
 
 @dataclass(frozen=True, kw_only=True)
 class StressCase:
-    """What a case says of itself. Its file is called h<two digits>_<words> and defines `CASE`, whose arguments are literals, and `measure`.
+    """What a case says of itself.
 
-    quick: whether a quick campaign runs it; scenes, methods: names of those of the catalogs it uses, on which a stored result depends.
+    Its file is called h<two digits>_<words> and defines `CASE`, whose arguments are literals, and
+    `measure`.
+
+    quick: whether a quick campaign runs it; scenes, methods: names of those of the catalogs it
+        uses, on which a stored result depends.
     """
 
     title: str

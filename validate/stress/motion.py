@@ -1,9 +1,9 @@
 """Plans and replays as the stress cases need them: a scene's own compiled step, or a method, for the plan, its FMU for the replay.
 
-plan = rolled(scene, start=..., u=..., step=..., steps=...)       # a Trajectory by the compiled step
-motion = replayed(scene, plan)                                      # a Replay by the scene's FMU
-plan, motion = of_truth(problem)                                    # both, of a problem of the truth suite
-solution = solved(scene, "mpcc", seconds=20.0)                      # what a method makes of it
+plan = rolled(scene, start=..., u=..., step=..., steps=...) # a Trajectory by the compiled step
+motion = replayed(scene, plan) # a Replay by the scene's FMU plan, motion = of_truth(problem) #
+both, of a problem of the truth suite solution = solved(scene, "mpcc", seconds=20.0) # what a method
+makes of it
 """
 
 from __future__ import annotations
@@ -71,7 +71,9 @@ def rolled(
     h = scene.task.step if step is None else step
     count = (scene.task.steps if steps is None else steps) if u is None else len(u)
     inputs = np.zeros((count, scene.nu)) if u is None else u
-    plan = load_kernel(scene).rollout(np.array(scene.task.start if start is None else start, dtype=float), inputs, h, law, eps)
+    plan = load_kernel(scene).rollout(
+        np.array(scene.task.start if start is None else start, dtype=float), inputs, h, law, eps
+    )
     return Trajectory(
         t=uniform_grid(h * every, count // every),
         q=plan.q[::every],
@@ -83,20 +85,34 @@ def rolled(
 
 
 def solved(
-    scene: Scene, method: str, eps: float | None = None, plan: Trajectory | None = None, *, seconds: float, **options: Any
+    scene: Scene,
+    method: str,
+    eps: float | None = None,
+    plan: Trajectory | None = None,
+    *,
+    seconds: float,
+    **options: Any,
 ) -> Solution:
-    """What a method finds in so many seconds at this eps, from this plan. Raises OptionError, TrajectoryError, RelaxationError where it refuses."""
+    """What a method finds in so many seconds at this eps, from this plan.
+
+    Raises OptionError, TrajectoryError, RelaxationError where it refuses.
+    """
     with load_method(method).open(scene, options) as session:
         return session.solve(eps=eps, warm_start=plan, time_limit=seconds)
 
 
 def replayed(scene: Scene, plan: Trajectory, like: Scene | None = None, **settings: Any) -> Replay:
     """Replay of a plan, without feedback, by the FMU of the scene, or of `like`: one with other parameter values, which the FMU is given."""
-    return replay(scene, build_fmu(scene if like is None else like), plan, **{"track": False, **settings})
+    return replay(
+        scene, build_fmu(scene if like is None else like), plan, **{"track": False, **settings}
+    )
 
 
 def of_truth(problem: TruthProblem, like: Scene | None = None) -> tuple[Trajectory, Replay]:
-    """A problem of the truth suite by the compiled step between its nodes, and its replay; `like` as of `replayed`. Raises KernelError, FmuError."""
+    """A problem of the truth suite by the compiled step between its nodes, and its replay.
+
+    `like` as of `replayed`. Raises KernelError, FmuError.
+    """
     plan = rolled(problem.scene, u=problem.plan.u, step=problem.step)
     return plan, replayed(problem.scene, plan, like=like)
 

@@ -1,11 +1,13 @@
 """A check as its child makes it: a function is asked a question, and what it finds is as expected or not.
 
-    CheckTask(kind="FMU", name="three_cart, FMI 2.0", expected="...", function="validate.tasks.fmu_checks:check",
+    CheckTask(kind="FMU", name="three_cart, FMI 2.0", expected="...",
+    function="validate.tasks.fmu_checks:check",
               arguments={"scene": "three_cart", "version": "2.0"}, ...)
 
-Checks are selected, keyed by content, run in a child with the campaign's time limit, stored, resumed and reported like a run. A room that has some offers
-a function `checks(scenes)` (validate.tasks.plugins, CHECKS); the campaign does the rest. The function is called as function(arguments, course) and
-hands back what it found.
+Checks are selected, keyed by content, run in a child with the campaign's time limit, stored,
+resumed and reported like a run. A room that has some offers a function `checks(scenes)`
+(validate.tasks.plugins, CHECKS); the campaign does the rest. The function is called as
+function(arguments, course) and hands back what it found.
 """
 
 from __future__ import annotations
@@ -28,8 +30,10 @@ from validate.tasks.records import LOG_LINES
 from validate.tasks.stage import in_words
 from validate.tasks.task import CheckTask, ChildExit
 
-# Of a check's time limit, what is reserved for writing down what was found: a twentieth, but no more than 5 s.
-_WRITING_SHARE, _WRITING_MOST = 0.05, 5.0
+# Of a check's time limit, what is reserved for writing down what was found: a twentieth, but no
+# more than 5 s.
+_WRITING_SHARE = 0.05
+_WRITING_MOST = 5.0
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,10 @@ class Found:
 
 @dataclass(frozen=True)
 class Course:
-    """What a check is given beside its arguments. folder: for scratch files; deadline: time.monotonic() by which it should be done."""
+    """What a check is given beside its arguments. folder: for scratch files.
+
+    deadline: time.monotonic() by which it should be done.
+    """
 
     folder: Path
     deadline: float
@@ -59,33 +66,49 @@ class Course:
         return max(0.0, self.deadline - time.monotonic())
 
 
-def run_check(task: CheckTask, provenance: ProvenanceRecord, folder: Path, began: float) -> CheckRecord:
-    """Ask, in the child. began: time.monotonic() at its start. Raises MachineError; whatever else goes wrong is in the record."""
+def run_check(
+    task: CheckTask, provenance: ProvenanceRecord, folder: Path, began: float
+) -> CheckRecord:
+    """Ask, in the child. began: time.monotonic() at its start.
+
+    Raises MachineError; whatever else goes wrong is in the record.
+    """
     reserve = min(_WRITING_MOST, _WRITING_SHARE * task.time_limit)
     course = Course(folder, began + task.time_limit - reserve)
     module, _, name = task.function.partition(":")
     found, outcome, message = Found(False, ""), "answered", ""
     try:
-        function: Callable[[Mapping[str, Any], Course], Found] = getattr(importlib.import_module(module), name)
+        function: Callable[[Mapping[str, Any], Course], Found] = getattr(
+            importlib.import_module(module), name
+        )
         found = function(task.arguments, course)
     except MachineError:
         raise
     except Exception as error:  # noqa: BLE001 - a check may fail in any way; the log has the traceback, the row has the sentence
         raise_if_disk_ended(folder, error)
         traceback.print_exc()
-        outcome, message = "failed" if isinstance(error, TouchstoneError) else "crashed", in_words(error)
+        outcome, message = (
+            "failed" if isinstance(error, TouchstoneError) else "crashed",
+            in_words(error),
+        )
     used = os.times()
     cpu = used.user + used.system + used.children_user + used.children_system
-    how = ChildExit(outcome=outcome, message=message, wall=time.monotonic() - began, cpu=cpu, log=log_in(folder))
+    how = ChildExit(
+        outcome=outcome, message=message, wall=time.monotonic() - began, cpu=cpu, log=log_in(folder)
+    )
     return _record(task, provenance, found, how)
 
 
-def unfinished_check(task: CheckTask, provenance: ProvenanceRecord, child: ChildExit) -> CheckRecord:
+def unfinished_check(
+    task: CheckTask, provenance: ProvenanceRecord, child: ChildExit
+) -> CheckRecord:
     """The record of a check whose child left none."""
     return _record(task, provenance, Found(False, ""), child)
 
 
-def _record(task: CheckTask, provenance: ProvenanceRecord, found: Found, how: ChildExit) -> CheckRecord:
+def _record(
+    task: CheckTask, provenance: ProvenanceRecord, found: Found, how: ChildExit
+) -> CheckRecord:
     return CheckRecord(
         key=task.key,
         kind=task.kind,

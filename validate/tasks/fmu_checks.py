@@ -1,6 +1,7 @@
 """Our own FMUs under our own check: a check for each scene of a campaign and each version of FMI.
 
-The FMU is exported and checked as `python -m validate fmu` and `check` do: its code runs in an isolated child, each check in a fork.
+The FMU is exported and checked as `python -m validate fmu` and `check` do: its code runs in an
+isolated child, each check in a fork.
 """
 
 from __future__ import annotations
@@ -57,7 +58,10 @@ def checks(scenes: Sequence[SceneReference]) -> list[CheckTask]:
 
 
 def check(arguments: Mapping[str, Any], course: Course) -> Found:
-    """Export and check. Raises MachineError, SceneError for a scene whose names an FMU cannot carry."""
+    """Export and check.
+
+    Raises MachineError, SceneError for a scene whose names an FMU cannot carry.
+    """
     from validate.fmu_check import CHECK_SECONDS, check_fmu  # imports FMPy: in the child alone
 
     began = time.perf_counter()
@@ -71,10 +75,19 @@ def check(arguments: Mapping[str, Any], course: Course) -> Found:
 
 
 def found_by(report: CheckReport, path: Path, export_seconds: float, check_seconds: float) -> Found:
-    """What a check of the FMU in a file found, as a record has it; the sentence names what failed."""
+    """What a check of the FMU in a file found, as a record has it.
+
+    The sentence names what failed.
+    """
     data = path.read_bytes()
-    rows = tuple(CheckRow(**{**asdict(row), "status": row.status.value, "severity": row.severity}) for row in report.rows)
-    failed = [f"{row.name}{f' ({row.type})' if row.type else ''}: {row.sentence}" for row in report.failures()]
+    rows = tuple(
+        CheckRow(**{**asdict(row), "status": row.status.value, "severity": row.severity})
+        for row in report.rows
+    )
+    failed = [
+        f"{row.name}{f' ({row.type})' if row.type else ''}: {row.sentence}"
+        for row in report.failures()
+    ]
     record = FmuRecord(
         version=report.version,
         types=report.types,
@@ -85,5 +98,10 @@ def found_by(report: CheckReport, path: Path, export_seconds: float, check_secon
         rows=rows,
     )
     missing = "there is no binary for this machine" if report.unrunnable else ""
-    sentence = "; ".join(filter(None, [*(text.rstrip(".") for text in failed), missing, report.counts])) + "."
-    return Found(passed=report.ok and not report.unrunnable, sentence=sentence, details={"fmu": record})
+    sentence = (
+        "; ".join(filter(None, [*(text.rstrip(".") for text in failed), missing, report.counts]))
+        + "."
+    )
+    return Found(
+        passed=report.ok and not report.unrunnable, sentence=sentence, details={"fmu": record}
+    )

@@ -1,15 +1,21 @@
-"""A leg: one session of a method over its eps. It is the unit of work of a campaign - keyed by its content, run once, stored once.
+"""A leg: one session of a method over its eps.
 
-    DIR/legs/<key>/leg.json, trajectory_<n>.nc, replay_<n>.nc, tracked_<n>.nc        n from 1: its stages
+It is the unit of work of a campaign - keyed by its content, run once, stored once.
 
-A run (scene x pipeline) is a path of legs, each of which starts from the plan of the one before it. The key of a leg is of all that decides it:
-the scene, what is asked of every stage up to its end, the sources of these methods, the libraries. So pipelines that begin alike have legs in common,
-and a run that was ended goes on behind the last leg it stored. A leg ends where its session does: nothing but its plan goes on from it, and what follows
-gives the same numbers whether the leg ran in the same process or was read from its files.
+    DIR/legs/<key>/leg.json, trajectory_<n>.nc, replay_<n>.nc, tracked_<n>.nc n from 1: its stages
 
-A leg that leaves the plan it is given for the first guess (formulations.method, start_used) is the leg of a path that begins with it, and is stored as that.
-What a crash or a clock ended is not stored, but for a leg that used up the time of its run: it is stored for runs of the same time limit, which end
-there too. A folder is written aside, made durable, and renamed: it is whole or not there.
+A run (scene x pipeline) is a path of legs, each of which starts from the plan of the one before it.
+The key of a leg is of all that decides it: the scene, what is asked of every stage up to its end,
+the sources of these methods, the libraries. So pipelines that begin alike have legs in common, and
+a run that was ended goes on behind the last leg it stored. A leg ends where its session does:
+nothing but its plan goes on from it, and what follows gives the same numbers whether the leg ran in
+the same process or was read from its files.
+
+A leg that leaves the plan it is given for the first guess (formulations.method, start_used) is the
+leg of a path that begins with it, and is stored as that. What a crash or a clock ended is not
+stored, but for a leg that used up the time of its run: it is stored for runs of the same time
+limit, which end there too. A folder is written aside, made durable, and renamed: it is whole or not
+there.
 """
 
 from __future__ import annotations
@@ -38,7 +44,15 @@ _FILES = ("trajectory", "replay", "tracked")
 # Outcomes that another run might not have.
 _BY_CHANCE = frozenset({"time_limit", "crashed", "interrupted"})
 # What damaged content raises where it is read; pydantic's errors are ValueErrors.
-_DAMAGED = (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, TouchstoneError)
+_DAMAGED = (
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    RecursionError,
+    TouchstoneError,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +72,11 @@ class Planned:
 
     def asked(self) -> list[Any]:
         """All that is asked of it, for a key."""
-        return [self.name, self.eps, {name: repr(value) for name, value in asdict(self.options).items()}]
+        return [
+            self.name,
+            self.eps,
+            {name: repr(value) for name, value in asdict(self.options).items()},
+        ]
 
 
 def planned_stages(pipeline: Pipeline, methods: Mapping[str, Method]) -> tuple[Planned, ...]:
@@ -67,15 +85,30 @@ def planned_stages(pipeline: Pipeline, methods: Mapping[str, Method]) -> tuple[P
     for index, (leg, eps, options) in enumerate(stage_plan(pipeline)):
         method = methods[leg.method]
         method.check_eps(eps)
-        stages.append(Planned(index=index, name=leg.method, method=method, eps=eps, options=method.read_options(options)))
+        stages.append(
+            Planned(
+                index=index,
+                name=leg.method,
+                method=method,
+                eps=eps,
+                options=method.read_options(options),
+            )
+        )
     return tuple(stages)
 
 
-def planned_legs(plan: Sequence[Planned], key_of: Callable[[Sequence[Planned]], str]) -> tuple[PlannedLeg, ...]:
+def planned_legs(
+    plan: Sequence[Planned], key_of: Callable[[Sequence[Planned]], str]
+) -> tuple[PlannedLeg, ...]:
     """The path of a pipeline: a leg ends where the next stage has another method or other options. key_of: the key of some stages."""
     asked = [(planned.name, planned.options) for planned in plan]
-    ends = [end for end in range(1, len(plan) + 1) if end == len(plan) or asked[end] != asked[end - 1]]
-    return tuple(PlannedLeg(first, end, key_of(plan[:end]), key_of(plan[first:end])) for first, end in zip([0, *ends], ends, strict=False))
+    ends = [
+        end for end in range(1, len(plan) + 1) if end == len(plan) or asked[end] != asked[end - 1]
+    ]
+    return tuple(
+        PlannedLeg(first, end, key_of(plan[:end]), key_of(plan[first:end]))
+        for first, end in zip([0, *ends], ends, strict=False)
+    )
 
 
 def leg_files(number: int) -> dict[str, str]:
@@ -95,7 +128,12 @@ def is_deterministic(records: Sequence[StageRecord]) -> bool:
 
 def ended_by_timeout(records: Sequence[StageRecord]) -> bool:
     """Whether a clock ended the last of these, and chance nothing else."""
-    return bool(records) and records[-1].outcome == "time_limit" and is_deterministic(records[:-1]) and _is_judged(records)
+    return (
+        bool(records)
+        and records[-1].outcome == "time_limit"
+        and is_deterministic(records[:-1])
+        and _is_judged(records)
+    )
 
 
 def _is_judged(records: Sequence[StageRecord]) -> bool:
@@ -103,14 +141,22 @@ def _is_judged(records: Sequence[StageRecord]) -> bool:
 
 
 def write_leg(folder: Path, leg: LegRecord) -> LegRecord:
-    """Say beside the files of a leg what it found, and what the files are. Raises MachineError where the disk refuses."""
-    leg = leg.model_copy(update={"files": {path.name: _digest(path) for path in sorted(folder.glob("*.nc"))}})
+    """Say beside the files of a leg what it found, and what the files are.
+
+    Raises MachineError where the disk refuses.
+    """
+    leg = leg.model_copy(
+        update={"files": {path.name: _digest(path) for path in sorted(folder.glob("*.nc"))}}
+    )
     write_durably(folder / CONTENT, leg.model_dump_json())
     return leg
 
 
 def read_leg(folder: Path, *keys: str) -> LegRecord:
-    """What a leg found that has one of these keys. Raises OSError or ValueError where it is not whole."""
+    """What a leg found that has one of these keys.
+
+    Raises OSError or ValueError where it is not whole.
+    """
     leg = LegRecord.model_validate_json((folder / CONTENT).read_bytes())
     if leg.key not in keys:
         raise ValueError("it is another leg than its folder says")
@@ -124,13 +170,21 @@ def _digest(path: Path) -> str:
 
 
 def plan_of(leg: LegRecord, folder: Path, scene: Scene) -> Trajectory | None:
-    """The last plan that a leg found, from the files in its folder. Raises what damaged files raise."""
-    number = max((number for number, record in enumerate(leg.stages, 1) if record.has_plan), default=None)
+    """The last plan that a leg found, from the files in its folder.
+
+    Raises what damaged files raise.
+    """
+    number = max(
+        (number for number, record in enumerate(leg.stages, 1) if record.has_plan), default=None
+    )
     return None if number is None else read_netcdf(folder / leg_files(number)["trajectory"], scene)
 
 
 def legs_in(folder: Path, legs: Sequence[PlannedLeg]) -> list[LegRecord]:
-    """Of a path those legs that lie in the folder of their run, in order; up to the first that is not there or is damaged."""
+    """Of a path those legs that lie in the folder of their run, in order.
+
+    Up to the first that is not there or is damaged.
+    """
     found = []
     for number, leg in enumerate(legs, 1):
         try:
@@ -145,10 +199,15 @@ def place(folder: Path, number: int) -> Path:
     return folder / f"leg_{number}"
 
 
-def take(stored: Path, key: str, limit: float | None, stages: int, into: Path, scene: Scene) -> tuple[LegRecord, Trajectory | None] | None:
-    """A stored leg of so many stages, and its plan; its files are linked into a new folder `into`. None if it is not stored.
+def take(
+    stored: Path, key: str, limit: float | None, stages: int, into: Path, scene: Scene
+) -> tuple[LegRecord, Trajectory | None] | None:
+    """A stored leg of so many stages, and its plan; its files are linked into a new folder `into`.
 
-    stored: the folder of all legs; limit [s]: of the run that asks, None where it would not end there too. A leg that is damaged is put aside, into the
+    None if it is not stored.
+
+    stored: the folder of all legs; limit [s]: of the run that asks, None where it would not end
+        there too. A leg that is damaged is put aside, into the
     folder that `into` lies in.
     """
     for name in (key,) if limit is None else (key, timeout_key(key, limit)):
@@ -183,7 +242,10 @@ def store(folder: Path, leg: LegRecord, stored: Path) -> None:
 
 
 def link(source: Path, target: Path) -> None:
-    """Make a folder of the same files, without copying them where the file system allows it. Raises OSError."""
+    """Make a folder of the same files, without copying them where the file system allows it.
+
+    Raises OSError.
+    """
     target.mkdir()
     for path in source.iterdir():
         link_file(path, target / path.name)
@@ -198,11 +260,19 @@ def link_file(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def must_wait(wanted: Sequence[PlannedLeg], running: Iterable[Sequence[PlannedLeg]], stored: Path, limit: float) -> bool:
+def must_wait(
+    wanted: Sequence[PlannedLeg],
+    running: Iterable[Sequence[PlannedLeg]],
+    stored: Path,
+    limit: float,
+) -> bool:
     """Whether a run of this path and time limit [s] would run a leg that one of the running is about to store."""
     theirs = {leg.key for path in running for leg in path}
     mine = {key for leg in wanted for key in (leg.key, leg.alone)}
-    return any(not any((stored / name).exists() for name in (key, timeout_key(key, limit))) for key in mine & theirs)
+    return any(
+        not any((stored / name).exists() for name in (key, timeout_key(key, limit)))
+        for key in mine & theirs
+    )
 
 
 def forget(paths: Iterable[Sequence[PlannedLeg]], stored: Path) -> None:

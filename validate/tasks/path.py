@@ -1,11 +1,14 @@
 """A run as a worker makes it: the legs of its path, one after the other, each taken from the store, or solved, judged, certified and stored.
 
-    record = run_path(task, provenance, folder, profile)            # in a child process of its own: validate.execution.child
-    record = unfinished_run(task, loaded, provenance, child, folder)            # by its worker, where the child left no record
+    record = run_path(task, provenance, folder, profile) # in a child process of its own:
+    validate.execution.child record = unfinished_run(task, loaded, provenance, child, folder) # by
+    its worker, where the child left no record
 
-A leg lies in the folder of the run as soon as it is judged. So a run that ends before its end keeps the legs it has, whatever ended it. Beside the
-record the folder holds `trajectory.nc` and `replay.nc` of the last stage, and `trajectory_<n>.nc` and `replay_<n>.nc` of every other stage n (from 1); where
-there was a tracked replay too, also `tracked.nc` and `tracked_<n>.nc`, and the gains with the trajectory.
+A leg lies in the folder of the run as soon as it is judged. So a run that ends before its end keeps
+the legs it has, whatever ended it. Beside the record the folder holds `trajectory.nc` and
+`replay.nc` of the last stage, and `trajectory_<n>.nc` and `replay_<n>.nc` of every other stage n
+(from 1); where there was a tracked replay too, also `tracked.nc` and `tracked_<n>.nc`, and the
+gains with the trajectory.
 """
 
 from __future__ import annotations
@@ -43,9 +46,10 @@ if TYPE_CHECKING:
     from reports.records.record import ProvenanceRecord, RunRecord, StageRecord
     from validate.tasks.task import ChildExit, PlannedLeg, RunTask
 
-# Of a run's time limit, what is reserved for certificates, replaying and scoring: a quarter, but no more than 60 s. The paper's scene needs 2 s;
-# the certificate of two fingers takes 3 CPU s.
-_JUDGING_SHARE, _JUDGING_MOST = 0.25, 60.0
+# Of a run's time limit, what is reserved for certificates, replaying and scoring: a quarter, but no
+# more than 60 s. The paper's scene needs 2 s; the certificate of two fingers takes 3 CPU s.
+_JUDGING_SHARE = 0.25
+_JUDGING_MOST = 60.0
 
 # A stage that gave no answer, why, and the sentence.
 Unfinished: TypeAlias = "tuple[Planned, Outcome, str]"
@@ -60,7 +64,10 @@ class LoadedRun:
 
 
 def load_run(task: RunTask, profile: Profile) -> LoadedRun:
-    """What a task names. profile: where the time goes. Raises UnknownNameError, SceneError, OptionError."""
+    """What a task names. profile: where the time goes.
+
+    Raises UnknownNameError, SceneError, OptionError.
+    """
     plugin = load_plugin(task.plugin)
     profile.lap("imports")
     scene = load_scene(task.scene)
@@ -72,20 +79,29 @@ def load_run(task: RunTask, profile: Profile) -> LoadedRun:
     return LoadedRun(scene=scene, plan=plan)
 
 
-def run_path(task: RunTask, provenance: ProvenanceRecord, folder: Path, profile: Profile) -> RunRecord:
+def run_path(
+    task: RunTask, provenance: ProvenanceRecord, folder: Path, profile: Profile
+) -> RunRecord:
     """The record of a run.
 
-    profile: of the process until now; from where it began the time limit counts. Raises MachineError where this machine cannot go on; whatever else goes wrong in a method or the judge is in the record.
+    profile: of the process until now; from where it began the time limit counts. Raises
+        MachineError where this machine cannot go on; whatever else goes wrong in a method or the
+        judge is in the record.
     """
     loaded = load_run(task, profile)
     scene, plan = loaded.scene, loaded.plan
     rest = refused(scene, plan)
     profile.lap("opening")
     if not rest:
-        deadline = profile.began + task.time_limit - min(_JUDGING_MOST, _JUDGING_SHARE * task.time_limit)
+        deadline = (
+            profile.began + task.time_limit - min(_JUDGING_MOST, _JUDGING_SHARE * task.time_limit)
+        )
         rest = _Path(task, loaded, folder, profile, deadline).go()
     stages = _stages_in(folder, task, legs.legs_in(folder, task.legs), len(plan))
-    stages += [unfinished_stage(task.published, task.pipeline.name, planned, outcome, message) for planned, outcome, message in rest]
+    stages += [
+        unfinished_stage(task.published, task.pipeline.name, planned, outcome, message)
+        for planned, outcome, message in rest
+    ]
     if task.robust:
         stages = [_surveyed(stage, scene, task, folder, len(plan)) for stage in stages]
         profile.lap("survey")
@@ -93,10 +109,22 @@ def run_path(task: RunTask, provenance: ProvenanceRecord, folder: Path, profile:
     drawn = scene_record(scene)
     profile.lap("record")
     wall, cpu = profile.total, time.process_time()
-    return run_record(task, drawn, stages, provenance, wall=wall, cpu=cpu, log=log_in(folder), message=cause, profile=profile.seconds)
+    return run_record(
+        task,
+        drawn,
+        stages,
+        provenance,
+        wall=wall,
+        cpu=cpu,
+        log=log_in(folder),
+        message=cause,
+        profile=profile.seconds,
+    )
 
 
-def unfinished_run(task: RunTask, loaded: LoadedRun, provenance: ProvenanceRecord, child: ChildExit, folder: Path) -> RunRecord:
+def unfinished_run(
+    task: RunTask, loaded: LoadedRun, provenance: ProvenanceRecord, child: ChildExit, folder: Path
+) -> RunRecord:
     """The record of a run whose child left none, with the legs that lie in its folder.
 
     One that ran out of time has the outcome of its last stage, one that crashed has crashed.
@@ -105,7 +133,9 @@ def unfinished_run(task: RunTask, loaded: LoadedRun, provenance: ProvenanceRecor
     found, is_late = legs.legs_in(folder, task.legs), child.outcome == "time_limit"
     why = f"The certificate is missing{' because time ran out: the run' if is_late else ':'} {child.message}"
     stages = [
-        stage.model_copy(update={"message": f"{stage.message} {why}".strip()}) if stage.certificate_missing else stage
+        stage.model_copy(update={"message": f"{stage.message} {why}".strip()})
+        if stage.certificate_missing
+        else stage
         for stage in _stages_in(folder, task, found, len(plan))
     ]
     rest = plan[len(stages) :]
@@ -116,7 +146,14 @@ def unfinished_run(task: RunTask, loaded: LoadedRun, provenance: ProvenanceRecor
     if in_certificate:
         profile["certificate"] = profile.get("certificate", 0.0) + wall - known
     stages += [
-        unfinished_stage(task.published, task.pipeline.name, planned, Outcome[child.outcome.upper()], child.message) for planned in rest
+        unfinished_stage(
+            task.published,
+            task.pipeline.name,
+            planned,
+            Outcome[child.outcome.upper()],
+            child.message,
+        )
+        for planned in rest
     ]
     return run_record(
         task,
@@ -132,8 +169,13 @@ def unfinished_run(task: RunTask, loaded: LoadedRun, provenance: ProvenanceRecor
     )
 
 
-def _stages_in(folder: Path, task: RunTask, found: Sequence[LegRecord], stages: int) -> list[StageRecord]:
-    """The stages of these legs as those of a run of so many stages; their files under the names they have there."""
+def _stages_in(
+    folder: Path, task: RunTask, found: Sequence[LegRecord], stages: int
+) -> list[StageRecord]:
+    """The stages of these legs as those of a run of so many stages.
+
+    Their files under the names they have there.
+    """
     number = 0
     for place, leg in enumerate(found, 1):
         for own in range(1, len(leg.stages) + 1):
@@ -145,21 +187,36 @@ def _stages_in(folder: Path, task: RunTask, found: Sequence[LegRecord], stages: 
     return stages_of(found, task.published, task.pipeline.name)
 
 
-def _surveyed(stage: StageRecord, scene: Scene, task: RunTask, folder: Path, stages: int) -> StageRecord:
+def _surveyed(
+    stage: StageRecord, scene: Scene, task: RunTask, folder: Path, stages: int
+) -> StageRecord:
     """The stage with how its plan fares in perturbed worlds, if it holds: as stored for this plan and these limits, or found out and stored."""
     if stage.verdict not in HOLD:
         return stage
     plan = read_netcdf(folder / stage_files(stage.index, stages)["trajectory"], scene)
     limits = {metric.name: metric.limit for metric in stage.metrics if metric.limit is not None}
     followed = stage.verdict != HOLD[0]
-    numbers = hashlib.sha256(b"".join(array.tobytes() for array in (plan.t, plan.q, plan.v, plan.u, plan.u_end) if array is not None))
+    numbers = hashlib.sha256(
+        b"".join(
+            array.tobytes()
+            for array in (plan.t, plan.q, plan.v, plan.u, plan.u_end)
+            if array is not None
+        )
+    )
     asked = ["survey", numbers.hexdigest(), plan.hold.value, limits, followed]
-    stored = Store(folder.parents[1]).surveys / f"{content_key(scene, asked, (), plugin_source(task.plugin), robust=True)}.json"
+    stored = (
+        Store(folder.parents[1]).surveys
+        / f"{content_key(scene, asked, (), plugin_source(task.plugin), robust=True)}.json"
+    )
     with contextlib.suppress(OSError, ValueError):  # not stored, or damaged
-        return stage.model_copy(update={"survey": SurveyRecord.model_validate_json(stored.read_bytes())})
+        return stage.model_copy(
+            update={"survey": SurveyRecord.model_validate_json(stored.read_bytes())}
+        )
     progress(folder, f"stage {stage.index + 1} ({stage.method}) in perturbed worlds")
     try:
-        found = SurveyRecord.model_validate(load_plugin(task.plugin).survey(scene, plan, limits, followed), from_attributes=True)
+        found = SurveyRecord.model_validate(
+            load_plugin(task.plugin).survey(scene, plan, limits, followed), from_attributes=True
+        )
         stored.parent.mkdir(exist_ok=True)
         write_durably(stored, found.model_dump_json())
     except MachineError:
@@ -182,16 +239,28 @@ def refused(scene: Scene, plan: Sequence[Planned]) -> list[Unfinished]:
 
 
 class _Path:
-    """The legs of a run, into its folder. deadline: time.monotonic() by which solving ends; judging and certifying do not count."""
+    """The legs of a run, into its folder. deadline: time.monotonic() by which solving ends.
 
-    def __init__(self, task: RunTask, loaded: LoadedRun, folder: Path, profile: Profile, deadline: float) -> None:
-        self._task, self._scene, self._plan, self._folder, self._profile = task, loaded.scene, loaded.plan, folder, profile
+    Judging and certifying do not count.
+    """
+
+    def __init__(
+        self, task: RunTask, loaded: LoadedRun, folder: Path, profile: Profile, deadline: float
+    ) -> None:
+        self._task, self._scene, self._plan, self._folder, self._profile = (
+            task,
+            loaded.scene,
+            loaded.plan,
+            folder,
+            profile,
+        )
         self._plugin, self._deadline = load_plugin(task.plugin), deadline
         self._stored = Store(folder.parents[1]).legs  # a run is unfinished in DIR/runs
         self._judge = Judge(self._plugin, self._scene, profile)
         self._start: Trajectory | None = None
         self._is_prepared = False
-        self._took = False  # a leg that another run made: the time left is then not what its maker would have
+        # a leg that another run made: the time left is then not what its maker would have
+        self._took = False
 
     def go(self) -> list[Unfinished]:
         """All legs in order; the stages that did not run."""
@@ -210,7 +279,9 @@ class _Path:
         key = leg.key
         if taken is None:
             if not self._is_prepared:
-                prepare(self._plugin, self._scene, self._plan[leg.first :], self._folder, self._profile)
+                prepare(
+                    self._plugin, self._scene, self._plan[leg.first :], self._folder, self._profile
+                )
                 self._is_prepared = True
             first = self._plan[leg.first]
             if time.monotonic() >= self._deadline:
@@ -235,8 +306,17 @@ class _Path:
             return self._out_of_time(self._plan[leg.first + len(taken.stages)])
         return rest
 
-    def _take(self, number: int, leg: PlannedLeg, key: str, limit: float | None = None) -> LegRecord | None:
-        found = legs.take(self._stored, key, limit, leg.end - leg.first, legs.place(self._folder, number), self._scene)
+    def _take(
+        self, number: int, leg: PlannedLeg, key: str, limit: float | None = None
+    ) -> LegRecord | None:
+        found = legs.take(
+            self._stored,
+            key,
+            limit,
+            leg.end - leg.first,
+            legs.place(self._folder, number),
+            self._scene,
+        )
         self._profile.lap("shared")
         if found is None:
             return None
@@ -244,7 +324,9 @@ class _Path:
         self._took, self._start = True, plan or self._start
         return taken
 
-    def _solve(self, leg: PlannedLeg, opened: OpenLeg) -> tuple[list[SolvedStage], list[Unfinished]]:
+    def _solve(
+        self, leg: PlannedLeg, opened: OpenLeg
+    ) -> tuple[list[SolvedStage], list[Unfinished]]:
         """The stages of a leg that ran, and those of the path that do not run any more."""
         solved: list[SolvedStage] = []
         for planned in self._plan[leg.first : leg.end]:
@@ -259,13 +341,18 @@ class _Path:
             except Exception as error:  # noqa: BLE001 - as above
                 return solved, self._failed(planned, error)
             spent = item.solution.seconds
-            parts = {name: getattr(spent, name) for name in ("build", "translate", "evaluate", "linear_algebra")}
+            parts = {
+                name: getattr(spent, name)
+                for name in ("build", "translate", "evaluate", "linear_algebra")
+            }
             self._profile.split(parts, rest="solve_rest")
             solved.append(item)
             self._start = item.solution.trajectory or self._start
         return solved, []
 
-    def _finish(self, number: int, leg: PlannedLeg, key: str, solved: list[SolvedStage], *, is_over: bool) -> None:
+    def _finish(
+        self, number: int, leg: PlannedLeg, key: str, solved: list[SolvedStage], *, is_over: bool
+    ) -> None:
         """Judge and certify what was solved of a leg, and store the leg if others would find the same. is_over: the time for solving is up."""
         folder = legs.place(self._folder, number)
         folder.mkdir()
@@ -278,13 +365,24 @@ class _Path:
         def keep(limit: float | None = None) -> LegRecord:
             pipeline, spent = self._task.pipeline.name, dict(self._profile.seconds)
             return legs.write_leg(
-                folder, LegRecord(key=key, pipeline=pipeline, stages=tuple(records), files={}, limit=limit, profile=spent)
+                folder,
+                LegRecord(
+                    key=key,
+                    pipeline=pipeline,
+                    stages=tuple(records),
+                    files={},
+                    limit=limit,
+                    profile=spent,
+                ),
             )
 
         keep()
         for place, item in enumerate(solved):
             if item.can_be_certified:
-                progress(self._folder, f"the certificate of stage {item.planned.index + 1} ({item.planned.title})")
+                progress(
+                    self._folder,
+                    f"the certificate of stage {item.planned.index + 1} ({item.planned.title})",
+                )
                 records[place] = self._judge.certified(records[place], item)
                 keep()
         if len(solved) == leg.end - leg.first and legs.is_deterministic(records):
@@ -302,6 +400,13 @@ class _Path:
         traceback.print_exc()
         self._profile.lap("solve_rest")
         outcome = Outcome.FAILED if isinstance(error, TouchstoneError) else Outcome.CRASHED
-        message = str(error) if isinstance(error, TouchstoneError) else f"{type(error).__name__} in {planned.name}: {first_line(error)}"
+        message = (
+            str(error)
+            if isinstance(error, TouchstoneError)
+            else f"{type(error).__name__} in {planned.name}: {first_line(error)}"
+        )
         later = f"not begun, because stage {planned.index + 1} ({planned.title}) gave no answer."
-        return [(other, outcome, message if other is planned else later) for other in self._plan[planned.index :]]
+        return [
+            (other, outcome, message if other is planned else later)
+            for other in self._plan[planned.index :]
+        ]

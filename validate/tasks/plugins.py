@@ -1,12 +1,16 @@
-"""What a campaign works with: where methods and pipelines come from, and who judges. Ours by default, anybody's by a dotted name.
+"""What a campaign works with: where methods and pipelines come from, and who judges.
 
-    python -m validate all --plugin my_method          # defines METHOD, and where that has eps or needs company PIPELINE
-    python -m validate all --plugin my_package.my_module:PLUGIN
+Ours by default, anybody's by a dotted name.
 
-A module that defines `METHOD` is a method file like ours: its method is found and its pipeline runs before ours. `PLUGIN` is a `Plugin`, for whoever
-replaces more; what it does not replace stays ours. The name travels to the child processes, which import it themselves, so
-the module must be importable there (installed, or on PYTHONPATH). What only a child needs - compiler, FMU, certificate, judge - is imported where it
-is called: the campaign's own process imports neither Pyomo nor FMPy for it.
+    python -m validate all --plugin my_method # defines METHOD, and where that has eps or needs
+    company PIPELINE python -m validate all --plugin my_package.my_module:PLUGIN
+
+A module that defines `METHOD` is a method file like ours: its method is found and its pipeline runs
+before ours. `PLUGIN` is a `Plugin`, for whoever replaces more; what it does not replace stays ours.
+The name travels to the child processes, which import it themselves, so the module must be
+importable there (installed, or on PYTHONPATH). What only a child needs - compiler, FMU,
+certificate, judge - is imported where it is called: the campaign's own process imports neither
+Pyomo nor FMPy for it.
 """
 
 from __future__ import annotations
@@ -33,7 +37,8 @@ if TYPE_CHECKING:
     from validate.tasks.task import CheckTask, SceneReference
 
 DEFAULT_PLUGIN = "validate.tasks.plugins:DEFAULT"
-# What a campaign checks beside scenes by pipelines: functions of its scenes that give validate.tasks.task.CheckTask.
+# What a campaign checks beside scenes by pipelines: functions of its scenes that give
+# validate.tasks.task.CheckTask.
 CHECKS: tuple[str, ...] = ("validate.tasks.fmu_checks:checks", "validate.stress.case:checks")
 
 
@@ -84,9 +89,15 @@ class Plugin:
     def __post_init__(self) -> None:
         for item in fields(self):
             value, names = getattr(self, item.name), item.name == "quick"
-            if not (isinstance(value, (tuple, list)) and all(isinstance(name, str) for name in value) if names else callable(value)):
+            if not (
+                isinstance(value, (tuple, list)) and all(isinstance(name, str) for name in value)
+                if names
+                else callable(value)
+            ):
                 wanted = "a tuple of names of pipelines" if names else "a function"
-                raise TouchstoneError(f"Plugin: {item.name} is {reprlib.repr(value)}, but must be {wanted}; without it ours is used.")
+                raise TouchstoneError(
+                    f"Plugin: {item.name} is {reprlib.repr(value)}, but must be {wanted}; without it ours is used."
+                )
 
     def methods_of(self, pipeline: Pipeline) -> dict[str, Method]:
         """The methods of a pipeline's legs, by name. Raises UnknownNameError."""
@@ -97,11 +108,18 @@ DEFAULT = Plugin()
 
 
 def load_plugin(reference: str) -> Plugin:
-    """The Plugin of a dotted name: `module:NAME`, or of a `module` that defines PLUGIN or METHOD. Raises UnknownNameError."""
+    """The Plugin of a dotted name: `module:NAME`, or of a `module` that defines PLUGIN or METHOD.
+
+    Raises UnknownNameError.
+    """
     module_name, _, name = reference.partition(":")
     try:
         module = importlib.import_module(module_name)
-    except (ImportError, TypeError, ValueError) as error:  # the latter of what is no dotted name: '', '..x'
+    except (
+        ImportError,
+        TypeError,
+        ValueError,
+    ) as error:  # the latter of what is no dotted name: '', '..x'
         raise UnknownNameError(
             f"--plugin {reference}: the module {module_name!r} cannot be imported ({error}); its folder must be on PYTHONPATH."
         ) from error
@@ -109,7 +127,11 @@ def load_plugin(reference: str) -> Plugin:
     if plugin is None and not name and isinstance(getattr(module, "METHOD", None), Method):
         return _of_method(reference, module.METHOD, getattr(module, "PIPELINE", None))
     if not isinstance(plugin, Plugin):
-        wanted = f"{name} that is a validate.tasks.plugins.Plugin" if name else "METHOD (a formulations.method.Method)"
+        wanted = (
+            f"{name} that is a validate.tasks.plugins.Plugin"
+            if name
+            else "METHOD (a formulations.method.Method)"
+        )
         raise UnknownNameError(f"--plugin {reference}: {module_name} has no {wanted}.")
     return plugin
 
@@ -120,7 +142,9 @@ def _of_method(reference: str, method: Method, pipeline: Pipeline | None) -> Plu
         raise UnknownNameError(
             f"--plugin {reference}: method {method.name} needs eps; define PIPELINE, whose leg says which: Leg(method={method.name!r}, schedule=(..,))."
         )
-    own = pipeline or Pipeline(name=method.name, title=method.title, legs=(Leg(method=method.name),))
+    own = pipeline or Pipeline(
+        name=method.name, title=method.title, legs=(Leg(method=method.name),)
+    )
     return replace(
         DEFAULT,
         load_method=lambda name: method if name == method.name else load_method(name),
@@ -129,7 +153,10 @@ def _of_method(reference: str, method: Method, pipeline: Pipeline | None) -> Plu
 
 
 def plugin_source(reference: str) -> str:
-    """The source text of the module a reference names, for the key of a task; empty for our own (hashed with our sources)."""
+    """The source text of the module a reference names, for the key of a task.
+
+    Empty for our own (hashed with our sources).
+    """
     if reference == DEFAULT_PLUGIN:
         return ""
     return inspect.getsource(importlib.import_module(reference.partition(":")[0]))

@@ -55,8 +55,8 @@ class Profile:
 def _since_process_start() -> float:
     """The age of this process [s].
 
-    Linux counts starts from its boot, which it tells by the clock on the wall in whole seconds only: a start told by that clock, as psutil's is, would
-    be up to a second too early.
+    Linux counts starts from its boot, which it tells by the clock on the wall in whole seconds
+    only: a start told by that clock, as psutil's is, would be up to a second too early.
     """
     try:
         with open("/proc/self/stat", encoding="utf-8", errors="replace") as file:

@@ -1,6 +1,7 @@
 """Solution, Score and Replay -> the records that are stored (reports.records.record).
 
-Numbers that are not finite never get into a record: a cost that is not a number is missing, and says so.
+Numbers that are not finite never get into a record: a cost that is not a number is missing, and
+says so.
 
 Certificate, starts and front of a Solution -> their records.
 """
@@ -55,11 +56,16 @@ def certificate_record(certificate: Certificate | None) -> CertificateRecord | N
     if certificate is None:
         return None
     stationarity = certificate.stationarity
-    return _copied(CertificateRecord, certificate, letter=stationarity.letter, meaning=stationarity.value)
+    return _copied(
+        CertificateRecord, certificate, letter=stationarity.letter, meaning=stationarity.value
+    )
 
 
 def _copied(record: type[_Record], source: object, **own: Any) -> _Record:
-    """A record with what of a source is called like its fields, beside what is given; a number that is not finite is missing."""
+    """A record with what of a source is called like its fields, beside what is given.
+
+    A number that is not finite is missing.
+    """
     names = [name for name in record.model_fields if name not in own and hasattr(source, name)]
     return record(**{name: _plain_number(getattr(source, name)) for name in names}, **own)
 
@@ -86,7 +92,9 @@ def front_records(scene: Scene, solution: Solution) -> tuple[FrontPointRecord, .
 def with_certificate(record: StageRecord, scene: Scene, solution: Solution) -> StageRecord:
     """The record of the same stage, now that its plan and those of its front are certified."""
     certificate, front = certificate_record(solution.certificate), front_records(scene, solution)
-    return record.model_copy(update={"certificate": certificate, "front": front, "certificate_missing": False})
+    return record.model_copy(
+        update={"certificate": certificate, "front": front, "certificate_missing": False}
+    )
 
 
 def _windows(scene: Scene, plan: Trajectory | None) -> tuple[tuple[str, int, int], ...]:
@@ -96,7 +104,10 @@ def _windows(scene: Scene, plan: Trajectory | None) -> tuple[tuple[str, int, int
     found = []
     for contact, force in zip(scene.contacts, plan.lam.T, strict=False):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], force > 0, [False]]).astype(int)))
-        found += [(contact.name, int(first), int(stop) - 1) for first, stop in zip(edges[::2], edges[1::2], strict=True)]
+        found += [
+            (contact.name, int(first), int(stop) - 1)
+            for first, stop in zip(edges[::2], edges[1::2], strict=True)
+        ]
     return tuple(found)
 
 
@@ -115,7 +126,15 @@ class Judged:
 
 
 def stage_record(
-    scene: Scene, planned: Planned, solution: Solution, index: int, *, wall: float, cpu: float, before: float, judged: Judged
+    scene: Scene,
+    planned: Planned,
+    solution: Solution,
+    index: int,
+    *,
+    wall: float,
+    cpu: float,
+    before: float,
+    judged: Judged,
 ) -> StageRecord:
     """The record of a stage that ran, as of a pipeline of its leg alone.
 
@@ -128,16 +147,30 @@ def stage_record(
         message=solution.message,
         cost=finite(solution.cost),
         iterations=int(solution.iterations),
-        residuals={name: float(value) for name, value in solution.residuals.items() if finite(value) is not None},
+        residuals={
+            name: float(value)
+            for name, value in solution.residuals.items()
+            if finite(value) is not None
+        },
         bound=None if solution.bound is None else BoundRecord(**asdict(solution.bound)),
         size=_size(solution),
         solver=solution.solver,
         options=_options(solution.options or asdict(planned.options)),
         history=_history(solution.history),
         certificate=certificate_record(solution.certificate),
-        starts=tuple(_copied(StartRecord, start, outcome=start.outcome.name.lower()) for start in solution.starts),
+        starts=tuple(
+            _copied(StartRecord, start, outcome=start.outcome.name.lower())
+            for start in solution.starts
+        ),
         front=front_records(scene, solution),
-        seconds=_copied(SecondsRecord, solution.seconds, stage=wall, stage_cpu=cpu, total=before + wall, replay=judged.seconds),
+        seconds=_copied(
+            SecondsRecord,
+            solution.seconds,
+            stage=wall,
+            stage_cpu=cpu,
+            total=before + wall,
+            replay=judged.seconds,
+        ),
         verdict=verdict,
         why=why,
         has_plan=solution.trajectory is not None,
@@ -147,7 +180,12 @@ def stage_record(
 
 def _asked(planned: Planned, outcome: Outcome) -> dict[str, Any]:
     method = planned.method
-    named = {"method": planned.name, "method_title": method.title, "kind": method.kind.value, "eps": planned.eps}
+    named = {
+        "method": planned.name,
+        "method_title": method.title,
+        "kind": method.kind.value,
+        "eps": planned.eps,
+    }
     return {**named, "outcome": outcome.name.lower(), "advice": outcome.value}
 
 
@@ -160,7 +198,9 @@ def stages_of(legs: Sequence[LegRecord], scene: str, pipeline: str) -> list[Stag
             record.model_copy(
                 update={
                     "index": index,
-                    "seconds": record.seconds.model_copy(update={"total": before + record.seconds.total}),
+                    "seconds": record.seconds.model_copy(
+                        update={"total": before + record.seconds.total}
+                    ),
                     "paper": dict(paper_row(scene, pipeline, index)),
                     "shared_from": "" if leg.pipeline == pipeline else leg.pipeline,
                 }
@@ -170,7 +210,9 @@ def stages_of(legs: Sequence[LegRecord], scene: str, pipeline: str) -> list[Stag
     return found
 
 
-def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outcome, message: str) -> StageRecord:
+def unfinished_stage(
+    scene: str, pipeline: str, planned: Planned, outcome: Outcome, message: str
+) -> StageRecord:
     """The record of a stage without an answer: refused, crashed, out of time or never begun."""
     return StageRecord(
         **_asked(planned, outcome),
@@ -183,7 +225,9 @@ def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outco
     )
 
 
-def given_stage(name: str, replay: Replay | None, score: Score, seconds: float, message: str = "") -> StageRecord:
+def given_stage(
+    name: str, replay: Replay | None, score: Score, seconds: float, message: str = ""
+) -> StageRecord:
     """The record of a plan that no method of ours found, as of a run of one stage. name: what the plan is called; seconds [s]: of CPU time of its replays."""
     return StageRecord(
         index=0,
@@ -216,7 +260,11 @@ def run_record(
     message: str | None = None,
     profile: Mapping[str, float] = MappingProxyType({}),
 ) -> RunRecord:
-    """The record of a task; its outcome, message and verdict are those of the last stage unless given. profile: wall seconds by phase."""
+    """The record of a task.
+
+    Its outcome, message and verdict are those of the last stage unless given. profile: wall seconds
+    by phase.
+    """
     last = stages[-1]
     return RunRecord(
         key=task.key,
@@ -245,7 +293,10 @@ def finite(value: float | None) -> float | None:
 
 def _verdict(solution: Solution, judged: Judged) -> tuple[Verdict, str]:
     if solution.trajectory is None:
-        return "not applicable" if solution.outcome is Outcome.REFUSED else "no plan", solution.message or solution.outcome.value
+        return (
+            "not applicable" if solution.outcome is Outcome.REFUSED else "no plan",
+            solution.message or solution.outcome.value,
+        )
     if judged.score is None:
         return "undecided", judged.problem
     return judged.score.verdict.value, judged.score.why
@@ -255,7 +306,12 @@ def _size(solution: Solution) -> SizeRecord | None:
     size, paper = solution.size, solution.paper_size
     if size is None or paper is None:
         return None
-    return SizeRecord(unknowns=size.unknowns, equations=size.equations, paper_unknowns=paper.unknowns, paper_equations=paper.equations)
+    return SizeRecord(
+        unknowns=size.unknowns,
+        equations=size.equations,
+        paper_unknowns=paper.unknowns,
+        paper_equations=paper.equations,
+    )
 
 
 def _replay(replay: Replay, score: Score | None) -> ReplayRecord:
@@ -270,7 +326,9 @@ def _replay(replay: Replay, score: Score | None) -> ReplayRecord:
         fmu=replay.fmu,
         judged="open" if score is None else score.judged,
         growth_rate=None if growth is None else finite(growth.rate),
-        tracked=None if tracked is None or tracked.effort is None else TrackedRecord(**_of_replay(tracked), **asdict(tracked.effort)),
+        tracked=None
+        if tracked is None or tracked.effort is None
+        else TrackedRecord(**_of_replay(tracked), **asdict(tracked.effort)),
     )
 
 
@@ -289,18 +347,25 @@ def _position(difference: Difference | None) -> float | None:
 
 
 def _metric(metric: Metric) -> MetricRecord:
-    numbers = {"value": finite(metric.value), "error": finite(metric.error), "limit": finite(metric.limit)}
+    numbers = {
+        "value": finite(metric.value),
+        "error": finite(metric.error),
+        "limit": finite(metric.limit),
+    }
     return MetricRecord(**{**asdict(metric), **numbers, "question": metric.question.number})
 
 
 def _of_score(judged: Judged) -> dict[str, Any]:
     """What a stage has of its judge, but for the verdict."""
-    found: dict[str, Any] = {} if judged.replay is None else {"replay": _replay(judged.replay, judged.score)}
+    found: dict[str, Any] = (
+        {} if judged.replay is None else {"replay": _replay(judged.replay, judged.score)}
+    )
     if judged.score is not None:
         found |= {
             "metrics": tuple(map(_metric, judged.score.metrics)),
             "questions": tuple(
-                QuestionRecord(number=question.number, text=question.value, answer=answer) for question, answer in judged.score.questions
+                QuestionRecord(number=question.number, text=question.value, answer=answer)
+                for question, answer in judged.score.questions
             ),
             "not_asked": judged.score.not_asked,
             "cause": judged.score.cause,
@@ -325,7 +390,10 @@ def _plain(value: object) -> Any:
 
 
 def _history(history: Mapping[str, Sequence[float]]) -> dict[str, tuple[float, ...]]:
-    """Columns thinned to what a plot can show; iterations in which any column is not finite are left out."""
+    """Columns thinned to what a plot can show.
+
+    Iterations in which any column is not finite are left out.
+    """
     rows = [row for row in zip(*history.values(), strict=False) if all(map(math.isfinite, row))]
     kept = [rows[place] for place in thin(len(rows))]
     return {name: tuple(float(row[column]) for row in kept) for column, name in enumerate(history)}

@@ -14,10 +14,18 @@ from models.dynamics import Dynamics, derive
 from models.kinematics import goal_poses
 from models.scene import Coordinate, Input, Parameter, Scene
 from models.scene.contacts import Contact, DampingLaw
-from reports.records.record import FINAL_COST, ContactRecord, EquationRecord, QuantityRecord, SceneRecord, ShapeRecord
+from reports.records.record import (
+    FINAL_COST,
+    ContactRecord,
+    EquationRecord,
+    QuantityRecord,
+    SceneRecord,
+    ShapeRecord,
+)
 
 _ENTITY = re.compile(r"&([A-Za-z]+);")
-# The only names XML itself knows; everything else SymPy writes by name is an HTML entity, which a strict parser refuses.
+# The only names XML itself knows; everything else SymPy writes by name is an HTML entity, which a
+# strict parser refuses.
 _XML_NAMES = frozenset({"lt", "gt", "amp", "quot", "apos"})
 
 
@@ -40,7 +48,11 @@ def scene_record(scene: Scene) -> SceneRecord:
         source=scene.source,
         coordinates=tuple(map(_quantity, scene.coordinates)),
         velocities=tuple(
-            QuantityRecord(name=item.velocity_name, unit=item.velocity_unit, description=f"velocity of {item.description or item.name}")
+            QuantityRecord(
+                name=item.velocity_name,
+                unit=item.velocity_unit,
+                description=f"velocity of {item.description or item.name}",
+            )
             for item in scene.coordinates
         ),
         inputs=tuple(map(_quantity, scene.inputs)),
@@ -62,18 +74,25 @@ def scene_record(scene: Scene) -> SceneRecord:
         equations=equations(dynamics),
         absent=dynamics.absent,
         answers=tuple(
-            QuantityRecord(name=answer.quantity, unit="", description=answer.source, value=float(answer.value)) for answer in scene.answers
+            QuantityRecord(
+                name=answer.quantity, unit="", description=answer.source, value=float(answer.value)
+            )
+            for answer in scene.answers
         ),
         shapes=tuple(
             ShapeRecord(
                 name=shape.name,
                 kind=shape.kind,
-                size=tuple(float(sp.sympify(size).subs(scene.parameter_values)) for size in shape.size),
+                size=tuple(
+                    float(sp.sympify(size).subs(scene.parameter_values)) for size in shape.size
+                ),
                 goal=goal,
             )
             for shape, goal in zip(scene.shapes, goal_poses(scene), strict=True)
         ),
-        waived=tuple(f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None),
+        waived=tuple(
+            f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None
+        ),
         unstable=scene.unstable,
         operations=step_operations(scene),
     )
@@ -88,59 +107,121 @@ def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
     found: list[tuple[str, sp.Basic]] = []
     time, step = sp.Symbol("t", real=True), sp.Symbol("h", positive=True)
     # Contact forces as they are written: lambda_left for lam_left.
-    greek = {lam: sp.Symbol(f"lambda_{lam.name.removeprefix('lam_')}", real=True) for lam in dynamics.lam}
+    greek = {
+        lam: sp.Symbol(f"lambda_{lam.name.removeprefix('lam_')}", real=True) for lam in dynamics.lam
+    }
     force = dynamics.generalised_force.subs(greek)
     rate = sp.Matrix([sp.Derivative(velocity, time, evaluate=False) for velocity in dynamics.v])
     inertia = dynamics.mass_matrix * rate
     for row, coordinate in enumerate(dynamics.scene.coordinates):
         found.append((f"motion of {coordinate.name}", _equation(inertia[row], force[row])))
-    for contact, phi, k, lam in zip(dynamics.scene.contacts, dynamics.penetration, dynamics.stiffness, greek.values(), strict=True):
+    for contact, phi, k, lam in zip(
+        dynamics.scene.contacts,
+        dynamics.penetration,
+        dynamics.stiffness,
+        greek.values(),
+        strict=True,
+    ):
         depth = sp.Symbol(f"phi_{contact.name}", real=True)
-        found.append((f"penetration of contact {contact.name} (its gap is the negative)", _equation(depth, phi)))
+        found.append(
+            (
+                f"penetration of contact {contact.name} (its gap is the negative)",
+                _equation(depth, phi),
+            )
+        )
         if contact.is_damped:
             found += _damped_force(dynamics, contact, depth, lam)
         else:
-            found.append((f"force of contact {contact.name}", _equation(lam, sp.Mul(k, sp.Max(depth, 0), evaluate=False))))
+            found.append(
+                (
+                    f"force of contact {contact.name}",
+                    _equation(lam, sp.Mul(k, sp.Max(depth, 0), evaluate=False)),
+                )
+            )
     found += _friction_equations(dynamics, greek)
     belongs = ", friction to the slip at its end" if dynamics.f else ""
     after = [sp.Symbol(f"{velocity.name}__t+1", real=True) for velocity in dynamics.v]
-    gain = dynamics.mass_matrix * sp.Matrix([new - old for new, old in zip(after, dynamics.v, strict=True)])
+    gain = dynamics.mass_matrix * sp.Matrix(
+        [new - old for new, old in zip(after, dynamics.v, strict=True)]
+    )
     for row, coordinate in enumerate(dynamics.scene.coordinates):
         found.append(
-            (f"time step of {coordinate.velocity_name}, contact forces at its start{belongs}", _equation(gain[row], step * force[row]))
+            (
+                f"time step of {coordinate.velocity_name}, contact forces at its start{belongs}",
+                _equation(gain[row], step * force[row]),
+            )
         )
     for coordinate, velocity in zip(dynamics.scene.coordinates, after, strict=True):
         new = sp.Symbol(f"{coordinate.name}__t+1", real=True)
-        found.append((f"time step of {coordinate.name}", _equation(new, coordinate.symbol + step * velocity)))
+        found.append(
+            (f"time step of {coordinate.name}", _equation(new, coordinate.symbol + step * velocity))
+        )
     cost = sp.Symbol("J")
-    found.append(("cost, summed over the steps", _equation(cost, sp.Sum(dynamics.running_cost, (time, 0, sp.Symbol("T") - 1)))))
+    found.append(
+        (
+            "cost, summed over the steps",
+            _equation(cost, sp.Sum(dynamics.running_cost, (time, 0, sp.Symbol("T") - 1))),
+        )
+    )
     if dynamics.final_cost != 0:
         found.append((FINAL_COST, _equation(sp.Symbol("J_T"), dynamics.final_cost)))
-    return tuple(EquationRecord(caption=caption, mathml=presentation(equation)) for caption, equation in found)
+    return tuple(
+        EquationRecord(caption=caption, mathml=presentation(equation))
+        for caption, equation in found
+    )
 
 
-def _damped_force(dynamics: Dynamics, contact: Contact, depth: sp.Symbol, lam: sp.Symbol) -> list[tuple[str, sp.Basic]]:
+def _damped_force(
+    dynamics: Dynamics, contact: Contact, depth: sp.Symbol, lam: sp.Symbol
+) -> list[tuple[str, sp.Basic]]:
     """The rate of penetration and the force that follows from it."""
-    rate, k, c = sp.Derivative(depth, sp.Symbol("t", real=True), evaluate=False), contact.stiffness, contact.damping
+    rate, k, c = (
+        sp.Derivative(depth, sp.Symbol("t", real=True), evaluate=False),
+        contact.stiffness,
+        contact.damping,
+    )
     row = [item.name for item in dynamics.scene.contacts].index(contact.name)
     if contact.damping_law is DampingLaw.KELVIN_VOIGT:
-        law, words = sp.Max(k * depth + c * rate, 0), "Kelvin-Voigt without adhesion, where its penetration is positive; elsewhere 0"
+        law, words = (
+            sp.Max(k * depth + c * rate, 0),
+            "Kelvin-Voigt without adhesion, where its penetration is positive; elsewhere 0",
+        )
     else:
-        law, words = sp.Mul(k, sp.Max(depth, 0), sp.Max(1 + c * rate, 0), evaluate=False), "Hunt-Crossley"
+        law, words = (
+            sp.Mul(k, sp.Max(depth, 0), sp.Max(1 + c * rate, 0), evaluate=False),
+            "Hunt-Crossley",
+        )
     return [
-        (f"rate of penetration of contact {contact.name}", _equation(rate, -(dynamics.gap_jacobian[row, :] * sp.Matrix(dynamics.v))[0])),
+        (
+            f"rate of penetration of contact {contact.name}",
+            _equation(rate, -(dynamics.gap_jacobian[row, :] * sp.Matrix(dynamics.v))[0]),
+        ),
         (f"force of contact {contact.name}, {words}", _equation(lam, law)),
     ]
 
 
-def _friction_equations(dynamics: Dynamics, names: Mapping[sp.Symbol, sp.Symbol]) -> list[tuple[str, sp.Basic]]:
+def _friction_equations(
+    dynamics: Dynamics, names: Mapping[sp.Symbol, sp.Symbol]
+) -> list[tuple[str, sp.Basic]]:
     found: list[tuple[str, sp.Basic]] = []
-    for friction, slip, limit, force in zip(dynamics.scene.frictions, dynamics.slip, dynamics.friction_limit, dynamics.f, strict=True):
+    for friction, slip, limit, force in zip(
+        dynamics.scene.frictions, dynamics.slip, dynamics.friction_limit, dynamics.f, strict=True
+    ):
         speed = sp.Symbol(friction.slip_name, real=True)
         found.append((f"slip speed of friction {friction.name}", _equation(speed, slip)))
-        found.append((f"largest force of friction {friction.name}", sp.Le(sp.Abs(force), limit.subs(names), evaluate=False)))
+        found.append(
+            (
+                f"largest force of friction {friction.name}",
+                sp.Le(sp.Abs(force), limit.subs(names), evaluate=False),
+            )
+        )
         held = _equation(force, sp.Mul(-1, limit.subs(names), sp.sign(speed), evaluate=False))
-        found.append((f"force of friction {friction.name} where it slips; where it sticks, the slip is zero", held))
+        found.append(
+            (
+                f"force of friction {friction.name} where it slips; where it sticks, the slip is zero",
+                held,
+            )
+        )
     return found
 
 
@@ -150,7 +231,10 @@ def _equation(left: sp.Basic, right: sp.Basic) -> sp.Basic:
 
 def _with_minus_inside(expression: sp.Basic) -> sp.Basic:
     """The same with the sign of a sum that is subtracted in each of its terms: SymPy's printer writes a - (b + c) without its parentheses."""
-    return expression.replace(lambda part: part.is_Mul and (-part).is_Add, lambda part: sp.Add(*(-term for term in (-part).args)))
+    return expression.replace(
+        lambda part: part.is_Mul and (-part).is_Add,
+        lambda part: sp.Add(*(-term for term in (-part).args)),
+    )
 
 
 def presentation(expression: sp.Basic) -> str:
@@ -158,5 +242,10 @@ def presentation(expression: sp.Basic) -> str:
     inside = mathml(_with_minus_inside(expression), printer="presentation").replace(
         "<mo><</mo>", "<mo>&lt;</mo>"
     )  # SymPy leaves it unescaped
-    plain = _ENTITY.sub(lambda match: match.group(0) if match.group(1) in _XML_NAMES else html.unescape(match.group(0)), inside)
+    plain = _ENTITY.sub(
+        lambda match: (
+            match.group(0) if match.group(1) in _XML_NAMES else html.unescape(match.group(0))
+        ),
+        inside,
+    )
     return f'<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">{plain}</math>'

@@ -1,10 +1,11 @@
 """What is shown of one plan: in a notebook, and as the page that `replay --html` writes, which is that of a run in the report.
 
-    plan = SolvedPlan.of(solution, scene, "softplus_dc+strict")      # a Solution that knows its scene
-    verdict = JudgedPlan.of(judgement, "plan.csv")                   # a Judgement that knows what its plan is called
+    plan = SolvedPlan.of(solution, scene, "softplus_dc+strict") # a Solution that knows its scene
+    verdict = JudgedPlan.of(judgement, "plan.csv") # a Judgement that knows what its plan is called
     verdict.page("python -m validate replay plan.csv --scene three_cart")
 
-This stands above the judge, which knows neither methods nor reports; `touchstone` hands these out as `Solution` and `Judgement`.
+This stands above the judge, which knows neither methods nor reports; `touchstone` hands these out
+as `Solution` and `Judgement`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,14 @@ from models.kinematics import gap_columns, pose_columns
 from models.netcdf import Column, write_columns
 from models.scene import Scene
 from models.trajectory import Trajectory, data_frame
-from reports.records.record import ContactRecord, QuantityRecord, RunRecord, SceneRecord, StageRecord, stage_files
+from reports.records.record import (
+    ContactRecord,
+    QuantityRecord,
+    RunRecord,
+    SceneRecord,
+    StageRecord,
+    stage_files,
+)
 from reports.records.robustness_record import RobustnessRecord
 from reports.render import framed, render_robustness, render_run
 from validate.judge.judgement import Judgement
@@ -42,7 +50,9 @@ if TYPE_CHECKING:
     from validate.judge.robustness import Robustness
 
 _KEY = "plan"
-_NOT_JUDGED = Judged(problem="nobody judged it yet: touchstone.judge(scene, plan) replays it and says whether it holds.")
+_NOT_JUDGED = Judged(
+    problem="nobody judged it yet: touchstone.judge(scene, plan) replays it and says whether it holds."
+)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -59,9 +69,16 @@ class SolvedPlan(Solution):
     eps: float | None = None
 
     @classmethod
-    def of(cls, solution: Solution, scene: Scene, pipeline: str, eps: float | None = None) -> SolvedPlan:
+    def of(
+        cls, solution: Solution, scene: Scene, pipeline: str, eps: float | None = None
+    ) -> SolvedPlan:
         """The same Solution, of this scene."""
-        return cls(**{item.name: getattr(solution, item.name) for item in fields(Solution)}, scene=scene, pipeline=pipeline, eps=eps)
+        return cls(
+            **{item.name: getattr(solution, item.name) for item in fields(Solution)},
+            scene=scene,
+            pipeline=pipeline,
+            eps=eps,
+        )
 
     @property
     def title(self) -> str:
@@ -75,28 +92,49 @@ class SolvedPlan(Solution):
         return f"Solution({self.scene.name} by {self.title}: {', '.join(found)})"
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The plan, a row a node, columns by their names in the scene (`Trajectory.to_dataframe`). Raises MachineError, TrajectoryError."""
+        """The plan, a row a node, columns by their names in the scene (`Trajectory.to_dataframe`).
+
+        Raises MachineError, TrajectoryError.
+        """
         return self._found().to_dataframe(self.scene)
 
     def plot(self) -> np.ndarray:
-        """Draw the plan: (panels,) matplotlib Axes over time [s], as `Trajectory.plot`. Raises MachineError, TrajectoryError where no plan was found."""
+        """Draw the plan: (panels,) matplotlib Axes over time [s], as `Trajectory.plot`.
+
+        Raises MachineError, TrajectoryError where no plan was found.
+        """
         return self._found().plot(self.scene)
 
     def _found(self) -> Trajectory:
         if self.trajectory is None:
-            raise TrajectoryError(f"{self.title} on {self.scene.name}: no plan was found. {self.message or self.outcome.value}")
+            raise TrajectoryError(
+                f"{self.title} on {self.scene.name}: no plan was found. {self.message or self.outcome.value}"
+            )
         return self.trajectory
 
     def stage(self, judged: Judged) -> StageRecord:
         """The record of its last stage, with what the judge said."""
         method = load_method(self.method)
-        planned = Planned(index=0, name=self.method, method=method, eps=self.eps, options=method.read_options({}))
+        planned = Planned(
+            index=0, name=self.method, method=method, eps=self.eps, options=method.read_options({})
+        )
         seconds = self.seconds
-        return stage_record(self.scene, planned, self, 0, wall=seconds.wall, cpu=seconds.cpu, before=0.0, judged=judged)
+        return stage_record(
+            self.scene,
+            planned,
+            self,
+            0,
+            wall=seconds.wall,
+            cpu=seconds.cpu,
+            before=0.0,
+            judged=judged,
+        )
 
     def _repr_html_(self) -> str:
         command = f"touchstone.solve({self.scene.name!r}, {self.pipeline!r}{'' if self.eps is None else f', eps={self.eps!r}'})"
-        return framed(_page(self.scene, self.trajectory, None, self.stage(_NOT_JUDGED), self.title, command))
+        return framed(
+            _page(self.scene, self.trajectory, None, self.stage(_NOT_JUDGED), self.title, command)
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -114,15 +152,27 @@ class JudgedPlan(Judgement):
     def of(cls, judgement: Judgement, plan: object) -> JudgedPlan:
         """The same Judgement, of a plan in any form that `judge` takes."""
         solution = plan if isinstance(plan, SolvedPlan) else None
-        name = solution.title if solution is not None else Path(plan).name if isinstance(plan, (str, Path)) else "plan"
-        return cls(**{item.name: getattr(judgement, item.name) for item in fields(Judgement)}, name=name, solution=solution)
+        name = (
+            solution.title
+            if solution is not None
+            else Path(plan).name
+            if isinstance(plan, (str, Path))
+            else "plan"
+        )
+        return cls(
+            **{item.name: getattr(judgement, item.name) for item in fields(Judgement)},
+            name=name,
+            solution=solution,
+        )
 
     def __repr__(self) -> str:
         found = [self.verdict.value]
         for name in ("cost", "replay_error"):
             metric = self.score.metric(name)
             if metric is not None and metric.value is not None:
-                found.append(f"{name.replace('_', ' ')} {metric.value:.4g}{'' if metric.unit == '1' else f' {metric.unit}'}")
+                found.append(
+                    f"{name.replace('_', ' ')} {metric.value:.4g}{'' if metric.unit == '1' else f' {metric.unit}'}"
+                )
         return f"Judgement({self.scene.name}, {self.name}: {', '.join(found)})"
 
     def __str__(self) -> str:
@@ -134,7 +184,10 @@ class JudgedPlan(Judgement):
             {
                 "question": [metric.question.number for metric in self.score.metrics],
                 "metric": [metric.name for metric in self.score.metrics],
-                **{name: [getattr(metric, name) for metric in self.score.metrics] for name in _COLUMNS},
+                **{
+                    name: [getattr(metric, name) for metric in self.score.metrics]
+                    for name in _COLUMNS
+                },
             }
         )
 
@@ -142,13 +195,21 @@ class JudgedPlan(Judgement):
         """Draw the plan beside its replay, that with feedback where the verdict is of it: (panels,) Axes over time [s]. Raises as `SolvedPlan.plot`."""
         if self.plan is None:
             raise TrajectoryError(f"{self.name} on {self.scene.name}: there is no plan to draw.")
-        replay = self.replay.tracked if self.replay is not None and self.score.judged == "feedback" else self.replay
+        replay = (
+            self.replay.tracked
+            if self.replay is not None and self.score.judged == "feedback"
+            else self.replay
+        )
         # A foreign model answers in the same words as a scene.
         return self.plan.plot(cast(Scene, self.scene), replay)
 
-    def page(self, command: str, warnings: Sequence[str] = (), engines: Sequence[Mapping[str, Any]] = ()) -> str:
+    def page(
+        self, command: str, warnings: Sequence[str] = (), engines: Sequence[Mapping[str, Any]] = ()
+    ) -> str:
         """The page of a run for this plan: one HTML file that needs nothing else. command: what repeats it; warnings: sentences shown with it; engines: rows of others."""
-        return _page(self.scene, self.plan, self.replay, self._stage(warnings), self.name, command, engines)
+        return _page(
+            self.scene, self.plan, self.replay, self._stage(warnings), self.name, command, engines
+        )
 
     def _repr_html_(self) -> str:
         return framed(self.page(f"touchstone.judge({self.scene.name!r}, plan)"))
@@ -166,11 +227,16 @@ _COLUMNS = ("value", "error", "unit", "limit", "ok", "meaning", "reason")
 
 def _seconds(replay: Replay | None) -> float:
     """CPU seconds of the replays [s]."""
-    return 0.0 if replay is None else replay.seconds_reference + replay.seconds_everyday + _seconds(replay.tracked)
+    return (
+        0.0
+        if replay is None
+        else replay.seconds_reference + replay.seconds_everyday + _seconds(replay.tracked)
+    )
 
 
 def _page(
-    subject: Subject, plan: Trajectory | None, replay: Replay | None, stage: StageRecord, name: str, command: str, engines: Sequence[Mapping[str, Any]] = ()
+    subject: Subject, plan: Trajectory | None, replay: Replay | None, stage: StageRecord, name: str,
+    command: str, engines: Sequence[Mapping[str, Any]] = ()
 ) -> str:  # fmt: skip
     """The page of a run of one stage, drawn from files as a campaign's are."""
     drawn, record = _drawn(subject, plan)
@@ -180,7 +246,10 @@ def _page(
         folder.mkdir(parents=True)
         if plan is not None:
             _write_plan(folder / files["trajectory"], plan, drawn)
-        for what, motion in (("replay", replay), ("tracked", None if replay is None else replay.tracked)):
+        for what, motion in (
+            ("replay", replay),
+            ("tracked", None if replay is None else replay.tracked),
+        ):
             if motion is not None and len(motion.t):
                 write_replay(folder / files[what], motion, drawn)
         return render_run(run, Path(place), engines)
@@ -228,7 +297,8 @@ def robustness_page(found: Robustness, record: RobustnessRecord, name: str) -> s
             if steps > 0:
                 positions, velocities = trial.states[:, : scene.nq], trial.states[:, scene.nq :]
                 motion = Trajectory(
-                    t=plan.t[: steps + 1], q=positions, v=velocities, u=plan.u[:steps], lam=plan.lam[:steps], missing=frozenset({"lam", "friction"})
+                    t=plan.t[: steps + 1], q=positions, v=velocities, u=plan.u[:steps],
+                    lam=plan.lam[:steps], missing=frozenset({"lam", "friction"})
                 )  # fmt: skip
                 _write_plan(folder / "worlds" / f"{number}.nc", motion, scene)
         return render_robustness(record, name, run, folder)
@@ -236,13 +306,19 @@ def robustness_page(found: Robustness, record: RobustnessRecord, name: str) -> s
 
 def _write_plan(path: Path, plan: Trajectory, subject: Subject) -> None:
     """What of a plan is drawn: what its author says, and where the bodies of a scene are then."""
-    forces = [f"lam_{item.name}" for item in subject.contacts] + [item.force_name for item in subject.frictions]
+    forces = [f"lam_{item.name}" for item in subject.contacts] + [
+        item.force_name for item in subject.frictions
+    ]
     said = ["lam" not in plan.missing] * subject.nc + ["friction" not in plan.missing] * subject.nf
     groups = [
         ("node", ["t"], plan.t[:, None]),
         ("node", [item.name for item in subject.coordinates] if plan.has_states else [], plan.q),
         ("step", [item.name for item in subject.inputs], plan.u),
-        ("step", [name for name, is_said in zip(forces, said, strict=True) if is_said], plan.lam[:, said]),
+        (
+            "step",
+            [name for name, is_said in zip(forces, said, strict=True) if is_said],
+            plan.lam[:, said],
+        ),
     ]
     columns = [
         Column(name=name, dimension=dimension, values=values[:, index], unit="", description="")
@@ -272,16 +348,26 @@ def _foreign_record(model: ForeignModel, plan: Trajectory | None) -> SceneRecord
         name=model.name,
         title="Somebody's FMU: what its map names.",
         source="",
-        coordinates=tuple(_quantity(item.name, item.unit, item.description) for item in model.coordinates),
-        velocities=tuple(_quantity(item.velocity_name, item.velocity_unit, f"velocity of {item.name}") for item in model.coordinates),
+        coordinates=tuple(
+            _quantity(item.name, item.unit, item.description) for item in model.coordinates
+        ),
+        velocities=tuple(
+            _quantity(item.velocity_name, item.velocity_unit, f"velocity of {item.name}")
+            for item in model.coordinates
+        ),
         inputs=tuple(_quantity(item.name, item.unit, item.description) for item in model.inputs),
-        contacts=tuple(ContactRecord(name=item.name, unit="N/m", description=item.description) for item in model.contacts),
+        contacts=tuple(
+            ContactRecord(name=item.name, unit="N/m", description=item.description)
+            for item in model.contacts
+        ),
         parameters=(),
         start=start,
         goal=model.task.goal,
         step=model.task.step,
         steps=0 if plan is None else plan.steps,
-        waived=tuple(f"{limit.metric}: {limit.reason}" for limit in model.limits if limit.value is None),
+        waived=tuple(
+            f"{limit.metric}: {limit.reason}" for limit in model.limits if limit.value is None
+        ),
     )
 
 

@@ -28,7 +28,9 @@ from validate.store.stored import CampaignError
 from validate.tasks.task import RunTask, task_from_json, varied
 
 
-def stored_plan(folder: Path, record: RunRecord, scene: str | None = None) -> tuple[Scene, Trajectory]:
+def stored_plan(
+    folder: Path, record: RunRecord, scene: str | None = None
+) -> tuple[Scene, Trajectory]:
     """The scene of a stored run, with what its campaign changed of it, or the one that is named, and its last plan. Raises CampaignError, SceneError, TrajectoryError."""
     last = record.last
     if last is None or not last.has_plan:
@@ -41,15 +43,25 @@ def stored_plan(folder: Path, record: RunRecord, scene: str | None = None) -> tu
     subject = load_scene(scene or (record.scene.name if asked is None else asked.scene))
     if asked is not None and asked.variant is not None:
         subject = varied(subject, asked.variant)
-    return subject, read_netcdf(folder / "runs" / record.key / stage_files(last.index, len(record.stages))["trajectory"], subject)
+    return subject, read_netcdf(
+        folder / "runs" / record.key / stage_files(last.index, len(record.stages))["trajectory"],
+        subject,
+    )
 
 
-def ask_simulators(folder: Path, stored: Stored, engines: Sequence[str], tell: Callable[[str], None]) -> SimulatorsRecord:
-    """Ask engines of the cheapest plan that holds of each scene; each plan's rows are on the disk as soon as they are there.
+def ask_simulators(
+    folder: Path, stored: Stored, engines: Sequence[str], tell: Callable[[str], None]
+) -> SimulatorsRecord:
+    """Ask engines of the cheapest plan that holds of each scene.
 
-    tell: gets a line for each answer. What was asked of other runs is forgotten; what cannot be asked is a line. Raises UnknownNameError, MachineError.
+    Each plan's rows are on the disk as soon as they are there.
+
+    tell: gets a line for each answer. What was asked of other runs is forgotten; what cannot be
+        asked is a line. Raises UnknownNameError, MachineError.
     """
-    named = {name: f"{describe_engine(name).title}; {describe_engine(name).law}" for name in engines}
+    named = {
+        name: f"{describe_engine(name).title}; {describe_engine(name).law}" for name in engines
+    }
     scenes = dict.fromkeys(run.scene.name for run in stored.runs)
     best = [priced[0][0] for scene in scenes if (priced := stored.cheapest(scene))]
     earlier = stored.simulators or SimulatorsRecord()
@@ -60,13 +72,22 @@ def ask_simulators(folder: Path, stored: Stored, engines: Sequence[str], tell: C
     for run in best:
         try:
             scene, plan = stored_plan(folder, run)
-            judgement = judge_trajectory(scene, build_fmu(scene, results=False), plan, limits=Limits())
-            rows = elsewhere(judgement, engines, jobs=usable_cores(), tell=lambda text, run=run: tell(f"{run.title}: {text}"))
+            judgement = judge_trajectory(
+                scene, build_fmu(scene, results=False), plan, limits=Limits()
+            )
+            rows = elsewhere(
+                judgement,
+                engines,
+                jobs=usable_cores(),
+                tell=lambda text, run=run: tell(f"{run.title}: {text}"),
+            )
         except MachineError:
             raise
         except TouchstoneError as error:
             tell(f"{run.title}: no simulator was asked: {error}")
             continue
-        found = found.with_rows(run.key, tuple(EngineRecord.model_validate(row.as_json()) for row in rows))
+        found = found.with_rows(
+            run.key, tuple(EngineRecord.model_validate(row.as_json()) for row in rows)
+        )
         write_durably(folder / SIMULATORS, found.model_dump_json(indent=1))
     return found

@@ -47,10 +47,14 @@ class SolvedStage:
     def can_be_certified(self) -> bool:
         """Whether its method claims to solve the exact problem, and it has a plan: its own, or one of its front."""
         found = (self.solution, *(point.solution for point in self.solution.front))
-        return self.planned.method.exact and any(solution.trajectory is not None for solution in found)
+        return self.planned.method.exact and any(
+            solution.trajectory is not None for solution in found
+        )
 
 
-def prepare(plugin: Plugin, scene: Scene, plan: tuple[Planned, ...], folder: Path, profile: Profile) -> None:
+def prepare(
+    plugin: Plugin, scene: Scene, plan: tuple[Planned, ...], folder: Path, profile: Profile
+) -> None:
     """Compile the scene, and open and close every method once, so that neither that nor importing libraries counts in any stage's seconds."""
     progress(folder, "the compilation of the scene")
     _tried(lambda: plugin.compile(scene))
@@ -72,7 +76,9 @@ def _tried(preparation: Callable[[], object]) -> None:
 
 
 class OpenLeg:
-    """The session of a leg. planned: one of its stages, which all have the same method and options; its first stage pays for the opening.
+    """The session of a leg. planned: one of its stages, which all have the same method and options.
+
+    Its first stage pays for the opening.
 
     Raises what the method raises.
     """
@@ -87,13 +93,17 @@ class OpenLeg:
         """Whether the first stage would leave this plan for the first guess."""
         wall, cpu = time.perf_counter(), time.process_time()
         cold = self._session.start_used(start) is None
-        self._opening = (self._opening[0] + time.perf_counter() - wall, self._opening[1] + time.process_time() - cpu)
+        self._opening = (
+            self._opening[0] + time.perf_counter() - wall,
+            self._opening[1] + time.process_time() - cpu,
+        )
         return cold
 
     def run(self, planned: Planned, start: Trajectory | None, time_limit: float) -> SolvedStage:
         """Run a stage.
 
-        Raises what its method raises, TypeError for an answer that is no Solution, TrajectoryError for a plan of another scene or of another duration.
+        Raises what its method raises, TypeError for an answer that is no Solution, TrajectoryError
+        for a plan of another scene or of another duration.
         """
         wall, cpu = time.perf_counter() - self._opening[0], time.process_time() - self._opening[1]
         self._opening = (0.0, 0.0)
@@ -102,7 +112,9 @@ class OpenLeg:
         if not isinstance(solution, Solution):
             raise TypeError(f"it must hand back a Solution, not {type(solution).__name__}.")
         if not isinstance(solution.outcome, Outcome):
-            raise TypeError(f"the outcome of its Solution must be an Outcome, not {type(solution.outcome).__name__}.")
+            raise TypeError(
+                f"the outcome of its Solution must be an Outcome, not {type(solution.outcome).__name__}."
+            )
         if solution.trajectory is not None:
             solution.trajectory.check_fits(self._scene)
             asked = self._scene.task.horizon
@@ -130,12 +142,24 @@ class Judge:
         self._fmu: Path | None = None
 
     def record(self, item: SolvedStage, folder: Path, index: int, before: float) -> StageRecord:
-        """The record of stage `index` (from 0) of a leg, without its certificate; its files in the folder. before [s]: of its leg's stages before it."""
+        """The record of stage `index` (from 0) of a leg, without its certificate.
+
+        Its files in the folder. before [s]: of its leg's stages before it.
+        """
         if self._fmu is None and item.solution.trajectory is not None:
             self._fmu = self._plugin.build_fmu(self._scene)
         self._profile.lap("fmu_build")
         judged = self._judged(item.solution.trajectory, folder, index + 1)
-        record = stage_record(self._scene, item.planned, item.solution, index, wall=item.wall, cpu=item.cpu, before=before, judged=judged)
+        record = stage_record(
+            self._scene,
+            item.planned,
+            item.solution,
+            index,
+            wall=item.wall,
+            cpu=item.cpu,
+            before=before,
+            judged=judged,
+        )
         return record.model_copy(update={"certificate_missing": item.can_be_certified})
 
     def _judged(self, trajectory: Trajectory | None, folder: Path, number: int) -> Judged:
@@ -155,7 +179,9 @@ class Judge:
                 if motion is not None:
                     plugin.write_replay(folder / names[name], motion, scene)
             if tracked is not None and tracked.feedback is not None:
-                write_netcdf(folder / names["trajectory"], trajectory, scene, tracked.feedback.gains)
+                write_netcdf(
+                    folder / names["trajectory"], trajectory, scene, tracked.feedback.gains
+                )
             profile.lap("writing")
         except MachineError:
             raise
@@ -163,7 +189,10 @@ class Judge:
             raise_if_disk_ended(folder, error)
             traceback.print_exc()
             profile.lap("replay")
-            return Judged(seconds=time.perf_counter() - began, problem=f"the judge ended with {type(error).__name__}: {first_line(error)}")
+            return Judged(
+                seconds=time.perf_counter() - began,
+                problem=f"the judge ended with {type(error).__name__}: {first_line(error)}",
+            )
         return Judged(replay=replay, score=judgement.score, seconds=seconds)
 
     def certified(self, record: StageRecord, item: SolvedStage) -> StageRecord:
@@ -179,8 +208,15 @@ class Judge:
 
 
 def in_words(error: Exception) -> str:
-    """The sentence of an error of ours; of any other its type and the first line of what it says."""
-    return str(error) if isinstance(error, TouchstoneError) else f"{type(error).__name__}: {first_line(error)}"
+    """The sentence of an error of ours.
+
+    Of any other its type and the first line of what it says.
+    """
+    return (
+        str(error)
+        if isinstance(error, TouchstoneError)
+        else f"{type(error).__name__}: {first_line(error)}"
+    )
 
 
 def first_line(error: BaseException) -> str:

@@ -1,13 +1,16 @@
-"""Tasks of a campaign as plain data with keys: a run, which is a scene by a pipeline, or a check; and how the child of one may end.
+"""Tasks of a campaign as plain data with keys: a run, which is a scene by a pipeline, or a check.
+
+And how the child of one may end.
 
     task = task_from_json(task_to_json(task))          # what a child is given
 
 What a worker does with a run: validate.tasks.path; with a check: validate.tasks.check.
 
-A campaign file may ask for a scene with some of its numbers changed; it has a name of its own, and is a scene like any other: its text, numbers included,
-is part of the key of its tasks.
+A campaign file may ask for a scene with some of its numbers changed; it has a name of its own, and
+is a scene like any other: its text, numbers included, is part of the key of its tasks.
 
-    varied(load_scene("three_cart"), Variant(name="three_cart_k_300", parameters={"k": 300.0}, goal={"q1": 2.6, "v1": None}))
+    varied(load_scene("three_cart"), Variant(name="three_cart_k_300", parameters={"k": 300.0},
+    goal={"q1": 2.6, "v1": None}))
 """
 
 from __future__ import annotations
@@ -30,7 +33,11 @@ _BY_ANSWERS = "answer_error"
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
-    """What is changed: parameters by name; start and goal by coordinate or velocity (None: that component of the end is free); limits: (value, reason) by metric."""
+    """What is changed: parameters by name.
+
+    Start and goal by coordinate or velocity (None: that component of the end is free); limits:
+    (value, reason) by metric.
+    """
 
     name: str
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -52,13 +59,26 @@ class SceneReference:
 
 def state_names(scene: Scene) -> tuple[str, ...]:
     """(2 nq,) names of the components of a state: positions, then velocities."""
-    return (*(item.name for item in scene.coordinates), *(item.velocity_name for item in scene.coordinates))
+    return (
+        *(item.name for item in scene.coordinates),
+        *(item.velocity_name for item in scene.coordinates),
+    )
 
 
 def varied(scene: Scene, variant: Variant) -> Scene:
-    """The changed scene. Closed forms of the unchanged one, and the limit on them, are left out where motion changes. Raises SceneError."""
+    """The changed scene.
+
+    Closed forms of the unchanged one, and the limit on them, are left out where motion changes.
+    Raises SceneError.
+    """
     limits = {limit.metric: limit for limit in scene.limits}
-    moves = variant.parameters or variant.start or variant.goal or variant.steps is not None or variant.step is not None
+    moves = (
+        variant.parameters
+        or variant.start
+        or variant.goal
+        or variant.steps is not None
+        or variant.step is not None
+    )
     if moves:
         limits.pop(_BY_ANSWERS, None)
     task = replace(
@@ -68,7 +88,10 @@ def varied(scene: Scene, variant: Variant) -> Scene:
         steps=scene.task.steps if variant.steps is None else variant.steps,
         step=scene.task.step if variant.step is None else variant.step,
     )
-    limits |= {metric: Limit(metric=metric, value=value, reason=reason) for metric, (value, reason) in variant.limits.items()}
+    limits |= {
+        metric: Limit(metric=metric, value=value, reason=reason)
+        for metric, (value, reason) in variant.limits.items()
+    }
     changes = ", ".join(in_words(scene, variant))
     return replace(
         scene.with_parameters(**variant.parameters),
@@ -83,18 +106,28 @@ def varied(scene: Scene, variant: Variant) -> Scene:
 def in_words(scene: Scene, variant: Variant) -> list[str]:
     """Each change but those of limits, as `k = 300 N/m`."""
     units = {item.name: item.unit for item in scene.parameters}
-    words = [f"{name} = {value:g} {units.get(name, '')}".rstrip() for name, value in variant.parameters.items()]
+    words = [
+        f"{name} = {value:g} {units.get(name, '')}".rstrip()
+        for name, value in variant.parameters.items()
+    ]
     words += [f"start {name} = {value:g}" for name, value in variant.start.items()]
-    words += [f"goal {name} {'free' if value is None else f'= {value:g}'}" for name, value in variant.goal.items()]
+    words += [
+        f"goal {name} {'free' if value is None else f'= {value:g}'}"
+        for name, value in variant.goal.items()
+    ]
     words += [] if variant.steps is None else [f"{variant.steps} steps"]
     return words + ([] if variant.step is None else [f"h = {variant.step:g} s"])
 
 
-def _state(scene: Scene, what: str, values: Iterable[float | None], changes: Mapping[str, float | None]) -> tuple[Any, ...]:
+def _state(
+    scene: Scene, what: str, values: Iterable[float | None], changes: Mapping[str, float | None]
+) -> tuple[Any, ...]:
     names = state_names(scene)
     for name in changes:
         if name not in names:
-            raise SceneError(f"scene {scene.name}: {what} has no component {name!r}; it has {', '.join(names)}.")
+            raise SceneError(
+                f"scene {scene.name}: {what} has no component {name!r}; it has {', '.join(names)}."
+            )
     return tuple(changes.get(name, value) for name, value in zip(names, values, strict=True))
 
 
@@ -112,7 +145,8 @@ class PlannedLeg:
 class RunTask:
     """A scene by a pipeline.
 
-    scene: a name or an absolute path of a scene file; variant: what a campaign file changes of it; plugin: a dotted name (validate.tasks.plugins); legs:
+    scene: a name or an absolute path of a scene file; variant: what a campaign file changes of it;
+        plugin: a dotted name (validate.tasks.plugins); legs:
     its path; robust: whether plans that hold are tried in perturbed worlds.
     """
 
@@ -130,11 +164,16 @@ class RunTask:
     def title(self) -> str:
         """What it is called."""
         part = self.pipeline.part
-        return f"{self.scene_name} x {self.pipeline.name}" + (f" ({part[0]} of {part[1]})" if part else "")
+        return f"{self.scene_name} x {self.pipeline.name}" + (
+            f" ({part[0]} of {part[1]})" if part else ""
+        )
 
     @property
     def published(self) -> str:
-        """Its scene, where that is one of the catalog as it stands there; empty for a file of the user's, whatever it calls itself."""
+        """Its scene, where that is one of the catalog as it stands there.
+
+        Empty for a file of the user's, whatever it calls itself.
+        """
         return self.scene_name if self.scene == self.scene_name else ""
 
 
@@ -142,10 +181,14 @@ class RunTask:
 class CheckTask:
     """A task that is no run: a function is asked a question, and what it finds is as expected or not.
 
-    function: `module:name`, called in the child with the arguments (JSON data); content: text that decides the result beside arguments and
-    sources, such as that of a scene (models.scene.text); sources: the parts of our sources that matter, as beginnings of
-    paths (nothing: all of them); methods: names of the methods it runs; scene: the name of the one it is about; quick: whether `--quick` runs it;
-    words: further names for `-k`; group: what it and its like are called where only their number is said; key and time_limit [s]: filled in by the campaign.
+    function: `module:name`, called in the child with the arguments (JSON data); content: text that
+        decides the result beside arguments and
+    sources, such as that of a scene (models.scene.text); sources: the parts of our sources that
+        matter, as beginnings of
+    paths (nothing: all of them); methods: names of the methods it runs; scene: the name of the one
+        it is about; quick: whether `--quick` runs it;
+    words: further names for `-k`; group: what it and its like are called where only their number is
+        said; key and time_limit [s]: filled in by the campaign.
     """
 
     kind: str
@@ -191,7 +234,10 @@ def task_from_json(data: Mapping[str, Any]) -> Task:
 
 @dataclass(frozen=True, kw_only=True)
 class ChildExit:
-    """How a task ended, such as a child that left no record. outcome: that of its record; message: one sentence; wall, cpu [s]; log: its end."""
+    """How a task ended, such as a child that left no record. outcome: that of its record.
+
+    message: one sentence; wall, cpu [s]; log: its end.
+    """
 
     outcome: str
     message: str

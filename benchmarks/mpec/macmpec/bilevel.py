@@ -1,4 +1,7 @@
-"""Bilevel programs through their lower level's optimality conditions. Mathematics of MacMPEC (S. Leyffer), written anew for Pyomo."""
+"""Bilevel programs through their lower level's optimality conditions. Mathematics of MacMPEC (S.
+
+Leyffer), written anew for Pyomo.
+"""
 
 from __future__ import annotations
 
@@ -19,35 +22,71 @@ def _linear_leader(m: pyo.ConcreteModel, multipliers: int, low: float | None) ->
 @problem(0.0)
 def bilevel1(m: pyo.ConcreteModel) -> None:
     _linear_leader(m, 6, 0.0)
-    m.follower = pyo.Constraint([1, 2], rule=lambda m, i: 2 * m.y[i] - 2 * m.x[i] + 40 == m.l[2 * i - 1] - m.l[2 * i] - 2 * m.l[4 + i])
-    m.low = Complementarity([1, 2], rule=lambda m, i: complements(m.y[i] + 10 >= 0, m.l[2 * i - 1] >= 0))
-    m.high = Complementarity([1, 2], rule=lambda m, i: complements(20 - m.y[i] >= 0, m.l[2 * i] >= 0))
-    m.gap = Complementarity([1, 2], rule=lambda m, i: complements(m.x[i] - 2 * m.y[i] - 10 >= 0, m.l[4 + i] >= 0))
+    m.follower = pyo.Constraint(
+        [1, 2],
+        rule=lambda m, i: (
+            2 * m.y[i] - 2 * m.x[i] + 40 == m.l[2 * i - 1] - m.l[2 * i] - 2 * m.l[4 + i]
+        ),
+    )
+    m.low = Complementarity(
+        [1, 2], rule=lambda m, i: complements(m.y[i] + 10 >= 0, m.l[2 * i - 1] >= 0)
+    )
+    m.high = Complementarity(
+        [1, 2], rule=lambda m, i: complements(20 - m.y[i] >= 0, m.l[2 * i] >= 0)
+    )
+    m.gap = Complementarity(
+        [1, 2], rule=lambda m, i: complements(m.x[i] - 2 * m.y[i] - 10 >= 0, m.l[4 + i] >= 0)
+    )
 
 
 @problem(-55.0)
 def bilevel1m(m: pyo.ConcreteModel) -> None:
     """Mixed complementarity: one multiplier for both bounds of a variable."""
     _linear_leader(m, 4, None)
-    m.follower = pyo.Constraint([1, 2], rule=lambda m, i: 2 * m.y[i] - 2 * m.x[i] + 40 == m.l[i] - 2 * m.l[2 + i])
-    m.box = Complementarity([1, 2], rule=lambda m, i: complements(pyo.inequality(-10, m.y[i], 20), m.l[i]))
-    m.gap = Complementarity([1, 2], rule=lambda m, i: complements(m.x[i] - 2 * m.y[i] - 10 >= 0, m.l[2 + i] >= 0))
+    m.follower = pyo.Constraint(
+        [1, 2], rule=lambda m, i: 2 * m.y[i] - 2 * m.x[i] + 40 == m.l[i] - 2 * m.l[2 + i]
+    )
+    m.box = Complementarity(
+        [1, 2], rule=lambda m, i: complements(pyo.inequality(-10, m.y[i], 20), m.l[i])
+    )
+    m.gap = Complementarity(
+        [1, 2], rule=lambda m, i: complements(m.x[i] - 2 * m.y[i] - 10 >= 0, m.l[2 + i] >= 0)
+    )
 
 
 _TOP = {1: 20.0, 2: 20.0, 3: 40.0, 4: 40.0}
 _WISH = {1: 4.0, 2: 13.0, 3: 35.0, 4: 2.0}
-_USE = {(1, 1): 0.4, (1, 2): 0.7, (2, 1): 0.6, (2, 2): 0.3, (3, 3): 0.4, (3, 4): 0.7, (4, 3): 0.6, (4, 4): 0.3}
+_USE = {
+    (1, 1): 0.4,
+    (1, 2): 0.7,
+    (2, 1): 0.6,
+    (2, 2): 0.3,
+    (3, 3): 0.4,
+    (3, 4): 0.7,
+    (4, 3): 0.6,
+    (4, 4): 0.3,
+}
 
 
 def _factories(m: pyo.ConcreteModel) -> None:
-    m.x = pyo.Var([1, 2, 3, 4], bounds=lambda m, i: (0, {1: 10, 2: 5, 3: 15, 4: 20}[i]), initialize={1: 5, 2: 5, 3: 15, 4: 15})
+    m.x = pyo.Var(
+        [1, 2, 3, 4],
+        bounds=lambda m, i: (0, {1: 10, 2: 5, 3: 15, 4: 20}[i]),
+        initialize={1: 5, 2: 5, 3: 15, 4: 15},
+    )
     m.y = pyo.Var([1, 2, 3, 4])
     m.price = pyo.Var([1, 2, 3, 4], bounds=(0, None))
-    m.cost = pyo.Objective(expr=-(200 - m.y[1] - m.y[3]) * (m.y[1] + m.y[3]) - (160 - m.y[2] - m.y[4]) * (m.y[2] + m.y[4]))
+    m.cost = pyo.Objective(
+        expr=-(200 - m.y[1] - m.y[3]) * (m.y[1] + m.y[3])
+        - (160 - m.y[2] - m.y[4]) * (m.y[2] + m.y[4])
+    )
     m.common = pyo.Constraint(expr=sum(m.x.values()) <= 40)
     m.capacity = Complementarity(
         [1, 2, 3, 4],
-        rule=lambda m, r: complements(m.x[r] - sum(_USE[r, j] * m.y[j] for j in (1, 2, 3, 4) if (r, j) in _USE) >= 0, m.price[r] >= 0),
+        rule=lambda m, r: complements(
+            m.x[r] - sum(_USE[r, j] * m.y[j] for j in (1, 2, 3, 4) if (r, j) in _USE) >= 0,
+            m.price[r] >= 0,
+        ),
     )
 
 
@@ -59,7 +98,9 @@ def _paid(m: pyo.ConcreteModel, j: int):
 def bilevel2(m: pyo.ConcreteModel) -> None:
     _factories(m)
     m.low, m.high = pyo.Var([1, 2, 3, 4], bounds=(0, None)), pyo.Var([1, 2, 3, 4], bounds=(0, None))
-    m.follower = pyo.Constraint([1, 2, 3, 4], rule=lambda m, j: m.y[j] - _WISH[j] + _paid(m, j) - m.low[j] + m.high[j] == 0)
+    m.follower = pyo.Constraint(
+        [1, 2, 3, 4], rule=lambda m, j: m.y[j] - _WISH[j] + _paid(m, j) - m.low[j] + m.high[j] == 0
+    )
     m.bounds = ComplementarityList()
     for j in (1, 2, 3, 4):
         m.bounds.add(complements(m.y[j] >= 0, m.low[j] >= 0))
@@ -70,8 +111,12 @@ def bilevel2(m: pyo.ConcreteModel) -> None:
 def bilevel2m(m: pyo.ConcreteModel) -> None:
     _factories(m)
     m.l = pyo.Var([1, 2, 3, 4])
-    m.follower = pyo.Constraint([1, 2, 3, 4], rule=lambda m, j: m.y[j] - _WISH[j] + _paid(m, j) - m.l[j] == 0)
-    m.box = Complementarity([1, 2, 3, 4], rule=lambda m, j: complements(m.l[j], pyo.inequality(0, m.y[j], _TOP[j])))
+    m.follower = pyo.Constraint(
+        [1, 2, 3, 4], rule=lambda m, j: m.y[j] - _WISH[j] + _paid(m, j) - m.l[j] == 0
+    )
+    m.box = Complementarity(
+        [1, 2, 3, 4], rule=lambda m, j: complements(m.l[j], pyo.inequality(0, m.y[j], _TOP[j]))
+    )
 
 
 @problem(-12.6787)
@@ -90,7 +135,9 @@ def bilevel3(m: pyo.ConcreteModel) -> None:
         m.y[2] - m.l[4],
     )
     m.follower = pyo.Constraint(range(6), rule=lambda m, k: rows[k] == 0)
-    m.pair = Complementarity(range(1, 5), rule=lambda m, i: complements(m.l[i] >= 0, m.y[2 + i] >= 0))
+    m.pair = Complementarity(
+        range(1, 5), rule=lambda m, i: complements(m.l[i] >= 0, m.y[2 + i] >= 0)
+    )
 
 
 @problem(18.4)
@@ -98,7 +145,9 @@ def bilin(m: pyo.ConcreteModel) -> None:
     m.x = pyo.Var([1, 2], bounds=(0, None), initialize=1)
     m.y = pyo.Var(range(1, 7), bounds=(0, None), initialize=1)
     x, y = m.x, m.y
-    m.gain = pyo.Objective(expr=8 * x[1] + 4 * x[2] - 4 * y[1] + 40 * y[2] + 4 * y[3], sense=pyo.maximize)
+    m.gain = pyo.Objective(
+        expr=8 * x[1] + 4 * x[2] - 4 * y[1] + 40 * y[2] + 4 * y[3], sense=pyo.maximize
+    )
     m.leader = pyo.Constraint(expr=x[1] + 2 * x[2] - y[3] <= 1.3)
     sides = (
         2 - y[4] - 2 * y[5] + 4 * y[6],
@@ -108,7 +157,9 @@ def bilin(m: pyo.ConcreteModel) -> None:
         2 - 4 * x[1] + 2 * y[1] - 4 * y[2] + y[3],
         2 - 4 * x[2] - 4 * y[1] + 2 * y[2] + y[3],
     )
-    m.pair = Complementarity(range(1, 7), rule=lambda m, i: complements(sides[i - 1] >= 0, m.y[i] >= 0))
+    m.pair = Complementarity(
+        range(1, 7), rule=lambda m, i: complements(sides[i - 1] >= 0, m.y[i] >= 0)
+    )
 
 
 @problem(28.25)
@@ -126,8 +177,12 @@ def desilva(m: pyo.ConcreteModel) -> None:
     m.y = pyo.Var([1, 2])
     m.l = pyo.Var([1, 2], bounds=(0, None))
     m.cost = pyo.Objective(expr=sum(m.x[i] ** 2 - 2 * m.x[i] + m.y[i] ** 2 for i in (1, 2)))
-    m.follower = pyo.Constraint([1, 2], rule=lambda m, i: 2 * (m.y[i] - m.x[i]) + 2 * (m.y[i] - 1) * m.l[i] == 0)
-    m.pair = Complementarity([1, 2], rule=lambda m, i: complements(0.25 - (m.y[i] - 1) ** 2 >= 0, m.l[i] >= 0))
+    m.follower = pyo.Constraint(
+        [1, 2], rule=lambda m, i: 2 * (m.y[i] - m.x[i]) + 2 * (m.y[i] - 1) * m.l[i] == 0
+    )
+    m.pair = Complementarity(
+        [1, 2], rule=lambda m, i: complements(0.25 - (m.y[i] - 1) ** 2 >= 0, m.l[i] >= 0)
+    )
 
 
 @problem(24.3668)
@@ -137,7 +192,10 @@ def hakonsen(m: pyo.ConcreteModel) -> None:
     m.p, m.t = pyo.Var([1, 2], bounds=(0, None)), pyo.Var([1, 2], bounds=(0, None))
     m.utility = pyo.Objective(expr=(m.x[1] * m.x[2] * m.leisure) ** (1 / 3), sense=pyo.maximize)
     m.price = Complementarity([1, 2], rule=lambda m, i: complements(m.p[i] <= 1, m.x[i] >= 0))
-    m.demand = Complementarity([1, 2], rule=lambda m, i: complements(3 * m.x[i] * m.p[i] * (1 + m.t[i]) >= 100, m.p[i] >= 0))
+    m.demand = Complementarity(
+        [1, 2],
+        rule=lambda m, i: complements(3 * m.x[i] * m.p[i] * (1 + m.t[i]) >= 100, m.p[i] >= 0),
+    )
     m.budget = pyo.Constraint(expr=sum(m.x[i] * m.p[i] for i in (1, 2)) + m.leisure + 25 == 100)
     m.revenue = pyo.Constraint(expr=sum(m.p[i] * m.t[i] * m.x[i] for i in (1, 2)) >= 25)
 

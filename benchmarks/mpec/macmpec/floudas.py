@@ -1,7 +1,8 @@
 """Linear and quadratic bilevel programs of the handbook by Floudas and others, chapter 9, through optimality conditions of the lower level.
 Mathematics of MacMPEC (S. Leyffer), written anew for Pyomo.
 
-In all of them l_i >= 0 multiplies a row of the lower level whose slack is s_i >= 0: `_variables` adds both and l complements s.
+In all of them l_i >= 0 multiplies a row of the lower level whose slack is s_i >= 0: `_variables`
+adds both and l complements s.
 """
 
 from __future__ import annotations
@@ -12,27 +13,42 @@ from pyomo.mpec import Complementarity, complements
 from benchmarks.mpec.macmpec.problem import problem
 
 
-def _variables(m: pyo.ConcreteModel, pairs: int, **bounds: float | tuple[float, float] | None) -> list:
+def _variables(
+    m: pyo.ConcreteModel, pairs: int, **bounds: float | tuple[float, float] | None
+) -> list:
     """Variables by name with their bounds (a number is a lower bound), and pairs of slacks s and multipliers l; the variables, and l behind them."""
     for name, bound in bounds.items():
         m.add_component(name, pyo.Var(bounds=bound if isinstance(bound, tuple) else (bound, None)))
     m.s = pyo.Var(range(1, pairs + 1), bounds=(0, None))
     m.l = pyo.Var(range(1, pairs + 1), bounds=(0, None))
-    m.pair = Complementarity(range(1, pairs + 1), rule=lambda m, i: complements(m.l[i] >= 0, m.s[i] >= 0))
+    m.pair = Complementarity(
+        range(1, pairs + 1), rule=lambda m, i: complements(m.l[i] >= 0, m.s[i] >= 0)
+    )
     return [*(m.component(name) for name in bounds), m.l]
 
 
 def _finish(m: pyo.ConcreteModel, cost, rows, *, slope) -> None:
-    """rows: (expression, right-hand side), row i with slack s_i; slope: expressions that are 0 at the lower level's solution."""
+    """rows: (expression, right-hand side), row i with slack s_i.
+
+    slope: expressions that are 0 at the lower level's solution.
+    """
     m.cost = pyo.Objective(expr=cost)
-    m.row = pyo.Constraint(range(len(rows)), rule=lambda m, k: rows[k][0] + m.s[k + 1] == rows[k][1])
+    m.row = pyo.Constraint(
+        range(len(rows)), rule=lambda m, k: rows[k][0] + m.s[k + 1] == rows[k][1]
+    )
     m.slope = pyo.Constraint(range(len(slope)), rule=lambda m, k: slope[k] == 0)
 
 
 @problem(-13.0)
 def ex9_1_1(m: pyo.ConcreteModel) -> None:
     x, y, z, m_l = _variables(m, 5, x=0, y=None, z=None)
-    rows = [(-2 * x + y + 4 * z, 16), (8 * x + 3 * y - 2 * z, 48), (-2 * x + y - 3 * z, -12), (-y, 0), (y, 4)]
+    rows = [
+        (-2 * x + y + 4 * z, 16),
+        (8 * x + 3 * y - 2 * z, 48),
+        (-2 * x + y - 3 * z, -12),
+        (-y, 0),
+        (y, 4),
+    ]
     slope = [-1 + m_l[1] + 3 * m_l[2] + m_l[3] - m_l[4] + m_l[5], 2 * m_l[2] - 3 * m_l[3]]
     _finish(m, -x - 3 * y + 2 * z, rows, slope=slope)
 
@@ -69,13 +85,22 @@ def ex9_1_4(m: pyo.ConcreteModel) -> None:
 def ex9_1_5(m: pyo.ConcreteModel) -> None:
     x, y, z, m_l = _variables(m, 5, x=0, y=0, z=0)
     rows = [(x + y, 1), (x + z, 1), (y + z, 1), (-y, 0), (-z, 0)]
-    _finish(m, -x + 10 * y - z, rows, slope=[m_l[1] + m_l[3] - m_l[4] - 1, m_l[2] + m_l[3] - m_l[5] - 1])
+    _finish(
+        m, -x + 10 * y - z, rows, slope=[m_l[1] + m_l[3] - m_l[4] - 1, m_l[2] + m_l[3] - m_l[5] - 1]
+    )
 
 
 @problem(-49.0)
 def ex9_1_6(m: pyo.ConcreteModel) -> None:
     x, y, m_l = _variables(m, 6, x=0, y=0)
-    rows = [(-x - 2 * y, -10), (x - 2 * y, 6), (2 * x - y, 21), (x + 2 * y, 38), (-x + 2 * y, 18), (-y, 0)]
+    rows = [
+        (-x - 2 * y, -10),
+        (x - 2 * y, 6),
+        (2 * x - y, 21),
+        (x + 2 * y, 38),
+        (-x + 2 * y, 18),
+        (-y, 0),
+    ]
     slope = [3 - 2 * m_l[1] - 2 * m_l[2] - m_l[3] + 2 * m_l[4] + 2 * m_l[5] - m_l[6]]
     _finish(m, -x - 3 * y, rows, slope=slope)
 
@@ -84,7 +109,8 @@ def ex9_1_6(m: pyo.ConcreteModel) -> None:
 def ex9_1_7(m: pyo.ConcreteModel) -> None:
     a, b, u, v, w, m_l = _variables(m, 6, a=0, b=0, u=0, v=0, w=0)
     rows = [
-        (-u + v + w, 1), (2 * a - u + 2 * v - 0.5 * w, 1), (2 * b + 2 * u - v - 0.5 * w, 1), (-u, 0), (-v, 0), (-w, 0),
+        (-u + v + w, 1), (2 * a - u + 2 * v - 0.5 * w, 1), (2 * b + 2 * u - v - 0.5 * w, 1),
+        (-u, 0), (-v, 0), (-w, 0),
     ]  # fmt: skip
     slope = [
         -m_l[1] - m_l[2] + 2 * m_l[3] - m_l[4] + 1,
@@ -97,9 +123,13 @@ def ex9_1_7(m: pyo.ConcreteModel) -> None:
 def _four_rows(m: pyo.ConcreteModel, **bounds) -> None:
     a, b, u, v, *_, m_l = _variables(m, 5, a=0, b=0, u=0, v=0, **bounds)
     m.leader = pyo.Constraint(expr=a + b <= 2)
-    m.unused = pyo.Constraint(expr=m.s[5] == 0)  # the published model declares a fifth pair that stands in no row
+    m.unused = pyo.Constraint(
+        expr=m.s[5] == 0
+    )  # the published model declares a fifth pair that stands in no row
     rows = [(-2 * a + u - v, -2.5), (a - 3 * b + v, 2), (-u, 0), (-v, 0)]
-    _finish(m, -2 * a + b + 0.5 * u, rows, slope=[m_l[1] - m_l[3] - 4, m_l[1] + m_l[2] - m_l[4] + 1])
+    _finish(
+        m, -2 * a + b + 0.5 * u, rows, slope=[m_l[1] - m_l[3] - 4, m_l[1] + m_l[2] - m_l[4] + 1]
+    )
 
 
 problem(-3.25, "ex9_1_8")(_four_rows)
@@ -144,7 +174,10 @@ def ex9_2_3(m: pyo.ConcreteModel) -> None:
     a, b, y, z, m_l = _variables(m, 6, a=(1, 50), b=(1, 50), y=-8, z=-8)
     m.leader = pyo.Constraint(expr=a + b + y - 2 * z <= 40)
     rows = [(2 * y - a, -10), (2 * z - b, -10), (-y, 10), (y, 20), (-z, 10), (z, 20)]
-    slope = [2 * (y - a + 20) + 2 * m_l[1] - m_l[3] + m_l[4], 2 * (z - b + 20) + 2 * m_l[2] - m_l[5] + m_l[6]]
+    slope = [
+        2 * (y - a + 20) + 2 * m_l[1] - m_l[3] + m_l[4],
+        2 * (z - b + 20) + 2 * m_l[2] - m_l[5] + m_l[6],
+    ]
     _finish(m, 2 * a + 2 * b - 3 * y - 3 * z - 60, rows, slope=slope)
 
 
@@ -160,7 +193,9 @@ def ex9_2_4(m: pyo.ConcreteModel) -> None:
 def ex9_2_5(m: pyo.ConcreteModel) -> None:
     x, y, m_l = _variables(m, 3, x=(0, 8), y=None)
     rows = [(-2 * x + y, 1), (x - 2 * y, 2), (x + 2 * y, 14)]
-    _finish(m, (x - 3) ** 2 + (y - 2) ** 2, rows, slope=[2 * (y - 5) + m_l[1] - 2 * m_l[2] + 2 * m_l[3]])
+    _finish(
+        m, (x - 3) ** 2 + (y - 2) ** 2, rows, slope=[2 * (y - 5) + m_l[1] - 2 * m_l[2] + 2 * m_l[3]]
+    )
 
 
 @problem(-1.0)
@@ -175,10 +210,17 @@ def ex9_2_6(m: pyo.ConcreteModel) -> None:
 @problem(1.5)
 def ex9_2_8(m: pyo.ConcreteModel) -> None:
     x, y, m_l = _variables(m, 2, x=(0, 1), y=0)
-    _finish(m, -4 * x * y + 3 * y + 2 * x + 1, [(-y, 0), (y, 1)], slope=[-(1 - 4 * x) - m_l[1] + m_l[2]])
+    _finish(
+        m, -4 * x * y + 3 * y + 2 * x + 1, [(-y, 0), (y, 1)], slope=[-(1 - 4 * x) - m_l[1] + m_l[2]]
+    )
 
 
 @problem(2.0)
 def ex9_2_9(m: pyo.ConcreteModel) -> None:
     x, y, z, m_l = _variables(m, 3, x=(2, 4), y=0, z=0)
-    _finish(m, x + z, [(x - y - z, -4), (-y, 0), (-z, 0)], slope=[2 - m_l[1] - m_l[2], x - m_l[1] - m_l[3]])
+    _finish(
+        m,
+        x + z,
+        [(x - y - z, -4), (-y, 0), (-z, 0)],
+        slope=[2 - m_l[1] - m_l[2], x - m_l[1] - m_l[3]],
+    )

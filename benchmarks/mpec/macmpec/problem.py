@@ -11,7 +11,9 @@ import pyomo.environ as pyo
 PROBLEMS: dict[str, tuple[Callable[[], pyo.ConcreteModel], float]] = {}
 
 
-def problem(optimum: float, name: str = "", *arguments: Any) -> Callable[[Callable[..., None]], Callable[[], pyo.ConcreteModel]]:
+def problem(
+    optimum: float, name: str = "", *arguments: Any
+) -> Callable[[Callable[..., None]], Callable[[], pyo.ConcreteModel]]:
     """Of a function that writes a problem into an empty model, given `arguments` too: what builds it, kept under `name` or the function's own."""
 
     def kept(write: Callable[..., None]) -> Callable[[], pyo.ConcreteModel]:

@@ -11,9 +11,13 @@ from benchmarks.mpec.macmpec.problem import problem
 def _exponential(m: pyo.ConcreteModel, linear: float, weight: float) -> None:
     m.x = pyo.Var(bounds=(0, None), initialize=1)
     m.y = pyo.Var([1, 2], initialize=1)
-    m.cost = pyo.Objective(expr=(m.x + 1) ** 2 + (m.y[1] - linear) ** 2 + weight * (m.y[2] + 1) ** 2)
+    m.cost = pyo.Objective(
+        expr=(m.x + 1) ** 2 + (m.y[1] - linear) ** 2 + weight * (m.y[2] + 1) ** 2
+    )
     m.sign = pyo.Constraint(expr=m.y[2] >= 0)
-    m.pair = Complementarity(expr=complements(m.y[1] - pyo.exp(m.x) - pyo.exp(m.y[2]) >= 0, m.x >= 0))
+    m.pair = Complementarity(
+        expr=complements(m.y[1] - pyo.exp(m.x) - pyo.exp(m.y[2]) >= 0, m.x >= 0)
+    )
 
 
 problem(2.0, "scholtes1", 2.5, 1.0)(_exponential)

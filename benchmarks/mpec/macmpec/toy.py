@@ -1,4 +1,7 @@
-"""One or two variables, one pair: each shows one thing that can go wrong. Mathematics of MacMPEC (S. Leyffer), written anew for Pyomo."""
+"""One or two variables, one pair: each shows one thing that can go wrong.
+
+Mathematics of MacMPEC (S. Leyffer), written anew for Pyomo.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,12 @@ from pyomo.mpec import Complementarity, complements
 from benchmarks.mpec.macmpec.problem import problem
 
 
-def _two(m: pyo.ConcreteModel, first: float | None, second: float | None, low: tuple[float | None, float | None] = (0.0, 0.0)) -> None:
+def _two(
+    m: pyo.ConcreteModel,
+    first: float | None,
+    second: float | None,
+    low: tuple[float | None, float | None] = (0.0, 0.0),
+) -> None:
     m.a = pyo.Var(bounds=(low[0], None), initialize=first)
     m.b = pyo.Var(bounds=(low[1], None), initialize=second)
 
@@ -99,14 +107,19 @@ def stackelberg1(m: pyo.ConcreteModel) -> None:
     m.pair = Complementarity(expr=complements(m.b >= 0, m.multiplier >= 0))
 
 
-def _scaled(m: pyo.ConcreteModel, weights: tuple[float, float], stretch: tuple[float, float]) -> None:
+def _scaled(
+    m: pyo.ConcreteModel, weights: tuple[float, float], stretch: tuple[float, float]
+) -> None:
     _two(m, None, None, (None, None))
-    m.cost = pyo.Objective(expr=weights[0] * (stretch[0] * m.a - 1) ** 2 + weights[1] * (stretch[1] * m.b - 1) ** 2)
+    m.cost = pyo.Objective(
+        expr=weights[0] * (stretch[0] * m.a - 1) ** 2 + weights[1] * (stretch[1] * m.b - 1) ** 2
+    )
     _axes(m)
 
 
 for _number, _optimum, _weights, _stretch in (
-    (1, 1.0, (1, 1), (100, 1)), (2, 1.0, (100, 1), (1, 1)), (3, 1.0, (1, 100), (100, 1)), (4, 1.0, (1, 1), (100, 100)), (5, 100.0, (100, 100), (1, 1)),
+    (1, 1.0, (1, 1), (100, 1)), (2, 1.0, (100, 1), (1, 1)), (3, 1.0, (1, 100), (100, 1)),
+    (4, 1.0, (1, 1), (100, 100)), (5, 100.0, (100, 100), (1, 1)),
 ):  # fmt: skip
     problem(_optimum, f"scale{_number}", _weights, _stretch)(_scaled)
 
@@ -116,5 +129,13 @@ def flp2(m: pyo.ConcreteModel) -> None:
     m.x = pyo.Var([1, 2], bounds=(0, 10))
     m.y = pyo.Var([1, 2], bounds=(0, None))
     m.cost = pyo.Objective(expr=sum((m.x[1] + m.x[2] + m.y[i] - 15) ** 2 for i in (1, 2)) / 2)
-    m.one = Complementarity(expr=complements(m.y[1] >= 0, 8 / 3 * m.x[1] + 2 * m.x[2] + 2 * m.y[1] + 8 / 3 * m.y[2] - 36 >= 0))
-    m.two = Complementarity(expr=complements(m.y[2] >= 0, 2 * m.x[1] + 1.25 * m.x[2] + 1.25 * m.y[1] + 2 * m.y[2] - 25 >= 0))
+    m.one = Complementarity(
+        expr=complements(
+            m.y[1] >= 0, 8 / 3 * m.x[1] + 2 * m.x[2] + 2 * m.y[1] + 8 / 3 * m.y[2] - 36 >= 0
+        )
+    )
+    m.two = Complementarity(
+        expr=complements(
+            m.y[2] >= 0, 2 * m.x[1] + 1.25 * m.x[2] + 1.25 * m.y[1] + 2 * m.y[2] - 25 >= 0
+        )
+    )

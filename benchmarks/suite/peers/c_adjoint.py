@@ -27,14 +27,31 @@ def iteration(size: Size, folder: Path) -> Work:
     u = np.ascontiguousarray(push(size.steps))
     gradient = np.empty_like(u)
     motion = np.empty((2, size.steps + 1, size.n))
-    addresses = [array.ctypes.data for array in (carts.start, carts.goal, u, motion[0], motion[1], gradient)]
-    plain = (size.n, size.steps, carts.step, carts.mass, carts.damping, carts.stiffness, carts.length, INPUT_WEIGHT)
+    addresses = [
+        array.ctypes.data for array in (carts.start, carts.goal, u, motion[0], motion[1], gradient)
+    ]
+    plain = (
+        size.n,
+        size.steps,
+        carts.step,
+        carts.mass,
+        carts.damping,
+        carts.stiffness,
+        carts.length,
+        INPUT_WEIGHT,
+    )
 
     def work() -> Mapping[str, Any]:
         loss = function(*plain, *addresses)
         norm = float(np.sqrt(np.vdot(gradient, gradient)))
         np.subtract(u, _RATE * gradient, out=u)
         np.clip(u, -carts.limit, carts.limit, out=u)
-        return {"iterations": 1, "value": norm, "outcome": "ok" if np.isfinite(loss) and np.isfinite(motion[0, -1, 0]) else "not a number"}
+        return {
+            "iterations": 1,
+            "value": norm,
+            "outcome": "ok"
+            if np.isfinite(loss) and np.isfinite(motion[0, -1, 0])
+            else "not a number",
+        }
 
     return work

@@ -22,7 +22,12 @@ def chain(size: Size, folder: Path) -> Work:
 
 def _solve(carts: Numbers, schedule: tuple[float, ...]) -> Mapping[str, Any]:
     n, steps = carts.n, carts.steps
-    guess = [np.tile(carts.start[:n], (steps, 1)), np.tile(carts.start[n:], (steps, 1)), np.zeros((steps, 2)), np.zeros((steps, n - 1))]
+    guess = [
+        np.tile(carts.start[:n], (steps, 1)),
+        np.tile(carts.start[n:], (steps, 1)),
+        np.zeros((steps, 2)),
+        np.zeros((steps, n - 1)),
+    ]
     result: Any = None
     for eps in schedule:
         program, unknowns = _program(carts, abs(np.log(eps)))
@@ -32,7 +37,10 @@ def _solve(carts: Numbers, schedule: tuple[float, ...]) -> Mapping[str, Any]:
             program.SetInitialGuess(part, values)
         result = SnoptSolver().Solve(program)
         guess = [result.GetSolution(part) for part in unknowns]
-    return {"outcome": "solved" if result.is_success() else str(result.get_solution_result()), "value": float(np.square(guess[2]).sum())}
+    return {
+        "outcome": "solved" if result.is_success() else str(result.get_solution_result()),
+        "value": float(np.square(guess[2]).sum()),
+    }
 
 
 def _program(carts: Numbers, b: float) -> tuple[Any, tuple[Any, ...]]:
@@ -43,7 +51,8 @@ def _program(carts: Numbers, b: float) -> tuple[Any, tuple[Any, ...]]:
     n, steps, h, m = carts.n, carts.steps, carts.step, carts.mass
     program = MathematicalProgram()
     q, v, u, lam = (
-        program.NewContinuousVariables(steps, columns, name) for columns, name in ((n, "q"), (n, "v"), (2, "u"), (n - 1, "lam"))
+        program.NewContinuousVariables(steps, columns, name)
+        for columns, name in ((n, "q"), (n, "v"), (2, "u"), (n - 1, "lam"))
     )
     program.AddBoundingBoxConstraint(-carts.limit, carts.limit, u.flatten())
     program.AddBoundingBoxConstraint(carts.goal[:n], carts.goal[:n], q[-1])
@@ -63,7 +72,10 @@ def _program(carts: Numbers, b: float) -> tuple[Any, tuple[Any, ...]]:
         for index in range(n - 1):
             x = b * (carts.length - (before[index + 1] - before[index]))
             positive = x > 0
-            rows.append(force[index] - carts.stiffness / b * (x + log(1 + exp(-x)) if positive else log(1 + exp(x))))
+            rows.append(
+                force[index]
+                - carts.stiffness / b * (x + log(1 + exp(-x)) if positive else log(1 + exp(x)))
+            )
         return np.array(rows)
 
     at_start = soft(np.concatenate([carts.start[:n], np.zeros(n - 1)]))
@@ -72,13 +84,23 @@ def _program(carts: Numbers, b: float) -> tuple[Any, tuple[Any, ...]]:
         zero = np.zeros(n)
         if t == 0:
             program.AddLinearEqualityConstraint(
-                np.hstack([eye, -h / m * push, -h / m * contact]), drag * carts.start[n:], np.concatenate([v[0], u[0], lam[0]])
+                np.hstack([eye, -h / m * push, -h / m * contact]),
+                drag * carts.start[n:],
+                np.concatenate([v[0], u[0], lam[0]]),
             )
-            program.AddLinearEqualityConstraint(np.hstack([eye, -h * eye]), carts.start[:n], np.concatenate([q[0], v[0]]))
+            program.AddLinearEqualityConstraint(
+                np.hstack([eye, -h * eye]), carts.start[:n], np.concatenate([q[0], v[0]])
+            )
             continue
         program.AddLinearEqualityConstraint(
-            np.hstack([eye, -drag * eye, -h / m * push, -h / m * contact]), zero, np.concatenate([v[t], v[t - 1], u[t], lam[t]])
+            np.hstack([eye, -drag * eye, -h / m * push, -h / m * contact]),
+            zero,
+            np.concatenate([v[t], v[t - 1], u[t], lam[t]]),
         )
-        program.AddLinearEqualityConstraint(np.hstack([eye, -eye, -h * eye]), zero, np.concatenate([q[t], q[t - 1], v[t]]))
-        program.AddConstraint(soft, np.zeros(n - 1), np.zeros(n - 1), np.concatenate([q[t - 1], lam[t]]))
+        program.AddLinearEqualityConstraint(
+            np.hstack([eye, -eye, -h * eye]), zero, np.concatenate([q[t], q[t - 1], v[t]])
+        )
+        program.AddConstraint(
+            soft, np.zeros(n - 1), np.zeros(n - 1), np.concatenate([q[t - 1], lam[t]])
+        )
     return program, (q, v, u, lam)

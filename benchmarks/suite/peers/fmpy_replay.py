@@ -42,6 +42,10 @@ def simulate(size: Size, folder: Path) -> Work:
 
     def work() -> Mapping[str, Any]:
         result = fmpy.simulate_fmu(unzipped, stop_time=float(plan.t[-1]), **settings)
-        return {"outcome": "completed", "iterations": len(result), "value": float(result[names.q[0]][-1])}
+        return {
+            "outcome": "completed",
+            "iterations": len(result),
+            "value": float(result[names.q[0]][-1]),
+        }
 
     return work

@@ -1,8 +1,12 @@
-"""A model at its current values, to first order: values by `pyomo.value`; gradients of repeated shapes together, checked against Pyomo's own.
+"""A model at its current values, to first order: values by `pyomo.value`.
 
-A scene's model has thousands of rows and a few dozen shapes. The terms are read by the compiler of `formulations.ipopt`; what it does not know,
-what is rare and what is not finite here is differentiated by Pyomo, expression by expression. Of each shape some expressions are differentiated
-by Pyomo as well, and all values are compared with Pyomo's: if any of that disagrees, Pyomo's derivatives are taken throughout.
+Gradients of repeated shapes together, checked against Pyomo's own.
+
+A scene's model has thousands of rows and a few dozen shapes. The terms are read by the compiler of
+`formulations.ipopt`; what it does not know, what is rare and what is not finite here is
+differentiated by Pyomo, expression by expression. Of each shape some expressions are differentiated
+by Pyomo as well, and all values are compared with Pyomo's: if any of that disagrees, Pyomo's
+derivatives are taken throughout.
 """
 
 from __future__ import annotations
@@ -32,17 +36,25 @@ from formulations.ipopt.shapes import TermGroup, shape_of
 
 # A shape met less often is not worth compiling.
 _OFTEN = 8
-# Relative to the terms of a value, or the largest derivative of a row: two ways to the same number differ by rounding only.
+# Relative to the terms of a value, or the largest derivative of a row: two ways to the same number
+# differ by rounding only.
 _ROUNDING = 1e-9
 _DISAGREE = "the derivatives that were evaluated together disagree with Pyomo's own, which were taken instead: please report this model"
 _UNKNOWN = "Pyomo has no derivatives to compare those with that were evaluated together; its own were taken throughout"
-_REFUSED = (ValueError, ArithmeticError, TypeError)  # of an expression that the compiler does not treat
+_REFUSED = (
+    ValueError,
+    ArithmeticError,
+    TypeError,
+)  # of an expression that the compiler does not treat
 _NOWHERE = SimpleNamespace(name="an expression")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Gradients:
-    """matrix (expressions, n): derivatives by the n variables, NaN where there is none; notes: what the reader of a certificate should know."""
+    """matrix (expressions, n): derivatives by the n variables, NaN where there is none.
+
+    notes: what the reader of a certificate should know.
+    """
 
     variables: tuple[Any, ...]
     matrix: sparse.csr_matrix
@@ -67,33 +79,56 @@ def gradients_of(expressions: Sequence[Any], values: Sequence[float]) -> Gradien
         return _assembled(_Columns(()), expressions, range(len(expressions)), _NO_TRIPLETS, (note,))
     kept = ~own[triplets[0]]
     rows, columns, slopes = (part[kept] for part in triplets)
-    return _assembled(_Columns(together.variables), expressions, np.flatnonzero(own).tolist(), (rows, columns, slopes), ())
+    return _assembled(
+        _Columns(together.variables),
+        expressions,
+        np.flatnonzero(own).tolist(),
+        (rows, columns, slopes),
+        (),
+    )
 
 
 def pyomo_gradient(expression: Any) -> list[tuple[Any, float]]:
-    """(variable, derivative) of every free variable by Pyomo's own differentiation; NaN where it cannot evaluate one."""
+    """(variable, derivative) of every free variable by Pyomo's own differentiation.
+
+    NaN where it cannot evaluate one.
+    """
     if not is_potentially_variable(expression):
         return []
     affine = generate_standard_repn(expression, compute_values=True, quadratic=False)
     if affine.is_linear():
-        return [(variable, float(slope)) for variable, slope in zip(affine.linear_vars, affine.linear_coefs, strict=True)]
+        return [
+            (variable, float(slope))
+            for variable, slope in zip(affine.linear_vars, affine.linear_coefs, strict=True)
+        ]
     variables = list(identify_variables(expression, include_fixed=False))
     try:
-        # data as numbers: Pyomo would differentiate by a Param that is an exponent too, for which a negative base has no logarithm
+        # data as numbers: Pyomo would differentiate by a Param that is an exponent too, for which a
+        # negative base has no logarithm
         numeric = evaluate_fixed_subexpressions(expression)
         slopes = differentiate(numeric, wrt_list=variables, mode=Modes.reverse_numeric)
     except DifferentiationException:
         slopes = _symbolic(expression, variables)
     except (ArithmeticError, ValueError):
         slopes = [math.nan] * len(variables)
-    return [(variable, math.nan if isinstance(slope, complex) else float(slope)) for variable, slope in zip(variables, slopes, strict=True)]
+    return [
+        (variable, math.nan if isinstance(slope, complex) else float(slope))
+        for variable, slope in zip(variables, slopes, strict=True)
+    ]
 
 
 def _symbolic(expression: Any, variables: Sequence[Any]) -> Sequence[float]:
-    """By Pyomo's way over SymPy, which knows more functions; NaN where one of them is not smooth."""
+    """By Pyomo's way over SymPy, which knows more functions.
+
+    NaN where one of them is not smooth.
+    """
     nothing = [math.nan] * len(variables)
-    functions = {node.getname() for node in _nodes(expression) if isinstance(node, UnaryFunctionExpression)}
-    if not functions <= UNARY.keys():  # these have all derivatives wherever they have a value that is not at the end of their domain
+    functions = {
+        node.getname() for node in _nodes(expression) if isinstance(node, UnaryFunctionExpression)
+    }
+    if (
+        not functions <= UNARY.keys()
+    ):  # these have all derivatives wherever they have a value that is not at the end of their domain
         return nothing
     try:
         slopes = differentiate(expression, wrt_list=variables, mode=Modes.sympy)
@@ -114,7 +149,14 @@ def _nodes(expression: Any) -> Iterator[Any]:
 
 def _empty_expression(expression: Any) -> str | None:
     """The name of an Expression without content that is part of an expression, None if there is none."""
-    return next((node.name for node in _nodes(expression) if node.is_named_expression_type() and node.expr is None), None)
+    return next(
+        (
+            node.name
+            for node in _nodes(expression)
+            if node.is_named_expression_type() and node.expr is None
+        ),
+        None,
+    )
 
 
 _Triplets = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -136,13 +178,29 @@ class _Columns:
         return known
 
 
-def _assembled(columns: _Columns, expressions: Sequence[Any], own: Sequence[int], triplets: _Triplets, notes: tuple[str, ...]) -> Gradients:
+def _assembled(
+    columns: _Columns,
+    expressions: Sequence[Any],
+    own: Sequence[int],
+    triplets: _Triplets,
+    notes: tuple[str, ...],
+) -> Gradients:
     """The triplets, and Pyomo's derivatives of the expressions of these numbers."""
-    found = [(row, columns.of(variable), slope) for row in own for variable, slope in pyomo_gradient(expressions[row])]
-    rows, places, slopes = (np.array(part) for part in zip(*found, strict=True)) if found else _NO_TRIPLETS
+    found = [
+        (row, columns.of(variable), slope)
+        for row in own
+        for variable, slope in pyomo_gradient(expressions[row])
+    ]
+    rows, places, slopes = (
+        (np.array(part) for part in zip(*found, strict=True)) if found else _NO_TRIPLETS
+    )
     n = len(columns.variables)
     matrix = sparse.coo_matrix(
-        (np.append(triplets[2], slopes), (np.append(triplets[0], rows), np.append(triplets[1], places))), shape=(len(expressions), n)
+        (
+            np.append(triplets[2], slopes),
+            (np.append(triplets[0], rows), np.append(triplets[1], places)),
+        ),
+        shape=(len(expressions), n),
     )
     return Gradients(variables=tuple(columns.variables), matrix=matrix.tocsr(), notes=notes)
 
@@ -150,7 +208,8 @@ def _assembled(columns: _Columns, expressions: Sequence[Any], own: Sequence[int]
 class _Together:
     """Expressions read into terms by shape.
 
-    refused: (expressions,) those that Pyomo must differentiate; values: of all the others; compared: whether Pyomo had derivatives of all that
+    refused: (expressions,) those that Pyomo must differentiate; values: of all the others;
+        compared: whether Pyomo had derivatives of all that
     `agrees_with` asked for
     """
 
@@ -163,23 +222,37 @@ class _Together:
             except _REFUSED:
                 self.refused[row] = True
         self.variables, self.compared = reader.variables, True
-        self._x = np.array([math.nan if variable.value is None else variable.value for variable in self.variables], dtype=float)
+        self._x = np.array(
+            [math.nan if variable.value is None else variable.value for variable in self.variables],
+            dtype=float,
+        )
         self._groups: list[TermGroup] = []
         data = np.array([read_number(source) for source in reader.data])
         with np.errstate(all="ignore"):
             for signature, bucket in reader.buckets.items():
-                group = TermGroup(shape_of(signature), bucket) if len(bucket.rows) >= _OFTEN else None
+                group = (
+                    TermGroup(shape_of(signature), bucket) if len(bucket.rows) >= _OFTEN else None
+                )
                 if group is None:
                     self.refused[bucket.rows] = True
                 else:
                     group.refresh(data)
                     self._groups.append(group)
         self._constants = np.array(reader.constants)
-        rows, columns, slopes = np.array(reader.rows, dtype=np.intp), np.array(reader.columns, dtype=np.intp), np.array(reader.slopes)
+        rows, columns, slopes = (
+            np.array(reader.rows, dtype=np.intp),
+            np.array(reader.columns, dtype=np.intp),
+            np.array(reader.slopes),
+        )
         affine = [group.affine_entries for group in self._groups]
-        rows, columns = (np.concatenate([first, *(entry[k] for entry in affine)]) for k, first in enumerate((rows, columns)))
+        rows, columns = (
+            np.concatenate([first, *(entry[k] for entry in affine)])
+            for k, first in enumerate((rows, columns))
+        )
         slopes = np.concatenate([slopes, *(group.affine_values for group in self._groups)])
-        self._affine = sparse.csr_matrix((slopes, (rows, columns)), shape=(len(expressions), len(self.variables)))
+        self._affine = sparse.csr_matrix(
+            (slopes, (rows, columns)), shape=(len(expressions), len(self.variables))
+        )
         self.values, self._size = self._evaluated()
 
     def _evaluated(self) -> tuple[np.ndarray, np.ndarray]:
@@ -194,16 +267,25 @@ class _Together:
         return values, size
 
     def triplets(self) -> _Triplets:
-        """(rows, columns, derivatives) of everything that was read; a variable whose linear terms cancel has none, as with Pyomo."""
+        """(rows, columns, derivatives) of everything that was read.
+
+        A variable whose linear terms cancel has none, as with Pyomo.
+        """
         self._affine.eliminate_zeros()
         affine = self._affine.tocoo()
         parts = [(affine.row, affine.col, affine.data)]
         with np.errstate(all="ignore"):
-            parts += [(*group.slope_entries, group.slopes(self._x)) for group in self._groups if group.is_curved]
+            parts += [
+                (*group.slope_entries, group.slopes(self._x))
+                for group in self._groups
+                if group.is_curved
+            ]
         rows, columns, slopes = (np.concatenate(part) for part in zip(*parts, strict=True))
         return rows.astype(np.intp), columns.astype(np.intp), slopes
 
-    def agrees_with(self, values: np.ndarray, triplets: _Triplets, expressions: Sequence[Any], own: np.ndarray) -> bool:
+    def agrees_with(
+        self, values: np.ndarray, triplets: _Triplets, expressions: Sequence[Any], own: np.ndarray
+    ) -> bool:
         """Whether all values are Pyomo's, and the derivatives of some expressions of each shape, of some linear ones and of the last.
 
         Raises nothing: what Pyomo cannot differentiate is told by `compared`.
@@ -216,20 +298,33 @@ class _Together:
         own : (expressions,) mask of those that are not compared [-]
         """
         with np.errstate(invalid="ignore"):
-            differs = ~(np.abs(self.values - values) <= _ROUNDING * (1.0 + np.abs(values) + self._size))
+            differs = ~(
+                np.abs(self.values - values) <= _ROUNDING * (1.0 + np.abs(values) + self._size)
+            )
         if np.any(differs & ~own):
             return False
         linear = ~own
         sample = {len(expressions) - 1} if expressions else set()
         for group in self._groups:
             linear[group.rows] = False
-        for rows in (*(group.rows[~own[group.rows]] for group in self._groups), np.flatnonzero(linear)):
+        for rows in (
+            *(group.rows[~own[group.rows]] for group in self._groups),
+            np.flatnonzero(linear),
+        ):
             sample |= {int(rows[place]) for place in (0, len(rows) // 2, -1) if len(rows)}
-        matrix = sparse.csr_matrix((triplets[2], triplets[:2]), shape=(len(expressions), len(self.variables)))
+        matrix = sparse.csr_matrix(
+            (triplets[2], triplets[:2]), shape=(len(expressions), len(self.variables))
+        )
         columns = _Columns(self.variables)
-        return all(self._same(pyomo_gradient(expressions[row]), matrix[row], columns) for row in sorted(sample) if not own[row])
+        return all(
+            self._same(pyomo_gradient(expressions[row]), matrix[row], columns)
+            for row in sorted(sample)
+            if not own[row]
+        )
 
-    def _same(self, theirs: list[tuple[Any, float]], ours: sparse.csr_matrix, columns: _Columns) -> bool:
+    def _same(
+        self, theirs: list[tuple[Any, float]], ours: sparse.csr_matrix, columns: _Columns
+    ) -> bool:
         difference = dict(zip(ours.indices.tolist(), ours.data.tolist(), strict=True))
         limit = _ROUNDING * max(1.0, float(np.max(np.abs(ours.data), initial=0.0)))
         self.compared = self.compared and all(math.isfinite(slope) for _, slope in theirs)
@@ -259,7 +354,10 @@ class Rows:
         return np.maximum(1.0, np.max(np.where(np.isfinite(bounds), bounds, 0.0), axis=0))
 
     def violation(self, value: np.ndarray) -> np.ndarray:
-        """By how much these values (rows,) are beyond their bounds (rows,) [units of the rows]. Raises nothing: NaN where one is NaN."""
+        """By how much these values (rows,) are beyond their bounds (rows,) [units of the rows].
+
+        Raises nothing: NaN where one is NaN.
+        """
         with np.errstate(invalid="ignore"):
             return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
 
@@ -268,7 +366,8 @@ class Rows:
 class Pair:
     """Two sides 0 <= first, 0 <= second, complementary.
 
-    A flip is -1 where a side is the negative of what the user wrote (upper bound); arguments: which argument of `complements` each side is
+    A flip is -1 where a side is the negative of what the user wrote (upper bound); arguments: which
+    argument of `complements` each side is
     """
 
     source: Any
@@ -283,8 +382,10 @@ class Pair:
 class LocalModel:
     """The model to first order at a point.
 
-    objective: in the model's own sense; gradient (n,): of what is minimised; rows: those with jacobian (m, n), then the variables within their bounds;
-    pairs with gradients first_jacobian, second_jacobian (pairs, n), in the signs of `Pair`; slope_nearby: size of the objective's derivatives around the
+    objective: in the model's own sense; gradient (n,): of what is minimised; rows: those with
+        jacobian (m, n), then the variables within their bounds;
+    pairs with gradients first_jacobian, second_jacobian (pairs, n), in the signs of `Pair`;
+        slope_nearby: size of the objective's derivatives around the
     point, 1 at most
     """
 
@@ -302,17 +403,24 @@ class LocalModel:
     @property
     def sides(self) -> np.ndarray:
         """The first and the second sides (2, pairs) of the pairs [units of the sides]."""
-        return np.array([[pair.first for pair in self.pairs], [pair.second for pair in self.pairs]], dtype=float)
+        return np.array(
+            [[pair.first for pair in self.pairs], [pair.second for pair in self.pairs]], dtype=float
+        )
 
     @property
     def matrix(self) -> sparse.csr_matrix:
         """Gradients of all rows (m + n, n) [row per variable]."""
-        return sparse.vstack([self.jacobian, sparse.identity(len(self.variables), format="csr")], format="csr")
+        return sparse.vstack(
+            [self.jacobian, sparse.identity(len(self.variables), format="csr")], format="csr"
+        )
 
 
 @contextmanager
 def values_set(variables: Iterable[Any], numbers: Iterable[float]) -> Iterator[None]:
-    """Variables at these numbers for the time being; their values and staleness come back whatever happens."""
+    """Variables at these numbers for the time being.
+
+    Their values and staleness come back whatever happens.
+    """
     variables = list(variables)
     kept = [(variable, variable.value, variable.stale) for variable in variables]
     try:
@@ -335,7 +443,10 @@ def number_of(expression: Any) -> float:
 
 
 def _filled(source: Any, expression: Any, number: float) -> float:
-    """The number. Raises MissingValueError where there is none because the expression holds one without content."""
+    """The number.
+
+    Raises MissingValueError where there is none because the expression holds one without content.
+    """
     name = _empty_expression(expression) if math.isnan(number) else None
     if name is not None:
         raise MissingValueError(
@@ -345,15 +456,20 @@ def _filled(source: Any, expression: Any, number: float) -> float:
 
 
 def _slope_nearby(goal: Any, variables: Sequence[Any], gradient: np.ndarray) -> float:
-    """Largest derivative of the objective a step of max(1, |x|) away, on either side; 1 at most, and where there is none.
+    """Largest derivative of the objective a step of max(1, |x|) away, on either side.
 
-    At a point without constraints the derivatives vanish: what little is left of them is measured by those around, so that a cost in another unit is
-    stationary at the same points.
+    1 at most, and where there is none.
+
+    At a point without constraints the derivatives vanish: what little is left of them is measured
+    by those around, so that a cost in another unit is stationary at the same points.
     """
     found = float(np.max(np.abs(gradient), initial=0.0))
     if found >= 1.0:
         return 1.0
-    x = np.array([math.nan if variable.value is None else variable.value for variable in variables], dtype=float)
+    x = np.array(
+        [math.nan if variable.value is None else variable.value for variable in variables],
+        dtype=float,
+    )
     step = np.maximum(1.0, np.abs(x)) * np.where(np.arange(len(x)) % 2, -1.0, 1.0)
     for point in (x + step, x - step):
         with values_set(variables, point.tolist()):
@@ -379,22 +495,30 @@ def read_local(model: Any, near: float) -> LocalModel:
     rows: list[tuple[Any, int | None, float, float, float]] = []
     bodies: list[Any] = []
 
-    def add_row(source: Any, body: Any, lower: Any, upper: Any, argument: int | None = None) -> None:
+    def add_row(
+        source: Any, body: Any, lower: Any, upper: Any, argument: int | None = None
+    ) -> None:
         low = -math.inf if lower is None else number_of(lower)
         high = math.inf if upper is None else number_of(upper)
         rows.append((source, argument, _filled(source, body, number_of(body)), low, high))
         bodies.append(body)
 
-    for constraint in model.component_data_objects(pyo.Constraint, active=True, descend_into=pyo.Block):
+    for constraint in model.component_data_objects(
+        pyo.Constraint, active=True, descend_into=pyo.Block
+    ):
         lower, body, upper = constraint.to_bounded_expression(evaluate_bounds=True)
         add_row(constraint, body, lower, upper)
     pairs: list[Pair] = []
     sides: list[tuple[Any, Any]] = []
     side_values: list[tuple[float, float]] = []
-    for condition in model.component_data_objects(Complementarity, active=True, descend_into=pyo.Block):
+    for condition in model.component_data_objects(
+        Complementarity, active=True, descend_into=pyo.Block
+    ):
         bounded = [_bounded(condition, argument) for argument in condition._args]
         local = _local_pair(condition, bounded, near)
-        if local is None:  # an equality among its sides, or a box inside whose bounds the other side is 0
+        if (
+            local is None
+        ):  # an equality among its sides, or a box inside whose bounds the other side is 0
             for argument, (lower, body, upper) in _imposed(bounded):
                 add_row(condition, body, lower, upper, argument)
             continue
@@ -408,19 +532,33 @@ def read_local(model: Any, near: float) -> LocalModel:
     for item in model.component_data_objects(pyo.Objective, active=True, descend_into=pyo.Block):
         sense, goal = (1.0 if item.sense == pyo.minimize else -1.0), item.expr
         objective = _filled(item, goal, number_of(goal))
-    (first, second), (first_values, second_values) = (tuple(zip(*items, strict=True)) or ((), ()) for items in (sides, side_values))
+    (first, second), (first_values, second_values) = (
+        tuple(zip(*items, strict=True)) or ((), ()) for items in (sides, side_values)
+    )
     found = gradients_of(
-        [*bodies, *first, *second, goal], [*(value for _, _, value, _, _ in rows), *first_values, *second_values, objective]
+        [*bodies, *first, *second, goal],
+        [*(value for _, _, value, _, _ in rows), *first_values, *second_values, objective],
     )
     m, k = len(rows), len(pairs)
-    rows += [(variable, None, number_of(variable), *bounds_of(variable)) for variable in found.variables]
+    rows += [
+        (variable, None, number_of(variable), *bounds_of(variable)) for variable in found.variables
+    ]
     sources, arguments, values, lower, upper = tuple(zip(*rows, strict=True)) or ((),) * 5
-    flips = [sparse.diags([getattr(pair, name) for pair in pairs], shape=(k, k)) for name in ("first_flip", "second_flip")]
+    flips = [
+        sparse.diags([getattr(pair, name) for pair in pairs], shape=(k, k))
+        for name in ("first_flip", "second_flip")
+    ]
     return LocalModel(
         variables=found.variables,
         objective=objective,
         gradient=sense * found.matrix[m + 2 * k].toarray().ravel(),
-        rows=Rows(sources=sources, arguments=arguments, value=np.array(values), lower=np.array(lower), upper=np.array(upper)),
+        rows=Rows(
+            sources=sources,
+            arguments=arguments,
+            value=np.array(values),
+            lower=np.array(lower),
+            upper=np.array(upper),
+        ),
         jacobian=found.matrix[:m],
         pairs=tuple(pairs),
         first_jacobian=(flips[0] @ found.matrix[m : m + k]).tocsr(),
@@ -438,18 +576,34 @@ def _bounded(condition: Any, argument: Any) -> tuple[Any, Any, Any]:
     return (None if low == -math.inf else low), body, (None if high == math.inf else high)
 
 
-def _local_pair(condition: Any, sides: list[tuple[Any, Any, Any]], near: float) -> tuple[Pair, tuple[Any, Any], tuple[float, float]] | None:
-    """The condition near this point as a pair, its two expressions and their values; None where nothing is complementary."""
+def _local_pair(
+    condition: Any, sides: list[tuple[Any, Any, Any]], near: float
+) -> tuple[Pair, tuple[Any, Any], tuple[float, float]] | None:
+    """The condition near this point as a pair, its two expressions and their values.
+
+    None where nothing is complementary.
+    """
     counts = [(lower is not None) + (upper is not None) for lower, _, upper in sides]
     if counts == [1, 1]:
-        (a, a_flip, a_body, a_value), (b, b_flip, b_body, b_value) = (_distance(*side) for side in sides)
-        pair = Pair(source=condition, first=a, second=b, first_flip=a_flip, second_flip=b_flip, arguments=(0, 1))
+        (a, a_flip, a_body, a_value), (b, b_flip, b_body, b_value) = (
+            _distance(*side) for side in sides
+        )
+        pair = Pair(
+            source=condition,
+            first=a,
+            second=b,
+            first_flip=a_flip,
+            second_flip=b_flip,
+            arguments=(0, 1),
+        )
         return pair, (a_body, b_body), (a_value, b_value)
     if sorted(counts) != [0, 2]:
         return None
     arguments = (0, 1) if counts == [2, 0] else (1, 0)
     (lower, body, upper), (_, free, _) = (sides[k] for k in arguments)
-    if lower >= upper:  # equal: an equality; above: a range that holds no number, which is a row nothing can meet
+    if (
+        lower >= upper
+    ):  # equal: an equality; above: a range that holds no number, which is a row nothing can meet
         return None
     value, other = number_of(body), number_of(free)
     to_low, to_high = value - lower, upper - value
@@ -457,19 +611,34 @@ def _local_pair(condition: Any, sides: list[tuple[Any, Any, Any]], near: float) 
         return None
     low = to_low <= near or (to_high > near and other > 0)
     flip, distance = (1.0, to_low) if low else (-1.0, to_high)
-    pair = Pair(source=condition, first=distance, second=flip * other, first_flip=flip, second_flip=flip, arguments=arguments)
+    pair = Pair(
+        source=condition,
+        first=distance,
+        second=flip * other,
+        first_flip=flip,
+        second_flip=flip,
+        arguments=arguments,
+    )
     return pair, (body, free), (value, other)
 
 
 def _distance(lower: Any, body: Any, upper: Any) -> tuple[float, float, Any, float]:
     value = number_of(body)
-    return (value - lower, 1.0, body, value) if upper is None else (upper - value, -1.0, body, value)
+    return (
+        (value - lower, 1.0, body, value) if upper is None else (upper - value, -1.0, body, value)
+    )
 
 
 def _imposed(sides: list[tuple[Any, Any, Any]]) -> list[tuple[int, tuple[Any, Any, Any]]]:
-    """(number of the argument, relation) for what must hold where there is no choice; inside a box the free side is 0."""
+    """(number of the argument, relation) for what must hold where there is no choice.
+
+    Inside a box the free side is 0.
+    """
     counts = [(lower is not None) + (upper is not None) for lower, _, upper in sides]
-    fixed = any(count == 2 and lower == upper for count, (lower, _, upper) in zip(counts, sides, strict=True))
+    fixed = any(
+        count == 2 and lower == upper
+        for count, (lower, _, upper) in zip(counts, sides, strict=True)
+    )
     if sorted(counts) == [0, 2] and not fixed:
         return [(k, side if counts[k] else (0.0, side[1], 0.0)) for k, side in enumerate(sides)]
     return [(k, side) for k, side in enumerate(sides) if counts[k]]

@@ -1,16 +1,23 @@
-"""What is active at a point, within a tolerance; the strongest class of stationarity that its multipliers show, and whether a direction goes down.
+"""What is active at a point, within a tolerance.
 
-    gradient f = sum y gradient g + z + sum nu gradient G + sum mu gradient H,    nu = 0 where G > 0, mu = 0 where H > 0
+The strongest class of stationarity that its multipliers show, and whether a direction goes down.
 
-On biactive pairs (G = 0 = H):  S: nu, mu >= 0;  M: nu, mu > 0 or nu mu = 0;  C: nu mu >= 0;  A: nu >= 0 or mu >= 0;  W: any.
+    gradient f = sum y gradient g + z + sum nu gradient G + sum mu gradient H, nu = 0 where G > 0,
+    mu = 0 where H > 0
 
-Multipliers are found by least squares where the active gradients are independent (one candidate) or the signs come out right; else by projection onto
-the cone of the active gradients, sign pattern by sign pattern, and by linear programs for what that leaves open.
+On biactive pairs (G = 0 = H): S: nu, mu >= 0; M: nu, mu > 0 or nu mu = 0; C: nu mu >= 0; A: nu >= 0
+or mu >= 0; W: any.
 
-B-stationary: no piece of the linearised problem - every biactive pair decided - has a direction with gradient f' d < 0. Where programs are small all
-pieces are looked at, for the steepest slope. Where they are large a tree of decisions is searched: a pair that is not decided yet asks only that
-neither side goes below 0, which holds in both its pieces. If no direction goes down there, none does in any piece below; if one does and happens to
-leave one side of each pair at 0, it lies in a piece; else the pair that both sides of leave is decided.
+Multipliers are found by least squares where the active gradients are independent (one candidate) or
+the signs come out right; else by projection onto the cone of the active gradients, sign pattern by
+sign pattern, and by linear programs for what that leaves open.
+
+B-stationary: no piece of the linearised problem - every biactive pair decided - has a direction
+with gradient f' d < 0. Where programs are small all pieces are looked at, for the steepest slope.
+Where they are large a tree of decisions is searched: a pair that is not decided yet asks only that
+neither side goes below 0, which holds in both its pieces. If no direction goes down there, none
+does in any piece below; if one does and happens to leave one side of each pair at 0, it lies in a
+piece; else the pair that both sides of leave is decided.
 """
 
 from __future__ import annotations
@@ -68,13 +75,23 @@ _LIMITS = {">": (0.0, np.inf), "<": (-np.inf, 0.0), "0": (0.0, 0.0), "*": (-np.i
 
 
 def class_of(pairs: Sequence[tuple[float, float]], limit: float) -> Stationarity:
-    """The class of multipliers (nu, mu) of the biactive pairs; what is below the limit counts as zero."""
-    return next(kind for kind, choices in CHOICES.items() if all(wrong_by(pair, choices) <= limit for pair in pairs))
+    """The class of multipliers (nu, mu) of the biactive pairs.
+
+    What is below the limit counts as zero.
+    """
+    return next(
+        kind
+        for kind, choices in CHOICES.items()
+        if all(wrong_by(pair, choices) <= limit for pair in pairs)
+    )
 
 
 def wrong_by(pair: tuple[float, float], choices: tuple[Signs, ...]) -> float:
     """By how much the multipliers of a pair miss the nearest of these signs."""
-    return min(max(_beyond(number, *_LIMITS[sign]) for number, sign in zip(pair, signs, strict=True)) for signs in choices)
+    return min(
+        max(_beyond(number, *_LIMITS[sign]) for number, sign in zip(pair, signs, strict=True))
+        for signs in choices
+    )
 
 
 def limits(active: ActiveSet, signs: Sequence[Signs]) -> tuple[np.ndarray, np.ndarray]:
@@ -118,9 +135,11 @@ _SAME_SIDE = 1e-12
 class ActiveSet:
     """What is active within a tolerance.
 
-    gradient (n,): of the minimised objective; normals (n, k): gradients of rows and bounds as columns; lowest, highest (k,): limits of their
+    gradient (n,): of the minimised objective; normals (n, k): gradients of rows and bounds as
+        columns; lowest, highest (k,): limits of their
     multipliers, each 0 or infinite
-    first_only, second_only, both: pairs by which side is zero; first_normals, second_normals (n, pairs): gradients of the sides
+    first_only, second_only, both: pairs by which side is zero; first_normals, second_normals (n,
+        pairs): gradients of the sides
     scale: largest derivative of the objective, at least its size nearby
     """
 
@@ -139,7 +158,12 @@ class ActiveSet:
     def matrix(self) -> sparse.csc_matrix:
         """Active gradients as columns: of rows and bounds, of sides that are zero alone, of the first and of the second sides of biactive pairs."""
         first, second = self.first_normals, self.second_normals
-        sides = (first[:, self.first_only], second[:, self.second_only], first[:, self.both], second[:, self.both])
+        sides = (
+            first[:, self.first_only],
+            second[:, self.second_only],
+            first[:, self.both],
+            second[:, self.both],
+        )
         return sparse.hstack([self.normals, *sides], format="csc")
 
 
@@ -168,30 +192,49 @@ def _covered_bounds(local: LocalModel) -> list[int]:
     """Rows of variables whose lower bound is a side of a pair once more (0 <= x complements ..): counted twice, its multiplier would hide a sign."""
     covered, begin = [], local.jacobian.shape[0]
     distance = local.rows.value - local.rows.lower
-    for jacobian, side in zip((local.first_jacobian, local.second_jacobian), local.sides, strict=True):
+    for jacobian, side in zip(
+        (local.first_jacobian, local.second_jacobian), local.sides, strict=True
+    ):
         alone = np.flatnonzero(np.diff(jacobian.indptr) == 1)
         for k in alone.tolist():
-            row, slope = begin + int(jacobian.indices[jacobian.indptr[k]]), float(jacobian.data[jacobian.indptr[k]])
+            row, slope = (
+                begin + int(jacobian.indices[jacobian.indptr[k]]),
+                float(jacobian.data[jacobian.indptr[k]]),
+            )
             if slope > 0.0 and abs(distance[row] * slope - side[k]) <= _SAME_SIDE:
                 covered.append(row)
     return covered
 
 
 def at_bounds(rows: Rows, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Masks (rows,) of those within the tolerance of their lower, and of their upper bound [-]. Raises nothing."""
+    """Masks (rows,) of those within the tolerance of their lower, and of their upper bound [-].
+
+    Raises nothing.
+    """
     with np.errstate(invalid="ignore"):
-        low = np.isfinite(rows.lower) & (rows.value - rows.lower <= tolerance * np.maximum(1.0, np.abs(rows.lower)))
-        high = np.isfinite(rows.upper) & (rows.upper - rows.value <= tolerance * np.maximum(1.0, np.abs(rows.upper)))
+        low = np.isfinite(rows.lower) & (
+            rows.value - rows.lower <= tolerance * np.maximum(1.0, np.abs(rows.lower))
+        )
+        high = np.isfinite(rows.upper) & (
+            rows.upper - rows.value <= tolerance * np.maximum(1.0, np.abs(rows.upper))
+        )
     return low, high
 
 
-# Linear programs for one question at most: 2^10 pieces where programs are small, fewer where they are large.
-_MOST, _TIMES_VARIABLES = 1024, 200_000
-# Up to this many variables all pieces are looked at; nodes of a tree that is too large to be searched to its end.
-_SMALL, _FEW = 400, 12
-# A side that rises by less along a direction of largest component 1 stays where it is (HiGHS holds a row to 1e-7).
+# Linear programs for one question at most: 2^10 pieces where programs are small, fewer where they
+# are large.
+_MOST = 1024
+_TIMES_VARIABLES = 200_000
+# Up to this many variables all pieces are looked at; nodes of a tree that is too large to be
+# searched to its end.
+_SMALL = 400
+_FEW = 12
+# A side that rises by less along a direction of largest component 1 stays where it is (HiGHS holds
+# a row to 1e-7).
 _STAYS = 1e-7
-_UNDECIDED, _FIRST, _SECOND = 0, 1, 2
+_UNDECIDED = 0
+_FIRST = 1
+_SECOND = 2
 _SIGNS = {_UNDECIDED: (">", ">"), _FIRST: ("*", ">"), _SECOND: (">", "*")}
 
 
@@ -214,7 +257,8 @@ def steepest_piece(active: ActiveSet, tolerance: float) -> tuple[float, np.ndarr
 
     Returns
     -------
-    smallest gradient' d found over |d| <= 1, relative to the scale, and d (n,) [units of the variables]; NaN if there are too many pieces to look at all of
+    smallest gradient' d found over |d| <= 1, relative to the scale, and d (n,) [units of the
+        variables]; NaN if there are too many pieces to look at all of
     them, or a program failed, and those looked at have no descent beyond the tolerance
     """
     if len(active.gradient) <= _SMALL and 2 ** len(active.both) <= _MOST:
@@ -234,7 +278,9 @@ def steepest_piece(active: ActiveSet, tolerance: float) -> tuple[float, np.ndarr
         pair = int(np.argmax(both_rise)) if len(node) else 0
         if not len(node) or both_rise[pair] <= _STAYS:
             return slope, direction
-        for decision in (_FIRST, _SECOND) if first[pair] > second[pair] else (_SECOND, _FIRST):  # the side that rises less is held first
+        for decision in (
+            (_FIRST, _SECOND) if first[pair] > second[pair] else (_SECOND, _FIRST)
+        ):  # the side that rises less is held first
             child = node.copy()
             child[pair] = decision
             stack.append(child)
@@ -242,8 +288,16 @@ def steepest_piece(active: ActiveSet, tolerance: float) -> tuple[float, np.ndarr
 
 
 def _down(active: ActiveSet, node: np.ndarray, tolerance: float) -> tuple[float, np.ndarray | None]:
-    """(slope, a direction that goes down by more than the tolerance, or None): below this node. NaN and None where it is not known."""
-    found = decide(active.matrix, active.gradient / active.scale, *limits(active, [_SIGNS[int(k)] for k in node]), tolerance)
+    """(slope, a direction that goes down by more than the tolerance, or None): below this node.
+
+    NaN and None where it is not known.
+    """
+    found = decide(
+        active.matrix,
+        active.gradient / active.scale,
+        *limits(active, [_SIGNS[int(k)] for k in node]),
+        tolerance,
+    )
     if found.polar is not None:
         return found.slope, -found.polar / np.max(np.abs(found.polar))
     # no direction falls by more than what multipliers leave in all
@@ -253,7 +307,9 @@ def _down(active: ActiveSet, node: np.ndarray, tolerance: float) -> tuple[float,
     return (slope, direction if slope < -tolerance else None)
 
 
-def steepest_direction(active: ActiveSet, first_held: np.ndarray, second_held: np.ndarray) -> tuple[float, np.ndarray | None]:
+def steepest_direction(
+    active: ActiveSet, first_held: np.ndarray, second_held: np.ndarray
+) -> tuple[float, np.ndarray | None]:
     """Least gradient' d over |d| <= 1, relative to the scale.
 
     Raises ValueError for numbers that are not finite; NaN where the program fails.
@@ -261,7 +317,8 @@ def steepest_direction(active: ActiveSet, first_held: np.ndarray, second_held: n
     Parameters
     ----------
     active : what is active
-    first_held, second_held : (biactive pairs,) masks of sides that stay 0; the other sides do not go below 0 [-]
+    first_held, second_held : (biactive pairs,) masks of sides that stay 0; the other sides do not
+        go below 0 [-]
 
     Returns
     -------
@@ -273,7 +330,10 @@ def steepest_direction(active: ActiveSet, first_held: np.ndarray, second_held: n
     held_first = np.concatenate([active.first_only, active.both[first_held]])
     held_second = np.concatenate([active.second_only, active.both[second_held]])
     equal = [active.first_normals[:, held_first].T, active.second_normals[:, held_second].T]
-    rising = [active.first_normals[:, active.both[~first_held]].T, active.second_normals[:, active.both[~second_held]].T]
+    rising = [
+        active.first_normals[:, active.both[~first_held]].T,
+        active.second_normals[:, active.both[~second_held]].T,
+    ]
     rows, is_low, is_high = active.normals.T.tocsr(), active.highest > 0.0, active.lowest < 0.0
     equal.append(rows[is_low & is_high])
     rising += [rows[is_low & ~is_high], -rows[is_high & ~is_low]]
@@ -292,7 +352,9 @@ def steepest_direction(active: ActiveSet, first_held: np.ndarray, second_held: n
 
 def _every_piece(active: ActiveSet) -> tuple[float, np.ndarray | None]:
     best, direction, complete = 0.0, None, True
-    for piece in itertools.product(*((True,) if same else (True, False) for same in _same_sides(active))):
+    for piece in itertools.product(
+        *((True,) if same else (True, False) for same in _same_sides(active))
+    ):
         held = np.array(piece, dtype=bool)
         slope, d = steepest_direction(active, held, ~held)
         complete = complete and not math.isnan(slope)
@@ -304,16 +366,22 @@ def _every_piece(active: ActiveSet) -> tuple[float, np.ndarray | None]:
 def _same_sides(active: ActiveSet) -> list[bool]:
     """For each biactive pair, whether both sides have the same gradient (0 <= y complements y >= 0): then its two pieces are one."""
     difference = (active.first_normals - active.second_normals).tocsc()[:, active.both]
-    return [float(np.max(np.abs(difference[:, k].data), initial=0.0)) <= 1e-12 for k in range(len(active.both))]
+    return [
+        float(np.max(np.abs(difference[:, k].data), initial=0.0)) <= 1e-12
+        for k in range(len(active.both))
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
 class StationarityVerdict:
     """What the multipliers of a point say.
 
-    kind: the strongest class whose multipliers exist; residual: what they leave of the gradient, or their largest wrong sign (relative)
-    least: the smallest multiplier of a biactive pair (0 without pairs, NaN unless it is the only one possible); unique: whether there are no other
-    multipliers; descent: slope of a direction that goes down, relative (0: there is none; NaN: not known)
+    kind: the strongest class whose multipliers exist; residual: what they leave of the gradient, or
+        their largest wrong sign (relative)
+    least: the smallest multiplier of a biactive pair (0 without pairs, NaN unless it is the only
+        one possible); unique: whether there are no other
+    multipliers; descent: slope of a direction that goes down, relative (0: there is none; NaN: not
+        known)
     """
 
     kind: Stationarity
@@ -323,11 +391,13 @@ class StationarityVerdict:
     descent: float = math.nan
 
 
-def classify(active: ActiveSet, tolerance: float, given: Stationarity = Stationarity.NONE) -> StationarityVerdict:
+def classify(
+    active: ActiveSet, tolerance: float, given: Stationarity = Stationarity.NONE
+) -> StationarityVerdict:
     """The strongest class whose multipliers exist.
 
-    Where there is only one candidate it decides; elsewhere classes with too many sign patterns to try are known only where `given` or the multipliers
-    found show them.
+    Where there is only one candidate it decides; elsewhere classes with too many sign patterns to
+    try are known only where `given` or the multipliers found show them.
 
     Parameters
     ----------
@@ -335,7 +405,11 @@ def classify(active: ActiveSet, tolerance: float, given: Stationarity = Stationa
     tolerance : largest component that multipliers may leave
     given : a class whose multipliers are known to exist
     """
-    return _only_candidate(active, tolerance) or _one_of_many(active, tolerance) or _by_signs(active, tolerance, given)
+    return (
+        _only_candidate(active, tolerance)
+        or _one_of_many(active, tolerance)
+        or _by_signs(active, tolerance, given)
+    )
 
 
 def _only_candidate(active: ActiveSet, tolerance: float) -> StationarityVerdict | None:
@@ -357,29 +431,42 @@ def _only_candidate(active: ActiveSet, tolerance: float) -> StationarityVerdict 
         steepest = int(np.argmax(wrong))
         descent = -float(wrong[steepest] / np.max(np.abs(found.leaving(steepest)))) / active.scale
     least = float(np.min(pairs)) if count else 0.0
-    return StationarityVerdict(kind=kind, residual=max(residual, own), least=least, unique=True, descent=descent)
+    return StationarityVerdict(
+        kind=kind, residual=max(residual, own), least=least, unique=True, descent=descent
+    )
 
 
 def _one_of_many(active: ActiveSet, tolerance: float) -> StationarityVerdict | None:
     """Class S, or that there are no multipliers, where least squares with dependent gradients show it; else None."""
     count = len(active.both)
     low, high = limits(active, CHOICES[Stationarity.STRONG] * count)
-    found = signed_least_squares(active.matrix, active.gradient / active.scale, low, high, tolerance)
+    found = signed_least_squares(
+        active.matrix, active.gradient / active.scale, low, high, tolerance
+    )
     if found is None:
         return None
     residual = float(np.max(np.abs(found.rest), initial=0.0))
     if residual <= tolerance:
-        return StationarityVerdict(kind=Stationarity.STRONG, residual=residual, least=math.nan if count else 0.0)
+        return StationarityVerdict(
+            kind=Stationarity.STRONG, residual=residual, least=math.nan if count else 0.0
+        )
     return _none_leave_less(active, found.least, found.across, tolerance)
 
 
-def _none_leave_less(active: ActiveSet, rest: np.ndarray, across: float, tolerance: float) -> StationarityVerdict | None:
-    """That there are no multipliers, by what the best of any sign leave in the 2-norm; None where it does not show that."""
+def _none_leave_less(
+    active: ActiveSet, rest: np.ndarray, across: float, tolerance: float
+) -> StationarityVerdict | None:
+    """That there are no multipliers, by what the best of any sign leave in the 2-norm.
+
+    None where it does not show that.
+    """
     if not excludes(active.gradient / active.scale, rest, across, tolerance):
         return None
     most = float(np.max(np.abs(rest)))
     # against what is left everything active stays as it is, and the objective falls
-    return StationarityVerdict(kind=Stationarity.NONE, residual=most, descent=-float(rest @ rest) / most)
+    return StationarityVerdict(
+        kind=Stationarity.NONE, residual=most, descent=-float(rest @ rest) / most
+    )
 
 
 def _by_signs(active: ActiveSet, tolerance: float, given: Stationarity) -> StationarityVerdict:
@@ -390,18 +477,34 @@ def _by_signs(active: ActiveSet, tolerance: float, given: Stationarity) -> Stati
     if weak.exists is None:
         strong = _with(active, CHOICES[Stationarity.STRONG] * count, tolerance)
         if strong.exists:
-            return StationarityVerdict(kind=Stationarity.STRONG, residual=strong.residual, least=none)
-        weak = multipliers_within(*question, *limits(active, any_signs), tolerance) if count else strong
-        weak = weak if weak.exists else least_residual(*question, *limits(active, any_signs), tolerance)
+            return StationarityVerdict(
+                kind=Stationarity.STRONG, residual=strong.residual, least=none
+            )
+        weak = (
+            multipliers_within(*question, *limits(active, any_signs), tolerance)
+            if count
+            else strong
+        )
+        weak = (
+            weak
+            if weak.exists
+            else least_residual(*question, *limits(active, any_signs), tolerance)
+        )
     if not weak.exists:
-        return StationarityVerdict(kind=Stationarity.NONE, residual=weak.residual, descent=math.nan if weak.polar is None else weak.slope)
+        return StationarityVerdict(
+            kind=Stationarity.NONE,
+            residual=weak.residual,
+            descent=math.nan if weak.polar is None else weak.slope,
+        )
     known = {tuple(any_signs): weak}
     pairs = pairs_of(active, weak.y)
     own = class_of(pairs, tolerance)
     for kind, choices in CHOICES.items():
         if kind is own:
             return StationarityVerdict(
-                kind=kind, residual=max(weak.residual, *(wrong_by(pair, choices) for pair in pairs), 0.0), least=none
+                kind=kind,
+                residual=max(weak.residual, *(wrong_by(pair, choices) for pair in pairs), 0.0),
+                least=none,
             )
         if kind is given:
             return StationarityVerdict(kind=kind, residual=weak.residual, least=none)
@@ -411,13 +514,20 @@ def _by_signs(active: ActiveSet, tolerance: float, given: Stationarity) -> Stati
     raise AssertionError("every point with multipliers is weakly stationary")
 
 
-def _pattern(active: ActiveSet, kind: Stationarity, tolerance: float, known: dict[tuple[Signs, ...], MultiplierDecision]) -> float | None:
+def _pattern(
+    active: ActiveSet,
+    kind: Stationarity,
+    tolerance: float,
+    known: dict[tuple[Signs, ...], MultiplierDecision],
+) -> float | None:
     """Residual of multipliers with the signs of a class, if there are some: pair after pair is decided, the one that is most wrong first.
 
     known: what was decided for other classes
     """
     choices = CHOICES[kind]
-    stack: list[tuple[Signs, ...]] = [(choices[0] if len(choices) == 1 else ANY,) * len(active.both)]
+    stack: list[tuple[Signs, ...]] = [
+        (choices[0] if len(choices) == 1 else ANY,) * len(active.both)
+    ]
     for _ in range(affordable(active, len(choices))):
         if not stack:
             break

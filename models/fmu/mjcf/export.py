@@ -2,7 +2,8 @@
 
     build_robot(read_robot(Path("robot.xml")))          ->  .../a1b2....robot.fmu
 
-The library lies beside the binary, which looks for it there ($ORIGIN). Equal robots give equal bytes.
+The library lies beside the binary, which looks for it there ($ORIGIN). Equal robots give equal
+bytes.
 """
 
 from __future__ import annotations
@@ -17,7 +18,14 @@ import numpy as np
 from models.codegen.cache import cached
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
-from models.fmu.description import Standard, Unknown, find_standard, render, stamped, standard_headers
+from models.fmu.description import (
+    Standard,
+    Unknown,
+    find_standard,
+    render,
+    stamped,
+    standard_headers,
+)
 from models.fmu.mjcf.robot import FARTHEST, INTEGRATORS, Robot, RobotError, mujoco
 from models.fmu.package import belongs, binaries, find_platforms, pack
 from models.fmu.variables import VariableKind
@@ -36,8 +44,9 @@ _SETTINGS = (VariableKind.TUNABLE, VariableKind.INTERNAL_STEP, VariableKind.INTE
 def build_robot(robot: Robot, version: str = "2.0") -> Path:
     """The FMU of a robot, for this machine; found in the cache or built there.
 
-    Raises UnknownNameError for an FMI version that is not offered, RobotError for names that collide, MachineError without a compiler, a library of
-    MuJoCo that can be shipped, or a cache that can be written.
+    Raises UnknownNameError for an FMI version that is not offered, RobotError for names that
+    collide, MachineError without a compiler, a library of MuJoCo that can be shipped, or a cache
+    that can be written.
     """
     standard, package = find_standard(version), mujoco()
     folder = Path(package.__file__).parent
@@ -48,17 +57,35 @@ def build_robot(robot: Robot, version: str = "2.0") -> Path:
         )
     compiler, (platform,) = find_compiler(), find_platforms(())
     library, model = libraries[0].read_bytes(), _compiled(robot)
-    texts, sources = _texts(robot, standard, {"resources/model.mjb": model, libraries[0].name: library})
-    flags = ["-isystem", str(folder / "include"), "-Wl,--no-as-needed", str(libraries[0]), "-Wl,-rpath,$ORIGIN"]
+    texts, sources = _texts(
+        robot, standard, {"resources/model.mjb": model, libraries[0].name: library}
+    )
+    flags = [
+        "-isystem",
+        str(folder / "include"),
+        "-Wl,--no-as-needed",
+        str(libraries[0]),
+        "-Wl,-rpath,$ORIGIN",
+    ]
 
     def build(path: Path) -> None:
         code = {f"sources/{name}": text for name, text in sources.items()}
         content = {name: text.encode() for name, text in texts.items()} | _licenses()
-        content |= {"resources/model.mjb": model, f"binaries/{platform.folder(standard)}/{libraries[0].name}": library}
-        content |= binaries(code, standard, robot.identifier, {platform: compiler}, path.parent, flags)
+        content |= {
+            "resources/model.mjb": model,
+            f"binaries/{platform.folder(standard)}/{libraries[0].name}": library,
+        }
+        content |= binaries(
+            code, standard, robot.identifier, {platform: compiler}, path.parent, flags
+        )
         pack(path, content, first="modelDescription.xml")
 
-    key = [compiler.version, platform.name, *flags, *(f"{name}\n{text}" for name, text in sorted({**texts, **sources}.items()))]
+    key = [
+        compiler.version,
+        platform.name,
+        *flags,
+        *(f"{name}\n{text}" for name, text in sorted({**texts, **sources}.items())),
+    ]
     return cached("\n".join(key), f".{robot.identifier}.fmu", build)
 
 
@@ -81,38 +108,62 @@ def _licenses() -> dict[str, bytes]:
             files = metadata.files(name) or []
         except metadata.PackageNotFoundError:
             continue
-        found |= {f"documentation/licenses/mujoco/{file.name}": file.read_binary() for file in files if file.name.startswith("LICENSE")}
+        found |= {
+            f"documentation/licenses/mujoco/{file.name}": file.read_binary()
+            for file in files
+            if file.name.startswith("LICENSE")
+        }
     return found
 
 
-def _texts(robot: Robot, standard: Standard, shipped: dict[str, bytes]) -> tuple[dict[str, str], dict[str, str]]:
-    """Every text file of the FMU, and the sources that its binary is made of; shipped: what decides the GUID beside the texts."""
+def _texts(
+    robot: Robot, standard: Standard, shipped: dict[str, bytes]
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Every text file of the FMU, and the sources that its binary is made of.
+
+    shipped: what decides the GUID beside the texts.
+    """
     package, model, table = mujoco(), robot.model, robot.table
     sources = {
         path.name: path.read_text(encoding="utf-8")
         for path in [*sorted(_SHELL.iterdir()), *(_HERE / name for name in _OURS)]
         if belongs(path, standard) and (path.parent == _HERE or path.name not in _OF_SCENES)
     }
-    sources |= {f"{standard.header_folder}{name}": text for name, text in standard_headers(standard).items()}
+    sources |= {
+        f"{standard.header_folder}{name}": text for name, text in standard_headers(standard).items()
+    }
     shared = {
-        "identifier": robot.identifier, "title": f"{robot.path.name} in MuJoCo {package.__version__}", "integrators": INTEGRATORS,
+        "identifier": robot.identifier,
+        "title": f"{robot.path.name} in MuJoCo {package.__version__}", "integrators": INTEGRATORS,
         "exchange": robot.no_exchange is None, "events": False, "table": table,
     }  # fmt: skip
     of_robot = {
-        "robot": robot, "model": model, "mujoco": package.__version__, "farthest": FARTHEST,
-        "rest": int(package.mj_stateSize(model, package.mjtState.mjSTATE_INTEGRATION)) - 1 - model.nq - model.nv - model.na,
+        "robot": robot,
+        "model": model,
+        "mujoco": package.__version__,
+        "farthest": FARTHEST,
+        "rest": int(package.mj_stateSize(model, package.mjtState.mjSTATE_INTEGRATION))
+        - 1
+        - model.nq
+        - model.nv
+        - model.na,
         "settings": sum(variable.kind in _SETTINGS for variable in table),
-    }  # fmt: skip
+    }
 
     decided = {name: hashlib.sha256(content).hexdigest() for name, content in shipped.items()}
     header, xml = stamped(
-        sources | decided, standard, lambda guid: render("robot_config.h.j2", guid=guid, **of_robot, **shared), license="MIT AND Apache-2.0", stop=_STOP, step=float(model.opt.timestep), tolerance=_TOLERANCE,
+        sources | decided, standard,
+        lambda guid: render("robot_config.h.j2", guid=guid, **of_robot, **shared),
+        license="MIT AND Apache-2.0", stop=_STOP, step=float(model.opt.timestep),
+        tolerance=_TOLERANCE,
         source_files=[], structure=_structure(robot, standard), **shared,
     )  # fmt: skip
     texts = {
         "modelDescription.xml": xml,
         "documentation/index.html": render("robot.html.j2", **of_robot, **shared),
-        "documentation/licenses/license.txt": render("licenses.txt.j2", header_names=standard.headers)
+        "documentation/licenses/license.txt": render(
+            "licenses.txt.j2", header_names=standard.headers
+        )
         + f"\nbinaries/*/libmujoco.so.* is MuJoCo {package.__version__}, under the licenses in mujoco/.\nresources/model.mjb is {robot.path.name}, whose license is its author's.\n",
     }
     return texts, sources | {"model_config.h": header}
@@ -122,7 +173,11 @@ def _structure(robot: Robot, standard: Standard) -> dict[str, list[Unknown]]:
     """Section of the ModelStructure -> its unknowns: on everything that they may depend on, written out with Model Exchange, as CasADi reads none without."""
 
     def places(*wanted: VariableKind) -> list[int]:
-        return [place for place, variable in enumerate(robot.table, standard.first_index) if variable.kind in wanted]
+        return [
+            place
+            for place, variable in enumerate(robot.table, standard.first_index)
+            if variable.kind in wanted
+        ]
 
     kinds, exchange = VariableKind, robot.no_exchange is None
     states, calculated = places(kinds.POSITION, kinds.VELOCITY), places(kinds.OUTPUT)
@@ -130,10 +185,20 @@ def _structure(robot: Robot, standard: Standard) -> dict[str, list[Unknown]]:
     given, settings = [*states, *places(kinds.INPUT)], places(*_SETTINGS)
 
     def unknowns(which: list[int], knowns: list[int]) -> list[Unknown]:
-        return [Unknown(place, tuple(knowns), ("dependent",) * len(knowns)) if exchange else Unknown(place) for place in which]
+        return [
+            Unknown(place, tuple(knowns), ("dependent",) * len(knowns))
+            if exchange
+            else Unknown(place)
+            for place in which
+        ]
 
-    always = [*given, *settings] if standard.version != "2.0" else given  # FMI 3.0 counts parameters at all times
-    moved = [Unknown(place, (place,), ("constant",)) if exchange else Unknown(place, (), ()) for place in states]
+    always = (
+        [*given, *settings] if standard.version != "2.0" else given
+    )  # FMI 3.0 counts parameters at all times
+    moved = [
+        Unknown(place, (place,), ("constant",)) if exchange else Unknown(place, (), ())
+        for place in states
+    ]
     return {
         "outputs": [*moved, *unknowns(calculated, always)],
         "derivatives": unknowns(rates, always),

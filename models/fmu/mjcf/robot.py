@@ -1,8 +1,11 @@
 """A model of MuJoCo as a table of variables, from which C, XML, the documentation and the map of the FMU are written.
 
-Names: `q_J` the position and `v_J` the velocity of joint J; of a free joint `q_J_x` .. `q_J_z`, `q_J_qw` .. `q_J_qz` (its quaternion) and `v_J_x` .. `v_J_z`,
-`v_J_wx` .. `v_J_wz` (its angular velocity, in the axes of the body); `u_A` the input of actuator A, `act_A` its activation, `s_S` a sensor, `lam_A_B` and
-`gap_A_B` a contact that was asked for, `mass_B` of a body. Signs that FMI's structured names do not have become `_`.
+Names: `q_J` the position and `v_J` the velocity of joint J; of a free joint `q_J_x` .. `q_J_z`,
+    `q_J_qw` .. `q_J_qz` (its quaternion) and `v_J_x` .. `v_J_z`,
+`v_J_wx` .. `v_J_wz` (its angular velocity, in the axes of the body); `u_A` the input of actuator A,
+    `act_A` its activation, `s_S` a sensor, `lam_A_B` and
+`gap_A_B` a contact that was asked for, `mass_B` of a body. Signs that FMI's structured names do not
+    have become `_`.
 """
 
 from __future__ import annotations
@@ -35,18 +38,33 @@ INTEGRATORS = (
 # Scales of all contacts: name, what it multiplies, smallest value.
 _SCALES = (
     ("friction_scale", "the friction coefficients of all geoms and pairs", 0.0),
-    ("contact_stiffness_scale", "the stiffness of all contacts, at the same damping ratio (solref)", 1e-12),
-    ("contact_give_scale", "1 - d, by which all contacts give way, of the impedances d0 and dmax (solimp)", 1e-12),
+    (
+        "contact_stiffness_scale",
+        "the stiffness of all contacts, at the same damping ratio (solref)",
+        1e-12,
+    ),
+    (
+        "contact_give_scale",
+        "1 - d, by which all contacts give way, of the impedances d0 and dmax (solimp)",
+        1e-12,
+    ),
 )
 # Gaps are measured up to here [m].
 FARTHEST = 10.0
-_FREE, _BALL, _SLIDE = 0, 1, 2
-_AXES, _QUATERNION, _TURNS = ("x", "y", "z"), ("qw", "qx", "qy", "qz"), ("wx", "wy", "wz")
+_FREE = 0
+_BALL = 1
+_SLIDE = 2
+_AXES = ("x", "y", "z")
+_QUATERNION = ("qw", "qx", "qy", "qz")
+_TURNS = ("wx", "wy", "wz")
 # Of a sensor by the end of MuJoCo's name for its type; what is not here may be in anything.
 _SENSOR_UNITS = {
-    "TOUCH": "N", "ACCELEROMETER": "m/s^2", "VELOCIMETER": "m/s", "GYRO": "rad/s", "FORCE": "N", "TORQUE": "N m", "RANGEFINDER": "m", "TENDONPOS": "m",
-    "TENDONVEL": "m/s", "TENDONACTFRC": "N", "BALLANGVEL": "rad/s", "FRAMEPOS": "m", "FRAMELINVEL": "m/s", "FRAMEANGVEL": "rad/s", "FRAMELINACC": "m/s^2",
-    "FRAMEANGACC": "rad/s^2", "SUBTREECOM": "m", "SUBTREELINVEL": "m/s", "GEOMDIST": "m", "GEOMFROMTO": "m", "E_POTENTIAL": "J", "E_KINETIC": "J", "CLOCK": "s",
+    "TOUCH": "N", "ACCELEROMETER": "m/s^2", "VELOCIMETER": "m/s", "GYRO": "rad/s", "FORCE": "N",
+    "TORQUE": "N m", "RANGEFINDER": "m", "TENDONPOS": "m",
+    "TENDONVEL": "m/s", "TENDONACTFRC": "N", "BALLANGVEL": "rad/s", "FRAMEPOS": "m",
+    "FRAMELINVEL": "m/s", "FRAMEANGVEL": "rad/s", "FRAMELINACC": "m/s^2",
+    "FRAMEANGACC": "rad/s^2", "SUBTREECOM": "m", "SUBTREELINVEL": "m/s", "GEOMDIST": "m",
+    "GEOMFROMTO": "m", "E_POTENTIAL": "J", "E_KINETIC": "J", "CLOCK": "s",
 }  # fmt: skip
 
 
@@ -55,7 +73,9 @@ def mujoco() -> Any:
     try:
         import mujoco  # 0.1 s, and an extra
     except ImportError as error:
-        raise MachineError("an MJCF needs MuJoCo, which is not installed; install it with: pip install mujoco") from error
+        raise MachineError(
+            "an MJCF needs MuJoCo, which is not installed; install it with: pip install mujoco"
+        ) from error
     return mujoco
 
 
@@ -94,7 +114,10 @@ class Robot:
 
     @cached_property
     def table(self) -> tuple[Variable, ...]:
-        """Every variable; the position in the table is the value reference. Raises RobotError where two have one name."""
+        """Every variable; the position in the table is the value reference.
+
+        Raises RobotError where two have one name.
+        """
         time = Variable(name="time", kind=VariableKind.TIME, unit="s", description="time")
         table = (time, *_states(self), *_inputs(self), *_outputs(self), *_settings(self))
         seen: dict[str, Variable] = {}
@@ -114,17 +137,21 @@ class Robot:
     @cached_property
     def masses(self) -> tuple[int, ...]:
         """Bodies that have a mass."""
-        return tuple(body for body in range(1, self.model.nbody) if self.model.body_mass[body] > 0.0)
+        return tuple(
+            body for body in range(1, self.model.nbody) if self.model.body_mass[body] > 0.0
+        )
 
     @cached_property
     def no_exchange(self) -> str | None:
         """Why the FMU has no Model Exchange; None where it has."""
         model = self.model
         touching = (model.geom_contype | model.geom_conaffinity) != 0
-        rubs = (model.geom_condim[touching] > 1).any() or (model.pair_dim > 1).any() or model.nflex > 0
+        rubs = (
+            (model.geom_condim[touching] > 1).any() or (model.pair_dim > 1).any() or model.nflex > 0
+        )
         if rubs and not model.opt.disableflags & int(mujoco().mjtDisableBit.mjDSBL_CONTACT):
-            # A ball that slides at 2 m/s is pushed up by 80 m/s^2 at a depth of nothing, where its force jumps: LSODA took 430,000 evaluations
-            # for 5 ms of a hopper's foot.
+            # A ball that slides at 2 m/s is pushed up by 80 m/s^2 at a depth of nothing, where its
+            # force jumps: LSODA took 430,000 evaluations for 5 ms of a hopper's foot.
             return "contacts have friction, and MuJoCo pushes what slides off the ground at no depth at all, where the force jumps: integrators get stuck"
         if model.nhistory:
             return "an actuator or a sensor has a delay, which is no state that an integrator could move"
@@ -137,7 +164,11 @@ class Robot:
     @property
     def notes(self) -> list[str]:
         """What is to be said of the FMU, a sentence each."""
-        free = [variable.name for variable in self.of(VariableKind.INPUT) if variable.upper == float("inf")]
+        free = [
+            variable.name
+            for variable in self.of(VariableKind.INPUT)
+            if variable.upper == float("inf")
+        ]
         found = {
             "the model has no actuators, so the FMU has no inputs: it can be simulated, but no plan can drive it.": not self.model.nu,
             f"no ctrlrange is set for {', '.join(free[:5])}{' ..' * (len(free) > 5)}: bounds of these inputs are not asked of a plan.": free,
@@ -149,7 +180,11 @@ class Robot:
     @property
     def turns(self) -> list[Variable]:
         """Angular velocities of free and ball joints, three a joint."""
-        return [variable for variable in self.of(VariableKind.VELOCITY) if variable.name.endswith(_TURNS)]
+        return [
+            variable
+            for variable in self.of(VariableKind.VELOCITY)
+            if variable.name.endswith(_TURNS)
+        ]
 
     @property
     def velocities(self) -> list[tuple[Variable, str, str]]:
@@ -170,25 +205,49 @@ class Robot:
         sections = {
             "inputs": same(self.of(VariableKind.INPUT)),
             "positions": same(self.of(VariableKind.POSITION)),
-            "velocities": [f'{of.name} = {{ variable = "{rate}", column = "{column}" }}' for of, rate, column in self.velocities],
-            **{f"contacts.{pair.name}": [f'force = "lam_{pair.name}"', f'gap = "gap_{pair.name}"'] for pair in self.contacts},
-            # What the plan has in columns of their own; the lines may go, or be numbers: without them these are zero.
+            "velocities": [
+                f'{of.name} = {{ variable = "{rate}", column = "{column}" }}'
+                for of, rate, column in self.velocities
+            ],
+            **{
+                f"contacts.{pair.name}": [f'force = "lam_{pair.name}"', f'gap = "gap_{pair.name}"']
+                for pair in self.contacts
+            },
+            # What the plan has in columns of their own; the lines may go, or be numbers: without
+            # them these are zero.
             "start": same(self.turns),
-            "uncertainty": [f"gravity_{axis} = {{ value = 0.0, reason = 'it is known' }}" for axis in "xyz"],
+            "uncertainty": [
+                f"gravity_{axis} = {{ value = 0.0, reason = 'it is known' }}" for axis in "xyz"
+            ],
         }
         title = f"# {self.path.name} as an FMU: how the columns of a plan are its variables. docs/replay.md tells all that may stand here."
-        body = ["\n".join(["", f"[{name}]", *lines]) for name, lines in sections.items() if lines or name != "start"]
+        body = [
+            "\n".join(["", f"[{name}]", *lines])
+            for name, lines in sections.items()
+            if lines or name != "start"
+        ]
         return "\n".join([title, 'internal_step = "timestep"', *body]) + "\n"
 
 
 def read_robot(path: Path, contacts: Sequence[str] = (), keyframe: str | None = None) -> Robot:
-    """A robot of an MJCF, URDF or MJB file; contacts: `A:B`, names of geoms or bodies. Raises RobotError, MachineError."""
+    """A robot of an MJCF, URDF or MJB file; contacts: `A:B`, names of geoms or bodies.
+
+    Raises RobotError, MachineError.
+    """
     package = mujoco()
     if not path.is_file():
-        raise RobotError(f"{path}: there is no such file; give an MJCF or URDF (.xml, .urdf) or a compiled model (.mjb).")
-    load = package.MjModel.from_binary_path if path.suffix.lower() == ".mjb" else package.MjModel.from_xml_path
+        raise RobotError(
+            f"{path}: there is no such file; give an MJCF or URDF (.xml, .urdf) or a compiled model (.mjb)."
+        )
+    load = (
+        package.MjModel.from_binary_path
+        if path.suffix.lower() == ".mjb"
+        else package.MjModel.from_xml_path
+    )
     warnings, before = list[str](), package.get_mju_user_warning()
-    package.set_mju_user_warning(warnings.append)  # which MuJoCo would write to a file here, and to stderr
+    package.set_mju_user_warning(
+        warnings.append
+    )  # which MuJoCo would write to a file here, and to stderr
     try:
         model = load(str(path))
     except (ValueError, package.FatalError, package.UnexpectedError) as error:
@@ -210,7 +269,13 @@ def read_robot(path: Path, contacts: Sequence[str] = (), keyframe: str | None = 
             )
         key = names.index(keyframe)
         package.mj_resetDataKeyframe(model, start, key)
-    return Robot(path=path, model=model, start=start, keyframe=key, contacts=tuple(_contact(path, model, text) for text in contacts))
+    return Robot(
+        path=path,
+        model=model,
+        start=start,
+        keyframe=key,
+        contacts=tuple(_contact(path, model, text) for text in contacts),
+    )
 
 
 def _lost(package: Any, model: Any) -> str | None:
@@ -224,7 +289,9 @@ def _lost(package: Any, model: Any) -> str | None:
             return f"it enables {word}, whose bookkeeping is not in the state that MuJoCo saves; take the flag out of <option>"
     dyn, gain, bias, sensor = package.mjtDyn, package.mjtGain, package.mjtBias, package.mjtSensor
     users = {
-        "actuators": ((model.actuator_dyntype, dyn.mjDYN_USER), (model.actuator_gaintype, gain.mjGAIN_USER), (model.actuator_biastype, bias.mjBIAS_USER)),
+        "actuators": ((model.actuator_dyntype, dyn.mjDYN_USER),
+                      (model.actuator_gaintype, gain.mjGAIN_USER),
+                      (model.actuator_biastype, bias.mjBIAS_USER)),
         "sensors": ((model.sensor_type, sensor.mjSENS_USER),),
     }  # fmt: skip
     for what, parts in users.items():
@@ -235,7 +302,11 @@ def _lost(package: Any, model: Any) -> str | None:
 
 def _contact(path: Path, model: Any, text: str) -> GeomPair:
     """`A:B`; names may hold colons themselves."""
-    geoms = {name: range(number, number + 1) for number in range(model.ngeom) if (name := model.geom(number).name)}
+    geoms = {
+        name: range(number, number + 1)
+        for number in range(model.ngeom)
+        if (name := model.geom(number).name)
+    }
     for body in range(model.nbody):
         first = int(model.body_geomadr[body])
         geoms.setdefault(model.body(body).name, range(first, first + int(model.body_geomnum[body])))
@@ -248,11 +319,18 @@ def _contact(path: Path, model: Any, text: str) -> GeomPair:
     known = [name for name, found in geoms.items() if name and found]
     missing = next((name for name in parts if name not in known), text)
     advice = did_you_mean(missing, known, f"it has {', '.join(known[:8])} ..")
-    raise RobotError(f"{path}: the contact {text!r} is not of two geoms, or bodies with geoms, written A:B; {advice}.")
+    raise RobotError(
+        f"{path}: the contact {text!r} is not of two geoms, or bodies with geoms, written A:B; {advice}."
+    )
 
 
-def _named(count: int, name_of: Callable[[int], str], fallback: Callable[[int], str]) -> list[tuple[str, str]]:
-    """Of each its name in those of variables, and as it is written; of one without a name a fallback, with its number where that is taken."""
+def _named(
+    count: int, name_of: Callable[[int], str], fallback: Callable[[int], str]
+) -> list[tuple[str, str]]:
+    """Of each its name in those of variables, and as it is written.
+
+    Of one without a name a fallback, with its number where that is taken.
+    """
     said = [name_of(number) for number in range(count)]
     for number, name in enumerate(said):
         if not name:
@@ -262,7 +340,10 @@ def _named(count: int, name_of: Callable[[int], str], fallback: Callable[[int], 
 
 
 def _joint_names(model: Any) -> list[tuple[str, str]]:
-    """Of each joint its name in those of variables, and as it is written; of one without a name that of its body."""
+    """Of each joint its name in those of variables, and as it is written.
+
+    Of one without a name that of its body.
+    """
     bodies = [model.body(int(body)).name or "joint" for body in model.jnt_bodyid]
     return _named(model.njnt, lambda number: model.joint(number).name, bodies.__getitem__)
 
@@ -275,23 +356,45 @@ def _states(robot: Robot) -> list[Variable]:
     for (name, said), kind in zip(_joint_names(model), model.jnt_type, strict=True):
         if kind in (_FREE, _BALL):
             moves = _AXES if kind == _FREE else ()
-            positions += [(f"q_{name}_{axis}", "m", f"position {axis} of joint {said}") for axis in moves]
-            positions += [(f"q_{name}_{part}", "1", f"orientation {part} of joint {said} (quaternion)") for part in _QUATERNION]
-            velocities += [(f"v_{name}_{axis}", "m/s", f"velocity {axis} of joint {said}") for axis in moves]
-            velocities += [(f"v_{name}_{axis}", "rad/s", f"angular velocity {axis} of joint {said}, in the body's axes") for axis in _TURNS]
+            positions += [
+                (f"q_{name}_{axis}", "m", f"position {axis} of joint {said}") for axis in moves
+            ]
+            positions += [
+                (f"q_{name}_{part}", "1", f"orientation {part} of joint {said} (quaternion)")
+                for part in _QUATERNION
+            ]
+            velocities += [
+                (f"v_{name}_{axis}", "m/s", f"velocity {axis} of joint {said}") for axis in moves
+            ]
+            velocities += [
+                (
+                    f"v_{name}_{axis}",
+                    "rad/s",
+                    f"angular velocity {axis} of joint {said}, in the body's axes",
+                )
+                for axis in _TURNS
+            ]
         else:
             unit = "m" if kind == _SLIDE else "rad"
             positions.append((f"q_{name}", unit, f"position of joint {said}"))
             velocities.append((f"v_{name}", f"{unit}/s", f"velocity of joint {said}"))
     for actuator, (name, said) in enumerate(_actuator_names(model)):
         count = int(model.actuator_actnum[actuator])
-        velocities += [(f"act_{name}{f'_{k}' * (count > 1)}", "1", f"activation of actuator {said}") for k in range(count)]
+        velocities += [
+            (f"act_{name}{f'_{k}' * (count > 1)}", "1", f"activation of actuator {said}")
+            for k in range(count)
+        ]
     kinds, starts, found = VariableKind, iter([*data.qpos, *data.qvel, *data.act]), list[Variable]()
     for kind, rows in ((kinds.POSITION, positions), (kinds.VELOCITY, velocities)):
         found += numbered(kind, [(*row, float(next(starts))) for row in rows], len(found))
     for kind, rows in ((kinds.POSITION_RATE, positions), (kinds.VELOCITY_RATE, velocities)):
         rates = [
-            (f"der({name})", f"{unit.removesuffix('/s')}/s{'^2' * unit.endswith('/s')}", f"rate of {text}") for name, unit, text in rows
+            (
+                f"der({name})",
+                f"{unit.removesuffix('/s')}/s{'^2' * unit.endswith('/s')}",
+                f"rate of {text}",
+            )
+            for name, unit, text in rows
         ]
         found += numbered(kind, rates, 0 if kind is kinds.POSITION_RATE else len(positions))
     return found
@@ -304,21 +407,46 @@ def _actuator_names(model: Any) -> list[tuple[str, str]]:
     def target(actuator: int) -> str:
         kind, number = model.actuator_trntype[actuator], int(model.actuator_trnid[actuator, 0])
         on_joint = kind in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT))
-        return _joint_names(model)[number][1] if on_joint else model.tendon(number).name if kind == int(kinds.mjTRN_TENDON) else "actuator"
+        return (
+            _joint_names(model)[number][1]
+            if on_joint
+            else model.tendon(number).name
+            if kind == int(kinds.mjTRN_TENDON)
+            else "actuator"
+        )
 
     return _named(model.nactuator, lambda number: model.actuator(number).name, target)
 
 
 def _input_unit(model: Any, actuator: int) -> str:
-    """Of an input that is a force on a joint, or what a servo is to bring one to; "1" where gears and gains make it anything."""
-    package, joint = mujoco(), (int(mujoco().mjtTrn.mjTRN_JOINT), int(mujoco().mjtTrn.mjTRN_JOINTINPARENT))
+    """Of an input that is a force on a joint, or what a servo is to bring one to.
+
+    "1" where gears and gains make it anything.
+    """
+    package, joint = (
+        mujoco(),
+        (int(mujoco().mjtTrn.mjTRN_JOINT), int(mujoco().mjtTrn.mjTRN_JOINTINPARENT)),
+    )
     gear, factor = list(model.actuator_gear[actuator]), float(model.actuator_gainprm[actuator, 0])
-    on_joint = model.actuator_trntype[actuator] in joint and model.jnt_type[model.actuator_trnid[actuator, 0]] >= _SLIDE
-    fixed = model.actuator_gaintype[actuator] == int(package.mjtGain.mjGAIN_FIXED) and not model.actuator_actnum[actuator]
+    on_joint = (
+        model.actuator_trntype[actuator] in joint
+        and model.jnt_type[model.actuator_trnid[actuator, 0]] >= _SLIDE
+    )
+    fixed = (
+        model.actuator_gaintype[actuator] == int(package.mjtGain.mjGAIN_FIXED)
+        and not model.actuator_actnum[actuator]
+    )
     if not on_joint or not fixed or gear != [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]:
         return "1"
-    length, force = ("m", "N") if model.jnt_type[model.actuator_trnid[actuator, 0]] == _SLIDE else ("rad", "N m")
-    kind, bias = int(model.actuator_biastype[actuator]), model.actuator_biasprm[actuator, :3] / (factor or 1.0)
+    length, force = (
+        ("m", "N")
+        if model.jnt_type[model.actuator_trnid[actuator, 0]] == _SLIDE
+        else ("rad", "N m")
+    )
+    kind, bias = (
+        int(model.actuator_biastype[actuator]),
+        model.actuator_biasprm[actuator, :3] / (factor or 1.0),
+    )
     if kind == int(package.mjtBias.mjBIAS_NONE):
         return force if factor == 1.0 else "1"
     servo = {(0.0, -1.0): length, (0.0, 0.0): f"{length}/s" if bias[2] == -1.0 else "1"}
@@ -330,27 +458,43 @@ def _inputs(robot: Robot) -> list[Variable]:
     for actuator, (name, said) in enumerate(_actuator_names(model)):
         first, count = int(model.actuator_ctrladr[actuator]), int(model.actuator_ctrlnum[actuator])
         for part in range(count):
-            suffix = f"_{package.mj_actuatorInputName(model, actuator, part) or part}" if count > 1 else ""
-            limited, unit = bool(model.actuator_ctrllimited[first + part]), _input_unit(model, actuator) if count == 1 else "1"
+            suffix = (
+                f"_{package.mj_actuatorInputName(model, actuator, part) or part}"
+                if count > 1
+                else ""
+            )
+            limited, unit = (
+                bool(model.actuator_ctrllimited[first + part]),
+                _input_unit(model, actuator) if count == 1 else "1",
+            )
             bounds = map(float, model.actuator_ctrlrange[first + part]) if limited else ()
             text = f"control of actuator {said}{', cut at its range' if limited else ''}"
-            rows.append((f"u_{name}{suffix}", unit, text, float(robot.start.ctrl[first + part]), *bounds))
+            rows.append(
+                (f"u_{name}{suffix}", unit, text, float(robot.start.ctrl[first + part]), *bounds)
+            )
     return numbered(VariableKind.INPUT, rows)
 
 
 def _outputs(robot: Robot) -> list[Variable]:
     """Sensors; then forces, then gaps, of the contacts that were asked for."""
     model, package, rows = robot.model, mujoco(), list[tuple]()
-    names = _named(model.nsensor, lambda number: model.sensor(number).name, lambda number: f"sensor{number}")
+    names = _named(
+        model.nsensor, lambda number: model.sensor(number).name, lambda number: f"sensor{number}"
+    )
     for sensor, (name, said) in enumerate(names):
         kind = package.mjtSensor(int(model.sensor_type[sensor])).name.removeprefix("mjSENS_")
         size, unit = int(model.sensor_dim[sensor]), _SENSOR_UNITS.get(kind, "1")
         if kind in ("JOINTPOS", "JOINTVEL"):
             length = "m" if model.jnt_type[int(model.sensor_objid[sensor])] == _SLIDE else "rad"
             unit = length if kind == "JOINTPOS" else f"{length}/s"
-        rows += [(f"s_{name}{f'_{part}' * (size > 1)}", unit, f"sensor {said} ({kind.lower()})") for part in range(size)]
+        rows += [
+            (f"s_{name}{f'_{part}' * (size > 1)}", unit, f"sensor {said} ({kind.lower()})")
+            for part in range(size)
+        ]
     sides = [(pair.name, " and ".join(pair.names)) for pair in robot.contacts]
-    rows += [(f"lam_{name}", "N", f"sum of the normal forces between {text}") for name, text in sides]
+    rows += [
+        (f"lam_{name}", "N", f"sum of the normal forces between {text}") for name, text in sides
+    ]
     far = f"negative where they overlap, at most {FARTHEST:g} m"
     rows += [(f"gap_{name}", "m", f"smallest distance of {text}, {far}") for name, text in sides]
     return numbered(VariableKind.OUTPUT, rows)
@@ -362,11 +506,20 @@ def _settings(robot: Robot) -> list[Variable]:
     bodies = _named(model.nbody, lambda number: model.body(number).name, lambda number: "body")
     step = "longest time step; equal steps divide each communication step"
     groups = (
-        (kinds.TUNABLE, [(f"gravity_{axis}", "m/s^2", f"gravity along {axis}", float(value)) for axis, value in zip(_AXES, model.opt.gravity, strict=True)]),
-        (kinds.TUNABLE, [(name, "1", f"multiplies {text}", 1.0, lower) for name, text, lower in _SCALES]),
-        (kinds.INTERNAL_STEP, [("timestep", "s", step, float(model.opt.timestep), SMALLEST_INTERNAL_STEP)]),
-        (kinds.INTEGRATOR, [("integrator", "", "method of the time step", 1.0 + model.opt.integrator, 1.0, float(len(INTEGRATORS)))]),
-        (kinds.TUNABLE, [(f"mass_{bodies[body][0]}", "kg", f"mass of body {bodies[body][1]}, with its inertia in proportion", float(model.body_mass[body]), 1e-12) for body in robot.masses]),
+        (kinds.TUNABLE,
+         [(f"gravity_{axis}", "m/s^2", f"gravity along {axis}", float(value)) for axis,
+          value in zip(_AXES, model.opt.gravity, strict=True)]),
+        (kinds.TUNABLE,
+         [(name, "1", f"multiplies {text}", 1.0, lower) for name, text, lower in _SCALES]),
+        (kinds.INTERNAL_STEP,
+         [("timestep", "s", step, float(model.opt.timestep), SMALLEST_INTERNAL_STEP)]),
+        (kinds.INTEGRATOR,
+         [("integrator", "", "method of the time step", 1.0 + model.opt.integrator, 1.0,
+           float(len(INTEGRATORS)))]),
+        (kinds.TUNABLE,
+         [(f"mass_{bodies[body][0]}", "kg",
+           f"mass of body {bodies[body][1]}, with its inertia in proportion",
+           float(model.body_mass[body]), 1e-12) for body in robot.masses]),
     )  # fmt: skip
     for kind, rows in groups:
         found += numbered(kind, rows, len(found))
@@ -383,19 +536,40 @@ class Recorder:
         self._package = mujoco()
         robot = Robot(path=Path("robot"), model=model, start=self._package.MjData(model))
         self._turns = [variable.index - model.nq for variable in robot.turns]
-        self._quaternions = [variable.index for variable in robot.of(VariableKind.POSITION) if variable.name.endswith("_qw")]
-        index = {variable.name: variable.index - model.nq for variable in robot.of(VariableKind.VELOCITY)}
-        self._velocities = [index.get(rate, 0) for _, rate, _ in robot.velocities]  # of a quaternion, computed
-        given = [variable.name for kind in (VariableKind.INPUT, VariableKind.POSITION) for variable in robot.of(kind)]
-        self.columns = ["t", *given, *(column for _, _, column in robot.velocities), *(variable.name for variable in robot.turns)]
+        self._quaternions = [
+            variable.index
+            for variable in robot.of(VariableKind.POSITION)
+            if variable.name.endswith("_qw")
+        ]
+        index = {
+            variable.name: variable.index - model.nq for variable in robot.of(VariableKind.VELOCITY)
+        }
+        self._velocities = [
+            index.get(rate, 0) for _, rate, _ in robot.velocities
+        ]  # of a quaternion, computed
+        given = [
+            variable.name
+            for kind in (VariableKind.INPUT, VariableKind.POSITION)
+            for variable in robot.of(kind)
+        ]
+        self.columns = [
+            "t",
+            *given,
+            *(column for _, _, column in robot.velocities),
+            *(variable.name for variable in robot.turns),
+        ]
         self.rows: list[list[float]] = []
 
     def record(self, data: Any) -> None:
         """Keep time [s], controls, positions and velocities of an MjData."""
         velocities, turns = data.qvel[self._velocities], data.qvel[self._turns]
         for at, turn in zip(self._quaternions, turns.reshape(-1, 3), strict=True):
-            self._package.mju_mulQuatAxis(velocities[at : at + 4], data.qpos[at : at + 4], turn / 2.0)  # dq/dt = q (0, w) / 2
-        self.rows.append(np.concatenate([[data.time], data.ctrl, data.qpos, velocities, turns]).tolist())
+            self._package.mju_mulQuatAxis(
+                velocities[at : at + 4], data.qpos[at : at + 4], turn / 2.0
+            )  # dq/dt = q (0, w) / 2
+        self.rows.append(
+            np.concatenate([[data.time], data.ctrl, data.qpos, velocities, turns]).tolist()
+        )
 
     def write(self, path: Path | str) -> None:
         """As a CSV, each number so that it reads back bit for bit."""

@@ -18,22 +18,25 @@ from formulations.ampl import NlError, read_nl
 from formulations.ampl.command import main
 from formulations.mpec import solve_mpec
 
-# min (x0 - 1)^2 + sin(d) + 3 x1, d = 2 x0 + x1 x2;  row 0: 1 <= x0 x1 + 4 x2 <= 7;  row 1: exp(x2) - x1 = 0.5;
-# row 2: x0 + x1 - 2 complements x2 >= 0.25
+# min (x0 - 1)^2 + sin(d) + 3 x1, d = 2 x0 + x1 x2; row 0: 1 <= x0 x1 + 4 x2 <= 7; row 1: exp(x2) -
+# x1 = 0.5; row 2: x0 + x1 - 2 complements x2 >= 0.25
 SEGMENTS = [
     ("V", "iii", 3, 1, 0), (None, "id", 0, 2.0), ("o", "o", 2), ("v", "i", 1), ("v", "i", 2),
     ("C", "i", 0), ("o", "o", 2), ("v", "i", 0), ("v", "i", 1),
     ("C", "i", 1), ("o", "o", 44), ("v", "i", 2),
     ("C", "i", 2), ("s", "h", -2),
-    ("O", "ii", 0, 0), ("o", "o", 0), ("o", "o", 5), ("o", "o", 0), ("v", "i", 0), ("n", "d", -1.0), ("l", "i", 2), ("o", "o", 41), ("v", "i", 3),
-    ("S", "iis", 0, 1, "priority"), (None, "ii", 2, 7), ("S", "iis", 5, 1, "weight"), (None, "id", 1, 0.5),
+    ("O", "ii", 0, 0), ("o", "o", 0), ("o", "o", 5), ("o", "o", 0), ("v", "i", 0), ("n", "d", -1.0),
+    ("l", "i", 2), ("o", "o", 41), ("v", "i", 3),
+    ("S", "iis", 0, 1, "priority"), (None, "ii", 2, 7), ("S", "iis", 5, 1, "weight"),
+    (None, "id", 1, 0.5),
     ("x", "i", 2), (None, "id", 0, 1.5), (None, "id", 2, -0.5),
     ("d", "i", 1), (None, "id", 1, 0.75),
     ("r", ""), ("0", "dd", 1.0, 7.0), ("4", "d", 0.5), ("5", "ii", 1, 3),
     ("b", ""), ("1", "d", 9.0), ("3", ""), ("2", "d", 0.25),
     ("k", "i", 2), (None, "i", 2), (None, "i", 5),
     ("J", "ii", 0, 3), (None, "id", 0, 0.0), (None, "id", 1, 0.0), (None, "id", 2, 4.0),
-    ("J", "ii", 1, 2), (None, "id", 1, -1.0), (None, "id", 2, 0.0), ("J", "ii", 2, 2), (None, "id", 0, 1.0), (None, "id", 1, 1.0),
+    ("J", "ii", 1, 2), (None, "id", 1, -1.0), (None, "id", 2, 0.0), ("J", "ii", 2, 2),
+    (None, "id", 0, 1.0), (None, "id", 1, 1.0),
     ("G", "ii", 0, 3), (None, "id", 0, 0.0), (None, "id", 1, 3.0), (None, "id", 2, 0.0),
 ]  # fmt: skip
 HEADER = """{letter}3 1 1 0\t# a problem
@@ -54,7 +57,9 @@ def _header(letter: str, arithmetic: int = 0, integers: str = "0 0") -> str:
 
 
 def as_text(segments=SEGMENTS, **header) -> bytes:
-    lines = [f"{code or ''}{' '.join(map(str, values))}\t# a comment" for code, _, *values in segments]
+    lines = [
+        f"{code or ''}{' '.join(map(str, values))}\t# a comment" for code, _, *values in segments
+    ]
     return (_header("g", **header) + "\n".join(lines) + "\n").encode()
 
 
@@ -66,7 +71,9 @@ def as_binary(order: str, letter: str = "b") -> bytes:
             if kind == "s":
                 data += struct.pack(f"{order}i", len(value)) + value.encode()
             else:
-                data += struct.pack(order + {"o": "h" if letter == "z" else "i"}.get(kind, kind), value)
+                data += struct.pack(
+                    order + {"o": "h" if letter == "z" else "i"}.get(kind, kind), value
+                )
     return data
 
 
@@ -81,7 +88,8 @@ def written(tmp_path):
 
 
 FORMS = {
-    "text": as_text(), "little": as_binary("<"), "big": as_binary(">"), "short codes": as_binary("<", "z"), "crlf": as_text().replace(b"\n", b"\r\n"),
+    "text": as_text(), "little": as_binary("<"), "big": as_binary(">"),
+    "short codes": as_binary("<", "z"), "crlf": as_text().replace(b"\n", b"\r\n"),
 }  # fmt: skip
 
 
@@ -95,17 +103,25 @@ def test_every_form_says_the_same(written, form):
         for i, value in enumerate(values):
             x[i].set_value(value)
         x0, x1, x2 = values
-        assert pyo.value(model.objective[1].expr) == pytest.approx((x0 - 1) ** 2 + math.sin(2 * x0 + x1 * x2) + 3 * x1, rel=1e-15)
+        assert pyo.value(model.objective[1].expr) == pytest.approx(
+            (x0 - 1) ** 2 + math.sin(2 * x0 + x1 * x2) + 3 * x1, rel=1e-15
+        )
         assert pyo.value(model.row[0].body) == pytest.approx(x0 * x1 + 4 * x2, rel=1e-15)
         assert pyo.value(model.row[1].body) == pytest.approx(math.exp(x2) - x1, rel=1e-15)
         first, second = model.pair[2]._args
-        assert (pyo.value(first.args[1]), pyo.value(first.args[0])) == pytest.approx((x0 + x1 - 2, 0.0))
+        assert (pyo.value(first.args[1]), pyo.value(first.args[0])) == pytest.approx(
+            (x0 + x1 - 2, 0.0)
+        )
         assert (pyo.value(second.args[1]), pyo.value(second.args[0])) == (x2, 0.25)
     assert (pyo.value(model.row[0].lower), pyo.value(model.row[0].upper)) == (1.0, 7.0)
     assert model.row[1].equality
     assert pyo.value(model.row[1].lower) == 0.5
     assert model.objective[1].sense == pyo.minimize
-    assert (model.priority[x[2]], model.weight[model.row[1]], model.dual[model.row[1]]) == (7, 0.5, 0.75)
+    assert (model.priority[x[2]], model.weight[model.row[1]], model.dual[model.row[1]]) == (
+        7,
+        0.5,
+        0.75,
+    )
 
 
 def test_names_stand_beside_the_file(written):
@@ -113,7 +129,8 @@ def test_names_stand_beside_the_file(written):
     path.with_suffix(".col").write_text("flow[1,'a']\nspeed\nforce\n")
     path.with_suffix(".row").write_text("balance\nlaw\ncontact\nthe objective\n")
     model = read_nl(path.with_suffix(""))
-    assert [data.name for data in model.component_data_objects((pyo.Constraint, Complementarity), descend_into=False)] == [
+    assert [data.name for data in model.component_data_objects((pyo.Constraint, Complementarity),
+        descend_into=False)] == [
         "row[balance]", "row[law]", "pair[contact]",
     ]  # fmt: skip
     assert list(model.x) == ["flow[1,'a']", "speed", "force"]
@@ -129,11 +146,13 @@ def test_names_stand_beside_the_file(written):
 def test_each_kind_of_complementarity(written, row, bounds, start, best):
     segments = [
         ("C", "i", 0), ("n", "d", -1.0),
-        ("O", "ii", 0, 0), ("o", "o", 0), ("o", "o", 5), ("o", "o", 1), ("v", "i", 0), ("n", "d", 3.0), ("n", "d", 2.0),
+        ("O", "ii", 0, 0), ("o", "o", 0), ("o", "o", 5), ("o", "o", 1), ("v", "i", 0),
+        ("n", "d", 3.0), ("n", "d", 2.0),
         ("o", "o", 5), ("o", "o", 1), ("v", "i", 1), ("n", "d", 1.0), ("n", "d", 2.0),
         ("x", "i", 2), (None, "id", 0, start[0]), (None, "id", 1, start[1]),
         ("r", ""), ("5", "ii", *row, 2), ("b", ""), ("3", ""), bounds,
-        ("J", "ii", 0, 1), (None, "id", 0, 1.0), ("G", "ii", 0, 2), (None, "id", 0, 0.0), (None, "id", 1, 0.0),
+        ("J", "ii", 0, 1), (None, "id", 0, 1.0), ("G", "ii", 0, 2), (None, "id", 0, 0.0),
+        (None, "id", 1, 0.0),
     ]  # fmt: skip
     header = "g3 1 1 0\n 2 1 1 0 0\n 0 1 1 0 0 0\n 0 0\n 0 2 0\n 0 0 0 1\n 0 0 0 0 0\n 1 2\n 0 0\n 0 0 0 0 0\n"
     lines = [f"{code or ''}{' '.join(map(str, values))}" for code, _, *values in segments]
@@ -145,13 +164,17 @@ def test_each_kind_of_complementarity(written, row, bounds, start, best):
 
 
 def test_a_variable_of_a_lower_side_keeps_its_upper_bound(written):
-    data = as_text([item if item != ("2", "d", 0.25) else ("0", "dd", 0.25, 5.0) for item in SEGMENTS])
+    data = as_text(
+        [item if item != ("2", "d", 0.25) else ("0", "dd", 0.25, 5.0) for item in SEGMENTS]
+    )
     model = read_nl(written(data))
     assert (model.x[2].lb, model.x[2].ub) == (0.25, 5.0)
     assert len([side for side in model.pair[2]._args if len(side.args) == 2]) == 2
 
 
-@pytest.mark.parametrize(("operator", "least"), [(11, min), (12, max), (54, lambda *values: sum(values))])
+@pytest.mark.parametrize(
+    ("operator", "least"), [(11, min), (12, max), (54, lambda *values: sum(values))]
+)
 def test_operators_of_any_number_of_terms(written, operator, least):
     terms = [("o", "o", operator), (None, "i", 3), ("v", "i", 0), ("n", "d", 2.5), ("v", "i", 2)]
     begin = next(i for i, item in enumerate(SEGMENTS) if item[:3] == ("C", "i", 1))
@@ -165,11 +188,15 @@ def test_operators_of_any_number_of_terms(written, operator, least):
 def test_integers_are_read_and_relaxed_when_asked(written):
     path = written(as_text(integers="1 1"))
     assert [variable.is_integer() for variable in read_nl(path).x.values()] == [False, True, True]
-    assert not any(variable.is_integer() for variable in read_nl(path, relax_integers=True).x.values())
+    assert not any(
+        variable.is_integer() for variable in read_nl(path, relax_integers=True).x.values()
+    )
 
 
 def test_an_objective_is_chosen_and_maximised(written):
-    path = written(as_text([item if item != ("O", "ii", 0, 0) else ("O", "ii", 0, 1) for item in SEGMENTS]))
+    path = written(
+        as_text([item if item != ("O", "ii", 0, 0) else ("O", "ii", 0, 1) for item in SEGMENTS])
+    )
     assert read_nl(path).objective[1].sense == pyo.maximize
     assert not read_nl(path, objective=0).objective[1].active
     with pytest.raises(NlError, match="1 objectives; 2"):
@@ -193,19 +220,29 @@ _AT = {code: next(i for i, item in enumerate(SEGMENTS) if item[0] == code) for c
 
 
 @pytest.mark.parametrize(("data", "parts"), [
-    (_with(_AT["5"], ("5", "ii", 1, 9)), ("row 2", "variable 8", "0 to 2")), (_with(_AT["5"], ("5", "ii", 1, 0)), ("row 2", "variable -1")),
-    (_with(_AT["5"], ("5", "ii", 7, 3)), ("row 2", "sides 7")), (_with(_AT["5"], ("5", "ii", 2, 3)), ("row 2", "upper bound of variable 2", "none")),
-    (_with(_AT["5"] - 2, ("0", "dd", "nan", 7.0)), ("row 0", "no number")), (_with(_AT["5"] - 2, ("0", "dd", 7.0, 1.0)), ("row 0", "bounds 7 and 1")),
-    (_with(_AT["5"] - 1, ("4", "d", "inf")), ("row 1", "inf")), (_with(_AT["v"], ("v", "i", 4)), ("common expression 1",)),
-    (_with(_AT["v"], ("v", "i", 3)), ("common expression 0", "before")), (_with(_AT["o"], ("o", "o", 35)), ("'if'",)),
-    (_with(_AT["o"], ("o", "o", 999)), ("999",)), (_with(_AT["v"], ("f", "ii", 0, 1)), ("imported function '0'",)),
-    (_with(_AT["J"], ("J", "ii", 5, 3)), ("row 5", "0 to 2")), (_with(_AT["J"], ("J", "ii", 0, 8)), ("8 entries", "at most 3")),
+    (_with(_AT["5"], ("5", "ii", 1, 9)), ("row 2", "variable 8", "0 to 2")),
+    (_with(_AT["5"], ("5", "ii", 1, 0)), ("row 2", "variable -1")),
+    (_with(_AT["5"], ("5", "ii", 7, 3)), ("row 2", "sides 7")),
+    (_with(_AT["5"], ("5", "ii", 2, 3)), ("row 2", "upper bound of variable 2", "none")),
+    (_with(_AT["5"] - 2, ("0", "dd", "nan", 7.0)), ("row 0", "no number")),
+    (_with(_AT["5"] - 2, ("0", "dd", 7.0, 1.0)), ("row 0", "bounds 7 and 1")),
+    (_with(_AT["5"] - 1, ("4", "d", "inf")), ("row 1", "inf")),
+    (_with(_AT["v"], ("v", "i", 4)), ("common expression 1",)),
+    (_with(_AT["v"], ("v", "i", 3)), ("common expression 0", "before")),
+    (_with(_AT["o"], ("o", "o", 35)), ("'if'",)),
+    (_with(_AT["o"], ("o", "o", 999)), ("999",)),
+    (_with(_AT["v"], ("f", "ii", 0, 1)), ("imported function '0'",)),
+    (_with(_AT["J"], ("J", "ii", 5, 3)), ("row 5", "0 to 2")),
+    (_with(_AT["J"], ("J", "ii", 0, 8)), ("8 entries", "at most 3")),
     (_with(_AT["x"] + 1, (None, "id", 3, 1.0)), ("entry 3", "0 to 2")),
-    (_with(_AT["x"] + 1, (None, "id", 0, "one")), ("a whole number, a number", "0 one")), (_with(_AT["r"], ("L", "i", 0)), ("logical constraint",)),
-    (_with(_AT["k"], ("q", "i", 2)), ("'q'",)), (b"", ("no .nl file", "header")), (b"not a problem\n" * 12, ("no .nl file",)),
+    (_with(_AT["x"] + 1, (None, "id", 0, "one")), ("a whole number, a number", "0 one")),
+    (_with(_AT["r"], ("L", "i", 0)), ("logical constraint",)),
+    (_with(_AT["k"], ("q", "i", 2)), ("'q'",)), (b"", ("no .nl file", "header")),
+    (b"not a problem\n" * 12, ("no .nl file",)),
     (as_text().replace(b" 3 3 1 1 1 ", b" 3 3 1 1 1 2"), ("2 logical constraints",)),
     (as_text().replace(b" 3 3 1 1 1 ", b" three 3 1 1 1 "), ("line 2", "whole numbers", "three")),
-    (as_text().replace(b" 3 3 1 1 1 ", b" 999999999 3 1 1 1 "), ("line 2", "999999999 variables", "bytes")),
+    (as_text().replace(b" 3 3 1 1 1 ", b" 999999999 3 1 1 1 "),
+     ("line 2", "999999999 variables", "bytes")),
     (as_binary("<").replace(b" 0 0 1 1", b" 0 0 2 1"), ("another byte order",)),
     (as_binary("<").replace(b" 0 0 1 1", b" 0 0 5 1"), ("line 6", "arithmetic 5")),
 ])  # fmt: skip
@@ -224,10 +261,30 @@ def test_what_pyomo_writes_is_read_back(tmp_path):
     model = pyo.ConcreteModel()
     model.x, model.y = pyo.Var(bounds=(0.1, 4), initialize=1.5), pyo.Var(initialize=0.7)
     model.shared = pyo.Expression(expr=model.x * pyo.sin(model.y) + 1)
-    functions = (pyo.sqrt, pyo.exp, pyo.log, pyo.log10, pyo.cos, pyo.tan, pyo.atan, pyo.sinh, pyo.cosh, pyo.tanh, pyo.asinh)
-    model.row = pyo.Constraint(expr=sum(function(model.x) for function in functions) - model.shared**2 == 1)
+    functions = (
+        pyo.sqrt,
+        pyo.exp,
+        pyo.log,
+        pyo.log10,
+        pyo.cos,
+        pyo.tan,
+        pyo.atan,
+        pyo.sinh,
+        pyo.cosh,
+        pyo.tanh,
+        pyo.asinh,
+    )
+    model.row = pyo.Constraint(
+        expr=sum(function(model.x) for function in functions) - model.shared**2 == 1
+    )
     model.range = pyo.Constraint(expr=pyo.inequality(-1, model.x / model.shared - 2 * model.y, 5))
-    model.small = pyo.Constraint(expr=pyo.asin(model.x / 9) + pyo.acos(model.y / 9) + pyo.acosh(1 + model.x) + pyo.atanh(model.y / 9) <= 8)
+    model.small = pyo.Constraint(
+        expr=pyo.asin(model.x / 9)
+        + pyo.acos(model.y / 9)
+        + pyo.acosh(1 + model.x)
+        + pyo.atanh(model.y / 9)
+        <= 8
+    )
     model.cost = pyo.Objective(expr=abs(model.x - model.y) + model.shared**3, sense=pyo.maximize)
     model.write(str(tmp_path / "written.nl"), io_options={"symbolic_solver_labels": True})
     again = read_nl(tmp_path / "written.nl")
@@ -236,7 +293,9 @@ def test_what_pyomo_writes_is_read_back(tmp_path):
     assert again.objective[1].sense == pyo.maximize
     for name in ("row", "range", "small"):
         ours, theirs = again.row[name], model.component(name)
-        shift = pyo.value(ours.body) - pyo.value(theirs.body)  # Pyomo moves constants to the other side
+        shift = pyo.value(ours.body) - pyo.value(
+            theirs.body
+        )  # Pyomo moves constants to the other side
         for bound in ("lower", "upper"):
             a, b = getattr(ours, bound), getattr(theirs, bound)
             assert (a is None) == (b is None)
@@ -244,7 +303,8 @@ def test_what_pyomo_writes_is_read_back(tmp_path):
 
 
 # min or max sense*((x0 - 1)^2 + (x1 - 2)^2 + (x2 + 1)^2 + (x3 - 3)^2) with
-#   row 0: x0 + x1 >= A;   row 1: x0 - x3 == B;   row 2: C <= x1 + x3 <= 9;   row 3: the body x2 - D complements x1 by its sides
+#   row 0: x0 + x1 >= A; row 1: x0 - x3 == B; row 2: C <= x1 + x3 <= 9; row 3: the body x2 - D
+#   complements x1 by its sides
 PROBLEM = """g3 1 1 0
  4 4 1 1 1
  0 1 1 0 0 0
@@ -319,16 +379,31 @@ G0 4
 @pytest.fixture
 def stub(tmp_path):
     def write(**numbers) -> Path:
-        values = {"a": 4.0, "b": -0.5, "c": 6.0, "d": 0.5, "sense": 0, "sides": 1, "bounds": "2 0.5", "start": 1.0, **numbers}
+        values = {
+            "a": 4.0,
+            "b": -0.5,
+            "c": 6.0,
+            "d": 0.5,
+            "sense": 0,
+            "sides": 1,
+            "bounds": "2 0.5",
+            "start": 1.0,
+            **numbers,
+        }
         path = tmp_path / "problem.nl"
-        path.write_text(PROBLEM.format(**values, shift=-values["d"], factor=-1.0 if values["sense"] else 1.0))
+        path.write_text(
+            PROBLEM.format(**values, shift=-values["d"], factor=-1.0 if values["sense"] else 1.0)
+        )
         return path.with_suffix("")
 
     return write
 
 
 @pytest.mark.parametrize("asked", ["STUB", "-v", "-="])
-@pytest.mark.parametrize(("out", "why"), [("> /dev/full", "No space left on device"), (">&-", "standard output is closed")])
+@pytest.mark.parametrize(
+    ("out", "why"),
+    [("> /dev/full", "No space left on device"), (">&-", "standard output is closed")],
+)
 def test_an_answer_that_cannot_be_printed_ends_with_3(stub, asked: str, out: str, why: str):
     command = [
         sys.executable,
@@ -337,16 +412,23 @@ def test_an_answer_that_cannot_be_printed_ends_with_3(stub, asked: str, out: str
         asked.replace("STUB", str(stub())),
     ]
     ended = subprocess.run(
-        f"exec {shlex.join(command)} {out}", shell=True, stderr=subprocess.PIPE, text=True, env={key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"},
+        f"exec {shlex.join(command)} {out}", shell=True, stderr=subprocess.PIPE, text=True,
+        env={key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"},
     )  # fmt: skip
-    assert (ended.returncode, ended.stderr) == (3, f"touchstone-mpec: the answer cannot be written: {why}.\n")
+    assert (ended.returncode, ended.stderr) == (
+        3,
+        f"touchstone-mpec: the answer cannot be written: {why}.\n",
+    )
 
 
 def test_a_solution_file_that_cannot_be_written_ends_with_3(stub, capsys):
     problem = stub()
     problem.with_suffix(".sol").mkdir()
     assert main([str(problem), "-AMPL"]) == 3
-    assert capsys.readouterr().err == f"touchstone-mpec: {problem}.sol cannot be written: Is a directory.\n"
+    assert (
+        capsys.readouterr().err
+        == f"touchstone-mpec: {problem}.sol cannot be written: Is a directory.\n"
+    )
 
 
 def read_sol(stub: Path) -> tuple[str, list[float], list[float], int]:
@@ -381,10 +463,13 @@ def solve(stub: Path) -> tuple[float, list[float]]:
     ],
 )
 @pytest.mark.parametrize("sense", [0, 1])
-def test_duals_are_the_change_of_the_objective_by_the_right_hand_side(stub, sides, bounds, start, d, sense):
+def test_duals_are_the_change_of_the_objective_by_the_right_hand_side(
+    stub, sides, bounds, start, d, sense
+):
     given = {"sides": sides, "bounds": bounds, "start": start, "d": d, "sense": sense}
     _, duals = solve(stub(**given))
-    step = 1e-3  # the optimal value is quadratic here, so central differences have no error but rounding
+    # the optimal value is quadratic here, so central differences have no error but rounding
+    step = 1e-3
     sign = -1.0 if sense else 1.0
     for number, name in enumerate("abcd"):
         value = {"a": 4.0, "b": -0.5, "c": 6.0, "d": d}[name]
@@ -402,9 +487,15 @@ def test_the_multiplier_of_the_variables_side_is_a_suffix_that_pyomo_reads(stub,
         path = stub(d=-3.0, start=-1.0, bounds=f"2 {bound}", sense=sense)
         cost[bound], duals = solve(path)
         if bound == 4.5:
-            answer = ResultsReader_sol()(str(path.with_suffix(".sol")), suffixes=[".*"]).solution(0).constraint
+            answer = (
+                ResultsReader_sol()(str(path.with_suffix(".sol")), suffixes=[".*"])
+                .solution(0)
+                .constraint
+            )
     change = (-1.0 if sense else 1.0) * (cost[4.5 + step] - cost[4.5 - step]) / (2 * step)
-    assert {name: entry["Pair_dual"] for name, entry in answer.items() if "Pair_dual" in entry} == {"c3": pytest.approx(change, abs=1e-6)}
+    assert {name: entry["Pair_dual"] for name, entry in answer.items() if "Pair_dual" in entry} == {
+        "c3": pytest.approx(change, abs=1e-6)
+    }
     assert abs(change) > 1.0
     assert duals[3] == 0.0
 
@@ -444,9 +535,14 @@ def test_options_come_from_the_environment_and_the_command_line(stub, capsys, mo
 
 
 @pytest.mark.parametrize(("words", "parts"), [
-    (["nothing"], ("nothing.nl", "cannot be read")), ([""], ("no file", ".nl")), (["/"], ("'/' is no file",)), (["."], ("'.' is no file",)), ([], ("usage",)), (["a", "b"], ("usage",)), (["STUB", "-q"], ("usage",)),
-    (["STUB", "strategy=magic"], ("strategy", "magic", "scholtes")), (["STUB", "objno=2"], ("1 objectives", "2")),
-    (["STUB", "objno=half"], ("objno", "half")), (["STUB", "timelimit=-1"], ("timelimit", "-1", "seconds")), (["STUB", "tol="], ("tol=", "name=value")),
+    (["nothing"], ("nothing.nl", "cannot be read")), ([""], ("no file", ".nl")),
+    (["/"], ("'/' is no file",)), (["."], ("'.' is no file",)), ([], ("usage",)),
+    (["a", "b"], ("usage",)), (["STUB", "-q"], ("usage",)),
+    (["STUB", "strategy=magic"], ("strategy", "magic", "scholtes")),
+    (["STUB", "objno=2"], ("1 objectives", "2")),
+    (["STUB", "objno=half"], ("objno", "half")),
+    (["STUB", "timelimit=-1"], ("timelimit", "-1", "seconds")),
+    (["STUB", "tol="], ("tol=", "name=value")),
     (["STUB", "tolerance_of_all=1"], ("tolerance_of_all",)),
 ])  # fmt: skip
 def test_bad_calls_end_in_one_sentence(stub, capsys, words, parts):
@@ -459,7 +555,9 @@ def test_bad_calls_end_in_one_sentence(stub, capsys, words, parts):
 
 def test_it_says_its_options_and_its_version(capsys):
     assert main(["-="]) == 0
-    assert {"objno", "strategy", "timelimit"} <= {line.split()[0] for line in capsys.readouterr().out.splitlines()}
+    assert {"objno", "strategy", "timelimit"} <= {
+        line.split()[0] for line in capsys.readouterr().out.splitlines()
+    }
     assert main(["-v"]) == 0
     assert capsys.readouterr().out.startswith("touchstone-mpec ")
 
@@ -478,7 +576,9 @@ def test_pyomo_calls_it_as_an_ampl_solver(tmp_path, monkeypatch):
     model.cost = pyo.Objective(expr=(model.x - 1) ** 2 + (model.y - 2) ** 2)
     model.pair = Complementarity(expr=complements(model.y >= 0, model.x >= 0))
     pyo.TransformationFactory("mpec.nl").apply_to(model)
-    results = pyo.SolverFactory("asl:touchstone-mpec").solve(model, options={"strategy": "scholtes"})
+    results = pyo.SolverFactory("asl:touchstone-mpec").solve(
+        model, options={"strategy": "scholtes"}
+    )
     pyo.assert_optimal_termination(results)
     assert (model.x.value, model.y.value) == pytest.approx((0, 2), abs=1e-8)
     assert "scholtes" in results.solver.message

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from wording import unsaid
 
-from formulations.contact_modes.goal import ball_miss, continue_to_goal, correct_end, correct_end_by_softplus
+from formulations.contact_modes.goal import (
+    ball_miss,
+    continue_to_goal,
+    correct_end,
+    correct_end_by_softplus,
+)
 from formulations.contact_modes.linear import linear_scene
 from formulations.contact_modes.quadratic import ModesProblem, cheapest_in_ball
 from formulations.contact_modes.search import closed_steps
@@ -23,18 +28,24 @@ from models.scene.goal import goal_state
 from models.trajectory import Trajectory
 
 SCENE = load_scene("three_cart")
-SMALL = SCENE.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
+SMALL = SCENE.with_task(
+    start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100
+)
 
 
 def miss(solution: Solution, scene: Scene) -> float:
     assert solution.outcome is Outcome.SOLVED, solution.message
     plan = solution.trajectory
     rollout = load_kernel(scene).rollout(np.array(scene.task.start), plan.u, scene.task.step)
-    return float(np.linalg.norm(np.concatenate([rollout.q[-1], rollout.v[-1]]) - goal_state(scene.task)))
+    return float(
+        np.linalg.norm(np.concatenate([rollout.q[-1], rollout.v[-1]]) - goal_state(scene.task))
+    )
 
 
 def within(ball: float, plan: Trajectory | None = None, search: bool = True) -> Solution:
-    return solve_scene(SCENE, "mpcc", options={"goal_tolerance": ball, "search": search}, warm_start=plan)
+    return solve_scene(
+        SCENE, "mpcc", options={"goal_tolerance": ball, "search": search}, warm_start=plan
+    )
 
 
 @pytest.mark.slow
@@ -64,7 +75,9 @@ def test_a_front_falls() -> None:
         assert miss(point.solution, SMALL) <= point.tolerance + 1e-10
 
 
-def test_where_a_larger_tolerance_had_no_plan_none_is_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_a_larger_tolerance_had_no_plan_none_is_looked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Cold starts in the middle and at both ends; the others are not tried, and say why."""
     tried: list[float] = []
 
@@ -75,7 +88,11 @@ def test_where_a_larger_tolerance_had_no_plan_none_is_looked_for(monkeypatch: py
     monkeypatch.setattr(MpccSession, "solve", nothing)
     points = front(SMALL, (0.0, 1e-5, 1e-4, 1e-3, 2e-3, 5e-3))
     assert tried == [1e-3, 0.0, 5e-3]
-    assert [point.tolerance for point in points if "Not tried" in point.solution.message] == [1e-5, 1e-4, 2e-3]
+    assert [point.tolerance for point in points if "Not tried" in point.solution.message] == [
+        1e-5,
+        1e-4,
+        2e-3,
+    ]
     assert "tolerance 0.001 no plan" in points[1].solution.message
 
 
@@ -89,7 +106,9 @@ def test_tolerances_that_are_none_are_refused(wrong) -> None:
 
 @pytest.mark.slow
 def test_the_method_hands_on_the_tightest_plan_and_the_whole_front() -> None:
-    solution = certify_solution(SMALL, solve_scene(SMALL, "mpcc_front", options={"tolerances": (0.05, 0.0)}))
+    solution = certify_solution(
+        SMALL, solve_scene(SMALL, "mpcc_front", options={"tolerances": (0.05, 0.0)})
+    )
     assert miss(solution, SMALL) <= 1e-10
     assert solution.options["tolerances"] == (0.0, 0.05)
     assert [point.tolerance for point in solution.front] == [0.0, 0.05]
@@ -150,15 +169,28 @@ def test_a_front_says_how_many_of_its_points_have_a_plan():
     t, q, u = np.arange(2.0), np.zeros((2, 1)), np.zeros((1, 1))
     lost = Solution(method="mpcc", outcome=Outcome.FAILED)
     plan = replace(lost, outcome=Outcome.SOLVED, trajectory=Trajectory(t=t, q=q, v=q, u=u, lam=u))
-    tight, loose = FrontPoint(tolerance=0.0, solution=lost), FrontPoint(tolerance=0.1, solution=plan)
-    assert not unsaid(front_message(0, (tight, tight), "no modes."), "No plan … within any of 2 terminal tolerances: no modes.")
-    assert not unsaid(front_message(1, (tight, loose), "no modes."), "Plans … within 1 of 2 terminal tolerances, none within 0: no modes.")
-    assert not unsaid(front_message(1, (loose, tight), "it ended."), "within 1 of 2 … the one within 0.1. It ended.")
+    tight, loose = (
+        FrontPoint(tolerance=0.0, solution=lost),
+        FrontPoint(tolerance=0.1, solution=plan),
+    )
+    assert not unsaid(
+        front_message(0, (tight, tight), "no modes."),
+        "No plan … within any of 2 terminal tolerances: no modes.",
+    )
+    assert not unsaid(
+        front_message(1, (tight, loose), "no modes."),
+        "Plans … within 1 of 2 terminal tolerances, none within 0: no modes.",
+    )
+    assert not unsaid(
+        front_message(1, (loose, tight), "it ended."),
+        "within 1 of 2 … the one within 0.1. It ended.",
+    )
 
 
 COARSE = load_scene("three_cart").with_task(steps=100, step=0.05)
 KERNEL = load_kernel(COARSE)
-START, GOAL = np.array(COARSE.task.start), np.array(COARSE.task.goal, dtype=float)
+START = np.array(COARSE.task.start)
+GOAL = np.array(COARSE.task.goal, dtype=float)
 
 
 def pushed(force: float) -> np.ndarray:
@@ -185,7 +217,10 @@ def test_without_contact_only_softplus_finds_the_way() -> None:
     rollout, u = correct_end_by_softplus(COARSE, KERNEL, nothing, 0.0, 7.0)
     assert np.linalg.norm(ball_miss(rollout, GOAL, 0.0)) <= 1e-3
     assert np.abs(u).max() <= 10.0
-    assert continue_to_goal(ModesProblem(linear_scene(COARSE)), rollout.lam > 0, 1, lambda: False) is not None
+    assert (
+        continue_to_goal(ModesProblem(linear_scene(COARSE)), rollout.lam > 0, 1, lambda: False)
+        is not None
+    )
 
 
 @pytest.mark.slow
@@ -221,7 +256,9 @@ def test_a_softer_goal_costs_less_and_a_hard_one_is_its_limit() -> None:
 
 def test_the_neighbour_of_a_crowded_plan_is_solved_as_if_alone() -> None:
     """More conditions than the dual method is asked for at once: rounds from the neighbour's set give the same answer, and the same refusals."""
-    scene = load_scene("three_cart").with_task(steps=120, step=0.02, start=(0.0, 0.53, 1.07, 0.0, 0.0, 0.0))
+    scene = load_scene("three_cart").with_task(
+        steps=120, step=0.02, start=(0.0, 0.53, 1.07, 0.0, 0.0, 0.0)
+    )
     random = np.random.default_rng(2)
     u = 1.6 * np.repeat(random.uniform(-0.4, 1.0, (12, 2)) * np.array([1.0, -1.0]), 10, axis=0)
     rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step)

@@ -1,4 +1,7 @@
-"""Mode sequences: their moves, and a search that ends where no neighbour is cheaper; how much is searched is said in work, not in seconds: the same plan whatever else the machine does."""
+"""Mode sequences: their moves, and a search that ends where no neighbour is cheaper.
+
+How much is searched is said in work, not in seconds: the same plan whatever else the machine does.
+"""
 
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -38,7 +41,9 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 
 STEPS = 40
-modes = st.lists(st.tuples(st.booleans(), st.booleans()), min_size=STEPS, max_size=STEPS).map(lambda rows: np.array(rows))
+modes = st.lists(st.tuples(st.booleans(), st.booleans()), min_size=STEPS, max_size=STEPS).map(
+    lambda rows: np.array(rows)
+)
 
 
 @pytest.mark.slow
@@ -57,18 +62,29 @@ def test_every_move_leads_to_another_sequence(closed: np.ndarray, stride: int, s
         moved = move.apply(sequence, STEPS)
         if moved is not None:
             assert moved != sequence
-            assert mode_sequence(closed_steps(moved, STEPS)) == moved, "no interval is empty, none adjoin"
+            assert mode_sequence(closed_steps(moved, STEPS)) == moved, (
+                "no interval is empty, none adjoin"
+            )
 
 
 def test_moves_do_what_they_say() -> None:
     sequence = (((5, 10), (20, 30)), ())
     assert shift(contact=0, index=0, first=-2).apply(sequence, STEPS) == (((3, 10), (20, 30)), ())
     assert shift(contact=0, index=1, stop=3).apply(sequence, STEPS) == (((5, 10), (20, 33)), ())
-    assert shift(contact=0, index=0, first=4, stop=4).apply(sequence, STEPS) == (((9, 14), (20, 30)), ())
+    assert shift(contact=0, index=0, first=4, stop=4).apply(sequence, STEPS) == (
+        ((9, 14), (20, 30)),
+        (),
+    )
     assert merge(contact=0, index=0).apply(sequence, STEPS) == (((5, 30),), ())
-    assert split(contact=0, index=1, first=24, stop=26).apply(sequence, STEPS) == (((5, 10), (20, 24), (26, 30)), ())
+    assert split(contact=0, index=1, first=24, stop=26).apply(sequence, STEPS) == (
+        ((5, 10), (20, 24), (26, 30)),
+        (),
+    )
     assert drop(contact=0, index=0).apply(sequence, STEPS) == (((20, 30),), ())
-    assert add(contact=1, first=0, stop=1).apply(sequence, STEPS) == (((5, 10), (20, 30)), ((0, 1),))
+    assert add(contact=1, first=0, stop=1).apply(sequence, STEPS) == (
+        ((5, 10), (20, 30)),
+        ((0, 1),),
+    )
 
 
 @pytest.mark.parametrize("move", [
@@ -96,13 +112,21 @@ class Plan:
 
 
 class Landscape:
-    """A cost of modes by hand: how many steps differ from a target. Modes that close contact 1 at step 0 have no plan."""
+    """A cost of modes by hand: how many steps differ from a target.
+
+    Modes that close contact 1 at step 0 have no plan.
+    """
 
     def __init__(self, target: np.ndarray) -> None:
         self.target, self.asked = target, 0
 
     def plan(self, closed: np.ndarray) -> Plan:
-        return Plan(closed, float((closed != self.target).sum()), np.where(self.target, 1.0, -1.0) - 0.01 * closed, np.zeros(closed.shape))
+        return Plan(
+            closed,
+            float((closed != self.target).sum()),
+            np.where(self.target, 1.0, -1.0) - 0.01 * closed,
+            np.zeros(closed.shape),
+        )
 
     def improve(self, closed: np.ndarray, _near: Plan, below: float) -> Plan | None:
         self.asked += 1
@@ -117,7 +141,12 @@ class Landscape:
 ])  # fmt: skip
 def test_the_search_reaches_the_target(start, target) -> None:
     landscape = Landscape(closed_steps(target, STEPS))
-    found = search_sequences(landscape.plan(closed_steps(start, STEPS)), landscape.improve, stride=4, is_over=lambda: False)
+    found = search_sequences(
+        landscape.plan(closed_steps(start, STEPS)),
+        landscape.improve,
+        stride=4,
+        is_over=lambda: False,
+    )
     assert found.complete
     assert mode_sequence(found.best.closed) == target
     assert found.tried == landscape.asked
@@ -138,7 +167,10 @@ def test_multipliers_lead_to_the_target_at_once() -> None:
     target = closed_steps((((11, 20), (25, 27)), ((22, 36),)), STEPS)
     landscape = WithMultipliers(target)
     found = search_sequences(
-        landscape.plan(closed_steps((((3, 8),), ((30, 35),)), STEPS)), landscape.improve, stride=4, is_over=lambda: landscape.asked >= 1
+        landscape.plan(closed_steps((((3, 8),), ((30, 35),)), STEPS)),
+        landscape.improve,
+        stride=4,
+        is_over=lambda: landscape.asked >= 1,
     )
     assert found.tried == 1
     assert np.array_equal(found.best.closed, target)
@@ -162,19 +194,29 @@ def test_the_search_repeats_an_interval() -> None:
         def plan(self, closed: np.ndarray) -> Plan:
             second = bool(closed[60:66, 0].all())
             return Plan(
-                closed, 10.0 - 5.0 * second + float((closed != target).sum()) * (0.01 if second else 1.0), np.zeros(closed.shape),
+                closed,
+                10.0 - 5.0 * second + float((closed != target).sum()) * (0.01 if second else 1.0),
+                np.zeros(closed.shape),
                 np.zeros(closed.shape),
             )  # fmt: skip
 
     landscape = Far(target)
-    found = search_sequences(landscape.plan(closed_steps((((30, 36),), ()), 150)), landscape.improve, stride=4, is_over=lambda: False)
+    found = search_sequences(
+        landscape.plan(closed_steps((((30, 36),), ()), 150)),
+        landscape.improve,
+        stride=4,
+        is_over=lambda: False,
+    )
     assert mode_sequence(found.best.closed) == (((30, 36), (60, 66)), ())
 
 
 def test_a_search_out_of_time_says_so() -> None:
     landscape = Landscape(closed_steps((((11, 20),), ()), STEPS))
     found = search_sequences(
-        landscape.plan(closed_steps((((3, 8),), ()), STEPS)), landscape.improve, stride=4, is_over=lambda: landscape.asked >= 2
+        landscape.plan(closed_steps((((3, 8),), ()), STEPS)),
+        landscape.improve,
+        stride=4,
+        is_over=lambda: landscape.asked >= 2,
     )
     assert not found.complete
     assert found.tried >= 2
@@ -188,7 +230,10 @@ def test_ends_move_on_as_they_went() -> None:
 
 
 def test_wrong_signs_are_followed_in_growing_strides() -> None:
-    """A biactive_multiplier only speaks of the next step; 100 steps away takes far fewer than 100 plans."""
+    """A biactive_multiplier only speaks of the next step.
+
+    100 steps away takes far fewer than 100 plans.
+    """
     target = closed_steps((((111, 120),),), 150)
 
     class Slope(Landscape):
@@ -197,10 +242,14 @@ def test_wrong_signs_are_followed_in_growing_strides() -> None:
             multiplier = np.zeros(closed.shape)
             multiplier[first if first < 111 else first - 1, 0] = -1.0 * (first != 111)
             multiplier[stop if stop < 120 else stop - 1, 0] = -1.0 * (stop != 120)
-            return Plan(closed, abs(first - 111.0) + abs(stop - 120.0), np.zeros(closed.shape), multiplier)
+            return Plan(
+                closed, abs(first - 111.0) + abs(stop - 120.0), np.zeros(closed.shape), multiplier
+            )
 
     landscape = Slope(target)
-    found = flip_wrong_signs(landscape.plan(closed_steps((((11, 20),),), 150)), landscape.improve, is_over=lambda: False)
+    found = flip_wrong_signs(
+        landscape.plan(closed_steps((((11, 20),),), 150)), landscape.improve, is_over=lambda: False
+    )
     assert found.complete
     assert found.best.cost == 0.0
     assert landscape.asked <= 40
@@ -218,35 +267,64 @@ def test_the_search_takes_a_detour_to_fewer_intervals() -> None:
             if len(row) == 1:
                 cost = 1.0 + abs(row[0][0] - 60) + abs(row[0][1] - 66)
             elif len(row) == 2:
-                cost = 5.0 + sum(abs(a - b) for mine, its in zip(row, two, strict=True) for a, b in zip(mine, its, strict=True))
-            return Plan(closed, cost + 50.0 * len(mode_sequence(closed)[1]), np.zeros(closed.shape), np.zeros(closed.shape))
+                cost = 5.0 + sum(
+                    abs(a - b)
+                    for mine, its in zip(row, two, strict=True)
+                    for a, b in zip(mine, its, strict=True)
+                )
+            return Plan(
+                closed,
+                cost + 50.0 * len(mode_sequence(closed)[1]),
+                np.zeros(closed.shape),
+                np.zeros(closed.shape),
+            )
 
     landscape = Family(target)
     found = search_sequences(
-        landscape.plan(closed_steps((((32, 38), (90, 97)), ()), 150)), landscape.improve, stride=2, is_over=lambda: False
+        landscape.plan(closed_steps((((32, 38), (90, 97)), ()), 150)),
+        landscape.improve,
+        stride=2,
+        is_over=lambda: False,
     )
     assert found.complete
     assert mode_sequence(found.best.closed) == (((60, 66),), ())
     near = search_sequences(
-        landscape.plan(closed_steps((((32, 38), (90, 97)), ()), 150)), landscape.improve, stride=2, is_over=lambda: False, far=False
+        landscape.plan(closed_steps((((32, 38), (90, 97)), ()), 150)),
+        landscape.improve,
+        stride=2,
+        is_over=lambda: False,
+        far=False,
     )
     assert near.best.cost == 5.0
 
 
 def pushes(closed: np.ndarray) -> Plan:
-    """One push costs 10 at (30, 36); two cost 10.4 beside a second contact at (60, 66), and 6 where that has moved on to (80, 86)."""
+    """One push costs 10 at (30, 36).
+
+    Two cost 10.4 beside a second contact at (60, 66), and 6 where that has moved on to (80, 86).
+    """
     left, right = mode_sequence(closed)
     cost = 1e3
     if len(right) == 1 and len(left) in (1, 2):
         place = 60 if len(left) == 1 else 80
         base = 10.0 if len(left) == 1 else 6.0
-        cost = base + 0.22 * abs(right[0][0] - place) / 2 + 0.22 * abs(right[0][1] - place - 6) / 2 + 5.0 * (left[0] != (30, 36))
-        cost += 0.001 * abs(left[-1][0] - 45) + 0.001 * abs(left[-1][1] - 51) if len(left) == 2 else 0.0
+        cost = (
+            base
+            + 0.22 * abs(right[0][0] - place) / 2
+            + 0.22 * abs(right[0][1] - place - 6) / 2
+            + 5.0 * (left[0] != (30, 36))
+        )
+        cost += (
+            0.001 * abs(left[-1][0] - 45) + 0.001 * abs(left[-1][1] - 51) if len(left) == 2 else 0.0
+        )
     return Plan(closed, cost, np.zeros(closed.shape), np.zeros(closed.shape))
 
 
 def test_the_search_takes_a_detour_to_more_intervals() -> None:
-    """A repetition is dearer until the other contact has moved; what it leads to is cheaper than where the search stood."""
+    """A repetition is dearer until the other contact has moved.
+
+    What it leads to is cheaper than where the search stood.
+    """
     asked: list[float] = []
 
     def improve(closed: np.ndarray, _near: Plan, below: float) -> Plan | None:
@@ -319,16 +397,22 @@ class _Finder:
     def find(self, budget: SolveBudget, _modes_of: Any, _start: Any) -> FinderResult:
         self.allowed.append(budget.most_work - budget.work)
         budget.work += self._spends[len(self.allowed) - 1]
-        answer = SimpleNamespace(cost=10.0 - len(self.allowed), closed=load_kernel(SCENE).penetration(np.zeros((3, SCENE.nq))) > 0.0)
+        answer = SimpleNamespace(
+            cost=10.0 - len(self.allowed),
+            closed=load_kernel(SCENE).penetration(np.zeros((3, SCENE.nq))) > 0.0,
+        )
         return FinderResult(answer=cast(Any, answer), outcome=Outcome.SOLVED, message="")
 
 
 @pytest.mark.parametrize(("spends", "allowed"), [
     ([50.0, 25.0, 12.0, 6.5, 6.5], [50.0, 25.0, 12.5, 6.5, 6.5]),
-    ([0.0, 10.0, 50.0, 20.0, 20.0], [50.0, 50.0, 45.0, 20.0, 20.0]),  # what one leaves, or takes beyond, is felt by those after it
+    ([0.0, 10.0, 50.0, 20.0, 20.0],
+     [50.0, 50.0, 45.0, 20.0, 20.0]),  # what one leaves, or takes beyond, is felt by those after it
     ([100.0], [50.0]),  # nothing is left: the others are not tried
 ])  # fmt: skip
-def test_half_of_the_work_that_is_left_for_each_start(spends: list[float], allowed: list[float]) -> None:
+def test_half_of_the_work_that_is_left_for_each_start(
+    spends: list[float], allowed: list[float]
+) -> None:
     finder, budget = _Finder(spends), SolveBudget(60.0)
     budget.most_work = 100.0
     kernel = load_kernel(SCENE)
@@ -346,7 +430,11 @@ def test_the_clock_decides_nothing() -> None:
     for work, time_limit in ((1.5, 600.0), (1.5, 60000.0), (0.01, 600.0)):
         found.append(solve_scene(SCENE, "mpcc", options={"work": work}, time_limit=time_limit))
     assert found[0].outcome is Outcome.SOLVED
-    assert (found[0].cost, found[0].iterations, found[0].message) == (found[1].cost, found[1].iterations, found[1].message)
+    assert (found[0].cost, found[0].iterations, found[0].message) == (
+        found[1].cost,
+        found[1].iterations,
+        found[1].message,
+    )
     assert "as many as it may try" in found[0].message
     assert found[2].outcome is Outcome.ITERATION_LIMIT
     assert found[2].trajectory is None
@@ -363,4 +451,8 @@ def test_a_first_plan_has_less_work_than_the_search_around_it() -> None:
     assert (given_up.outcome, given_up.trajectory) == (Outcome.ITERATION_LIMIT, None)
     assert "the work limit of a first one" in given_up.message
     assert given_up.iterations < bounded.iterations
-    assert (bounded.cost, bounded.iterations, bounded.message) == (free.cost, free.iterations, free.message)
+    assert (bounded.cost, bounded.iterations, bounded.message) == (
+        free.cost,
+        free.iterations,
+        free.message,
+    )

@@ -26,11 +26,16 @@ BEST = closed_steps((((131, 179),), ((276, 307),)), 500)
 
 
 def random_scene(seed: int, bound: float) -> tuple[Scene, np.ndarray]:
-    """Three carts pressed together by random inputs, and the modes of that rollout. Its end is the goal: these modes have a plan."""
+    """Three carts pressed together by random inputs, and the modes of that rollout.
+
+    Its end is the goal: these modes have a plan.
+    """
     random = np.random.default_rng(seed)
     scene = SCENE.with_parameters(k=random.uniform(20.0, 80.0), c=random.uniform(0.5, 2.0))
     inputs = tuple(replace(item, lower=-bound, upper=bound) for item in scene.inputs)
-    scene = replace(scene, inputs=inputs).with_task(start=(0.0, 0.53, 1.07, 0.0, 0.0, 0.0), steps=120, step=0.02)
+    scene = replace(scene, inputs=inputs).with_task(
+        start=(0.0, 0.53, 1.07, 0.0, 0.0, 0.0), steps=120, step=0.02
+    )
     u = bound * np.repeat(random.uniform(-0.4, 1.0, (12, 2)) * np.array([1.0, -1.0]), 10, axis=0)
     rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step)
     return scene.with_task(goal=(*rollout.q[-1], *rollout.v[-1])), rollout.lam > 0
@@ -63,7 +68,10 @@ def test_some_of_these_problems_have_active_bounds_and_signs() -> None:
     for seed in range(4):
         scene, closed = random_scene(seed, 1.6)
         answer = ModesProblem(linear_scene(scene)).solve(closed)
-        held, touching = held + int((answer.active.side != 0).sum()), touching + int(answer.active.touching.sum())
+        held, touching = (
+            held + int((answer.active.side != 0).sum()),
+            touching + int(answer.active.touching.sum()),
+        )
     assert held > 0
     assert touching > 0
 
@@ -85,7 +93,9 @@ def test_optimality_conditions_hold() -> None:
     answer = problem.solve(closed)
     z, u, y = answer.point.z, answer.point.u, answer.point.y
     lam = np.where(answer.closed, linear.k * answer.phi, 0.0)
-    np.testing.assert_allclose(z[1:], z[:-1] @ linear.A.T + u @ linear.B.T + linear.c + lam @ linear.E.T, atol=1e-11)
+    np.testing.assert_allclose(
+        z[1:], z[:-1] @ linear.A.T + u @ linear.B.T + linear.c + lam @ linear.E.T, atol=1e-11
+    )
     assert (np.where(answer.closed, answer.phi, -answer.phi)[1:] >= -1e-11).all()
     slope = 2 * u + y @ linear.B  # the running cost is |u|^2
     assert np.abs(slope[answer.active.side == 0]).max() <= 1e-8
@@ -96,7 +106,9 @@ def test_optimality_conditions_hold() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(("ball", "softness"), [(0.0, 0.0), (1e-3, 0.0), (0.0, 1e-3), (1e-3, 1e-3)])
-def test_the_interior_point_names_the_conditions_that_are_active(seed: int, ball: float, softness: float) -> None:
+def test_the_interior_point_names_the_conditions_that_are_active(
+    seed: int, ball: float, softness: float
+) -> None:
     scene, closed = random_scene(seed, 1.6)
     linear = linear_scene(scene)
     problem = ModesProblem(linear, ball)
@@ -105,7 +117,9 @@ def test_the_interior_point_names_the_conditions_that_are_active(seed: int, ball
     named = interior_point_active_set(linear, closed, ball, softness)
     assert named is not None
     held = problem._rounds(closed, named, most=2)
-    assert held is not None, "two rounds, so that a condition whose multiplier is zero may be named or not"
+    assert held is not None, (
+        "two rounds, so that a condition whose multiplier is zero may be named or not"
+    )
     assert held.cost == pytest.approx(answer.cost, rel=1e-11)
 
 
@@ -113,13 +127,17 @@ def test_the_interior_point_finds_nothing_where_there_is_no_plan() -> None:
     linear, nobody = linear_scene(SCENE), np.zeros((500, 2), dtype=bool)
     assert interior_point_active_set(linear, nobody, 0.0) is None
     assert interior_point_active_set(linear, nobody, 1e-3) is None
-    assert interior_point_active_set(linear, nobody, 0.0, softness=1e-3) is not None, "whatever the modes, some inputs come nearest"
+    assert interior_point_active_set(linear, nobody, 0.0, softness=1e-3) is not None, (
+        "whatever the modes, some inputs come nearest"
+    )
 
 
 def test_modes_without_a_plan_have_no_answer() -> None:
     problem = ModesProblem(linear_scene(SCENE))
     assert problem.solve(np.zeros((500, 2), dtype=bool)) is None, "nobody pushes the middle cart"
-    assert problem.solve(closed_steps((((0, 3),), ((276, 307),)), 500)) is None, "the left cart cannot be there that early"
+    assert problem.solve(closed_steps((((0, 3),), ((276, 307),)), 500)) is None, (
+        "the left cart cannot be there that early"
+    )
 
 
 def test_a_ceiling_only_hides_what_costs_more() -> None:
@@ -138,7 +156,11 @@ def test_the_numbers_of_a_linear_scene_are_those_of_the_compiled_step() -> None:
     rollout = kernel.rollout(np.array([0.0, 0.52, 1.04, 0.0, 0.0, 0.0]), u, SCENE.task.step)
     z = np.hstack([rollout.q, rollout.v])
     assert (rollout.lam > 0).any()
-    np.testing.assert_allclose(z[1:], z[:-1] @ linear.A.T + u @ linear.B.T + linear.c + rollout.lam @ linear.E.T, atol=1e-12)
+    np.testing.assert_allclose(
+        z[1:],
+        z[:-1] @ linear.A.T + u @ linear.B.T + linear.c + rollout.lam @ linear.E.T,
+        atol=1e-12,
+    )
     np.testing.assert_allclose(linear.penetration(z), kernel.penetration(rollout.q), atol=1e-14)
     assert linear.cost(z[:-1], u) == pytest.approx((u**2).sum(), rel=1e-13)
 
@@ -152,11 +174,18 @@ def test_scenes_that_are_not_convex_say_why() -> None:
 
 
 def test_what_modes_cost_is_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Asked for less than they were found to cost, nothing is solved; asked for more, or within another ball, they are."""
+    """Asked for less than they were found to cost, nothing is solved.
+
+    Asked for more, or within another ball, they are.
+    """
     problem = ModesProblem(linear_scene(SCENE))
     factored: list[None] = []
     factor = problem.kkt.factor
-    monkeypatch.setattr(problem.kkt, "factor", lambda *given, **named: (factored.append(None), factor(*given, **named))[1])
+    monkeypatch.setattr(
+        problem.kkt,
+        "factor",
+        lambda *given, **named: (factored.append(None), factor(*given, **named))[1],
+    )
     answer = problem.solve(BEST)
     once = len(factored)
     assert problem.solve(BEST, near=answer, below=answer.cost) is None
@@ -175,7 +204,9 @@ def random_band(seed: int, size: int, width: int) -> tuple[np.ndarray, np.ndarra
     """(dense, band): half of the band is zero, and so is most of the diagonal, as in an optimality system."""
     random = np.random.default_rng(seed)
     dense = random.normal(size=(size, size)) * (random.uniform(size=(size, size)) < 0.5)
-    np.fill_diagonal(dense, np.where(random.uniform(size=size) < 0.8, 0.0, random.normal(size=size)))
+    np.fill_diagonal(
+        dense, np.where(random.uniform(size=size) < 0.8, 0.0, random.normal(size=size))
+    )
     band = np.zeros((2 * width + 1, size), order="F")
     for i in range(size):
         for j in range(size):
@@ -194,9 +225,13 @@ def test_it_solves_and_multiplies_as_numpy_does(seed: int, size: int, width: int
     is_regular = abs(np.linalg.det(dense)) > 0.0
     if lu.factor(band):
         right, several = random.normal(size=size), random.normal(size=(size, 3))
-        np.testing.assert_allclose(lu.product(right), dense @ right, atol=1e-12 * max(1.0, np.abs(dense).max() * size))
+        np.testing.assert_allclose(
+            lu.product(right), dense @ right, atol=1e-12 * max(1.0, np.abs(dense).max() * size)
+        )
         if np.linalg.cond(dense) < 1e8:
-            np.testing.assert_allclose(lu.solve(right), np.linalg.solve(dense, right), rtol=1e-7, atol=1e-7)
+            np.testing.assert_allclose(
+                lu.solve(right), np.linalg.solve(dense, right), rtol=1e-7, atol=1e-7
+            )
             np.testing.assert_allclose(dense @ lu.solve(several), several, atol=1e-8)
     else:
         assert not is_regular or np.linalg.cond(dense) > 1e8
@@ -206,12 +241,16 @@ def test_it_solves_and_multiplies_as_numpy_does(seed: int, size: int, width: int
 def test_several_right_hand_sides_at_once_are_each_alone(several: int) -> None:
     random, lu = np.random.default_rng(several), BandedLU(60, 7)
     assert lu.factor(random_band(0, 60, 7)[1])
-    right = random.normal(size=(60, several)) * (random.uniform(size=(60, several)) < 0.2)  # with rows that are zero
+    right = random.normal(size=(60, several)) * (
+        random.uniform(size=(60, several)) < 0.2
+    )  # with rows that are zero
     for order in ("C", "F"):
         together = lu.solve(np.array(right, order=order))
         for k in range(several):
             assert np.array_equal(together[:, k], lu.solve(right[:, k]))
-            assert np.array_equal(lu.product(np.array(right, order=order))[:, k], lu.product(right[:, k]))
+            assert np.array_equal(
+                lu.product(np.array(right, order=order))[:, k], lu.product(right[:, k])
+            )
 
 
 def test_a_matrix_with_an_empty_column_is_singular() -> None:
@@ -222,7 +261,9 @@ def test_a_matrix_with_an_empty_column_is_singular() -> None:
     band = band.copy(order="F")
     band[1, 3] = 0.0
     assert not lu.factor(band)
-    assert lu.factor(np.asfortranarray(np.where(np.arange(3)[:, None] == 1, 2.0, 0.0) * np.ones(5))), "nothing of the failure is left"
+    assert lu.factor(
+        np.asfortranarray(np.where(np.arange(3)[:, None] == 1, 2.0, 0.0) * np.ones(5))
+    ), "nothing of the failure is left"
     np.testing.assert_allclose(lu.solve(np.ones(5)), 0.5)
 
 
@@ -235,7 +276,11 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """The models that were translated."""
     models: list[object] = []
     compile_model = formulations.transcription.compiled.compile_model
-    monkeypatch.setattr(formulations.transcription.compiled, "compile_model", lambda model: (models.append(model), compile_model(model))[1])
+    monkeypatch.setattr(
+        formulations.transcription.compiled,
+        "compile_model",
+        lambda model: (models.append(model), compile_model(model))[1],
+    )
     return models
 
 
@@ -262,11 +307,16 @@ def test_another_radius_uses_the_same_models(compiled: list[object]) -> None:
 
 
 @pytest.mark.parametrize(("pairs", "letter", "least"), [
-    ([(1.0, 2.0), (0.0, 3.0)], "S", 0.0), ([(1.0, 2.0), (0.0, -3.0)], "M", -3.0), ([(-1.0, -2.0), (1.0, 1.0)], "C", -2.0),
-    ([(-1.0, 2.0), (1.0, 1.0)], "A", -1.0), ([(-1.0, 2.0), (-1.0, -1.0)], "W", -1.0), ([], "S", 0.0),
+    ([(1.0, 2.0), (0.0, 3.0)], "S", 0.0), ([(1.0, 2.0), (0.0, -3.0)], "M", -3.0),
+    ([(-1.0, -2.0), (1.0, 1.0)], "C", -2.0),
+    ([(-1.0, 2.0), (1.0, 1.0)], "A", -1.0), ([(-1.0, 2.0), (-1.0, -1.0)], "W", -1.0),
+    ([], "S", 0.0),
 ])  # fmt: skip
 def test_classes(pairs: list[tuple[float, float]], letter: str, least: float) -> None:
-    force, separation = np.full((8, 1), 50.0), np.full((8, 1), -50.0)  # of pairs that are not biactive: they do not count
+    force, separation = (
+        np.full((8, 1), 50.0),
+        np.full((8, 1), -50.0),
+    )  # of pairs that are not biactive: they do not count
     biactive = np.zeros((8, 1), dtype=bool)
     for t, (of_force, of_separation) in enumerate(pairs):
         force[t], separation[t], biactive[t] = of_force, of_separation, True

@@ -11,7 +11,13 @@ from example_scenes import example_scene
 from formulations.contact_modes import finder
 from formulations.contact_modes import session as throws
 from formulations.contact_modes.quadratic import ModesProblem
-from formulations.contact_modes.starts import descended_plan, final_cost, mirrored, random_plan, thrown_plans
+from formulations.contact_modes.starts import (
+    descended_plan,
+    final_cost,
+    mirrored,
+    random_plan,
+    thrown_plans,
+)
 from formulations.method import OptionError
 from formulations.pipelines import load_method, solve_scene
 from formulations.solution import Outcome, Solution
@@ -25,7 +31,9 @@ from models.trajectory import Trajectory, uniform_grid
 from tests.formulations.transcription.rollouts import rolled_out
 
 SCENE = load_scene("three_cart")
-SMALL = SCENE.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
+SMALL = SCENE.with_task(
+    start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100
+)
 ARM = example_scene("two_link_arm")
 
 
@@ -45,7 +53,13 @@ def test_a_plan_in_the_mirror_satisfies_the_undamped_equations() -> None:
 def test_the_mirror_takes_the_start_to_the_goal() -> None:
     task = SCENE.task
     ends = np.linspace(task.start, goal_state(task), task.steps + 1)
-    plan = Trajectory(t=uniform_grid(task.step, task.steps), q=ends[:, :3], v=ends[:, 3:], u=np.ones((500, 2)), lam=np.ones((500, 2)))
+    plan = Trajectory(
+        t=uniform_grid(task.step, task.steps),
+        q=ends[:, :3],
+        v=ends[:, 3:],
+        u=np.ones((500, 2)),
+        lam=np.ones((500, 2)),
+    )
     back = mirrored(SCENE, load_kernel(SCENE), plan)
     np.testing.assert_allclose(back.start, task.start, atol=1e-12)
     np.testing.assert_allclose(back.end, goal_state(task), atol=1e-12)
@@ -60,7 +74,9 @@ def test_a_scene_that_is_not_its_own_mirror_image_has_no_mirror() -> None:
 def test_the_shooting_solution_comes_nearer_to_the_goal_at_less_than_the_best_cost() -> None:
     plan = descended_plan(SCENE, load_kernel(SCENE))
     end = np.concatenate([plan.q[-1], plan.v[-1]])
-    assert np.linalg.norm(end - goal_state(SCENE.task)) < 0.3 * np.linalg.norm(np.array(SCENE.task.start) - goal_state(SCENE.task))
+    assert np.linalg.norm(end - goal_state(SCENE.task)) < 0.3 * np.linalg.norm(
+        np.array(SCENE.task.start) - goal_state(SCENE.task)
+    )
     assert 0.0 < (plan.u**2).sum() < 490.0
     np.testing.assert_array_equal(plan.u, descended_plan(SCENE, load_kernel(SCENE)).u)
 
@@ -73,8 +89,12 @@ def several(**options) -> Solution:
 def test_starts_run_apart_are_those_run_together() -> None:
     together, apart = several(starts=6), [several(starts=3, first_start=first) for first in (0, 3)]
     assert [start.number for start in together.starts] == list(range(6))
-    assert [(start.number, start.start, start.cost, start.windows) for start in together.starts] == [
-        (start.number, start.start, start.cost, start.windows) for part in apart for start in part.starts
+    assert [
+        (start.number, start.start, start.cost, start.windows) for start in together.starts
+    ] == [
+        (start.number, start.start, start.cost, start.windows)
+        for part in apart
+        for start in part.starts
     ]
     assert together.cost == min(part.cost for part in apart if part.cost is not None)
     assert all(start.outcome is Outcome.SOLVED for start in together.starts)
@@ -85,13 +105,18 @@ def test_starts_run_apart_are_those_run_together() -> None:
 
 @pytest.mark.slow
 def test_another_seed_is_another_random_start() -> None:
-    drawn = [random_plan(SMALL, load_kernel(SMALL), seed) for seed in ((0, 3), (0, 3), (1, 3), (0, 4))]
+    drawn = [
+        random_plan(SMALL, load_kernel(SMALL), seed) for seed in ((0, 3), (0, 3), (1, 3), (0, 4))
+    ]
     inputs = [plan.u for plan in drawn if plan is not None]
     assert len(inputs) == 4
     assert np.array_equal(inputs[0], inputs[1])
     assert not any(np.isclose(inputs[0], other).any() for other in inputs[2:])
     # The same best plan, by other ways: the sixth start is the first random one.
-    ways = [several(starts=1, first_start=first, seed=seed).iterations for first, seed in ((5, 0), (5, 0), (5, 1), (5, 2), (6, 0), (7, 0))]
+    ways = [
+        several(starts=1, first_start=first, seed=seed).iterations
+        for first, seed in ((5, 0), (5, 0), (5, 1), (5, 2), (6, 0), (7, 0))
+    ]
     assert ways[0] == ways[1]
     assert len(set(ways[1:4])) > 1, "the seed decides"
     assert len({ways[0], *ways[4:]}) > 1, "and so does the number of the start"
@@ -100,7 +125,9 @@ def test_another_seed_is_another_random_start() -> None:
 def test_contacts_of_a_start_are_named_by_contact() -> None:
     solution = several(starts=2)
     plan = solution.trajectory
-    best = min(solution.starts, key=lambda start: float("inf") if start.cost is None else start.cost)
+    best = min(
+        solution.starts, key=lambda start: float("inf") if start.cost is None else start.cost
+    )
     closed = np.zeros_like(plan.lam, dtype=bool)
     names = [contact.name for contact in SMALL.contacts]
     for name, first, last in best.windows:
@@ -115,7 +142,9 @@ def test_impossible_numbers_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_random_inputs_that_led_nowhere_are_not_corrected_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_random_inputs_that_led_nowhere_are_not_corrected_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """They are the same whatever a start is: the second start without a plan has only its own to correct."""
     drawn: list[tuple[int, ...]] = []
 
@@ -124,7 +153,9 @@ def test_random_inputs_that_led_nowhere_are_not_corrected_again(monkeypatch: pyt
         return random_plan(scene, kernel, seed)
 
     monkeypatch.setattr(finder, "random_plan", noted)
-    monkeypatch.setattr(ModesProblem, "solve", lambda *_given, **_named: None)  # no modes have a plan
+    monkeypatch.setattr(
+        ModesProblem, "solve", lambda *_given, **_named: None
+    )  # no modes have a plan
     opened = load_method("mpcc").open(SMALL)
     for _ in range(2):
         assert opened.solve(eps=None, warm_start=None, time_limit=600.0).trajectory is None
@@ -138,7 +169,9 @@ IDLE = 0.61
 def coarse(name: str, **parameters: float) -> Scene:
     scene = load_scene(name).with_parameters(k=500.0, **parameters)
     task = scene.task
-    return scene.with_task(steps=STEPS, step=task.horizon / STEPS, running_cost=task.running_cost * task.steps / STEPS)
+    return scene.with_task(
+        steps=STEPS, step=task.horizon / STEPS, running_cost=task.running_cost * task.steps / STEPS
+    )
 
 
 WALL = coarse("two_discs_wall")
@@ -190,8 +223,14 @@ def test_where_no_throw_is_tried(change: str, monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(throws, "thrown_plans", never)
     near = replace(WALL, limits=(*WALL.limits, *goal_limits(position=0.01, reason="this test")))
-    scene = near.with_task(goal=(None, None, -0.5, 0.6, *(None,) * 4)) if change == "goal" else WALL.with_task(final_cost=0.0)
-    plan = solve_scene(scene, "mpcc", options={"search": False, "first_work": 1.0}, time_limit=120.0).trajectory
+    scene = (
+        near.with_task(goal=(None, None, -0.5, 0.6, *(None,) * 4))
+        if change == "goal"
+        else WALL.with_task(final_cost=0.0)
+    )
+    plan = solve_scene(
+        scene, "mpcc", options={"search": False, "first_work": 1.0}, time_limit=120.0
+    ).trajectory
     assert plan is None or not plan.lam.any()
 
 
@@ -228,6 +267,8 @@ def test_nothing_is_derived_to_say_so(method: str, monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.parametrize("field", ["potential_energy", "kinetic_energy"])
 def test_a_function_that_pyomo_does_not_have_is_named(field: str) -> None:
-    bent = replace(HOPPER, **{field: getattr(HOPPER, field) * (2 + sp.erf(HOPPER.coordinates[0].symbol))})
+    bent = replace(
+        HOPPER, **{field: getattr(HOPPER, field) * (2 + sp.erf(HOPPER.coordinates[0].symbol))}
+    )
     reason = load_method("mpcc").accepts(bent)
     assert f"{field} contains erf(" in reason

@@ -1,4 +1,7 @@
-"""Values, gradients and Hessians against two independent roads; terms that are deep, wide, shared or all different; the algebra alone."""
+"""Values, gradients and Hessians against two independent roads.
+
+Terms that are deep, wide, shared or all different; the algebra alone.
+"""
 
 import math
 import operator
@@ -15,7 +18,8 @@ from formulations.ipopt import compile_model, shapes
 from formulations.ipopt.graph import Graph, hessian_sparsity
 from formulations.ipopt.shapes import column_groups, generate, hoist
 
-# Both roads round each operation once or twice; a dozen nested operations lose at most four of sixteen digits.
+# Both roads round each operation once or twice; a dozen nested operations lose at most four of
+# sixteen digits.
 RELATIVE = 1e-10
 
 
@@ -28,7 +32,10 @@ def dense(problem, x, multipliers=None, factor=1.0):
 
 
 def one_expression(build, values):
-    """(model, variables, problem, x) of an objective built from variables that start at values; x in the problem's order."""
+    """(model, variables, problem, x) of an objective built from variables that start at values.
+
+    X in the problem's order.
+    """
     m = pyo.ConcreteModel()
     m.x = pyo.Var(range(len(values)), initialize=dict(enumerate(values)))
     m.p = pyo.Param([0, 1], initialize={0: 1.5, 1: 0.5}, mutable=True)
@@ -37,7 +44,11 @@ def one_expression(build, values):
     return m, problem, problem.start()[0]
 
 
-_UNARY = [pyo.sin, pyo.cos, pyo.atan]  # those that Pyomo can differentiate; the others are compared with mpmath below
+_UNARY = [
+    pyo.sin,
+    pyo.cos,
+    pyo.atan,
+]  # those that Pyomo can differentiate; the others are compared with mpmath below
 _POSITIVE = [pyo.log, pyo.sqrt, pyo.log10]
 
 
@@ -45,14 +56,22 @@ _POSITIVE = [pyo.log, pyo.sqrt, pyo.log10]
 def recipes(draw, depth=4):
     """A nested tuple that `assemble` turns into an expression with values of moderate size."""
     kind = draw(
-        st.sampled_from(["x", "x", "p", "n"] if depth == 0 else ["x", "n", "f", "g", "e", "+", "-", "*", "/", "^", "v", "s", "neg"])
+        st.sampled_from(
+            ["x", "x", "p", "n"]
+            if depth == 0
+            else ["x", "n", "f", "g", "e", "+", "-", "*", "/", "^", "v", "s", "neg"]
+        )
     )
     if kind in ("x", "p"):
         return kind, draw(st.integers(0, 2 if kind == "x" else 1))
     if kind == "n":
         return kind, draw(st.sampled_from([1, 2, -1, 0.5, 3.25, -0.75]))
     if kind in ("f", "g"):
-        return kind, draw(st.integers(0, len(_UNARY if kind == "f" else _POSITIVE) - 1)), draw(recipes(depth - 1))
+        return (
+            kind,
+            draw(st.integers(0, len(_UNARY if kind == "f" else _POSITIVE) - 1)),
+            draw(recipes(depth - 1)),
+        )
     if kind in ("e", "s", "neg"):
         return kind, draw(recipes(depth - 1))
     if kind == "^":
@@ -99,7 +118,9 @@ def test_random_expressions_equal_pyomos_symbolic_derivatives(recipe, values):
     m, problem, x = one_expression(lambda m: assemble(m, recipe) + m.x[0] * m.x[1], values)
     expression, order = m.cost.expr, list(problem.variables)
     scale = max(1.0, abs(pyo.value(expression)))
-    assert problem.objective(x) == pytest.approx(pyo.value(expression), rel=RELATIVE, abs=RELATIVE * scale)
+    assert problem.objective(x) == pytest.approx(
+        pyo.value(expression), rel=RELATIVE, abs=RELATIVE * scale
+    )
     slopes = differentiate(expression, wrt_list=order, mode=Modes.reverse_symbolic)
     gradient = np.array([pyo.value(s) for s in slopes])
     size = max(1.0, np.abs(gradient).max())
@@ -107,14 +128,18 @@ def test_random_expressions_equal_pyomos_symbolic_derivatives(recipe, values):
     reference = np.zeros((problem.n, problem.n))
     for i, slope in enumerate(slopes):
         if hasattr(slope, "is_potentially_variable") and slope.is_potentially_variable():
-            reference[i] = [float(v) for v in differentiate(slope, wrt_list=order, mode=Modes.reverse_numeric)]
+            reference[i] = [
+                float(v) for v in differentiate(slope, wrt_list=order, mode=Modes.reverse_numeric)
+            ]
     size = max(1.0, np.abs(reference).max())
     np.testing.assert_allclose(dense(problem, x), reference, rtol=RELATIVE, atol=RELATIVE * size)
 
 
 _POINTS = {
-    "exp": (-3.0, 0.0, 2.5), "log": (0.01, 1.0, 40.0), "log10": (0.01, 1.0, 40.0), "sqrt": (0.01, 2.0), "sin": (0.0, 2.0), "cos": (0.0, 2.0),
-    "tan": (0.0, 1.2), "asin": (-0.9, 0.3), "acos": (-0.9, 0.3), "atan": (-4.0, 0.2), "sinh": (-2.0, 0.5), "cosh": (-2.0, 0.5),
+    "exp": (-3.0, 0.0, 2.5), "log": (0.01, 1.0, 40.0), "log10": (0.01, 1.0, 40.0),
+    "sqrt": (0.01, 2.0), "sin": (0.0, 2.0), "cos": (0.0, 2.0),
+    "tan": (0.0, 1.2), "asin": (-0.9, 0.3), "acos": (-0.9, 0.3), "atan": (-4.0, 0.2),
+    "sinh": (-2.0, 0.5), "cosh": (-2.0, 0.5),
     "tanh": (-3.0, 0.0, 20.0), "asinh": (-2.0, 30.0), "acosh": (1.01, 5.0), "atanh": (-0.7, 0.95),
 }  # fmt: skip
 
@@ -125,17 +150,23 @@ def test_every_intrinsic_function_to_twelve_digits(name):
     for point in _POINTS[name]:
         _, problem, x = one_expression(lambda m: getattr(pyo, name)(m.x[0]), [point])
         with mpmath.workdps(40):
-            value, first, second = (float(mpmath.diff(exact, mpmath.mpf(point), n)) for n in range(3))
+            value, first, second = (
+                float(mpmath.diff(exact, mpmath.mpf(point), n)) for n in range(3)
+            )
         graph = Graph()
-        assert graph.constant_value(graph.call(name, graph.constant(point))) == pytest.approx(value, rel=1e-12, abs=1e-15)
+        assert graph.constant_value(graph.call(name, graph.constant(point))) == pytest.approx(
+            value, rel=1e-12, abs=1e-15
+        )
         assert problem.objective(x) == pytest.approx(value, rel=1e-12, abs=1e-15)
         assert problem.gradient(x)[0] == pytest.approx(first, rel=1e-12, abs=1e-15)
         assert dense(problem, x)[0, 0] == pytest.approx(second, rel=1e-12, abs=1e-15)
 
 
 @pytest.mark.parametrize("write", [
-    lambda z: pyo.log(1 + pyo.exp(z)), lambda z: pyo.log(pyo.exp(z) + 1), lambda z: pyo.log(1.0 + pyo.exp(0.25 * z + 0.75 * z)),
-    lambda z: pyo.log(pyo.exp(z) + pyo.exp(0 * z)), lambda z: pyo.log10(1 + pyo.exp(z)) * math.log(10.0),
+    lambda z: pyo.log(1 + pyo.exp(z)), lambda z: pyo.log(pyo.exp(z) + 1),
+    lambda z: pyo.log(1.0 + pyo.exp(0.25 * z + 0.75 * z)),
+    lambda z: pyo.log(pyo.exp(z) + pyo.exp(0 * z)),
+    lambda z: pyo.log10(1 + pyo.exp(z)) * math.log(10.0),
 ])  # fmt: skip
 @pytest.mark.parametrize("z", [-900.0, -40.0, -1.0, 0.0, 3.0, 40.0, 900.0])
 def test_softplus_never_overflows_and_keeps_its_digits(write, z):
@@ -151,7 +182,9 @@ def test_softplus_never_overflows_and_keeps_its_digits(write, z):
 
 
 def test_the_logarithm_of_two_exponentials_is_a_smooth_maximum():
-    _, problem, x = one_expression(lambda m: pyo.log(pyo.exp(m.x[0]) + pyo.exp(3 * m.x[1])), [800.0, 267.0])
+    _, problem, x = one_expression(
+        lambda m: pyo.log(pyo.exp(m.x[0]) + pyo.exp(3 * m.x[1])), [800.0, 267.0]
+    )
     # max(800, 801) + log(1 + e^-1), and the weights of a softmax
     assert problem.objective(x) == pytest.approx(801 + math.log1p(math.exp(-1)), rel=1e-14)
     share = 1 / (1 + math.exp(-1))
@@ -159,7 +192,9 @@ def test_the_logarithm_of_two_exponentials_is_a_smooth_maximum():
 
 
 def test_a_data_factor_is_carried_through_a_difference():
-    m, problem, x = one_expression(lambda m: m.p[0] * (m.x[0] - 2 * m.x[1] - m.p[1]) / m.p[1], [3.0, 5.0])
+    m, problem, x = one_expression(
+        lambda m: m.p[0] * (m.x[0] - 2 * m.x[1] - m.p[1]) / m.p[1], [3.0, 5.0]
+    )
     assert problem.objective(x) == pytest.approx(pyo.value(m.cost))
     assert problem.gradient(x) == pytest.approx([3.0, -6.0])
     assert len(problem.hessianstructure()[0]) == 0
@@ -218,7 +253,9 @@ def test_jacobian_and_hessian_of_a_whole_model_against_differences():
     for k in range(problem.n):
         shift = np.zeros(problem.n)
         shift[k] = step
-        differences[:, k] = (problem.constraints(x + shift) - problem.constraints(x - shift)) / (2 * step)
+        differences[:, k] = (problem.constraints(x + shift) - problem.constraints(x - shift)) / (
+            2 * step
+        )
         curvature[:, k] = (lagrangian_slope(x + shift) - lagrangian_slope(x - shift)) / (2 * step)
     # Central differences with step 1e-6: truncation 1e-12, rounding 1e-10.
     np.testing.assert_allclose(jacobian, differences, atol=1e-8)
@@ -264,7 +301,9 @@ def test_a_chain_of_five_thousand_operations_needs_no_recursion():
     by_name = {v.name: k for k, v in enumerate(problem.variables)}
     assert problem.objective(x) == pytest.approx(r / (1 - r), rel=1e-13)
     assert problem.gradient(x)[by_name["x[1]"]] == pytest.approx(0.5 / (1 - r) ** 2, rel=1e-12)
-    assert dense(problem, x)[by_name["x[1]"], by_name["x[1]"]] == pytest.approx(0.5 / (1 - r) ** 3, rel=1e-12)
+    assert dense(problem, x)[by_name["x[1]"], by_name["x[1]"]] == pytest.approx(
+        0.5 / (1 - r) ** 3, rel=1e-12
+    )
 
 
 @pytest.mark.slow
@@ -273,7 +312,13 @@ def test_a_nested_sum_of_five_thousand_terms():
     m.partial = pyo.Expression(range(5000))
     for i in range(5000):  # every partial sum is a named expression or a negated one of its own
         square = m.x[i] ** 2
-        m.partial[i] = square if i == 0 else m.partial[i - 1] + square if i % 3 else -(-m.partial[i - 1] - square)
+        m.partial[i] = (
+            square
+            if i == 0
+            else m.partial[i - 1] + square
+            if i % 3
+            else -(-m.partial[i - 1] - square)
+        )
     problem, x = compiled(m, m.partial[4999])
     assert problem.objective(x) == pytest.approx(50.0)
     assert len(problem.hessianstructure()[0]) == 5000
@@ -292,7 +337,10 @@ def test_expressions_built_by_substitution_are_read_once():
     def shoot(y):
         slope = 1.0
         for _ in range(300):
-            y, slope = 0.9 * (0.5 * np.sin(y) + 0.5 * y) + 0.1, slope * 0.9 * (0.5 * np.cos(y) + 0.5)
+            y, slope = (
+                0.9 * (0.5 * np.sin(y) + 0.5 * y) + 0.1,
+                slope * 0.9 * (0.5 * np.cos(y) + 0.5),
+            )
         return y, slope
 
     value, slope = shoot(0.3)
@@ -312,7 +360,9 @@ def test_sums_that_contain_themselves_twice_do_not_explode():
 def test_data_in_front_of_a_wide_sum_keeps_the_terms_apart():
     m = model_with(3000, 0.4)
     m.p = pyo.Param(initialize=2.0, mutable=True)
-    problem, x = compiled(m, -m.p * (3 * sum(pyo.sin(m.x[i]) for i in range(3000)) + m.p) / (m.p + 1))
+    problem, x = compiled(
+        m, -m.p * (3 * sum(pyo.sin(m.x[i]) for i in range(3000)) + m.p) / (m.p + 1)
+    )
     assert len(problem.hessianstructure()[0]) == 3000
     assert problem.objective(x) == pytest.approx(pyo.value(m.cost), rel=1e-12)
     m.p.value = 5.0
@@ -328,11 +378,17 @@ def test_rows_of_a_quadratic_form_are_terms_of_one_shape(first):
     matrix = random.normal(size=(count, count))
     m = model_with(count, 0.0)
     rows = [sum(matrix[i, j] * m.x[j] for j in range(count)) - 2.0 for i in range(count)]
-    m.cost = pyo.Objective(expr=sum(m.x[i] * row if first else row * m.x[i] for i, row in enumerate(rows)))
+    m.cost = pyo.Objective(
+        expr=sum(m.x[i] * row if first else row * m.x[i] for i, row in enumerate(rows))
+    )
     problem = compile_model(m)
     assert len(problem._groups) == 2, "x[i] * x[j] and x[i] * x[i]"
-    assert problem.objective(start) == pytest.approx(start @ matrix @ start - 2 * start.sum(), rel=1e-12)
-    np.testing.assert_allclose(problem.gradient(start), (matrix + matrix.T) @ start - 2, rtol=1e-10, atol=1e-12)
+    assert problem.objective(start) == pytest.approx(
+        start @ matrix @ start - 2 * start.sum(), rel=1e-12
+    )
+    np.testing.assert_allclose(
+        problem.gradient(start), (matrix + matrix.T) @ start - 2, rtol=1e-10, atol=1e-12
+    )
     np.testing.assert_allclose(dense(problem, start), matrix + matrix.T, rtol=1e-12)
 
 
@@ -365,7 +421,10 @@ def test_columns_of_one_group_share_no_row():
 def test_equal_shapes_are_compiled_once_per_process():
     def build():
         m = model_with(30, 0.5)
-        m.c = pyo.Constraint(range(29), rule=lambda m, i: pyo.sinh(m.x[i] * m.x[i + 1]) + pyo.acosh(2 + m.x[i]) <= i + 2)
+        m.c = pyo.Constraint(
+            range(29),
+            rule=lambda m, i: pyo.sinh(m.x[i] * m.x[i + 1]) + pyo.acosh(2 + m.x[i]) <= i + 2,
+        )
         return compile_model(m)
 
     build()
@@ -375,12 +434,24 @@ def test_equal_shapes_are_compiled_once_per_process():
     assert problem.m == 29
 
 
-X, P = 0.625, -1.75
-PLAIN = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv, "pow": operator.pow}
+X = 0.625
+P = -1.75
+PLAIN = {
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": operator.truediv,
+    "pow": operator.pow,
+}
 
 leaves = st.sampled_from([("x", X), ("p", P), *((c, c) for c in (0.0, 1.0, -1.0, 2.0, 0.5, -3.0))])
 steps = st.lists(
-    st.tuples(st.sampled_from(["add", "sub", "mul", "div", "neg", "pow"]), st.integers(0, 50), st.integers(0, 50)), max_size=12
+    st.tuples(
+        st.sampled_from(["add", "sub", "mul", "div", "neg", "pow"]),
+        st.integers(0, 50),
+        st.integers(0, 50),
+    ),
+    max_size=12,
 )
 
 
@@ -416,7 +487,11 @@ def test_simplification_changes_no_value(start, program):
             continue
         if isinstance(value, complex) or not 1e-6 < abs(value) + 1e-5 < 1e6:
             continue
-        nodes.append(graph.neg(nodes[a]) if operation == "neg" else getattr(graph, operation)(nodes[a], nodes[b]))
+        nodes.append(
+            graph.neg(nodes[a])
+            if operation == "neg"
+            else getattr(graph, operation)(nodes[a], nodes[b])
+        )
         values.append(value)
     for node, value in zip(nodes, values, strict=True):
         assert evaluate(graph, node) == pytest.approx(value, rel=1e-9, abs=1e-9)
@@ -429,7 +504,9 @@ def test_equal_expressions_are_one_node():
     assert graph.add(graph.call("sin", x), p) == graph.add(p, graph.call("sin", x))
     assert graph.sub(x, x) == graph.zero
     assert graph.neg(graph.sub(x, p)) == graph.sub(p, x)
-    assert graph.mul(graph.constant(2), graph.mul(graph.constant(3), x)) == graph.mul(graph.constant(6), x)
+    assert graph.mul(graph.constant(2), graph.mul(graph.constant(3), x)) == graph.mul(
+        graph.constant(6), x
+    )
     assert graph.call("cos", graph.constant(0.0)) == graph.one
 
 

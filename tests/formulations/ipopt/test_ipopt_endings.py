@@ -1,4 +1,7 @@
-"""Solves: known optima, warm starts, options; every way one can end, no exception lost, and the check that does not take Ipopt's word."""
+"""Solves: known optima, warm starts, options.
+
+Every way one can end, no exception lost, and the check that does not take Ipopt's word.
+"""
 
 import math
 import pathlib
@@ -123,7 +126,9 @@ def liar(monkeypatch):
     def settle(status, x=None, multiplier=0.0):
         def run(problem, functions, start, options):
             zeros, point = np.zeros(problem.n), start.x if x is None else np.full(problem.n, x)
-            return IpoptExit(status=status, x=point, lagrange=np.full(problem.m, multiplier), zl=zeros, zu=zeros)
+            return IpoptExit(
+                status=status, x=point, lagrange=np.full(problem.m, multiplier), zl=zeros, zu=zeros
+            )
 
         monkeypatch.setattr(sys.modules[solve.__module__], "run", run)
 
@@ -143,8 +148,13 @@ def test_success_is_checked_not_believed(liar, status):
     assert solve(problem).outcome is Outcome.EVALUATION_ERROR
 
 
-@pytest.mark.parametrize(("status", "multiplier", "told"), [(-1, -1e16, True), (1, 1e16, True), (-1, 1e3, False), (2, 1e16, False)])
-def test_multipliers_without_end_point_to_constraints_that_repeat_each_other(liar, status, multiplier, told):
+@pytest.mark.parametrize(
+    ("status", "multiplier", "told"),
+    [(-1, -1e16, True), (1, 1e16, True), (-1, 1e3, False), (2, 1e16, False)],
+)
+def test_multipliers_without_end_point_to_constraints_that_repeat_each_other(
+    liar, status, multiplier, told
+):
     m = quadratic()
     m.c = pyo.Constraint(expr=m.x[1] + m.x[2] == 1)
     m.again = pyo.Constraint(expr=2 * m.x[1] + 2 * m.x[2] == 2)
@@ -177,16 +187,26 @@ def test_residuals_by_hand():
     zl = np.array([2.0 if name == "x[1]" else 0.0 for name in order])
     found = residuals(problem, x, np.array([0.1]), zl, np.zeros(2))
     assert found.constraint_violation == pytest.approx(0.5)
-    assert found.dual_infeasibility == pytest.approx(1.05)  # d/dx2: 1 + 0.1 * 0.5; d/dx1: 1 + 0.3 - 2
+    assert found.dual_infeasibility == pytest.approx(
+        1.05
+    )  # d/dx2: 1 + 0.1 * 0.5; d/dx1: 1 + 0.3 - 2
     assert found.complementarity == pytest.approx(1.0)  # |x1 - 1| * 2; the constraint: 6.5 * 0.1
-    assert residuals(problem, x, np.array([0.2]), zl, np.zeros(2)).complementarity == pytest.approx(1.3)  # 6.5 * 0.2 is more
+    assert residuals(problem, x, np.array([0.2]), zl, np.zeros(2)).complementarity == pytest.approx(
+        1.3
+    )  # 6.5 * 0.2 is more
     m.c.set_value(m.x[1] * m.x[2] >= -4)
     m.x[2].setub(4.0)
     other, zu = compile_model(m), np.array([3.0 if name == "x[2]" else 0.0 for name in order])
-    assert residuals(other, x, np.array([-0.4]), zl, np.zeros(2)).complementarity == pytest.approx(2.2)  # (1.5 + 4) * 0.4
-    assert residuals(other, x, np.zeros(1), zl, zu).complementarity == pytest.approx(3.0)  # |4 - x2| * 3
+    assert residuals(other, x, np.array([-0.4]), zl, np.zeros(2)).complementarity == pytest.approx(
+        2.2
+    )  # (1.5 + 4) * 0.4
+    assert residuals(other, x, np.zeros(1), zl, zu).complementarity == pytest.approx(
+        3.0
+    )  # |4 - x2| * 3
     wrong = residuals(problem, x, np.array([-3.0]), zl, np.zeros(2))
-    assert wrong.dual_infeasibility >= 3.0  # there is no lower bound that a negative multiplier could belong to
+    assert (
+        wrong.dual_infeasibility >= 3.0
+    )  # there is no lower bound that a negative multiplier could belong to
 
 
 def test_a_variable_between_equal_bounds_takes_any_multiplier():
@@ -201,24 +221,32 @@ def test_a_variable_between_equal_bounds_takes_any_multiplier():
     assert solve(problem).outcome is Outcome.SOLVED
 
 
-@pytest.mark.parametrize("function", ["objective", "gradient", "constraints", "jacobian", "hessian"])
+@pytest.mark.parametrize(
+    "function", ["objective", "gradient", "constraints", "jacobian", "hessian"]
+)
 def test_a_number_that_is_not_finite_cuts_the_step(function):
     m = pyo.ConcreteModel()
     m.x = pyo.Var(initialize=-1.0)
     m.c = pyo.Constraint(expr=pyo.sqrt(m.x) + m.x**1.5 <= 3)
     m.cost = pyo.Objective(expr=pyo.log(m.x))
     functions = Evaluations(compile_model(m), lambda *numbers: True)
-    arguments = (np.array([-1.0]), np.ones(1), 1.0) if function == "hessian" else (np.array([-1.0] if function != "gradient" else [0.0]),)
+    arguments = (
+        (np.array([-1.0]), np.ones(1), 1.0)
+        if function == "hessian"
+        else (np.array([-1.0] if function != "gradient" else [0.0]),)
+    )
     with pytest.raises(CyIpoptEvaluationError):
         getattr(functions, function)(*arguments)
 
 
 @pytest.mark.parametrize(("build", "told"), [
     (lambda m: m.c.add(pyo.log(m.x[2]) <= 3), "constraint 'c[1]' has no finite value there"),
-    (lambda m: [m.c.add(1 / m.x[i] <= 3) for i in (1, 2)], "constraint 'c[1]' and 1 more has no finite"),
+    (lambda m: [m.c.add(1 / m.x[i] <= 3) for i in (1, 2)],
+     "constraint 'c[1]' and 1 more has no finite"),
     (lambda m: m.cost.set_value(pyo.log(m.x[1])), "the objective has no finite value"),
     (lambda m: m.c.add(pyo.sqrt(m.x[2]) >= 1), "one of their derivatives has none"),
-    (lambda m: m.x[1].set_value(math.nan, skip_validation=True), "variable 'x[1]' is no finite number there"),
+    (lambda m: m.x[1].set_value(math.nan, skip_validation=True),
+     "variable 'x[1]' is no finite number there"),
 ])  # fmt: skip
 def test_what_is_no_number_at_the_start_is_named(build, told):
     m = pyo.ConcreteModel()
@@ -275,7 +303,9 @@ def test_a_run_inside_a_run_disturbs_neither(linear_solver: str):
     alone, inside = solve(compile_model(rosenbrock())), []
 
     def callback(line):
-        inside.append(solve(compile_model(rosenbrock()), options={"linear_solver": linear_solver}).x)
+        inside.append(
+            solve(compile_model(rosenbrock()), options={"linear_solver": linear_solver}).x
+        )
 
     assert np.array_equal(solve(compile_model(rosenbrock()), callback=callback).x, alone.x)
     assert np.array_equal(inside, [inside[0]] * (alone.iterations + 1))
@@ -312,7 +342,9 @@ try:
 except KeyboardInterrupt:
     print("interrupted")
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
     assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
 
 
@@ -342,7 +374,9 @@ def test_the_same_problem_follows_its_param():
 def test_a_primal_dual_start_at_the_solution_ends_at_once():
     problem = compile_model(three_carts(100))
     cold = solve(problem)
-    warm = solve(problem, warm_start=Start(x=cold.x, lagrange=cold.lagrange, zl=cold.zl, zu=cold.zu))
+    warm = solve(
+        problem, warm_start=Start(x=cold.x, lagrange=cold.lagrange, zl=cold.zl, zu=cold.zu)
+    )
     assert warm.iterations <= 2 < cold.iterations
     assert warm.objective == pytest.approx(cold.objective, rel=1e-9)
     partly = solve(problem, warm_start=Start(x=cold.x, lagrange=cold.lagrange))
@@ -357,8 +391,13 @@ def test_history_has_one_line_an_iteration_and_seconds_add_up():
     assert 0.0 < result.seconds.cpu <= time.process_time() - began
     assert [line.iteration for line in result.history] == list(range(result.iterations + 1))
     assert result.history[-1].objective == pytest.approx(result.objective, rel=1e-6)
-    assert (result.history[0].mu, result.history[0].alpha_pr) == (0.1, 0.0)  # Ipopt's first barrier parameter, and no step yet
-    assert max(result.history[-1].inf_pr, result.history[-1].inf_du) <= 1e-8 < result.history[0].inf_du
+    assert (result.history[0].mu, result.history[0].alpha_pr) == (
+        0.1,
+        0.0,
+    )  # Ipopt's first barrier parameter, and no step yet
+    assert (
+        max(result.history[-1].inf_pr, result.history[-1].inf_du) <= 1e-8 < result.history[0].inf_du
+    )
     assert 0 < result.seconds.evaluate < result.seconds.wall
     assert result.seconds.linear_algebra <= result.seconds.wall
     assert result.version.startswith("cyipopt ")
@@ -376,9 +415,12 @@ def test_a_maximised_objective_keeps_its_sign():
 
 
 @pytest.mark.parametrize(("options", "words"), [
-    ({"tolerance": 1e-6}, "tol"), ({"max_itr": 5}, "max_iter"), ({"linear_solver": "ma97"}, "mumps"), ({"mehrotra_algorithm": "yes"}, "ends the process"),
-    ({"tol": "small"}, "number"), ({"max_iter": 2.5}, "whole number"), ({"max_iter": float("inf")}, "whole number of at most 2147483647"),
-    ({"max_iter": 10**12}, "whole number of at most 2147483647"), ({"mu_strategy": "fast"}, "adaptive"), ({"tol": -1.0}, "does not accept"),
+    ({"tolerance": 1e-6}, "tol"), ({"max_itr": 5}, "max_iter"),
+    ({"linear_solver": "ma97"}, "mumps"), ({"mehrotra_algorithm": "yes"}, "ends the process"),
+    ({"tol": "small"}, "number"), ({"max_iter": 2.5}, "whole number"),
+    ({"max_iter": float("inf")}, "whole number of at most 2147483647"),
+    ({"max_iter": 10**12}, "whole number of at most 2147483647"),
+    ({"mu_strategy": "fast"}, "adaptive"), ({"tol": -1.0}, "does not accept"),
     ({"tol": float("nan")}, "number"),
 ])  # fmt: skip
 def test_options_that_cannot_be_are_refused_in_a_sentence(options, words, capfd):
@@ -387,9 +429,16 @@ def test_options_that_cannot_be_are_refused_in_a_sentence(options, words, capfd)
 
 
 def test_options_are_converted_used_and_recorded():
-    result = solve(compile_model(quadratic()), options={"tol": "1e-6", "max_iter": 50.0, "mu_strategy": "adaptive", "recalc_y": True})
+    result = solve(
+        compile_model(quadratic()),
+        options={"tol": "1e-6", "max_iter": 50.0, "mu_strategy": "adaptive", "recalc_y": True},
+    )
     assert result.outcome is Outcome.SOLVED
-    assert (result.options["tol"], result.options["max_iter"], result.options["recalc_y"]) == (1e-6, 50, "yes")
+    assert (result.options["tol"], result.options["max_iter"], result.options["recalc_y"]) == (
+        1e-6,
+        50,
+        "yes",
+    )
 
 
 def test_an_option_file_lying_about_changes_nothing(tmp_path, monkeypatch):
@@ -415,7 +464,9 @@ def test_the_list_of_options_is_what_ipopt_knows(capfd):
     nlp = cyipopt.Problem(1, 0, Parabola(), [0.0], [1.0])
     for name in known_options():
         real = name in _REALS
-        tries = _CHOICES.get(name, ("mumps",) if name == "linear_solver" else [0.4, 1.5, 10.0] if real else [1, 0, 5])
+        tries = _CHOICES.get(
+            name, ("mumps",) if name == "linear_solver" else [0.4, 1.5, 10.0] if real else [1, 0, 5]
+        )
         accepted = 0
         for value in tries:
             try:
@@ -426,7 +477,14 @@ def test_the_list_of_options_is_what_ipopt_knows(capfd):
         assert accepted == len(tries) if name in _CHOICES else accepted > 0, name
 
 
-@pytest.mark.parametrize("start", [Start(x=np.zeros(3)), Start(x=np.array([np.nan, 0.0])), Start(x=np.zeros(2), lagrange=np.zeros(5))])
+@pytest.mark.parametrize(
+    "start",
+    [
+        Start(x=np.zeros(3)),
+        Start(x=np.array([np.nan, 0.0])),
+        Start(x=np.zeros(2), lagrange=np.zeros(5)),
+    ],
+)
 def test_a_start_of_the_wrong_shape_is_refused(start):
     with pytest.raises(ValueError, match="warm_start"):
         solve(compile_model(quadratic()), warm_start=start)

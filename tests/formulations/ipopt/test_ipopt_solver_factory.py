@@ -8,11 +8,22 @@ import pytest
 from pyomo.contrib.solver.common.factory import SolverFactory
 from pyomo.contrib.solver.common.results import SolutionStatus
 from pyomo.contrib.solver.common.results import TerminationCondition as Ended
-from pyomo.contrib.solver.common.util import NoDualsError, NoFeasibleSolutionError, NoOptimalSolutionError
+from pyomo.contrib.solver.common.util import (
+    NoDualsError,
+    NoFeasibleSolutionError,
+    NoOptimalSolutionError,
+)
 from pyomo.opt import SolverStatus, TerminationCondition
 
 import formulations  # noqa: F401 - registers the solver
-from formulations.ipopt import ModelRefusedError, TouchstoneIpopt, UnknownOptionError, compile_model, pyomo_solver, solve
+from formulations.ipopt import (
+    ModelRefusedError,
+    TouchstoneIpopt,
+    UnknownOptionError,
+    compile_model,
+    pyomo_solver,
+    solve,
+)
 from formulations.ipopt.pyomo_solver import dual_start
 from formulations.solution import Outcome
 from tests.formulations.mpec.nearest import nearest
@@ -54,14 +65,27 @@ def hs100(m):
     """Problem 100; optimum 680.6300573."""
     m.x = pyo.Var(range(1, 8), initialize={1: 1, 2: 2, 3: 0, 4: 4, 5: 0, 6: 1, 7: 1})
     x = m.x
-    m.a = pyo.Constraint(expr=127 - 2 * x[1] ** 2 - 3 * x[2] ** 4 - x[3] - 4 * x[4] ** 2 - 5 * x[5] >= 0)
+    m.a = pyo.Constraint(
+        expr=127 - 2 * x[1] ** 2 - 3 * x[2] ** 4 - x[3] - 4 * x[4] ** 2 - 5 * x[5] >= 0
+    )
     m.b = pyo.Constraint(expr=282 - 7 * x[1] - 3 * x[2] - 10 * x[3] ** 2 - x[4] + x[5] >= 0)
     m.c = pyo.Constraint(expr=196 - 23 * x[1] - x[2] ** 2 - 6 * x[6] ** 2 + 8 * x[7] >= 0)
-    m.d = pyo.Constraint(expr=-4 * x[1] ** 2 - x[2] ** 2 + 3 * x[1] * x[2] - 2 * x[3] ** 2 - 5 * x[6] + 11 * x[7] >= 0)
+    m.d = pyo.Constraint(
+        expr=-4 * x[1] ** 2 - x[2] ** 2 + 3 * x[1] * x[2] - 2 * x[3] ** 2 - 5 * x[6] + 11 * x[7]
+        >= 0
+    )
     m.cost = pyo.Objective(
-        expr=(x[1] - 10) ** 2 + 5 * (x[2] - 12) ** 2 + x[3] ** 4 + 3 * (x[4] - 11) ** 2 + 10 * x[5] ** 6 + 7 * x[6] ** 2 + x[7] ** 4
-        - 4 * x[6] * x[7] - 10 * x[6] - 8 * x[7]
-    )  # fmt: skip
+        expr=(x[1] - 10) ** 2
+        + 5 * (x[2] - 12) ** 2
+        + x[3] ** 4
+        + 3 * (x[4] - 11) ** 2
+        + 10 * x[5] ** 6
+        + 7 * x[6] ** 2
+        + x[7] ** 4
+        - 4 * x[6] * x[7]
+        - 10 * x[6]
+        - 8 * x[7]
+    )
     return 680.6300573
 
 
@@ -70,7 +94,8 @@ def test_hock_and_schittkowski(solver, problem):
     m = pyo.ConcreteModel()
     optimum = problem(m)
     pyo.assert_optimal_termination(solver.solve(m))
-    # The book prints its optima to seven digits or so; those at 0 are degenerate, where 1e-8 in x is what the tolerance leaves.
+    # The book prints its optima to seven digits or so; those at 0 are degenerate, where 1e-8 in x
+    # is what the tolerance leaves.
     assert pyo.value(m.cost) == pytest.approx(optimum, rel=2e-7, abs=2e-7)
 
 
@@ -132,7 +157,11 @@ def test_results_tell_what_happened(solver):
     assert results.solver.termination_condition == TerminationCondition.optimal
     assert results.problem.upper_bound == pytest.approx(optimum)
     assert (results.problem.number_of_variables, results.problem.number_of_constraints) == (4, 2)
-    assert results.solver.statistics.black_box.number_of_iterations == solver.last_result.iterations > 0
+    assert (
+        results.solver.statistics.black_box.number_of_iterations
+        == solver.last_result.iterations
+        > 0
+    )
     assert results.problem.name == "seventy-one"
 
 
@@ -151,7 +180,9 @@ def test_a_solution_can_be_loaded_later(solver):
     (lambda m: m.demand.set_value(m.a + m.b**2 <= -1), {}, TerminationCondition.infeasible),
     (lambda m: (m.b.setlb(None), m.demand.deactivate()), {}, TerminationCondition.unbounded),
     (lambda m: None, {"max_iter": 1}, TerminationCondition.maxIterations),
-    (lambda m: m.add_component("e", pyo.Constraint([1, 2, 3], rule=lambda m, i: m.a * i == i * m.b)), {}, TerminationCondition.invalidProblem),
+    (lambda m: m.add_component("e",
+                               pyo.Constraint([1, 2, 3], rule=lambda m, i: m.a * i == i * m.b)), {},
+                               TerminationCondition.invalidProblem),
 ])  # fmt: skip
 def test_a_solve_without_solution_is_a_warning(solver, change, options, condition, caplog):
     m = linear(pyo.minimize)
@@ -179,12 +210,19 @@ def test_options_stay_and_can_be_given_for_one_solve(solver):
     solver.options["tol"] = 1e-5
     solver.solve(m, options={"max_iter": 77}, options_string="mu_init=0.01", timelimit=12)
     used = solver.last_result.options
-    assert (used["tol"], used["max_iter"], used["mu_init"], used["max_wall_time"]) == (1e-5, 77, 0.01, 12.0)
+    assert (used["tol"], used["max_iter"], used["mu_init"], used["max_wall_time"]) == (
+        1e-5,
+        77,
+        0.01,
+        12.0,
+    )
     solver.solve(m)
     assert "max_iter" not in solver.last_result.options
     with pytest.raises(UnknownOptionError, match="max_iter"):
         solver.solve(m, options={"maxiter": 3})
-    assert dict(pyo.SolverFactory("touchstone_ipopt", options={"tol": 1e-4}).options) == {"tol": 1e-4}
+    assert dict(pyo.SolverFactory("touchstone_ipopt", options={"tol": 1e-4}).options) == {
+        "tol": 1e-4
+    }
 
 
 @pytest.mark.parametrize("tee", [False, True])
@@ -257,7 +295,10 @@ def repeated(seed: int, n: int = 30) -> pyo.ConcreteModel:
     for _ in range(n // 2):
         chosen, factors = random.choice(n, size=3, replace=False), random.normal(size=3)
         for _ in range(1 + int(random.random() < 0.2)):
-            m.c.add(sum(factor * m.x[int(place)] for factor, place in zip(factors, chosen, strict=True)) == float(factors @ inside[chosen]))
+            m.c.add(
+                sum(factor * m.x[int(place)] for factor, place in zip(factors, chosen, strict=True))
+                == float(factors @ inside[chosen])
+            )
     m.cost = pyo.Objective(expr=sum((m.x[i] - wanted[i]) ** 2 for i in range(n)))
     return m
 
@@ -286,7 +327,9 @@ def test_the_optimum_is_found_whatever_rounding_does(linear_solver):
     for seed in range(SEEDS):
         m = repeated(seed)
         expected = least(m)
-        results = pyo.SolverFactory("touchstone_ipopt").solve(m, options={"linear_solver": linear_solver})
+        results = pyo.SolverFactory("touchstone_ipopt").solve(
+            m, options={"linear_solver": linear_solver}
+        )
         pyo.assert_optimal_termination(results)
         assert pyo.value(m.cost) == pytest.approx(expected, rel=1e-6, abs=1e-8), seed
 
@@ -296,14 +339,25 @@ def test_the_optimum_is_found_whatever_rounding_does(linear_solver):
 def test_what_the_message_says_helps(linear_solver):
     for seed in range(SEEDS):
         problem = compile_model(repeated(seed))
-        assert solve(problem, options={"linear_solver": linear_solver, "perturb_always_cd": "yes"}).outcome is Outcome.SOLVED
+        assert (
+            solve(
+                problem, options={"linear_solver": linear_solver, "perturb_always_cd": "yes"}
+            ).outcome
+            is Outcome.SOLVED
+        )
         plain = solve(problem, options={"linear_solver": linear_solver, "max_iter": 200})
-        assert plain.outcome is Outcome.SOLVED or np.max(np.abs(plain.lagrange)) < 1e8 or "perturb_always_cd" in plain.message
+        assert (
+            plain.outcome is Outcome.SOLVED
+            or np.max(np.abs(plain.lagrange)) < 1e8
+            or "perturb_always_cd" in plain.message
+        )
 
 
 @pytest.mark.parametrize(("ends", "options", "asked", "ended"), [
-    (["stalled", "solved"], {}, [None, "yes"], "optimal"), (["stalled", "stalled"], {}, [None, "yes"], "feasible"),
-    (["stalled", "solved"], {"perturb_always_cd": "no"}, ["no"], "feasible"), (["solved"], {}, [None], "optimal"),
+    (["stalled", "solved"], {}, [None, "yes"], "optimal"),
+    (["stalled", "stalled"], {}, [None, "yes"], "feasible"),
+    (["stalled", "solved"], {"perturb_always_cd": "no"}, ["no"], "feasible"),
+    (["solved"], {}, [None], "optimal"),
 ])  # fmt: skip
 def test_one_more_solve_where_nobody_said_how(monkeypatch, ends, options, asked, ended):
     m, seen, left = repeated(0), [], iter(ends)
@@ -313,7 +367,12 @@ def test_one_more_solve_where_nobody_said_how(monkeypatch, ends, options, asked,
         found = solve(problem, options={"perturb_always_cd": "yes"}, **others)
         if next(left) == "solved":
             return found
-        lost = {"outcome": Outcome.STALLED, "status": 1, "lagrange": np.full(len(found.lagrange), 1e16), "options": dict(options)}
+        lost = {
+            "outcome": Outcome.STALLED,
+            "status": 1,
+            "lagrange": np.full(len(found.lagrange), 1e16),
+            "options": dict(options),
+        }
         return pyomo_solver.replace(found, **lost)
 
     monkeypatch.setattr(pyomo_solver, "solve", fake)
@@ -324,13 +383,21 @@ def test_one_more_solve_where_nobody_said_how(monkeypatch, ends, options, asked,
 
 
 def program(sense=pyo.minimize) -> pyo.ConcreteModel:
-    """(x - 3)^2 + (y - 1)^2 with x + 2 y = 4 and x <= 2: x = 2, y = 1; the row's multiplier is 0, the bound's -2."""
+    """(x - 3)^2 + (y - 1)^2 with x + 2 y = 4 and x <= 2: x = 2, y = 1.
+
+    The row's multiplier is 0, the bound's -2.
+    """
     model = pyo.ConcreteModel()
     model.x, model.y = pyo.Var(bounds=(0, 2), initialize=1), pyo.Var(initialize=1)
     sign = 1 if sense == pyo.minimize else -1
-    model.cost = pyo.Objective(expr=sign * ((model.x - 3) ** 2 + (model.y - 1) ** 2 + 0.5 * model.y), sense=sense)
+    model.cost = pyo.Objective(
+        expr=sign * ((model.x - 3) ** 2 + (model.y - 1) ** 2 + 0.5 * model.y), sense=sense
+    )
     model.row = pyo.Constraint(expr=model.x + 2 * model.y == 4)
-    model.dual, model.rc = pyo.Suffix(direction=pyo.Suffix.IMPORT), pyo.Suffix(direction=pyo.Suffix.IMPORT)
+    model.dual, model.rc = (
+        pyo.Suffix(direction=pyo.Suffix.IMPORT),
+        pyo.Suffix(direction=pyo.Suffix.IMPORT),
+    )
     return model
 
 
@@ -349,7 +416,8 @@ def test_values_duals_and_reduced_costs(name, sense):
     assert results.solver_name == name
     assert results.extra_info.iteration_count > 0
     assert solver.last_result.solved
-    # y = (4 - x) / 2: a right-hand side that grows by 1 moves y by 1/2; a bound that grows moves x by 1 and y by -1/2
+    # y = (4 - x) / 2: a right-hand side that grows by 1 moves y by 1/2; a bound that grows moves x
+    # by 1 and y by -1/2
     assert model.dual[model.row] == pytest.approx(sign * 0.25, abs=1e-6)
     assert model.rc[model.x] == pytest.approx(sign * -2.25, abs=1e-6)
     assert model.rc[model.y] == pytest.approx(0, abs=1e-6)
@@ -370,8 +438,12 @@ def test_loading_waits_until_asked():
 
 def test_a_complementarity():
     model = nearest()
-    results = SolverFactory("mpec_ipopt").solve(model, solver_options={"strategy": "scholtes"}, time_limit=60)
-    assert (model.x.value, model.y.value, results.incumbent_objective) == pytest.approx((0, 2, 1), abs=1e-8)
+    results = SolverFactory("mpec_ipopt").solve(
+        model, solver_options={"strategy": "scholtes"}, time_limit=60
+    )
+    assert (model.x.value, model.y.value, results.incumbent_objective) == pytest.approx(
+        (0, 2, 1), abs=1e-8
+    )
     assert "scholtes" in results.extra_info.message
 
 
@@ -379,13 +451,20 @@ def test_what_is_not_optimal_is_an_error_unless_the_user_says_otherwise():
     model = program()
     model.contradiction = pyo.Constraint(expr=model.x >= 2.5)
     solver = SolverFactory("touchstone_ipopt")
-    with pytest.raises(NoOptimalSolutionError, match=r"raise_exception_on_nonoptimal_result.*Infeasible"):
+    with pytest.raises(
+        NoOptimalSolutionError, match=r"raise_exception_on_nonoptimal_result.*Infeasible"
+    ):
         solver.solve(model)
     assert (model.x.value, model.y.value) == (1, 1)
     results = solver.solve(model, raise_exception_on_nonoptimal_result=False, load_solutions=False)
     assert results.termination_condition is Ended.locallyInfeasible
     assert results.incumbent_objective is None
-    limited = solver.solve(program(), raise_exception_on_nonoptimal_result=False, load_solutions=False, solver_options={"max_iter": 1})
+    limited = solver.solve(
+        program(),
+        raise_exception_on_nonoptimal_result=False,
+        load_solutions=False,
+        solver_options={"max_iter": 1},
+    )
     assert limited.termination_condition is Ended.iterationLimit
 
 
@@ -397,14 +476,20 @@ def test_without_a_point_there_is_nothing_to_load():
     with pytest.raises(NoFeasibleSolutionError):
         solver.solve(model, raise_exception_on_nonoptimal_result=False)
     results = solver.solve(model, raise_exception_on_nonoptimal_result=False, load_solutions=False)
-    assert (results.solution_status, results.termination_condition) == (SolutionStatus.noSolution, Ended.error)
+    assert (results.solution_status, results.termination_condition) == (
+        SolutionStatus.noSolution,
+        Ended.error,
+    )
     assert results.solution_loader.get_number_of_solutions() == 0
 
 
 def test_a_point_without_multipliers_says_so():
     model = nearest()
     results = SolverFactory("mpec_ipopt").solve(
-        model, solver_options={"polish": False}, load_solutions=False, raise_exception_on_nonoptimal_result=False
+        model,
+        solver_options={"polish": False},
+        load_solutions=False,
+        raise_exception_on_nonoptimal_result=False,
     )
     with pytest.raises(NoDualsError):
         results.solution_loader.get_duals()

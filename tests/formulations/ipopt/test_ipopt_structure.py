@@ -7,7 +7,14 @@ from pyomo.dae import ContinuousSet, DerivativeVar
 from pyomo.gdp import Disjunct, Disjunction
 from pyomo.mpec import Complementarity, complements
 
-from formulations.ipopt import MissingValueError, ModelRefusedError, StructureChangedError, compile_model, load, solve
+from formulations.ipopt import (
+    MissingValueError,
+    ModelRefusedError,
+    StructureChangedError,
+    compile_model,
+    load,
+    solve,
+)
 
 
 def small():
@@ -29,9 +36,15 @@ def agrees(m, problem):
     assert problem.objective(x) == pytest.approx(sense * pyo.value(m.cost), rel=1e-14)
     for k, constraint in enumerate(problem.equations):
         gap = problem.constraints(x)[k] - problem.constraint_lower[k]
-        assert gap == pytest.approx(pyo.value(constraint.body) - (-np.inf if constraint.lb is None else constraint.lb), rel=1e-13)
+        assert gap == pytest.approx(
+            pyo.value(constraint.body) - (-np.inf if constraint.lb is None else constraint.lb),
+            rel=1e-13,
+        )
         upper = problem.constraint_upper[k] - problem.constraints(x)[k]
-        assert upper == pytest.approx((np.inf if constraint.ub is None else constraint.ub) - pyo.value(constraint.body), rel=1e-13)
+        assert upper == pytest.approx(
+            (np.inf if constraint.ub is None else constraint.ub) - pyo.value(constraint.body),
+            rel=1e-13,
+        )
 
 
 def test_params_fixed_values_and_bounds_are_read_again_without_analysis():
@@ -64,9 +77,13 @@ def test_values_are_as_of_the_last_refresh():
 
 
 @pytest.mark.parametrize(("change", "named"), [
-    (lambda m: m.x[1].fix(), "x[1]"), (lambda m: m.z.unfix(), "'z'"), (lambda m: m.c.deactivate(), "1 constraints"),
-    (lambda m: m.add_component("new", pyo.Constraint(expr=m.x[1] >= 0)), "3 constraints"), (lambda m: m.c.set_value(m.x[1] == 0), "'c'"),
-    (lambda m: m.e.set_value(m.x[1]), "'e'"), (lambda m: setattr(m.cost, "sense", pyo.maximize), "objective"), (lambda m: m.cost.deactivate(), "objective"),
+    (lambda m: m.x[1].fix(), "x[1]"), (lambda m: m.z.unfix(), "'z'"),
+    (lambda m: m.c.deactivate(), "1 constraints"),
+    (lambda m: m.add_component("new", pyo.Constraint(expr=m.x[1] >= 0)), "3 constraints"),
+    (lambda m: m.c.set_value(m.x[1] == 0), "'c'"),
+    (lambda m: m.e.set_value(m.x[1]), "'e'"),
+    (lambda m: setattr(m.cost, "sense", pyo.maximize), "objective"),
+    (lambda m: m.cost.deactivate(), "objective"),
 ])  # fmt: skip
 def test_a_change_of_structure_is_named(change, named):
     m = small()
@@ -103,16 +120,24 @@ def _external(m):
 
 @pytest.mark.parametrize(("build", "words"), [
     (lambda m: m.add_component("cost", pyo.Objective(expr=abs(m.x))), ["cost", "abs", "sqrt"]),
-    (lambda m: m.add_component("c", pyo.Constraint(expr=pyo.Expr_if(m.x >= 0, m.x, 0) == 1)), ["'c'", "Expr_if"]),
+    (lambda m: m.add_component("c", pyo.Constraint(expr=pyo.Expr_if(m.x >= 0, m.x, 0) == 1)),
+     ["'c'", "Expr_if"]),
     (lambda m: m.add_component("c", pyo.Constraint(expr=pyo.ceil(m.x) == 1)), ["'c'", "ceil"]),
-    (lambda m: m.add_component("c", Complementarity(expr=complements(m.x >= 0, m.y >= 0))), ["'c'", "Complementarity", "mpec_ipopt"]),
+    (lambda m: m.add_component("c", Complementarity(expr=complements(m.x >= 0, m.y >= 0))),
+     ["'c'", "Complementarity", "mpec_ipopt"]),
     (_disjunction, ["Disjunct"]), (_external, ["cost", "variable"]),
-    (lambda m: m.add_component("s", pyo.SOSConstraint(rule=lambda m: ([m.x, m.y], [1, 2]), sos=1)), ["'s'", "SOSConstraint", "special ordered sets"]),
-    (lambda m: (m.add_component("o1", pyo.Objective(expr=m.x)), m.add_component("o2", pyo.Objective(expr=m.y))), ["'o1'", "'o2'"]),
-    (lambda m: (m.add_component("n", pyo.Var(domain=pyo.Integers)), m.add_component("c", pyo.Constraint(expr=m.n >= m.x))), ["'n'", "Integers"]),
-    (lambda m: (m.add_component("e", pyo.Expression()), m.add_component("o", pyo.Objective(expr=m.x + m.e))), ["'e'", "'o'"]),
+    (lambda m: m.add_component("s", pyo.SOSConstraint(rule=lambda m: ([m.x, m.y], [1, 2]), sos=1)),
+     ["'s'", "SOSConstraint", "special ordered sets"]),
+    (lambda m: (m.add_component("o1", pyo.Objective(expr=m.x)),
+                m.add_component("o2", pyo.Objective(expr=m.y))), ["'o1'", "'o2'"]),
+    (lambda m: (m.add_component("n", pyo.Var(domain=pyo.Integers)),
+                m.add_component("c", pyo.Constraint(expr=m.n >= m.x))), ["'n'", "Integers"]),
+    (lambda m: (m.add_component("e", pyo.Expression()),
+                m.add_component("o", pyo.Objective(expr=m.x + m.e))), ["'e'", "'o'"]),
     (lambda m: m.add_component("r", pyo.Constraint(expr=(m.y, m.x, 3))), ["'r'"]),
-    (lambda m: (m.add_component("b", pyo.BooleanVar()), m.add_component("l", pyo.LogicalConstraint(expr=m.b))), ["'l'", "LogicalConstraint"]),
+    (lambda m: (m.add_component("b", pyo.BooleanVar()),
+                m.add_component("l", pyo.LogicalConstraint(expr=m.b))),
+                ["'l'", "LogicalConstraint"]),
 ])  # fmt: skip
 def test_what_cannot_be_treated_is_refused_by_name(build, words):
     message = refused(build)
@@ -126,7 +151,9 @@ def test_what_is_deactivated_or_data_is_not_refused():
     m.n.fix()
     m.inactive = Complementarity(expr=complements(m.x[1] >= 0, m.x[2] >= 0))
     m.inactive.deactivate()
-    m.more = pyo.Constraint(expr=abs(m.p) * m.x[1] + m.n * pyo.Expr_if(m.z >= 1, m.x[2] * 0 + 1, 2) >= pyo.ceil(m.p))
+    m.more = pyo.Constraint(
+        expr=abs(m.p) * m.x[1] + m.n * pyo.Expr_if(m.z >= 1, m.x[2] * 0 + 1, 2) >= pyo.ceil(m.p)
+    )
     problem = compile_model(m)
     agrees(m, problem)
     m.p.value = -2.5
@@ -158,7 +185,12 @@ def test_nested_and_indexed_blocks_are_walked_and_inactive_ones_left():
         b.inner.c = pyo.Constraint(expr=b.y >= -i)
 
     m.cost = pyo.Objective(expr=m.x)
-    assert [c.name for c in compile_model(m).equations] == ["part[1].c", "part[1].inner.c", "part[2].c", "part[2].inner.c"]
+    assert [c.name for c in compile_model(m).equations] == [
+        "part[1].c",
+        "part[1].inner.c",
+        "part[2].c",
+        "part[2].inner.c",
+    ]
     m.part[2].deactivate()
     assert [c.name for c in compile_model(m).equations] == ["part[1].c", "part[1].inner.c"]
     assert compile_model(m.part[1]).m == 2
@@ -175,13 +207,16 @@ def test_a_missing_number_is_named(value):
 def test_why_a_number_is_missing_is_told():
     m = small()
     m.z.set_value("many", skip_validation=True)
-    with pytest.raises(MissingValueError, match=r"'z' has no value .*could not convert string to float: 'many'"):
+    with pytest.raises(
+        MissingValueError, match=r"'z' has no value .*could not convert string to float: 'many'"
+    ):
         compile_model(m)
 
 
 @pytest.mark.parametrize(("place", "named"), [
     (lambda m: m.add_component("more", pyo.Constraint(expr=m.r * m.x[1] <= 1)), "'r' has no value"),
-    (lambda m: m.add_component("more", pyo.Constraint(expr=m.x[1] <= m.r)), "a bound of constraint 'more' has no value"),
+    (lambda m: m.add_component("more", pyo.Constraint(expr=m.x[1] <= m.r)),
+     "a bound of constraint 'more' has no value"),
     (lambda m: m.x[1].setub(2 * m.r), "a bound of variable 'x\\[1\\]' has no value"),
 ])  # fmt: skip
 def test_a_param_without_value_is_named_by_where_it_stands(place, named):
@@ -251,9 +286,13 @@ def test_a_transformed_complementarity_follows_its_bound():
 def test_compiling_and_refreshing_leave_the_model_as_it_was():
     m = small()
     components = [c.name for c in m.component_objects()]
-    before = {v.name: (v.value, v.fixed, v.lb, v.ub, v.stale) for v in m.component_data_objects(pyo.Var)}
+    before = {
+        v.name: (v.value, v.fixed, v.lb, v.ub, v.stale) for v in m.component_data_objects(pyo.Var)
+    }
     problem = compile_model(m)
     problem.refresh()
     solve(problem)
-    assert {v.name: (v.value, v.fixed, v.lb, v.ub, v.stale) for v in m.component_data_objects(pyo.Var)} == before
+    assert {
+        v.name: (v.value, v.fixed, v.lb, v.ub, v.stale) for v in m.component_data_objects(pyo.Var)
+    } == before
     assert [c.name for c in m.component_objects()] == components

@@ -1,4 +1,8 @@
-"""Our factorisation, called as Ipopt calls it, against eigenvalues and residuals of numpy; who factorises: by default ours where it can be had, else MUMPS; both come to the same optimum; what is insisted on is told where it is missing."""
+"""Our factorisation, called as Ipopt calls it, against eigenvalues and residuals of numpy.
+
+Who factorises: by default ours where it can be had, else MUMPS; both come to the same optimum; what
+is insisted on is told where it is missing.
+"""
 
 import subprocess
 import sys
@@ -47,7 +51,9 @@ def test_inertia_and_solution_are_those_of_numpy(kind, pivot: float) -> None:
             continue
         right = random.normal(size=factor.n)
         x = factor.solve(right / scale)
-        error = np.abs(scale * (whole @ x) - right).max() / (np.abs(even).max() * np.abs(x / scale).max() + np.abs(right).max())
+        error = np.abs(scale * (whole @ x) - right).max() / (
+            np.abs(even).max() * np.abs(x / scale).max() + np.abs(right).max()
+        )
         assert factor.info[0] == 0
         assert factor.negative == int((eigenvalues < 0.0).sum())
         assert error < 1e-7 if kind is wide_range else error < 1e-10
@@ -56,7 +62,8 @@ def test_inertia_and_solution_are_those_of_numpy(kind, pivot: float) -> None:
 
 
 def test_a_pivot_that_must_wait_is_put_off_to_the_parent() -> None:
-    # No variable has a diagonal and every neighbour of 0 is taken by a stronger one: pairs alone do not do.
+    # No variable has a diagonal and every neighbour of 0 is taken by a stronger one: pairs alone do
+    # not do.
     for seed in range(20):
         random = np.random.default_rng(seed)
         tree = sparse.lil_array((41, 41))
@@ -77,14 +84,18 @@ def test_dependent_rows_that_are_regularised_as_ipopt_does_have_their_inertia(se
     random = np.random.default_rng(seed)
     jacobian = random.normal(size=(5, 9))
     jacobian[3] = 0.3 * jacobian[0] - 7.0 * jacobian[2]
-    dense = np.block([[np.diag(random.uniform(0.5, 2.0, 9)), jacobian.T], [jacobian, -1e-8 * np.eye(5)]])
+    dense = np.block(
+        [[np.diag(random.uniform(0.5, 2.0, 9)), jacobian.T], [jacobian, -1e-8 * np.eye(5)]]
+    )
     factor = Factor(sparse.csr_array(dense))
     assert (int(factor.info[0]), factor.negative) == (0, 5)
 
 
 def test_a_pivot_is_not_refused_for_being_small() -> None:
     """An inequality held by an equality of the same row: all that keeps the system regular is the barrier's term, which falls to 1e-18."""
-    dense = np.array([[2.0, 1.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, -1.0], [0.0, 0.0, -1.0, 1e18]])
+    dense = np.array(
+        [[2.0, 1.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, -1.0], [0.0, 0.0, -1.0, 1e18]]
+    )
     factor = Factor(sparse.csr_array(dense))
     assert (int(factor.info[0]), factor.negative) == (0, 2)
     right = np.array([1.0, 2.0, 2.0, -1.0])  # x = 2: the rows agree, the multipliers stay
@@ -93,10 +104,14 @@ def test_a_pivot_is_not_refused_for_being_small() -> None:
 
 @pytest.mark.parametrize("room", [None, (1, 1)])
 @pytest.mark.parametrize("twice", [False, True])
-def test_a_matrix_singular_at_every_step_is_told_at_once(twice: bool, room: tuple[int, int] | None) -> None:
+def test_a_matrix_singular_at_every_step_is_told_at_once(
+    twice: bool, room: tuple[int, int] | None
+) -> None:
     """A gradient that is zero, or a row stated twice, at each step: what cannot be eliminated must not gather in ever larger fronts."""
     steps, random = 400, np.random.default_rng(2)
-    one = np.array([[1.0, 0.5, 1.0, 1.0], [0.5, 0.0, 2.0, 2.0], [1.0, 2.0, 0.0, 0.0], [1.0, 2.0, 0.0, 0.0]])
+    one = np.array(
+        [[1.0, 0.5, 1.0, 1.0], [0.5, 0.0, 2.0, 2.0], [1.0, 2.0, 0.0, 0.0], [1.0, 2.0, 0.0, 0.0]]
+    )
     one = one if twice else one * np.outer([1, 1, 1, 0], [1, 1, 1, 0])
     matrix = sparse.lil_array(sparse.kron(sparse.eye_array(steps), one))
     for k in range(steps - 1):
@@ -104,8 +119,13 @@ def test_a_matrix_singular_at_every_step_is_told_at_once(twice: bool, room: tupl
     lower = sparse.tril(matrix, format="coo")
     if not twice:  # the places of the zeros are told, as Ipopt tells them
         zero = 4 * np.arange(steps) + 3
-        rows, columns = np.concatenate([lower.row, zero, zero]), np.concatenate([lower.col, zero - 1, zero])
-        told = sparse.coo_array((np.concatenate([lower.data, np.zeros(2 * steps)]), (rows, columns)), shape=matrix.shape)
+        rows, columns = (
+            np.concatenate([lower.row, zero, zero]),
+            np.concatenate([lower.col, zero - 1, zero]),
+        )
+        told = sparse.coo_array(
+            (np.concatenate([lower.data, np.zeros(2 * steps)]), (rows, columns)), shape=matrix.shape
+        )
     else:
         told = sparse.coo_array(lower)
     factor = Factor(told, room=room)
@@ -118,7 +138,12 @@ def test_hubs_come_last_and_the_rest_stays_sparse() -> None:
     size, heads, random = 3000, 20, np.random.default_rng(6)
     wings = sparse.csr_array(random.normal(size=(heads, size)))
     matrix = sparse.csr_array(
-        sparse.block_array([[sparse.eye_array(size), wings.T], [wings, sparse.csr_array(random.normal(size=(heads, heads)))]])
+        sparse.block_array(
+            [
+                [sparse.eye_array(size), wings.T],
+                [wings, sparse.csr_array(random.normal(size=(heads, heads)))],
+            ]
+        )
     )
     matrix = sparse.csr_array(sparse.tril(matrix) + sparse.tril(matrix, -1).T)
     factor = Factor(matrix)
@@ -132,13 +157,18 @@ def test_values_with_other_zero_diagonals_than_the_order_was_made_for() -> None:
     for seed in range(10):
         random = np.random.default_rng(seed)
         first = chain(random, 25)
-        ones = sparse.csr_array(first - sparse.diags_array(first.diagonal()) + 1e3 * sparse.eye_array(first.shape[0]))
+        ones = sparse.csr_array(
+            first - sparse.diags_array(first.diagonal()) + 1e3 * sparse.eye_array(first.shape[0])
+        )
         pattern = sparse.coo_array(sparse.tril(ones))
         factor = Factor(ones)
         values = np.asarray(sparse.csr_array(first)[pattern.row, pattern.col]).ravel()
         factor.again(values)
         whole = first.toarray()
-        assert (int(factor.info[0]), factor.negative) == (0, int((np.linalg.eigvalsh(scaled(whole)[1]) < 0.0).sum()))
+        assert (int(factor.info[0]), factor.negative) == (
+            0,
+            int((np.linalg.eigvalsh(scaled(whole)[1]) < 0.0).sum()),
+        )
         right = random.normal(size=factor.n)
         assert np.abs(whole @ factor.solve(right) - right).max() < 1e-6 * np.abs(right).max()
 
@@ -178,7 +208,10 @@ def test_entries_told_twice_are_added() -> None:
     twice = Factor.__new__(Factor)
     twice.__dict__.update(factor.__dict__)
     twice.rows, twice.columns = np.tile(factor.rows, 2), np.tile(factor.columns, 2)
-    twice.rows[len(factor.rows) :], twice.columns[len(factor.rows) :] = factor.columns, factor.rows  # from above the diagonal
+    twice.rows[len(factor.rows) :], twice.columns[len(factor.rows) :] = (
+        factor.columns,
+        factor.rows,
+    )  # from above the diagonal
     twice.keep, twice.rooms = np.zeros_like(factor.keep), 0
     twice.a, twice.iw = np.zeros(500), np.zeros(500, np.intc)
     lower = sparse.coo_array(sparse.tril(sparse.csr_array(whole)))
@@ -213,7 +246,9 @@ def nobody_asks(monkeypatch):
 
 
 def test_both_come_to_the_same_plan():
-    problem = compile_model(build_model(load_scene("three_cart"), ContactFormulation.SOFTPLUS, eps=1e-3))
+    problem = compile_model(
+        build_model(load_scene("three_cart"), ContactFormulation.SOFTPLUS, eps=1e-3)
+    )
     ours, theirs = (solve(problem, options={"linear_solver": name}) for name in LINEAR_SOLVERS)
     assert ours.outcome is theirs.outcome is Outcome.SOLVED
     assert (ours.options["linear_solver"], theirs.options["linear_solver"]) == LINEAR_SOLVERS
@@ -272,8 +307,12 @@ except MachineError as error:
 def test_a_library_that_cannot_be_loaded_leaves_mumps(monkeypatch, tmp_path):
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
     (tmp_path / "damaged").write_bytes(b"")
-    (tmp_path / "damaged").replace(linear_solver.ldlt_library())  # not written over: this process has it mapped
-    told = subprocess.run([sys.executable, "-c", _ANOTHER_PROCESS], capture_output=True, text=True, check=True).stdout
+    (tmp_path / "damaged").replace(
+        linear_solver.ldlt_library()
+    )  # not written over: this process has it mapped
+    told = subprocess.run(
+        [sys.executable, "-c", _ANOTHER_PROCESS], capture_output=True, text=True, check=True
+    ).stdout
     assert told.startswith("SOLVED mumps\n")
     assert "cannot be loaded" in told
 

@@ -11,7 +11,15 @@ from pyomo.mpec import Complementarity, complements
 from scipy.optimize import OptimizeResult
 
 from formulations.ipopt import ModelRefusedError
-from formulations.mpec import Certificate, Stationarity, certify, certify_plan, certify_solution, load, solve_mpec
+from formulations.mpec import (
+    Certificate,
+    Stationarity,
+    certify,
+    certify_plan,
+    certify_solution,
+    load,
+    solve_mpec,
+)
 from formulations.mpec.certificate import multipliers as decision
 from formulations.mpec.certificate import stationarity
 from formulations.mpec.certificate.plan import PlanJudge
@@ -21,11 +29,15 @@ from models.catalog import load_scene
 from models.errors import TrajectoryError
 from models.trajectory import Trajectory
 
-SCENE = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
+SCENE = load_scene("three_cart").with_task(
+    start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100
+)
 
 
 def solved(method: str, **options) -> Solution:
-    return solve_scene(SCENE, method, eps=1e-2 if method == "relaxed_lcp" else None, options=options)
+    return solve_scene(
+        SCENE, method, eps=1e-2 if method == "relaxed_lcp" else None, options=options
+    )
 
 
 def plan_of(solution: Solution) -> Trajectory:
@@ -61,7 +73,9 @@ def test_multipliers_agree_with_those_of_the_solver() -> None:
     assert certificate.holds, certificate.sentence
     assert certificate.unique
     assert certificate.biactive == solution.residuals["biactive_pairs"] > 0
-    assert certificate.least == pytest.approx(solution.residuals["least_biactive_multiplier"], rel=1e-6)
+    assert certificate.least == pytest.approx(
+        solution.residuals["least_biactive_multiplier"], rel=1e-6
+    )
 
 
 @pytest.mark.slow
@@ -83,7 +97,9 @@ def test_a_contact_moved_by_a_step_is_found(best: Solution) -> None:
     certificate = certify_plan(SCENE, replace(plan, lam=np.roll(plan.lam, 1, axis=0)))
     assert not certificate.holds
     assert certificate.primal > 1e-3
-    assert certificate.worst.startswith(("complementarity_contact", "constraint_velocity_step", "variable_lam"))
+    assert certificate.worst.startswith(
+        ("complementarity_contact", "constraint_velocity_step", "variable_lam")
+    )
 
 
 def test_a_dearer_plan_of_the_same_task_is_not_stationary(best: Solution) -> None:
@@ -95,7 +111,9 @@ def test_a_dearer_plan_of_the_same_task_is_not_stationary(best: Solution) -> Non
     u[-2, 1] += 1e-3
     rollout = load_kernel(SCENE).rollout(np.array(task.start), u, task.step)
     other = replace(SCENE, task=replace(task, goal=(*rollout.q[-1], *rollout.v[-1])))
-    certificate = certify_plan(other, Trajectory(t=plan.t, q=rollout.q, v=rollout.v, u=u, lam=rollout.lam))
+    certificate = certify_plan(
+        other, Trajectory(t=plan.t, q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    )
     assert certificate.feasible
     assert certificate.stationarity is Stationarity.NONE
     assert certificate.b_stationary is False
@@ -124,7 +142,13 @@ def test_a_judge_that_judged_others_before_says_the_same(best: Solution) -> None
     plan, judge = plan_of(best), PlanJudge(SCENE)
     moved = replace(plan, lam=np.roll(plan.lam, 1, axis=0))
     for other, ball in ((moved, 0.0), (plan, 0.02), (moved, 0.5), (plan, 0.0), (plan, 0.02)):
-        kept, new = (asdict(item) for item in (judge.certify(other, goal_tolerance=ball), certify_plan(SCENE, other, goal_tolerance=ball)))
+        kept, new = (
+            asdict(item)
+            for item in (
+                judge.certify(other, goal_tolerance=ball),
+                certify_plan(SCENE, other, goal_tolerance=ball),
+            )
+        )
         assert str(kept) == str(new)  # NaN is NaN
 
 
@@ -149,7 +173,13 @@ def two_sided(x_slope: float, y_slope: float) -> Certificate:
 
 @pytest.mark.parametrize(
     ("slopes", "letter"),
-    [((1.0, 2.0), "S"), ((0.0, -1.0), "M"), ((-1.0, -2.0), "C"), ((-1.0, 2.0), "A"), ((2.0, -1.0), "A")],
+    [
+        ((1.0, 2.0), "S"),
+        ((0.0, -1.0), "M"),
+        ((-1.0, -2.0), "C"),
+        ((-1.0, 2.0), "A"),
+        ((2.0, -1.0), "A"),
+    ],
 )
 def test_bounds_of_a_pair_do_not_hide_the_signs(slopes: tuple[float, float], letter: str) -> None:
     """x >= 0 is a bound of the variable and a side of the pair: one condition, one multiplier."""
@@ -158,7 +188,11 @@ def test_bounds_of_a_pair_do_not_hide_the_signs(slopes: tuple[float, float], let
     assert certificate.unique
     assert certificate.least == pytest.approx(min(slopes))
     assert certificate.b_stationary is (letter == "S")
-    assert certificate.descent == (0.0 if letter == "S" else pytest.approx(min(slopes) / max(1.0, *(abs(slope) for slope in slopes))))
+    assert certificate.descent == (
+        0.0
+        if letter == "S"
+        else pytest.approx(min(slopes) / max(1.0, *(abs(slope) for slope in slopes)))
+    )
 
 
 def at_the_origin(first, second, cost) -> Certificate:
@@ -171,8 +205,14 @@ def at_the_origin(first, second, cost) -> Certificate:
 
 
 def test_several_gentle_slopes_are_a_steep_one_together() -> None:
-    """Both multipliers are -1. Along either edge the cost falls by 1e-6 only, along (1, 0), which leaves both rows, by 2: its largest derivative."""
-    certificate = at_the_origin(lambda x, y: x >= 0, lambda x, y: x + 1e-6 * y >= 0, lambda x, y: -(2 * x + 1e-6 * y))
+    """Both multipliers are -1.
+
+    Along either edge the cost falls by 1e-6 only, along (1, 0), which leaves both rows, by 2: its
+    largest derivative.
+    """
+    certificate = at_the_origin(
+        lambda x, y: x >= 0, lambda x, y: x + 1e-6 * y >= 0, lambda x, y: -(2 * x + 1e-6 * y)
+    )
     assert certificate.descent == pytest.approx(-1.0, rel=1e-3)
     assert certificate.b_stationary is False
     assert not certificate.holds
@@ -181,7 +221,9 @@ def test_several_gentle_slopes_are_a_steep_one_together() -> None:
 @pytest.mark.parametrize("left", [2e-5, 1e-3, 1.0])
 def test_multipliers_of_nearly_dependent_gradients_may_be_large(left: float) -> None:
     """(1, 0) and (1, 1e-7) make up (1, left) with multipliers of left / 1e-7."""
-    certificate = at_the_origin(lambda x, y: x == 0, lambda x, y: x + 1e-7 * y == 0, lambda x, y: x + left * y)
+    certificate = at_the_origin(
+        lambda x, y: x == 0, lambda x, y: x + 1e-7 * y == 0, lambda x, y: x + left * y
+    )
     assert certificate.stationarity is Stationarity.STRONG
     assert certificate.holds
 
@@ -201,7 +243,10 @@ def test_a_program_that_fails_shows_nothing(monkeypatch) -> None:
 
 def _model(**start: float) -> pyo.ConcreteModel:
     model = pyo.ConcreteModel()
-    model.x, model.y = pyo.Var(initialize=start.get("x", 2.0)), pyo.Var(initialize=start.get("y", -1.0))
+    model.x, model.y = (
+        pyo.Var(initialize=start.get("x", 2.0)),
+        pyo.Var(initialize=start.get("y", -1.0)),
+    )
     return model
 
 
@@ -216,26 +261,36 @@ def _abs_beside_its_kink(model):
 
 
 def _largest_of_three(model):
-    model.cost = pyo.Objective(expr=MaxExpression((model.x + model.y, -model.x, 1 - model.y)) + 0.05 * (model.x**2 + (model.y - 0.8) ** 2))
+    model.cost = pyo.Objective(
+        expr=MaxExpression((model.x + model.y, -model.x, 1 - model.y))
+        + 0.05 * (model.x**2 + (model.y - 0.8) ** 2)
+    )
     # all three meet at x = -1/3, y = 2/3 with value 1/3; the square is too weak to leave
     return (-1 / 3, 2 / 3), 1 / 3 + 0.05 * (1 / 9 + (2 / 3 - 0.8) ** 2), 2
 
 
 def _smallest_in_a_row(model):
     model.cost = pyo.Objective(expr=(model.x - 3) ** 2 + (model.y - 5) ** 2)
-    model.row = pyo.Constraint(expr=MinExpression((model.x, model.y)) <= 1)  # one of the two gives way: the nearer one
+    model.row = pyo.Constraint(
+        expr=MinExpression((model.x, model.y)) <= 1
+    )  # one of the two gives way: the nearer one
     return (1, 5), 4, 0
 
 
 def _maximised(model):
-    model.cost = pyo.Objective(expr=-abs(model.x - 2) - model.y**2 + 0.5 * model.x, sense=pyo.maximize)
+    model.cost = pyo.Objective(
+        expr=-abs(model.x - 2) - model.y**2 + 0.5 * model.x, sense=pyo.maximize
+    )
     return (2, 0), 1, 1
 
 
 def _in_a_named_expression(model):
     model.gap = pyo.Expression(expr=abs(model.x) - 1)
     model.cost = pyo.Objective(expr=(model.x - 0.3) ** 2 + (model.y - 2) ** 2)
-    model.first, model.second = pyo.Constraint(expr=model.gap >= 0), pyo.Constraint(expr=model.gap * model.y <= 7)
+    model.first, model.second = (
+        pyo.Constraint(expr=model.gap >= 0),
+        pyo.Constraint(expr=model.gap * model.y <= 7),
+    )
     return (1, 2), 0.49, 0
 
 
@@ -246,7 +301,8 @@ def _in_a_complementarity(model):
 
 
 CASES = [
-    _abs_on_its_kink, _abs_beside_its_kink, _largest_of_three, _smallest_in_a_row, _maximised, _in_a_named_expression, _in_a_complementarity,
+    _abs_on_its_kink, _abs_beside_its_kink, _largest_of_three, _smallest_in_a_row, _maximised,
+    _in_a_named_expression, _in_a_complementarity,
 ]  # fmt: skip
 
 
@@ -254,19 +310,26 @@ CASES = [
 def test_the_answer_is_that_of_the_closed_form(state):
     model = _model()
     point, value, kinks = state(model)
-    before = [str(data.expr) for data in model.component_data_objects((pyo.Objective, pyo.Constraint))]
+    before = [
+        str(data.expr) for data in model.component_data_objects((pyo.Objective, pyo.Constraint))
+    ]
     result = solve_mpec(model)
     assert result.solved, result.message
-    assert dict(zip((variable.name for variable in result.variables), result.x, strict=True)) == pytest.approx(
-        {"x": point[0], "y": point[1]}, abs=1e-6
-    )
+    assert dict(
+        zip((variable.name for variable in result.variables), result.x, strict=True)
+    ) == pytest.approx({"x": point[0], "y": point[1]}, abs=1e-6)
     assert result.objective == pytest.approx(value, abs=1e-7)
     assert f"{kinks} of them on their kink" in result.message
     assert {id(row) for row in result.rows} == {
-        id(row) for row in model.component_data_objects(pyo.Constraint, active=True, descend_into=False)
+        id(row)
+        for row in model.component_data_objects(pyo.Constraint, active=True, descend_into=False)
     }
-    assert [pair.name for pair in result.pairs] == [data.name for data in model.component_data_objects(Complementarity)]
-    assert [str(data.expr) for data in model.component_data_objects((pyo.Objective, pyo.Constraint))] == before
+    assert [pair.name for pair in result.pairs] == [
+        data.name for data in model.component_data_objects(Complementarity)
+    ]
+    assert [
+        str(data.expr) for data in model.component_data_objects((pyo.Objective, pyo.Constraint))
+    ] == before
     load(result)
     assert certify(model).holds
 
@@ -289,7 +352,9 @@ def test_multipliers_are_those_of_the_smooth_problem():
     model.dual = pyo.Suffix(direction=pyo.Suffix.IMPORT)
     pyo.SolverFactory("mpec_ipopt").solve(model)
     # x + y = 3: x = 2, y = 1, multiplier 2
-    assert (model.x.value, model.y.value, model.dual[model.row]) == pytest.approx((2, 1, 2), abs=1e-6)
+    assert (model.x.value, model.y.value, model.dual[model.row]) == pytest.approx(
+        (2, 1, 2), abs=1e-6
+    )
 
 
 def test_what_is_fixed_or_inactive_is_no_kink_and_ipopt_alone_names_the_way():

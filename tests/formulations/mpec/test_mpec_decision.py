@@ -1,4 +1,7 @@
-"""Multipliers by projection against closed forms, linear programs, and all pieces one by one; and what proves each answer, checked by itself."""
+"""Multipliers by projection against closed forms, linear programs, and all pieces one by one.
+
+And what proves each answer, checked by itself.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +13,12 @@ from scipy.optimize import nnls
 from formulations.mpec.certificate import multipliers as projection
 from formulations.mpec.certificate import stationarity
 from formulations.mpec.certificate import stationarity as pieces
-from formulations.mpec.certificate.multipliers import decide, least_residual, multipliers_within, project
+from formulations.mpec.certificate.multipliers import (
+    decide,
+    least_residual,
+    multipliers_within,
+    project,
+)
 from formulations.mpec.certificate.stationarity import (
     CHOICES,
     ActiveSet,
@@ -56,7 +64,11 @@ def test_the_projection_is_that_of_nonnegative_least_squares(seed):
 def test_gradients_that_nearly_depend_on_each_other_do_not_keep_it_going(monkeypatch, apart):
     """Two long multipliers of nearly the same gradient: the damping lets them grow by a share of what is missing, for hundreds of iterations."""
     calls: list[int] = []
-    monkeypatch.setattr(projection, "_factorised", lambda *given, own=projection._factorised: calls.append(1) or own(*given))
+    monkeypatch.setattr(
+        projection,
+        "_factorised",
+        lambda *given, own=projection._factorised: calls.append(1) or own(*given),
+    )
     random = np.random.default_rng(0)
     matrix = random.normal(size=(40, 12))
     matrix[:, 1] = matrix[:, 0] + apart * random.normal(size=40)
@@ -79,7 +91,11 @@ def test_it_decides_as_a_linear_program_does(seed, inside):
     gradient = matrix @ y if inside else random.normal(size=matrix.shape[0])
     question = (matrix, gradient, low, high, TOLERANCE)
     found = decide(*question)
-    assert found.exists == multipliers_within(*question).exists == (least_residual(*question).residual <= TOLERANCE)
+    assert (
+        found.exists
+        == multipliers_within(*question).exists
+        == (least_residual(*question).residual <= TOLERANCE)
+    )
     assert found.exists or not inside
     if found.exists:
         assert np.all((found.y >= low) & (found.y <= high))
@@ -95,13 +111,17 @@ def test_it_decides_as_a_linear_program_does(seed, inside):
 
 def near_the_tolerance(largest: float) -> tuple[sparse.csc_matrix, np.ndarray]:
     """A gradient whose nearest multiplier in the 2-norm leaves 1 in one component and little in a thousand others; in the max-norm the best is known:
-    the column is (1, .., 1), the gradient (2 largest, 0, .., 0), and y = largest leaves as much everywhere."""
+    the column is (1, .., 1), the gradient (2 largest, 0, .., 0), and y = largest leaves as much
+    everywhere.
+    """
     gradient = np.zeros(1000)
     gradient[0] = 2.0 * largest
     return sparse.csc_matrix(np.ones((1000, 1))), gradient
 
 
-@pytest.mark.parametrize(("largest", "exists"), [(0.99 * TOLERANCE, True), (1.2 * TOLERANCE, False)])
+@pytest.mark.parametrize(
+    ("largest", "exists"), [(0.99 * TOLERANCE, True), (1.2 * TOLERANCE, False)]
+)
 def test_the_largest_component_counts_not_the_length(largest, exists):
     matrix, gradient = near_the_tolerance(largest)
     question = (matrix, gradient, np.array([-np.inf]), np.array([np.inf]), TOLERANCE)
@@ -112,16 +132,26 @@ def test_the_largest_component_counts_not_the_length(largest, exists):
 
 
 def random_point(random: np.random.Generator, count: int, n: int) -> tuple[ActiveSet, Stationarity]:
-    """An active set whose multipliers are known: those of biactive pairs have signs of one class. Gradients may depend on each other."""
-    kind = [Stationarity.STRONG, Stationarity.MORDUKHOVICH, Stationarity.CLARKE, Stationarity.ALTERNATIVE, Stationarity.WEAK][
-        random.integers(5)
-    ]
+    """An active set whose multipliers are known: those of biactive pairs have signs of one class.
+
+    Gradients may depend on each other.
+    """
+    kind = [
+        Stationarity.STRONG,
+        Stationarity.MORDUKHOVICH,
+        Stationarity.CLARKE,
+        Stationarity.ALTERNATIVE,
+        Stationarity.WEAK,
+    ][random.integers(5)]
     first, second = (random.integers(-2, 3, size=(n, count)).astype(float) for _ in range(2))
     rows = random.integers(-2, 3, size=(n, 3)).astype(float)
     signs = [CHOICES[kind][k] for k in random.integers(len(CHOICES[kind]), size=count)]
     active = ActiveSet(
-        gradient=np.zeros(n), normals=sparse.csc_matrix(rows), lowest=np.array([-np.inf, 0.0, -np.inf]), highest=np.array([np.inf, np.inf, 0.0]), first_only=np.arange(0),
-        second_only=np.arange(0), both=np.arange(count), first_normals=sparse.csc_matrix(first), second_normals=sparse.csc_matrix(second),
+        gradient=np.zeros(n), normals=sparse.csc_matrix(rows),
+        lowest=np.array([-np.inf, 0.0, -np.inf]), highest=np.array([np.inf, np.inf, 0.0]),
+        first_only=np.arange(0),
+        second_only=np.arange(0), both=np.arange(count), first_normals=sparse.csc_matrix(first),
+        second_normals=sparse.csc_matrix(second),
         scale=1.0,
     )  # fmt: skip
     low, high = limits(active, signs)
@@ -162,7 +192,9 @@ def test_the_tree_of_pieces_knows_what_all_pieces_tell(seed, count, n):
         slope, direction = steepest_piece(active, TOLERANCE)
     assert (slope < -TOLERANCE) == (every < -TOLERANCE)
     assert slope >= every - 1e-6
-    if direction is not None:  # it lies in a piece: each pair keeps a side at 0 and leaves the other on its good side
+    if (
+        direction is not None
+    ):  # it lies in a piece: each pair keeps a side at 0 and leaves the other on its good side
         first, second = active.first_normals.T @ direction, active.second_normals.T @ direction
         assert np.all(np.abs(np.minimum(first, second)) <= 1e-5)
         assert active.gradient @ direction / active.scale == pytest.approx(slope, abs=1e-9)

@@ -1,4 +1,7 @@
-"""Every form that `complements` accepts, wherever it stands, and one sentence for what it does not; models as strangers bring them; options that reach Ipopt, and those that are refused by name."""
+"""Every form that `complements` accepts, wherever it stands, and one sentence for what it does not.
+
+Models as strangers bring them; options that reach Ipopt, and those that are refused by name.
+"""
 
 import math
 
@@ -31,20 +34,52 @@ FORMS = {
     "mixed, the upper side held": (lambda m: complements(m.x >= 0, m.y <= 0), (3, -1), (3, 0)),
     "mixed, other order": (lambda m: complements(m.y <= 0, m.x >= 0), (1, -2), (0, -2)),
     "bounds that are not 0": (lambda m: complements(m.x >= 3, m.y <= 5), (4, 2), (3, 2)),
-    "bounds that are Params": (lambda m: complements(m.x >= m.one, m.y >= 2 * m.one), (2, 4), (1, 4)),
+    "bounds that are Params": (
+        lambda m: complements(m.x >= m.one, m.y >= 2 * m.one),
+        (2, 4),
+        (1, 4),
+    ),
     "variables on both sides": (lambda m: complements(m.x >= m.y, m.y >= 0), (3, 1), (3, 0)),
     "nonlinear": (lambda m: complements(m.x**2 - m.y >= 0, m.y - 1 >= 0), (2, 1.5), (2, 1)),
-    "two expressions": (lambda m: complements(m.x + m.y >= 2, m.x - m.y >= 0), (3, 1.5), (2.25, 2.25)),
-    "box first, at its lower bound": (lambda m: complements(pyo.inequality(-1, m.x, 2), m.y), (-3, 2), (-1, 2)),
-    "box first, at its upper bound": (lambda m: complements(pyo.inequality(-1, m.x, 2), m.y), (3, -2), (2, -2)),
-    "box first, between": (lambda m: complements(pyo.inequality(-1, m.x, 2), m.y), (0.5, 0.1), (0.5, 0)),
+    "two expressions": (
+        lambda m: complements(m.x + m.y >= 2, m.x - m.y >= 0),
+        (3, 1.5),
+        (2.25, 2.25),
+    ),
+    "box first, at its lower bound": (
+        lambda m: complements(pyo.inequality(-1, m.x, 2), m.y),
+        (-3, 2),
+        (-1, 2),
+    ),
+    "box first, at its upper bound": (
+        lambda m: complements(pyo.inequality(-1, m.x, 2), m.y),
+        (3, -2),
+        (2, -2),
+    ),
+    "box first, between": (
+        lambda m: complements(pyo.inequality(-1, m.x, 2), m.y),
+        (0.5, 0.1),
+        (0.5, 0),
+    ),
     "box second": (lambda m: complements(m.y, pyo.inequality(-1, m.x, 2)), (3, -2), (2, -2)),
-    "box of Params": (lambda m: complements(pyo.inequality(-m.one, m.x, 2 * m.one), m.y - 1), (3, -2), (2, -2)),
+    "box of Params": (
+        lambda m: complements(pyo.inequality(-m.one, m.x, 2 * m.one), m.y - 1),
+        (3, -2),
+        (2, -2),
+    ),
     "box without width": (lambda m: complements(pyo.inequality(1, m.x, 1), m.y), (3, -2), (1, -2)),
-    "half-open range": (lambda m: complements(pyo.inequality(0, m.x, math.inf), m.y >= 0), (1, 2), (0, 2)),
+    "half-open range": (
+        lambda m: complements(pyo.inequality(0, m.x, math.inf), m.y >= 0),
+        (1, 2),
+        (0, 2),
+    ),
     "equality first": (lambda m: complements(m.x == m.y, m.y), (1, 3), (2, 2)),
     "equality second": (lambda m: complements(m.y, m.x + m.y == 2), (2, 2), (1, 1)),
-    "equality beside a bound, which holds too": (lambda m: complements(m.x == 1, m.y >= 3), (2, 2), (1, 3)),
+    "equality beside a bound, which holds too": (
+        lambda m: complements(m.x == 1, m.y >= 3),
+        (2, 2),
+        (1, 3),
+    ),
     "a tuple": (lambda m: (m.x >= 0, m.y >= 0), (1, 2), (0, 2)),
     "a fixed number on one side": (lambda m: complements(m.x >= 0, m.one >= 0), (1, 2), (0, 2)),
 }
@@ -55,7 +90,10 @@ FORMS = {
 def test_form(name, bounded):
     """Bounded: where a side can be the user's variable itself instead of a slack."""
     condition, goal, point = FORMS[name]
-    m = model(goal, bounds=(None, None) if not bounded else (0.0, 10.0) if min(point) >= 0 else (-10.0, 10.0))
+    m = model(
+        goal,
+        bounds=(None, None) if not bounded else (0.0, 10.0) if min(point) >= 0 else (-10.0, 10.0),
+    )
     m.pair = Complementarity(expr=condition(m))
     result = solve_mpec(m)
     assert result.solved, result.message
@@ -72,7 +110,10 @@ def test_indexed_conditions_with_skipped_and_inactive_ones():
     m.x = pyo.Var(range(4), initialize=1.0)
     m.y = pyo.Var(range(4), initialize=1.0)
     m.cost = pyo.Objective(expr=sum((m.x[i] - 1) ** 2 + (m.y[i] - 2) ** 2 for i in range(4)))
-    m.pair = Complementarity(range(4), rule=lambda m, i: Complementarity.Skip if i == 1 else complements(m.x[i] >= 0, m.y[i] >= 0))
+    m.pair = Complementarity(
+        range(4),
+        rule=lambda m, i: Complementarity.Skip if i == 1 else complements(m.x[i] >= 0, m.y[i] >= 0),
+    )
     m.pair[2].deactivate()
     load(solve_mpec(m))
     assert [m.x[i].value for i in range(4)] == pytest.approx([0, 1, 1, 0], abs=1e-7)
@@ -114,7 +155,8 @@ def test_a_block_of_a_larger_model_is_solved_alone():
     assert (m.part.x.value, m.outside.value) == pytest.approx((0, 2), abs=1e-7)
 
 
-# -- what is refused: (the change to the model, words of the sentence, error) ------------------------------------------------------------
+# -- what is refused: (the change to the model, words of the sentence, error)
+#   ------------------------------------------------------------
 def _pair(first, second):
     return lambda m: m.add_component("pair", Complementarity(expr=complements(first(m), second(m))))
 
@@ -149,16 +191,23 @@ def _external(m):
 
 
 @pytest.mark.parametrize(("change", "words", "error"), [
-    (_pair(lambda m: pyo.inequality(0, m.x, 1), _nonnegative), ["'pair'", "3 finite bounds", "two in all"], ModelRefusedError),
-    (_pair(lambda m: m.x >= 0, lambda m: m.y), ["'pair'", "1 finite bounds", "two in all"], ModelRefusedError),
+    (_pair(lambda m: pyo.inequality(0, m.x, 1), _nonnegative),
+     ["'pair'", "3 finite bounds", "two in all"], ModelRefusedError),
+    (_pair(lambda m: m.x >= 0, lambda m: m.y), ["'pair'", "1 finite bounds", "two in all"],
+     ModelRefusedError),
     (_pair(lambda m: m.x > 0, _nonnegative), ["'pair'", "strict"], ModelRefusedError),
     (_pair(lambda m: pyo.ceil(m.x) >= 1, _nonnegative), ["ceil"], ModelRefusedError),
-    (_pair(lambda m: pyo.inequality(m.y, m.x, 3), lambda m: m.y), ["'pair'", "variable bound"], ModelRefusedError),
-    (lambda m: m.add_component("pair", Complementarity()), ["'pair'", "no condition"], ModelRefusedError), (_integer, ["'n'"], ModelRefusedError),
+    (_pair(lambda m: pyo.inequality(m.y, m.x, 3), lambda m: m.y), ["'pair'", "variable bound"],
+     ModelRefusedError),
+    (lambda m: m.add_component("pair", Complementarity()), ["'pair'", "no condition"],
+     ModelRefusedError), (_integer, ["'n'"], ModelRefusedError),
     (_external, ["pair"], ModelRefusedError), (_no_value, ["p"], MissingValueError),
-    (_beside(lambda m: m.add_component("either", Disjunction(expr=[[m.x >= 1], [m.y >= 1]]))), ["'either", "Disjunct"], ModelRefusedError),
-    (_beside(lambda m: m.x.set_value(math.nan, skip_validation=True)), ["'x'", "nan"], MissingValueError),
-    (_beside(lambda m: m.add_component("more", pyo.Objective(expr=m.x))), ["2 objectives"], ModelRefusedError),
+    (_beside(lambda m: m.add_component("either", Disjunction(expr=[[m.x >= 1], [m.y >= 1]]))),
+     ["'either", "Disjunct"], ModelRefusedError),
+    (_beside(lambda m: m.x.set_value(math.nan, skip_validation=True)), ["'x'", "nan"],
+     MissingValueError),
+    (_beside(lambda m: m.add_component("more", pyo.Objective(expr=m.x))), ["2 objectives"],
+     ModelRefusedError),
 ])  # fmt: skip
 def test_refusals_are_one_sentence(change, words, error):
     m = model()
@@ -178,12 +227,16 @@ def test_an_instance_of_an_abstract_model_which_is_refused_itself():
     abstract.goal = pyo.Param(abstract.i, mutable=True)
     abstract.x = pyo.Var(abstract.i, bounds=(0, None))
     abstract.cost = pyo.Objective(rule=lambda m: sum((m.x[i] - m.goal[i]) ** 2 for i in m.i))
-    abstract.pair = Complementarity(abstract.i, rule=lambda m, i: complements(m.x[i] >= 0, m.x[i % pyo.value(m.n) + 1] >= 0))
+    abstract.pair = Complementarity(
+        abstract.i, rule=lambda m, i: complements(m.x[i] >= 0, m.x[i % pyo.value(m.n) + 1] >= 0)
+    )
     with pytest.raises(ModelRefusedError, match="abstract"):
         solve_mpec(abstract)
     instance = abstract.create_instance({None: {"n": {None: 3}, "goal": {1: 1.0, 2: 5.0, 3: 2.0}}})
     pyo.assert_optimal_termination(solver().solve(instance))
-    assert [instance.x[i].value for i in (1, 2, 3)] == pytest.approx([0, 5, 0], abs=1e-8)  # of three in a ring two must be 0
+    assert [instance.x[i].value for i in (1, 2, 3)] == pytest.approx(
+        [0, 5, 0], abs=1e-8
+    )  # of three in a ring two must be 0
     instance.goal[1] = 9.0
     pyo.assert_optimal_termination(solver().solve(instance))
     assert certify(instance).holds
@@ -238,7 +291,9 @@ def test_a_model_of_which_a_part_is_relaxed_already():
 
 def test_options_in_one_string_and_its_misspellings():
     made = solver()
-    pyo.assert_optimal_termination(made.solve(nearest(), options_string="strategy=scholtes max_iter=500"))
+    pyo.assert_optimal_termination(
+        made.solve(nearest(), options_string="strategy=scholtes max_iter=500")
+    )
     assert made.last_result.options["strategy"] == "scholtes"
     made.set_options("strategi=scholtes")
     with pytest.raises(UnknownOptionError, match="did you mean strategy"):
@@ -261,11 +316,16 @@ def test_the_start_is_taken_and_one_that_is_not_a_number_is_named():
 
 
 @pytest.mark.parametrize(("options", "words"), [
-    ({"strategy": "magic"}, ["'strategy'", "scholtes", "'magic'"]), ({"strateg": "scholtes"}, ["'strateg'", "did you mean strategy?"]),
-    ({"zzzz": 1}, ["'zzzz'", "neither Ipopt's", "strategy, eps_start, eps_end"]), ({"eps_start": -1.0}, ["'eps_start'", "positive"]),
-    ({"eps_end": "small"}, ["'eps_end'", "number"]), ({"polish": "maybe"}, ["'polish'", "True or False"]),
-    ({"max_biactive": 1.5}, ["'max_biactive'", "whole"]), ({"max_biactive": float("nan")}, ["'max_biactive'", "whole"]),
-    ({"search": float("inf")}, ["'search'", "whole"]), ({"starts": 0}, ["'starts'", "at least 1"]), ({"work": -1}, ["'work'", "at least 0"]),
+    ({"strategy": "magic"}, ["'strategy'", "scholtes", "'magic'"]),
+    ({"strateg": "scholtes"}, ["'strateg'", "did you mean strategy?"]),
+    ({"zzzz": 1}, ["'zzzz'", "neither Ipopt's", "strategy, eps_start, eps_end"]),
+    ({"eps_start": -1.0}, ["'eps_start'", "positive"]),
+    ({"eps_end": "small"}, ["'eps_end'", "number"]),
+    ({"polish": "maybe"}, ["'polish'", "True or False"]),
+    ({"max_biactive": 1.5}, ["'max_biactive'", "whole"]),
+    ({"max_biactive": float("nan")}, ["'max_biactive'", "whole"]),
+    ({"search": float("inf")}, ["'search'", "whole"]), ({"starts": 0}, ["'starts'", "at least 1"]),
+    ({"work": -1}, ["'work'", "at least 0"]),
     ({"linear_solver": "ma57"}, ["ma57"]),
 ])  # fmt: skip
 def test_wrong_options_are_named(options, words):
@@ -302,6 +362,8 @@ def test_arguments_of_another_kind_are_refused_in_a_sentence(plugin):
     for timelimit in ("10", True, 0.0, float("nan")):
         with pytest.raises(ValueError, match="timelimit is a positive number of seconds"):
             pyo.SolverFactory(plugin).solve(m, timelimit=timelimit)
-    with pytest.raises(TypeError, match="options as a dict, not 'tol=1e-9'; options_string takes a text"):
+    with pytest.raises(
+        TypeError, match="options as a dict, not 'tol=1e-9'; options_string takes a text"
+    ):
         pyo.SolverFactory(plugin).solve(m, options="tol=1e-9")
     pyo.SolverFactory(plugin).solve(m, options_string="tol=1e-9", timelimit=60)

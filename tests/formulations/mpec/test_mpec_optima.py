@@ -29,16 +29,29 @@ def random_problem(seed: int) -> pyo.ConcreteModel:
     random = np.random.default_rng(seed)
     matrix = random.normal(size=(_PAIRS, _PAIRS))
     matrix = matrix @ matrix.T + 0.1 * np.eye(_PAIRS)
-    couple, q, goal = random.normal(size=(_PAIRS, 2)), random.normal(size=_PAIRS), 2 * random.normal(size=_PAIRS + 2)
+    couple, q, goal = (
+        random.normal(size=(_PAIRS, 2)),
+        random.normal(size=_PAIRS),
+        2 * random.normal(size=_PAIRS + 2),
+    )
     m = pyo.ConcreteModel(name=f"random {seed}")
     m.x = pyo.Var(range(2), bounds=(-5, 5), initialize=0.0)
     m.y = pyo.Var(range(_PAIRS), bounds=(0, None), initialize=0.0)
-    m.cost = pyo.Objective(expr=sum((m.x[i] - goal[i]) ** 2 for i in range(2)) + sum((m.y[i] - goal[2 + i]) ** 2 for i in range(_PAIRS)))
+    m.cost = pyo.Objective(
+        expr=sum((m.x[i] - goal[i]) ** 2 for i in range(2))
+        + sum((m.y[i] - goal[2 + i]) ** 2 for i in range(_PAIRS))
+    )
     m.force = pyo.Expression(
         range(_PAIRS),
-        rule=lambda m, i: q[i] + sum(couple[i, j] * m.x[j] for j in range(2)) + sum(matrix[i, j] * m.y[j] for j in range(_PAIRS)),
+        rule=lambda m, i: (
+            q[i]
+            + sum(couple[i, j] * m.x[j] for j in range(2))
+            + sum(matrix[i, j] * m.y[j] for j in range(_PAIRS))
+        ),
     )
-    m.pair = Complementarity(range(_PAIRS), rule=lambda m, i: complements(m.y[i] >= 0, m.force[i] >= 0))
+    m.pair = Complementarity(
+        range(_PAIRS), rule=lambda m, i: complements(m.y[i] >= 0, m.force[i] >= 0)
+    )
     return m
 
 
@@ -49,7 +62,10 @@ def branches(seed: int) -> list[float]:
         m = random_problem(seed)
         m.pair.deactivate()
         m.side = pyo.Constraint(range(_PAIRS), rule=lambda m, i: m.force[i] >= 0)
-        m.held = pyo.Constraint(range(_PAIRS), rule=lambda m, i, closed=closed: (m.force[i] if closed[i] else m.y[i]) == 0)
+        m.held = pyo.Constraint(
+            range(_PAIRS),
+            rule=lambda m, i, closed=closed: (m.force[i] if closed[i] else m.y[i]) == 0,
+        )
         result = solve(compile_model(m))
         if result.solved:
             values.append(result.objective)
@@ -63,7 +79,9 @@ def test_random_problems_end_at_the_best_branch(seed):
     assert result.solved, result.message
     assert result.certificate.holds
     assert result.certificate.complementarity <= 1e-12
-    assert min(abs(result.objective - value) for value in values) <= 1e-6  # it is the value of a branch
+    assert (
+        min(abs(result.objective - value) for value in values) <= 1e-6
+    )  # it is the value of a branch
     assert result.objective <= values[0] + 1e-6
 
 
@@ -96,7 +114,9 @@ FAULTS = (*enumeration.WRONG, "refused")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(26, 26 + len(KINDS)), ids=lambda seed: f"{KINDS[seed % len(KINDS)]}-{seed}")
+@pytest.mark.parametrize(
+    "seed", range(26, 26 + len(KINDS)), ids=lambda seed: f"{KINDS[seed % len(KINDS)]}-{seed}"
+)
 def test_nothing_wrong_is_claimed_of_a_problem_of_each_kind(seed):
     """Beside those of hypothesis, which prefers plain numbers: of defects planted in the solver, each of the two tests found some that the other missed."""
     verdict = enumeration.judge(generator.random_mpec(seed))
@@ -119,7 +139,8 @@ def test_nothing_wrong_is_claimed_and_little_left_open():
         assert verdict.agreement not in FAULTS, verdict
 
     nothing_wrong_is_claimed()
-    # A wrong model ends here: the solver holds its point against the user's model, and does not claim what does not belong to it.
+    # A wrong model ends here: the solver holds its point against the user's model, and does not
+    # claim what does not belong to it.
     assert answers["undecided"] <= answers.total() / 10, answers
 
 
@@ -140,23 +161,41 @@ def _claiming(change: Any, monkeypatch: pytest.MonkeyPatch) -> str:
 @pytest.mark.slow
 def test_the_judge_sees_a_point_off_its_rows(monkeypatch):
     assert enumeration.judge(generator.random_mpec(_CONVEX)).agreement == "same"
-    assert _claiming(lambda result: replace(result, x=result.x + 1e-3), monkeypatch) == "wrong optimal"
+    assert (
+        _claiming(lambda result: replace(result, x=result.x + 1e-3), monkeypatch) == "wrong optimal"
+    )
 
 
 def test_the_judge_sees_a_point_that_is_not_the_lowest_of_its_branch(monkeypatch):
-    assert _claiming(lambda result: replace(result, objective=result.objective + 1e-3 * result.sense), monkeypatch) == "wrong optimal"
+    assert (
+        _claiming(
+            lambda result: replace(result, objective=result.objective + 1e-3 * result.sense),
+            monkeypatch,
+        )
+        == "wrong optimal"
+    )
 
 
-@pytest.mark.parametrize(("outcome", "wrong"), [(Outcome.INFEASIBLE, "wrong infeasible"), (Outcome.DIVERGED, "wrong unbounded")])
+@pytest.mark.parametrize(
+    ("outcome", "wrong"),
+    [(Outcome.INFEASIBLE, "wrong infeasible"), (Outcome.DIVERGED, "wrong unbounded")],
+)
 def test_the_judge_sees_a_wrong_ending(outcome, wrong, monkeypatch):
     nothing = np.full(0, np.nan)
-    assert _claiming(lambda result: replace(result, outcome=outcome, x=nothing), monkeypatch) == wrong
+    assert (
+        _claiming(lambda result: replace(result, outcome=outcome, x=nothing), monkeypatch) == wrong
+    )
 
 
 _RELATIVE = 1e-5  # published figures have six digits
-# Published figures that no branch of the problem has (each was solved: 2^pairs smooth problems), and the best that one has.
+# Published figures that no branch of the problem has (each was solved: 2^pairs smooth problems),
+# and the best that one has.
 MISPRINTS = {
-    "bilevel1m": (-55.0, 0.0, "its local solution 5 less the constant 60 once more; bilevel1 is the same problem, with 0"),
+    "bilevel1m": (
+        -55.0,
+        0.0,
+        "its local solution 5 less the constant 60 once more; bilevel1 is the same problem, with 0",
+    ),
     "ex9_2_3": (-55.0, 5.0, "its solution 5 less the constant 60 once more"),
     "ex9_2_5": (6.0, 5.0, "the handbook has 5, at (1, 3)"),
 }
@@ -170,7 +209,9 @@ def test_there_are_at_least_forty():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "builder", "optimum"), PROBLEMS, ids=[name for name, _, _ in PROBLEMS])
+@pytest.mark.parametrize(
+    ("name", "builder", "optimum"), PROBLEMS, ids=[name for name, _, _ in PROBLEMS]
+)
 def test_published_optimum(name, builder, optimum):
     model = builder()
     result = solve_mpec(model, MpecSettings(ipopt={"max_wall_time": 60.0}))
@@ -187,7 +228,8 @@ def test_published_optimum(name, builder, optimum):
     assert certificate.primal_relative <= 1e-9
 
 
-# B-stationary, but without multipliers of a strongly stationary point: MacMPEC's own notes name ralph1 and scholtes4 for it.
+# B-stationary, but without multipliers of a strongly stationary point: MacMPEC's own notes name
+# ralph1 and scholtes4 for it.
 @pytest.mark.parametrize("name", ["ralph1", "scholtes4"])
 def test_solutions_that_are_not_strongly_stationary(name):
     builder = {n: b for n, b, _ in PROBLEMS}[name]
@@ -201,7 +243,12 @@ def valley(count: int = 3, start: float = 0.0) -> pyo.ConcreteModel:
     m = pyo.ConcreteModel()
     m.x = pyo.Var(range(count), initialize=2.0 + start)
     m.y = pyo.Var(range(count), initialize=start)
-    m.cost = pyo.Objective(expr=sum((m.x[k] - 2) ** 2 + (m.y[k] - 2 - 0.1 * k) ** 2 + pyo.sin(3 * m.y[k]) for k in range(count)))
+    m.cost = pyo.Objective(
+        expr=sum(
+            (m.x[k] - 2) ** 2 + (m.y[k] - 2 - 0.1 * k) ** 2 + pyo.sin(3 * m.y[k])
+            for k in range(count)
+        )
+    )
     m.pair = Complementarity(range(count), rule=lambda m, k: complements(m.x[k] >= 0, m.y[k] >= 0))
     return m
 
@@ -219,7 +266,11 @@ def test_the_answer_is_the_best_of_all_attempts_and_says_what_each_found():
     assert result.spread == pytest.approx(max(found) - min(found))
     assert result.spread > 0.1, "a problem whose attempts all end alike tells nothing"
     assert {attempt.start for attempt in result.attempts} == {0, 1, 2, 3}
-    assert result.strategy in {attempt.strategy for attempt in result.attempts if attempt.objective <= result.objective + 1e-9}
+    assert result.strategy in {
+        attempt.strategy
+        for attempt in result.attempts
+        if attempt.objective <= result.objective + 1e-9
+    }
     assert f"best of 12: smoothing {result.attempts[0].objective:.6g}" in result.message
     assert "from start 3" in result.message
     assert sum(attempt.iterations for attempt in result.attempts) == result.iterations
@@ -238,13 +289,20 @@ def test_what_comes_after_the_first_success_stays_within_the_work(work):
     result = solve_mpec(valley(), several(starts=3, work=work))
     first = result.attempts[0]
     assert first.outcome is Outcome.SOLVED
-    assert result.iterations <= (1 + work) * first.iterations + 3, "a solve that is begun takes one iteration at least"
-    assert (len(result.attempts) == 1) == (work < 0.5), "less than half of the first is not worth a beginning"
+    assert result.iterations <= (1 + work) * first.iterations + 3, (
+        "a solve that is begun takes one iteration at least"
+    )
+    assert (len(result.attempts) == 1) == (work < 0.5), (
+        "less than half of the first is not worth a beginning"
+    )
 
 
 def test_an_attempt_cut_short_is_told_and_loses():
     result = solve_mpec(valley(), several(work=0.6))
-    assert [attempt.outcome for attempt in result.attempts] == [Outcome.SOLVED, Outcome.ITERATION_LIMIT]
+    assert [attempt.outcome for attempt in result.attempts] == [
+        Outcome.SOLVED,
+        Outcome.ITERATION_LIMIT,
+    ]
     assert result.solved
     assert result.message.endswith("scholtes iteration limit")
     assert result.certificate.holds
@@ -255,7 +313,13 @@ def test_a_start_is_random_within_the_bounds():
     m.x[0].setlb(1.0)
     m.x[0].setub(3.0)
     m.x[1].setub(1.0)
-    work = Workspace(lifted := lift(m), compile_branches(lifted), STRATEGIES["scholtes"], MpecSettings(), WorkBudget(None))
+    work = Workspace(
+        lifted := lift(m),
+        compile_branches(lifted),
+        STRATEGIES["scholtes"],
+        MpecSettings(),
+        WorkBudget(None),
+    )
     place = work.relaxed.place
     starts = np.array([work.start(number) for number in range(200)])
     first, second, free = (starts[1:, place[id(m.x[k])]] for k in range(3))
@@ -285,7 +349,9 @@ def test_a_cost_in_another_unit_has_the_same_answer_and_is_stationary_at_the_sam
     assert certify(m).b_stationary is False
 
 
-@pytest.mark.parametrize(("slope", "holds"), [(2e-5, True), (9e-4, True), (1.1e-3, False), (2e-2, False)])
+@pytest.mark.parametrize(
+    ("slope", "holds"), [(2e-5, True), (9e-4, True), (1.1e-3, False), (2e-2, False)]
+)
 def test_a_slope_counts_against_the_largest_derivative(slope, holds):
     """The cost rises by 100 with x, which is at its bound, and falls with y by little."""
     m = pyo.ConcreteModel()
@@ -312,7 +378,9 @@ def test_eps_leaps_where_products_are_far_below_it():
     """Both pairs hold at the solution without them: all steps of eps from 1e3 to 1e-9 would find it."""
     m = pyo.ConcreteModel()
     m.x = pyo.Var(range(4), bounds=(0, None), initialize=1.0)
-    m.cost = pyo.Objective(expr=sum((m.x[k] - 1) ** 2 for k in (0, 2)) + sum((m.x[k] + 1) ** 2 for k in (1, 3)))
+    m.cost = pyo.Objective(
+        expr=sum((m.x[k] - 1) ** 2 for k in (0, 2)) + sum((m.x[k] + 1) ** 2 for k in (1, 3))
+    )
     m.pair = Complementarity([0, 2], rule=lambda m, k: complements(m.x[k] >= 0, m.x[k + 1] >= 0))
     result = solve_mpec(m, MpecSettings(strategy="scholtes"))
     assert result.solved
@@ -322,13 +390,19 @@ def test_eps_leaps_where_products_are_far_below_it():
 
 
 @pytest.mark.parametrize(
-    ("pairs", "order", "walks"), [(3, ("smoothing", "scholtes", "l1_penalty"), 4), (301, ("smoothing", "l1_penalty", "scholtes"), 1)]
+    ("pairs", "order", "walks"),
+    [
+        (3, ("smoothing", "scholtes", "l1_penalty"), 4),
+        (301, ("smoothing", "l1_penalty", "scholtes"), 1),
+    ],
 )
 def test_of_many_pairs_the_first_strategy_is_only_tried(pairs, order, walks):
     """Within x, y <= 1/2 no product is 1, where smoothing begins: it looks for another eps unless the problem is large. Each pair leaves 0.3 out: 0.09."""
     m = pyo.ConcreteModel()
     m.x, m.y = (pyo.Var(range(pairs), bounds=(0, 0.5), initialize=0.25) for _ in range(2))
-    m.cost = pyo.Objective(expr=sum((m.x[k] - 0.3) ** 2 + (m.y[k] - 0.4) ** 2 for k in range(pairs)))
+    m.cost = pyo.Objective(
+        expr=sum((m.x[k] - 0.3) ** 2 + (m.y[k] - 0.4) ** 2 for k in range(pairs))
+    )
     m.pair = Complementarity(range(pairs), rule=lambda m, k: complements(m.x[k] >= 0, m.y[k] >= 0))
     result = solve_mpec(m)
     assert result.solved

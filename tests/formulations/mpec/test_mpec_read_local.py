@@ -16,7 +16,14 @@ from formulations.mpec import Stationarity, certify
 from formulations.mpec.certificate import derivatives
 from formulations.mpec.certificate import plan as plans
 from formulations.mpec.certificate.certificate import Multipliers
-from formulations.mpec.certificate.derivatives import LocalModel, gradients_of, number_of, pyomo_gradient, read_local, values_set
+from formulations.mpec.certificate.derivatives import (
+    LocalModel,
+    gradients_of,
+    number_of,
+    pyomo_gradient,
+    read_local,
+    values_set,
+)
 from formulations.solution import FrontPoint, Outcome, Solution
 
 
@@ -30,14 +37,25 @@ def slopes(m: Any, local: LocalModel, matrix: Any) -> list[float]:
     """Of the one row of a matrix, by x and y."""
     place = {id(variable): k for k, variable in enumerate(local.variables)}
     row = matrix.toarray().reshape(-1)
-    return [float(row[place[id(variable)]]) if id(variable) in place else 0.0 for variable in (m.x, m.y)]
+    return [
+        float(row[place[id(variable)]]) if id(variable) in place else 0.0 for variable in (m.x, m.y)
+    ]
 
 
 def told(local: LocalModel) -> list[tuple]:
     """Its rows, then its variables: name, argument, value, lower and upper bound."""
     rows = local.rows
     names = [source.name for source in rows.sources]
-    return list(zip(names, rows.arguments, rows.value.tolist(), rows.lower.tolist(), rows.upper.tolist(), strict=True))
+    return list(
+        zip(
+            names,
+            rows.arguments,
+            rows.value.tolist(),
+            rows.lower.tolist(),
+            rows.upper.tolist(),
+            strict=True,
+        )
+    )
 
 
 FORMS = {
@@ -50,13 +68,20 @@ FORMS = {
 
 
 @pytest.mark.parametrize(("form", "x", "y", "sides", "flips", "arguments", "first", "second"), [
-    ("both from below", 3.0, 2.5, (2.0, 1.5), (1, 1), (0, 1), [1, 0], [0, 3]), ("above and below", 3.0, 2.5, (2.0, 1.5), (-1, 1), (0, 1), [-2, 0], [0, 1]),
-    ("below and above", 3.0, 2.5, (2.0, 1.5), (1, -1), (0, 1), [1, 0], [0, -1]), ("below and above", 0.5, 4.25, (-0.5, -0.25), (1, -1), (0, 1), [1, 0], [0, -1]),
-    ("box", 0.525, 1.0, (0.05, 3.0), (1, 1), (0, 1), [2, 0], [0, 3]), ("box", 0.525, -1.0, (0.05, -3.0), (1, 1), (0, 1), [2, 0], [0, 3]),
-    ("box", 2.475, -1.0, (0.05, 3.0), (-1, -1), (0, 1), [-2, 0], [0, -3]), ("box", 2.475, 1.0, (0.05, -3.0), (-1, -1), (0, 1), [-2, 0], [0, -3]),
-    ("box", 1.0, 0.05, (1.0, 0.15), (1, 1), (0, 1), [2, 0], [0, 3]), ("box", 1.0, -0.05, (3.0, 0.15), (-1, -1), (0, 1), [-2, 0], [0, -3]),
-    ("box", 2.0, 0.05, (3.0, 0.15), (1, 1), (0, 1), [2, 0], [0, 3]), ("box last", 0.525, 1.0, (0.05, 3.0), (1, 1), (1, 0), [2, 0], [0, 3]),
-    ("box last", 2.475, -1.0, (0.05, 3.0), (-1, -1), (1, 0), [-2, 0], [0, -3]), ("box", 0.25, 0.0, (-0.5, 0.0), (1, 1), (0, 1), [2, 0], [0, 3]),
+    ("both from below", 3.0, 2.5, (2.0, 1.5), (1, 1), (0, 1), [1, 0], [0, 3]),
+    ("above and below", 3.0, 2.5, (2.0, 1.5), (-1, 1), (0, 1), [-2, 0], [0, 1]),
+    ("below and above", 3.0, 2.5, (2.0, 1.5), (1, -1), (0, 1), [1, 0], [0, -1]),
+    ("below and above", 0.5, 4.25, (-0.5, -0.25), (1, -1), (0, 1), [1, 0], [0, -1]),
+    ("box", 0.525, 1.0, (0.05, 3.0), (1, 1), (0, 1), [2, 0], [0, 3]),
+    ("box", 0.525, -1.0, (0.05, -3.0), (1, 1), (0, 1), [2, 0], [0, 3]),
+    ("box", 2.475, -1.0, (0.05, 3.0), (-1, -1), (0, 1), [-2, 0], [0, -3]),
+    ("box", 2.475, 1.0, (0.05, -3.0), (-1, -1), (0, 1), [-2, 0], [0, -3]),
+    ("box", 1.0, 0.05, (1.0, 0.15), (1, 1), (0, 1), [2, 0], [0, 3]),
+    ("box", 1.0, -0.05, (3.0, 0.15), (-1, -1), (0, 1), [-2, 0], [0, -3]),
+    ("box", 2.0, 0.05, (3.0, 0.15), (1, 1), (0, 1), [2, 0], [0, 3]),
+    ("box last", 0.525, 1.0, (0.05, 3.0), (1, 1), (1, 0), [2, 0], [0, 3]),
+    ("box last", 2.475, -1.0, (0.05, 3.0), (-1, -1), (1, 0), [-2, 0], [0, -3]),
+    ("box", 0.25, 0.0, (-0.5, 0.0), (1, 1), (0, 1), [2, 0], [0, 3]),
     ("box", 3.0, 0.0, (-1.0, 0.0), (-1, -1), (0, 1), [-2, 0], [0, -3]),
 ])  # fmt: skip
 def test_a_pair_has_its_sides_with_their_signs(form, x, y, sides, flips, arguments, first, second):
@@ -65,26 +90,40 @@ def test_a_pair_has_its_sides_with_their_signs(form, x, y, sides, flips, argumen
     local = read_local(m, 0.1)
     (pair,) = local.pairs
     assert (pair.first, pair.second) == pytest.approx(sides)
-    assert ((pair.first_flip, pair.second_flip), pair.arguments, pair.source.name) == (flips, arguments, "pair")
-    assert (slopes(m, local, local.first_jacobian), slopes(m, local, local.second_jacobian)) == (first, second)
+    assert ((pair.first_flip, pair.second_flip), pair.arguments, pair.source.name) == (
+        flips,
+        arguments,
+        "pair",
+    )
+    assert (slopes(m, local, local.first_jacobian), slopes(m, local, local.second_jacobian)) == (
+        first,
+        second,
+    )
     assert local.rows.sources == local.variables
 
 
 @pytest.mark.parametrize(("form", "y", "rows"), [
-    ("box", 0.03, [(0, 2.0, 1.0, 5.0), (1, 0.09, 0.0, 0.0)]), ("box", -0.03, [(0, 2.0, 1.0, 5.0), (1, -0.09, 0.0, 0.0)]), ("box last", 0.03, [(0, 0.09, 0.0, 0.0), (1, 2.0, 1.0, 5.0)]),
-    ("equal", 0.5, [(0, 2.0, 3.0, 3.0)]), ("equal last", 0.5, [(1, 2.0, 3.0, 3.0)]), ("empty", 0.03, [(0, 2.0, 3.0, 1.0), (1, 0.09, 0.0, 0.0)]),
+    ("box", 0.03, [(0, 2.0, 1.0, 5.0), (1, 0.09, 0.0, 0.0)]),
+    ("box", -0.03, [(0, 2.0, 1.0, 5.0), (1, -0.09, 0.0, 0.0)]),
+    ("box last", 0.03, [(0, 0.09, 0.0, 0.0), (1, 2.0, 1.0, 5.0)]),
+    ("equal", 0.5, [(0, 2.0, 3.0, 3.0)]), ("equal last", 0.5, [(1, 2.0, 3.0, 3.0)]),
+    ("empty", 0.03, [(0, 2.0, 3.0, 1.0), (1, 0.09, 0.0, 0.0)]),
 ])  # fmt: skip
 def test_where_there_is_no_choice_rows_are_imposed(form: str, y: float, rows: list):
     m = model(1.0, y)
     m.p = pyo.Param(initialize=1.0, mutable=True)
     other = {
-        "equal": lambda: complements(2 * m.x == 3, 3 * m.y), "equal last": lambda: complements(3 * m.y, 2 * m.x == 3),
+        "equal": lambda: complements(2 * m.x == 3, 3 * m.y),
+        "equal last": lambda: complements(3 * m.y, 2 * m.x == 3),
         "empty": lambda: complements(pyo.inequality(3, 2 * m.x, m.p), 3 * m.y),
     }  # fmt: skip
     m.pair = Complementarity(expr=FORMS[form](m) if form in FORMS else other[form]())
     local = read_local(m, 0.1)
     assert local.pairs == ()
-    assert told(local)[: len(rows)] == [("pair", argument, pytest.approx(value), lower, upper) for argument, value, lower, upper in rows]
+    assert told(local)[: len(rows)] == [
+        ("pair", argument, pytest.approx(value), lower, upper)
+        for argument, value, lower, upper in rows
+    ]
     assert local.jacobian.shape[0] == len(rows)
 
 
@@ -100,21 +139,45 @@ def test_every_number_of_a_certificate(sense):
     local = read_local(m, 1e-6)
     sign = 1.0 if sense == pyo.minimize else -1.0
     assert local.objective == 6.0
-    gradient = {variable.name: value for variable, value in zip(local.variables, local.gradient.tolist(), strict=True)}
+    gradient = {
+        variable.name: value
+        for variable, value in zip(local.variables, local.gradient.tolist(), strict=True)
+    }
     assert gradient == {"x": 4.0 * sign, "y": 4.0 * sign}
     assert local.jacobian.shape[0] == 2
-    assert told(local)[:2] == [("much", None, 5.5, -math.inf, 4.0), ("enough", None, 2.5, 1.0, math.inf)]
-    assert sorted(told(local)[2:]) == [("x", None, 2.0, -math.inf, 1.75), ("y", None, 0.5, -math.inf, math.inf)]
+    assert told(local)[:2] == [
+        ("much", None, 5.5, -math.inf, 4.0),
+        ("enough", None, 2.5, 1.0, math.inf),
+    ]
+    assert sorted(told(local)[2:]) == [
+        ("x", None, 2.0, -math.inf, 1.75),
+        ("y", None, 0.5, -math.inf, math.inf),
+    ]
     found = certify(m)
     assert (found.primal, found.primal_relative, found.worst) == (1.5, 0.375, "much")
-    assert (found.complementarity, found.product, found.pairs, found.biactive, found.objective) == (0.25, 0.75, 1, 0, 6.0)
+    assert (found.complementarity, found.product, found.pairs, found.biactive, found.objective) == (
+        0.25,
+        0.75,
+        1,
+        0,
+        6.0,
+    )
     assert math.isnan(found.given_dual)
     m.much.deactivate()
     less = certify(m)
-    assert (less.primal, less.primal_relative, less.worst) == (0.25, pytest.approx(0.25 / 1.75), "x")
+    assert (less.primal, less.primal_relative, less.worst) == (
+        0.25,
+        pytest.approx(0.25 / 1.75),
+        "x",
+    )
     m.x.setub(None)
     m.y.set_value(0.125)
-    assert (certify(m).primal, certify(m).worst, certify(m).complementarity, certify(m).product) == (0.125, "pair", 0.0, 0.375)
+    assert (
+        certify(m).primal,
+        certify(m).worst,
+        certify(m).complementarity,
+        certify(m).product,
+    ) == (0.125, "pair", 0.0, 0.375)
     m.y.set_value(0.25)
     assert (certify(m).primal, certify(m).worst) == (0.0, "")
 
@@ -129,12 +192,19 @@ def origin(f1: float, f2: float) -> Any:
 
 
 @pytest.mark.parametrize(("row", "given", "left", "kind"), [
-    (1.0, (1.0, 3.0), 0.0, Stationarity.STRONG), (3.0, (-1.0, 1.0), 0.0, Stationarity.STRONG), (1.0, (1.0, 2.0), 0.25, Stationarity.STRONG),
+    (1.0, (1.0, 3.0), 0.0, Stationarity.STRONG), (3.0, (-1.0, 1.0), 0.0, Stationarity.STRONG),
+    (1.0, (1.0, 2.0), 0.25, Stationarity.STRONG),
     (None, None, math.nan, Stationarity.STRONG), (1.0, None, 0.75, Stationarity.STRONG),
 ])  # fmt: skip
-def test_multipliers_that_come_along_are_checked(row: float | None, given: tuple | None, left: float, kind: Stationarity):
+def test_multipliers_that_come_along_are_checked(
+    row: float | None, given: tuple | None, left: float, kind: Stationarity
+):
     m = origin(2.0, 4.0)
-    multipliers = None if row is None else Multipliers(rows={m.row: row}, pairs={} if given is None else {m.pair: given})  # type: ignore[arg-type]
+    multipliers = (
+        None
+        if row is None
+        else Multipliers(rows={m.row: row}, pairs={} if given is None else {m.pair: given})
+    )  # type: ignore[arg-type]
     found = certify(m, multipliers)
     assert (found.stationarity, found.descent) == (kind, 0.0)
     assert found.given_dual == pytest.approx(left, nan_ok=True)
@@ -145,7 +215,10 @@ def test_multipliers_that_come_along_are_checked(row: float | None, given: tuple
 
 
 def test_a_plan_is_certified_with_those_of_its_front(monkeypatch: pytest.MonkeyPatch):
-    """The judge is asked with the ball of each plan, once; of a front the first point's certificate is the plan's."""
+    """The judge is asked with the ball of each plan, once.
+
+    Of a front the first point's certificate is the plan's.
+    """
     asked: list[tuple[str, float]] = []
 
     class Judge:
@@ -165,14 +238,20 @@ def test_a_plan_is_certified_with_those_of_its_front(monkeypatch: pytest.MonkeyP
     known = replace(plain, certificate="known")
     assert plans.certify_solution(scene, known) is known
     points = tuple(
-        FrontPoint(tolerance=0.1, solution=replace(plain, trajectory=name, options={"goal_tolerance": ball}))
+        FrontPoint(
+            tolerance=0.1,
+            solution=replace(plain, trajectory=name, options={"goal_tolerance": ball}),
+        )
         for name, ball in (("near", 0.1), ("far", 0.2))
     )
     asked.clear()
     found = plans.certify_solution(scene, replace(plain, front=points))
     assert asked == [("near", 0.1), ("far", 0.2)]
     assert found.certificate == "hill: near within 0.1"
-    assert [point.solution.certificate for point in found.front] == ["hill: near within 0.1", "hill: far within 0.2"]
+    assert [point.solution.certificate for point in found.front] == [
+        "hill: near within 0.1",
+        "hill: far within 0.2",
+    ]
     lost = plans.certify_solution(scene, replace(plain, trajectory=None, front=points))
     assert (lost.certificate, len(lost.front)) == (None, 2)
     assert plans.certify_plan(scene, "plan") == "hill: plan within 0.0"  # type: ignore[arg-type, comparison-overlap]
@@ -194,7 +273,10 @@ def _model() -> pyo.ConcreteModel:
     model.x = pyo.Var(range(13), initialize=lambda _, k: 0.3 + 0.1 * k)
     model.p = pyo.Param(initialize=1.7, mutable=True)
     model.x[12].fix(0.4)
-    model.row = pyo.Constraint(range(11), rule=lambda m, k: m.p * pyo.sin(m.x[k] * m.x[k + 1]) + 2 * m.x[k] - m.x[k] <= 1e2 * m.x[12])
+    model.row = pyo.Constraint(
+        range(11),
+        rule=lambda m, k: m.p * pyo.sin(m.x[k] * m.x[k + 1]) + 2 * m.x[k] - m.x[k] <= 1e2 * m.x[12],
+    )
     model.flat = pyo.Constraint(range(9), rule=lambda m, k: m.x[k] - 3 * m.x[k + 2] <= m.p)
     model.rare = pyo.Constraint(expr=pyo.exp(model.x[0]) / model.x[3] <= 9)
     model.kink = pyo.Constraint(expr=abs(model.x[1]) + model.x[2] ** 2 <= 9)
@@ -254,11 +336,15 @@ def test_where_they_disagree_pyomos_are_taken(wrong, by, monkeypatch):
 def test_what_pyomo_cannot_differentiate_is_compared_with_nothing(monkeypatch):
     """A derivative of Pyomo's that is no number contradicts none, and is told as what it is."""
     monkeypatch.setattr(
-        derivatives, "pyomo_gradient", lambda expression: [(variable, np.nan) for variable, _ in pyomo_gradient(expression)]
+        derivatives,
+        "pyomo_gradient",
+        lambda expression: [(variable, np.nan) for variable, _ in pyomo_gradient(expression)],
     )
     expressions = _bodies(_model())
     found = gradients_of(expressions, [number_of(expression) for expression in expressions])
-    assert [("no derivatives to compare" in note, "disagree" in note) for note in found.notes] == [(True, False)]
+    assert [("no derivatives to compare" in note, "disagree" in note) for note in found.notes] == [
+        (True, False)
+    ]
 
 
 def _off_in(target: int, what: str, right):
@@ -275,9 +361,18 @@ def _off_in(target: int, what: str, right):
 
 @pytest.mark.parametrize(
     ("what", "target", "seen"),
-    [("slopes", 0, True), ("slopes", 5, True), ("slopes", 10, True), ("slopes", 1, False), ("values", 1, True), ("values", 10, True)],
+    [
+        ("slopes", 0, True),
+        ("slopes", 5, True),
+        ("slopes", 10, True),
+        ("slopes", 1, False),
+        ("values", 1, True),
+        ("values", 10, True),
+    ],
 )
-def test_first_middle_and_last_of_a_shape_are_differentiated_by_pyomo_too(what, target, seen, monkeypatch):
+def test_first_middle_and_last_of_a_shape_are_differentiated_by_pyomo_too(
+    what, target, seen, monkeypatch
+):
     """Of eleven rows; values are compared in each."""
     monkeypatch.setattr(TermGroup, what, _off_in(target, what, getattr(TermGroup, what)))
     model = _model()
@@ -287,8 +382,10 @@ def test_first_middle_and_last_of_a_shape_are_differentiated_by_pyomo_too(what, 
 
 
 @pytest.mark.parametrize(("expression", "value", "slope"), [
-    (lambda x: 3 * x + 2 - x, 1.4, 2.0), (lambda x: x**2, 0.09, -0.6), (lambda x: x**1.5, np.nan, np.nan), (lambda x: pyo.log(x), np.nan, np.nan),
-    (lambda x: 1 / (x + 0.3), np.nan, np.nan), (lambda x: pyo.exp(1e4 * (x + 1.0)), np.nan, np.nan), (lambda x: pyo.sinh(x), np.sinh(-0.3), np.cosh(-0.3)),
+    (lambda x: 3 * x + 2 - x, 1.4, 2.0), (lambda x: x**2, 0.09, -0.6),
+    (lambda x: x**1.5, np.nan, np.nan), (lambda x: pyo.log(x), np.nan, np.nan),
+    (lambda x: 1 / (x + 0.3), np.nan, np.nan), (lambda x: pyo.exp(1e4 * (x + 1.0)), np.nan, np.nan),
+    (lambda x: pyo.sinh(x), np.sinh(-0.3), np.cosh(-0.3)),
 ], ids=["affine", "square", "complex", "logarithm", "pole", "overflow", "hyperbolic"])  # fmt: skip
 def test_values_and_slopes_of_one_expression(expression, value, slope):
     """At x = -0.3."""
@@ -348,7 +445,9 @@ def test_what_pyomos_reverse_mode_does_not_know(function, slope):
 def test_a_negative_base_with_a_broken_exponent_has_no_value():
     model = _curve(lambda x, p: x**p, -0.3)
     model.p.value = 1.5
-    assert certify(model).notes == ("a function or derivative is not a finite number at this point",)
+    assert certify(model).notes == (
+        "a function or derivative is not a finite number at this point",
+    )
 
 
 @pytest.mark.parametrize("where", ["row", "pair", "cost"])
@@ -356,7 +455,11 @@ def test_an_empty_expression_is_named(where):
     m = pyo.ConcreteModel()
     m.x, m.hole = pyo.Var(initialize=1.0), pyo.Expression()
     m.row = pyo.Constraint(expr=m.x + (m.hole if where == "row" else 0.0) <= 2)
-    m.pair = Complementarity(expr=complements(m.x * (m.hole if where == "pair" else 1.0) >= 0, m.x >= 0))
+    m.pair = Complementarity(
+        expr=complements(m.x * (m.hole if where == "pair" else 1.0) >= 0, m.x >= 0)
+    )
     m.cost = pyo.Objective(expr=m.x * (m.hole if where == "cost" else 1.0))
-    with pytest.raises(MissingValueError, match=f"'{where}' needs the Expression 'hole', which is empty"):
+    with pytest.raises(
+        MissingValueError, match=f"'{where}' needs the Expression 'hole', which is empty"
+    ):
         certify(m)

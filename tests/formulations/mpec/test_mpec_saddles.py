@@ -43,15 +43,23 @@ def _two_wells():
     return m
 
 
-_COUNT, _COUPLING = 6, 0.1
+_COUNT = 6
+_COUPLING = 0.1
 
 
 def _many_wells(sense=pyo.minimize):
-    """A maximum in as many directions as there are variables, coupled by their squares; what Ipopt does there is slow."""
+    """A maximum in as many directions as there are variables, coupled by their squares.
+
+    What Ipopt does there is slow.
+    """
     m, pull = _with_pair()
     m.x = pyo.Var(range(_COUNT), initialize=0.0)
-    wells = sum((k + 1) * (m.x[k] ** 2 - 1) ** 2 for k in m.x) + _COUPLING * sum(m.x[k] ** 2 * m.x[k + 1] ** 2 for k in range(_COUNT - 1))
-    m.cost = pyo.Objective(expr=(pull + wells) if sense == pyo.minimize else -(pull + wells), sense=sense)
+    wells = sum((k + 1) * (m.x[k] ** 2 - 1) ** 2 for k in m.x) + _COUPLING * sum(
+        m.x[k] ** 2 * m.x[k + 1] ** 2 for k in range(_COUNT - 1)
+    )
+    m.cost = pyo.Objective(
+        expr=(pull + wells) if sense == pyo.minimize else -(pull + wells), sense=sense
+    )
     return m
 
 
@@ -70,7 +78,10 @@ def _flat_beside_steep():
 
 
 def _better_branch_beyond():
-    """At x = 0, a maximum of both branches, v = 0 is the better one; at x = 1, where v = 2 costs nothing, w = 0 is."""
+    """At x = 0, a maximum of both branches, v = 0 is the better one.
+
+    At x = 1, where v = 2 costs nothing, w = 0 is.
+    """
     m, _ = _with_pair()
     m.x = pyo.Var(initialize=0.0)
     m.cost = pyo.Objective(expr=(m.x**2 - 1) ** 2 + (m.v - 2 * m.x**2) ** 2 + (m.w - 0.5) ** 2)
@@ -80,8 +91,10 @@ def _better_branch_beyond():
 @pytest.mark.parametrize(
     ("model", "optimum"),
     [
-        (_hilltop(2), 1.0 - 2.0), (_hilltop(200), 1.0 - 200.0), (_top_of_circle(), 1.0 - 1.0), (_two_wells(), 0.75),
-        (_many_wells(), _lowest_of_many_wells()), (_many_wells(pyo.maximize), -_lowest_of_many_wells()),
+        (_hilltop(2), 1.0 - 2.0), (_hilltop(200), 1.0 - 200.0), (_top_of_circle(), 1.0 - 1.0),
+        (_two_wells(), 0.75),
+        (_many_wells(), _lowest_of_many_wells()),
+        (_many_wells(pyo.maximize), -_lowest_of_many_wells()),
         (_flat_beside_steep(), 0.75), (_better_branch_beyond(), 0.25),
     ],
 )  # fmt: skip
@@ -121,4 +134,6 @@ def test_a_curvature_that_leads_nowhere_is_told():
     m.cost = pyo.Objective(expr=pull - m.x**2)
     result = solve_mpec(m)
     assert (result.solved, result.objective) == (True, pytest.approx(1.0))
-    assert "curves downwards along a direction, but no better point was found there" in result.message
+    assert (
+        "curves downwards along a direction, but no better point was found there" in result.message
+    )

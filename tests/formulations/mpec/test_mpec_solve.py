@@ -13,7 +13,14 @@ from pyomo.mpec import Complementarity, complements
 from pyomo.opt import SolverStatus, TerminationCondition
 
 from benchmarks.mpec.macmpec.toy import jr1, ralph1
-from formulations.mpec import STRATEGY_NAMES, MpecSettings, Multipliers, Stationarity, certify, solve_mpec
+from formulations.mpec import (
+    STRATEGY_NAMES,
+    MpecSettings,
+    Multipliers,
+    Stationarity,
+    certify,
+    solve_mpec,
+)
 from formulations.mpec.branching import Branching
 from formulations.mpec.homotopy import WorkBudget, Workspace, compile_branches
 from formulations.mpec.lifted import lift
@@ -27,13 +34,19 @@ from tests.formulations.mpec.nearest import solver
     ("problem", "point", "stationarity", "biactive"),
     [(jr1, (0.5, 0.5), Stationarity.STRONG, 0), (ralph1, (0.0, 0.0), Stationarity.MORDUKHOVICH, 1)],
 )
-def test_every_strategy_ends_at_the_solution_and_knows_its_class(strategy, problem, point, stationarity, biactive):
+def test_every_strategy_ends_at_the_solution_and_knows_its_class(
+    strategy, problem, point, stationarity, biactive
+):
     """The origin of ralph1 is B-stationary, but its multipliers are not those of an S point."""
     m, plugin = problem(), solver(strategy=strategy)
     pyo.assert_optimal_termination(plugin.solve(m))
     told = plugin.last_result
     assert (m.a.value, m.b.value) == pytest.approx(point, abs=1e-8)
-    assert (told.certificate.stationarity, told.certificate.b_stationary, told.certificate.biactive) == (stationarity, True, biactive)
+    assert (
+        told.certificate.stationarity,
+        told.certificate.b_stationary,
+        told.certificate.biactive,
+    ) == (stationarity, True, biactive)
     assert all(min(abs(pair.first), abs(pair.second)) <= 1e-12 for pair in told.pairs)
 
 
@@ -88,7 +101,8 @@ def picture(model) -> tuple[str, list]:
     return stream.getvalue(), [(id(c), c.ctype) for c in model.component_objects(descend_into=True)]
 
 
-# -- the model is left as it was ---------------------------------------------------------------------------------------------------------
+# -- the model is left as it was
+#   ---------------------------------------------------------------------------------------------------------
 def test_solving_without_loading_leaves_no_trace():
     m = two(near)
     m.later = pyo.Var()
@@ -111,7 +125,10 @@ def test_loading_changes_values_only():
     assert m.y.value == pytest.approx(2, abs=1e-8)
 
 
-@pytest.mark.parametrize("where", ["formulations.mpec.homotopy", "formulations.mpec.branching", "formulations.mpec.solve"])
+@pytest.mark.parametrize(
+    "where",
+    ["formulations.mpec.homotopy", "formulations.mpec.branching", "formulations.mpec.solve"],
+)
 def test_ctrl_c_and_failures_leave_no_trace(monkeypatch, where):
     """In the path, in a branch, and while the certificate has the point in the model's variables."""
     target = {
@@ -148,7 +165,8 @@ def test_ctrl_c_inside_ipopt_arrives(monkeypatch):
     assert picture(m) == before
 
 
-# -- endings -----------------------------------------------------------------------------------------------------------------------------
+# -- endings
+#   -----------------------------------------------------------------------------------------------------------------------------
 def _both_at_least_one(m):
     """On both axes, which only the pair forbids."""
     m.both = pyo.Constraint([1, 2], rule=lambda m, i: (m.x, m.y)[i - 1] >= 1)
@@ -165,7 +183,8 @@ def _crossed(m):
 
 
 @pytest.mark.parametrize(("change", "ended", "words"), [
-    (lambda m: m.add_component("apart", pyo.Constraint(expr=m.x + m.y <= -1)), "infeasible", ""), (_both_at_least_one, "infeasible", "branches"),
+    (lambda m: m.add_component("apart", pyo.Constraint(expr=m.x + m.y <= -1)), "infeasible", ""),
+    (_both_at_least_one, "infeasible", "branches"),
     (_crossed, "infeasible", "'x'"), (_without_end, "unbounded", ""),
 ])  # fmt: skip
 def test_what_has_no_solution_is_a_warning(change, ended, words, caplog):
@@ -195,7 +214,8 @@ def _bounded_by_its_pair(m):
 
 
 @pytest.mark.parametrize(
-    ("change", "point"), [(_bounded_by_its_pair, (0, 0)), (_repeated, (0, 2)), (lambda m: m.pair.deactivate(), (1, 2))]
+    ("change", "point"),
+    [(_bounded_by_its_pair, (0, 0)), (_repeated, (0, 2)), (lambda m: m.pair.deactivate(), (1, 2))],
 )
 def test_what_is_odd_of_a_model_does_not_matter(change, point):
     m = two(near)
@@ -217,7 +237,13 @@ def test_biactive_and_strongly_stationary():
 def test_a_biactive_pair_that_wants_its_other_branch_gets_it():
     """With x held at 0, y ends at 0 too, and x is worth more than 0: the multiplier says so."""
     m = two(lambda m: (m.x - 1) ** 2 + (m.y + 1) ** 2)
-    work = Workspace(lifted := lift(m), compile_branches(lifted), STRATEGIES["scholtes"], MpecSettings(), WorkBudget(None))
+    work = Workspace(
+        lifted := lift(m),
+        compile_branches(lifted),
+        STRATEGIES["scholtes"],
+        MpecSettings(),
+        WorkBudget(None),
+    )
     x = np.zeros(work.relaxed.problem.n)
     x[work.relaxed.second] = 1.0  # y > x: the branch read off holds x
     branching = Branching(work, x)
@@ -252,11 +278,15 @@ def test_a_maximised_objective():
 
 
 def test_limits_are_told():
-    assert solve_mpec(two(near), MpecSettings(strategy="scholtes", step_iterations=1)).outcome is Outcome.ITERATION_LIMIT
+    assert (
+        solve_mpec(two(near), MpecSettings(strategy="scholtes", step_iterations=1)).outcome
+        is Outcome.ITERATION_LIMIT
+    )
     assert solve_mpec(two(near), time_limit=1e-9).outcome is Outcome.TIME_LIMIT
 
 
-# -- multipliers -------------------------------------------------------------------------------------------------------------------------
+# -- multipliers
+#   -------------------------------------------------------------------------------------------------------------------------
 def test_duals_are_loaded_with_pyomos_signs():
     """min (x - 1)^2 + (y - 2)^2 with y <= 1.5 on the y axis: the row costs 1 for each unit, the side x = 0 costs -2 (it is held, not wanted)."""
     m = two(near)
@@ -276,12 +306,19 @@ def test_right_and_wrong_multipliers():
     right = Multipliers(pairs=ComponentMap([(m.pair, (-2.0, 0.0))]))
     assert certify(m, right).given_dual <= 1e-12
     assert certify(m, right).holds
-    for wrong in ((-2.0, 0.5), (2.0, 0.0), (0.0, 0.0)):  # on the side that is free; with the wrong sign; missing
+    for wrong in (
+        (-2.0, 0.5),
+        (2.0, 0.0),
+        (0.0, 0.0),
+    ):  # on the side that is free; with the wrong sign; missing
         certificate = certify(m, Multipliers(pairs=ComponentMap([(m.pair, wrong)])))
         assert certificate.given_dual > 0.1
         assert not certificate.holds
         assert certificate.stationarity is Stationarity.STRONG  # the point is right all the same
-    assert certify(m, Multipliers(rows=ComponentMap([(m.row, -1.0)]), pairs=right.pairs)).given_dual > 0.1
+    assert (
+        certify(m, Multipliers(rows=ComponentMap([(m.row, -1.0)]), pairs=right.pairs)).given_dual
+        > 0.1
+    )
 
 
 def test_a_solver_that_lies_about_multipliers_is_found_out(monkeypatch):
@@ -290,7 +327,11 @@ def test_a_solver_that_lies_about_multipliers_is_found_out(monkeypatch):
 
     def shifted(candidate):
         told = honest(candidate)
-        return Multipliers(rows=told.rows, bounds=told.bounds, pairs=ComponentMap((c, (a + 1.0, b)) for c, (a, b) in told.pairs.items()))
+        return Multipliers(
+            rows=told.rows,
+            bounds=told.bounds,
+            pairs=ComponentMap((c, (a + 1.0, b)) for c, (a, b) in told.pairs.items()),
+        )
 
     honest = module.multipliers_of
     monkeypatch.setattr(module, "multipliers_of", shifted)
@@ -302,7 +343,8 @@ def test_a_solver_that_lies_about_multipliers_is_found_out(monkeypatch):
 
 # x and y must not both be 0 in any of them, as far as the other row goes: none has a solution.
 IMPOSSIBLE = {
-    "product": lambda m: m.x * m.y >= 1, "small product": lambda m: m.x * m.y >= 1e-4, "quadratic": lambda m: m.x**2 * m.y >= 1,
+    "product": lambda m: m.x * m.y >= 1, "small product": lambda m: m.x * m.y >= 1e-4,
+    "quadratic": lambda m: m.x**2 * m.y >= 1,
     "root": lambda m: pyo.sqrt(m.x) * m.y >= 1, "large coefficient": lambda m: 1e8 * m.x >= m.y + 1,
 }  # fmt: skip
 
@@ -310,7 +352,10 @@ IMPOSSIBLE = {
 def impossible(name: str, bounded: bool, expression: bool) -> pyo.ConcreteModel:
     m = pyo.ConcreteModel(name=name)
     lower = 0.0 if bounded else None
-    m.x, m.y = pyo.Var(bounds=(lower, None), initialize=1.0), pyo.Var(bounds=(lower, None), initialize=1.0)
+    m.x, m.y = (
+        pyo.Var(bounds=(lower, None), initialize=1.0),
+        pyo.Var(bounds=(lower, None), initialize=1.0),
+    )
     m.cost = pyo.Objective(expr=m.x + m.y)
     m.row = pyo.Constraint(expr=IMPOSSIBLE[name](m))
     first, second = (m.x + 0 * m.y, 2 * m.y) if expression else (m.x, m.y)
@@ -323,7 +368,8 @@ def impossible(name: str, bounded: bool, expression: bool) -> pyo.ConcreteModel:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "bounded", "expression"),
-    [("product", False, False), ("product", True, True), *((name, place % 2 == 0, place % 2 == 0) for place, name in enumerate(IMPOSSIBLE) if place)],
+    [("product", False, False), ("product", True, True),
+     *((name, place % 2 == 0, place % 2 == 0) for place, name in enumerate(IMPOSSIBLE) if place)],
 )  # fmt: skip
 def test_nothing_is_optimal_where_nothing_is_feasible(name, bounded, expression):
     """Nor unbounded: iterates that leave for infinity while the objective rises prove nothing."""
@@ -388,9 +434,15 @@ def test_a_descent_into_an_unbounded_branch_is_unbounded():
 def test_rows_that_say_nothing_new_do_not_hide_the_objective(times, has_idle):
     """x - y >= 1/4 holds as an equation, once or more often, beside a pair whose one side is 0: as many equations as variables, and y to choose."""
     m = pyo.ConcreteModel()
-    m.x, m.y, m.zero = pyo.Var(bounds=(0, 2), initialize=0.0), pyo.Var(bounds=(0, 2), initialize=0.0), pyo.Var(initialize=0.0)
+    m.x, m.y, m.zero = (
+        pyo.Var(bounds=(0, 2), initialize=0.0),
+        pyo.Var(bounds=(0, 2), initialize=0.0),
+        pyo.Var(initialize=0.0),
+    )
     m.zero.fix()
-    m.pair = Complementarity(range(times), rule=lambda m, _: complements(m.x - m.y >= 0.25, 3 - m.x >= 0))
+    m.pair = Complementarity(
+        range(times), rule=lambda m, _: complements(m.x - m.y >= 0.25, 3 - m.x >= 0)
+    )
     if has_idle:
         m.idle = Complementarity(expr=complements(m.zero >= 0, m.x + m.y <= 3))
     m.cost = pyo.Objective(expr=(m.x + 1) ** 2 + (m.y + 1) ** 2)
@@ -400,7 +452,10 @@ def test_rows_that_say_nothing_new_do_not_hide_the_objective(times, has_idle):
 
 @pytest.mark.parametrize(
     ("levels_off", "limit", "furthest"),
-    [(lambda x: 1 - pyo.exp(-x), 0.999, math.log(1000)), (lambda x: pyo.tanh(x / 10), 0.999, 10 * math.atanh(0.999))],
+    [
+        (lambda x: 1 - pyo.exp(-x), 0.999, math.log(1000)),
+        (lambda x: pyo.tanh(x / 10), 0.999, 10 * math.atanh(0.999)),
+    ],
 )
 def test_where_a_row_levels_off_far_out_nothing_is_unbounded(levels_off, limit, furthest):
     """At x = 1e20 the row is violated by 1e-3 only, which is no rounding of terms that are below 1."""
@@ -412,12 +467,15 @@ def test_where_a_row_levels_off_far_out_nothing_is_unbounded(levels_off, limit, 
     assert (result.solved, result.objective) == (True, pytest.approx(1.0 - furthest, rel=1e-6))
 
 
-# -- nothing feasible near the start -----------------------------------------------------------------------------------------------------------
+# -- nothing feasible near the start
+#   -----------------------------------------------------------------------------------------------------------
 def _some_of(numbers, total):
     """Each number counts or not, and they are to add up."""
     m = pyo.ConcreteModel()
     m.x = pyo.Var(range(len(numbers)), initialize=0.5)
-    m.choice = Complementarity(range(len(numbers)), rule=lambda m, i: complements(m.x[i] >= 0, 1 - m.x[i] >= 0))
+    m.choice = Complementarity(
+        range(len(numbers)), rule=lambda m, i: complements(m.x[i] >= 0, 1 - m.x[i] >= 0)
+    )
     m.sum = pyo.Constraint(expr=sum(number * m.x[i] for i, number in enumerate(numbers)) == total)
     m.cost = pyo.Objective(expr=sum(m.x[i] for i in m.x))
     return m
@@ -426,13 +484,20 @@ def _some_of(numbers, total):
 def test_branches_are_tried_where_nothing_feasible_is_known():
     """With more pairs than `max_biactive`."""
     numbers, total = [72, 83, 21, 83, 57, 60, 69], 143
-    fewest = min(n for n in range(8) if any(sum(some) == total for some in itertools.combinations(numbers, n)))
+    fewest = min(
+        n
+        for n in range(8)
+        if any(sum(some) == total for some in itertools.combinations(numbers, n))
+    )
     result = solve_mpec(_some_of(numbers, total))
     assert (result.solved, result.objective) == (True, pytest.approx(fewest))
     assert "smoothing refused (more equations than variables, each pair is one)" in result.message
 
 
-@pytest.mark.parametrize(("entries", "tried"), [(1e7, "each of the 128 branches"), (1.0, "each of the nearest 1 of the 128 branches")])
+@pytest.mark.parametrize(
+    ("entries", "tried"),
+    [(1e7, "each of the 128 branches"), (1.0, "each of the nearest 1 of the 128 branches")],
+)
 def test_how_many_branches_are_infeasible_is_told(monkeypatch, entries, tried):
     """Seven numbers of 1 do not add up to 10; a large problem has no work for all branches."""
     monkeypatch.setattr("formulations.mpec.solve._ENTRIES", entries)
@@ -443,7 +508,10 @@ def test_what_is_infeasible_near_the_start_is_told_as_that():
     """An odd sum of even numbers; a bound above another needs no search, and is told as it was."""
     result = solve_mpec(_some_of([2 * number for number in (72, 83, 21, 83, 57, 60, 69)], 141))
     assert result.outcome is Outcome.INFEASIBLE
-    assert "no feasible point was found near the start, which does not show that there is none" in result.message
+    assert (
+        "no feasible point was found near the start, which does not show that there is none"
+        in result.message
+    )
     assert "learning rate" not in repr(result.attempts)
     m = two(near)
     _crossed(m)

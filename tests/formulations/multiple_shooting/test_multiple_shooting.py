@@ -36,12 +36,19 @@ def least_cost(scene: Scene) -> tuple[float, np.ndarray]:
     d = derive(scene)
     symbols = [*d.q, *d.v, *d.u]
     hessian = np.array(sp.hessian(d.running_cost, symbols).tolist(), dtype=float)
-    maps = [np.vstack([big[t], np.eye(n * scene.nu)[t * scene.nu : (t + 1) * scene.nu]]) for t in range(n)]
+    maps = [
+        np.vstack([big[t], np.eye(n * scene.nu)[t * scene.nu : (t + 1) * scene.nu]])
+        for t in range(n)
+    ]
     quadratic = sum(m.T @ hessian @ m for m in maps)
-    linear_part = sum(m.T @ hessian @ np.concatenate([free[t], np.zeros(scene.nu)]) for t, m in enumerate(maps))
+    linear_part = sum(
+        m.T @ hessian @ np.concatenate([free[t], np.zeros(scene.nu)]) for t, m in enumerate(maps)
+    )
     if task.has_goal:
         system = np.block([[quadratic, big[n].T], [big[n], np.zeros((nx, nx))]])
-        u = np.linalg.solve(system, np.concatenate([-linear_part, np.array(task.goal) - free[n]]))[: n * scene.nu]
+        u = np.linalg.solve(system, np.concatenate([-linear_part, np.array(task.goal) - free[n]]))[
+            : n * scene.nu
+        ]
     else:
         u = np.linalg.solve(quadratic, -linear_part)
     u = u.reshape(n, scene.nu)
@@ -50,7 +57,9 @@ def least_cost(scene: Scene) -> tuple[float, np.ndarray]:
 
 
 def solved(scene: Scene, name: str = "relu_multiple_shooting", **options: object) -> Solution:
-    return solve_scene(scene, name, eps=1e-3 if "softplus" in name else None, options=options, time_limit=60.0)
+    return solve_scene(
+        scene, name, eps=1e-3 if "softplus" in name else None, options=options, time_limit=60.0
+    )
 
 
 def test_the_sweep_is_the_riccati_recursion_of_lqr():
@@ -78,11 +87,16 @@ def test_bounds_of_a_stage_are_met_where_its_program_is_least():
         stages.luu[0], stages.lu[0] = hessian, slope
         lower, upper = np.full(3, -0.5), np.full(3, 0.7)
         assert stages.backward(np.zeros((1, 3)), lower, upper, 0.0)
-        best = min(_candidates(hessian, slope, lower, upper), key=lambda x: 0.5 * x @ hessian @ x + slope @ x)
+        best = min(
+            _candidates(hessian, slope, lower, upper),
+            key=lambda x: 0.5 * x @ hessian @ x + slope @ x,
+        )
         np.testing.assert_allclose(stages.k[0], best, atol=1e-9)
 
 
-def _candidates(hessian: np.ndarray, slope: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[np.ndarray]:
+def _candidates(
+    hessian: np.ndarray, slope: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> list[np.ndarray]:
     found = []
     for choice in np.ndindex(3, 3, 3):
         x = np.where(np.array(choice) == 1, lower, np.where(np.array(choice) == 2, upper, 0.0))
@@ -104,9 +118,14 @@ def test_slopes_and_hessians_of_the_cost_are_finite_differences():
     slope, hessian = costs.running(x, inputs)
     point, delta = np.hstack([x, inputs])[0], 1e-5
     for i, side in enumerate(delta * np.eye(5)):
-        ends = [costs.value(np.vstack([p[:4], 0 * p[:4]]), p[None, 4:]) for p in (point + side, point - side)]
+        ends = [
+            costs.value(np.vstack([p[:4], 0 * p[:4]]), p[None, 4:])
+            for p in (point + side, point - side)
+        ]
         assert slope[0, i] == pytest.approx((ends[0] - ends[1]) / (2 * delta), abs=1e-8)
-        slopes = [costs.running(p[None, :4], p[None, 4:])[0][0] for p in (point + side, point - side)]
+        slopes = [
+            costs.running(p[None, :4], p[None, 4:])[0][0] for p in (point + side, point - side)
+        ]
         difference = (slopes[0] - slopes[1]) / (2 * delta)
         if np.linalg.eigvalsh(hessian[0]).min() > 1e-9:
             np.testing.assert_allclose(hessian[0, i], difference, atol=1e-7)
@@ -131,7 +150,10 @@ def test_a_linear_scene_is_solved_to_its_closed_form(scene: Scene):
 def test_bounds_of_the_inputs_hold_and_nothing_is_cheaper():
     """Held against L-BFGS-B, which knows nothing of stages."""
     tight = replace(FREE, inputs=(replace(FREE.inputs[0], lower=-0.5, upper=0.5),))
-    plan, other = solved(tight, tolerance=1e-10), solved(tight, "relu_lbfgs", input_weight=1.0, tolerance=1e-10)
+    plan, other = (
+        solved(tight, tolerance=1e-10),
+        solved(tight, "relu_lbfgs", input_weight=1.0, tolerance=1e-10),
+    )
     assert np.abs(plan.trajectory.u).max() == 0.5
     assert plan.cost == pytest.approx(other.cost, rel=1e-6)
 
@@ -140,7 +162,10 @@ def test_bounds_of_the_inputs_hold_and_nothing_is_cheaper():
 @pytest.mark.parametrize("name", ["cart_pole_walls", "acrobot_limits"])
 def test_unstable_scenes_are_solved_from_a_cold_start(name: str):
     scene, plan = load_scene(name), None
-    for method, schedule in (("softplus_multiple_shooting", MULTIPLE_SHOOTING_EPS), ("relu_multiple_shooting", (None,))):
+    for method, schedule in (
+        ("softplus_multiple_shooting", MULTIPLE_SHOOTING_EPS),
+        ("relu_multiple_shooting", (None,)),
+    ):
         with load_method(method).open(scene) as session:
             for eps in schedule:
                 solution = session.solve(eps=eps, warm_start=plan, time_limit=60.0)
@@ -148,7 +173,9 @@ def test_unstable_scenes_are_solved_from_a_cold_start(name: str):
     assert solution.outcome is Outcome.SOLVED, solution.message
     run = load_kernel(scene).rollout(np.array(scene.task.start), plan.u, scene.task.step)
     end = np.concatenate([run.q[-1], run.v[-1]])
-    assert np.linalg.norm(end - np.array(scene.task.goal)) < 1e-4, "without feedback, on the plan's own grid"
+    assert np.linalg.norm(end - np.array(scene.task.goal)) < 1e-4, (
+        "without feedback, on the plan's own grid"
+    )
     assert run.lam.max() > 0.0
     assert solution.residuals["gap"] <= 1e-9
     assert solution.residuals["gradient_growth"] > 1e3

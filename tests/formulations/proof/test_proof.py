@@ -26,7 +26,9 @@ from tests.formulations.transcription.rollouts import rolled_out
 
 PENDULUM = load_scene("wall_pendulum")
 CARTS = load_scene("three_cart")
-LITTLE = CARTS.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=6, step=0.15)
+LITTLE = CARTS.with_task(
+    start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=6, step=0.15
+)
 SHORT = PENDULUM.with_task(start=(0.07, 0.8), steps=9)
 # Of a goal is asked how near is near enough.
 ASKED = replace(SHORT, limits=(*SHORT.limits, *goal_limits(position=0.01, reason="this test")))
@@ -38,7 +40,9 @@ def cheapest_of_all_modes(scene: Scene) -> float:
     problem, T, nc = ModesProblem(linear_scene(scene)), scene.task.steps, scene.nc
     best = np.inf
     for modes in product((False, True), repeat=(T - 1) * nc):
-        answer = problem.solve(np.vstack([np.zeros((1, nc), dtype=bool), np.reshape(modes, (T - 1, nc))]), below=best)
+        answer = problem.solve(
+            np.vstack([np.zeros((1, nc), dtype=bool), np.reshape(modes, (T - 1, nc))]), below=best
+        )
         best = best if answer is None else min(best, answer.cost)
     return best
 
@@ -46,7 +50,9 @@ def cheapest_of_all_modes(scene: Scene) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", [LITTLE, SHORT], ids=["three_cart", "wall_pendulum"])
 def test_the_proved_optimum_is_the_best_of_all_modes(scene: Scene):
-    proof = prove(scene, time_limit=60.0)  # of which a tenth goes to a first plan, all of it on the pendulum
+    proof = prove(
+        scene, time_limit=60.0
+    )  # of which a tenth goes to a first plan, all of it on the pendulum
     assert proof.status is ProofStatus.OPTIMAL
     best = cheapest_of_all_modes(scene)
     assert proof.cost == pytest.approx(best, rel=1e-9)
@@ -59,7 +65,9 @@ def test_the_proved_optimum_is_the_best_of_all_modes(scene: Scene):
 @pytest.mark.slow
 def test_seconds_are_those_of_opening_and_of_the_proof():
     with load_method("global").open(LITTLE) as session:
-        first, second = (session.solve(eps=None, warm_start=None, time_limit=60.0).seconds for _ in range(2))
+        first, second = (
+            session.solve(eps=None, warm_start=None, time_limit=60.0).seconds for _ in range(2)
+        )
     assert first.build > 0.0
     assert second.build == 0.0, "opened once"
     for found in (first, second):
@@ -81,7 +89,8 @@ def test_the_pendulum_against_its_wall_is_proved():
 
 # The same with a cost whose optimum is nowhere near nought: it has a linear part and a constant.
 _u, _theta, _omega = (
-    next(item for item in PENDULUM.task.running_cost.free_symbols if item.name == name) for name in ("u", "theta", "omega")
+    next(item for item in PENDULUM.task.running_cost.free_symbols if item.name == name)
+    for name in ("u", "theta", "omega")
 )
 AWAY = PENDULUM.with_task(running_cost=(_theta - 1) ** 2 + (_omega + 2) ** 2 + (_u - 3) ** 2)
 
@@ -91,7 +100,10 @@ AWAY = PENDULUM.with_task(running_cost=(_theta - 1) ** 2 + (_omega + 2) ** 2 + (
 def test_no_exact_plan_leaves_the_bounds(scene: Scene):
     """Random inputs: whatever costs no more than the ceiling keeps every bound, else the big-M would cut it off."""
     linear, random = linear_scene(scene), np.random.default_rng(0)
-    plans = [rolled_out(scene, random.uniform(-1.5, 1.5, 1) + random.uniform(-0.7, 0.7, (20, 1))) for _ in range(300)]
+    plans = [
+        rolled_out(scene, random.uniform(-1.5, 1.5, 1) + random.uniform(-0.7, 0.7, (20, 1)))
+        for _ in range(300)
+    ]
     costs = [load_kernel(scene).cost(plan.q, plan.v, plan.u) for plan in plans]
     ceiling = float(np.median(costs))
     bounds = pair_bounds(scene, linear, ceiling)
@@ -102,21 +114,31 @@ def test_no_exact_plan_leaves_the_bounds(scene: Scene):
     assert (phi >= bounds.lower - 1e-12).all()
     assert (phi <= bounds.upper + 1e-12).all()
     dearer = np.stack([load_kernel(scene).penetration(plan.q[:-1]) for plan in plans])
-    assert ((dearer > bounds.upper) | (dearer < bounds.lower)).any(), "the ceiling was meant to cut something off"
+    assert ((dearer > bounds.upper) | (dearer < bounds.lower)).any(), (
+        "the ceiling was meant to cut something off"
+    )
 
 
 @pytest.mark.slow
 def test_cheap_plans_have_little_energy():
     random = np.random.default_rng(1)
     for _ in range(40):
-        close = CARTS.with_task(start=(2.0, 2.0 + random.uniform(0.45, 0.6), 3.1, *random.uniform(-0.5, 0.5, 3)))
-        plan = rolled_out(close, random.uniform(-10, 10, (1, 2)) * np.sin(random.uniform(0, 0.1, (1, 2)) * np.arange(500)[:, None]))
+        close = CARTS.with_task(
+            start=(2.0, 2.0 + random.uniform(0.45, 0.6), 3.1, *random.uniform(-0.5, 0.5, 3))
+        )
+        plan = rolled_out(
+            close,
+            random.uniform(-10, 10, (1, 2))
+            * np.sin(random.uniform(0, 0.1, (1, 2)) * np.arange(500)[:, None]),
+        )
         found = energy_bound(close, float((plan.u**2).sum()))
         phi = load_kernel(close).penetration(plan.q)
         assert (phi <= found.penetration).all()
         assert (np.abs(np.diff(phi, axis=0)) <= found.approach * 0.01).all()
     assert energy_bound(PENDULUM, 1.0) is None, "gravity does work"
-    assert energy_bound(CARTS.with_task(step=0.25), 1.0) is None, "so long a step makes energy of its own"
+    assert energy_bound(CARTS.with_task(step=0.25), 1.0) is None, (
+        "so long a step makes energy of its own"
+    )
 
 
 def test_the_relaxation_bounds_the_known_optimum():
@@ -140,11 +162,15 @@ def test_a_plan_that_cheats_does_not_count():
 def test_a_lie_is_no_incumbent():
     honest = rolled_out(LITTLE, np.zeros((LITTLE.task.steps, LITTLE.nu)))
     lie = replace(honest, q=np.zeros_like(honest.q), lam=np.zeros_like(honest.lam))
-    assert prove(LITTLE, incumbent=lie, time_limit=300.0).cost == pytest.approx(cheapest_of_all_modes(LITTLE), rel=1e-9)
+    assert prove(LITTLE, incumbent=lie, time_limit=300.0).cost == pytest.approx(
+        cheapest_of_all_modes(LITTLE), rel=1e-9
+    )
 
 
 # 38 decisions of which bounds alone leave most open, with a gap of 0.38 after four seconds.
-LONG = CARTS.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.3, 2.9, 3.5, 0.0, 0.0, 0.0), steps=20, step=0.1)
+LONG = CARTS.with_task(
+    start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.3, 2.9, 3.5, 0.0, 0.0, 0.0), steps=20, step=0.1
+)
 
 
 @pytest.mark.slow
@@ -154,12 +180,18 @@ def test_a_proof_that_is_cut_off_by_time_is_none():
     proof = prove(LONG, incumbent=known.trajectory, time_limit=3.0)
     assert proof.status is ProofStatus.BOUND
     assert proof.cost <= known.cost * (1.0 + 1e-9)
-    assert proof.bound < 0.99 * known.cost, "the bound is SCIP's, not that of the ceiling under which it searched"
+    assert proof.bound < 0.99 * known.cost, (
+        "the bound is SCIP's, not that of the ceiling under which it searched"
+    )
     assert "Not proved in the time given" in proof.sentence
     with load_method("global").open(LONG) as session:
         told = session.solve(eps=None, warm_start=known.trajectory, time_limit=3.0)
     assert told.outcome is Outcome.TIME_LIMIT
-    assert told.bound is None or (told.bound.proved, told.bound.decisions, told.bound.value < 0.99 * known.cost) == (False, 38, True)
+    assert told.bound is None or (
+        told.bound.proved,
+        told.bound.decisions,
+        told.bound.value < 0.99 * known.cost,
+    ) == (False, 38, True)
 
 
 @pytest.mark.parametrize("seconds", [1e-3, 0.03, 0.3, 1.0, 3.0])
@@ -183,12 +215,18 @@ def test_no_plan_at_all_is_proved_too():
 def test_refusals(monkeypatch):
     method = load_method("global")
     assert "998 contact decisions" in str(method.accepts(CARTS))
-    arm = load_scene(str(Path(__file__).parents[2] / "scenes" / "two_link_arm.py")).with_task(steps=20)
+    arm = load_scene(str(Path(__file__).parents[2] / "scenes" / "two_link_arm.py")).with_task(
+        steps=20
+    )
     assert "not linear" in str(method.accepts(arm))
     with pytest.raises(SceneError, match="not linear"):
         prove(arm)
     find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "pyscipopt" else find(name, *rest))
+    monkeypatch.setattr(
+        importlib.util,
+        "find_spec",
+        lambda name, *rest: None if name == "pyscipopt" else find(name, *rest),
+    )
     assert "pip install pyscipopt" in str(method.accepts(PENDULUM))
     with pytest.raises(OptionError, match="SCIP"):
         method.open(PENDULUM)

@@ -6,11 +6,17 @@ from formulations.shooting.options import DescentOptions
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
 
-SHORTEST_WINDOW, WINDOW_SHARE, NOTHING_LEFT, RUNAWAY = 50, 4, 1e-20, 2.0
+SHORTEST_WINDOW = 50
+WINDOW_SHARE = 4
+NOTHING_LEFT = 1e-20
+RUNAWAY = 2.0
 
 
 def progress(losses: list[float], tolerance: float) -> str:
-    """After so many losses: descending, settled or runaway; see formulations/shooting/descent.py."""
+    """After so many losses: descending, settled or runaway.
+
+    See formulations/shooting/descent.py.
+    """
     best, window = min(losses), max(SHORTEST_WINDOW, len(losses) // WINDOW_SHARE)
     if best <= NOTHING_LEFT * losses[0]:
         return "settled"
@@ -31,9 +37,14 @@ def descend_in_python(
     u0: np.ndarray,
     settings: DescentOptions,
 ) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
-    """How it ended; the last inputs and the best ones (steps, nu); rows of loss, terminal error, cost and gradient norm (n, 4)."""
+    """How it ended; the last inputs and the best ones (steps, nu).
+
+    Rows of loss, terminal error, cost and gradient norm (n, 4).
+    """
     scene, (terminal, running) = kernel.scene, weights
-    lower, upper = (np.array([getattr(item, side) for item in scene.inputs]) for side in ("lower", "upper"))
+    lower, upper = (
+        np.array([getattr(item, side) for item in scene.inputs]) for side in ("lower", "upper")
+    )
     u = np.clip(u0, lower, upper)
     best, losses, rows = u.copy(), [], []
     limit = settings.max_iterations if settings.iterations is None else settings.iterations

@@ -1,4 +1,7 @@
-"""Scenes by name, those of the catalog and those that only tests use; and a method's answer to one."""
+"""Scenes by name, those of the catalog and those that only tests use.
+
+And a method's answer to one.
+"""
 
 from functools import cache
 from pathlib import Path
@@ -12,9 +15,17 @@ from models.trajectory import Trajectory
 
 @cache
 def example_scene(name: str) -> Scene:
-    return load_scene(name if name in scene_names() else str(Path(__file__).parents[2] / "scenes" / f"{name}.py"))
+    return load_scene(
+        name if name in scene_names() else str(Path(__file__).parents[2] / "scenes" / f"{name}.py")
+    )
 
 
-def solve(scene: Scene, method: str = "relu_gd", eps: float | None = None, plan: Trajectory | None = None, **options: object) -> Solution:
+def solve(
+    scene: Scene,
+    method: str = "relu_gd",
+    eps: float | None = None,
+    plan: Trajectory | None = None,
+    **options: object,
+) -> Solution:
     with load_method(method).open(scene, options) as session:
         return session.solve(eps=eps, warm_start=plan, time_limit=60.0)

@@ -1,4 +1,8 @@
-"""The loop of gradient descent against the same written out in numpy; the loss; bounds, limits, interrupts; the stopping rule on sequences of losses whose right answer is known; why a descent ended; and growth of a disturbance over the horizon."""
+"""The loop of gradient descent against the same written out in numpy; the loss.
+
+bounds, limits, interrupts; the stopping rule on sequences of losses whose right answer is known;
+why a descent ended; and growth of a disturbance over the horizon.
+"""
 
 import itertools
 import math
@@ -32,18 +36,77 @@ from models.contact_law import ContactLaw
 from models.scene import Scene
 
 TOLD = {
-    "at limit": Outcome.ITERATION_LIMIT, "runaway": Outcome.DIVERGED, "not finite": Outcome.DIVERGED,
+    "at limit": Outcome.ITERATION_LIMIT, "runaway": Outcome.DIVERGED,
+    "not finite": Outcome.DIVERGED,
 }  # fmt: skip
-SOFTPLUS, RELU = ContactLaw.SOFTPLUS, ContactLaw.RELU
-# scene, law, eps, options, size of the first inputs, how it ends, and how many digits of a chaotic descent two orders of summation share
+SOFTPLUS = ContactLaw.SOFTPLUS
+RELU = ContactLaw.RELU
+# scene, law, eps, options, size of the first inputs, how it ends, and how many digits of a chaotic
+# descent two orders of summation share
 CASES = {
-    "the paper's descent": ("three_cart", SOFTPLUS, 1e-3, DescentOptions(learning_rate=500.0, iterations=300), 0.0, "at limit", 1e-9),
-    "our own rule": ("three_cart", RELU, None, DescentOptions(learning_rate=500.0), 0.5, "settled", 1e-9),
-    "at the bounds": ("three_cart", RELU, None, DescentOptions(learning_rate=5e4, max_iterations=400), 12.0, "runaway", 1e-3),
-    "too long steps": ("three_cart", SOFTPLUS, 1e-5, DescentOptions(learning_rate=3e3, max_iterations=2000), 0.0, "runaway", 1e-3),
-    "a mass matrix that turns": ("two_link_arm", RELU, None, DescentOptions(learning_rate=1.0, iterations=60), 0.1, "at limit", 1e-6),
-    "a divergence": ("two_link_arm", RELU, None, DescentOptions(learning_rate=700.0, iterations=200), 0.0, "not finite", 1e-3),
-    "a free end": ("three_cart", RELU, None, DescentOptions(learning_rate=100.0, iterations=40), 0.3, "at limit", 1e-10),
+    "the paper's descent": (
+        "three_cart",
+        SOFTPLUS,
+        1e-3,
+        DescentOptions(learning_rate=500.0, iterations=300),
+        0.0,
+        "at limit",
+        1e-9,
+    ),
+    "our own rule": (
+        "three_cart",
+        RELU,
+        None,
+        DescentOptions(learning_rate=500.0),
+        0.5,
+        "settled",
+        1e-9,
+    ),
+    "at the bounds": (
+        "three_cart",
+        RELU,
+        None,
+        DescentOptions(learning_rate=5e4, max_iterations=400),
+        12.0,
+        "runaway",
+        1e-3,
+    ),
+    "too long steps": (
+        "three_cart",
+        SOFTPLUS,
+        1e-5,
+        DescentOptions(learning_rate=3e3, max_iterations=2000),
+        0.0,
+        "runaway",
+        1e-3,
+    ),
+    "a mass matrix that turns": (
+        "two_link_arm",
+        RELU,
+        None,
+        DescentOptions(learning_rate=1.0, iterations=60),
+        0.1,
+        "at limit",
+        1e-6,
+    ),
+    "a divergence": (
+        "two_link_arm",
+        RELU,
+        None,
+        DescentOptions(learning_rate=700.0, iterations=200),
+        0.0,
+        "not finite",
+        1e-3,
+    ),
+    "a free end": (
+        "three_cart",
+        RELU,
+        None,
+        DescentOptions(learning_rate=100.0, iterations=40),
+        0.3,
+        "at limit",
+        1e-10,
+    ),
 }
 
 
@@ -55,7 +118,9 @@ def test_it_is_the_descent_written_out_in_numpy(case: str):
     kernel = load_kernel(scene)
     goal = np.array(scene.task.goal, dtype=float)
     goal[0] = np.nan if case == "a free end" else goal[0]
-    u0 = size * np.sin(np.arange(scene.task.steps * scene.nu, dtype=float)).reshape(scene.task.steps, scene.nu)
+    u0 = size * np.sin(np.arange(scene.task.steps * scene.nu, dtype=float)).reshape(
+        scene.task.steps, scene.nu
+    )
     told, last, best, rows = descend_in_python(kernel, law, eps, goal, (1.5, 1e-5), u0, settings)
     objective = Objective(kernel, law=law, eps=eps)
     objective.aim(goal, Weights(terminal=1.5, running=1e-5))
@@ -84,7 +149,12 @@ def test_an_interrupt_is_obeyed_in_the_middle():
     try:
         signal.setitimer(signal.ITIMER_REAL, 0.2)
         with pytest.raises(KeyboardInterrupt):
-            descend(objective, np.zeros((500, 2)), DescentOptions(learning_rate=1e-9, iterations=10**9), 1e9)
+            descend(
+                objective,
+                np.zeros((500, 2)),
+                DescentOptions(learning_rate=1e-9, iterations=10**9),
+                1e9,
+            )
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
@@ -107,13 +177,21 @@ objective = Objective(load_kernel(load_scene("three_cart")), law=ContactLaw.RELU
 found = descend(objective, np.zeros((500, 2)), DescentOptions(learning_rate=500.0, iterations=2), 60.0)
 print(found.iterations, "torch" in sys.modules, "torch._dynamo" in sys.modules)
 """
-    run = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[3], capture_output=True, text=True, check=False)
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=Path(__file__).parents[3],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert run.stdout == "2 True False\n", run.stderr
 
 
 def test_a_time_limit_ends_it_with_the_plan_so_far():
     objective = Objective(load_kernel(load_scene("three_cart")), law=ContactLaw.RELU)
-    found = descend(objective, np.zeros((500, 2)), DescentOptions(learning_rate=1e-9, iterations=10**9), 0.1)
+    found = descend(
+        objective, np.zeros((500, 2)), DescentOptions(learning_rate=1e-9, iterations=10**9), 0.1
+    )
     assert found.outcome is Outcome.TIME_LIMIT
     assert found.u is not None
     assert not unsaid(found.message, f"after {found.iterations} iterations … limit of 0.1 s")
@@ -129,9 +207,17 @@ def test_a_loss_of_ones_own_is_descended():
 
     u0 = np.where(np.arange(500)[:, None] % 2 == 0, 3.0, -3.0) * np.ones((1, 2))
     own = descend(
-        Objective(kernel, law=ContactLaw.SOFTPLUS, eps=1e-3, loss=smooth), u0, DescentOptions(learning_rate=100.0, iterations=300), 60.0
+        Objective(kernel, law=ContactLaw.SOFTPLUS, eps=1e-3, loss=smooth),
+        u0,
+        DescentOptions(learning_rate=100.0, iterations=300),
+        60.0,
     )
-    papers = descend(Objective(kernel, law=ContactLaw.SOFTPLUS, eps=1e-3), u0, DescentOptions(learning_rate=100.0, iterations=300), 60.0)
+    papers = descend(
+        Objective(kernel, law=ContactLaw.SOFTPLUS, eps=1e-3),
+        u0,
+        DescentOptions(learning_rate=100.0, iterations=300),
+        60.0,
+    )
     assert own.u is not None
     assert papers.u is not None
     assert own.history["loss"][-1] < 0.1 * own.history["loss"][0]
@@ -171,10 +257,12 @@ def test_it_depends_on_the_tolerance_and_not_on_the_scale_of_the_loss():
 
 
 @pytest.mark.parametrize(("loss", "progress", "earliest", "latest"), [
-    (lambda n: math.exp(-0.1 * n), Progress.SETTLED, 368, 553),  # to zero: it stops at 1e-20, when nothing is left
+    (lambda n: math.exp(-0.1 * n), Progress.SETTLED, 368,
+     553),  # to zero: it stops at 1e-20, when nothing is left
     (lambda n: 0.0, Progress.SETTLED, 0, 0),  # nothing to do
     (lambda n: 1.0 + 1.1**n, Progress.RUNAWAY, 0, 60),
-    (lambda n: 1.0 + math.exp(-0.02 * n) + (1e3 if n in (40, 130) else 0.0), Progress.SETTLED, 131, 100000),  # a bad step is forgiven
+    (lambda n: 1.0 + math.exp(-0.02 * n) + (1e3 if n in (40, 130) else 0.0), Progress.SETTLED, 131,
+     100000),  # a bad step is forgiven
     # a fixed step across a kink of the loss never comes to rest, but gains nothing either
     (lambda n: 1.0 + math.exp(-0.05 * n) + 1e-3 * (n % 2), Progress.SETTLED, 0, 100000),
 ], ids=["to zero", "nothing to do", "climbing", "one bad step", "swinging"])  # fmt: skip
@@ -199,15 +287,23 @@ def test_loss_at_rest_is_the_papers_formula():
 
 
 @pytest.mark.parametrize(("law", "eps"), LAWS)
-@pytest.mark.parametrize("weights", [Weights(), Weights(terminal=3.0, running=1e-3), Weights(running=0.0)])
-def test_loss_and_gradient_are_those_of_the_formula_in_plain_pytorch(law: ContactLaw, eps: float | None, weights: Weights):
+@pytest.mark.parametrize(
+    "weights", [Weights(), Weights(terminal=3.0, running=1e-3), Weights(running=0.0)]
+)
+def test_loss_and_gradient_are_those_of_the_formula_in_plain_pytorch(
+    law: ContactLaw, eps: float | None, weights: Weights
+):
     """Written once more, on a rollout that shares nothing with the compiled one but the equations."""
     objective, u = Objective(KERNEL, law=law, eps=eps, weights=weights), _inputs()
     loss, gradient = objective.value(u.detach().numpy()), torch.from_numpy(objective.gradient())
     goal = torch.tensor(SCENE.task.goal, dtype=torch.float64)
-    q, v, _ = reference_rollout(SCENE, u, torch.tensor(SCENE.task.start, dtype=torch.float64), law=law, eps=eps)
+    q, v, _ = reference_rollout(
+        SCENE, u, torch.tensor(SCENE.task.start, dtype=torch.float64), law=law, eps=eps
+    )
     error = torch.cat([q[-1], v[-1]]) - goal
-    expected = weights.terminal * error.square().mean() + weights.running * reference_cost(SCENE, q, v, u)
+    expected = weights.terminal * error.square().mean() + weights.running * reference_cost(
+        SCENE, q, v, u
+    )
     expected.backward()
     assert loss == pytest.approx(expected.item(), rel=1e-12)
     assert (gradient - u.grad).abs().max() <= 1e-11 * u.grad.abs().max()
@@ -220,7 +316,9 @@ def test_free_components_of_the_goal_cost_nothing():
     objective.aim(np.array((np.nan, *SCENE.task.goal[1:])), Weights())
     u = _inputs().detach().numpy()
     whole.value(u)
-    assert objective.value(u) == pytest.approx(whole.value(u) - whole.error[0] ** 2 / 6.0, rel=1e-12)
+    assert objective.value(u) == pytest.approx(
+        whole.value(u) - whole.error[0] ** 2 / 6.0, rel=1e-12
+    )
     assert objective.error[0] == 0.0
     assert np.isfinite(objective.gradient()).all()
 
@@ -238,7 +336,10 @@ def test_divergence_is_an_infinite_loss():
 
 def test_a_mean_over_random_inputs_is_that_of_single_evaluations():
     added = noise(SCENE, deviation=0.2, unbounded=1.0, samples=8, pieces=5, seed=3)
-    smoothed, single = Objective(KERNEL, law=ContactLaw.RELU, noise=added), Objective(KERNEL, law=ContactLaw.RELU)
+    smoothed, single = (
+        Objective(KERNEL, law=ContactLaw.RELU, noise=added),
+        Objective(KERNEL, law=ContactLaw.RELU),
+    )
     u = np.cos(np.arange(1000.0)).reshape(500, 2)
     losses, gradients = [], []
     for sample in added:
@@ -257,7 +358,9 @@ def test_a_loss_of_ones_own_replaces_the_papers():
         return u.square().sum((-2, -1)) + plan.v[..., -1, 0]
 
     objective, u = Objective(KERNEL, law=ContactLaw.RELU, loss=effort), _inputs()
-    assert objective.value(u.detach().numpy()) == pytest.approx((u.square().sum() + rollout(KERNEL, u).v[-1, 0]).item(), rel=1e-14)
+    assert objective.value(u.detach().numpy()) == pytest.approx(
+        (u.square().sum() + rollout(KERNEL, u).v[-1, 0]).item(), rel=1e-14
+    )
     expected = torch.autograd.grad(effort(rollout(KERNEL, u), u), u)[0]
     assert np.abs(objective.gradient() - expected.numpy()).max() <= 1e-13
     before = objective.value(u.detach().numpy())
@@ -266,9 +369,15 @@ def test_a_loss_of_ones_own_replaces_the_papers():
 
 
 BAD = {
-    "no tensor": (lambda plan, u: 1.0, "the loss returned a float, but must return a PyTorch tensor"),
+    "no tensor": (
+        lambda plan, u: 1.0,
+        "the loss returned a float, but must return a PyTorch tensor",
+    ),
     "no scalar": (lambda plan, u: plan.q[-1], r"shape \(3,\), but a single number is needed"),
-    "no gradient": (lambda plan, u: plan.cost.detach(), "has no gradient with respect to the inputs"),
+    "no gradient": (
+        lambda plan, u: plan.cost.detach(),
+        "has no gradient with respect to the inputs",
+    ),
 }
 
 
@@ -298,9 +407,14 @@ def test_dead_relu_is_told_with_its_numbers(options: dict[str, object]):
     assert solution.outcome is (Outcome.ITERATION_LIMIT if options else Outcome.STALLED)
     assert (solution.trajectory.lam == 0.0).all()
     assert not unsaid(solution.message, "no contact is made anywhere")
-    assert not unsaid(solution.message, "no gradient towards moving q2 … misses its goal by 0.5 m; |d q2/d u| = 0)")
+    assert not unsaid(
+        solution.message,
+        "no gradient towards moving q2 … misses its goal by 0.5 m; |d q2/d u| = 0)",
+    )
     assert "start from a softplus stage" in solution.message
-    gaps = re.search(r"smallest gap left ([\d.]+) m at t = ([\d.]+) s, right ([\d.]+) m", solution.message)
+    gaps = re.search(
+        r"smallest gap left ([\d.]+) m at t = ([\d.]+) s, right ([\d.]+) m", solution.message
+    )
     phi = load_kernel(APART).penetration(solution.trajectory.q[:-1])
     assert float(gaps[1]) == pytest.approx(-phi[:, 0].max(), rel=5e-3)
     assert float(gaps[3]) == pytest.approx(-phi[:, 1].max(), rel=5e-3)
@@ -317,10 +431,13 @@ def _row_of_three() -> Scene:
     """A driven cart far from two passive ones, which overlap and push each other apart."""
     driven, other = (item.symbol for item in SCENE.inputs)
     row = replace(
-        SCENE, inputs=SCENE.inputs[:1], forces=tuple(force.subs(other, 0) for force in SCENE.forces), answers=(),
+        SCENE, inputs=SCENE.inputs[:1],
+        forces=tuple(force.subs(other, 0) for force in SCENE.forces), answers=(),
         task=replace(SCENE.task, running_cost=driven**2),
     )  # fmt: skip
-    return row.with_task(start=(0.0, 5.0, 5.4, 0.0, 0.0, 0.0), goal=(0.5, 5.5, 6.0, 0.0, 0.0, 0.0), steps=200)
+    return row.with_task(
+        start=(0.0, 5.0, 5.4, 0.0, 0.0, 0.0), goal=(0.5, 5.5, 6.0, 0.0, 0.0, 0.0), steps=200
+    )
 
 
 def test_the_one_contact_that_is_never_made_is_named():
@@ -339,7 +456,9 @@ def test_no_diagnosis_where_nothing_is_missed():
 
 
 @pytest.mark.parametrize(("name", "eps"), [("relu_gd", None), ("softplus_gd", 1e-3)])
-def test_a_learning_rate_that_is_too_large_is_named_and_a_good_one_is_given(name: str, eps: float | None):
+def test_a_learning_rate_that_is_too_large_is_named_and_a_good_one_is_given(
+    name: str, eps: float | None
+):
     """Twice the horizon has more than twice the curvature: the paper's rate overshoots, and the rate of the message does not."""
     scene = SCENE.with_task(steps=1000)
     solution = solve(scene, name, eps)
@@ -391,14 +510,18 @@ def test_stable_rate_is_two_over_the_largest_curvature():
     u = np.zeros((500, 2))
     rows, _ = sensitivity(objective, u)
     hessian = 2.0 / 6.0 * rows.T @ rows + 2.0 * 5e-6 * np.eye(rows.shape[1])
-    assert stable_rate(objective, u) == pytest.approx(2.0 / np.linalg.eigvalsh(hessian)[-1], rel=1e-4)
+    assert stable_rate(objective, u) == pytest.approx(
+        2.0 / np.linalg.eigvalsh(hessian)[-1], rel=1e-4
+    )
 
 
 HILL = example_scene("leaning_mass")
 
 
 def _growth(steps: int) -> GradientGrowth:
-    found = measure_growth(load_steps(HILL.with_task(steps=steps)), np.zeros((steps + 1, 2)), np.zeros((steps, 1)))
+    found = measure_growth(
+        load_steps(HILL.with_task(steps=steps)), np.zeros((steps + 1, 2)), np.zeros((steps, 1))
+    )
     assert found is not None
     return found
 

@@ -32,7 +32,8 @@ def test_what_they_are():
 
 
 @pytest.mark.parametrize(("options", "words"), [
-    ({"learning_rate": 0.0}, "learning_rate is 0.0"), ({"learning_rate": float("nan")}, "learning_rate is nan"),
+    ({"learning_rate": 0.0}, "learning_rate is 0.0"),
+    ({"learning_rate": float("nan")}, "learning_rate is nan"),
     ({"iterations": 0}, "iterations is 0"), ({"input_weight": -1.0}, "input_weight is -1.0"),
 ])  # fmt: skip
 def test_impossible_options_are_named(options: dict[str, object], words: str):
@@ -45,9 +46,15 @@ def test_history_and_figures_belong_together():
     plan = solution.trajectory
     assert {len(column) for column in solution.history.values()} == {26}
     assert solution.cost == solution.history["cost"][-1]
-    assert solution.residuals["terminal_error"] == pytest.approx(solution.history["terminal_error"][-1], rel=1e-14)
-    assert solution.residuals["gradient_norm"] == pytest.approx(solution.history["gradient_norm"][-1], rel=1e-14)
-    assert np.linalg.norm(plan.end - np.array(SCENE.task.goal)) == pytest.approx(solution.residuals["terminal_error"], rel=1e-14)
+    assert solution.residuals["terminal_error"] == pytest.approx(
+        solution.history["terminal_error"][-1], rel=1e-14
+    )
+    assert solution.residuals["gradient_norm"] == pytest.approx(
+        solution.history["gradient_norm"][-1], rel=1e-14
+    )
+    assert np.linalg.norm(plan.end - np.array(SCENE.task.goal)) == pytest.approx(
+        solution.residuals["terminal_error"], rel=1e-14
+    )
     loss = solution.residuals["terminal_error"] ** 2 / 6 + 5e-6 * (plan.u**2).sum()
     assert solution.history["loss"][-1] == pytest.approx(loss, rel=1e-12)
     assert solution.options["iterations"] == 25
@@ -57,7 +64,10 @@ def test_history_and_figures_belong_together():
 
 def test_the_plan_is_a_rollout_of_the_methods_own_law():
     kernel = load_kernel(SCENE)
-    for name, eps, law in (("relu_gd", None, ContactLaw.RELU), ("softplus_gd", 1e-3, ContactLaw.SOFTPLUS)):
+    for name, eps, law in (
+        ("relu_gd", None, ContactLaw.RELU),
+        ("softplus_gd", 1e-3, ContactLaw.SOFTPLUS),
+    ):
         plan = solve(SCENE, name, eps, iterations=5).trajectory
         assert (plan.lam == kernel.contact_force(plan.q[:-1], law, eps)).all()
 
@@ -97,14 +107,20 @@ def test_warm_start_on_another_grid_is_refused():
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "eps", "changes", "rate"), [
     *((name, eps, {"steps": 400}, 500.0) for name, eps in METHODS),
-    ("softplus_gd", 1e-3, {"steps": 250, "step": 0.02}, 150.0), ("softplus_gd", 1e-3, {"goal": (1.5, 2.5, 3.5, 0.0, 0.0, 0.0)}, 500.0),
+    ("softplus_gd", 1e-3, {"steps": 250, "step": 0.02}, 150.0),
+    ("softplus_gd", 1e-3, {"goal": (1.5, 2.5, 3.5, 0.0, 0.0, 0.0)}, 500.0),
     ("softplus_gd", 1e-3, {"start": (2.0, 2.6, 4.0, 0.5, 0.0, -0.5)}, 300.0),
 ])  # fmt: skip
-def test_other_tasks_end_at_rest_and_nearer_to_the_goal(name: str, eps: float | None, changes: dict, rate: float):
+def test_other_tasks_end_at_rest_and_nearer_to_the_goal(
+    name: str, eps: float | None, changes: dict, rate: float
+):
     solution = solve(SCENE.with_task(**changes), name, eps, learning_rate=rate, tolerance=1e-3)
     assert solution.outcome is Outcome.SOLVED, solution.message
     assert solution.history["terminal_error"][-1] < 0.15 * solution.history["terminal_error"][0]
-    assert np.linalg.norm(solution.history["gradient_norm"][-1]) < 1e-2 * solution.history["gradient_norm"][0]
+    assert (
+        np.linalg.norm(solution.history["gradient_norm"][-1])
+        < 1e-2 * solution.history["gradient_norm"][0]
+    )
 
 
 @pytest.mark.slow
@@ -141,7 +157,9 @@ def test_a_start_that_cannot_be_simulated_is_an_evaluation_error():
 def test_who_converges_away_from_the_goal_has_not_solved_the_task():
     solved = solve(SCENE)
     assert solved.outcome is Outcome.SOLVED
-    cheap = solve(SCENE, input_weight=5e-5)  # ten times the paper's: staying where it is costs less than arriving
+    cheap = solve(
+        SCENE, input_weight=5e-5
+    )  # ten times the paper's: staying where it is costs less than arriving
     assert cheap.outcome is Outcome.STALLED
     assert "converged away from the goal" in cheap.message
     assert cheap.residuals["terminal_position_error"] > SCENE.limit("terminal_position_error").value
@@ -151,7 +169,8 @@ def test_who_converges_away_from_the_goal_has_not_solved_the_task():
 
 TOLERANCE = 0.02
 CHAIN = (
-    # method, eps, iterations, cost, paper, position error after replay in true contact (the paper's "stability")
+    # method, eps, iterations, cost, paper, position error after replay in true contact (the paper's
+    # "stability")
     ("softplus_gd", 1e-3, 15, 149.1749, 149.18, 0.411),
     ("softplus_gd", 1e-5, 14, 166.4536, 166.45, 0.273),
     ("softplus_gd", 1e-7, 11, 215.1410, 215.14, 0.196),
@@ -163,7 +182,15 @@ CHAIN = (
 def chain() -> list[Solution]:
     solutions: list[Solution] = []
     for method, eps, iterations, *_ in CHAIN:
-        solutions.append(solve(SCENE, method, eps, solutions[-1].trajectory if solutions else None, iterations=iterations))
+        solutions.append(
+            solve(
+                SCENE,
+                method,
+                eps,
+                solutions[-1].trajectory if solutions else None,
+                iterations=iterations,
+            )
+        )
     return solutions
 
 
@@ -177,8 +204,12 @@ def test_costs_and_stability_of_the_softplus_chain(chain: list[Solution], row: i
     assert solution.iterations == iterations
     assert solution.cost == pytest.approx(cost, abs=1e-3)
     assert solution.cost == pytest.approx(paper, abs=TOLERANCE)
-    replayed = load_kernel(SCENE).rollout(np.array(SCENE.task.start), solution.trajectory.u, SCENE.task.step)
-    assert np.linalg.norm(replayed.q[-1] - np.array(SCENE.task.goal[:3])) == pytest.approx(stability, abs=5e-4)
+    replayed = load_kernel(SCENE).rollout(
+        np.array(SCENE.task.start), solution.trajectory.u, SCENE.task.step
+    )
+    assert np.linalg.norm(replayed.q[-1] - np.array(SCENE.task.goal[:3])) == pytest.approx(
+        stability, abs=5e-4
+    )
 
 
 @pytest.fixture(scope="module")
@@ -189,7 +220,9 @@ def cold() -> Solution:
 def test_cold_relu_row(cold: Solution):
     assert cold.cost == pytest.approx(542.56, abs=TOLERANCE)
     assert cold.residuals["terminal_position_error"] == pytest.approx(0.040, abs=5e-4)
-    assert "no contact" not in cold.message  # it gets into contact by overshooting, after some iterations
+    assert (
+        "no contact" not in cold.message
+    )  # it gets into contact by overshooting, after some iterations
 
 
 @pytest.mark.slow
@@ -209,18 +242,28 @@ def test_relu_rows_have_no_physics_residual_at_all(chain: list[Solution], cold: 
     kernel = load_kernel(SCENE)
     for plan in (chain[-1].trajectory, cold.trajectory):
         assert plan.lam.max() > 0.0
-        assert (np.abs(plan.lam * (plan.lam - kernel.stiffness() * kernel.penetration(plan.q[:-1]))) == 0.0).all()
+        assert (
+            np.abs(plan.lam * (plan.lam - kernel.stiffness() * kernel.penetration(plan.q[:-1])))
+            == 0.0
+        ).all()
 
 
 def test_the_bounds_of_the_inputs_do_not_touch_the_papers_rows(chain: list[Solution]):
     """The paper's descent ignores |u| <= 10 and stays inside."""
-    assert all(np.abs(solution.trajectory.u).max() < 10.0 for solution in chain if solution.trajectory is not None)
+    assert all(
+        np.abs(solution.trajectory.u).max() < 10.0
+        for solution in chain
+        if solution.trajectory is not None
+    )
     assert all("held at their bound" not in solution.message for solution in chain)
 
 
 @pytest.mark.slow
 def test_our_own_rule_reaches_the_bottom_that_a_long_descent_shows():
-    """200 000 plain iterations by an independent numpy loop end at these losses; the rule may leave 0.1 % of the loss."""
+    """200 000 plain iterations by an independent numpy loop end at these losses.
+
+    The rule may leave 0.1 % of the loss.
+    """
     for method, eps, loss in (("softplus_gd", 1e-3, 9.039952e-4), ("relu_gd", None, 1.838244e-3)):
         solution = solve(SCENE, method, eps)
         assert solution.outcome is Outcome.SOLVED
@@ -245,11 +288,18 @@ def test_the_goal_is_met_and_nothing_is_cheaper():
 def test_without_rounds_it_is_the_minimum_of_the_loss_of_gradient_descent():
     kernel = load_kernel(SCENE)
     objective = Objective(kernel, law=ContactLaw.SOFTPLUS, eps=1e-3)
-    found = minimise(objective, np.zeros((SCENE.task.steps, 2)), QuasiNewtonOptions(goal_rounds=0, tolerance=1e-8), 60.0)
+    found = minimise(
+        objective,
+        np.zeros((SCENE.task.steps, 2)),
+        QuasiNewtonOptions(goal_rounds=0, tolerance=1e-8),
+        60.0,
+    )
     descent = solve(SCENE, "softplus_gd", 1e-3)
     assert found.u is not None
     assert objective.value(found.u) <= objective.value(descent.trajectory.u)
-    assert objective.value(found.u) == pytest.approx(objective.value(descent.trajectory.u), rel=1e-3)
+    assert objective.value(found.u) == pytest.approx(
+        objective.value(descent.trajectory.u), rel=1e-3
+    )
 
 
 def test_the_goal_is_left_where_it_was():
@@ -282,7 +332,10 @@ def test_noise_comes_in_pairs_of_the_size_asked_for():
 
 @pytest.mark.slow
 def test_another_seed_is_other_noise_and_another_plan():
-    drawn = [noise(SCENE, deviation=0.1, unbounded=1.0, samples=4, pieces=5, seed=seed) for seed in (0, 0, 1, 2)]
+    drawn = [
+        noise(SCENE, deviation=0.1, unbounded=1.0, samples=4, pieces=5, seed=seed)
+        for seed in (0, 0, 1, 2)
+    ]
     assert np.array_equal(drawn[0], drawn[1])
     assert not any(np.isclose(drawn[0], other).any(axis=(1, 2)).any() for other in drawn[2:])
     costs = [solve(APART, "randomised_smoothing", 0.3, seed=seed).cost for seed in (0, 0, 1, 2)]
@@ -302,9 +355,13 @@ def test_a_loss_of_ones_own_is_made_small_without_displacing_its_goal():
     """Least inputs that end at rest: nothing to do, whatever the goal."""
     kernel = load_kernel(SCENE)
     objective = Objective(
-        kernel, law=ContactLaw.RELU, loss=lambda plan, u: (u - 0.5).square().mean((-2, -1)) + plan.end[..., 3:].square().sum(-1)
+        kernel,
+        law=ContactLaw.RELU,
+        loss=lambda plan, u: (u - 0.5).square().mean((-2, -1)) + plan.end[..., 3:].square().sum(-1),
     )
-    found = minimise(objective, np.zeros((SCENE.task.steps, 2)), QuasiNewtonOptions(tolerance=1e-10), 60.0)
+    found = minimise(
+        objective, np.zeros((SCENE.task.steps, 2)), QuasiNewtonOptions(tolerance=1e-10), 60.0
+    )
     assert found.u is not None
     assert found.history["loss"][-1] < found.history["loss"][0] / 2.0
     assert "displaced" not in found.message
@@ -314,13 +371,19 @@ def test_a_loss_of_ones_own_may_be_a_number_where_the_motion_has_none():
     """Steps of 5 s: the motion of these inputs is finite for 107 of them."""
 
     class Own(QuasiNewtonMethod):
-        name, title, kind, needs_eps, law = "own", "Own", Kind.DIRECT, False, ContactLaw.RELU
+        name = "own"
+        title = "Own"
+        kind = Kind.DIRECT
+        needs_eps = False
+        law = ContactLaw.RELU
 
         def loss(self, scene: Scene):
             return lambda plan, u: u.square().sum((-1, -2)) + 1e-9 * plan.q[..., 0, 0]
 
     scene, none = SCENE.with_task(step=5.0, steps=300), np.zeros((301, 3))
-    start = Trajectory(t=5.0 * np.arange(301), q=none, v=none, u=np.full((300, 2), 0.5), lam=np.zeros((300, 2)))
+    start = Trajectory(
+        t=5.0 * np.arange(301), q=none, v=none, u=np.full((300, 2), 0.5), lam=np.zeros((300, 2))
+    )
     with Own().open(scene, {"max_iterations": 2}) as session:
         found = session.solve(eps=None, warm_start=start, time_limit=60.0)
     assert (found.outcome, found.trajectory) == (Outcome.EVALUATION_ERROR, None)

@@ -22,7 +22,8 @@ from models.scenes.two_finger_lift import HEIGHT
 LAWS = ((ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3), (ContactLaw.SOFTPLUS, 1e-7))
 # A start in contact for each scene, so that the contact's derivatives are there to be compared.
 STARTS = {
-    "three_cart": (2.0, 2.4, 2.8, 0.3, -0.2, 0.1), "two_link_arm": (0.3, 0.4, -0.5, 0.7), "two_body_collision": (0.0, 0.15, 1.0, -1.0),
+    "three_cart": (2.0, 2.4, 2.8, 0.3, -0.2, 0.1), "two_link_arm": (0.3, 0.4, -0.5, 0.7),
+    "two_body_collision": (0.0, 0.15, 1.0, -1.0),
     "bouncing_mass": (-0.05, 0.3), "oscillator": (1.0, 0.2),
 }  # fmt: skip
 # Two orders of summation: each step rounds differently, and 60 steps carry it on.
@@ -33,18 +34,31 @@ def _pattern(name: str, shape: tuple[int, ...]) -> torch.Tensor:
     count = torch.arange(int(np.prod(shape)), dtype=torch.float64).reshape(shape)
     if name == "random":
         return torch.from_numpy(np.random.default_rng(5).normal(size=shape))
-    return {"zeros": count * 0.0, "ones": count * 0.0 + 1.0, "0101": count % 2, "0123": count / max(1, count.numel())}[name]
+    return {
+        "zeros": count * 0.0,
+        "ones": count * 0.0 + 1.0,
+        "0101": count % 2,
+        "0123": count / max(1, count.numel()),
+    }[name]
 
 
-def _gradients(function, scene: Scene, start: torch.Tensor, u: torch.Tensor, law: ContactLaw, eps: float | None):
+def _gradients(
+    function, scene: Scene, start: torch.Tensor, u: torch.Tensor, law: ContactLaw, eps: float | None
+):
     """Values, and gradients of a loss that weighs every value differently."""
     u, start = u.clone().requires_grad_(), start.clone().requires_grad_()
     values = function(scene, u, start, step=0.005, law=law, eps=eps)[:3]
-    loss = sum((value * torch.cos(torch.arange(value.numel(), dtype=torch.float64)).reshape(value.shape)).sum() for value in values)
+    loss = sum(
+        (
+            value * torch.cos(torch.arange(value.numel(), dtype=torch.float64)).reshape(value.shape)
+        ).sum()
+        for value in values
+    )
     # A scene without inputs has a gradient of no entries, which autograd calls unused.
     bars = torch.autograd.grad(loss, (u, start), allow_unused=True)
     return [value.detach() for value in values], [
-        torch.zeros_like(point) if bar is None else bar for bar, point in zip(bars, (u, start), strict=True)
+        torch.zeros_like(point) if bar is None else bar
+        for bar, point in zip(bars, (u, start), strict=True)
     ]
 
 
@@ -52,10 +66,15 @@ def _gradients(function, scene: Scene, start: torch.Tensor, u: torch.Tensor, law
 @pytest.mark.parametrize("pattern", ["zeros", "ones", "0101", "0123", "random"])
 @pytest.mark.parametrize("name", STARTS)
 @pytest.mark.parametrize(("law", "eps"), LAWS)
-def test_values_and_gradients_are_those_of_plain_pytorch(name: str, pattern: str, law: ContactLaw, eps: float | None):
+def test_values_and_gradients_are_those_of_plain_pytorch(
+    name: str, pattern: str, law: ContactLaw, eps: float | None
+):
     scene = example_scene(name)
     start, u = torch.tensor(STARTS[name], dtype=torch.float64), _pattern(pattern, (60, scene.nu))
-    found, expected = _gradients(rollout, scene, start, u, law, eps), _gradients(reference_rollout, scene, start, u, law, eps)
+    found, expected = (
+        _gradients(rollout, scene, start, u, law, eps),
+        _gradients(reference_rollout, scene, start, u, law, eps),
+    )
     assert not scene.nc or expected[0][2].max() > 0.0
     for left, right in zip((*found[0], *found[1]), (*expected[0], *expected[1]), strict=True):
         assert left.shape == right.shape
@@ -69,7 +88,9 @@ def test_gradients_are_finite_differences(name: str, law: ContactLaw, eps: float
     scene = example_scene(name)
     u = _pattern("random", (6, scene.nu)).requires_grad_()
     start = torch.tensor(STARTS[name], dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda u, start: rollout(scene, u, start, step=0.005, law=law, eps=eps), (u, start))
+    assert torch.autograd.gradcheck(
+        lambda u, start: rollout(scene, u, start, step=0.005, law=law, eps=eps), (u, start)
+    )
 
 
 def test_composes_with_a_loss_of_ones_own():
@@ -94,7 +115,10 @@ def test_composes_with_a_loss_of_ones_own():
 
 def test_gradients_only_where_asked():
     scene = example_scene("three_cart")
-    u, start = torch.zeros(5, 2, dtype=torch.float64), torch.tensor(scene.task.start, dtype=torch.float64)
+    u, start = (
+        torch.zeros(5, 2, dtype=torch.float64),
+        torch.tensor(scene.task.start, dtype=torch.float64),
+    )
     assert not any(part.requires_grad for part in rollout(scene, u, start))
     rollout(scene, u, start.requires_grad_()).q.sum().backward()
     assert start.grad is not None
@@ -104,7 +128,9 @@ def test_gradients_only_where_asked():
 def test_is_differentiable_once_and_says_so():
     scene = example_scene("three_cart")
     u = torch.ones(5, 2, dtype=torch.float64, requires_grad=True)
-    loss = rollout(scene, u, torch.tensor(STARTS["three_cart"], dtype=torch.float64)).q.square().sum()
+    loss = (
+        rollout(scene, u, torch.tensor(STARTS["three_cart"], dtype=torch.float64)).q.square().sum()
+    )
     (gradient,) = torch.autograd.grad(loss, u, create_graph=True)
     assert gradient.abs().max() > 0.0  # asking for a graph alone is no mistake
     with pytest.raises(ShootingError, match="differentiated once"):
@@ -142,10 +168,15 @@ def test_other_types_and_devices_are_refused_in_words():
     with pytest.raises(ShootingError, match=r"u is .* on meta, start .* on cpu; pass start\.to"):
         rollout(scene, u.to("meta"), torch.tensor(scene.task.start, dtype=torch.float64))
     with pytest.raises(ShootingError, match=r"u is on meta, .*friction.*pass u\.cpu\(\)"):
-        rollout(example_scene("hopper_planar"), torch.zeros(5, example_scene("hopper_planar").nu, device="meta"))
+        rollout(
+            example_scene("hopper_planar"),
+            torch.zeros(5, example_scene("hopper_planar").nu, device="meta"),
+        )
     with pytest.raises(ShootingError, match=r"u is a ndarray"):
         rollout(scene, u.numpy())  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ShootingError, match=r"last dimensions of u and start are 1 and 6.*2 inputs and 6"):
+    with pytest.raises(
+        ShootingError, match=r"last dimensions of u and start are 1 and 6.*2 inputs and 6"
+    ):
         rollout(scene, u[:, :1])
     with pytest.raises(ShootingError, match="u has 1 dimensions, but needs 2"):
         rollout(scene, u[0])
@@ -184,14 +215,19 @@ def _plans(scene: Scene, *rows: int) -> tuple[torch.Tensor, torch.Tensor]:
     """u (*rows, steps, nu) and starts (*rows, 2*nq) about the scene's own."""
     random = np.random.default_rng(3)
     u = torch.from_numpy(random.normal(size=(*rows, STEPS, scene.nu)))
-    start = torch.from_numpy(np.array(scene.task.start) + 0.05 * random.normal(size=(*rows, 2 * scene.nq)))
+    start = torch.from_numpy(
+        np.array(scene.task.start) + 0.05 * random.normal(size=(*rows, 2 * scene.nq))
+    )
     return u.requires_grad_(), start.requires_grad_()
 
 
 def _weighed(plan: RolloutTensors) -> torch.Tensor:
     """A loss (..) of each plan that weighs all of its figures differently."""
     parts = [tensor.flatten(-2) for tensor in plan[:3]]
-    return sum(((part * torch.cos(torch.arange(part.shape[-1]))).sum(-1) for part in (*parts, plan.end)), 0.3 * plan.cost)
+    return sum(
+        ((part * torch.cos(torch.arange(part.shape[-1]))).sum(-1) for part in (*parts, plan.end)),
+        0.3 * plan.cost,
+    )
 
 
 @pytest.mark.slow
@@ -220,7 +256,9 @@ def test_leading_dimensions_are_broadcast():
     assert torch.equal(grid.q[1, 2], rollout(scene, u[1, 2], start[1, 0]).q)
     one = u[0, 0]
     (bar,) = torch.autograd.grad(rollout(scene, one, start[0]).v.sum(), one)
-    singles = [torch.autograd.grad(rollout(scene, one, start[0, row]).v.sum(), one)[0] for row in range(3)]
+    singles = [
+        torch.autograd.grad(rollout(scene, one, start[0, row]).v.sum(), one)[0] for row in range(3)
+    ]
     assert torch.allclose(bar, singles[0] + singles[1] + singles[2], rtol=1e-13, atol=0.0)
     assert rollout(scene, u[0, :0]).q.shape == (0, STEPS + 1, 3)
 
@@ -236,14 +274,25 @@ def test_a_row_that_diverges_leaves_the_others_alone():
     assert plan.cost.isnan().tolist() == [False, True, False]
     plan.q[:, -1].sum().backward()
     assert spoilt.grad.isnan().flatten(1).any(1).tolist() == [False, True, False]
-    assert torch.equal(spoilt.grad[2], torch.autograd.grad(rollout(scene, u[2], start[2]).q[-1].sum(), u)[0][2])
+    assert torch.equal(
+        spoilt.grad[2], torch.autograd.grad(rollout(scene, u[2], start[2]).q[-1].sum(), u)[0][2]
+    )
 
 
 def test_several_plans_descend_each_by_itself():
     """One tensor of four plans, each within the bounds and as if alone."""
     scene = scene_of("three_cart")
     kernel, loss = load_kernel(scene), GoalLoss(scene.task.goal)
-    u = (6.0 * torch.randn(4, 500, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))).clamp(-10.0, 10.0).requires_grad_()
+    u = (
+        (
+            6.0
+            * torch.randn(
+                4, 500, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0)
+            )
+        )
+        .clamp(-10.0, 10.0)
+        .requires_grad_()
+    )
     first = u.detach().clone()
     lower, upper = (torch.from_numpy(bound) for bound in input_bounds(scene))
     steps = projected_descent(lambda u: loss(rollout(kernel, u), u), u, 5e3, lower, upper)
@@ -251,7 +300,12 @@ def test_several_plans_descend_each_by_itself():
     assert losses[-1].shape == (4,)
     assert u.abs().max() == 10.0
     for row in range(4):
-        alone = descend(Objective(kernel, law=ContactLaw.RELU), first[row].numpy(), DescentOptions(learning_rate=5e3, iterations=10), 60.0)
+        alone = descend(
+            Objective(kernel, law=ContactLaw.RELU),
+            first[row].numpy(),
+            DescentOptions(learning_rate=5e3, iterations=10),
+            60.0,
+        )
         assert losses[-1][row].item() == pytest.approx(alone.history["loss"][-1], rel=1e-10)
         assert np.abs(u[row].detach().numpy() - alone.u).max() <= 1e-10
 
@@ -272,36 +326,53 @@ def test_the_same_loop_runs_on_a_device(dtype: torch.dtype):
         assert value.device.type == device
         found.append((value.double().cpu(), u.detach().double().cpu()))
     for one, other in zip(*found, strict=True):
-        assert torch.allclose(one, other, rtol=1e-10 if dtype == torch.float64 else 1e-3, atol=1e-10 if dtype == torch.float64 else 1e-3)
+        assert torch.allclose(
+            one,
+            other,
+            rtol=1e-10 if dtype == torch.float64 else 1e-3,
+            atol=1e-10 if dtype == torch.float64 else 1e-3,
+        )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PLAIN)
 @pytest.mark.parametrize(("law", "eps"), LAWS[:2])
-def test_the_rollout_of_other_devices_is_the_compiled_one(name: str, law: ContactLaw, eps: float | None):
+def test_the_rollout_of_other_devices_is_the_compiled_one(
+    name: str, law: ContactLaw, eps: float | None
+):
     """Run where its values can be seen: on the CPU."""
     scene = scene_of(name)
     u, start = _plans(scene, 4)
     q, v, lam = reference_rollout(scene, u, start, law=law, eps=eps)
     plain, compiled = (
-        RolloutTensors(q, v, lam, reference_cost(scene, q, v, u), torch.cat([q[..., -1, :], v[..., -1, :]], -1)),
+        RolloutTensors(
+            q, v, lam, reference_cost(scene, q, v, u), torch.cat([q[..., -1, :], v[..., -1, :]], -1)
+        ),
         rollout(scene, u, start, law=law, eps=eps),
     )
-    gradients = [torch.autograd.grad(_weighed(plan).sum(), (u, start)) for plan in (plain, compiled)]
+    gradients = [
+        torch.autograd.grad(_weighed(plan).sum(), (u, start)) for plan in (plain, compiled)
+    ]
     for found, expected in zip((*plain, *gradients[0]), (*compiled, *gradients[1]), strict=True):
         assert found.shape == expected.shape
         assert (found - expected).abs().max() <= CLOSE * expected.abs().max().clamp(min=1e-6)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "dtype"), [*((name, torch.float64) for name in PLAIN), ("three_cart", torch.float32)])
+@pytest.mark.parametrize(
+    ("name", "dtype"), [*((name, torch.float64) for name in PLAIN), ("three_cart", torch.float32)]
+)
 def test_tensors_of_another_device_stay_there(name: str, dtype: torch.dtype):
     """PyTorch's device without memory: an operation that leaves it, or mixes devices, raises."""
     scene = scene_of(name)
     u = torch.zeros(7, STEPS, scene.nu, dtype=dtype, device="meta", requires_grad=True)
     for law, eps in LAWS[:2]:
         plan = rollout(scene, u, law=law, eps=eps)
-        assert [tensor.shape for tensor in plan] == [(7, STEPS + 1, scene.nq)] * 2 + [(7, STEPS, scene.nc), (7,), (7, 2 * scene.nq)]
+        assert [tensor.shape for tensor in plan] == [(7, STEPS + 1, scene.nq)] * 2 + [
+            (7, STEPS, scene.nc),
+            (7,),
+            (7, 2 * scene.nq),
+        ]
         assert {(tensor.device.type, tensor.dtype) for tensor in plan} == {("meta", dtype)}
         (bar,) = torch.autograd.grad(plan.q[:, -1].square().sum() + plan.cost.sum(), u)
         assert (bar.shape, bar.device.type) == (u.shape, "meta")
@@ -323,19 +394,30 @@ def start_of(name: str) -> torch.Tensor:
     return torch.from_numpy(start)
 
 
-def gradients(function, scene: Scene, start: torch.Tensor, u: torch.Tensor, law: ContactLaw, eps: float | None):
+def gradients(
+    function, scene: Scene, start: torch.Tensor, u: torch.Tensor, law: ContactLaw, eps: float | None
+):
     u, start = u.clone().requires_grad_(), start.clone().requires_grad_()
     values = function(scene, u, start, law=law, eps=eps)[:3]
-    loss = sum((value * torch.cos(torch.arange(value.numel(), dtype=torch.float64)).reshape(value.shape)).sum() for value in values)
+    loss = sum(
+        (
+            value * torch.cos(torch.arange(value.numel(), dtype=torch.float64)).reshape(value.shape)
+        ).sum()
+        for value in values
+    )
     return [value.detach() for value in values], torch.autograd.grad(loss, (u, start))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "law", "eps"), [
-    ("transport", ContactLaw.RELU, None), ("transport", ContactLaw.SOFTPLUS, 1e-3), ("hopper_planar", ContactLaw.RELU, None),
-    ("hopper_planar", ContactLaw.SOFTPLUS, 1e-3), ("two_finger_lift", ContactLaw.RELU, None), ("two_finger_lift", ContactLaw.SOFTPLUS, 1e-3),
+    ("transport", ContactLaw.RELU, None), ("transport", ContactLaw.SOFTPLUS, 1e-3),
+    ("hopper_planar", ContactLaw.RELU, None),
+    ("hopper_planar", ContactLaw.SOFTPLUS, 1e-3), ("two_finger_lift", ContactLaw.RELU, None),
+    ("two_finger_lift", ContactLaw.SOFTPLUS, 1e-3),
 ])  # fmt: skip
-def test_values_and_gradients_are_those_of_the_compiled_rollout(name: str, law: ContactLaw, eps: float | None):
+def test_values_and_gradients_are_those_of_the_compiled_rollout(
+    name: str, law: ContactLaw, eps: float | None
+):
     scene = example_scene(name)
     u = torch.from_numpy(np.random.default_rng(5).uniform(-0.5, 0.5, size=(8, scene.nu)))
     found = gradients(rollout, scene, start_of(name), u, law, eps)

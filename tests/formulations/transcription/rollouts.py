@@ -9,5 +9,11 @@ from models.scene import Scene
 from models.trajectory import Trajectory
 
 
-def rolled_out(scene: Scene, u: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None) -> Trajectory:
-    return plan_of(scene, load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step, law, eps), u)
+def rolled_out(
+    scene: Scene, u: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
+) -> Trajectory:
+    return plan_of(
+        scene,
+        load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step, law, eps),
+        u,
+    )

@@ -30,7 +30,9 @@ from validate.judge.score import score
 OSCILLATOR = load_scene(str(Path(__file__).parents[2] / "scenes" / "oscillator.py"))
 CARTS = load_scene("three_cart")
 COLLOCATIONS = (Scheme.IMPLICIT_MIDPOINT, Scheme.RADAU_IIA_2, Scheme.RADAU_IIA_3)
-FORWARD = {Scheme.SEMI_IMPLICIT_EULER: 1} | {scheme: tableau(scheme).order for scheme in COLLOCATIONS}
+FORWARD = {Scheme.SEMI_IMPLICIT_EULER: 1} | {
+    scheme: tableau(scheme).order for scheme in COLLOCATIONS
+}
 
 
 def _coarse(steps: int):
@@ -61,7 +63,12 @@ def test_the_model_of_an_oscillator_has_its_order(scheme: Scheme) -> None:
 def _pushed(steps: int, scheme: Scheme) -> Trajectory:
     """The carts under given inputs, the same in continuous time on every grid (20 constant pieces), through soft contact."""
     model = build_model(
-        CARTS.with_task(goal=(None,) * 6), ContactFormulation.SOFTPLUS, eps=1e-3, steps=steps, step=2.0 / steps, scheme=scheme
+        CARTS.with_task(goal=(None,) * 6),
+        ContactFormulation.SOFTPLUS,
+        eps=1e-3,
+        steps=steps,
+        step=2.0 / steps,
+        scheme=scheme,
     )
     for t in model.set_steps:
         phase = np.pi * (20 * t // steps) / 10
@@ -87,7 +94,11 @@ def test_the_method_keeps_the_true_law_at_every_stage(scheme: Scheme) -> None:
     """Checked by a step written apart from the model: the plan's inputs run through it give the plan."""
     scene = _coarse(50)
     kernel = load_kernel(scene)
-    solution = load_method("collocation").open(scene, {"scheme": scheme.value}).solve(eps=None, warm_start=None, time_limit=600.0)
+    solution = (
+        load_method("collocation")
+        .open(scene, {"scheme": scheme.value})
+        .solve(eps=None, warm_start=None, time_limit=600.0)
+    )
     assert solution.outcome is Outcome.SOLVED, solution.message
     assert solution.size == solution.paper_size
     plan = solution.trajectory
@@ -104,7 +115,12 @@ def test_the_method_keeps_the_true_law_at_every_stage(scheme: Scheme) -> None:
 def test_fifty_steps_of_radau_are_nearer_to_the_replay_than_five_hundred_of_euler() -> None:
     """The inputs are replayed as the stages had them: held over each step."""
     scene = _coarse(50)
-    plan = load_method("collocation").open(scene, {}).solve(eps=None, warm_start=None, time_limit=600.0).trajectory
+    plan = (
+        load_method("collocation")
+        .open(scene, {})
+        .solve(eps=None, warm_start=None, time_limit=600.0)
+        .trajectory
+    )
     assert plan is not None
     found = score(scene, plan, replay(scene, build_fmu(scene), plan))
     assert (found.value("replay_error") or 1.0) < 4e-3  # of the paper's 500 steps: 6.9e-3
@@ -116,10 +132,20 @@ def test_fifty_steps_of_radau_are_nearer_to_the_replay_than_five_hundred_of_eule
 @pytest.mark.slow
 def test_its_replay_error_is_that_of_the_scheme_where_nothing_switches() -> None:
     """No contact is made on the way: of order 5 nothing is left but the replay's own error, however coarse the grid."""
-    far = CARTS.with_task(steps=20, step=0.05, start=(2.0, 3.0, 4.0, 0.0, 0.0, 0.0), goal=(2.2, 3.0, 3.8, None, None, None))
+    far = CARTS.with_task(
+        steps=20,
+        step=0.05,
+        start=(2.0, 3.0, 4.0, 0.0, 0.0, 0.0),
+        goal=(2.2, 3.0, 3.8, None, None, None),
+    )
     errors = {}
     for scheme in (Scheme.IMPLICIT_MIDPOINT, Scheme.RADAU_IIA_3):
-        plan = load_method("collocation").open(far, {"scheme": scheme.value}).solve(eps=None, warm_start=None, time_limit=600.0).trajectory
+        plan = (
+            load_method("collocation")
+            .open(far, {"scheme": scheme.value})
+            .solve(eps=None, warm_start=None, time_limit=600.0)
+            .trajectory
+        )
         assert plan.lam.max() == 0.0
         run = replay(far, build_fmu(far), plan)
         errors[scheme] = float(np.abs(run.q[run.knots] - plan.q).max())
@@ -130,7 +156,13 @@ def test_the_cost_may_be_integrated() -> None:
     """wall_pendulum weighs its states: the sum over the starts of the steps is of order one, the quadrature is not."""
     scene = load_scene("wall_pendulum")
     models = {
-        integrates: build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-9, scheme=Scheme.RADAU_IIA_2, integrate_cost=integrates)
+        integrates: build_model(
+            scene,
+            ContactFormulation.SOFTPLUS,
+            eps=1e-9,
+            scheme=Scheme.RADAU_IIA_2,
+            integrate_cost=integrates,
+        )
         for integrates in (False, True)
     }
     for model in models.values():
@@ -141,26 +173,37 @@ def test_the_cost_may_be_integrated() -> None:
         for data in (*model.variable_v.values(), *model.variable_stage_v.values()):
             data.value = 0.0
     assert pyo.value(models[False].expression_cost) == pytest.approx(20 * 0.01)
-    assert pyo.value(models[True].expression_cost) == pytest.approx(20 * (0.75 * 0.04 + 0.25 * 0.01))
+    assert pyo.value(models[True].expression_cost) == pytest.approx(
+        20 * (0.75 * 0.04 + 0.25 * 0.01)
+    )
 
 
 def test_a_plan_of_another_method_is_a_start_and_one_of_another_grid_is_not() -> None:
     scene = _coarse(50)
     model = build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-5, scheme=Scheme.RADAU_IIA_3)
-    run = load_kernel(scene).rollout(np.array(scene.task.start), np.full((50, 2), 1.0), scene.task.step)
+    run = load_kernel(scene).rollout(
+        np.array(scene.task.start), np.full((50, 2), 1.0), scene.task.step
+    )
     plan = Trajectory(t=np.arange(51) * 0.1, q=run.q, v=run.v, u=np.full((50, 2), 1.0), lam=run.lam)
     load_plan(model, plan)
     again = read_plan(model)
     np.testing.assert_array_equal(again.q, plan.q)
     np.testing.assert_array_equal(again.u, plan.u)
     first = tableau(Scheme.RADAU_IIA_3).c[0]
-    assert pyo.value(model.variable_stage_q[7, 1, "q1"]) == pytest.approx(plan.q[7, 0] + first * (plan.q[8, 0] - plan.q[7, 0]))
-    shorter = Trajectory(t=plan.t[:-1], q=plan.q[:-1], v=plan.v[:-1], u=plan.u[:-1], lam=plan.lam[:-1])
+    assert pyo.value(model.variable_stage_q[7, 1, "q1"]) == pytest.approx(
+        plan.q[7, 0] + first * (plan.q[8, 0] - plan.q[7, 0])
+    )
+    shorter = Trajectory(
+        t=plan.t[:-1], q=plan.q[:-1], v=plan.v[:-1], u=plan.u[:-1], lam=plan.lam[:-1]
+    )
     with pytest.raises(TrajectoryError, match="steps"):
         load_plan(model, shorter)
 
 
-@pytest.mark.parametrize(("name", "word"), [("transport", "friction"), ("push_box", "friction"), ("damped_collision", "damped")])
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [("transport", "friction"), ("push_box", "friction"), ("damped_collision", "damped")],
+)
 def test_what_loses_the_order_is_refused_with_a_reason(name: str, word: str) -> None:
     with pytest.raises(ModelError, match=word):
         build_model(name, ContactFormulation.SOFTPLUS, eps=1e-3, scheme=Scheme.RADAU_IIA_2)
@@ -173,44 +216,64 @@ def test_where_no_stage_has_modes_with_a_plan_the_relaxed_problem_is_asked_too()
     """A grid too coarse for a chain of carts: fixed modes switch the products off, and the relaxed problem has them again as rows."""
     scene = load_scene("cart_chain")
     coarse = scene.with_task(steps=62, step=scene.task.horizon / 62)
-    found = solve_scene(coarse, "collocation", options={"scheme": "implicit_midpoint"}, time_limit=300.0)
+    found = solve_scene(
+        coarse, "collocation", options={"scheme": "implicit_midpoint"}, time_limit=300.0
+    )
     assert found.outcome in (Outcome.STALLED, Outcome.SOLVED)
     assert (found.trajectory is None) == (found.outcome is Outcome.STALLED)
 
 
 METHODS = ("softplus_dc", "relaxed_lcp", "strict_lcp")
 # Every method on what it finds hardest, one of them on all.
-ALL_CASES, HARDEST = "relaxed_lcp", ("horizon", "speed", "two seconds", "elsewhere, stiffer")
+ALL_CASES = "relaxed_lcp"
+HARDEST = ("horizon", "speed", "two seconds", "elsewhere, stiffer")
 SCENE = load_scene("three_cart")
 
 
 def asked(cases: Iterable[str]) -> list[tuple[str, str]]:
-    return [(case, method) for case in cases for method in METHODS if method == ALL_CASES or case in HARDEST]
+    return [
+        (case, method)
+        for case in cases
+        for method in METHODS
+        if method == ALL_CASES or case in HARDEST
+    ]
 
 
 def with_inputs(scene: Scene, *bounds: tuple[float, float]) -> Scene:
-    inputs = (replace(item, lower=low, upper=high) for item, (low, high) in zip(scene.inputs, bounds, strict=True))
+    inputs = (
+        replace(item, lower=low, upper=high)
+        for item, (low, high) in zip(scene.inputs, bounds, strict=True)
+    )
     return replace(scene, inputs=tuple(inputs))
 
 
 IMPOSSIBLE = {
     "horizon": SCENE.with_task(steps=50),
     "bounds": with_inputs(SCENE, (-0.3, 0.3), (-0.3, 0.3)).with_task(steps=100, step=0.02),
-    # The right cart must come from the right to push the middle one to the left, but can only be driven to the right.
-    "no pull": with_inputs(SCENE, (-10.0, 10.0), (0.0, 10.0)).with_task(steps=100, step=0.02, goal=(2.0, 2.5, 4.5, 0.0, 0.0, 0.0)),
+    # The right cart must come from the right to push the middle one to the left, but can only be
+    # driven to the right.
+    "no pull": with_inputs(SCENE, (-10.0, 10.0), (0.0, 10.0)).with_task(
+        steps=100, step=0.02, goal=(2.0, 2.5, 4.5, 0.0, 0.0, 0.0)
+    ),
     # The middle cart at 9 m/s with both neighbours at rest: Ipopt stays in restoration.
     "speed": SCENE.with_task(steps=100, step=0.02, goal=(2.5, 3.5, 4.5, 0.0, 9.0, 0.0)),
 }
 POSSIBLE = {
     "two seconds": SCENE.with_task(steps=100, step=0.02),
     "to the left": SCENE.with_task(steps=100, step=0.02, goal=(1.5, 2.5, 4.5, 0.0, 0.0, 0.0)),
-    "touching at the goal": SCENE.with_task(steps=100, step=0.02, goal=(2.6, 3.1, 3.6, 0.0, 0.0, 0.0)),
-    "elsewhere, stiffer": SCENE.with_parameters(k=100.0).with_task(steps=100, step=0.02, start=(2.2, 3.0, 4.2, 0.0, 0.0, 0.0)),
+    "touching at the goal": SCENE.with_task(
+        steps=100, step=0.02, goal=(2.6, 3.1, 3.6, 0.0, 0.0, 0.0)
+    ),
+    "elsewhere, stiffer": SCENE.with_parameters(k=100.0).with_task(
+        steps=100, step=0.02, start=(2.2, 3.0, 4.2, 0.0, 0.0, 0.0)
+    ),
 }
 
 
 def solved(method: str, scene: Scene) -> Solution:
-    return solve_scene(scene, method, eps=None if method == "strict_lcp" else 1e-3, time_limit=300.0)
+    return solve_scene(
+        scene, method, eps=None if method == "strict_lcp" else 1e-3, time_limit=300.0
+    )
 
 
 @pytest.mark.slow
@@ -219,7 +282,9 @@ def test_a_goal_out_of_reach_is_infeasible(case: str, method: str) -> None:
     solution = solved(method, IMPOSSIBLE[case])
     assert solution.outcome is Outcome.INFEASIBLE
     assert solution.trajectory is None
-    assert solution.iterations < 1500, "a third of the iterations it may spend on a feasible problem"
+    assert solution.iterations < 1500, (
+        "a third of the iterations it may spend on a feasible problem"
+    )
     assert "misses" in solution.message
 
 
@@ -235,7 +300,9 @@ def test_a_goal_within_reach_is_reached(case: str, method: str) -> None:
 def test_the_nearest_plan_reaches_what_is_within_reach(case: str) -> None:
     found = nearest(POSSIBLE[case], SolveBudget(300.0), 3000)
     assert not found.is_out_of_reach
-    assert found.miss < 2e-3, "softplus contact, sharp: the worst seen where the solves converge is 6e-4"
+    assert found.miss < 2e-3, (
+        "softplus contact, sharp: the worst seen where the solves converge is 6e-4"
+    )
 
 
 def test_the_nearest_plan_says_what_it_misses() -> None:
@@ -268,12 +335,20 @@ def test_a_false_infeasible_is_not_believed(method: str, monkeypatch: pytest.Mon
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
-def test_a_stubborn_infeasible_of_a_goal_within_reach_is_a_stall(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stubborn_infeasible_of_a_goal_within_reach_is_a_stall(
+    method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = CompiledModel.run
 
     def denied(self: CompiledModel, *args: object, **options: object):
-        found = run(self, *args, **options)  # the search for the plan nearest to the goal has its answer
-        return found if self.model.component("objective_miss") is not None else replace(found, outcome=Outcome.INFEASIBLE)
+        found = run(
+            self, *args, **options
+        )  # the search for the plan nearest to the goal has its answer
+        return (
+            found
+            if self.model.component("objective_miss") is not None
+            else replace(found, outcome=Outcome.INFEASIBLE)
+        )
 
     monkeypatch.setattr(CompiledModel, "run", denied)
     solution = solved(method, POSSIBLE["two seconds"])
@@ -283,7 +358,19 @@ def test_a_stubborn_infeasible_of_a_goal_within_reach_is_a_stall(method: str, mo
 
 def test_restoration_monitor_counts_consecutive_restoration() -> None:
     def line(restoration: bool) -> Iteration:
-        numbers = dict.fromkeys(("objective", "inf_pr", "inf_du", "mu", "step", "regularization", "alpha_du", "alpha_pr"), 0.0)
+        numbers = dict.fromkeys(
+            (
+                "objective",
+                "inf_pr",
+                "inf_du",
+                "mu",
+                "step",
+                "regularization",
+                "alpha_du",
+                "alpha_pr",
+            ),
+            0.0,
+        )
         return Iteration(iteration=0, restoration=restoration, trials=1, **numbers)
 
     monitor = Monitor()

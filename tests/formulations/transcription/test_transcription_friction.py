@@ -23,24 +23,34 @@ from models.trajectory import Trajectory, uniform_grid
 from tests.formulations.test_methods_length import damped
 from tests.formulations.transcription.rollouts import rolled_out
 
-cargo, cart, height, vx, wx, vz, push, press = sp.symbols("cargo cart height vx wx vz push press", real=True)
+cargo, cart, height, vx, wx, vz, push, press = sp.symbols(
+    "cargo cart height vx wx vz push press", real=True
+)
 m, M, mu, g, k = sp.symbols("m M mu g k", positive=True)
-STEP, STEPS = 0.02, 60
+STEP = 0.02
+STEPS = 60
 
 
 def conveyor(goal: tuple[float, float] = (0.3, 0.45), *, steps: int = STEPS) -> Scene:
-    """Cargo of 1 kg on a driven cart of 2 kg; nothing but friction, at most 2 N, moves the cargo."""
+    """Cargo of 1 kg on a driven cart of 2 kg.
+
+    Nothing but friction, at most 2 N, moves the cargo.
+    """
     return Scene(
         name="conveyor", title="Cargo on a driven cart", source="own",
-        coordinates=(Coordinate(symbol=cargo, velocity=vx, unit="m"), Coordinate(symbol=cart, velocity=wx, unit="m")),
+        coordinates=(Coordinate(symbol=cargo, velocity=vx, unit="m"),
+                     Coordinate(symbol=cart, velocity=wx, unit="m")),
         inputs=(Input(symbol=push, unit="N", lower=-20.0, upper=20.0),),
         parameters=(
-            Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=M, value=2.0, unit="kg"), Parameter(symbol=mu, value=0.2, unit="1"),
+            Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=M, value=2.0, unit="kg"),
+            Parameter(symbol=mu, value=0.2, unit="1"),
             Parameter(symbol=g, value=10.0, unit="m/s^2"),
         ),
-        kinetic_energy=m * vx**2 / 2 + M * wx**2 / 2, potential_energy=sp.Integer(0), forces=(sp.Integer(0), push), contacts=(),
+        kinetic_energy=m * vx**2 / 2 + M * wx**2 / 2, potential_energy=sp.Integer(0),
+        forces=(sp.Integer(0), push), contacts=(),
         frictions=(Friction(name="belt", slip=vx - wx, coefficient=mu, normal_force=m * g),),
-        task=Task(start=(0.0,) * 4, goal=(*goal, 0.0, 0.0), running_cost=push**2, step=STEP, steps=steps),
+        task=Task(start=(0.0,) * 4, goal=(*goal, 0.0, 0.0), running_cost=push**2, step=STEP,
+                  steps=steps),
         limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
     )  # fmt: skip
 
@@ -49,23 +59,31 @@ def dragged_block() -> Scene:
     """A block on a soft floor, pressed down and dragged by two inputs: friction is pressed by a contact."""
     return Scene(
         name="dragged_block", title="A block dragged over a soft floor", source="own",
-        coordinates=(Coordinate(symbol=cargo, velocity=vx, unit="m"), Coordinate(symbol=height, velocity=vz, unit="m")),
-        inputs=(Input(symbol=push, unit="N", lower=-20.0, upper=20.0), Input(symbol=press, unit="N", lower=-20.0, upper=20.0)),
+        coordinates=(Coordinate(symbol=cargo, velocity=vx, unit="m"),
+                     Coordinate(symbol=height, velocity=vz, unit="m")),
+        inputs=(Input(symbol=push, unit="N", lower=-20.0, upper=20.0),
+                Input(symbol=press, unit="N", lower=-20.0, upper=20.0)),
         parameters=(
-            Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=mu, value=0.4, unit="1"), Parameter(symbol=g, value=10.0, unit="m/s^2"),
+            Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=mu, value=0.4, unit="1"),
+            Parameter(symbol=g, value=10.0, unit="m/s^2"),
             Parameter(symbol=k, value=500.0, unit="N/m"),
         ),
-        kinetic_energy=m * (vx**2 + vz**2) / 2, potential_energy=m * g * height, forces=(push, -press),
+        kinetic_energy=m * (vx**2 + vz**2) / 2, potential_energy=m * g * height,
+        forces=(push, -press),
         contacts=(
-            Contact(name="floor", bodies=("block", "ground"), depth=1.0, depth_reason="nothing here goes as deep", penetration=-height, stiffness=k),
+            Contact(name="floor", bodies=("block", "ground"), depth=1.0,
+                    depth_reason="nothing here goes as deep", penetration=-height, stiffness=k),
         ),
         frictions=(Friction(name="floor", slip=vx, coefficient=mu, contact="floor"),),
-        task=Task(start=(0.0, -0.02, 0.0, 0.0), goal=(0.2, -0.02, 0.0, 0.0), running_cost=push**2 + press**2, step=STEP, steps=40),
+        task=Task(start=(0.0, -0.02, 0.0, 0.0), goal=(0.2, -0.02, 0.0, 0.0),
+                  running_cost=push**2 + press**2, step=STEP, steps=40),
         limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
     )  # fmt: skip
 
 
-def solve(name: str, scene: Scene, *schedule: float | None, start: Trajectory | None = None) -> list[Solution]:
+def solve(
+    name: str, scene: Scene, *schedule: float | None, start: Trajectory | None = None
+) -> list[Solution]:
     solutions: list[Solution] = []
     with load_method(name).open(scene) as session:
         for eps in schedule:
@@ -105,14 +123,17 @@ def test_regularised_plan_is_that_of_the_compiled_regularised_step() -> None:
     for eps, solution in ((1e-2, first), (1e-4, last)):
         assert solution.outcome is Outcome.SOLVED, solution.message
         plan = solution.trajectory
-        rolled = load_kernel(scene).rollout(np.array(scene.task.start), plan.u, STEP, ForceLaw.SOFTPLUS, eps)
+        rolled = load_kernel(scene).rollout(
+            np.array(scene.task.start), plan.u, STEP, ForceLaw.SOFTPLUS, eps
+        )
         assert np.abs(rolled.q - plan.q).max() < 1e-7
         assert np.abs(rolled.lam - plan.lam).max() < 1e-6
         assert solution.residuals["regularised_friction"] < 1e-7
 
 
 def test_cargo_cannot_be_brought_further_than_friction_allows() -> None:
-    # from rest to rest in T at no more than mu g: (mu g) T^2 / 4, and one step of semi-implicit Euler more than the continuous motion
+    # from rest to rest in T at no more than mu g: (mu g) T^2 / 4, and one step of semi-implicit
+    # Euler more than the continuous motion
     steps, reach = 20, 2.0 * (20 * STEP) ** 2 / 4
     (near,) = solve("strict_lcp", conveyor((0.9 * reach, 0.9 * reach), steps=steps), None)
     (far,) = solve("strict_lcp", conveyor((1.2 * reach, 1.2 * reach), steps=steps), None)
@@ -125,13 +146,22 @@ def test_plan_goes_in_and_comes_out() -> None:
     scene = dragged_block()
     rng, steps = np.random.default_rng(1), scene.task.steps
     plan = Trajectory(
-        t=uniform_grid(STEP, steps), q=rng.normal(size=(steps + 1, 2)), v=rng.normal(size=(steps + 1, 2)), u=rng.normal(size=(steps, 2)),
+        t=uniform_grid(STEP, steps), q=rng.normal(size=(steps + 1, 2)),
+        v=rng.normal(size=(steps + 1, 2)), u=rng.normal(size=(steps, 2)),
         lam=rng.normal(size=(steps, 2)),
     )  # fmt: skip
     model = build_model(scene, ContactFormulation.COMPLEMENTARITY, eps=1.0)
     load_plan(model, plan)
-    assert all(np.array_equal(getattr(read_plan(model), name), getattr(plan, name)) for name in ("q", "v", "u", "lam"))
-    slip = np.array([[model.variable_slip[t, "floor", way].value for way in ("forward", "backward")] for t in range(steps)])
+    assert all(
+        np.array_equal(getattr(read_plan(model), name), getattr(plan, name))
+        for name in ("q", "v", "u", "lam")
+    )
+    slip = np.array(
+        [
+            [model.variable_slip[t, "floor", way].value for way in ("forward", "backward")]
+            for t in range(steps)
+        ]
+    )
     assert np.allclose(slip[:, 0] - slip[:, 1], plan.v[1:, 0])
     assert slip.min() == 0.0
     assert np.abs(slip.prod(axis=1)).max() == 0.0
@@ -143,7 +173,8 @@ def test_contact_windows_refuse_friction_with_a_reason() -> None:
     assert "strict_lcp" in reason
 
 
-KELVIN_VOIGT, HUNT_CROSSLEY = DampingLaw.KELVIN_VOIGT, DampingLaw.HUNT_CROSSLEY
+KELVIN_VOIGT = DampingLaw.KELVIN_VOIGT
+HUNT_CROSSLEY = DampingLaw.HUNT_CROSSLEY
 
 
 def pushed(law: DampingLaw, steps: int = 60) -> Scene:
@@ -187,7 +218,9 @@ def test_the_true_rollout_meets_the_complementarity_model(law: DampingLaw):
     for t in (5, int(np.flatnonzero(touches & (plan.lam[:, 0] > 1))[0])):
         model.variable_lam[t, "pad"].set_value(plan.lam[t, 0] + 1.0)
         for _, pair in pairs(model):
-            pair.v.set_value(max(0.0, pyo.value(pair.v) - pyo.value(pair.ve.body)), skip_validation=True)
+            pair.v.set_value(
+                max(0.0, pyo.value(pair.v) - pyo.value(pair.ve.body)), skip_validation=True
+            )
         assert violation(model) > 1e-2
         model.variable_lam[t, "pad"].set_value(plan.lam[t, 0])
 
@@ -204,19 +237,29 @@ def test_the_smoothed_rollout_meets_the_softplus_model(law: DampingLaw):
 
 @pytest.mark.parametrize("law", DampingLaw)
 @pytest.mark.parametrize("contact", ContactFormulation)
-def test_without_damping_nothing_of_it_is_in_the_model(law: DampingLaw, contact: ContactFormulation):
+def test_without_damping_nothing_of_it_is_in_the_model(
+    law: DampingLaw, contact: ContactFormulation
+):
     scene = pushed(law, steps=7)
     without = replace(scene, contacts=(replace(scene.contacts[0], damping=sp.S.Zero),))
-    names = {component.name for component in build_model(without, contact, eps=1e-2).component_objects()}
+    names = {
+        component.name for component in build_model(without, contact, eps=1e-2).component_objects()
+    }
     assert not {name for name in names if "spring" in name or "touch" in name or "damped" in name}
 
 
 @pytest.mark.parametrize("law", DampingLaw)
 def test_a_plan_with_strict_complementarity_holds_under_the_true_law(law: DampingLaw):
     scene = pushed(law, steps=30)
-    relaxed = load_method("softplus_dc").open(scene).solve(eps=1e-8, warm_start=None, time_limit=120.0)
+    relaxed = (
+        load_method("softplus_dc").open(scene).solve(eps=1e-8, warm_start=None, time_limit=120.0)
+    )
     assert relaxed.outcome is Outcome.SOLVED, relaxed.message
-    strict = load_method("strict_lcp").open(scene).solve(eps=None, warm_start=relaxed.trajectory, time_limit=120.0)
+    strict = (
+        load_method("strict_lcp")
+        .open(scene)
+        .solve(eps=None, warm_start=relaxed.trajectory, time_limit=120.0)
+    )
     assert strict.outcome is Outcome.SOLVED, strict.message
     plan = strict.trajectory
     assert plan.lam.max() > 1.0

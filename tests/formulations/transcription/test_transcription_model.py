@@ -1,4 +1,8 @@
-"""The Pyomo models themselves: what is in them, that they say what the compiled time step does; plans in and out of them, and their residuals. The model Ipopt is given is as large as on paper, on every scene of the bank."""
+"""The Pyomo models themselves: what is in them, that they say what the compiled time step does.
+
+Plans in and out of them, and their residuals. The model Ipopt is given is as large as on paper, on
+every scene of the bank.
+"""
 
 import doctest
 import importlib
@@ -44,14 +48,16 @@ from models.scene import Scene
 from models.trajectory import Trajectory
 from tests.formulations.transcription.rollouts import rolled_out
 
-# A residual is a difference of numbers of this size: what rounding leaves, with two digits to spare.
+# A residual is a difference of numbers of this size: what rounding leaves, with two digits to
+# spare.
 ROUNDING = 1e-13
 
 
 def in_contact(scene: Scene) -> Scene:
     """The scene started close to (or in) contact, so that forty steps see both modes."""
     starts = {
-        "three_cart": (2.0, 2.48, 3.0, 0.3, 0.0, -0.2), "bouncing_mass": (0.01, -1.0), "two_body_collision": (0.0, 0.21, 2.0, -1.0),
+        "three_cart": (2.0, 2.48, 3.0, 0.3, 0.0, -0.2), "bouncing_mass": (0.01, -1.0),
+        "two_body_collision": (0.0, 0.21, 2.0, -1.0),
         "two_link_arm": (0.9, -0.1, -1.5, 0.2),
     }  # fmt: skip
     return scene.with_task(start=starts.get(scene.name, scene.task.start), steps=40)
@@ -62,7 +68,8 @@ def probe_inputs(scene: Scene) -> dict[str, np.ndarray]:
     steps, nu = scene.task.steps, scene.nu
     count = np.arange(steps * nu, dtype=float).reshape(steps, nu)
     return {
-        "zeros": np.zeros((steps, nu)), "ones": np.ones((steps, nu)), "0101": count % 2, "0123": count / max(1, steps),
+        "zeros": np.zeros((steps, nu)), "ones": np.ones((steps, nu)), "0101": count % 2,
+        "0123": count / max(1, steps),
         "random": np.random.default_rng(7).normal(size=(steps, nu)),
     }  # fmt: skip
 
@@ -74,23 +81,37 @@ def largest_violation(model: pyo.ConcreteModel) -> float:
         if "goal" not in row.name:
             worst = max(worst, -min(row.slack(), 0.0))
     for variable in model.component_data_objects(pyo.Var, descend_into=True):
-        if variable.lb is not None and not variable.name.startswith("variable_u"):  # the probes go where they like
+        if variable.lb is not None and not variable.name.startswith(
+            "variable_u"
+        ):  # the probes go where they like
             worst = max(worst, variable.lb - variable.value)
     return worst
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["three_cart", "bouncing_mass", "two_body_collision", "two_link_arm", "oscillator"])
+@pytest.mark.parametrize(
+    "name", ["three_cart", "bouncing_mass", "two_body_collision", "two_link_arm", "oscillator"]
+)
 def test_rollout_satisfies_the_model(name: str) -> None:
     scene = in_contact(example_scene(name))
-    for law, eps in ((ContactFormulation.SOFTPLUS, 1e-3), (ContactFormulation.COMPLEMENTARITY, 0.0)):
+    for law, eps in (
+        (ContactFormulation.SOFTPLUS, 1e-3),
+        (ContactFormulation.COMPLEMENTARITY, 0.0),
+    ):
         model = build_model(scene, law, eps=eps)
         for label, u in probe_inputs(scene).items():
-            plan = rolled_out(scene, u, ForceLaw.SOFTPLUS if law is ContactFormulation.SOFTPLUS else ForceLaw.RELU, eps or None)
+            plan = rolled_out(
+                scene,
+                u,
+                ForceLaw.SOFTPLUS if law is ContactFormulation.SOFTPLUS else ForceLaw.RELU,
+                eps or None,
+            )
             load_plan(model, plan)
             scale = max(1.0, float(np.abs(plan.lam).max(initial=0.0)), float(np.abs(plan.v).max()))
             assert largest_violation(model) <= ROUNDING * scale**2, (law, label)
-            assert pyo.value(model.objective_cost) == pytest.approx(load_kernel(scene).cost(plan.q, plan.v, u), rel=1e-13, abs=1e-13)
+            assert pyo.value(model.objective_cost) == pytest.approx(
+                load_kernel(scene).cost(plan.q, plan.v, u), rel=1e-13, abs=1e-13
+            )
             back = read_plan(model)
             for field in ("t", "q", "v", "u", "lam"):
                 assert np.array_equal(getattr(back, field), getattr(plan, field)), field
@@ -116,17 +137,32 @@ def test_a_wrong_step_is_seen() -> None:
 
 @pytest.mark.slow
 def test_what_a_scene_does_not_need_is_not_there() -> None:
-    bouncing = build_model(example_scene("bouncing_mass"), ContactFormulation.SOFTPLUS, eps=1e-2, steps=2)
-    bare = build_model(example_scene("oscillator"), ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=2)
+    bouncing = build_model(
+        example_scene("bouncing_mass"), ContactFormulation.SOFTPLUS, eps=1e-2, steps=2
+    )
+    bare = build_model(
+        example_scene("oscillator"), ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=2
+    )
     assert bouncing.component("variable_u") is None
-    for absent in ("variable_u", "variable_lam", "parameter_scene", "complementarity_contact", "mpec_bound", "parameter_sharpness"):
+    for absent in (
+        "variable_u",
+        "variable_lam",
+        "parameter_scene",
+        "complementarity_contact",
+        "mpec_bound",
+        "parameter_sharpness",
+    ):
         assert bare.component(absent) is None, absent
     cart = build_model("three_cart", ContactFormulation.SOFTPLUS, eps=1e-2, steps=1)
     text = str(cart.constraint_velocity_step[0, "q1"].expr)
     for absent in ("sin", "q2]", "variable_q"):
-        assert absent not in text, "no trigonometry, no inertial coupling and no position in a cart's step"
+        assert absent not in text, (
+            "no trigonometry, no inertial coupling and no position in a cart's step"
+        )
     arm = build_model(example_scene("two_link_arm"), ContactFormulation.SOFTPLUS, eps=1e-2, steps=1)
-    assert "variable_v[1,q2]" in str(arm.constraint_velocity_step[0, "q1"].expr), "a coupled mass matrix is multiplied, not inverted"
+    assert "variable_v[1,q2]" in str(arm.constraint_velocity_step[0, "q1"].expr), (
+        "a coupled mass matrix is multiplied, not inverted"
+    )
 
 
 def test_parameters_start_and_goal_are_data() -> None:
@@ -166,7 +202,12 @@ def test_the_separation_force_starts_at_its_own_value(caplog: pytest.LogCaptureF
     model = build_model("three_cart", ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=3)
     assert model.complementarity_contact[0, "left"].v.value == pytest.approx(30 * 0.5)
     pressed = load_scene("three_cart").with_task(start=(2.0, 2.45, 2.9, 0.0, 0.0, 0.0), steps=3)
-    assert build_model(pressed, ContactFormulation.COMPLEMENTARITY, eps=1e-2).complementarity_contact[0, "left"].v.value == 0.0
+    assert (
+        build_model(pressed, ContactFormulation.COMPLEMENTARITY, eps=1e-2)
+        .complementarity_contact[0, "left"]
+        .v.value
+        == 0.0
+    )
     assert not caplog.records, "a guess outside its bounds is no reason for a warning each step"
 
 
@@ -198,25 +239,39 @@ def test_impossible_bounds_are_refused(eps) -> None:
 
 def test_what_is_no_scheme_and_a_model_without_a_plan_are_refused():
     wrong: Any = "radau_iia_2"
-    with pytest.raises(ModelError, match=r"scheme is 'radau_iia_2', but must be one of .*Scheme\.RADAU_IIA_2"):
+    with pytest.raises(
+        ModelError, match=r"scheme is 'radau_iia_2', but must be one of .*Scheme\.RADAU_IIA_2"
+    ):
         build_model("three_cart", scheme=wrong)
     plan = read_plan(build_model("three_cart", steps=5))
     for use in (read_plan, lambda model: load_plan(model, plan)):
-        with pytest.raises(ModelError, match="model unknown holds no plan: it must come from build_model or build_block"):
+        with pytest.raises(
+            ModelError,
+            match="model unknown holds no plan: it must come from build_model or build_block",
+        ):
             use(pyo.ConcreteModel())
     solution: Any = Solution(method="mpcc", outcome=Outcome.SOLVED)
     with pytest.raises(TrajectoryError, match="a Solution is no plan; give a Trajectory"):
         load_plan(build_model("three_cart", steps=5), solution)
     no_scene: Any = build_model("three_cart", steps=5)
-    for use in (PlanResiduals, lambda scene: build_model(scene), lambda scene: certify_plan(scene, plan)):
-        with pytest.raises(SceneError, match="a ConcreteModel is no scene; give the name of one, the path of its file or a Scene"):
+    for use in (
+        PlanResiduals,
+        lambda scene: build_model(scene),
+        lambda scene: certify_plan(scene, plan),
+    ):
+        with pytest.raises(
+            SceneError,
+            match="a ConcreteModel is no scene; give the name of one, the path of its file or a Scene",
+        ):
             use(no_scene)
     assert PlanResiduals("three_cart").of(plan)["start_error"] == 0.0
 
 
 def test_a_function_that_pyomo_does_not_have_is_refused_by_name() -> None:
     scene = load_scene("three_cart")
-    rough = replace(scene, forces=(*scene.forces[:2], scene.forces[2] - sp.erf(sp.Symbol("v3", real=True))))
+    rough = replace(
+        scene, forces=(*scene.forces[:2], scene.forces[2] - sp.erf(sp.Symbol("v3", real=True)))
+    )
     with pytest.raises(SceneError, match=r"erf\(v3\)"):
         build_model(rough, ContactFormulation.SOFTPLUS, eps=1e-2, steps=2)
     with pytest.raises(ModelError, match="ContactFormulation"):
@@ -254,7 +309,10 @@ def test_two_blocks_live_in_one_model() -> None:
     build_block(model.first, "three_cart", ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=3)
     build_block(model.second, "three_cart", ContactFormulation.COMPLEMENTARITY, eps=1e-3, steps=3)
     set_relaxation(model.first, 1e-6)
-    bounds = [pyo.value(block.complementarity_contact[0, "left"].ccon.upper) for block in (model.first, model.second)]
+    bounds = [
+        pyo.value(block.complementarity_contact[0, "left"].ccon.upper)
+        for block in (model.first, model.second)
+    ]
     assert bounds == [1e-6, 1e-3]
     assert next(model.component_data_objects(pyo.Objective, active=True), None) is None
     model.cost = pyo.Objective(expr=model.first.expression_cost + model.second.expression_cost)
@@ -294,7 +352,17 @@ def changed(plan: Trajectory, field: str, where: tuple[int, int], by: float) -> 
 def test_a_rollout_has_no_residuals() -> None:
     residuals = PlanResiduals(SCENE).of(plan_of())
     assert (
-        max(residuals[name] for name in ("dynamics_defect", "start_error", "input_bound_excess", "force_sign", "complementarity")) < 1e-13
+        max(
+            residuals[name]
+            for name in (
+                "dynamics_defect",
+                "start_error",
+                "input_bound_excess",
+                "force_sign",
+                "complementarity",
+            )
+        )
+        < 1e-13
     )
     assert residuals["terminal_error"] > 0.1
     soft = PlanResiduals(SCENE).of(plan_of(ForceLaw.SOFTPLUS, 1e-3), ForceLaw.SOFTPLUS, 1e-3)
@@ -303,8 +371,10 @@ def test_a_rollout_has_no_residuals() -> None:
 
 
 @pytest.mark.parametrize(("field", "where", "by", "figure", "least"), [
-    ("q", (40, 0), 1e-3, "dynamics_defect", 9e-4), ("v", (40, 2), 1e-3, "dynamics_defect", 9e-4), ("q", (0, 1), 1e-3, "start_error", 9e-4),
-    ("u", (7, 0), 20.0, "input_bound_excess", 5.0), ("lam", (39, 1), -50.0, "force_sign", 10.0), ("lam", (0, 0), 1.0, "complementarity", 0.5),
+    ("q", (40, 0), 1e-3, "dynamics_defect", 9e-4), ("v", (40, 2), 1e-3, "dynamics_defect", 9e-4),
+    ("q", (0, 1), 1e-3, "start_error", 9e-4),
+    ("u", (7, 0), 20.0, "input_bound_excess", 5.0), ("lam", (39, 1), -50.0, "force_sign", 10.0),
+    ("lam", (0, 0), 1.0, "complementarity", 0.5),
 ])  # fmt: skip
 def test_each_residual_sees_its_own_fault(field, where, by, figure, least) -> None:
     functions = PlanResiduals(SCENE)
@@ -346,15 +416,21 @@ def test_held_modes_decide_every_pair_and_are_released_again() -> None:
     hold_modes(model, closed)
     for (t, name), pair in model.complementarity_contact.items():
         column = 0 if name == "left" else 1
-        assert (pair.v.ub, model.variable_lam[t, name].ub) == ((0.0, None) if closed[t, column] else (None, 0.0))
+        assert (pair.v.ub, model.variable_lam[t, name].ub) == (
+            (0.0, None) if closed[t, column] else (None, 0.0)
+        )
         assert not pair.ccon.active
     release_modes(model)
-    assert all(pair.ccon.active and pair.v.ub is None for pair in model.complementarity_contact.values())
+    assert all(
+        pair.ccon.active and pair.v.ub is None for pair in model.complementarity_contact.values()
+    )
     assert all(lam.ub is None for lam in model.variable_lam.values())
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("contact", [ContactFormulation.SOFTPLUS, ContactFormulation.COMPLEMENTARITY])
+@pytest.mark.parametrize(
+    "contact", [ContactFormulation.SOFTPLUS, ContactFormulation.COMPLEMENTARITY]
+)
 @pytest.mark.parametrize("name", scene_names())
 def test_no_unknown_and_no_equation_too_many(name: str, contact: ContactFormulation):
     for steps in (1, 6):
@@ -364,10 +440,17 @@ def test_no_unknown_and_no_equation_too_many(name: str, contact: ContactFormulat
 
 
 def test_counts_by_hand_of_the_papers_scene():
-    """6 states at 501 nodes, 2 inputs and 2 forces a step; 12 ends, 6 + 2 equations a step; complementarity: two more of each a step."""
+    """6 states at 501 nodes, 2 inputs and 2 forces a step; 12 ends, 6 + 2 equations a step.
+
+    complementarity: two more of each a step.
+    """
     scene = load_scene("three_cart")
-    assert size_on_paper(scene, ContactFormulation.SOFTPLUS) == ModelSize(unknowns=6 * 501 + 4 * 500, equations=12 + 8 * 500)
-    assert size_on_paper(scene, ContactFormulation.COMPLEMENTARITY) == ModelSize(unknowns=6 * 501 + 6 * 500, equations=12 + 10 * 500)
+    assert size_on_paper(scene, ContactFormulation.SOFTPLUS) == ModelSize(
+        unknowns=6 * 501 + 4 * 500, equations=12 + 8 * 500
+    )
+    assert size_on_paper(scene, ContactFormulation.COMPLEMENTARITY) == ModelSize(
+        unknowns=6 * 501 + 6 * 500, equations=12 + 10 * 500
+    )
 
 
 @pytest.mark.parametrize("method", ["softplus_dc", "relaxed_lcp", "strict_lcp"])

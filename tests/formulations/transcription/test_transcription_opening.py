@@ -1,4 +1,7 @@
-"""How a cold start begins: a goal let go first, contact that is softer first; stages that end without a plan; eps counted in the scene's length."""
+"""How a cold start begins: a goal let go first, contact that is softer first.
+
+Stages that end without a plan; eps counted in the scene's length.
+"""
 
 from dataclasses import replace
 
@@ -26,7 +29,9 @@ EPS = 1e-3
 
 
 def line(inf_du: float) -> Iteration:
-    numbers = dict.fromkeys(("objective", "inf_pr", "mu", "step", "regularization", "alpha_du", "alpha_pr"), 1.0)
+    numbers = dict.fromkeys(
+        ("objective", "inf_pr", "mu", "step", "regularization", "alpha_du", "alpha_pr"), 1.0
+    )
     return Iteration(iteration=1, restoration=False, inf_du=inf_du, trials=1, **numbers)
 
 
@@ -52,7 +57,11 @@ def test_a_goal_that_is_let_go_is_still_drawn_to():
 
 
 def test_a_cold_start_called_infeasible_is_begun_again_with_the_goal_let_go(monkeypatch):
-    """Ipopt's word is local; here it is put into its mouth once, so that the test does not hang on its version. The second start has a plan."""
+    """Ipopt's word is local.
+
+    Here it is put into its mouth once, so that the test does not hang on its version. The second
+    start has a plan.
+    """
     run, runs = CompiledModel.run, []
 
     def denied_once(self, *arguments, **options):
@@ -93,7 +102,9 @@ def test_the_work_of_a_soft_stage_is_counted_in_nonzeros(monkeypatch):
         first = session.solve(eps=EPS, warm_start=None, time_limit=60.0)
         cut = session.solve(eps=1e-5, warm_start=first.trajectory, time_limit=60.0)
     assert first.outcome is Outcome.SOLVED
-    assert (cut.outcome, cut.iterations) == (Outcome.ITERATION_LIMIT, 7 + 7), "directly, and half way"
+    assert (cut.outcome, cut.iterations) == (Outcome.ITERATION_LIMIT, 7 + 7), (
+        "directly, and half way"
+    )
 
 
 def test_a_stage_that_leads_from_a_plan_to_none_goes_half_way_first(monkeypatch):
@@ -118,7 +129,10 @@ def test_a_stage_that_leads_from_a_plan_to_none_goes_half_way_first(monkeypatch)
 
 
 def test_a_relaxed_stage_without_a_plan_ends_the_chain_from_that_start(monkeypatch):
-    """Cold too, since plans of a smaller eps are among those of a larger one; infeasible stays infeasible."""
+    """Cold too, since plans of a smaller eps are among those of a larger one.
+
+    Infeasible stays infeasible.
+    """
     monkeypatch.setattr(relaxed_lcp, "_COLD", Work(0.0, 2))
     monkeypatch.setattr(relaxed_lcp, "_SOON", 2)
     monkeypatch.setattr(relaxed_lcp, "_BROKEN", -1.0)
@@ -167,7 +181,9 @@ def test_one_eps_is_one_law_everywhere():
 
 
 def cold(scene: str, eps: float, time_limit: float = 300.0, **options: object) -> Solution:
-    return solve_scene(load_scene(scene), "relaxed_lcp", eps=eps, options=options, time_limit=time_limit)
+    return solve_scene(
+        load_scene(scene), "relaxed_lcp", eps=eps, options=options, time_limit=time_limit
+    )
 
 
 @pytest.fixture(scope="module")
@@ -185,7 +201,9 @@ def test_the_plan_is_one_at_the_eps_asked_for(hopper: Solution):
 def test_all_iterations_are_told(hopper: Solution):
     assert hopper.iterations > 150
     assert len(hopper.history["objective"]) == len(hopper.history["inf_pr"])
-    assert 0 <= len(hopper.history["objective"]) - hopper.iterations <= 5, "each solve tells its first point too"
+    assert 0 <= len(hopper.history["objective"]) - hopper.iterations <= 5, (
+        "each solve tells its first point too"
+    )
     assert hopper.solver
     assert hopper.seconds.wall >= hopper.seconds.linear_algebra > 0.0
 
@@ -209,7 +227,9 @@ def test_no_more_iterations_than_allowed():
         found = cold("hopper", 1e-2, max_iterations=most)
         assert found.outcome is Outcome.ITERATION_LIMIT
         assert found.iterations <= most
-        assert ("softer" in found.message) == (most > 150), "with nothing left there is no other start, and what was found is kept"
+        assert ("softer" in found.message) == (most > 150), (
+            "with nothing left there is no other start, and what was found is kept"
+        )
 
 
 def test_from_a_small_eps_it_comes_back_through_all_between():

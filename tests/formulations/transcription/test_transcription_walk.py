@@ -1,4 +1,8 @@
-"""A walk: from a loose eps to the one asked for, in steps that adapt to what they cost; it ends at the eps asked for, or says where. Long horizons by way of every second step, and so on down; what a stage really starts from."""
+"""A walk: from a loose eps to the one asked for, in steps that adapt to what they cost.
+
+It ends at the eps asked for, or says where. Long horizons by way of every second step, and so on
+down; what a stage really starts from.
+"""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -17,7 +21,9 @@ from models.errors import TrajectoryError
 from models.trajectory import Trajectory, uniform_grid
 from tests.formulations.transcription.rollouts import rolled_out
 
-SCENE = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
+SCENE = load_scene("three_cart").with_task(
+    start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100
+)
 LAST = {"relaxed_lcp": 1e-4, "softplus_dc": 1e-7}
 FIRST = {"relaxed_lcp": 0.9, "softplus_dc": 1e-3}
 METHODS = tuple(LAST)
@@ -108,17 +114,26 @@ def test_no_more_iterations_than_allowed():
         assert solved("relaxed_lcp", first_eps=0.9, max_iterations=most).iterations <= most
 
 
-STEPS, STEP = 40, 0.1
+STEPS = 40
+STEP = 0.1
 CARTS = load_scene("three_cart").with_task(steps=STEPS, step=STEP)
 
 
 def line(ends: float) -> Trajectory:
     """Carts that go evenly to `ends` of the way, whatever pushes them: no plan of the scene."""
-    start, goal = (np.array(state, dtype=float)[: CARTS.nq] for state in (CARTS.task.start, CARTS.task.goal))
+    start, goal = (
+        np.array(state, dtype=float)[: CARTS.nq] for state in (CARTS.task.start, CARTS.task.goal)
+    )
     share = np.linspace(0.0, ends, STEPS + 1)[:, None]
     q = start + share * (goal - start)
     v = np.full((STEPS + 1, CARTS.nq), 5.0)
-    return Trajectory(t=uniform_grid(STEP, STEPS), q=q, v=v, u=np.zeros((STEPS, CARTS.nu)), lam=np.zeros((STEPS, CARTS.nl)))
+    return Trajectory(
+        t=uniform_grid(STEP, STEPS),
+        q=q,
+        v=v,
+        u=np.zeros((STEPS, CARTS.nu)),
+        lam=np.zeros((STEPS, CARTS.nl)),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +149,12 @@ def test_a_broken_plan_is_no_start_and_changes_nothing(cold):
         found = session.solve(eps=None, warm_start=line(1.0), time_limit=600.0)
     assert cold.trajectory is not None
     assert found.trajectory is not None
-    assert (found.outcome, found.iterations, found.cost, found.message) == (cold.outcome, cold.iterations, cold.cost, cold.message)
+    assert (found.outcome, found.iterations, found.cost, found.message) == (
+        cold.outcome,
+        cold.iterations,
+        cold.cost,
+        cold.message,
+    )
     for name in ("q", "v", "u", "lam"):
         assert np.array_equal(getattr(found.trajectory, name), getattr(cold.trajectory, name))
 
@@ -148,12 +168,21 @@ def test_a_plan_that_is_one_is_started_from(cold):
 
 
 def test_a_plan_of_another_grid_is_refused_before_it_is_looked_at(cold):
-    with load_method("strict_lcp").open(CARTS) as session, pytest.raises(TrajectoryError, match="warm start"):
-        session.solve(eps=None, warm_start=replace(line(1.0), t=uniform_grid(2 * STEP, STEPS)), time_limit=60.0)
+    with (
+        load_method("strict_lcp").open(CARTS) as session,
+        pytest.raises(TrajectoryError, match="warm start"),
+    ):
+        session.solve(
+            eps=None,
+            warm_start=replace(line(1.0), t=uniform_grid(2 * STEP, STEPS)),
+            time_limit=60.0,
+        )
 
 
 @pytest.mark.slow
-def test_a_plan_that_leads_nowhere_with_ipopts_own_barrier_is_tried_once_more_from_inside_its_bounds(monkeypatch):
+def test_a_plan_that_leads_nowhere_with_ipopts_own_barrier_is_tried_once_more_from_inside_its_bounds(
+    monkeypatch,
+):
     """A nonlinear scene's attack goes by way of looser bounds, the first of them from the plan: cut off here after so many iterations that it cannot be done."""
     scene = load_scene("acrobot_limits").with_task(steps=100, step=0.01)
     plan = rolled_out(scene, np.zeros((100, scene.nu)))
@@ -162,7 +191,13 @@ def test_a_plan_that_leads_nowhere_with_ipopts_own_barrier_is_tried_once_more_fr
     def attempt(self, budget, options, own=PlanSolver.attempt, **named):
         begun = budget.iterations
         result = own(self, budget, options, **named)
-        asked.append((options["max_iter"] - begun, options.get("bound_push", -1.0), budget.iterations - begun))
+        asked.append(
+            (
+                options["max_iter"] - begun,
+                options.get("bound_push", -1.0),
+                budget.iterations - begun,
+            )
+        )
         return result
 
     monkeypatch.setattr(strict_lcp, "_FROM_PLAN", 3)

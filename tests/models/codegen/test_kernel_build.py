@@ -27,13 +27,25 @@ from models.scene import Scene
 
 ROOT = Path(__file__).parents[3]
 SCENES = ROOT / "tests" / "scenes"
-REFERENCES = ("three_cart", "two_body_collision", "bouncing_mass", *(str(SCENES / f"{name}.py") for name in ("two_link_arm", "oscillator")))
+REFERENCES = (
+    "three_cart",
+    "two_body_collision",
+    "bouncing_mass",
+    *(str(SCENES / f"{name}.py") for name in ("two_link_arm", "oscillator")),
+)
 ROLLOUT = (ROOT / "models" / "codegen" / "rollout.c").read_text(encoding="utf-8")
 
 
 def _python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
     full = {**os.environ, **environment}
-    return subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=full, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env=full,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 @pytest.mark.slow
@@ -42,7 +54,9 @@ def test_every_scene_compiles_without_a_warning(reference: str, tmp_path: Path):
     """Without inputs, without contacts, without parameters, with a mass matrix that must be factorised."""
     assert {"-Wall", "-Wextra", "-Werror"} <= set(FLAGS)
     sources = {"scene_model.h": emit_model(load_scene(reference)), "rollout.c": ROLLOUT}
-    compile_shared(find_compiler(), sources, tmp_path / "kernel.so", extra_flags=("-pedantic", "-Wshadow"))
+    compile_shared(
+        find_compiler(), sources, tmp_path / "kernel.so", extra_flags=("-pedantic", "-Wshadow")
+    )
     assert (tmp_path / "kernel.so").stat().st_size > 0
 
 
@@ -121,7 +135,9 @@ def test_a_command_that_is_no_compiler_is_named(tmp_path: Path):
 
 def test_refused_code_shows_the_compilers_words(tmp_path: Path):
     with pytest.raises(MachineError, match=r"refused the generated code of broken\.c"):
-        compile_shared(find_compiler(), {"broken.c": "int broken( { return 0; }"}, tmp_path / "broken.so")
+        compile_shared(
+            find_compiler(), {"broken.c": "int broken( { return 0; }"}, tmp_path / "broken.so"
+        )
 
 
 def test_cache_that_cannot_be_a_folder_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -148,14 +164,19 @@ def test_a_failed_build_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytes
 def test_two_processes_may_build_at_once(tmp_path: Path):
     environment = {**os.environ, "TOUCHSTONE_CACHE": str(tmp_path)}
     command = [sys.executable, "-c", _LOAD.format(hide=False)]
-    running = [subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    running = [
+        subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
     outputs = [process.communicate()[0].strip() for process in running]
     assert [process.returncode for process in running] == [0, 0]
     assert outputs == ["30.0", "30.0"]
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [".h", ".so"]
 
 
-def test_next_build_removes_folders_of_dead_builders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_next_build_removes_folders_of_dead_builders(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
     host = socket.gethostname()
     dead, living, elsewhere = (
@@ -195,7 +216,9 @@ def own_cache(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["three_cart", "transport", "cart_pole_walls", "damped_collision", "bouncing_mass"])
+@pytest.mark.parametrize(
+    "name", ["three_cart", "transport", "cart_pole_walls", "damped_collision", "bouncing_mass"]
+)
 def test_cached_text_equals_emitted_text(name: str, own_cache):
     scene = load_scene(name)
     for source, emit in ((model_source, emit_model), (sensitivity_source, emit_sensitivity)):
@@ -220,7 +243,10 @@ def test_equal_equations_are_written_once(own_cache):
 
 
 def test_the_motion_in_an_fmu_is_integrated_once(monkeypatch, own_cache):
-    """For every version and platform; again for other values and another task. What is read back is what was computed."""
+    """For every version and platform; again for other values and another task.
+
+    What is read back is what was computed.
+    """
     integrated = []
 
     def counted(*arguments):
@@ -238,10 +264,14 @@ def test_the_motion_in_an_fmu_is_integrated_once(monkeypatch, own_cache):
 
 
 @pytest.mark.parametrize("change", [
-    lambda scene: replace(scene, potential_energy=scene.potential_energy + sp.Symbol("q1", real=True)),
-    lambda scene: replace(scene, forces=(-scene.forces[0], *scene.forces[1:])), lambda scene: replace(scene, contacts=scene.contacts[::-1]),
-    lambda scene: replace(scene, contacts=(replace(scene.contacts[0], nominal=0.5), *scene.contacts[1:])),
-    lambda scene: scene.with_task(running_cost=2 * scene.task.running_cost), lambda scene: replace(scene, name="other"),
+    lambda scene: replace(scene,
+                          potential_energy=scene.potential_energy + sp.Symbol("q1", real=True)),
+    lambda scene: replace(scene, forces=(-scene.forces[0], *scene.forces[1:])),
+    lambda scene: replace(scene, contacts=scene.contacts[::-1]),
+    lambda scene: replace(scene,
+                          contacts=(replace(scene.contacts[0], nominal=0.5), *scene.contacts[1:])),
+    lambda scene: scene.with_task(running_cost=2 * scene.task.running_cost),
+    lambda scene: replace(scene, name="other"),
 ])  # fmt: skip
 def test_other_equations_are_written_anew(change, own_cache):
     scene = load_scene("three_cart")

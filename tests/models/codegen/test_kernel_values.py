@@ -36,24 +36,43 @@ def test_stiffness_energy_power_and_cost_are_those_of_the_scene(name: str):
         strict=True,
     ):
         function = d.function([expression], *groups)
-        assert found == pytest.approx(np.array([function(*row).item() for row in zip(q, v, u, strict=True)]), rel=1e-12, abs=1e-12)
+        assert found == pytest.approx(
+            np.array([function(*row).item() for row in zip(q, v, u, strict=True)]),
+            rel=1e-12,
+            abs=1e-12,
+        )
     cost, end = d.function([d.running_cost], *groups), d.function([d.final_cost], d.q, d.v)
-    expected = sum(cost(*row).item() for row in zip(q[:-1], v[:-1], u[:-1], strict=True)) + end(q[-1], v[-1]).item()
+    expected = (
+        sum(cost(*row).item() for row in zip(q[:-1], v[:-1], u[:-1], strict=True))
+        + end(q[-1], v[-1]).item()
+    )
     assert kernel.cost(q, v, u[:-1]) == pytest.approx(expected, rel=1e-13)
 
 
 @pytest.mark.parametrize(("law", "eps"), LAWS)
-def test_contact_force_is_the_law_of_the_penetration_even_far_away(law: ContactLaw, eps: float | None):
+def test_contact_force_is_the_law_of_the_penetration_even_far_away(
+    law: ContactLaw, eps: float | None
+):
     """Also at |b phi| of thousands, where a careless log(1 + exp(b phi)) is infinite."""
     kernel = kernel_of("three_cart")
-    q = np.array([[0.0, 0.5, 1.0], [2.0, 3.0, 4.0], [0.0, -300.0, 200.0], [0.0, 1e3, -1e3], [0.0, 0.4999, 1.0001]])
+    q = np.array(
+        [
+            [0.0, 0.5, 1.0],
+            [2.0, 3.0, 4.0],
+            [0.0, -300.0, 200.0],
+            [0.0, 1e3, -1e3],
+            [0.0, 0.4999, 1.0001],
+        ]
+    )
     expected = contact_force(kernel.penetration(q), kernel.stiffness(), law, eps)
     assert kernel.contact_force(q, law, eps) == pytest.approx(expected, rel=1e-13, abs=1e-300)
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(("law", "eps"), LAWS)
-def test_rollout_is_semi_implicit_euler_with_the_forces_of_the_start_of_each_step(name: str, law: ContactLaw, eps: float | None):
+def test_rollout_is_semi_implicit_euler_with_the_forces_of_the_start_of_each_step(
+    name: str, law: ContactLaw, eps: float | None
+):
     scene, kernel = example_scene(name), kernel_of(name)
     u = np.random.default_rng(1).normal(size=(40, scene.nu))
     h = 0.003
@@ -61,7 +80,11 @@ def test_rollout_is_semi_implicit_euler_with_the_forces_of_the_start_of_each_ste
     q, v = np.array(scene.task.start).reshape(2, 1, scene.nq)
     for step in range(40):
         lam = kernel.contact_force(q, law, eps)
-        assert (found.q[step], found.v[step], found.lam[step]) == (pytest.approx(q[0]), pytest.approx(v[0]), pytest.approx(lam[0]))
+        assert (found.q[step], found.v[step], found.lam[step]) == (
+            pytest.approx(q[0]),
+            pytest.approx(v[0]),
+            pytest.approx(lam[0]),
+        )
         v = v + h * kernel.acceleration(q, v, u[step : step + 1], lam)
         q = q + h * v
     assert not found.diverged
@@ -91,14 +114,19 @@ def test_rollout_that_stops_being_finite_says_where():
 
 @pytest.mark.parametrize(("law", "eps"), LAWS)
 @pytest.mark.parametrize("name", ["three_cart", "two_link_arm"])
-def test_derivatives_of_the_last_state_may_be_given_alone(name: str, law: ContactLaw, eps: float | None):
+def test_derivatives_of_the_last_state_may_be_given_alone(
+    name: str, law: ContactLaw, eps: float | None
+):
     scene, kernel = example_scene(name), kernel_of(name)
     u = np.random.default_rng(0).normal(size=(60, scene.nu))
     plan = kernel.rollout(np.array(scene.task.start), u, 0.01, law, eps)
     end_bar = np.arange(1.0, 2 * scene.nq + 1)
     q_bar, v_bar = np.zeros_like(plan.q), np.zeros_like(plan.v)
     q_bar[-1], v_bar[-1] = end_bar[: scene.nq], end_bar[scene.nq :]
-    whole, alone = kernel.adjoint(plan, u, q_bar, v_bar, cost_bar=0.1), kernel.adjoint(plan, u, cost_bar=0.1, end_bar=end_bar)
+    whole, alone = (
+        kernel.adjoint(plan, u, q_bar, v_bar, cost_bar=0.1),
+        kernel.adjoint(plan, u, cost_bar=0.1, end_bar=end_bar),
+    )
     both = kernel.adjoint(plan, u, q_bar, v_bar, cost_bar=0.2, end_bar=end_bar)
     for found, other, twice in zip(whole, alone, both, strict=True):
         assert (found == other).all()
@@ -109,7 +137,10 @@ def test_derivatives_of_the_last_state_may_be_given_alone(name: str, law: Contac
 def test_rows_are_rollouts_alone(name: str):
     scene, kernel = example_scene(name), kernel_of(name)
     random = np.random.default_rng(1)
-    start, u = np.array(scene.task.start) + 0.05 * random.normal(size=(4, 2 * scene.nq)), random.normal(size=(4, 30, scene.nu))
+    start, u = (
+        np.array(scene.task.start) + 0.05 * random.normal(size=(4, 2 * scene.nq)),
+        random.normal(size=(4, 30, scene.nu)),
+    )
     u[2] = 1e200
     lam, ends = kernel.rollouts(start, u, 0.01)
     for row in range(4):
@@ -127,7 +158,9 @@ def test_arrays_that_do_not_fit_are_refused_in_words():
     with pytest.raises(KernelError, match="start has shape"):
         kernel.rollout(start[:5], np.zeros((5, 2)), 0.01)
     with pytest.raises(KernelError, match="end_bar has shape"):
-        kernel.adjoint(kernel.rollout(start, np.zeros((5, 2)), 0.01), np.zeros((5, 2)), end_bar=np.zeros(5))
+        kernel.adjoint(
+            kernel.rollout(start, np.zeros((5, 2)), 0.01), np.zeros((5, 2)), end_bar=np.zeros(5)
+        )
     with pytest.raises(KernelError, match="start has shape"):
         kernel.rollouts(np.zeros((3, 6)), np.zeros((2, 5, 2)), 0.01)
     plan = kernel.rollout(start, np.zeros((5, 2)), 0.01)
@@ -140,7 +173,9 @@ def test_arrays_that_do_not_fit_are_refused_in_words():
 def test_mass_matrix_that_is_not_positive_definite_is_said_with_the_place():
     scene = example_scene("two_link_arm")
     kernel = Kernel(scene, load_kernel(scene).path)
-    kernel.parameters_of(0.01)[:2] = -1.0  # no scene can be made with negative masses, so the kernel is told directly
+    kernel.parameters_of(0.01)[
+        :2
+    ] = -1.0  # no scene can be made with negative masses, so the kernel is told directly
     with pytest.raises(KernelError, match="not positive definite at q"):
         kernel.acceleration(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 1)))
     assert kernel.rollout(np.zeros(4), np.zeros((3, 2)), 0.01).finite_steps == 0
@@ -166,7 +201,11 @@ def moved(name: str) -> tuple[Kernel, Rollout, dict[str, float]]:
     """The kernel of a scene without inputs, its motion on a fine grid, and the scene's answers."""
     kernel = kernel_of(name)
     answers = {answer.quantity: answer.value for answer in kernel.scene.answers}
-    return kernel, kernel.rollout(np.array(kernel.scene.task.start), np.zeros((60000, 0)), 1e-5), answers
+    return (
+        kernel,
+        kernel.rollout(np.array(kernel.scene.task.start), np.zeros((60000, 0)), 1e-5),
+        answers,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +223,10 @@ def test_collision_keeps_momentum_to_rounding(collision):
 
 
 def test_collision_keeps_energy_but_for_the_grid(collision):
-    """Kinetic energy is back after the contact; in between the spring holds it. What is missing is of the order of the step."""
+    """Kinetic energy is back after the contact; in between the spring holds it.
+
+    What is missing is of the order of the step.
+    """
     kernel, plan, _ = collision
     kinetic, potential = kernel.energy(plan.q, plan.v)
     stored = 0.5 * kernel.stiffness() * np.maximum(kernel.penetration(plan.q), 0.0) ** 2
@@ -196,10 +238,20 @@ def test_collision_keeps_energy_but_for_the_grid(collision):
 
 def test_collision_has_the_closed_forms_of_the_scene(collision):
     kernel, plan, answers = collision
-    assert kernel.penetration(plan.q).max() == pytest.approx(answers["largest compression [m]"], rel=1e-3)
-    assert (plan.lam > 0.0).sum() * plan.step == pytest.approx(answers["contact time [s]"], rel=1e-3)
+    assert kernel.penetration(plan.q).max() == pytest.approx(
+        answers["largest compression [m]"], rel=1e-3
+    )
+    assert (plan.lam > 0.0).sum() * plan.step == pytest.approx(
+        answers["contact time [s]"], rel=1e-3
+    )
     assert plan.v[-1] == pytest.approx(
-        np.array([answers[f"velocity of the {which} disc afterwards [m/s]"] for which in ("left", "right")]), rel=1e-3
+        np.array(
+            [
+                answers[f"velocity of the {which} disc afterwards [m/s]"]
+                for which in ("left", "right")
+            ]
+        ),
+        rel=1e-3,
     )
 
 
@@ -212,22 +264,38 @@ def test_bouncing_mass_meets_the_floor_when_it_should():
 
 # A start in contact, away from the kink of the ReLU, for each scene.
 STARTS = {
-    "three_cart": (2.0, 2.4, 2.8, 0.3, -0.2, 0.1), "two_link_arm": (0.3, 0.4, -0.5, 0.7), "two_body_collision": (0.0, 0.15, 1.0, -1.0),
+    "three_cart": (2.0, 2.4, 2.8, 0.3, -0.2, 0.1), "two_link_arm": (0.3, 0.4, -0.5, 0.7),
+    "two_body_collision": (0.0, 0.15, 1.0, -1.0),
     "bouncing_mass": (-0.05, 0.3), "oscillator": (1.0, 0.2),
 }  # fmt: skip
 
 
-def _loss(kernel: Kernel, start: np.ndarray, u: np.ndarray, h: float, law: ContactLaw, eps: float | None, bars: tuple) -> float:
+def _loss(
+    kernel: Kernel,
+    start: np.ndarray,
+    u: np.ndarray,
+    h: float,
+    law: ContactLaw,
+    eps: float | None,
+    bars: tuple,
+) -> float:
     plan = kernel.rollout(start, u, h, law, eps)
     q_bar, v_bar, lam_bar, cost_bar = bars
     cost = kernel.cost(plan.q, plan.v, u)
-    return float((q_bar * plan.q).sum() + (v_bar * plan.v).sum() + (lam_bar * plan.lam).sum() + cost_bar * cost)
+    return float(
+        (q_bar * plan.q).sum()
+        + (v_bar * plan.v).sum()
+        + (lam_bar * plan.lam).sum()
+        + cost_bar * cost
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(("law", "eps"), LAWS[:2])
-def test_adjoint_is_the_finite_difference_of_a_loss_of_everything(name: str, law: ContactLaw, eps: float | None):
+def test_adjoint_is_the_finite_difference_of_a_loss_of_everything(
+    name: str, law: ContactLaw, eps: float | None
+):
     """Every entry of u and start; the loss weighs every entry of q, v, lam and the running cost."""
     kernel = kernel_of(name)
     scene, steps, h = kernel.scene, 12, 0.002
@@ -245,8 +313,14 @@ def test_adjoint_is_the_finite_difference_of_a_loss_of_everything(name: str, law
             for sign in (1.0, -1.0):
                 moved = point.copy()
                 moved[index] += sign * delta
-                values.append(_loss(kernel, *((start, moved) if point is u else (moved, u)), h, law, eps, bars))
-            assert gradient[index] == pytest.approx((values[0] - values[1]) / (2 * delta), rel=2e-6, abs=2e-6)
+                values.append(
+                    _loss(
+                        kernel, *((start, moved) if point is u else (moved, u)), h, law, eps, bars
+                    )
+                )
+            assert gradient[index] == pytest.approx(
+                (values[0] - values[1]) / (2 * delta), rel=2e-6, abs=2e-6
+            )
 
 
 def test_adjoint_without_contact_force_derivatives_is_the_one_with_zeros():
@@ -254,7 +328,11 @@ def test_adjoint_without_contact_force_derivatives_is_the_one_with_zeros():
     u = np.ones((10, 2))
     plan = kernel.rollout(np.array(STARTS["three_cart"]), u, 0.01)
     bar = np.ones((11, 3))
-    for left, right in zip(kernel.adjoint(plan, u, bar, bar), kernel.adjoint(plan, u, bar, bar, np.zeros((10, 2))), strict=True):
+    for left, right in zip(
+        kernel.adjoint(plan, u, bar, bar),
+        kernel.adjoint(plan, u, bar, bar, np.zeros((10, 2))),
+        strict=True,
+    ):
         assert (left == right).all()
 
 
@@ -282,10 +360,17 @@ def states(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 def true_force(scene: Scene, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     d = derive(scene)
     push, phi = d.function(d.push, d.q, d.v), d.function(d.penetration, d.q)
-    return np.array([np.where(phi(x).ravel() > 0, np.maximum(push(x, y).ravel(), 0), 0) for x, y in zip(q, v, strict=True)])
+    return np.array(
+        [
+            np.where(phi(x).ravel() > 0, np.maximum(push(x, y).ravel(), 0), 0)
+            for x, y in zip(q, v, strict=True)
+        ]
+    )
 
 
-@pytest.mark.parametrize("scene", [ARM, load_scene("damped_collision")], ids=lambda scene: scene.name)
+@pytest.mark.parametrize(
+    "scene", [ARM, load_scene("damped_collision")], ids=lambda scene: scene.name
+)
 def test_forces_are_those_of_the_law(scene: Scene):
     kernel, (q, v) = load_kernel(scene), states(scene)
     lam = kernel.contact_force(q, v=v)
@@ -296,14 +381,18 @@ def test_forces_are_those_of_the_law(scene: Scene):
     assert (lam[:, damped][closed] > 0).any()
     push = kernel.contact_push(q, v)
     assert np.maximum(push, 0) == pytest.approx(lam)  # what the score holds a plan's forces against
-    assert push[kernel.penetration(q) <= 0] == pytest.approx((kernel.stiffness() * kernel.penetration(q))[kernel.penetration(q) <= 0])
+    assert push[kernel.penetration(q) <= 0] == pytest.approx(
+        (kernel.stiffness() * kernel.penetration(q))[kernel.penetration(q) <= 0]
+    )
 
 
 def test_the_smoothed_law_is_that_of_the_springs_at_rest_and_the_true_one_in_the_limit():
     kernel, (q, v) = load_kernel(ARM), states(ARM)
     phi, k = kernel.penetration(q), kernel.stiffness()
     b = -np.log(1e-3)
-    assert kernel.contact_force(q, ContactLaw.SOFTPLUS, 1e-3) == pytest.approx(k / b * np.logaddexp(0, b * phi), rel=1e-12)
+    assert kernel.contact_force(q, ContactLaw.SOFTPLUS, 1e-3) == pytest.approx(
+        k / b * np.logaddexp(0, b * phi), rel=1e-12
+    )
     assert (kernel.contact_force(q, ContactLaw.SOFTPLUS, 1e-3, v=v) >= 0).all()
     away = np.abs(phi).min(axis=1) > 0.05
     sharp = kernel.contact_force(q[away], ContactLaw.SOFTPLUS, 1e-300, v=v[away])
@@ -323,7 +412,10 @@ def test_the_adjoint_is_the_derivative(law: ContactLaw, eps: float | None):
     u_bar, start_bar = kernel.adjoint(found, u, *bars)
     for _ in range(3):
         ds, du, h = random.normal(size=start.shape), random.normal(size=u.shape), 1e-7
-        ahead, behind = (_loss(kernel, start + way * ds, u + way * du, task.step, law, eps, bars) for way in (h, -h))
+        ahead, behind = (
+            _loss(kernel, start + way * ds, u + way * du, task.step, law, eps, bars)
+            for way in (h, -h)
+        )
         difference = (ahead - behind) / (2 * h)
         assert float(start_bar @ ds + (u_bar * du).sum()) == pytest.approx(difference, rel=2e-5)
 
@@ -336,5 +428,7 @@ def test_momentum_is_kept_and_energy_only_lost():
     assert (motion.v @ m)[-1] == pytest.approx((motion.v @ m)[0], abs=1e-12)
     kinetic, _ = kernel.energy(motion.q, motion.v)
     spring = (kernel.stiffness() * np.maximum(kernel.penetration(motion.q), 0) ** 2).sum(axis=1) / 2
-    assert np.diff(kinetic + spring).max() < 2e-5  # a time step may gain what it is wrong by: h c s^2 / mu h
+    assert (
+        np.diff(kinetic + spring).max() < 2e-5
+    )  # a time step may gain what it is wrong by: h c s^2 / mu h
     assert kinetic[-1] < 0.6 * kinetic[0]

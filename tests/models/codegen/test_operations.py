@@ -1,4 +1,8 @@
-"""Arithmetic of the generated C: counted rightly, and about what the equations cost on paper; products with Jacobians over what expressions share; and single steps, linearised one by one and run with feedback."""
+"""Arithmetic of the generated C: counted rightly, and about what the equations cost on paper.
+
+Products with Jacobians over what expressions share; and single steps, linearised one by one and run
+with feedback.
+"""
 
 import ctypes
 import re
@@ -29,7 +33,8 @@ from models.contact_law import ContactLaw
 from models.dynamics import derive
 from models.scenes.cart_chain import cart_chain
 
-# Counted by hand from the equations as one would write them: (additions, multiplications, divisions, roots and sines).
+# Counted by hand from the equations as one would write them: (additions, multiplications,
+# divisions, roots and sines).
 PAPER = {
     # a = (lam - m g) / m
     "bouncing_mass": (1, 1, 1, 0),
@@ -45,17 +50,26 @@ PAPER = {
     "transport": (4 + 1 + 2 + 1, 2, 2, 0),
     # gap 2 r - |d|; again |d| for the direction, lam / |d|, forces, times 1/m
     "two_discs": (2 + 2 + 1 + 2 + 2 + 2, 2 + 1 + 2 + 4 + 4, 2, 2),
-    # x and y of the finger from the box turned; D with two cosh, two exp, one log; its gradient with two sinh; slip: two relative velocities turned,
-    # omega times the arms, over the sum; gap and slip Jacobians of x, y and turn, times lam and f; drag and drive over m, over m c^2
+    # x and y of the finger from the box turned; D with two cosh, two exp, one log; its gradient
+    # with two sinh; slip: two relative velocities turned, omega times the arms, over the sum; gap
+    # and slip Jacobians of x, y and turn, times lam and f; drag and drive over m, over m c^2
     "push_box": (5 + 12 + 12 + 9, 12 + 22 + 1 + 26 + 18, 1 + 1 + 4, 7 + 8 + 8),
-    # leg sqrt(dx^2 + dz^2 + e^2); thrust less damping along it, hip across, spring; body, foot, gravity, over the masses; mu N
+    # leg sqrt(dx^2 + dz^2 + e^2); thrust less damping along it, hip across, spring; body, foot,
+    # gravity, over the masses; mu N
     "hopper_planar": (2 + 2 + 3 + 2 + 2 + 6, 3 + 2 + 2 + 4 + 2 + 1 + 4 + 2 + 1, 3 + 1 + 3, 1),
-    # gaps: tip of a finger four products and five sums, distance; M: inertias, two cosines; forces: sine of a, w^2, moments of lam/d about
-    # two joints; disc; solve: two blocks of two
+    # gaps: tip of a finger four products and five sums, distance; M: inertias, two cosines; forces:
+    # sine of a, w^2, moments of lam/d about two joints; disc; solve: two blocks of two
     "two_finger": (17 + 5 + 34 + 6, 13 + 13 + 46 + 6, 2 + 16, 10 + 2 + 12 + 7),
-    # the same; table; slips: velocity of the tip across the line of centres, turning; mu N; gravity of links and disc; friction at three bodies
-    "two_finger_lift": (19 + 29 + 57 + 5 + 6, 13 + 30 + 2 + 77 + 13 + 6, 4 + 6 + 16, 10 + 10 + 12 + 2 + 7),
-    # tip x + l sin; M: m_c + m_p, l m_p cos, l l m_p; forces; 2 x 2 Cholesky. Sine and cosine are called by each function that needs them
+    # the same; table; slips: velocity of the tip across the line of centres, turning; mu N; gravity
+    # of links and disc; friction at three bodies
+    "two_finger_lift": (
+        19 + 29 + 57 + 5 + 6,
+        13 + 30 + 2 + 77 + 13 + 6,
+        4 + 6 + 16,
+        10 + 10 + 12 + 2 + 7,
+    ),
+    # tip x + l sin; M: m_c + m_p, l m_p cos, l l m_p; forces; 2 x 2 Cholesky. Sine and cosine are
+    # called by each function that needs them
     "cart_pole_walls": (3 + 1 + 4 + 3, 1 + 1 + 2 + 8 + 3, 5, 4 + 2),
     # gaps; M with one cosine; forces with three sines; 2 x 2 Cholesky
     "acrobot_limits": (2 + 4 + 8 + 3, 2 + 8 + 17 + 3, 5, 4 + 2),
@@ -73,14 +87,26 @@ def test_generated_arithmetic_is_that_on_paper(name: str):
 
 @pytest.mark.parametrize("n", [2, 3, 8, 20])
 def test_a_chain_costs_a_fixed_number_of_operations_a_cart(n: int):
-    """n - 1 gaps of two additions; each cart c v, 1/m and two additions (damping; at the ends input and one contact, else two contacts); 1/m once."""
-    assert step_operations(cart_chain(n)) == {"add": 2 * (n - 1) + 2 * n, "multiply": 2 * n, "divide": 1, "call": 0}
+    """n - 1 gaps of two additions.
+
+    Each cart c v, 1/m and two additions (damping; at the ends input and one contact, else two
+    contacts); 1/m once.
+    """
+    assert step_operations(cart_chain(n)) == {
+        "add": 2 * (n - 1) + 2 * n,
+        "multiply": 2 * n,
+        "divide": 1,
+        "call": 0,
+    }
 
 
 @pytest.mark.parametrize(("expression", "expected"), [
-    ("a + b*c", Counter(add=1, multiply=1)), ("-a - (-b)", Counter(add=1)), ("(1.0/2.0)*a", Counter(multiply=1)),
-    ("1.0/(a*a)", Counter(multiply=1, divide=1)), ("sqrt(a*a + 1.0e-12) + sin(2.0)", Counter(add=2, multiply=1, call=1)),
-    ("pow(a, b + c)", Counter(add=1, call=1)), ("x[3] + x[i]*2.5e+3", Counter(add=1, multiply=1)), ("scene_energy(a*b, c)", Counter(multiply=1)),
+    ("a + b*c", Counter(add=1, multiply=1)), ("-a - (-b)", Counter(add=1)),
+    ("(1.0/2.0)*a", Counter(multiply=1)),
+    ("1.0/(a*a)", Counter(multiply=1, divide=1)),
+    ("sqrt(a*a + 1.0e-12) + sin(2.0)", Counter(add=2, multiply=1, call=1)),
+    ("pow(a, b + c)", Counter(add=1, call=1)), ("x[3] + x[i]*2.5e+3", Counter(add=1, multiply=1)),
+    ("scene_energy(a*b, c)", Counter(multiply=1)),
     ("3.0*4.0", Counter()),
 ])  # fmt: skip
 def test_every_form_of_arithmetic_is_counted(expression: str, expected: Counter):
@@ -91,17 +117,23 @@ def test_every_form_of_arithmetic_is_counted(expression: str, expected: Counter)
 @pytest.mark.slow
 def test_squared_factors_are_computed_once():
     """Of two fingers: eight sines and cosines and two roots for both gaps."""
-    assert count_operations(emit_model(load_scene("two_finger")))["scene_penetration"] == Counter(add=17, multiply=13, call=10)
+    assert count_operations(emit_model(load_scene("two_finger")))["scene_penetration"] == Counter(
+        add=17, multiply=13, call=10
+    )
 
 
 def test_adding_to_a_result_is_an_addition():
-    assert count_operations("SCENE_FUNCTION void f(double *y)\n{\n    y[0] += a*b;\n    (void)q;\n}\n") == {"f": Counter(add=1, multiply=1)}
+    assert count_operations(
+        "SCENE_FUNCTION void f(double *y)\n{\n    y[0] += a*b;\n    (void)q;\n}\n"
+    ) == {"f": Counter(add=1, multiply=1)}
 
 
 def cholesky_on_paper(n: int) -> Counter:
     """The loops of a dense factorisation and of its two triangular solves, walked."""
     products = sum(j + (n - 1 - j) * j for j in range(n)) + 2 * sum(range(n))
-    return Counter(add=products, multiply=products, divide=sum(n - 1 - j for j in range(n)) + 2 * n, call=n)
+    return Counter(
+        add=products, multiply=products, divide=sum(n - 1 - j for j in range(n)) + 2 * n, call=n
+    )
 
 
 def solve_operations(mass: sp.Matrix) -> Counter:
@@ -114,9 +146,14 @@ def test_solving_costs_what_a_dense_factorisation_does_where_the_mass_matrix_is_
 
 
 def test_zeros_of_the_mass_matrix_cost_nothing():
-    """Two fingers and a disc: two blocks of two, three numbers on the diagonal. An arrow costs as its point is first (fill) or last (none)."""
+    """Two fingers and a disc: two blocks of two, three numbers on the diagonal.
+
+    An arrow costs as its point is first (fill) or last (none).
+    """
     block = sp.ones(2)
-    fingers = sum([cholesky_on_paper(2), cholesky_on_paper(2), *[cholesky_on_paper(1)] * 3], Counter())
+    fingers = sum(
+        [cholesky_on_paper(2), cholesky_on_paper(2), *[cholesky_on_paper(1)] * 3], Counter()
+    )
     assert solve_operations(sp.diag(block, block, 1, 1, 1)) == fingers
     assert solve_operations(derive(load_scene("two_finger")).mass_matrix) == fingers
     last = sp.eye(5)
@@ -145,43 +182,72 @@ def test_a_sparse_factorisation_solves_what_a_dense_one_does(seed: int, tmp_path
 
 
 def test_no_trigonometry_where_there_is_none():
-    assert count_operations(emit_model(load_scene("three_cart")))["scene_acceleration_vjp"]["call"] == 0
+    assert (
+        count_operations(emit_model(load_scene("three_cart")))["scene_acceleration_vjp"]["call"]
+        == 0
+    )
     assert step_operations(load_scene("cart_pole_walls"))["call"] > cholesky_on_paper(2)["call"]
 
 
-X, P, W = Vector.of("x", ("a", "b", "c")), Vector.of("p", ("k",)), Vector.of("w", ("0", "1", "2"))
+X = Vector.of("x", ("a", "b", "c"))
+P = Vector.of("p", ("k",))
+W = Vector.of("w", ("0", "1", "2"))
 
 
-def _numbers(definitions: Definitions, columns: list[sp.Matrix], values: dict[sp.Symbol, float]) -> list[np.ndarray]:
+def _numbers(
+    definitions: Definitions, columns: list[sp.Matrix], values: dict[sp.Symbol, float]
+) -> list[np.ndarray]:
     known = dict(values)
     for symbol, value in definitions:
         known[symbol] = float(value.xreplace(known))
-    return [np.array([float(sp.sympify(entry).xreplace(known)) for entry in column]) for column in columns]
+    return [
+        np.array([float(sp.sympify(entry).xreplace(known)) for entry in column])
+        for column in columns
+    ]
 
 
-def _pushed(function: sp.Matrix, vectors: list[Vector], values: dict[sp.Symbol, float]) -> np.ndarray:
+def _pushed(
+    function: sp.Matrix, vectors: list[Vector], values: dict[sp.Symbol, float]
+) -> np.ndarray:
     definitions, column = push_forward(function, vectors)
     return _numbers(definitions, [column], values)[0]
 
 
 def _values(random: np.random.Generator, *vectors: Vector) -> dict[sp.Symbol, float]:
-    return {symbol: float(value) for vector in vectors for symbol, value in zip(vector.symbols, random.normal(size=9), strict=False)}
+    return {
+        symbol: float(value)
+        for vector in vectors
+        for symbol, value in zip(vector.symbols, random.normal(size=9), strict=False)
+    }
 
 
 def _column() -> sp.Matrix:
     a, b, c = X.symbols
     (k,) = P.symbols
     shared = sp.sin(a * b) + k * c**2
-    return sp.Matrix([shared**3 * sp.exp(-shared), shared / (1 + sp.cos(c) ** 2) + a, k * sp.tanh(shared) * sp.sqrt(1 + b**2)])
+    return sp.Matrix(
+        [
+            shared**3 * sp.exp(-shared),
+            shared / (1 + sp.cos(c) ** 2) + a,
+            k * sp.tanh(shared) * sp.sqrt(1 + b**2),
+        ]
+    )
 
 
 def test_both_products_are_those_of_the_jacobian():
     function, random = _column(), np.random.default_rng(3)
     values = _values(random, X, P, W, tangent(X), tangent(P))
-    jacobian = [np.array(function.jacobian(x.column).xreplace(values).tolist(), dtype=float) for x in (X, P)]
-    along, weights = ([np.array([values[s] for s in tangent(x).symbols]) for x in (X, P)], np.array([values[s] for s in W.symbols]))
+    jacobian = [
+        np.array(function.jacobian(x.column).xreplace(values).tolist(), dtype=float) for x in (X, P)
+    ]
+    along, weights = (
+        [np.array([values[s] for s in tangent(x).symbols]) for x in (X, P)],
+        np.array([values[s] for s in W.symbols]),
+    )
 
-    assert _pushed(function, [X, P], values) == pytest.approx(jacobian[0] @ along[0] + jacobian[1] @ along[1], rel=1e-13)
+    assert _pushed(function, [X, P], values) == pytest.approx(
+        jacobian[0] @ along[0] + jacobian[1] @ along[1], rel=1e-13
+    )
     pulled = _numbers(*pull_back(function, W, [X, P]), values)
     assert pulled[0] == pytest.approx(jacobian[0].T @ weights, rel=1e-13)
     assert pulled[1] == pytest.approx(jacobian[1].T @ weights, rel=1e-13)
@@ -190,16 +256,29 @@ def test_both_products_are_those_of_the_jacobian():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", scene_names())
 def test_products_of_the_equations_of_motion_are_each_others_transposes(name: str):
-    """w . (df/dx dx) = (df/dx' w) . dx for the residual f - M a of every scene, along everything it depends on."""
+    """w .
+
+    (df/dx dx) = (df/dx' w) . dx for the residual f - M a of every scene, along everything it
+    depends on.
+    """
     x = SceneVectors.of(derive(load_scene(name)))
     a = x.q.like("a")
     residual = x.local(x.dynamics.generalised_force) - x.local(x.dynamics.mass_matrix) * a.column
     moving = [vector for vector in (*x.arguments, a) if vector.symbols]
     weights, random = x.q.like("w"), np.random.default_rng(7)
-    values = {symbol: float(random.uniform(0.3, 1.3)) for vector in (*moving, *map(tangent, moving), weights) for symbol in vector.symbols}
+    values = {
+        symbol: float(random.uniform(0.3, 1.3))
+        for vector in (*moving, *map(tangent, moving), weights)
+        for symbol in vector.symbols
+    }
     pulled = _numbers(*pull_back(residual, weights, moving), values)
-    forward = _pushed(residual, moving, values) @ np.array([values[symbol] for symbol in weights.symbols])
-    terms = [bar @ np.array([values[s] for s in tangent(vector).symbols]) for vector, bar in zip(moving, pulled, strict=True)]
+    forward = _pushed(residual, moving, values) @ np.array(
+        [values[symbol] for symbol in weights.symbols]
+    )
+    terms = [
+        bar @ np.array([values[s] for s in tangent(vector).symbols])
+        for vector, bar in zip(moving, pulled, strict=True)
+    ]
     assert abs(forward) > 1e-3
     assert sum(terms) == pytest.approx(forward, rel=1e-10, abs=1e-10 * sum(map(abs, terms)))
 
@@ -210,17 +289,37 @@ def test_shared_subexpressions_are_differentiated_once():
     value: sp.Expr = x
     for _ in range(30):
         value = sp.sin(value) * value
-    for definitions, _ in (push_forward(sp.Matrix([value]), [vector]), pull_back(sp.Matrix([value]), Vector.of("w", ("0",)), [vector])):
+    for definitions, _ in (
+        push_forward(sp.Matrix([value]), [vector]),
+        pull_back(sp.Matrix([value]), Vector.of("w", ("0",)), [vector]),
+    ):
         assert sum(int(sp.count_ops(term)) for _, term in definitions) < 30 * 12
 
 
 def test_c_functions_define_before_they_use_and_leave_out_what_nothing_needs():
     pushed = forward_function("void push", (X, P, tangent(X)), "df", _column(), [X])
-    pulled = backward_function("void pull", (X, P, W), sp.Matrix([X.symbols[0] ** 2 * P.symbols[0], 0, sp.sin(P.symbols[0])]), W, [X])
+    pulled = backward_function(
+        "void pull",
+        (X, P, W),
+        sp.Matrix([X.symbols[0] ** 2 * P.symbols[0], 0, sp.sin(P.symbols[0])]),
+        W,
+        [X],
+    )
     for text in (pushed, pulled):
         lines = text.splitlines()
-        defined = {line.split()[2]: number for number, line in enumerate(lines) if line.startswith("    const double ")}
-        used = {name: [n for n, line in enumerate(lines) if re.search(rf"\b{name}\b", line.partition("=")[2])] for name in defined}
+        defined = {
+            line.split()[2]: number
+            for number, line in enumerate(lines)
+            if line.startswith("    const double ")
+        }
+        used = {
+            name: [
+                n
+                for n, line in enumerate(lines)
+                if re.search(rf"\b{name}\b", line.partition("=")[2])
+            ]
+            for name in defined
+        }
         assert all(numbers and min(numbers) > defined[name] for name, numbers in used.items()), text
     assert "sin" in pushed
     assert "sin" not in pulled  # sin(k) does not depend on x
@@ -235,7 +334,8 @@ def test_derivatives_of_empty_columns_are_empty():
 LAWS = ((ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3))
 # States in contact, away from kinks: (positions, velocities).
 STATES = {
-    "three_cart": (2.0, 2.4, 2.8, 0.3, -0.2, 0.1), "acrobot_limits": (0.3, -0.5, 0.7, -0.4), "transport": (2.2, 1.0, 0.5, -0.4),
+    "three_cart": (2.0, 2.4, 2.8, 0.3, -0.2, 0.1), "acrobot_limits": (0.3, -0.5, 0.7, -0.4),
+    "transport": (2.2, 1.0, 0.5, -0.4),
     "cart_pole_walls": (0.7, 0.5, 0.2, -0.3), "damped_arm": (0.2, -0.06, 0.5, 0.3, -0.2, 0.4),
 }  # fmt: skip
 
@@ -247,7 +347,9 @@ def steps_of(name: str) -> Steps:
 
 @pytest.mark.parametrize("name", STATES)
 @pytest.mark.parametrize(("law", "eps"), LAWS)
-def test_jacobians_are_finite_differences_of_the_step(name: str, law: ContactLaw, eps: float | None):
+def test_jacobians_are_finite_differences_of_the_step(
+    name: str, law: ContactLaw, eps: float | None
+):
     steps = steps_of(name)
     random = np.random.default_rng(1)
     x = np.array(STATES[name]) + 0.01 * random.normal(size=(3, len(STATES[name])))
@@ -277,7 +379,9 @@ def test_steps_one_by_one_are_the_rollout_bit_for_bit(name: str):
     alone = steps.linearise(x[:-1], u, 0.005)
     assert np.array_equal(alone.next, x[1:])
     assert np.array_equal(alone.lam, whole.lam)
-    run = steps.follow(x[0], np.zeros((40, x.shape[1])), u, np.zeros((40, scene.nu, x.shape[1])), 0.005)
+    run = steps.follow(
+        x[0], np.zeros((40, x.shape[1])), u, np.zeros((40, scene.nu, x.shape[1])), 0.005
+    )
     assert np.array_equal(run.x, x)
     assert np.array_equal(run.u, u)
     assert not run.diverged
@@ -301,7 +405,13 @@ def test_non_finite_steps_are_reported():
     steps = steps_of("three_cart")
     x = np.array([STATES["three_cart"]])
     assert steps.linearise(x, np.array([[np.inf, 0.0]]), 0.01) is None
-    run = steps.follow(x[0], np.zeros((3, 6)), np.array([[0.0, 0.0], [np.nan, 0.0], [0.0, 0.0]]), np.zeros((3, 2, 6)), 0.01)
+    run = steps.follow(
+        x[0],
+        np.zeros((3, 6)),
+        np.array([[0.0, 0.0], [np.nan, 0.0], [0.0, 0.0]]),
+        np.zeros((3, 2, 6)),
+        0.01,
+    )
     assert run.diverged
     assert run.finite_steps == 1
     with pytest.raises(KernelError, match=r"x has shape \(1, 5\)"):

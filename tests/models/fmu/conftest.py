@@ -29,23 +29,43 @@ NAMES = ("three_cart", "bouncing_mass", "two_body_collision", "two_link_arm", "o
 class Driver:
     """One instance of an FMU, by variable names. `log` collects (status, category, message)."""
 
-    prefix, doubles, rates = "fmi2", "Real", "GetDerivatives"  # in the names of FMI's functions
+    # in the names of FMI's functions
+    prefix = "fmi2"
+    doubles = "Real"
+    rates = "GetDerivatives"
 
-    def __init__(self, scene: Scene, folder: str, kind: type, *, guid: str | None = None, logging: bool = False) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        folder: str,
+        kind: type,
+        *,
+        guid: str | None = None,
+        logging: bool = False,
+    ) -> None:
         self._prepare(scene, folder, kind, guid)
         self._callbacks = fmi2CallbackFunctions()
         self._callbacks.logger = fmi2CallbackLoggerTYPE(
-            lambda environment, name, status, category, message: self.log.append((status, category.decode(), message.decode()))
+            lambda environment, name, status, category, message: self.log.append(
+                (status, category.decode(), message.decode())
+            )
         )
         self.fmu.instantiate(callbacks=self._callbacks, loggingOn=logging)
 
     def _prepare(self, scene: Scene, folder: str, kind: type, guid: str | None = None) -> None:
         self.scene, self.names = scene, variable_names(scene)
         self.description = fmpy.read_model_description(folder)
-        self.references = {variable.name: variable.valueReference for variable in self.description.modelVariables}
+        self.references = {
+            variable.name: variable.valueReference for variable in self.description.modelVariables
+        }
         self.log: list[tuple[int, str, str]] = []
         guid = guid or self.description.guid or self.description.instantiationToken
-        self.fmu: Any = kind(guid=guid, unzipDirectory=folder, modelIdentifier=scene.name, instanceName="under 100 % test")
+        self.fmu: Any = kind(
+            guid=guid,
+            unzipDirectory=folder,
+            modelIdentifier=scene.name,
+            instanceName="under 100 % test",
+        )
 
     def close(self) -> None:
         if self.fmu.component is not None:
@@ -65,14 +85,25 @@ class Driver:
         if names:
             self.set(**dict(zip(names, map(float, values), strict=True)))
 
-    def directional(self, unknowns: tuple[str, ...], knowns: tuple[str, ...], seed: np.ndarray) -> np.ndarray:
-        return np.array(self.fmu.getDirectionalDerivative(self.vr(unknowns), self.vr(knowns), list(seed)))
+    def directional(
+        self, unknowns: tuple[str, ...], knowns: tuple[str, ...], seed: np.ndarray
+    ) -> np.ndarray:
+        return np.array(
+            self.fmu.getDirectionalDerivative(self.vr(unknowns), self.vr(knowns), list(seed))
+        )
 
     def enter_initialization(self, stop: float | None) -> None:
         self.fmu.setupExperiment(startTime=0.0, stopTime=stop)
         self.fmu.enterInitializationMode()
 
-    def initialise(self, q: Any = None, v: Any = None, u: Any = None, stop: float | None = None, **values: float) -> Driver:
+    def initialise(
+        self,
+        q: Any = None,
+        v: Any = None,
+        u: Any = None,
+        stop: float | None = None,
+        **values: float,
+    ) -> Driver:
         self.enter_initialization(stop)
         for names, given in ((self.names.q, q), (self.names.v, v), (self.names.u, u)):
             if given is not None:
@@ -94,7 +125,9 @@ class Driver:
 
     def _array(self, call: str, size: int) -> np.ndarray:
         array = np.full(size, np.nan)
-        getattr(self.fmu, self.prefix + call)(self.fmu.component, array.ctypes.data_as(_DOUBLES), size)
+        getattr(self.fmu, self.prefix + call)(
+            self.fmu.component, array.ctypes.data_as(_DOUBLES), size
+        )
         return array
 
     @property
@@ -104,7 +137,9 @@ class Driver:
     @states.setter
     def states(self, x: np.ndarray) -> None:
         array = np.ascontiguousarray(x, dtype=float)
-        getattr(self.fmu, f"{self.prefix}SetContinuousStates")(self.fmu.component, array.ctypes.data_as(_DOUBLES), array.size)
+        getattr(self.fmu, f"{self.prefix}SetContinuousStates")(
+            self.fmu.component, array.ctypes.data_as(_DOUBLES), array.size
+        )
 
     @property
     def derivatives(self) -> np.ndarray:
@@ -150,7 +185,9 @@ class Driver:
 class Driver3(Driver):
     """As Driver, for FMI 3.0."""
 
-    prefix, doubles, rates = "fmi3", "Float64", "GetContinuousStateDerivatives"
+    prefix = "fmi3"
+    doubles = "Float64"
+    rates = "GetContinuousStateDerivatives"
 
     def __init__(self, scene: Scene, folder: str, kind: type, **options: Any) -> None:
         self._prepare(scene, folder, kind)
@@ -160,8 +197,14 @@ class Driver3(Driver):
 
         self.fmu.instantiate(logMessage=log, **options)
 
-    def adjoint(self, unknowns: tuple[str, ...], knowns: tuple[str, ...], seed: np.ndarray) -> np.ndarray:
-        return np.array(self.fmu.getAdjointDerivative(self.vr(unknowns), self.vr(knowns), list(seed), nSensitivity=len(knowns)))
+    def adjoint(
+        self, unknowns: tuple[str, ...], knowns: tuple[str, ...], seed: np.ndarray
+    ) -> np.ndarray:
+        return np.array(
+            self.fmu.getAdjointDerivative(
+                self.vr(unknowns), self.vr(knowns), list(seed), nSensitivity=len(knowns)
+            )
+        )
 
     def enter_initialization(self, stop: float | None) -> None:
         self.fmu.enterInitializationMode(startTime=0.0, stopTime=stop)
@@ -188,7 +231,10 @@ class Reference:
     def value(self, what: str, *groups: str) -> Callable[..., np.ndarray]:
         d = derive(self.scene)
         expression = getattr(d, what)
-        return d.function(expression if hasattr(expression, "shape") else [expression], *(getattr(d, group) for group in groups))
+        return d.function(
+            expression if hasattr(expression, "shape") else [expression],
+            *(getattr(d, group) for group in groups),
+        )
 
     def penetration(self, q: np.ndarray) -> np.ndarray:
         return self.value("penetration", "q")(q).ravel()
@@ -196,9 +242,13 @@ class Reference:
     def force(self, q: np.ndarray) -> np.ndarray:
         return self.value("stiffness")().ravel() * np.maximum(self.penetration(q), 0.0)
 
-    def acceleration(self, q: np.ndarray, v: np.ndarray, u: np.ndarray, lam: np.ndarray) -> np.ndarray:
+    def acceleration(
+        self, q: np.ndarray, v: np.ndarray, u: np.ndarray, lam: np.ndarray
+    ) -> np.ndarray:
         mass = self.value("mass_matrix", "q")(q)
-        return np.linalg.solve(mass, self.value("generalised_force", "q", "v", "u", "lam")(q, v, u, lam).ravel())
+        return np.linalg.solve(
+            mass, self.value("generalised_force", "q", "v", "u", "lam")(q, v, u, lam).ravel()
+        )
 
 
 def probes(scene: Scene) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -264,7 +314,10 @@ def probe_points() -> Callable[[Scene], list[tuple[np.ndarray, np.ndarray, np.nd
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory):
-    """robot(text, *contacts, keyframe=..) reads a robot from a text; one text has one name, and with that its FMUs are built once."""
+    """robot(text, *contacts, keyframe=..) reads a robot from a text.
+
+    One text has one name, and with that its FMUs are built once.
+    """
     pytest.importorskip("mujoco")
     folder, names = tmp_path_factory.mktemp("robots"), {}
 

@@ -24,7 +24,11 @@ def drive_on(driver, start):
         if driver.names.u:
             driver.set_all(driver.names.u, 6.0 * np.cos(n + np.arange(len(driver.names.u))))
         driver.fmu.doStep(start + n * 0.01, 0.01)
-        rows.append(driver.get(*driver.names.q, *driver.names.v, *driver.names.lam, driver.names.kinetic_energy))
+        rows.append(
+            driver.get(
+                *driver.names.q, *driver.names.v, *driver.names.lam, driver.names.kinetic_energy
+            )
+        )
     return np.array(rows)
 
 
@@ -37,7 +41,9 @@ def test_serialised_state_carries_over_to_another_instance(any_scene, drive):
     assert everything(other) == data
     np.testing.assert_array_equal(drive_on(other, 0.3), drive_on(one, 0.3))
     other.refused(lambda: other.fmu.deSerializeFMUstate(data[:-1]), "not a state of this model")
-    other.refused(lambda: other.fmu.deSerializeFMUstate(b"x" * len(data)), "not a state of this model")
+    other.refused(
+        lambda: other.fmu.deSerializeFMUstate(b"x" * len(data)), "not a state of this model"
+    )
     assert everything(other) == everything(one)
     other.fmu.freeFMUstate(state)
 
@@ -82,7 +88,9 @@ def test_calls_in_the_wrong_state_are_refused_in_words(scene_of, drive):
     cs.refused(fmu.exitInitializationMode, "fmi2ExitInitializationMode")
     cs.refused(fmu.terminate, "fmi2Terminate")
     cs.refused(lambda: fmu.setupExperiment(startTime=math.nan), "start time")
-    cs.refused(lambda: fmu.setupExperiment(startTime=2.0, stopTime=1.0), "stop time 1 s", "start time 2 s")
+    cs.refused(
+        lambda: fmu.setupExperiment(startTime=2.0, stopTime=1.0), "stop time 1 s", "start time 2 s"
+    )
     cs.initialise()
     cs.refused(lambda: fmu.setupExperiment(), "'step complete'")
     cs.refused(fmu.enterInitializationMode, "'step complete'")
@@ -104,8 +112,16 @@ def test_calls_in_the_wrong_state_are_refused_in_words(scene_of, drive):
 
 
 def test_functions_of_the_other_fmu_type_are_refused(scene_of, drive):
-    me, cs = drive(scene_of("three_cart"), "me").initialise(), drive(scene_of("three_cart"), "cs").initialise()
-    me.fmu.dll.fmi2DoStep.argtypes = [ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int]
+    me, cs = (
+        drive(scene_of("three_cart"), "me").initialise(),
+        drive(scene_of("three_cart"), "cs").initialise(),
+    )
+    me.fmu.dll.fmi2DoStep.argtypes = [
+        ctypes.c_void_p,
+        ctypes.c_double,
+        ctypes.c_double,
+        ctypes.c_int,
+    ]
     assert me.fmu.dll.fmi2DoStep(me.fmu.component, 0.0, 0.1, 0) == 3
     assert "belongs to Co-Simulation" in me.log[-1][2]
     cs.fmu.dll.fmi2EnterEventMode.argtypes = [ctypes.c_void_p]
@@ -145,7 +161,11 @@ def test_status_queries_answer_or_say_why_not(scene_of, drive):
     flag = ctypes.c_int(7)
     cs.fmu.fmi2GetBooleanStatus(cs.fmu.component, 3, ctypes.byref(flag))
     assert flag.value == 0
-    cs.refused(lambda: cs.fmu.fmi2GetStatus(cs.fmu.component, 0, ctypes.byref(flag)), "fmi2GetStatus", "synchronous")
+    cs.refused(
+        lambda: cs.fmu.fmi2GetStatus(cs.fmu.component, 0, ctypes.byref(flag)),
+        "fmi2GetStatus",
+        "synchronous",
+    )
 
 
 def test_log_categories(scene_of, drive):
@@ -162,7 +182,10 @@ EXACT = {"atol": 1e-12, "rtol": 0}
 
 
 def run_with_events(cs, end, step):
-    """Step to `end`, entering event mode where the FMU asks for it; returns the times at which it did."""
+    """Step to `end`, entering event mode where the FMU asks for it.
+
+    Returns the times at which it did.
+    """
     t, events, grid = 0.0, [], 1
     while t < end - 1e-12:
         goal = min(grid * step, end)
@@ -191,9 +214,13 @@ def with_event_mode(drive, scene):
 def test_early_return_is_at_the_closed_form_of_contact(scene_of, drive, constants):
     exact = constants("bouncing_mass")
     cs = with_event_mode(drive, scene_of("bouncing_mass"))
-    step = exact.FALL_TIME + exact.CONTACT_TIME / 3  # the contact closes within the first step and opens within the second
+    step = (
+        exact.FALL_TIME + exact.CONTACT_TIME / 3
+    )  # the contact closes within the first step and opens within the second
     events = run_with_events(cs, 2 * step, step)
-    np.testing.assert_allclose(events, [exact.FALL_TIME, exact.FALL_TIME + exact.CONTACT_TIME], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        events, [exact.FALL_TIME, exact.FALL_TIME + exact.CONTACT_TIME], rtol=0, atol=1e-9
+    )
 
 
 def test_contact_changes_in_event_mode_only(scene_of, drive):
@@ -236,9 +263,13 @@ def test_motion_is_the_same_however_events_are_handled(any_scene, drive, mode):
 
 
 def observed(drive, scene, update, required=("u1",), **options):
-    names = {variable.name: variable.valueReference for variable in drive(scene, "cs", "3.0").description.modelVariables}
+    names = {
+        variable.name: variable.valueReference
+        for variable in drive(scene, "cs", "3.0").description.modelVariables
+    }
     return drive(
-        scene, "cs", "3.0", intermediateUpdate=update, requiredIntermediateVariables=[names[name] for name in required], **options,
+        scene, "cs", "3.0", intermediateUpdate=update,
+        requiredIntermediateVariables=[names[name] for name in required], **options,
     )  # fmt: skip
 
 
@@ -266,7 +297,9 @@ def test_inputs_that_vary_keep_the_order(scene_of, drive):
     scene = scene_of("three_cart").with_parameters(c=0.0)
     want = [2 + 3 / 7 * (1 - math.sin(7) / 7), 3 / 7 * (1 - math.cos(7))]
     counts = 10 * 2 ** np.arange(4)
-    errors = [np.abs(sine_driven(scene, drive, count).get("q1", "v1") - want).max() for count in counts]
+    errors = [
+        np.abs(sine_driven(scene, drive, count).get("q1", "v1") - want).max() for count in counts
+    ]
     slope = np.polyfit(np.log(1.0 / counts), np.log(errors), 1)[0]
     assert abs(slope - 4) < 0.25, (slope, errors)
 
@@ -284,7 +317,11 @@ def test_a_linear_input_equals_the_input_derivative_of_fmi_2(scene_of, drive):
     assert two.get("lam_left")[0] > 0.01  # through contact
     three = observed(drive, scene, update).initialise(u=[a, 0.0])
     three.fmu.doStep(0.0, 1.0)
-    np.testing.assert_allclose(three.get("u1", *three.names.q, *three.names.v), two.get("u1", *two.names.q, *two.names.v), **EXACT)
+    np.testing.assert_allclose(
+        three.get("u1", *three.names.q, *three.names.v),
+        two.get("u1", *two.names.q, *two.names.v),
+        **EXACT,
+    )
 
 
 def test_intermediate_update_tells_the_state_in_order_of_time(scene_of, drive):
@@ -298,11 +335,15 @@ def test_intermediate_update_tells_the_state_in_order_of_time(scene_of, drive):
         with pytest.raises(Exception, match="status 3"):
             cs.fmu.doStep(time, 0.1)
 
-    cs = observed(drive, scene, update, required=("q1",)).initialise(u=[1.0, 0.0], c=0.0, internal_step=0.1)
+    cs = observed(drive, scene, update, required=("q1",)).initialise(
+        u=[1.0, 0.0], c=0.0, internal_step=0.1
+    )
     cs.fmu.doStep(0.0, 1.0)
     times = np.array(seen)[:, 0]
     np.testing.assert_allclose(times, np.arange(1, 11) / 10, **EXACT)
-    np.testing.assert_allclose(np.array(seen)[:, 1:], np.column_stack([times, 2 + times**2 / 2, times]), **EXACT)
+    np.testing.assert_allclose(
+        np.array(seen)[:, 1:], np.column_stack([times, 2 + times**2 / 2, times]), **EXACT
+    )
 
 
 @pytest.mark.parametrize(("wish", "reached"), [(0.32, 0.32), (0.0, 0.3), (5.0, 1.0)])
@@ -312,7 +353,9 @@ def test_importer_may_ask_for_an_early_return(scene_of, drive, wish, reached):
         if finished and time > 0.29:
             early[0], when[0] = True, wish
 
-    cs = observed(drive, scene_of("three_cart"), update, earlyReturnAllowed=True).initialise(u=[1.0, 0.0], c=0.0, internal_step=0.1)
+    cs = observed(drive, scene_of("three_cart"), update, earlyReturnAllowed=True).initialise(
+        u=[1.0, 0.0], c=0.0, internal_step=0.1
+    )
     event, _, early, last = cs.fmu.doStep(0.0, 1.0)
     assert (event, early) == (False, reached < 1.0)
     assert last == pytest.approx(reached, abs=1e-12)
@@ -328,7 +371,9 @@ def test_input_parabola_is_used_up_to_an_early_return_at_contact(scene_of, drive
         if may_set:
             cs.set(u1=9.0 - 3.0 * time)
 
-    cs = observed(drive, scene, update, earlyReturnAllowed=True).initialise(u=[9.0, 0.0], internal_step=0.05)
+    cs = observed(drive, scene, update, earlyReturnAllowed=True).initialise(
+        u=[9.0, 0.0], internal_step=0.05
+    )
     _, _, early, reached = cs.fmu.doStep(0.0, 2.0)
     assert early
     assert cs.get("u1")[0] == pytest.approx(9.0 - 3.0 * reached, abs=1e-12)
@@ -346,13 +391,24 @@ def test_state_of_event_mode_is_refused_without_it(scene_of, drive):
 
 
 @pytest.mark.parametrize(
-    "options", [{}, {"early_return_allowed": True}, {"use_event_mode": True}, {"early_return_allowed": True, "use_event_mode": True}]
+    "options",
+    [
+        {},
+        {"early_return_allowed": True},
+        {"use_event_mode": True},
+        {"early_return_allowed": True, "use_event_mode": True},
+    ],
 )
 def test_stock_importer_simulates_fmi_3(scene_of, unpacked, options):
     samples = [(0.0, 8.0, -5.0), (1.0, 8.0, -5.0), (1.0, -2.0, 0.0), (2.0, -2.0, 0.0)]
     signal = np.array(samples, dtype=[("time", float), ("u1", float), ("u3", float)])
     scene = scene_of("three_cart")
-    common = {"fmi_type": "CoSimulation", "stop_time": 2.0, "output_interval": 0.01, "input": signal}
+    common = {
+        "fmi_type": "CoSimulation",
+        "stop_time": 2.0,
+        "output_interval": 0.01,
+        "input": signal,
+    }
     want = fmpy.simulate_fmu(unpacked(scene), **common)
     got = fmpy.simulate_fmu(unpacked(scene, "3.0"), **common, **options)
     np.testing.assert_allclose(list(got[-1]), list(want[-1]), **EXACT)

@@ -47,7 +47,10 @@ class Slave:
     """An instance by names of variables."""
 
     def __init__(self, package, kind: str) -> None:
-        self.references = {variable.name: int(variable.valueReference) for variable in package.description.modelVariables}
+        self.references = {
+            variable.name: int(variable.valueReference)
+            for variable in package.description.modelVariables
+        }
         self.fmu = load_instance(package, kind)
         self.time = 0.0
 
@@ -56,7 +59,12 @@ class Slave:
 
     def begin(self, start: float = 0.0, **settings: float) -> "Slave":
         self.time = start
-        self.fmu.initialise(start, [(self.references[name], value) for name, value in settings.items()], References([]), np.zeros(0))
+        self.fmu.initialise(
+            start,
+            [(self.references[name], value) for name, value in settings.items()],
+            References([]),
+            np.zeros(0),
+        )
         return self
 
     def get(self, *names: str) -> np.ndarray:
@@ -83,7 +91,9 @@ def instance(robot, kind: str = "CS", version: str = "2.0", **settings: float):
 
 
 def states_of(robot) -> list[str]:
-    return [variable.name for variable in robot.table if variable.kind.name in ("POSITION", "VELOCITY")]
+    return [
+        variable.name for variable in robot.table if variable.kind.name in ("POSITION", "VELOCITY")
+    ]
 
 
 def state_of(data) -> np.ndarray:
@@ -112,8 +122,12 @@ def test_the_motion_is_that_of_mj_step_to_the_bit(robot, version: str):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("length", "own"), [(2.5 * H, 2.5 * H / 3), (0.4 * H, 0.4 * H), (H * (1 + 1e-12), H)])
-def test_equal_steps_no_longer_than_the_model_s_divide_a_communication_step(robot, length: float, own: float):
+@pytest.mark.parametrize(
+    ("length", "own"), [(2.5 * H, 2.5 * H / 3), (0.4 * H, 0.4 * H), (H * (1 + 1e-12), H)]
+)
+def test_equal_steps_no_longer_than_the_model_s_divide_a_communication_step(
+    robot, length: float, own: float
+):
     leg = robot(LEG)
     leg.model.opt.timestep = own
     data = mujoco.MjData(leg.model)
@@ -129,7 +143,14 @@ def test_a_robot_starts_at_its_keyframe(robot):
     data = mujoco.MjData(leg.model)
     mujoco.mj_resetDataKeyframe(leg.model, data, 0)
     with instance(leg) as fmu:
-        assert fmu.get("q_root_z", "q_hip", "q_knee", "act_knee", "u_hip", "u_knee").tolist() == [0.5, 0.4, -0.8, -0.8, 1.0, -0.8]
+        assert fmu.get("q_root_z", "q_hip", "q_knee", "act_knee", "u_hip", "u_knee").tolist() == [
+            0.5,
+            0.4,
+            -0.8,
+            -0.8,
+            1.0,
+            -0.8,
+        ]
         fmu.step(H, 100)
         mujoco.mj_step(leg.model, data, 100)
         assert fmu.get(*states_of(leg)).tolist() == state_of(data).tolist()
@@ -144,10 +165,15 @@ def test_outputs_are_those_of_the_state_that_is_reached(robot):
         mujoco.mj_step(leg.model, data, 300)
         leg.model.opt.tolerance = 1e-14  # what is read is not left where a step may stop
         mujoco.mj_forward(leg.model, data)  # mj_step leaves what belongs to the step's beginning
-        assert fmu.get("s_hip_angle", "s_imu_0", "s_imu_1", "s_imu_2", "s_trunk").tolist() == data.sensordata.tolist()
+        assert (
+            fmu.get("s_hip_angle", "s_imu_0", "s_imu_1", "s_imu_2", "s_trunk").tolist()
+            == data.sensordata.tolist()
+        )
         assert fmu.get("der(v_hip)").tolist() == data.qacc[6:7].tolist()
         hull, floor = (leg.model.geom(name).id for name in ("hull", "floor"))
-        assert fmu.get("gap_trunk_floor") == pytest.approx(mujoco.mj_geomDistance(leg.model, data, hull, floor, 10.0, None), abs=1e-12)
+        assert fmu.get("gap_trunk_floor") == pytest.approx(
+            mujoco.mj_geomDistance(leg.model, data, hull, floor, 10.0, None), abs=1e-12
+        )
 
 
 @pytest.mark.slow
@@ -165,7 +191,12 @@ def test_a_block_that_lies_presses_with_its_weight(robot, mass: float):
 @pytest.mark.slow
 def test_rates_are_those_of_ever_smaller_steps_and_forces_those_of_the_steps(robot):
     """A time constant of 2 ms is cut at twice a step of 5 ms: by such steps a block comes to rest deeper than its own spring would let it lie."""
-    made = robot(BLOCK.replace('timestep="0.001"', 'timestep="0.005"').replace("<geom", '<geom solref=".002 1"'), "block:floor")
+    made = robot(
+        BLOCK.replace('timestep="0.001"', 'timestep="0.005"').replace(
+            "<geom", '<geom solref=".002 1"'
+        ),
+        "block:floor",
+    )
     with instance(made) as fmu:
         fmu.step(0.005, 2000)
         force, rate, depth = fmu.get("lam_block_floor", "der(v_z)", "q_z")
@@ -181,23 +212,33 @@ def test_rates_are_those_of_ever_smaller_steps_and_forces_those_of_the_steps(rob
 def test_without_gravity_nothing_presses(robot):
     with instance(robot(BLOCK, "block:floor"), gravity_z=0.0, q_z=0.25) as fmu:
         fmu.step(0.001, 100)
-        assert fmu.get("lam_block_floor", "gap_block_floor", "q_z") == pytest.approx([0.0, 0.25, 0.25], abs=1e-15)
+        assert fmu.get("lam_block_floor", "gap_block_floor", "q_z") == pytest.approx(
+            [0.0, 0.25, 0.25], abs=1e-15
+        )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scale", [1.0, 0.4, 0.0])
 def test_a_block_that_slides_is_slowed_by_its_friction(robot, scale: float):
-    """By mu g, as long as it slides: 2 m/s lose 0.98 m/s in 0.2 s. MuJoCo's smallest coefficient is 1e-5."""
+    """By mu g, as long as it slides: 2 m/s lose 0.98 m/s in 0.2 s.
+
+    MuJoCo's smallest coefficient is 1e-5.
+    """
     with instance(robot(BLOCK), v_x=2.0, friction_scale=scale, q_z=-1e-4) as fmu:
         fmu.step(0.001, 200)
         with pytest.raises(FMICallException):
             fmu.set(v_x=2.0)  # a state is set at the start alone
-        assert fmu.get("v_x")[0] == pytest.approx(2.0 - max(scale * 0.5, 1e-5) * 9.81 * 0.2, abs=2e-2 * scale + 1e-8)
+        assert fmu.get("v_x")[0] == pytest.approx(
+            2.0 - max(scale * 0.5, 1e-5) * 9.81 * 0.2, abs=2e-2 * scale + 1e-8
+        )
 
 
 @pytest.mark.slow
 def test_a_stiffer_contact_gives_less_and_a_harder_one_too(robot):
-    """The depth at rest goes as 1 / stiffness; a constraint that gives way by half as much lets a heavy block in by less."""
+    """The depth at rest goes as 1 / stiffness.
+
+    A constraint that gives way by half as much lets a heavy block in by less.
+    """
 
     def depth(**parameters: float) -> float:
         with instance(robot(BLOCK, "block:floor"), timestep=1e-4, **parameters) as fmu:
@@ -227,7 +268,9 @@ def test_parameters_may_change_between_steps_and_back(robot):
         fmu.time = after - 10 * H
         fmu.set(gravity_x=1.0)
         fmu.step(H, 10)
-        assert fmu.get("v_root_x")[0] - plain[states_of(leg).index("v_root_x")] == pytest.approx(10 * H, rel=0.2)
+        assert fmu.get("v_root_x")[0] - plain[states_of(leg).index("v_root_x")] == pytest.approx(
+            10 * H, rel=0.2
+        )
         fmu.fmu.forget(saved)
 
 
@@ -236,17 +279,26 @@ def test_parameters_may_change_between_steps_and_back(robot):
 def test_model_exchange_is_the_equations_of_motion(robot, version: str):
     """A point at the end of a rod: dw/dt = -g/l sin(angle); a quaternion turns as q (0, w) / 2."""
     pendulum = robot(PENDULUM)
-    q, w = np.array([0.5, -0.5, 0.1, 0.7]) / np.linalg.norm([0.5, -0.5, 0.1, 0.7]), np.array([0.3, -2.0, 1.1])
+    q, w = (
+        np.array([0.5, -0.5, 0.1, 0.7]) / np.linalg.norm([0.5, -0.5, 0.1, 0.7]),
+        np.array([0.3, -2.0, 1.1]),
+    )
     names = dict(zip(("q_ball_qw", "q_ball_qx", "q_ball_qy", "q_ball_qz"), q, strict=True))
     turning = dict(zip(("v_ball_wx", "v_ball_wy", "v_ball_wz"), w, strict=True))
     with instance(pendulum, "ME", version, q_swing=0.8, v_swing=-0.4, **turning, **names) as fmu:
         fmu.fmu.settle()
-        assert fmu.get("der(q_swing)", "der(v_swing)") == pytest.approx([-0.4, -9.81 / 0.7 * math.sin(0.8)], rel=1e-6)
+        assert fmu.get("der(q_swing)", "der(v_swing)") == pytest.approx(
+            [-0.4, -9.81 / 0.7 * math.sin(0.8)], rel=1e-6
+        )
         moved = fmu.get("q_swing", *names)
         mujoco.mj_integratePos(pendulum.model, moved, np.array([-0.4, *w]), 1e-6)
-        assert fmu.get(*(f"der({name})" for name in names)) == pytest.approx((moved[1:] - q) / 1e-6, abs=1e-5)
+        assert fmu.get(*(f"der({name})" for name in names)) == pytest.approx(
+            (moved[1:] - q) / 1e-6, abs=1e-5
+        )
         scalar, vector = -(q[1:] @ w) / 2, (q[0] * w + np.cross(q[1:], w)) / 2
-        assert fmu.get(*(f"der({name})" for name in names)) == pytest.approx([scalar, *vector], rel=1e-14)
+        assert fmu.get(*(f"der({name})" for name in names)) == pytest.approx(
+            [scalar, *vector], rel=1e-14
+        )
 
 
 @pytest.mark.slow
@@ -267,11 +319,15 @@ def test_directional_derivatives_are_those_of_the_equations(robot, version: str)
 
         def slopes(unknowns: Sequence[str], **seed: float) -> list[float]:
             places = [[fmu.references[name] for name in names] for names in (unknowns, list(seed))]
-            return list(fmu.fmu.fmu.directional(places[0], places[1], list(seed.values()), len(unknowns)))
+            return list(
+                fmu.fmu.fmu.directional(places[0], places[1], list(seed.values()), len(unknowns))
+            )
 
         (found,) = slopes(["der(v_swing)"], q_swing=1.0)
         assert found == pytest.approx(-9.81 / 0.7 * math.cos(0.8), rel=1e-7)
-        assert slopes(["der(q_swing)", "q_swing", "v_swing"], q_swing=2.0, v_swing=-3.0) == pytest.approx([-3.0, 2.0, -3.0], rel=1e-9)
+        assert slopes(
+            ["der(q_swing)", "q_swing", "v_swing"], q_swing=2.0, v_swing=-3.0
+        ) == pytest.approx([-3.0, 2.0, -3.0], rel=1e-9)
         rates = [f"der(q_ball_{part})" for part in ("qw", "qx", "qy", "qz")]
         assert slopes(rates, v_ball_wx=1.0) == pytest.approx([0.25, 0.25, 0.25, -0.25], abs=1e-9)
         assert slopes(rates, q_ball_qw=1.0) == pytest.approx([0.0, 0.15, -1.0, 0.55], abs=1e-9)
@@ -284,12 +340,16 @@ def test_directional_derivatives_are_those_of_the_equations(robot, version: str)
 def test_a_slope_is_there_where_a_step_s_solver_would_stop_before_it(robot):
     """An ellipsoid on a smooth floor, turned by t about y: where it touches moves by -(a^2 - c^2)/c t along x, at which its weight's answer turns it."""
     puck = "<mujoco><default><geom condim='1'/></default><worldbody><geom name='floor' type='plane' size='5 5 .1'/><body pos='0 0 .0957'><freejoint name='puck'/>"
-    puck += "<geom name='puck' type='ellipsoid' size='.2 .1 .1' mass='1'/></body></worldbody></mujoco>"
+    puck += (
+        "<geom name='puck' type='ellipsoid' size='.2 .1 .1' mass='1'/></body></worldbody></mujoco>"
+    )
     made = robot(puck, "puck:floor")
     with instance(made, "ME") as fmu:
         fmu.fmu.settle()
         names = ["der(v_puck_wy)", "q_puck_qy"]
-        (slope,) = fmu.fmu.fmu.directional([fmu.references[names[0]]], [fmu.references[names[1]]], [2.0**-1], 1)
+        (slope,) = fmu.fmu.fmu.directional(
+            [fmu.references[names[0]]], [fmu.references[names[1]]], [2.0**-1], 1
+        )
         force, inertia = fmu.get("lam_puck_floor")[0], 1.0 * (0.2**2 + 0.1**2) / 5.0
         assert slope == pytest.approx(-force * (0.2**2 - 0.1**2) / 0.1 / inertia, rel=1e-4)
 
@@ -318,7 +378,9 @@ def test_equal_robots_give_equal_bytes(robot, monkeypatch: pytest.MonkeyPatch, t
     bytes_of = []
     for number in range(2):
         monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path / str(number)))
-        bytes_of.append(build_robot(read_robot(robot(LEG).path.rename(tmp_path / "leg.xml"))).read_bytes())
+        bytes_of.append(
+            build_robot(read_robot(robot(LEG).path.rename(tmp_path / "leg.xml"))).read_bytes()
+        )
     assert bytes_of[0] == bytes_of[1]
 
 
@@ -343,11 +405,16 @@ def test_the_library_travels_with_its_licenses(robot):
     with zipfile.ZipFile(build_robot(robot(LEG))) as archive:
         assert b"Apache License" in archive.read("documentation/licenses/mujoco/LICENSE")
         assert mujoco.__version__ in archive.read("documentation/licenses/license.txt").decode()
-        assert str(Path.cwd()).encode() not in b"".join(archive.read(name) for name in archive.namelist())
+        assert str(Path.cwd()).encode() not in b"".join(
+            archive.read(name) for name in archive.namelist()
+        )
 
 
 def _three_cart() -> str:
-    """The scene as bodies on slides; a contact is a spring between two of them with a dead band, k max(d - distance, 0)."""
+    """The scene as bodies on slides.
+
+    A contact is a spring between two of them with a dead band, k max(d - distance, 0).
+    """
     carts = "".join(
         f'<body><joint name="q{number}" type="slide" axis="1 0 0" damping="2"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
         for number in (1, 2, 3)
@@ -356,7 +423,9 @@ def _three_cart() -> str:
         f'<fixed stiffness="30" springlength="0.5 1e6"><joint joint="q{right}" coef="1"/><joint joint="q{left}" coef="-1"/></fixed>'
         for left, right in ((1, 2), (2, 3))
     )
-    motors = "".join(f'<motor name="{number}" joint="q{number}" ctrlrange="-10 10"/>' for number in (1, 3))
+    motors = "".join(
+        f'<motor name="{number}" joint="q{number}" ctrlrange="-10 10"/>' for number in (1, 3)
+    )
     return (
         f'<mujoco><option integrator="RK4" gravity="0 0 0" timestep="0.01"/><worldbody>{carts}</worldbody><tendon>{springs}</tendon>'
         f"<actuator>{motors}</actuator></mujoco>"
@@ -388,9 +457,16 @@ def test_three_carts_agree_with_the_scene_s_own_fmu_to_the_order_of_the_engine(r
     assert (truth[:, 1] - truth[:, 0]).min() < 0.45 < 0.6 < (truth[:, 1] - truth[:, 0]).max()
     errors = {}
     for step in (1e-2, 5e-3, 2.5e-3, 1.25e-3):
-        with instance(robot(_three_cart()), timestep=step, **{f"q_{name}": value for name, value in starts.items()}) as fmu:
-            errors[step] = np.abs(motion(fmu, ("u_1", "u_3"), ("q_q1", "q_q2", "q_q3")) - truth).max()
-    # A contact that closes at 1 m/s within a step of h leaves at most k h^2 / 2 m = 15 h^2 m/s wrong, which the damper stops within m / c = 0.5 s.
+        with instance(
+            robot(_three_cart()),
+            timestep=step,
+            **{f"q_{name}": value for name, value in starts.items()},
+        ) as fmu:
+            errors[step] = np.abs(
+                motion(fmu, ("u_1", "u_3"), ("q_q1", "q_q2", "q_q3")) - truth
+            ).max()
+    # A contact that closes at 1 m/s within a step of h leaves at most k h^2 / 2 m = 15 h^2 m/s
+    # wrong, which the damper stops within m / c = 0.5 s.
     assert all(error < 7.5 * step**2 for step, error in errors.items())
     assert errors[1.25e-3] < errors[1e-2] / 10.0
 
@@ -405,14 +481,18 @@ def _in_wheel(path: str) -> Path:
 
 @pytest.mark.peer
 @pytest.mark.parametrize("path", [
-    "dm_control/suite/hopper.xml", "dm_control/suite/quadruped.xml", "dm_control/suite/humanoid.xml", "gymnasium/envs/mujoco/assets/ant.xml",
-    "gymnasium/envs/mujoco/assets/humanoid.xml", "gymnasium_robotics/envs/assets/hand/manipulate_block.xml",
+    "dm_control/suite/hopper.xml", "dm_control/suite/quadruped.xml",
+    "dm_control/suite/humanoid.xml", "gymnasium/envs/mujoco/assets/ant.xml",
+    "gymnasium/envs/mujoco/assets/humanoid.xml",
+    "gymnasium_robotics/envs/assets/hand/manipulate_block.xml",
 ])  # fmt: skip
 def test_robots_of_other_wheels_move_to_the_bit(path: str):
     robot = read_robot(_in_wheel(path))
     model, data, rng, touched = robot.model, mujoco.MjData(robot.model), np.random.default_rng(0), 0
     inputs = [variable.name for variable in robot.table if variable.causality == "input"]
-    lower, upper = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-1.0, 1.0]).T
+    lower, upper = np.where(
+        model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-1.0, 1.0]
+    ).T
     with instance(robot) as fmu:
         for _ in range(1000):
             data.ctrl[:] = 0.7 * rng.uniform(lower, upper)

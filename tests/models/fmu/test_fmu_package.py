@@ -35,7 +35,10 @@ def test_another_scene_or_date_is_another_fmu(scene_of, monkeypatch, tmp_path):
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
     other = fmpy.read_model_description(str(build_fmu(scene.with_parameters(k=2000.0))))
     assert other.guid != guid
-    assert next(variable.start for variable in other.modelVariables if variable.name == "k") == "2000.0"
+    assert (
+        next(variable.start for variable in other.modelVariables if variable.name == "k")
+        == "2000.0"
+    )
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     dated = build_fmu(scene)
     assert fmpy.read_model_description(str(dated)).generationDateAndTime == "2023-11-14T22:13:20Z"
@@ -56,12 +59,21 @@ def test_description_says_what_an_importer_needs(any_scene):
     assert float(description.defaultExperiment.stepSize) == any_scene.task.step
     assert float(description.defaultExperiment.stopTime) == any_scene.task.horizon
     assert float(description.defaultExperiment.tolerance) > 0
-    assert all(variable.unit for variable in description.modelVariables if variable.name != "integrator")
+    assert all(
+        variable.unit for variable in description.modelVariables if variable.name != "integrator"
+    )
     for unit in description.unitDefinitions:
         found = {base: getattr(unit.baseUnit, base) for base in ("kg", "m", "s", "rad")}
-        assert {base: exponent for base, exponent in found.items() if exponent} == base_exponents(unit.name)
-    assert [by_name[name].causality for name in (*names.q, *names.v)] == ["output"] * (2 * any_scene.nq)
-    assert [by_name[name].derivative.name for name in (*names.der_q, *names.der_v)] == [*names.q, *names.v]
+        assert {base: exponent for base, exponent in found.items() if exponent} == base_exponents(
+            unit.name
+        )
+    assert [by_name[name].causality for name in (*names.q, *names.v)] == ["output"] * (
+        2 * any_scene.nq
+    )
+    assert [by_name[name].derivative.name for name in (*names.der_q, *names.der_v)] == [
+        *names.q,
+        *names.v,
+    ]
     assert float(by_name["internal_step"].start) == any_scene.task.step / 100
 
 
@@ -103,7 +115,9 @@ def test_names_an_fmu_cannot_carry_are_refused(scene_of):
     with pytest.raises(SceneError, match=r"'kinetic_energy' is also.*every FMU has"):
         build_fmu(dataclasses.replace(scene, parameters=(taken,)))
     with pytest.raises(SceneError, match="ASCII"):
-        dataclasses.replace(scene, name="schwingerä")  # at once: a plan without an FMU is judged by nobody
+        dataclasses.replace(
+            scene, name="schwingerä"
+        )  # at once: a plan without an FMU is judged by nobody
 
 
 @pytest.mark.parametrize("epoch", ["yesterday", "-5", "12"])
@@ -133,13 +147,17 @@ def table(data):
     ("sources/buildDescription.xml", "fmi3BuildDescription.xsd"),
 ])  # fmt: skip
 def test_xml_follows_the_schema(any_scene, version, name, schema):
-    etree.XMLSchema(etree.parse(SCHEMAS / schema)).assertValid(etree.fromstring(read(any_scene, version, name)))
+    etree.XMLSchema(etree.parse(SCHEMAS / schema)).assertValid(
+        etree.fromstring(read(any_scene, version, name))
+    )
 
 
 @both
 def test_terminals_name_variables_that_exist(any_scene, version):
     names = variable_names(any_scene)
-    root = ElementTree.fromstring(read(any_scene, version, "terminalsAndIcons/terminalsAndIcons.xml"))
+    root = ElementTree.fromstring(
+        read(any_scene, version, "terminalsAndIcons/terminalsAndIcons.xml")
+    )
     members = [member.get("variableName") for member in root.iter("TerminalMemberVariable")]
     assert sorted(members) == sorted([*names.q, *names.v, *names.lam, *names.gap, *names.u])
 
@@ -152,16 +170,24 @@ def test_icon_is_a_png_of_128_by_128_and_a_drawing(scene_of, version):
         data = read(scene, version, place)
         assert data.startswith(b"\x89PNG\r\n\x1a\n")
         assert struct.unpack(">II", data[16:24]) == (128, 128)
-    assert ElementTree.fromstring(read(scene, version, "terminalsAndIcons/icon.svg")).tag.endswith("svg")
+    assert ElementTree.fromstring(read(scene, version, "terminalsAndIcons/icon.svg")).tag.endswith(
+        "svg"
+    )
 
 
 @both
 def test_reference_results_are_declared(any_scene, version):
     """By the layered standard FMI-LS-REF: its three attributes, and every file that is named is there and the other way round."""
     with zipfile.ZipFile(build_fmu(any_scene, version)) as archive:
-        inside = {name.removeprefix(f"{FOLDER}/") for name in archive.namelist() if name.startswith(f"{FOLDER}/")}
+        inside = {
+            name.removeprefix(f"{FOLDER}/")
+            for name in archive.namelist()
+            if name.startswith(f"{FOLDER}/")
+        }
         manifest = ElementTree.fromstring(archive.read(f"{FOLDER}/fmi-ls-manifest.xml"))
-        experiment = ElementTree.fromstring(archive.read(f"{FOLDER}/validation.exp")).find("Experiment")
+        experiment = ElementTree.fromstring(archive.read(f"{FOLDER}/validation.exp")).find(
+            "Experiment"
+        )
         assert "documentation/fmi-ls-ref.html" in archive.namelist()
         assert b"fmi-ls-ref.html" in archive.read("documentation/index.html")
     assert manifest.tag == "fmiReferences"
@@ -173,7 +199,11 @@ def test_reference_results_are_declared(any_scene, version):
     assert related["validation.exp"] == "experiment/validation"
     assert related["validation_results.csv"] == "result"
     assert experiment.find("References").get("source") == "validation_results.csv"
-    assert (experiment.find("Stimuli") is not None) == (any_scene.nu > 0) == ("validation_inputs.csv" in related)
+    assert (
+        (experiment.find("Stimuli") is not None)
+        == (any_scene.nu > 0)
+        == ("validation_inputs.csv" in related)
+    )
     assert float(experiment.get("stopTime")) <= any_scene.task.horizon * (1 + 1e-12)
 
 
@@ -181,20 +211,36 @@ def test_reference_results_are_declared(any_scene, version):
 def test_stock_importer_meets_the_reference_results(any_scene, version):
     """FMPy's Co-Simulation under the inputs of the file, at every time of the file, in every output."""
     want = table(read(any_scene, version, f"{FOLDER}/validation_results.csv"))
-    given = table(read(any_scene, version, f"{FOLDER}/validation_inputs.csv")) if any_scene.nu else None
+    given = (
+        table(read(any_scene, version, f"{FOLDER}/validation_inputs.csv")) if any_scene.nu else None
+    )
     interval = want["time"][1] - want["time"][0]
     path = str(build_fmu(any_scene, version))
-    got = fmpy.simulate_fmu(path, fmi_type="CoSimulation", input=given, stop_time=want["time"][-1], output_interval=interval)
-    last = [np.flatnonzero(np.abs(got["time"] - t) < 1e-9)[0] for t in want["time"]]  # before the inputs change at a knot
+    got = fmpy.simulate_fmu(
+        path,
+        fmi_type="CoSimulation",
+        input=given,
+        stop_time=want["time"][-1],
+        output_interval=interval,
+    )
+    last = [
+        np.flatnonzero(np.abs(got["time"] - t) < 1e-9)[0] for t in want["time"]
+    ]  # before the inputs change at a knot
     names = variable_names(any_scene)
     scale = max(coordinate.nominal for coordinate in any_scene.coordinates)
     for name in (*names.q, *names.v):
-        np.testing.assert_allclose(got[name][last], want[name], rtol=0, atol=ACCURACY * scale, err_msg=name)
+        np.testing.assert_allclose(
+            got[name][last], want[name], rtol=0, atol=ACCURACY * scale, err_msg=name
+        )
     for name in set(want.dtype.names) - {"time", *names.q, *names.v, "input_power"}:
         size = max(1.0, np.abs(want[name]).max())
-        np.testing.assert_allclose(got[name][last] / size, want[name] / size, rtol=0, atol=10 * ACCURACY, err_msg=name)
+        np.testing.assert_allclose(
+            got[name][last] / size, want[name] / size, rtol=0, atol=10 * ACCURACY, err_msg=name
+        )
     if any_scene.name in ("three_cart", "bouncing_mass", "two_body_collision"):
-        assert any(np.ptp(np.sign(want[name])) == 2 for name in names.gap), "no contact closes in the experiment"
+        assert any(np.ptp(np.sign(want[name])) == 2 for name in names.gap), (
+            "no contact closes in the experiment"
+        )
 
 
 def test_a_stiff_motion_is_integrated_by_an_implicit_method(scene_of, monkeypatch):
@@ -207,14 +253,18 @@ def test_a_stiff_motion_is_integrated_by_an_implicit_method(scene_of, monkeypatc
 
 
 @pytest.mark.slow
-def test_a_motion_beyond_the_budget_leaves_an_fmu_without_results_that_says_so(scene_of, monkeypatch):
+def test_a_motion_beyond_the_budget_leaves_an_fmu_without_results_that_says_so(
+    scene_of, monkeypatch
+):
     monkeypatch.setattr(reference, "BUDGET", 20)
     scene = scene_of("three_cart").with_task(steps=9)
     path = build_fmu(scene)
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
         page = archive.read("documentation/fmi-ls-ref.html").decode()
-        about = archive.read(f"{FOLDER}/fmi-ls-manifest.xml") + archive.read(f"{FOLDER}/validation.exp")
+        about = archive.read(f"{FOLDER}/fmi-ls-manifest.xml") + archive.read(
+            f"{FOLDER}/validation.exp"
+        )
     assert f"{FOLDER}/validation.exp" in names
     assert f"{FOLDER}/validation_results.csv" not in names
     assert b"result" not in about
@@ -243,13 +293,22 @@ def test_archive_has_everything_deflated_and_no_links(any_scene, version):
         licenses = archive.read("documentation/licenses/license.txt").decode()
     names = [entry.filename for entry in entries]
     binary = "linux64" if version == "2.0" else "x86_64-linux"
-    needed = {f"binaries/{binary}/{any_scene.name}.so", "sources/scene_model.h", "sources/model_config.h"}
+    needed = {
+        f"binaries/{binary}/{any_scene.name}.so",
+        "sources/scene_model.h",
+        "sources/model_config.h",
+    }
     assert names[0] == "modelDescription.xml"
     assert needed <= set(names)
-    assert any(name.startswith("sources/") and name.endswith(f"fmi{version[0]}Functions.h") for name in names)
+    assert any(
+        name.startswith("sources/") and name.endswith(f"fmi{version[0]}Functions.h")
+        for name in names
+    )
     assert len(set(names)) == len(names)
     assert not any("\\" in name or name.startswith("/") or ".." in name for name in names)
-    assert {(entry.compress_type, entry.date_time) for entry in entries} == {(zipfile.ZIP_DEFLATED, (1980, 1, 1, 0, 0, 0))}
+    assert {(entry.compress_type, entry.date_time) for entry in entries} == {
+        (zipfile.ZIP_DEFLATED, (1980, 1, 1, 0, 0, 0))
+    }
     assert not any((entry.external_attr >> 16) & 0o170000 == 0o120000 for entry in entries)
     assert any_scene.title.split("'")[0] in text
     assert "MIT" in licenses
@@ -260,7 +319,9 @@ def test_archive_has_everything_deflated_and_no_links(any_scene, version):
 MAGIC = {
     "x86_64-linux": lambda data: data[:5] == b"\x7fELF\x02" and data[18] == 62,
     "aarch64-linux": lambda data: data[:5] == b"\x7fELF\x02" and data[18] == 183,
-    "x86_64-windows": lambda data: data[:2] == b"MZ" and data[data[60] + 256 * data[61] + 4 :][:2] == b"\x64\x86",
+    "x86_64-windows": lambda data: (
+        data[:2] == b"MZ" and data[data[60] + 256 * data[61] + 4 :][:2] == b"\x64\x86"
+    ),
     "x86_64-darwin": lambda data: data[:8] == b"\xcf\xfa\xed\xfe\x07\x00\x00\x01",
     "aarch64-darwin": lambda data: data[:8] == b"\xcf\xfa\xed\xfe\x0c\x00\x00\x01",
 }
@@ -270,14 +331,19 @@ def test_platforms_are_found_by_the_names_of_either_version():
     names = [platform.name for platform in find_platforms(["win64", "linux64", "x86_64-linux"])]
     assert names == ["x86_64-linux", "x86_64-windows"]
     assert [platform.name for platform in find_platforms([])] == [this_platform()]
-    with pytest.raises(UnknownNameError, match=r"platform 'os2' is not offered; choose from x86_64-linux \(linux64\), "):
+    with pytest.raises(
+        UnknownNameError,
+        match=r"platform 'os2' is not offered; choose from x86_64-linux \(linux64\), ",
+    ):
         find_platforms(["linux64", "os2"])
 
 
 def test_without_the_cross_compiler_a_sentence_says_what_to_install(scene_of, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     other = next(platform.name for platform in PLATFORMS if platform.name != this_platform())
-    with pytest.raises(MachineError, match=r"a cross-compiler; install one with: pip install ziglang"):
+    with pytest.raises(
+        MachineError, match=r"a cross-compiler; install one with: pip install ziglang"
+    ):
         build_fmu(scene_of("oscillator"), platforms=[other])
 
 
@@ -288,18 +354,26 @@ def test_one_fmu_for_all_platforms(scene_of, tmp_path, monkeypatch, version):
         pytest.skip("the cross-compiler is not installed; it comes with the extra [compiler]")
     monkeypatch.delenv("CC", raising=False)
     scene = scene_of("two_link_arm")
-    with zipfile.ZipFile(build_fmu(scene, version, platforms=[platform.name for platform in PLATFORMS])) as archive:
+    with zipfile.ZipFile(
+        build_fmu(scene, version, platforms=[platform.name for platform in PLATFORMS])
+    ) as archive:
         for platform in PLATFORMS:
             folder = platform.fmi2 if version == "2.0" else platform.name
             data = archive.read(f"binaries/{folder}/{scene.name}{platform.suffix}")
             assert MAGIC[platform.name](data), platform.name
             assert str(tmp_path.parent.parent).encode() not in data
-        library = archive.read(f"binaries/{'linux64' if version == '2.0' else 'x86_64-linux'}/{scene.name}.so")
+        library = archive.read(
+            f"binaries/{'linux64' if version == '2.0' else 'x86_64-linux'}/{scene.name}.so"
+        )
     nm = shutil.which("nm")
     if nm is None:
         pytest.skip("nm is not installed")
     (tmp_path / "model.so").write_bytes(library)
-    symbols = subprocess.run([nm, "-D", tmp_path / "model.so"], capture_output=True, text=True, check=True).stdout
-    needed = {tuple(map(int, found.split("."))) for found in re.findall(r"@GLIBC_([\d.]+)", symbols)}
+    symbols = subprocess.run(
+        [nm, "-D", tmp_path / "model.so"], capture_output=True, text=True, check=True
+    ).stdout
+    needed = {
+        tuple(map(int, found.split("."))) for found in re.findall(r"@GLIBC_([\d.]+)", symbols)
+    }
     assert needed
     assert max(needed) <= (2, 17)

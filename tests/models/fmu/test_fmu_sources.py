@@ -28,17 +28,33 @@ from models.scene.contacts import Friction
 from validate.cli import group
 from validate.fmu_check import check_fmu
 
-STRICT = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wstrict-prototypes", "-Werror"]
-DRIVERS = {version: Path(__file__).with_name(name) for version, name in (("2.0", "driver.c"), ("3.0", "driver3.c"))}
+STRICT = [
+    "-std=c99",
+    "-O2",
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Wshadow",
+    "-Wstrict-prototypes",
+    "-Werror",
+]
+DRIVERS = {
+    version: Path(__file__).with_name(name)
+    for version, name in (("2.0", "driver.c"), ("3.0", "driver3.c"))
+}
 FUNCTIONS = {"2.0": 44, "3.0": 75}
 BINARIES = {"2.0": "linux64", "3.0": "x86_64-linux"}
 both = pytest.mark.parametrize("version", STANDARDS)
 # Neither contacts nor inputs; contacts of bodies; a mass matrix that couples.
-each_kind = pytest.mark.parametrize("any_scene", ["oscillator", "three_cart", "two_link_arm"], indirect=True)
+each_kind = pytest.mark.parametrize(
+    "any_scene", ["oscillator", "three_cart", "two_link_arm"], indirect=True
+)
 
 
 def run(command, **options):
-    done = subprocess.run([str(part) for part in command], capture_output=True, text=True, check=False, **options)
+    done = subprocess.run(
+        [str(part) for part in command], capture_output=True, text=True, check=False, **options
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -47,17 +63,37 @@ def run(command, **options):
 @each_kind
 @both
 def test_sources_compile_on_their_own_without_a_warning(any_scene, unpacked, tmp_path, version):
-    """As the build description says it, from the unpacked FMU alone. The standard's own headers may warn."""
+    """As the build description says it, from the unpacked FMU alone.
+
+    The standard's own headers may warn.
+    """
     sources = Path(unpacked(any_scene, version)) / "sources"
-    files = ElementTree.parse(sources / "buildDescription.xml").getroot().find("BuildConfiguration/SourceFileSet")
+    files = (
+        ElementTree.parse(sources / "buildDescription.xml")
+        .getroot()
+        .find("BuildConfiguration/SourceFileSet")
+    )
     listed = [file.get("name") for file in files.findall("SourceFile")]
     assert sorted(listed) == sorted(path.name for path in sources.glob("*.c"))
     if version == "2.0":
         xml = (sources.parent / "modelDescription.xml").read_text()
-        assert sorted(re.findall(r'<File name="(.+)"/>', xml)) == sorted(listed * 2)  # once for each FMU type
+        assert sorted(re.findall(r'<File name="(.+)"/>', xml)) == sorted(
+            listed * 2
+        )  # once for each FMU type
     include = [f"-isystem{folder.get('name')}" for folder in files.findall("IncludeDirectory")]
-    libraries = [f"-l{library.get('name')}" for library in ElementTree.parse(sources / "buildDescription.xml").getroot().iter("Library")]
-    command = [*find_compiler().command, *STRICT, *files.get("compilerOptions").split(), *include, "-fPIC", "-shared", *listed]
+    libraries = [
+        f"-l{library.get('name')}"
+        for library in ElementTree.parse(sources / "buildDescription.xml").getroot().iter("Library")
+    ]
+    command = [
+        *find_compiler().command,
+        *STRICT,
+        *files.get("compilerOptions").split(),
+        *include,
+        "-fPIC",
+        "-shared",
+        *listed,
+    ]
     run([*command, "-o", tmp_path / "model.so", *libraries], cwd=sources)
 
 
@@ -71,19 +107,27 @@ def test_every_function_of_the_standard_is_exported_and_nothing_else(any_scene, 
     nm = shutil.which("nm")
     if nm is None:
         pytest.skip("nm is not installed")
-    library = Path(unpacked(any_scene, version)) / "binaries" / BINARIES[version] / f"{any_scene.name}.so"
-    exported = {line.split()[-1] for line in run([nm, "-D", "--defined-only", library]).splitlines()}
+    library = (
+        Path(unpacked(any_scene, version)) / "binaries" / BINARIES[version] / f"{any_scene.name}.so"
+    )
+    exported = {
+        line.split()[-1] for line in run([nm, "-D", "--defined-only", library]).splitlines()
+    }
     assert exported == declared
 
 
 @each_kind
 @both
-def test_binary_has_no_mutable_globals_and_names_no_path_of_this_machine(any_scene, unpacked, version):
+def test_binary_has_no_mutable_globals_and_names_no_path_of_this_machine(
+    any_scene, unpacked, version
+):
     folder = Path(unpacked(any_scene, version))
     for name in (folder / "sources").glob("*.[ch]"):
         text = name.read_text()
         for line in text.splitlines():
-            assert not re.match(r"\s*(static|extern) (?!const |inline ).*[;=]", line), f"{name.name}: {line}"
+            assert not re.match(r"\s*(static|extern) (?!const |inline ).*[;=]", line), (
+                f"{name.name}: {line}"
+            )
     data = (folder / "binaries" / BINARIES[version] / f"{any_scene.name}.so").read_bytes()
     assert b"/home" not in data
     assert b"/tmp" not in data
@@ -91,13 +135,15 @@ def test_binary_has_no_mutable_globals_and_names_no_path_of_this_machine(any_sce
 
 
 # Without contacts, with friction, with damped contacts.
-FEW, MORE = ("oscillator", "transport", "damped_collision"), ("two_link_arm", "three_cart")
+FEW = ("oscillator", "transport", "damped_collision")
+MORE = ("two_link_arm", "three_cart")
 
 
 def program(scene_of, unpacked, tmp_path, version, compiler, flags, names, steps):
     """Models linked into one program by their prefixes, with a driver each that takes so many steps; the program's path.
 
-    Compiled as written, without optimisation: what it would do away with is seen too, in a third of the time.
+    Compiled as written, without optimisation: what it would do away with is seen too, in a third of
+    the time.
     """
     objects = []
     driver = DRIVERS[version]
@@ -118,23 +164,45 @@ def program(scene_of, unpacked, tmp_path, version, compiler, flags, names, steps
             "INDICATORS": int(description.numberOfEventIndicators),
             "INPUTS": scene.nu,
             "INPUT": number[table.u[0]] if scene.nu else 0,
-            "VARIABLES": len(description.modelVariables) - 1,  # all but the enumeration, which is the last
+            "VARIABLES": len(description.modelVariables)
+            - 1,  # all but the enumeration, which is the last
             f"{prefix.upper()}_FUNCTION_PREFIX": f"{name}_",
         }
-        include = [f"-I{folder / 'sources'}", f"-I{own}", f"-isystem{folder / 'sources' / STANDARDS[version].header_folder}"]
+        include = [
+            f"-I{folder / 'sources'}",
+            f"-I{own}",
+            f"-isystem{folder / 'sources' / STANDARDS[version].header_folder}",
+        ]
         defines = [f"-D{key}={value}" for key, value in macros.items()]
         if version == "2.0":  # some copies of its headers ignore the prefix
             used = sorted(set(re.findall(r"\bfmi2[A-Z]\w+(?=\()", driver.read_text())))
-            declared = [f"#define {function} {name}_{function}\nextern {function}TYPE {function};\n" for function in used]
+            declared = [
+                f"#define {function} {name}_{function}\nextern {function}TYPE {function};\n"
+                for function in used
+            ]
             (own / "names.h").write_text("".join(declared))
         for source in sorted((folder / "sources").glob("*.c")):
             objects.append(tmp_path / f"{name}_{source.stem}.o")
-            run([compiler, *flags, *include, f"-D{prefix.upper()}_FUNCTION_PREFIX={name}_", "-c", source, "-o", objects[-1]])
+            run(
+                [
+                    compiler,
+                    *flags,
+                    *include,
+                    f"-D{prefix.upper()}_FUNCTION_PREFIX={name}_",
+                    "-c",
+                    source,
+                    "-o",
+                    objects[-1],
+                ]
+            )
         objects.append(tmp_path / f"{name}_driver.o")
         run([compiler, *flags, *include, *defines, "-c", driver, "-o", objects[-1]])
     main = tmp_path / "main.c"
     calls = " || ".join(f"check_{name}()" for name in names)
-    main.write_text("".join(f"int check_{name}(void);\n" for name in names) + f"int main(void) {{ return {calls}; }}\n")
+    main.write_text(
+        "".join(f"int check_{name}(void);\n" for name in names)
+        + f"int main(void) {{ return {calls}; }}\n"
+    )
     run([compiler, *flags, main, *objects, "-o", tmp_path / "program", "-lm"])
     return tmp_path / "program"
 
@@ -147,12 +215,28 @@ def native_compiler():
 
 
 def sanitizers(folder):
-    """(compiler, flags): no leak, no access out of bounds, no undefined behaviour. Some compilers have the second sanitizer only."""
+    """(compiler, flags): no leak, no access out of bounds, no undefined behaviour.
+
+    Some compilers have the second sanitizer only.
+    """
     compiler, probe = native_compiler(), folder / "probe.c"
     probe.write_text("int main(void) { return 0; }\n")
     for named in ("address,undefined", "undefined"):
-        flags = ["-std=c99", "-g", f"-fsanitize={named}", "-fno-sanitize-recover=all", "-Wall", "-Wextra", "-Werror"]
-        if subprocess.run([compiler, *flags, probe, "-o", folder / "probe"], capture_output=True, check=False).returncode == 0:
+        flags = [
+            "-std=c99",
+            "-g",
+            f"-fsanitize={named}",
+            "-fno-sanitize-recover=all",
+            "-Wall",
+            "-Wextra",
+            "-Werror",
+        ]
+        if (
+            subprocess.run(
+                [compiler, *flags, probe, "-o", folder / "probe"], capture_output=True, check=False
+            ).returncode
+            == 0
+        ):
             return compiler, flags
     pytest.skip("this compiler has no sanitizers")
 
@@ -170,15 +254,31 @@ def test_models_in_one_program_under_valgrind(scene_of, unpacked, tmp_path, vers
     valgrind = shutil.which("valgrind")
     if valgrind is None:
         pytest.skip("valgrind is not installed")
-    binary = program(scene_of, unpacked, tmp_path, version, native_compiler(), ["-std=c99", "-g"], FEW, 40)
-    run([valgrind, "-q", "--leak-check=full", "--show-leak-kinds=all", "--errors-for-leak-kinds=all", "--error-exitcode=9", binary])
+    binary = program(
+        scene_of, unpacked, tmp_path, version, native_compiler(), ["-std=c99", "-g"], FEW, 40
+    )
+    run(
+        [
+            valgrind,
+            "-q",
+            "--leak-check=full",
+            "--show-leak-kinds=all",
+            "--errors-for-leak-kinds=all",
+            "--error-exitcode=9",
+            binary,
+        ]
+    )
 
 
 SSD = "{http://ssp-standard.org/SSP1/SystemStructureDescription}"
 
 
 def splittable():
-    return [name for name in scene_names() if (scene := load_scene(name)).contacts and not scene.frictions and not scene.damped]
+    return [
+        name
+        for name in scene_names()
+        if (scene := load_scene(name)).contacts and not scene.frictions and not scene.damped
+    ]
 
 
 @pytest.mark.parametrize("name", splittable())
@@ -205,12 +305,18 @@ def test_parts_add_up_to_the_scene(name):
         assert not rows or not others or d.mass_matrix.extract(rows, others).is_zero_matrix
     assert sorted(seen) == list(range(scene.nq))
     potential = sum(body.potential_energy for body in parts.bodies)
-    assert all(sp.simplify(sp.diff(potential - scene.potential_energy, symbol)) == 0 for symbol in d.q)
+    assert all(
+        sp.simplify(sp.diff(potential - scene.potential_energy, symbol)) == 0 for symbol in d.q
+    )
 
 
 def test_three_carts_are_three_bodies_and_two_contacts():
     parts = split(load_scene("three_cart"))
-    assert [body.name for body in parts.bodies] == ["three_cart_q1", "three_cart_q2", "three_cart_q3"]
+    assert [body.name for body in parts.bodies] == [
+        "three_cart_q1",
+        "three_cart_q2",
+        "three_cart_q3",
+    ]
     assert [[item.name for item in body.inputs] for body in parts.bodies] == [
         ["u1", "lam_left_q1"],
         ["lam_left_q2", "lam_right_q2"],
@@ -229,7 +335,12 @@ def test_split_refuses_unsplittable_scenes():
     scene = load_scene("three_cart")
     with pytest.raises(SceneError, match=r"no contacts.*nothing to split"):
         split(replace(scene, contacts=()))
-    rubbing = Friction(name="left", slip=scene.coordinates[0].velocity, coefficient=sp.Rational(1, 2), contact="left")
+    rubbing = Friction(
+        name="left",
+        slip=scene.coordinates[0].velocity,
+        coefficient=sp.Rational(1, 2),
+        contact="left",
+    )
     with pytest.raises(SceneError, match="friction"):
         split(replace(scene, frictions=(rubbing,)))
     renamed = replace(scene.contacts[0], name="q1")
@@ -240,7 +351,10 @@ def test_split_refuses_unsplittable_scenes():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["three_cart", "two_discs"])
 def test_the_system_structure_is_valid_and_complete(name, tmp_path):
-    """Against the schema of SSP 1.0; every input is connected once, every connection joins an output to an input of the same unit."""
+    """Against the schema of SSP 1.0.
+
+    Every input is connected once, every connection joins an output to an input of the same unit.
+    """
     from fmpy.ssp import ssd
 
     scene = load_scene(name)
@@ -249,7 +363,10 @@ def test_the_system_structure_is_valid_and_complete(name, tmp_path):
     with zipfile.ZipFile(path) as archive:
         reduced = etree.fromstring(archive.read("PartsOnly.ssd"))
         ssd.validate_tree(reduced, "SystemStructureDescription.xsd")
-        assert all(item.get("startElement") and item.get("endElement") for item in reduced.iter(f"{SSD}Connection"))
+        assert all(
+            item.get("startElement") and item.get("endElement")
+            for item in reduced.iter(f"{SSD}Connection")
+        )
         assert len(list(reduced.iter(f"{SSD}Connection"))) == len(split(scene).connections)
         assert archive.namelist()[0] == "SystemStructure.ssd"
         root = ElementTree.fromstring(archive.read("SystemStructure.ssd"))
@@ -258,7 +375,10 @@ def test_the_system_structure_is_valid_and_complete(name, tmp_path):
         units = {}
         for component in root.iter(f"{SSD}Component"):
             (tmp_path / "part.fmu").write_bytes(archive.read(component.attrib["source"]))
-            described = {v.name: v for v in fmpy.read_model_description(str(tmp_path / "part.fmu")).modelVariables}
+            described = {
+                v.name: v
+                for v in fmpy.read_model_description(str(tmp_path / "part.fmu")).modelVariables
+            }
             for connector in component.iter(f"{SSD}Connector"):
                 variable = described[connector.attrib["name"]]
                 assert variable.causality == connector.attrib["kind"]
@@ -320,7 +440,9 @@ def test_a_contact_gives_what_the_equations_say(tmp_path):
         push = lam * np.array([float(slope.subs(at)) for slope in part.gradient])
         fmu.setReal(list(range(1, 9)), [*q, *v])
         got = fmu.getReal(list(range(len(names)))[-8:])
-        np.testing.assert_allclose(got, [lam, -phi, lam * max(phi, 0.0) / 2, push @ v, *push], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(
+            got, [lam, -phi, lam * max(phi, 0.0) / 2, push @ v, *push], rtol=1e-12, atol=1e-12
+        )
         depths.append(phi)
     fmu.terminate()
     fmu.freeInstance()
@@ -331,8 +453,12 @@ def test_the_command_writes_an_ssp_and_refuses_what_it_would_ignore(tmp_path, ca
     target = tmp_path / "pair.ssp"
     assert group.run(["fmu", "two_body_collision", "--coupled", "-o", str(target)]) == 0
     assert target.read_bytes() == build_ssp(load_scene("two_body_collision")).read_bytes()
-    assert group.run(["fmu", "two_body_collision", "--coupled", "--fmi", "3", "-o", str(target)]) == 2
-    assert not unsaid(capsys.readouterr().err, "--coupled writes FMI 2.0 for … leave out --fmi and --platform")
+    assert (
+        group.run(["fmu", "two_body_collision", "--coupled", "--fmi", "3", "-o", str(target)]) == 2
+    )
+    assert not unsaid(
+        capsys.readouterr().err, "--coupled writes FMI 2.0 for … leave out --fmi and --platform"
+    )
 
 
 @pytest.mark.slow

@@ -12,8 +12,10 @@ mujoco = pytest.importorskip("mujoco")
 
 
 @pytest.mark.parametrize(("actuator", "unit"), [
-    ('<motor joint="j"/>', "N m"), ('<motor joint="s"/>', "N"), ('<motor joint="j" gear="3"/>', "1"), ('<position joint="j" kp="7"/>', "rad"),
-    ('<position joint="s" kp="7" kv="1"/>', "m"), ('<velocity joint="s" kv="3"/>', "m/s"), ('<general joint="j" gainprm="2"/>', "1"),
+    ('<motor joint="j"/>', "N m"), ('<motor joint="s"/>', "N"),
+    ('<motor joint="j" gear="3"/>', "1"), ('<position joint="j" kp="7"/>', "rad"),
+    ('<position joint="s" kp="7" kv="1"/>', "m"), ('<velocity joint="s" kv="3"/>', "m/s"),
+    ('<general joint="j" gainprm="2"/>', "1"),
 ])  # fmt: skip
 def test_an_input_has_the_unit_that_is_known(robot, actuator: str, unit: str):
     text = f"""<mujoco><worldbody><body><joint name="j"/><joint name="s" type="slide"/><geom size=".1"/></body></worldbody>
@@ -24,20 +26,24 @@ def test_an_input_has_the_unit_that_is_known(robot, actuator: str, unit: str):
 
 
 def _body(inside: str, outside: str = "", option: str = "") -> str:
-    return (
-        f'<mujoco>{option}<worldbody><body name="arm"><geom name="arm" size=".1" condim="1"/>{inside}</body></worldbody>{outside}</mujoco>'
-    )
+    return f'<mujoco>{option}<worldbody><body name="arm"><geom name="arm" size=".1" condim="1"/>{inside}</body></worldbody>{outside}</mujoco>'
 
 
 @pytest.mark.parametrize(("text", "said"), [
     ("hello", ("MuJoCo", "does not read it", "correct it")),
     (_body('<joint name="j" apirate="1"/>'), ("apirate", "line 1", "another version")),
-    (_body('<geom type="mesh" mesh="no"/>', '<asset><mesh name="no" file="no.stl"/></asset>'), ("no.stl", "does not read it")),
-    (_body('<joint name="j"/>', '<actuator><general joint="j" dyntype="user"/></actuator>'), ("actuator", "user", "take them out")),
-    (_body("<freejoint/>", '<sensor><user dim="1"/></sensor>'), ("sensor", "user", "take them out")),
-    (_body("<freejoint/>", option='<option><flag sleep="enable"/></option>'), ("sleep", "take the flag out")),
-    (_body("<freejoint/>", option='<option timestep="0"/>'), ("timestep", "0 s", "at least 1e-09 s")),
-    (_body('<joint name="a:b"/><joint name="a_b" axis="1 0 0"/>'), ("a:b", "a_b", "q_a_b", "rename")),
+    (_body('<geom type="mesh" mesh="no"/>', '<asset><mesh name="no" file="no.stl"/></asset>'),
+     ("no.stl", "does not read it")),
+    (_body('<joint name="j"/>', '<actuator><general joint="j" dyntype="user"/></actuator>'),
+     ("actuator", "user", "take them out")),
+    (_body("<freejoint/>", '<sensor><user dim="1"/></sensor>'),
+     ("sensor", "user", "take them out")),
+    (_body("<freejoint/>", option='<option><flag sleep="enable"/></option>'),
+     ("sleep", "take the flag out")),
+    (_body("<freejoint/>", option='<option timestep="0"/>'),
+     ("timestep", "0 s", "at least 1e-09 s")),
+    (_body('<joint name="a:b"/><joint name="a_b" axis="1 0 0"/>'),
+     ("a:b", "a_b", "q_a_b", "rename")),
 ])  # fmt: skip
 def test_what_no_fmu_can_carry_is_refused_in_a_sentence(robot, text: str, said: tuple[str, ...]):
     with pytest.raises(RobotError) as refused:
@@ -48,7 +54,12 @@ def test_what_no_fmu_can_carry_is_refused_in_a_sentence(robot, text: str, said: 
 
 @pytest.mark.parametrize(
     ("contact", "said"),
-    [("foot", ("foot", "A:B")), ("foot:flor", ("foot:flor", "floor")), ("foot:foot", ("foot:foot", "two")), (":", ("A:B",))],
+    [
+        ("foot", ("foot", "A:B")),
+        ("foot:flor", ("foot:flor", "floor")),
+        ("foot:foot", ("foot:foot", "two")),
+        (":", ("A:B",)),
+    ],
 )
 def test_a_contact_of_nothing_is_refused(robot, contact: str, said: tuple[str, ...]):
     with pytest.raises(RobotError) as refused:
@@ -79,17 +90,32 @@ def test_a_cut_binary_and_a_missing_file_are_refused(robot, tmp_path: Path):
 
 @pytest.mark.slow
 def test_what_is_missing_in_a_robot_is_said_and_not_refused(robot):
-    assert robot(_body('<joint name="j"/>', '<actuator><motor joint="j" ctrlrange="-1 1"/></actuator>')).notes == []
+    assert (
+        robot(
+            _body('<joint name="j"/>', '<actuator><motor joint="j" ctrlrange="-1 1"/></actuator>')
+        ).notes
+        == []
+    )
     (bounds,) = robot(_body('<joint name="j"/>', '<actuator><motor joint="j"/></actuator>')).notes
     assert "ctrlrange" in bounds
     assert "u_j" in bounds
     (idle,) = robot(_body('<joint name="j"/>')).notes
     assert "no actuators" in idle
-    delayed = robot(_body('<joint name="j"/>', '<actuator><motor joint="j" ctrlrange="-1 1" delay=".01" nsample="8"/></actuator>'))
+    delayed = robot(
+        _body(
+            '<joint name="j"/>',
+            '<actuator><motor joint="j" ctrlrange="-1 1" delay=".01" nsample="8"/></actuator>',
+        )
+    )
     assert "no Model Exchange" in delayed.notes[0]
     assert "delay" in delayed.notes[0]
     assert read_package(build_robot(delayed)).exchange is None
-    (rubs,) = robot(_body('<joint name="j"/><geom size=".1"/>', '<actuator><motor joint="j" ctrlrange="-1 1"/></actuator>')).notes
+    (rubs,) = robot(
+        _body(
+            '<joint name="j"/><geom size=".1"/>',
+            '<actuator><motor joint="j" ctrlrange="-1 1"/></actuator>',
+        )
+    ).notes
     assert "no Model Exchange" in rubs
     assert "friction" in rubs
 
@@ -97,7 +123,10 @@ def test_what_is_missing_in_a_robot_is_said_and_not_refused(robot):
 def test_a_urdf_is_a_robot(robot):
     link = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
     joint = '<joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
-    found = robot(f'<robot name="r"><link name="a">{link}</link><link name="b">{link}</link>{joint}</robot>', suffix=".urdf")
+    found = robot(
+        f'<robot name="r"><link name="a">{link}</link><link name="b">{link}</link>{joint}</robot>',
+        suffix=".urdf",
+    )
     assert [variable.name for variable in found.table[:3]] == ["time", "q_j", "v_j"]
 
 
@@ -109,7 +138,11 @@ def test_a_recorded_row_has_the_columns_of_the_map(robot):
     row = dict(zip(recorder.columns, recorder.rows[0], strict=True))
     assert row["q_root_z"] == 0.55
     assert row["v_root_wy"] == -0.2
-    assert [row[f"v_root_{part}"] for part in ("qw", "qx", "qy", "qz")] == pytest.approx([0.0, 0.15, -0.1, 0.05])
+    assert [row[f"v_root_{part}"] for part in ("qw", "qx", "qy", "qz")] == pytest.approx(
+        [0.0, 0.15, -0.1, 0.05]
+    )
     assert all(
-        f'column = "{name}"' in leg.map_text for name in recorder.columns if name.startswith("v_") and not name.startswith("v_root_w")
+        f'column = "{name}"' in leg.map_text
+        for name in recorder.columns
+        if name.startswith("v_") and not name.startswith("v_root_w")
     )

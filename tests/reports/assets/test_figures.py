@@ -30,19 +30,26 @@ _NAMED = "[...document.querySelectorAll('figure')].find((one) => one.querySelect
 def _saved(page, figure: str) -> dict[str, bytes]:
     """The three files of a figure by their endings."""
     page.evaluate(_LISTEN)
-    page.evaluate(f"{_NAMED.replace('NAME', repr(figure))}.querySelectorAll('.save button').forEach((button) => button.click())")
+    page.evaluate(
+        f"{_NAMED.replace('NAME', repr(figure))}.querySelectorAll('.save button').forEach((button) => button.click())"
+    )
     files = page.evaluate(_BYTES.replace("COUNT", "3"))
     assert page.messages == []
     assert len(files) == 3
-    return {name.rpartition(".")[2]: base64.b64decode(text) for name, text in files} | {"names": [name for name, _ in files]}
+    return {name.rpartition(".")[2]: base64.b64decode(text) for name, text in files} | {
+        "names": [name for name, _ in files]
+    }
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_a_figure_is_saved_as_drawing_picture_and_numbers(chromium, run_file, full_folder, factory, dark):
+def test_a_figure_is_saved_as_drawing_picture_and_numbers(
+    chromium, run_file, full_folder, factory, dark
+):
     page = chromium.open(run_file, dark=dark)
     files = _saved(page, "Positions")
     assert sorted(files["names"]) == [
-        f"strict-on-three_cart-stage-1-positions-plan-dotted-replay-solid-m.{kind}" for kind in ("csv", "png", "svg")
+        f"strict-on-three_cart-stage-1-positions-plan-dotted-replay-solid-m.{kind}"
+        for kind in ("csv", "png", "svg")
     ]
     root = ElementTree.fromstring(files["svg"])
     space = "{http://www.w3.org/2000/svg}"
@@ -51,7 +58,13 @@ def test_a_figure_is_saved_as_drawing_picture_and_numbers(chromium, run_file, fu
     fills = {element.get("stroke") for element in root.iter(f"{space}path")}
     assert "rgb(11, 98, 173)" in fills, "light colours, whatever the page's are"
     assert (
-        len([line for line in root.iter(f"{space}path") if line.get("stroke-width") in ("1.8px", "1.5px") and "l" in line.get("d", "")])
+        len(
+            [
+                line
+                for line in root.iter(f"{space}path")
+                if line.get("stroke-width") in ("1.8px", "1.5px") and "l" in line.get("d", "")
+            ]
+        )
         == 6
     )
     assert not [element for element in root.iter() if element.get("class")]
@@ -67,7 +80,9 @@ def test_a_figure_is_saved_as_drawing_picture_and_numbers(chromium, run_file, fu
         mine = np.array([(float(t), float(q)) for series, t, q in rows if series == f"{name} plan"])
         assert mine[:, 0] == pytest.approx(plan.t, abs=1e-6)
         assert mine[:, 1] == pytest.approx(plan.columns[name], abs=1e-4)
-    assert {series for series, *_ in rows} == {f"{name} {what}" for name in ("q1", "q2", "q3") for what in ("plan", "replay")}
+    assert {series for series, *_ in rows} == {
+        f"{name} {what}" for name in ("q1", "q2", "q3") for what in ("plan", "replay")
+    }
 
 
 def test_a_span_that_is_dragged_is_enlarged_until_a_double_click(chromium, run_file):
@@ -116,7 +131,9 @@ def test_a_table_is_sorted_filtered_and_saved_as_it_is_shown(chromium, page_file
     for way, values in found.items():
         known = [float(value) for value in values if value is not None]
         assert known == sorted(known, reverse=way == "descending")
-        assert values[len(known) :] == [None] * (len(values) - len(known)), "what is empty comes last"
+        assert values[len(known) :] == [None] * (len(values) - len(known)), (
+            "what is empty comes last"
+        )
         assert len(set(known)) > 3
     page.press("Enter")
     assert page.evaluate(costs) == before
@@ -127,7 +144,9 @@ def test_a_table_is_sorted_filtered_and_saved_as_it_is_shown(chromium, page_file
     )
     shown = len(page.evaluate(costs))
     assert 0 < shown < len(before)
-    assert page.evaluate(f"{tools}.querySelector('output').textContent") == f"{shown} of {len(before)}"
+    assert (
+        page.evaluate(f"{tools}.querySelector('output').textContent") == f"{shown} of {len(before)}"
+    )
     page.evaluate(f"{tools}.querySelector('.take').click()")
     ((_, text),) = page.evaluate(_BYTES.replace("COUNT", "1"))
     assert len(base64.b64decode(text).decode("utf-8-sig").splitlines()) == 1 + shown
@@ -150,7 +169,8 @@ def test_the_player_has_speeds_a_loop_and_things_to_hide(chromium, run_file):
         assert page.evaluate(picture) != before, name
         page.evaluate(f"pick('{name}', true)")
         assert page.evaluate(picture) == before, name
-    # Frames of a clock of our own: 0.4 s of it are 0.4 s of the motion, at a tenth of the speed a tenth of that.
+    # Frames of a clock of our own: 0.4 s of it are 0.4 s of the motion, at a tenth of the speed a
+    # tenth of that.
     page.evaluate(
         "window.clock = 0; performance.now = () => clock; window.queue = []; window.requestAnimationFrame = (step) => queue.push(step);"
         "window.pass = (ms) => { clock += ms; queue.splice(0).forEach((step) => step(clock)); }; 0"

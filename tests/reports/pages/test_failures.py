@@ -14,13 +14,29 @@ from reports.rule import RESULTS, RULE
 
 
 def ended(factory, scene: str, pipeline: str, verdict: str, outcome: str = "solved", **changes):
-    run = factory.run("strict", None, "strict_lcp", key=f"{scene}-{pipeline}", verdict=verdict, outcome=outcome)
+    run = factory.run(
+        "strict", None, "strict_lcp", key=f"{scene}-{pipeline}", verdict=verdict, outcome=outcome
+    )
     metrics = tuple(
-        item.model_copy(update={"value": 0.43, "limit": 0.05, "ok": False}) if item.name == "replay_terminal_position_error" else item
+        item.model_copy(update={"value": 0.43, "limit": 0.05, "ok": False})
+        if item.name == "replay_terminal_position_error"
+        else item
         for item in run.stages[0].metrics
     )
-    said = {"verdict": verdict, "outcome": outcome, "paper": {}, "metrics": metrics if verdict == "violates" else (), **changes}
-    return run.model_copy(update={"scene": factory.scene(scene), "pipeline": pipeline, "stages": (run.stages[0].model_copy(update=said),)})
+    said = {
+        "verdict": verdict,
+        "outcome": outcome,
+        "paper": {},
+        "metrics": metrics if verdict == "violates" else (),
+        **changes,
+    }
+    return run.model_copy(
+        update={
+            "scene": factory.scene(scene),
+            "pipeline": pipeline,
+            "stages": (run.stages[0].model_copy(update=said),),
+        }
+    )
 
 
 def section(*runs):
@@ -40,7 +56,10 @@ def test_a_cause_stands_once_with_its_runs_by_scene(factory):
     runs += [ended(factory, "bank", "b", "violates"), ended(factory, "bank", "c", "holds")]
     motion, none = section(*runs).values["groups"]
     assert (motion.amount, none.amount) == (3, 1)
-    assert [(name, limit, [item.run.pipeline for item in mine]) for name, _, limit, mine in motion.scenes] == [
+    assert [
+        (name, limit, [item.run.pipeline for item in mine])
+        for name, _, limit, mine in motion.scenes
+    ] == [
         ("bank", "0.050 m", ["a", "b"]),
         ("hill", "0.050 m", ["a"]),
     ]
@@ -56,7 +75,10 @@ def test_runs_that_fail_the_campaign_are_marked_and_others_are_not(factory, tmp_
         ended(factory, "bank", "good", "holds"),
     ]
     (group,) = section(*runs).values["groups"]
-    assert [(item.run.pipeline, item.must) for _, _, _, mine in group.scenes for item in mine] == [("broke", True), ("stopped", False)]
+    assert [(item.run.pipeline, item.must) for _, _, _, mine in group.scenes for item in mine] == [
+        ("broke", True),
+        ("stopped", False),
+    ]
     text = words(render(factory.store(tmp_path / "all", runs)))
     assert "The campaign fails: bank x broke: violates" in text
     assert not unsaid(text, "bank (limit 0.050 m): ✗ … campaign: broke 0.43 m, stopped 0.43 m")
@@ -88,18 +110,33 @@ def test_what_was_asked_and_whether_all_of_it_is_there(factory):
     run = ended(factory, "bank", "a", "holds")
 
     def values(*runs, unreadable=(), missing=(), checks=()):
-        return overview.what_failed(Report(Stored(None, runs, unreadable, missing, 0, checks))).values
+        return overview.what_failed(
+            Report(Stored(None, runs, unreadable, missing, 0, checks))
+        ).values
 
     check = CheckRecord(
-        key="c", kind="FMU", name="n", expected="", outcome="answered", passed=False, found="it is wrong.", wall_seconds=1.0, cpu_seconds=1.0,
+        key="c", kind="FMU", name="n", expected="", outcome="answered", passed=False,
+        found="it is wrong.", wall_seconds=1.0, cpu_seconds=1.0,
         provenance=factory.provenance(),
     )  # fmt: skip
-    assert [values()["asked"], values(run)["asked"], values(checks=(check,))["asked"]] == [False, True, True]
+    assert [values()["asked"], values(run)["asked"], values(checks=(check,))["asked"]] == [
+        False,
+        True,
+        True,
+    ]
     cut = (Unreadable("a", "it is cut."),)
-    assert [values(run)["whole"], values(run, unreadable=cut)["whole"], values(run, missing=("gone",))["whole"]] == [True, False, False]
+    assert [
+        values(run)["whole"],
+        values(run, unreadable=cut)["whole"],
+        values(run, missing=("gone",))["whole"],
+    ] == [True, False, False]
     assert values(run, missing=("gone",))["missing"] == ("gone",)
     assert values(run, unreadable=cut)["unreadable"] == [("it is cut.", ["a"])]
-    assert (values(run, checks=(check,))["broken"], values(run)["few"], values(run)["campaign"]) == (
+    assert (
+        values(run, checks=(check,))["broken"],
+        values(run)["few"],
+        values(run)["campaign"],
+    ) == (
         ("FMU: n: failed - it is wrong.",),
         12,
         None,
@@ -110,12 +147,16 @@ def test_what_was_asked_and_whether_all_of_it_is_there(factory):
 def test_a_limit_is_told_where_runs_share_it_and_a_link_to_each_scene(factory):
     runs = [ended(factory, "bank", name, "violates") for name in ("a", "b")]
     (stage,) = runs[1].stages
-    other = tuple(item.model_copy(update={"limit": 0.07}) if item.limit == 0.05 else item for item in stage.metrics)
+    other = tuple(
+        item.model_copy(update={"limit": 0.07}) if item.limit == 0.05 else item
+        for item in stage.metrics
+    )
     runs[1] = runs[1].model_copy(update={"stages": (stage.model_copy(update={"metrics": other}),)})
     (group,) = section(*runs).values["groups"]
     ((name, link, limit, mine),) = group.scenes
     assert (name, link, limit, [(item.by, item.limit, item.link) for item in mine]) == (
-        "bank", "pages/scene-bank.html", "", [("0.43 m", "0.050 m", "pages/bank-a.html"), ("0.43 m", "0.070 m", "pages/bank-b.html")],
+        "bank", "pages/scene-bank.html", "",
+        [("0.43 m", "0.050 m", "pages/bank-a.html"), ("0.43 m", "0.070 m", "pages/bank-b.html")],
     )  # fmt: skip
     assert section().anchor == "failures"
     assert section().title == "What failed, by cause"

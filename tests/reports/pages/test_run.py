@@ -21,26 +21,46 @@ def report(*records: RunRecord, single: bool = False) -> Report:
 
 
 def test_every_run_is_a_row_with_the_numbers_of_its_last_stage():
-    metrics = (judged("replay_terminal_position_error", 0.1), judged("replay_terminal_velocity_error", 0.2), judged("replay_error", 0.3))
+    metrics = (
+        judged("replay_terminal_position_error", 0.1),
+        judged("replay_terminal_velocity_error", 0.2),
+        judged("replay_error", 0.3),
+    )
     told = report(
         ran("a", *metrics, cost=490.0, cpu=3.0),
-        ran("b", cost=None, verdict="not applicable").model_copy(update={"stages": (), "message": "x: too many."}),
+        ran("b", cost=None, verdict="not applicable").model_copy(
+            update={"stages": (), "message": "x: too many."}
+        ),
     )
     found = one_run.all_runs(told)
     first, second = found.values["listed"]
-    assert (first.run.cost, first.run.integral_cost, first.run.solving_cpu) == (490.0, pytest.approx(4.9), 3.0)
+    assert (first.run.cost, first.run.integral_cost, first.run.solving_cpu) == (
+        490.0,
+        pytest.approx(4.9),
+        3.0,
+    )
     assert ([item.value for item in first.errors], first.why, first.link, first.anchor) == (
         [0.1, 0.2, 0.3],
         "",
         "pages/a-key.html",
         "run-1",
     )
-    assert (second.run.cost, second.run.integral_cost, second.run.solving_cpu, second.errors) == (None, None, 0, [None] * 3)
+    assert (second.run.cost, second.run.integral_cost, second.run.solving_cpu, second.errors) == (
+        None,
+        None,
+        0,
+        [None] * 3,
+    )
     assert (second.why, second.anchor, second.view) == ("Too many.", "run-2", None)
     assert not unsaid(found.said, "2 runs … 1 of which holds")
     assert found.entries == ()
     assert "0 of which hold:" in one_run.all_runs(report(ran("a", verdict="violates"))).said
-    single = report(ran("a", of=factory.scene("hill")), ran("b", of=factory.scene("bank")), ran("c", of=factory.scene("hill")), single=True)
+    single = report(
+        ran("a", of=factory.scene("hill")),
+        ran("b", of=factory.scene("bank")),
+        ran("c", of=factory.scene("hill")),
+        single=True,
+    )
     assert one_run.all_runs(single).entries == (("run-1", "hill"), ("run-2", "bank"))
     assert one_run.all_runs(single).values["listed"][0].view is not None
     assert one_run.all_runs(report()) is None
@@ -49,63 +69,108 @@ def test_every_run_is_a_row_with_the_numbers_of_its_last_stage():
 @pytest.mark.parametrize(
     ("message", "said"),
     [
-        ("strict: scene three_cart has no inputs; see there", "The scene has no inputs"), ("a word: it does not apply", "A word: it does not apply"),
-        ("it does not apply", "It does not apply"), ("strict: scene hill has none", "Scene hill has none"),
+        ("strict: scene three_cart has no inputs; see there", "The scene has no inputs"),
+        ("a word: it does not apply", "A word: it does not apply"),
+        ("it does not apply", "It does not apply"),
+        ("strict: scene hill has none", "Scene hill has none"),
     ],
 )  # fmt: skip
 def test_why_a_run_does_not_apply(message: str, said: str):
-    assert not_applicable(ran("a", verdict="not applicable").model_copy(update={"message": message})) == said
+    assert (
+        not_applicable(ran("a", verdict="not applicable").model_copy(update={"message": message}))
+        == said
+    )
     assert not_applicable(ran("a", verdict="holds").model_copy(update={"message": message})) == ""
 
 
 def test_why_a_run_has_its_verdict():
     bad = judged("physics_scaled", 2.0, question=3, limit=1.0, ok=False)
     answers = factory.questions(q3="no")
-    run = ran("a", bad, cost=490.0, verdict="violates", cause="physics_scaled", why="it is too much.", advice="Do this.", questions=answers)
+    run = ran(
+        "a",
+        bad,
+        cost=490.0,
+        verdict="violates",
+        cause="physics_scaled",
+        why="it is too much.",
+        advice="Do this.",
+        questions=answers,
+    )
     found = decision_of(run)
     assert (found.question.number, found.metric) == (3, bad)
     assert not unsaid(found.cause, "Relaxed contact: … not those of contact. It is too much.")
     assert not unsaid(found.advice, "Tighten the solver's tolerance")
     good = decision_of(
-        ran("a", judged("x", 0.5, question=2, limit=1.0, ok=True), cost=None, why="").model_copy(update={"message": "never told"})
+        ran("a", judged("x", 0.5, question=2, limit=1.0, ok=True), cost=None, why="").model_copy(
+            update={"message": "never told"}
+        )
     )
     assert (good.cause, good.advice) == ("", "")
     lost = decision_of(
-        ran("a", verdict="no plan", why="", outcome="crashed").model_copy(update={"stages": (), "outcome": "crashed", "message": "it is gone."}),
+        ran("a", verdict="no plan", why="",
+            outcome="crashed").model_copy(update={"stages": (), "outcome": "crashed",
+                                                  "message": "it is gone."}),
     )  # fmt: skip
-    assert (lost.question, lost.metric, lost.cause, lost.ends) == (None, None, "No plan: crashed. It is gone.", "")
+    assert (lost.question, lost.metric, lost.cause, lost.ends) == (
+        None,
+        None,
+        "No plan: crashed. It is gone.",
+        "",
+    )
 
 
 def test_judged_metrics_of_all_stages_stand_side_by_side():
     first = ran(
-        "a", judged("b", 1.0, question=5, limit=3.0), judged("tracked_b", 9.0, question=5, limit=3.0), judged("feedback_effort", 2.0, limit=1.0),
+        "a", judged("b", 1.0, question=5, limit=3.0),
+        judged("tracked_b", 9.0, question=5, limit=3.0), judged("feedback_effort", 2.0, limit=1.0),
         judged("shown", 4.0),
     ).stages[0]  # fmt: skip
     second = ran(
-        "a", judged("b", 2.0, question=5, limit=4.0), judged("c", 7.0, limit=1.0), judged("d", 8.0, question=1, limit=1.0), eps=1e-3
+        "a",
+        judged("b", 2.0, question=5, limit=4.0),
+        judged("c", 7.0, limit=1.0),
+        judged("d", 8.0, question=1, limit=1.0),
+        eps=1e-3,
     ).stages[0]
     run = ran("a").model_copy(update={"stages": (first, second.model_copy(update={"index": 1}))})
     view = view_of(report(run), run)
-    assert [(metric.name, [item and item.value for item in found]) for metric, found in view.beside] == [
+    assert [
+        (metric.name, [item and item.value for item in found]) for metric, found in view.beside
+    ] == [
         ("d", [None, 8.0]),
         ("b", [1.0, 2.0]),
         ("c", [None, 7.0]),
     ]
     assert view.beside[1][0].limit == 4.0, "the limit of the last"
     assert view_of(report(run), ran("a", judged("b", 1.0, limit=3.0))).beside == []
-    assert one_run.build(report(run), run).entries == (("run-stage-1", "a"), ("run-stage-2", "a, ε = 10⁻³"))
+    assert one_run.build(report(run), run).entries == (
+        ("run-stage-1", "a"),
+        ("run-stage-2", "a, ε = 10⁻³"),
+    )
 
 
 def test_both_ends_are_told_where_there_is_feedback():
-    metrics = (judged("replay_terminal_position_error", 0.5), judged("tracked_replay_terminal_position_error", 0.25))
+    metrics = (
+        judged("replay_terminal_position_error", 0.5),
+        judged("tracked_replay_terminal_position_error", 0.25),
+    )
     run = ran("a", *metrics)
-    assert [stage.ends for stage in view_of(report(run), run).stages] == [[("replay", "position 0.50 m")]]
+    assert [stage.ends for stage in view_of(report(run), run).stages] == [
+        [("replay", "position 0.50 m")]
+    ]
     (one,) = run.stages
-    replay = one.replay.model_copy(update={"tracked": TrackedRecord(error_estimate=1e-9), "judged": "feedback"})
+    replay = one.replay.model_copy(
+        update={"tracked": TrackedRecord(error_estimate=1e-9), "judged": "feedback"}
+    )
     followed = run.model_copy(update={"stages": (one.model_copy(update={"replay": replay}),)})
     (view,) = view_of(report(followed), followed).stages
     assert view.ends == [("inputs alone", "position 0.50 m"), ("with feedback", "position 0.25 m")]
-    assert (view.stage.is_tracked, view.stage.is_followed, view.stage.is_empty, view.idle) == (True, True, False, False)
+    assert (view.stage.is_tracked, view.stage.is_followed, view.stage.is_empty, view.idle) == (
+        True,
+        True,
+        False,
+        False,
+    )
     bare = {"has_plan": False, "replay": None, "iterations": 0}
     seconds = one.seconds.model_copy(update={"stage": 0.0})
     for changes, idle in (
@@ -119,20 +184,32 @@ def test_both_ends_are_told_where_there_is_feedback():
             ran("a", **changes)
             if "seconds" not in changes
             else ran("a").model_copy(
-                update={"stages": (one.model_copy(update=changes | ({"metrics": ()} if "replay" in changes else {})),)}
+                update={
+                    "stages": (
+                        one.model_copy(
+                            update=changes | ({"metrics": ()} if "replay" in changes else {})
+                        ),
+                    )
+                }
             )
         )
         assert view_of(report(lost), lost).stages[0].idle == idle, changes
 
 
 def words(text: str) -> str:
-    return " ".join(html.unescape(re.sub(r"<(style|script)[^>]*>.*?</\1>|<[^>]*>", " ", text, flags=re.DOTALL)).split())
+    return " ".join(
+        html.unescape(
+            re.sub(r"<(style|script)[^>]*>.*?</\1>|<[^>]*>", " ", text, flags=re.DOTALL)
+        ).split()
+    )
 
 
 def rows_of(folder) -> list[list[str]]:
     write_report(folder)
     table = re.search(
-        r'<table class="numbers close runs".*?</table>', (folder / PAGES / "runs.html").read_text(encoding="utf-8"), re.DOTALL
+        r'<table class="numbers close runs".*?</table>',
+        (folder / PAGES / "runs.html").read_text(encoding="utf-8"),
+        re.DOTALL,
     )
     assert table is not None
     return [
@@ -143,40 +220,70 @@ def rows_of(folder) -> list[list[str]]:
 
 def test_a_row_has_errors_apart_with_units_and_the_integral_cost(factory, tmp_path):
     refused = factory.run(
-        "refused", None, "strict_lcp", key="no-0", stages=(), outcome="refused", verdict="not applicable",
+        "refused", None, "strict_lcp", key="no-0", stages=(), outcome="refused",
+        verdict="not applicable",
         message="strict_lcp: scene three_cart has no wall.",
     )  # fmt: skip
     head, row, other = rows_of(factory.store(tmp_path / "all", [factory.runs()[0], refused]))
     assert head[3:5] == ["Cost", "Integral cost"]
     # 496.63 times 0.01 s; 4.1e-3 off, 0.8 of it in position and 0.6 in velocity.
-    assert row == ["three_cart", "strict", "✓ holds", "496.63", "4.9663", "0.0033 m", "0.0025 m/s", "0.0090 m", "0.71", ""]
+    assert row == [
+        "three_cart",
+        "strict",
+        "✓ holds",
+        "496.63",
+        "4.9663",
+        "0.0033 m",
+        "0.0025 m/s",
+        "0.0090 m",
+        "0.71",
+        "",
+    ]
     assert other[:3] == ["three_cart", "refused", "⊘ not applicable"]
     assert other[-1] == "The scene has no wall."
 
 
 def test_the_page_of_a_run_begins_with_its_verdict(factory, tmp_path):
-    run = factory.run("strict", None, "strict_lcp", verdict="violates", outcome="stalled", message="No step lowers the loss.")
+    run = factory.run(
+        "strict",
+        None,
+        "strict_lcp",
+        verdict="violates",
+        outcome="stalled",
+        message="No step lowers the loss.",
+    )
     (stage,) = run.stages
     metrics = tuple(
-        item.model_copy(update={"value": 0.12, "ok": False}) if item.name == "replay_terminal_position_error" else item
+        item.model_copy(update={"value": 0.12, "ok": False})
+        if item.name == "replay_terminal_position_error"
+        else item
         for item in stage.metrics
     )
     said = {
-        "metrics": metrics, "verdict": "violates", "outcome": "stalled", "questions": factory.questions(q4="no"),
+        "metrics": metrics, "verdict": "violates", "outcome": "stalled",
+        "questions": factory.questions(q4="no"),
         "why": "the motion ends 0.12 m from the goal.", "cause": "motion",
     }  # fmt: skip
     run = run.model_copy(update={"stages": (stage.model_copy(update=said),)})
     decision = decision_of(run)
-    assert (decision.question.number, decision.metric.name, decision.metric.value) == (4, "replay_terminal_position_error", 0.12)
+    assert (decision.question.number, decision.metric.name, decision.metric.value) == (
+        4,
+        "replay_terminal_position_error",
+        0.12,
+    )
     folder = factory.store(tmp_path / "all", [run])
     write_report(folder)
     text = words((folder / PAGES / run_page(run)).read_text(encoding="utf-8"))
     order = [
-        "strict on three_cart ✗ violates", "Question 4. Do its inputs give its motion, and the goal? ✗ no",
+        "strict on three_cart ✗ violates",
+        "Question 4. Do its inputs give its motion, and the goal? ✗ no",
         "Decided by replay_terminal_position_error : 0.12 m ± 3.0×10⁻⁹, limit 0.06 m.",
-        "Cause The inputs do not give the planned motion. The motion ends 0.12 m from the goal.", "Advice Look at the error over time",
-        "Cost 496.63, a sum over 500 steps; integral cost (times h = 0.01 s) 4.9663", "Keys: space plays and pauses",
-        "Positions: plan dotted", "Made by touchstone 0.1.0, commit aaaaaaaaaaaa", "Run it again python -m validate all -k",
+        "Cause The inputs do not give the planned motion. The motion ends 0.12 m from the goal.",
+        "Advice Look at the error over time",
+        "Cost 496.63, a sum over 500 steps; integral cost (times h = 0.01 s) 4.9663",
+        "Keys: space plays and pauses",
+        "Positions: plan dotted", "Made by touchstone 0.1.0, commit aaaaaaaaaaaa",
+        "Run it again python -m validate all -k",
     ]  # fmt: skip
     places = [text.find(part) for part in order]
     assert -1 not in places, order[places.index(-1)]
@@ -187,14 +294,23 @@ def test_the_page_of_a_run_begins_with_its_verdict(factory, tmp_path):
 def test_long_keys_are_cut_in_links_and_others_are_not(factory):
     run = factory.run("strict", None, "strict_lcp")
     assert run_page(run) == "strict-0123456789abcdef.html"
-    assert run_page(run.model_copy(update={"key": "0123456789abcdef" * 4})) == "0123456789abcdef.html"
+    assert (
+        run_page(run.model_copy(update={"key": "0123456789abcdef" * 4})) == "0123456789abcdef.html"
+    )
 
 
 def test_a_metric_that_could_not_be_measured_decides_with_its_reason(factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp", verdict="undecided")
     (stage,) = run.stages
-    lost = stage.metrics[-2].model_copy(update={"value": None, "ok": None, "reason": "the replay left every bound"})
-    run = run.model_copy(update={"stages": (stage.model_copy(update={"metrics": (lost,), "verdict": "undecided"}),)})
+    lost = stage.metrics[-2].model_copy(
+        update={"value": None, "ok": None, "reason": "the replay left every bound"}
+    )
+    run = run.model_copy(
+        update={"stages": (stage.model_copy(update={"metrics": (lost,), "verdict": "undecided"}),)}
+    )
     folder = factory.store(tmp_path / "all", [run])
     write_report(folder)
-    assert not unsaid(words((folder / PAGES / run_page(run)).read_text(encoding="utf-8")), "Decided by replay_error : … 0.02 m.")
+    assert not unsaid(
+        words((folder / PAGES / run_page(run)).read_text(encoding="utf-8")),
+        "Decided by replay_error : … 0.02 m.",
+    )

@@ -19,20 +19,38 @@ from tests.reports import record_factory as factory
 def run(scene: str, price: float, pipeline: str = "mpcc", verdict: str = "holds") -> RunRecord:
     template = factory.runs()[0]
     last = template.stages[-1].model_copy(update={"cost": price, "verdict": verdict})
-    named = {"key": f"{scene}-{pipeline}", "pipeline": pipeline, "scene": factory.scene(scene), "stages": (last,), "verdict": verdict}
+    named = {
+        "key": f"{scene}-{pipeline}",
+        "pipeline": pipeline,
+        "scene": factory.scene(scene),
+        "stages": (last,),
+        "verdict": verdict,
+    }
     return template.model_copy(update=named)
 
 
-def row(engine: str, verdict: str, agrees: bool | None, kind: str = "", sentence: str = "0.1 from ours") -> EngineRecord:
+def row(
+    engine: str, verdict: str, agrees: bool | None, kind: str = "", sentence: str = "0.1 from ours"
+) -> EngineRecord:
     return EngineRecord(engine=engine, verdict=verdict, agrees=agrees, kind=kind, sentence=sentence)
 
 
 RUNS = (run("one", 2.0), run("two", 3.0), run("three", 4.0))
 RECORD = SimulatorsRecord(
-    engines={"near": "Nearby 1.0; stiff springs", "far": "Far 2.0; cones", "gone": "asked of what is no more"},
+    engines={
+        "near": "Nearby 1.0; stiff springs",
+        "far": "Far 2.0; cones",
+        "gone": "asked of what is no more",
+    },
     plans={
-        "one-mpcc": (row("near", "holds", True), row("far", "violates", False, "contact law", "<b>violates</b> & more")),
-        "two-mpcc": (row("near", "holds", True), row("far", "cannot express it", None, "", "no such damping")),
+        "one-mpcc": (
+            row("near", "holds", True),
+            row("far", "violates", False, "contact law", "<b>violates</b> & more"),
+        ),
+        "two-mpcc": (
+            row("near", "holds", True),
+            row("far", "cannot express it", None, "", "no such damping"),
+        ),
         "three-mpcc": (row("near", "undecided", False, "step error"),),
         "of another run": (row("gone", "holds", True),),
     },
@@ -50,7 +68,9 @@ def test_sentences_count_who_agrees_and_why_not():
         "far gives our verdict on 0 of 1 plan that it can step; otherwise by contact law (1); no answer on two (cannot express it).",
     ]
     assert found.said == found.values["said"][0]
-    assert list(found.values["engines"]) == ["near", "far"], "of runs that are no more nothing is told"
+    assert list(found.values["engines"]) == ["near", "far"], (
+        "of runs that are no more nothing is told"
+    )
     assert [(item.scene.name, other.engine) for item, _, other in found.values["otherwise"]] == [
         ("one", "far"),
         ("two", "far"),
@@ -69,21 +89,35 @@ def test_the_page_shows_each_verdict_what_was_not_asked_and_what_was_measured():
 
 
 @pytest.mark.parametrize(
-    "record", [None, SimulatorsRecord(), SimulatorsRecord(plans={"of another run": ()})], ids=["none", "empty", "other"]
+    "record",
+    [None, SimulatorsRecord(), SimulatorsRecord(plans={"of another run": ()})],
+    ids=["none", "empty", "other"],
 )
 def test_without_rows_of_these_runs_there_is_no_page(record: SimulatorsRecord | None):
     assert built(record) is None
 
 
 def test_the_cheapest_that_holds_comes_first():
-    runs = (run("one", 3.0), run("one", 1.0, "soft", "violates"), run("one", 2.0, "tracked", "holds with feedback"), run("two", 0.5))
+    runs = (
+        run("one", 3.0),
+        run("one", 1.0, "soft", "violates"),
+        run("one", 2.0, "tracked", "holds with feedback"),
+        run("two", 0.5),
+    )
     stored = Stored(None, runs)
-    assert [(item.pipeline, price) for item, price in stored.cheapest("one")] == [("tracked", 2.0), ("mpcc", 3.0)]
+    assert [(item.pipeline, price) for item, price in stored.cheapest("one")] == [
+        ("tracked", 2.0),
+        ("mpcc", 3.0),
+    ]
 
 
 def test_rows_of_an_engine_that_is_asked_again_take_the_place_of_the_old():
     found = RECORD.with_rows("one-mpcc", (row("far", "holds", True), row("new", "holds", True)))
-    assert [(item.engine, item.verdict) for item in found.plans["one-mpcc"]] == [("near", "holds"), ("far", "holds"), ("new", "holds")]
+    assert [(item.engine, item.verdict) for item in found.plans["one-mpcc"]] == [
+        ("near", "holds"),
+        ("far", "holds"),
+        ("new", "holds"),
+    ]
     assert found.plans["two-mpcc"] == RECORD.plans["two-mpcc"]
 
 

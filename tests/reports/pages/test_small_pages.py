@@ -10,7 +10,14 @@ from reports.pages import run as one_run
 from reports.pages.section import Report
 from reports.records.check_record import CheckRecord
 from reports.records.load import Stored, Unreadable
-from reports.records.record import EquationRecord, RunRecord, SizeRecord, StartRecord, TimeStepRecord, ViolationPoint
+from reports.records.record import (
+    EquationRecord,
+    RunRecord,
+    SizeRecord,
+    StartRecord,
+    TimeStepRecord,
+    ViolationPoint,
+)
 from reports.render import Templates
 from tests.reports import record_factory as factory
 from tests.reports.drawn import Mark, drawn
@@ -18,14 +25,26 @@ from tests.reports.record_factory import judged, ran
 
 
 def report(
-    *records: RunRecord, checks: tuple[CheckRecord, ...] = (), single: bool = False, at: str = "pages/", **campaign: object
+    *records: RunRecord,
+    checks: tuple[CheckRecord, ...] = (),
+    single: bool = False,
+    at: str = "pages/",
+    **campaign: object,
 ) -> Report:
     told = factory.campaign(list(records), **campaign) if campaign else None
     return Report(Stored(told, records, (), (), 0, checks), at=at, single=single)
 
 
-def start(number: int, kind: str, cost: float | None, *windows: tuple[str, int, int]) -> StartRecord:
-    return StartRecord(number=number, start=kind, outcome="solved" if cost is not None else "stalled", cost=cost, windows=windows)
+def start(
+    number: int, kind: str, cost: float | None, *windows: tuple[str, int, int]
+) -> StartRecord:
+    return StartRecord(
+        number=number,
+        start=kind,
+        outcome="solved" if cost is not None else "stalled",
+        cost=cost,
+        windows=windows,
+    )
 
 
 def stage_of(*found: StartRecord):
@@ -34,7 +53,8 @@ def stage_of(*found: StartRecord):
 
 def test_the_spread_of_several_starts():
     found = one_run.spread(stage_of(
-        start(5, "random", 100.0, ("left", 1, 2)), start(2, "chain", 300.0, ("right", 3, 4)), start(1, "random", 100.0, ("left", 1, 2)), start(3, "chain", None),
+        start(5, "random", 100.0, ("left", 1, 2)), start(2, "chain", 300.0, ("right", 3, 4)),
+        start(1, "random", 100.0, ("left", 1, 2)), start(3, "chain", None),
         start(4, "chain", 200.0),
     ))  # fmt: skip
     assert not unsaid(
@@ -42,23 +62,41 @@ def test_the_spread_of_several_starts():
         "4 of 5 starts … (80\u202f%); cost 100.00 at least, 150.00 … median, 300.00 at most; 3 distinct optima … reached 2 times.",
     )
     assert [(item.cost, item.windows, item.reached_from) for item in found.optima] == [
-        (100.0, "left 1–2", "random (1, 5)"), (200.0, "", "chain (4)"), (300.0, "right 3–4", "chain (2)"),
+        (100.0, "left 1–2", "random (1, 5)"), (200.0, "", "chain (4)"),
+        (300.0, "right 3–4", "chain (2)"),
     ]  # fmt: skip
     assert [item.number for item in found.failed] == [3]
     plot = found.plot
     assert plot is not None
     assert sorted((mark.tip, mark.at) for mark in drawn(plot).marks) == [
-        ("Start 1, random: cost 100.00; left 1–2", (100.0, 2.0)), ("Start 2, chain: cost 300.00; right 3–4", (300.0, 1.0)), ("Start 4, chain: cost 200.00; ", (200.0, 1.0)),
+        ("Start 1, random: cost 100.00; left 1–2", (100.0, 2.0)),
+        ("Start 2, chain: cost 300.00; right 3–4", (300.0, 1.0)),
+        ("Start 4, chain: cost 200.00; ", (200.0, 1.0)),
         ("Start 5, random: cost 100.00; left 1–2", (100.0, 1.0)),
     ]  # fmt: skip
     assert (plot.width, plot.height, plot.y.low, plot.y.high) == (560, 158, 0.0, pytest.approx(2.2))
     assert (plot.x.low, plot.x.high) == (pytest.approx(90), pytest.approx(310))
-    assert one_run.Optimum(1.0, [start(7, "b", 1.0), start(3, "a", 1.0), start(4, "b", 1.0)], "").reached_from == "a (3); b (4, 7)"
+    assert (
+        one_run.Optimum(
+            1.0, [start(7, "b", 1.0), start(3, "a", 1.0), start(4, "b", 1.0)], ""
+        ).reached_from
+        == "a (3); b (4, 7)"
+    )
 
 
 def test_starts_of_one_bin_of_forty_are_stacked():
-    plot = one_run.spread(stage_of(*(start(place, "a", cost) for place, cost in enumerate((0.0, 40.0, 0.9, 1.1, 39.0), 1)))).plot
-    assert [mark.at for mark in drawn(plot).marks] == [(0.0, 1.0), (0.9, 2.0), (1.1, 1.0), (39.0, 1.0), (40.0, 1.0)]
+    plot = one_run.spread(
+        stage_of(
+            *(start(place, "a", cost) for place, cost in enumerate((0.0, 40.0, 0.9, 1.1, 39.0), 1))
+        )
+    ).plot
+    assert [mark.at for mark in drawn(plot).marks] == [
+        (0.0, 1.0),
+        (0.9, 2.0),
+        (1.1, 1.0),
+        (39.0, 1.0),
+        (40.0, 1.0),
+    ]
     same = one_run.spread(stage_of(start(1, "a", 7.0), start(2, "a", 7.0))).plot
     assert [mark.at for mark in drawn(same).marks] == [(7.0, 1.0), (7.0, 2.0)]
 
@@ -66,39 +104,59 @@ def test_starts_of_one_bin_of_forty_are_stacked():
 def test_no_start_or_none_that_was_solved():
     assert one_run.spread(stage_of()) is None
     found = one_run.spread(stage_of(start(1, "a", None), start(2, "b", None)))
-    assert (found.words, found.plot, found.optima, len(found.failed)) == ("None of 2 starts was solved.", None, [], 2)
+    assert (found.words, found.plot, found.optima, len(found.failed)) == (
+        "None of 2 starts was solved.",
+        None,
+        [],
+        2,
+    )
 
 
 def points() -> tuple[ViolationPoint, ...]:
     told = [
-        ("softplus", 1.0, 9.0, 0.0), ("softplus", 0.1, 4.0, 2.0), ("softplus", 0.01, 1.0, 1.25), ("relaxed_lcp", 0.01, 0.011, 0.01),
+        ("softplus", 1.0, 9.0, 0.0), ("softplus", 0.1, 4.0, 2.0), ("softplus", 0.01, 1.0, 1.25),
+        ("relaxed_lcp", 0.01, 0.011, 0.01),
         ("other", 0.5, 0.25, 0.5), ("softplus", 0.0, 1.0, 1.0),
     ]  # fmt: skip
-    return tuple(ViolationPoint(law=law, eps=eps, measured=measured, closed_form=form) for law, eps, measured, form in told)
+    return tuple(
+        ViolationPoint(law=law, eps=eps, measured=measured, closed_form=form)
+        for law, eps, measured, form in told
+    )
 
 
 def test_the_worst_violation_is_drawn_against_eps():
     found = errata.violation(report(violation=points()))
     plot = found.values["plot"]
     assert drawn(plot).lines == {
-        "softplus, closed form": ("c0 soft", [(0.01, 1.25), (0.1, 2.0), (1.0, 1e-200)]), "relaxed LCP, closed form": ("c1 soft", [(0.01, 0.01)]),
+        "softplus, closed form": ("c0 soft", [(0.01, 1.25), (0.1, 2.0), (1.0, 1e-200)]),
+        "relaxed LCP, closed form": ("c1 soft", [(0.01, 0.01)]),
         "other, closed form": ("c2 soft", [(0.5, 0.5)]),
     }  # fmt: skip
     assert drawn(plot).marks == [
-        Mark("c0", "circle", "softplus, ε = 10⁻²: D = 1 N²", "", (0.01, 1.0)), Mark("c0", "circle", "softplus, ε = 10⁻¹: D = 4 N²", "", (0.1, 4.0)),
-        Mark("c0", "circle", "softplus, ε = 1: D = 9 N²", "", (1.0, 9.0)), Mark("c1", "square", "relaxed LCP, ε = 10⁻²: D = 0.011 N²", "", (0.01, 0.011)),
+        Mark("c0", "circle", "softplus, ε = 10⁻²: D = 1 N²", "", (0.01, 1.0)),
+        Mark("c0", "circle", "softplus, ε = 10⁻¹: D = 4 N²", "", (0.1, 4.0)),
+        Mark("c0", "circle", "softplus, ε = 1: D = 9 N²", "", (1.0, 9.0)),
+        Mark("c1", "square", "relaxed LCP, ε = 10⁻²: D = 0.011 N²", "", (0.01, 0.011)),
         Mark("c2", "diamond", "other, ε = 0.5: D = 0.25 N²", "", (0.5, 0.25)),
     ]  # fmt: skip
-    assert found.values["worst"] == [("softplus", 3, 9.0), ("relaxed LCP", 1, pytest.approx(0.1)), ("other", 1, pytest.approx(0.5))]
+    assert found.values["worst"] == [
+        ("softplus", 3, 9.0),
+        ("relaxed LCP", 1, pytest.approx(0.1)),
+        ("other", 1, pytest.approx(0.5)),
+    ]
     assert [(name, formula, len(mine)) for name, formula, mine in found.values["laws"]] == [
-        ("softplus", "D = (k L ln 2 / ln ε)²", 3), ("relaxed LCP", "D = ε", 1), ("other", "closed form", 1),
+        ("softplus", "D = (k L ln 2 / ln ε)²", 3), ("relaxed LCP", "D = ε", 1),
+        ("other", "closed form", 1),
     ]  # fmt: skip
     assert plot.words.startswith(
         "softplus: D falls from 9.0 N² at ε = 1 to 1.0 N² at ε = 10⁻². relaxed LCP: D falls from 0.011 N² at ε = 10⁻² to 0.011"
     )
-    assert found.values["force"] == pytest.approx(2.0**0.5 * 2.302585093 / 0.6931471806), "at eps = 0.1, the first that is not 1"
+    assert found.values["force"] == pytest.approx(2.0**0.5 * 2.302585093 / 0.6931471806), (
+        "at eps = 0.1, the first that is not 1"
+    )
     assert [(key.style, key.marker) for key in plot.keys][:2] == [("c0 soft", ""), ("c0", "circle")]
-    assert (plot.x.log, plot.y.log, plot.width, plot.height, plot.x.quantity, plot.y.quantity, plot.y.unit) == (
+    assert (plot.x.log, plot.y.log, plot.width, plot.height, plot.x.quantity, plot.y.quantity,
+            plot.y.unit) == (
         True, True, 720, 360, "ε", "worst violation D", "N²",
     )  # fmt: skip
     assert ("c0", "softplus: D = (k L ln 2 / ln ε)²") in drawn(plot).tags
@@ -122,25 +180,50 @@ def test_seconds_are_told_by_group_and_the_slowest_first():
     slow, quick = found.values["slowest"]
     assert (slow.run.pipeline, slow.link) == ("slow", "pages/slow-key.html")
     assert dict(zip(found.values["groups"], slow.groups, strict=True)) == {
-        "starting": 3.0, "compiling": 0.0, "modelling": 0.0, "evaluating": 0.0, "linear algebra": 0.0, "judging": 3.0, "other": 4.0,
+        "starting": 3.0, "compiling": 0.0, "modelling": 0.0, "evaluating": 0.0,
+        "linear algebra": 0.0, "judging": 3.0, "other": 4.0,
     }  # fmt: skip
-    assert slow.phases == (("solving otherwise", 4.0), ("replaying", 3.0), ("imports", 2.0), ("reading the scene", 1.0))
+    assert slow.phases == (
+        ("solving otherwise", 4.0),
+        ("replaying", 3.0),
+        ("imports", 2.0),
+        ("reading the scene", 1.0),
+    )
     assert [part for part in slow.bar if part[1]] == [
-        (0.0, 60.0, "c0", "starting: 3.00 s"), (60.0, 60.0, "c5", "judging: 3.00 s"), (120.0, 80.0, "rest", "other: 4.00 s"),
+        (0.0, 60.0, "c0", "starting: 3.00 s"), (60.0, 60.0, "c5", "judging: 3.00 s"),
+        (120.0, 80.0, "rest", "other: 4.00 s"),
     ]  # fmt: skip
-    assert [part[:3] for part in quick.bar if part[1]] == [(0.0, 30.0, "c5"), (30.0, 10.0, "rest")], "of the slowest run"
+    assert [part[:3] for part in quick.bar if part[1]] == [
+        (0.0, 30.0, "c5"),
+        (30.0, 10.0, "rest"),
+    ], "of the slowest run"
     assert quick.phases == (("replaying", 1.5), ("odd phase", 0.5))
-    assert not unsaid(found.values["sentence"], "12.00 s of 2 runs … replaying (38 %), solving otherwise (33 %) and imports (17 %).")
-    assert (found.values["without"], found.values["width"], found.said) == (1, 200.0, found.values["sentence"])
+    assert not unsaid(
+        found.values["sentence"],
+        "12.00 s of 2 runs … replaying (38 %), solving otherwise (33 %) and imports (17 %).",
+    )
+    assert (found.values["without"], found.values["width"], found.said) == (
+        1,
+        200.0,
+        found.values["sentence"],
+    )
     assert found.values["styles"] == {
-        "starting": "c0", "compiling": "c1", "modelling": "c2", "evaluating": "c3", "linear algebra": "c4", "judging": "c5", "other": "rest",
+        "starting": "c0", "compiling": "c1", "modelling": "c2", "evaluating": "c3",
+        "linear algebra": "c4", "judging": "c5", "other": "rest",
     }  # fmt: skip
     nothing = campaign.time_spent(report(profiled("zero", 0.0, replay=0.0)))
-    assert (nothing.values["sentence"], nothing.said) == ("", "The slowest runs, each by what its seconds were spent on.")
+    assert (nothing.values["sentence"], nothing.said) == (
+        "",
+        "The slowest runs, each by what its seconds were spent on.",
+    )
     assert campaign.time_spent(report(ran("none"))) is None
-    many = campaign.time_spent(report(*(profiled(f"run {place}", float(place % 7), replay=1.0) for place in range(12))))
+    many = campaign.time_spent(
+        report(*(profiled(f"run {place}", float(place % 7), replay=1.0) for place in range(12)))
+    )
     assert many is not None
-    assert [item.run.pipeline for item in many.values["slowest"]] == [f"run {place}" for place in (6, 5, 11, 4, 10, 3, 2, 9, 1, 8)]
+    assert [item.run.pipeline for item in many.values["slowest"]] == [
+        f"run {place}" for place in (6, 5, 11, 4, 10, 3, 2, 9, 1, 8)
+    ]
 
 
 @pytest.mark.parametrize("share", [0.0999, 0.1001])
@@ -149,9 +232,12 @@ def test_a_tenth_of_the_seconds_is_told(share: float):
     assert ("imports" in found.values["sentence"]) == (share > 0.1)
 
 
-def examined(name: str, passed: bool = True, outcome: str = "answered", **changes: object) -> CheckRecord:
+def examined(
+    name: str, passed: bool = True, outcome: str = "answered", **changes: object
+) -> CheckRecord:
     said = {
-        "key": name, "kind": "FMU", "name": name, "expected": "", "outcome": outcome, "passed": passed, "found": "", "wall_seconds": 2.0,
+        "key": name, "kind": "FMU", "name": name, "expected": "", "outcome": outcome,
+        "passed": passed, "found": "", "wall_seconds": 2.0,
         "cpu_seconds": 1.5,
     }  # fmt: skip
     return CheckRecord.model_validate({**said, "provenance": factory.provenance(), **changes})
@@ -159,14 +245,20 @@ def examined(name: str, passed: bool = True, outcome: str = "answered", **change
 
 def test_fmus_by_scene_and_version():
     found = checks.fmus(report(checks=(
-        examined("bank, FMI 2.0", scene="bank"), examined("hill, FMI 3.0", False, scene="hill"), examined("bank, FMI 3.0", False, "time_limit", scene="bank"),
+        examined("bank, FMI 2.0", scene="bank"), examined("hill, FMI 3.0", False, scene="hill"),
+        examined("bank, FMI 3.0", False, "time_limit", scene="bank"),
         examined("other", kind="stress case"),
     )))  # fmt: skip
     assert found is not None
-    assert [(view.name, view.version, view.anchor, view.ended) for view in found.values["views"]] == [
-        ("bank", "2.0", "fmu-1", ""), ("hill", "3.0", "fmu-2", "failed"), ("bank", "3.0", "fmu-3", "time limit"),
+    assert [(view.name, view.version, view.anchor,
+             view.ended) for view in found.values["views"]] == [
+        ("bank", "2.0", "fmu-1", ""), ("hill", "3.0", "fmu-2", "failed"),
+        ("bank", "3.0", "fmu-3", "time limit"),
     ]  # fmt: skip
-    assert not unsaid(found.said, "3 FMUs of 2 scenes … 2.0 and 3.0: 2 of them do not pass … 0 passed, 0 failed, 0 not offered; 4 CPU")
+    assert not unsaid(
+        found.said,
+        "3 FMUs of 2 scenes … 2.0 and 3.0: 2 of them do not pass … 0 passed, 0 failed, 0 not offered; 4 CPU",
+    )
     assert found.values["ours"] is True
     one = checks.fmus(report(checks=(examined("bank, FMI 2.0", False, scene="bank"),)))
     assert not unsaid(one.said, "1 FMU of 1 scene in FMI 2.0: 1 … does not pass.")
@@ -180,10 +272,17 @@ def test_what_a_runs_origin_has_other_than_the_campaigns():
     first = factory.provenance()
     assert campaign.differences(first, first) == []
     other = factory.provenance(
-        touchstone="9", commit="b", python="4", platform="P", cpu="C", compiler="cc", packages={"numpy": "1", "scipy": "2"}
+        touchstone="9",
+        commit="b",
+        python="4",
+        platform="P",
+        cpu="C",
+        compiler="cc",
+        packages={"numpy": "1", "scipy": "2"},
     )
     assert campaign.differences(first, other) == [
-        "touchstone 9", "commit b", "python 4", "platform P", "cpu C", "compiler cc", "numpy 1", "pyomo absent", "scipy 2",
+        "touchstone 9", "commit b", "python 4", "platform P", "cpu C", "compiler cc", "numpy 1",
+        "pyomo absent", "scipy 2",
     ]  # fmt: skip
     same, far = ran("same"), ran("far").model_copy(update={"provenance": other})
     found = campaign.provenance(report(same, far, title="x"))
@@ -193,7 +292,9 @@ def test_what_a_runs_origin_has_other_than_the_campaigns():
         ("far", "pages/far-key.html", 9),
     ]
     assert "none of 1 run come" in campaign.provenance(report(same)).said
-    assert campaign.provenance(report(far, same)).values["first"] is other, "without a campaign the first run's"
+    assert campaign.provenance(report(far, same)).values["first"] is other, (
+        "without a campaign the first run's"
+    )
     assert campaign.provenance(report()) is None
     assert campaign.provenance(report(title="x")).values["first"] == first
 
@@ -202,42 +303,61 @@ def test_sizes_once_a_method_and_those_that_differ():
     size = SizeRecord(unknowns=5, equations=4, paper_unknowns=5, paper_equations=4)
     other = size.model_copy(update={"unknowns": 9})
     told = report(
-        ran("a", size=size), ran("b"), ran("a", size=size), ran("c", size=size), ran("a", size=other),
+        ran("a", size=size), ran("b"), ran("a", size=size), ran("c", size=size),
+        ran("a", size=other),
         ran("d", size=size, of=factory.scene("hill")),
     )  # fmt: skip
     found = scene.model(told, told.scenes[0])
-    assert [(method, item.unknowns) for method, item in found.values["sizes"]] == [("a", 5), ("c", 5), ("a", 9)]
+    assert [(method, item.unknowns) for method, item in found.values["sizes"]] == [
+        ("a", 5),
+        ("c", 5),
+        ("a", 9),
+    ]
 
 
 @pytest.mark.parametrize(
     ("changes", "same"),
     [
-        ({}, "yes"), ({"unknowns": 9}, "no"), ({"equations": 9}, "no"), ({"paper_unknowns": 9}, "no"), ({"paper_equations": 9}, "no"),
+        ({}, "yes"), ({"unknowns": 9}, "no"), ({"equations": 9}, "no"),
+        ({"paper_unknowns": 9}, "no"), ({"paper_equations": 9}, "no"),
         ({"paper_unknowns": 4, "paper_equations": 5}, "no"),
     ],
 )  # fmt: skip
 def test_sizes_say_whether_they_are_those_on_paper(changes: dict[str, int], same: str):
-    size = SizeRecord.model_validate({"unknowns": 5, "equations": 4, "paper_unknowns": 5, "paper_equations": 4} | changes)
+    size = SizeRecord.model_validate(
+        {"unknowns": 5, "equations": 4, "paper_unknowns": 5, "paper_equations": 4} | changes
+    )
     told = report(ran("a", size=size))
     found = scene.model(told, told.scenes[0])
-    (row,) = re.findall(r'<tr><th scope="row">a</th>.*?</tr>', Templates().render(found.template, section=found, **found.values))
-    numbers = [str(value) for value in (size.unknowns, size.paper_unknowns, size.equations, size.paper_equations)]
+    (row,) = re.findall(
+        r'<tr><th scope="row">a</th>.*?</tr>',
+        Templates().render(found.template, section=found, **found.values),
+    )
+    numbers = [
+        str(value)
+        for value in (size.unknowns, size.paper_unknowns, size.equations, size.paper_equations)
+    ]
     assert re.findall(r"<td[^>]*>(.*?)</td>", row) == [*numbers, same]
 
 
 def test_the_index_names_scenes_with_their_best_plan_and_other_pages():
     told = report(
-        ran("dear", cost=200.0), ran("cheap", cost=100.0), ran("wrong", cost=1.0, verdict="violates"), ran("idle", verdict="not applicable"),
-        ran("unpriced", cost=None), ran("none", verdict="no plan", of=factory.scene("hill")), ran("free", verdict="consistent", of=factory.scene("hill")),
+        ran("dear", cost=200.0), ran("cheap", cost=100.0),
+        ran("wrong", cost=1.0, verdict="violates"), ran("idle", verdict="not applicable"),
+        ran("unpriced", cost=None), ran("none", verdict="no plan", of=factory.scene("hill")),
+        ran("free", verdict="consistent", of=factory.scene("hill")),
     )  # fmt: skip
     page = section.Section("sweeps", "Sweeps", "sweeps.html", said="Two sweeps.")
     found = overview.index(told, [("sweep", page)])
     assert found is not None
     assert [(scene.name, *rest) for scene, *rest in found.values["scenes"]] == [
-        ("three_cart", "pages/scene-three_cart.html", 3, 4, "cheap, cost 100.00"), ("hill", "pages/scene-hill.html", 0, 1, ""),
+        ("three_cart", "pages/scene-three_cart.html", 3, 4, "cheap, cost 100.00"),
+        ("hill", "pages/scene-hill.html", 0, 1, ""),
     ]  # fmt: skip
     assert found.values["pages"] == [("pages/sweep.html", "Sweeps", "Two sweeps.")]
-    assert overview.index(report(single=True), [("sweep", page)]).values["pages"] == [("#sweeps", "Sweeps", "Two sweeps.")]
+    assert overview.index(report(single=True), [("sweep", page)]).values["pages"] == [
+        ("#sweeps", "Sweeps", "Two sweeps.")
+    ]
     assert overview.index(report(), []) is None
     assert overview.index(report(ran("one")), []) is not None
 
@@ -248,14 +368,18 @@ def test_the_index_names_scenes_with_their_best_plan_and_other_pages():
         ({}, "0.01 s is stable … is 0.75, with left and right closed; … below 0.19 s."),
         ({"contacts": (), "largest_step": None}, "is 0.75, with no contact closed; … at any step."),
         ({"growth": 3.5}, "left and right closed, the motion itself grows at 3.5/s"),
-        ({"warning": "it is stiff."}, "Past its stability limit: it is stiff."), ({"scene": "hill"}, ""),
+        ({"warning": "it is stiff."}, "Past its stability limit: it is stiff."),
+        ({"scene": "hill"}, ""),
     ],
 )  # fmt: skip
 def test_what_was_known_of_a_time_step(changes: dict, said: str):
     known = {
-        "scene": "bank", "digest": "", "step": 0.01, "radius": 0.75, "contacts": ("left", "right"), "growth": 0.0, "largest_step": 0.19,
+        "scene": "bank", "digest": "", "step": 0.01, "radius": 0.75, "contacts": ("left", "right"),
+        "growth": 0.0, "largest_step": 0.19,
     }  # fmt: skip
-    found = scene.time_step(report(time_steps=(TimeStepRecord.model_validate(known | changes),)), "bank")
+    found = scene.time_step(
+        report(time_steps=(TimeStepRecord.model_validate(known | changes),)), "bank"
+    )
     assert not unsaid(found, said)
     assert bool(said) == bool(found)
     assert scene.time_step(report(), "bank") == ""
@@ -264,18 +388,42 @@ def test_what_was_known_of_a_time_step(changes: dict, said: str):
 def warm(name: str, own: float, before: float | None, total: float) -> RunRecord:
     run = factory.run(name, "softplus_dc", "strict_lcp")
     *first, last = run.stages
-    first = [stage.model_copy(update={"paper": {"time": before} if before is not None else {}}) for stage in first]
+    first = [
+        stage.model_copy(update={"paper": {"time": before} if before is not None else {}})
+        for stage in first
+    ]
     last = last.model_copy(
-        update={"paper": {"time": own}, "options": {"of": name}, "seconds": last.seconds.model_copy(update={"stage": 0.25, "total": total})}
+        update={
+            "paper": {"time": own},
+            "options": {"of": name},
+            "seconds": last.seconds.model_copy(update={"stage": 0.25, "total": total}),
+        }
     )
     return run.model_copy(
-        update={"pipeline": name, "key": name, "stages": (*(stage.model_copy(update={"options": {"of": name}}) for stage in first), last)}
+        update={
+            "pipeline": name,
+            "key": name,
+            "stages": (
+                *(stage.model_copy(update={"options": {"of": name}}) for stage in first),
+                last,
+            ),
+        }
     )
 
 
 def test_the_most_flattered_row_is_the_one_whose_clock_leaves_most_out():
-    found = errata.build(report(warm("a", 10.0, 5.0, 4.0), warm("b", 1.0, 2.0, 5.0), warm("c", 2.0, None, 6.0), warm("d", 3.0, 2.0, 7.0)))
-    assert not unsaid(found.values["clock"], "strict_lcp after softplus_dc: 1.00 s as printed, 7.00 s … here 0.25 s and 5.00 s.")
+    found = errata.build(
+        report(
+            warm("a", 10.0, 5.0, 4.0),
+            warm("b", 1.0, 2.0, 5.0),
+            warm("c", 2.0, None, 6.0),
+            warm("d", 3.0, 2.0, 7.0),
+        )
+    )
+    assert not unsaid(
+        found.values["clock"],
+        "strict_lcp after softplus_dc: 1.00 s as printed, 7.00 s … here 0.25 s and 5.00 s.",
+    )
     assert errata.build(report(warm("c", 2.0, None, 6.0))).values["clock"] == ""
     assert errata.build(report(ran("one", of=factory.scene("hill")))) is None
 
@@ -285,7 +433,10 @@ def test_what_the_records_show_of_the_errata():
     values = errata.build(told).values
     assert not unsaid(values["closed_form"], "3 values of ε: … 1.0.")
     assert values["physics"] == "Here it is exactly 0 of relu_gd."
-    odd = report(ran("relu_gd", judged("physics", 0.5), paper={"cost": 1.0}), ran("other", judged("physics", 0.25)))
+    odd = report(
+        ran("relu_gd", judged("physics", 0.5), paper={"cost": 1.0}),
+        ran("other", judged("physics", 0.25)),
+    )
     assert errata.build(odd).values["physics"] == "Here: 0.5 of relu_gd."
     assert errata.build(odd).values["closed_form"] == ""
     assert errata.build(report(ran("other", paper={"cost": 1.0}))).values["physics"] == ""
@@ -297,19 +448,30 @@ DIGEST = "0123456789abcdef" * 4
 @pytest.mark.parametrize(
     ("key", "name", "run_link", "scene_link"),
     [
-        ("plain", "bank", "plain.html", "scene-bank.html"), (DIGEST, "three_cart-2", "0123456789abcdef.html", "scene-three_cart-2.html"),
-        (DIGEST[1:], "a" * 80, f"{DIGEST[1:]}.html", f"scene-{'a' * 80}.html"), ("a b", "a/b", "a%20b.html", "scene-c14cddc033f64b9d.html"),
+        ("plain", "bank", "plain.html", "scene-bank.html"),
+        (DIGEST, "three_cart-2", "0123456789abcdef.html", "scene-three_cart-2.html"),
+        (DIGEST[1:], "a" * 80, f"{DIGEST[1:]}.html", f"scene-{'a' * 80}.html"),
+        ("a b", "a/b", "a%20b.html", "scene-c14cddc033f64b9d.html"),
         (DIGEST + "0", "", f"{DIGEST}0.html", "scene-e3b0c44298fc1c14.html"),
     ],
 )  # fmt: skip
 def test_links_lead_to_pages_or_to_anchors(key: str, name: str, run_link: str, scene_link: str):
     where = factory.scene(name)
     other, run = ran("other"), ran("one", of=where).model_copy(update={"key": key})
-    told, single, beside = report(other, run), report(other, run, single=True), report(other, run, at="")
-    assert (told.link(run), single.link(run), beside.link(run)) == (f"pages/{run_link}", "#run-2", run_link)
+    told, single, beside = (
+        report(other, run),
+        report(other, run, single=True),
+        report(other, run, at=""),
+    )
+    assert (told.link(run), single.link(run), beside.link(run)) == (
+        f"pages/{run_link}",
+        "#run-2",
+        run_link,
+    )
     assert (told.scene_link(where), single.scene_link(where)) == (f"pages/{scene_link}", "#scene-2")
     assert told.scene_anchor(where) == "scene-2"
-    assert (told.page_link("sweeps"), told.page_link("sweeps", "one"), single.page_link("sweeps"), single.page_link("sweeps", "one")) == (
+    assert (told.page_link("sweeps"), told.page_link("sweeps", "one"), single.page_link("sweeps"),
+            single.page_link("sweeps", "one")) == (
         "pages/sweeps.html", "pages/sweeps.html#one", "#sweeps", "#one",
     )  # fmt: skip
     assert [row.run.pipeline for row in told.rows_of_scene(where)] == ["one"]
@@ -318,9 +480,15 @@ def test_links_lead_to_pages_or_to_anchors(key: str, name: str, run_link: str, s
 def test_what_is_said_before_anything_else():
     from reports.pages.overview import notices
 
-    lost = tuple(Unreadable(f"file {place}", why) for place, why in enumerate(("it is cut; see there.", "it is old.", "it is old.")))
+    lost = tuple(
+        Unreadable(f"file {place}", why)
+        for place, why in enumerate(("it is cut; see there.", "it is old.", "it is old."))
+    )
     none = Stored(None, ())
-    assert [part in " ".join(notices(Report(none))) for part in ("own record is missing", "No run is stored here yet")] == [True, True]
+    assert [
+        part in " ".join(notices(Report(none)))
+        for part in ("own record is missing", "No run is stored here yet")
+    ] == [True, True]
     told = Stored(factory.campaign([], quick=True), (ran("a"),), lost, ("gone",), 2)
     missing, unread, foreign, quick = notices(Report(told))
     assert not unsaid(missing, "1 run … no stored record yet")
@@ -337,47 +505,79 @@ def test_what_is_said_before_anything_else():
 def test_scenes_stand_in_the_order_of_the_campaign_however_their_runs_are_mixed():
     hill, bank = factory.scene("hill", "first"), factory.scene("bank")
     told = report(ran("a", of=hill), ran("b", of=bank), ran("c", of=factory.scene("hill", "later")))
-    assert [(one.name, one.title) for one in told.scenes] == [("hill", "first"), ("bank", bank.title)]
+    assert [(one.name, one.title) for one in told.scenes] == [
+        ("hill", "first"),
+        ("bank", bank.title),
+    ]
 
 
 def test_every_phase_has_its_words_and_its_group():
     """A second copy of the table."""
     groups = {
-        "starting": {"start": "interpreter", "imports": "imports", "scene": "reading the scene", "opening": "opening methods"},
-        "compiling": {"compile": "compiling the scene", "fmu_build": "building the FMU"}, "modelling": {"build": "building models", "translate": "translating models"},
-        "evaluating": {"evaluate": "functions and derivatives"}, "linear algebra": {"linear_algebra": "linear algebra of solvers"},
-        "judging": {"certificate": "certificates", "replay": "replaying", "survey": "trying plans in perturbed worlds"},
-        "other": {"shared": "sharing stages with other runs", "solve_rest": "solving otherwise", "writing": "writing files", "record": "the record"},
+        "starting": {"start": "interpreter", "imports": "imports", "scene": "reading the scene",
+                     "opening": "opening methods"},
+        "compiling": {"compile": "compiling the scene", "fmu_build": "building the FMU"},
+        "modelling": {"build": "building models", "translate": "translating models"},
+        "evaluating": {"evaluate": "functions and derivatives"},
+        "linear algebra": {"linear_algebra": "linear algebra of solvers"},
+        "judging": {"certificate": "certificates", "replay": "replaying",
+                    "survey": "trying plans in perturbed worlds"},
+        "other": {"shared": "sharing stages with other runs", "solve_rest": "solving otherwise",
+                  "writing": "writing files", "record": "the record"},
     }  # fmt: skip
-    assert {phase: (words, group) for group, phases in groups.items() for phase, words in phases.items()} == campaign.PHASES
+    assert {
+        phase: (words, group) for group, phases in groups.items() for phase, words in phases.items()
+    } == campaign.PHASES
 
 
 def test_a_scene_and_its_model():
-    equations = (EquationRecord(caption="one", mathml="<math><mi>k</mi></math>"), EquationRecord(caption="bad", mathml="<p>no</p>"))
+    equations = (
+        EquationRecord(caption="one", mathml="<math><mi>k</mi></math>"),
+        EquationRecord(caption="bad", mathml="<p>no</p>"),
+    )
     paper, hill = factory.scene().model_copy(update={"equations": equations}), factory.scene("hill")
     size = SizeRecord(unknowns=5, equations=4, paper_unknowns=5, paper_equations=4)
     told = report(ran("a", of=paper, size=size), ran("b", of=hill))
     first, second = scene.build(told, paper), scene.build(told, hill)
-    assert (first.anchor, first.title, first.values["model"], first.values["shown"]) == ("scene-1", "The scene three_cart", "model-1", None)
-    assert (second.anchor, second.title, second.values["model"]) == ("scene-2", "The scene hill", "model-2")
+    assert (first.anchor, first.title, first.values["model"], first.values["shown"]) == (
+        "scene-1",
+        "The scene three_cart",
+        "model-1",
+        None,
+    )
+    assert (second.anchor, second.title, second.values["model"]) == (
+        "scene-2",
+        "The scene hill",
+        "model-2",
+    )
     found = scene.model(told, paper)
     assert (found.anchor, found.title) == ("model-1", "Equations and quantities of three_cart")
-    assert found.values["equations"] == [("one", "<math><mi>k</mi></math>", "<math><mi>k</mi></math>"), ("bad", None, "<p>no</p>")]
+    assert found.values["equations"] == [
+        ("one", "<math><mi>k</mi></math>", "<math><mi>k</mi></math>"),
+        ("bad", None, "<p>no</p>"),
+    ]
     assert (found.values["sizes"], found.values["time_step"]) == ([("a", size)], "")
     assert scene.model(told, hill).values["sizes"] == []
-    known = TimeStepRecord(scene="hill", digest="", step=0.01, radius=0.75, contacts=(), growth=0.0, largest_step=None)
+    known = TimeStepRecord(
+        scene="hill", digest="", step=0.01, radius=0.75, contacts=(), growth=0.0, largest_step=None
+    )
     told = report(ran("b", of=hill), time_steps=(known,))
-    assert scene.model(told, hill).values["time_step"].startswith("The time step of 0.01 s is stable")
+    assert (
+        scene.model(told, hill).values["time_step"].startswith("The time step of 0.01 s is stable")
+    )
 
 
-def test_the_command_line_writes_the_pages_or_one_file(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+def test_the_command_line_writes_the_pages_or_one_file(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
     from reports import __main__ as command
     from reports.records.load import ReportError
 
     monkeypatch.setattr(command, "write_report", lambda folder: f"pages of {folder}")
     monkeypatch.setattr(command, "write_single", lambda folder: f"one file of {folder}")
     for words, code, said in (
-        (["a"], 0, "pages of a\n"), (["a", "--single-file"], 0, "one file of a\n"), (["--single-file", "a"], 0, "one file of a\n"), ([], 2, ""), (["a", "b"], 2, ""),
+        (["a"], 0, "pages of a\n"), (["a", "--single-file"], 0, "one file of a\n"),
+        (["--single-file", "a"], 0, "one file of a\n"), ([], 2, ""), (["a", "b"], 2, ""),
         (["--other"], 2, ""), (["--single-file"], 2, ""),
     ):  # fmt: skip
         assert command.main(words) == code, words

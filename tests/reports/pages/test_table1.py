@@ -1,4 +1,7 @@
-"""The paper's Table I against a second copy of its numbers, read off the paper once more; the table of stages and what is concluded from it, from rows whose numbers all differ."""
+"""The paper's Table I against a second copy of its numbers, read off the paper once more.
+
+The table of stages and what is concluded from it, from rows whose numbers all differ.
+"""
 
 from dataclasses import replace
 
@@ -42,14 +45,24 @@ def test_table_one():
         *methods, eps, cost, stability, physics, time = line.split()
         assert row.methods == tuple(methods), line
         assert row.eps == (None if eps == "-" else float(eps)), line
-        assert row.numbers == {"cost": float(cost), "stability": float(stability), "physics": float(physics), "time": float(time)}, line
+        assert row.numbers == {
+            "cost": float(cost),
+            "stability": float(stability),
+            "physics": float(physics),
+            "time": float(time),
+        }, line
 
 
 def test_figures():
-    assert TIGHTENING_FIGURES == {"softplus_dc": "Fig. 4", "softplus_gd": "Fig. 5", "relaxed_lcp": "Fig. 6"}
+    assert TIGHTENING_FIGURES == {
+        "softplus_dc": "Fig. 4",
+        "softplus_gd": "Fig. 5",
+        "relaxed_lcp": "Fig. 6",
+    }
 
 
-POSITION, GRID = "replay_terminal_position_error", "discrete_terminal_position_error"
+POSITION = "replay_terminal_position_error"
+GRID = "discrete_terminal_position_error"
 
 
 def report(*runs: RunRecord) -> Report:
@@ -60,16 +73,35 @@ def said(*runs: RunRecord) -> list[str]:
     return table1.conclude(rows_of(runs, lambda run: ""))
 
 
-def beside(name: str, ours: float | None, theirs: float | None, missed: float = 0.1, **changes) -> RunRecord:
+def beside(
+    name: str, ours: float | None, theirs: float | None, missed: float = 0.1, **changes
+) -> RunRecord:
     """A row that the paper has too."""
     paper = {} if theirs is None else {"cost": theirs}
-    return ran(name, judged(POSITION, missed), cost=ours, paper=paper or {"stability": 0.0}, kind="other", **changes)
+    return ran(
+        name,
+        judged(POSITION, missed),
+        cost=ours,
+        paper=paper or {"stability": 0.0},
+        kind="other",
+        **changes,
+    )
 
 
 def test_costs_that_agree_with_the_print_are_counted():
-    known = [beside("same", 100.0, 100.0099), beside("off", 103.0, 100.0), beside("far", 94.0, 100.0), beside("lost", None, 5.0)]
-    assert not unsaid(said(*known)[0], "1 of 3 stages … printed digits (1 part in 10\u202f000): same. … −6.00\u202f%, of far.")
-    assert not unsaid(said(known[0])[0], "1 of 1 stage … paper's printed digits (1 part in 10\u202f000).")
+    known = [
+        beside("same", 100.0, 100.0099),
+        beside("off", 103.0, 100.0),
+        beside("far", 94.0, 100.0),
+        beside("lost", None, 5.0),
+    ]
+    assert not unsaid(
+        said(*known)[0],
+        "1 of 3 stages … printed digits (1 part in 10\u202f000): same. … −6.00\u202f%, of far.",
+    )
+    assert not unsaid(
+        said(known[0])[0], "1 of 1 stage … paper's printed digits (1 part in 10\u202f000)."
+    )
     assert said(known[1])[0].startswith("0 of 1 stage that both have")
     assert said(beside("just", 100.0, 100.0101))[0].startswith("0 of 1")
     assert said(ran("ours alone", cost=5.0, kind="other")) == []
@@ -77,44 +109,77 @@ def test_costs_that_agree_with_the_print_are_counted():
 
 @pytest.mark.parametrize(
     ("ours", "theirs", "held"),
-    [(100.0, 200.0, True), (100.0, 200.0, False), (100.0, 199.0, None), (0.0, 9.0, None), (-1.0, 9.0, None), (9.0, -1.0, None)],
+    [
+        (100.0, 200.0, True),
+        (100.0, 200.0, False),
+        (100.0, 199.0, None),
+        (0.0, 9.0, None),
+        (-1.0, 9.0, None),
+        (9.0, -1.0, None),
+    ],
 )
-def test_a_solver_that_returns_twice_the_cost_has_failed(ours: float, theirs: float, held: bool | None):
+def test_a_solver_that_returns_twice_the_cost_has_failed(
+    ours: float, theirs: float, held: bool | None
+):
     found = said(beside("dear", ours, theirs, 0.25, verdict="holds" if held else "violates"))
     told = [line for line in found if line.startswith("dear: ours")]
     assert len(told) == (held is not None)
     if told:
-        assert not unsaid(told[0], "dear: ours 100.00 (… 0.25 m), the paper's 200.00, 2.0 times as much.")
+        assert not unsaid(
+            told[0], "dear: ours 100.00 (… 0.25 m), the paper's 200.00, 2.0 times as much."
+        )
         assert ("its solver stopped far from the optimum" in told[0]) is held
 
 
 def test_a_cost_that_is_twice_the_papers_is_ours_to_mend():
-    found = said(beside("worse", 300.0, 100.0, 0.5), beside("dear", 10.0, 340.0, 0.25), beside("near", 199.0, 100.0))
+    found = said(
+        beside("worse", 300.0, 100.0, 0.5),
+        beside("dear", 10.0, 340.0, 0.25),
+        beside("near", 199.0, 100.0),
+    )
     _, dear, worse = found
-    assert not unsaid(dear, "dear: ours 10.00 (… 0.25 m), the paper's 340.00, 34 times … the method is not to blame.")
-    assert not unsaid(worse, "worse: ours 300.00 (… 0.50 m), the paper's 100.00, so ours is the worse")
+    assert not unsaid(
+        dear,
+        "dear: ours 10.00 (… 0.25 m), the paper's 340.00, 34 times … the method is not to blame.",
+    )
+    assert not unsaid(
+        worse, "worse: ours 300.00 (… 0.50 m), the paper's 100.00, so ours is the worse"
+    )
     (_, worse) = said(beside("worse", 200.0, 100.0, 0.5))
-    assert not unsaid(worse, "worse: ours 200.00 (… 0.50 m), the paper's 100.00, so ours is the worse")
+    assert not unsaid(
+        worse, "worse: ours 200.00 (… 0.50 m), the paper's 100.00, so ours is the worse"
+    )
 
 
 def chain(
-    name: str, first: str, cost: float | None, missed: float, total: float, cold: bool = False, of: SceneRecord | None = None
+    name: str,
+    first: str,
+    cost: float | None,
+    missed: float,
+    total: float,
+    cold: bool = False,
+    of: SceneRecord | None = None,
 ) -> RunRecord:
     """strict_lcp, cold or after another method."""
     last = factory.stage(0 if cold else 1, "strict_lcp", None, None, 0.0)
     last = last.model_copy(
-        update={"paper": {}, "cost": cost, "metrics": (judged(POSITION, missed),), "seconds": last.seconds.model_copy(update={"total": total})},
+        update={"paper": {}, "cost": cost, "metrics": (judged(POSITION, missed),),
+                "seconds": last.seconds.model_copy(update={"total": total})},
     )  # fmt: skip
     before = ran(first, kind="indirect", cost=1.0).stages[0]
     stages = (last,) if cold else (before, last)
-    return factory.run(name, None, "strict_lcp", stages=stages, key=name, scene=of or factory.scene())
+    return factory.run(
+        name, None, "strict_lcp", stages=stages, key=name, scene=of or factory.scene()
+    )
 
 
 def test_what_a_warm_start_gives():
     bare = factory.scene().model_copy(update={"answers": ()})
     runs = [
-        chain("cold", "", 100.0, 0.1, 8.0, True, bare), chain("a+strict", "a", 90.0, 0.2, 2.5, of=bare),
-        chain("b+strict", "b", 125.0, 0.4, 3.5, of=bare), chain("c+strict", "c", None, 0.4, 3.5, of=bare),
+        chain("cold", "", 100.0, 0.1, 8.0, True, bare),
+        chain("a+strict", "a", 90.0, 0.2, 2.5, of=bare),
+        chain("b+strict", "b", 125.0, 0.4, 3.5, of=bare),
+        chain("c+strict", "c", None, 0.4, 3.5, of=bare),
     ]  # fmt: skip
     (line,) = said(*runs)
     assert not unsaid(
@@ -128,11 +193,20 @@ def test_what_a_warm_start_gives():
 
 @pytest.mark.parametrize(
     ("planned", "truly", "cheats"),
-    [(1e-3, 0.05, True), (1.01e-3, 0.05, False), (1e-3, 0.049, False), (None, 0.05, False), (1e-3, None, False)],
+    [
+        (1e-3, 0.05, True),
+        (1.01e-3, 0.05, False),
+        (1e-3, 0.049, False),
+        (None, 0.05, False),
+        (1e-3, None, False),
+    ],
 )
-def test_plans_that_reach_the_goal_in_their_own_model_only(planned: float | None, truly: float | None, cheats: bool):
+def test_plans_that_reach_the_goal_in_their_own_model_only(
+    planned: float | None, truly: float | None, cheats: bool
+):
     metrics = [
-        judged("terminal_error", planned), judged("discrete_terminal_error", truly), judged(GRID, 0.07),
+        judged("terminal_error", planned), judged("discrete_terminal_error", truly),
+        judged(GRID, 0.07),
         judged("discrete_terminal_velocity_error", 0.5, "m/s"),
     ]  # fmt: skip
     found = said(ran("soft", *metrics, kind="indirect"))
@@ -141,7 +215,10 @@ def test_plans_that_reach_the_goal_in_their_own_model_only(planned: float | None
 
 
 def test_the_physics_of_gradient_descent_is_exactly_nought():
-    assert not unsaid(said(ran("relu_gd", judged("physics", 0.0), kind="other"))[0], "ReLU gradient descent is exactly 0")
+    assert not unsaid(
+        said(ran("relu_gd", judged("physics", 0.0), kind="other"))[0],
+        "ReLU gradient descent is exactly 0",
+    )
     odd = said(
         ran("relu_gd", judged("physics", 0.25), kind="other"),
         ran("relu_gd", judged("physics", 0.0), kind="other", eps=1e-3),
@@ -153,29 +230,53 @@ def test_the_physics_of_gradient_descent_is_exactly_nought():
 
 
 @pytest.mark.parametrize(
-    ("cost", "below"), [(80.0, True), (100.0 * (1 - 2e-6), True), (100.0 * (1 - 0.5e-6), False), (101.0, False), (None, False)]
+    ("cost", "below"),
+    [
+        (80.0, True),
+        (100.0 * (1 - 2e-6), True),
+        (100.0 * (1 - 0.5e-6), False),
+        (101.0, False),
+        (None, False),
+    ],
 )
 def test_costs_below_the_best_known_are_bought_with_error(cost: float | None, below: bool):
-    known = factory.scene().model_copy(update={"answers": (QuantityRecord(name="best known cost", unit="1", value=100.0),)})
+    known = factory.scene().model_copy(
+        update={"answers": (QuantityRecord(name="best known cost", unit="1", value=100.0),)}
+    )
     found = said(ran("cheap", judged(GRID, 0.13), cost=cost, of=known))
     price = f"{cost:.2f}" if cost else ""
     start = f"The best known cost of an exact plan is 100.00. Plans of direct methods below it buy their cost with terminal error on their own grid: cheap ({price} at 0.13 m)."
     assert [line.startswith(start) for line in found] == ([True] if below else [])
     assert said(ran("cheap", judged(GRID, 0.13), cost=cost, of=known, kind="indirect")) == []
-    assert said(ran("cheap", judged(GRID, 0.13), cost=cost, of=known.model_copy(update={"answers": ()}))) == []
+    assert (
+        said(
+            ran("cheap", judged(GRID, 0.13), cost=cost, of=known.model_copy(update={"answers": ()}))
+        )
+        == []
+    )
 
 
 def timed(name: str, ours: float, theirs: float) -> RunRecord:
     run = beside(name, 100.0, 100.0)
     (stage,) = run.stages
-    stage = stage.model_copy(update={"paper": {"cost": 100.0, "time": theirs}, "seconds": stage.seconds.model_copy(update={"stage": ours})})
+    stage = stage.model_copy(
+        update={
+            "paper": {"cost": 100.0, "time": theirs},
+            "seconds": stage.seconds.model_copy(update={"stage": ours}),
+        }
+    )
     return run.model_copy(update={"stages": (stage,)})
 
 
 def test_clocks_are_compared_over_the_rows_that_both_have():
     last = said(timed("a", 1.0, 30.0), timed("b", 3.0, 50.0))[-1]
-    assert not unsaid(last, "take 4.00 s here and 80.00 s in the paper (2 of its 17 rows) … 20 times as long.")
-    assert "in the paper, on other machines" in said(*(timed(f"row {place}", 1.0, 2.0) for place in range(17)))[-1]
+    assert not unsaid(
+        last, "take 4.00 s here and 80.00 s in the paper (2 of its 17 rows) … 20 times as long."
+    )
+    assert (
+        "in the paper, on other machines"
+        in said(*(timed(f"row {place}", 1.0, 2.0) for place in range(17)))[-1]
+    )
     assert len(said(timed("a", 0.0, 30.0))) == 1
     assert len(said(beside("a", 100.0, 100.0))) == 1
 
@@ -185,41 +286,78 @@ THEIRS = {"cost": 100.0}  # of the paper, beside a stage of its scene
 
 def test_cells_tell_both_parts_of_each_end():
     metrics = (
-        judged("terminal_position_error", 0.1), judged("terminal_velocity_error", 0.2, "m/s"), judged("terminal_error", 0.3), judged(GRID, 0.4),
-        judged("discrete_terminal_velocity_error", 0.5, "m/s"), judged("discrete_terminal_error", None, reason="it is not known."), judged(POSITION, 0.7),
+        judged("terminal_position_error", 0.1), judged("terminal_velocity_error", 0.2, "m/s"),
+        judged("terminal_error", 0.3), judged(GRID, 0.4),
+        judged("discrete_terminal_velocity_error", 0.5, "m/s"),
+        judged("discrete_terminal_error", None, reason="it is not known."), judged(POSITION, 0.7),
         judged("replay_terminal_velocity_error", 0.8, "m/s"), judged("replay_terminal_error", 0.9),
     )  # fmt: skip
     section = table1.build(report(ran("a", *metrics, why="a reason", paper=THEIRS)))
-    assert (section.anchor, section.title, section.values["beside"]) == ("table1", "Table I: ours beside the paper", True)
+    assert (section.anchor, section.title, section.values["beside"]) == (
+        "table1",
+        "Table I: ours beside the paper",
+        True,
+    )
     ((_, ends),) = section.values["rows"]
     assert ends == {
-        "plan": table1.TerminalError(0.1, 0.2, 0.3, None, "a reason"), "grid": table1.TerminalError(0.4, 0.5, None, None, "it is not known."),
+        "plan": table1.TerminalError(0.1, 0.2, 0.3, None, "a reason"),
+        "grid": table1.TerminalError(0.4, 0.5, None, None, "it is not known."),
         "replay": table1.TerminalError(0.7, 0.8, 0.9, None, "a reason"),
     }  # fmt: skip
     assert section.values["units"] == ("m", "m/s")
     assert len(section.values["lacks"]) == 17
     none = table1.build(report(ran("a", why="", paper=THEIRS)))
-    assert none.values["rows"][0][1]["plan"] == table1.TerminalError(None, None, None, None, "no plan")
+    assert none.values["rows"][0][1]["plan"] == table1.TerminalError(
+        None, None, None, None, "no plan"
+    )
     assert none.values["units"] == ("", "")
-    both = table1.build(report(ran("a", judged(POSITION, 1.0), paper=THEIRS), ran("b", judged(POSITION, 1.0, "rad"))))
+    both = table1.build(
+        report(
+            ran("a", judged(POSITION, 1.0), paper=THEIRS), ran("b", judged(POSITION, 1.0, "rad"))
+        )
+    )
     assert both.values["units"] == ("", "")
 
 
 def test_where_feedback_is_judged_the_inputs_alone_stand_beside_it():
-    run = ran("a", judged(POSITION, 0.7), judged(f"tracked_{POSITION}", 0.01), verdict="holds with feedback", paper=THEIRS)
+    run = ran(
+        "a",
+        judged(POSITION, 0.7),
+        judged(f"tracked_{POSITION}", 0.01),
+        verdict="holds with feedback",
+        paper=THEIRS,
+    )
     (stage,) = run.stages
-    stage = stage.model_copy(update={"replay": stage.replay.model_copy(update={"judged": "feedback"})})
+    stage = stage.model_copy(
+        update={"replay": stage.replay.model_copy(update={"judged": "feedback"})}
+    )
     ends = table1.build(report(run.model_copy(update={"stages": (stage,)}))).values["rows"][0][1]
-    assert (ends["replay"].position, ends["replay"].alone, ends["plan"].alone, ends["grid"].alone) == (0.01, 0.7, None, None)
-    assert table1.build(report(ran("a", judged(POSITION, 0.7), paper=THEIRS))).values["rows"][0][1]["replay"].alone is None
+    assert (
+        ends["replay"].position,
+        ends["replay"].alone,
+        ends["plan"].alone,
+        ends["grid"].alone,
+    ) == (0.01, 0.7, None, None)
+    assert (
+        table1.build(report(ran("a", judged(POSITION, 0.7), paper=THEIRS)))
+        .values["rows"][0][1]["replay"]
+        .alone
+        is None
+    )
 
 
 def test_other_scenes_have_a_table_of_their_own():
     hill = factory.scene("hill")
     told = report(ran("a", paper=THEIRS), ran("b", of=hill))
-    assert table1.of_scene(replace(told, single=True), told.scenes[0]) is None, "Table I stands in the same file"
+    assert table1.of_scene(replace(told, single=True), told.scenes[0]) is None, (
+        "Table I stands in the same file"
+    )
     first = table1.of_scene(told, told.scenes[0])
-    assert (first.anchor, first.title, first.values["beside"]) == ("stages-1", "All methods on three_cart", True)
+    assert (first.anchor, first.title, first.values["beside"]) == (
+        "stages-1",
+        "All methods on three_cart",
+        True,
+    )
     section = table1.of_scene(told, told.scenes[1])
     assert (section.anchor, section.title, section.values["beside"], section.values["lacks"]) == (
         "stages-2",
@@ -236,20 +374,33 @@ def test_a_scene_of_ones_own_that_is_called_as_the_papers_has_no_table_1():
     assert own.scenes[0].name == SCENE
     assert (table1.build(own), errata.build(own)) == (None, None)
     section = table1.of_scene(replace(own, single=True), own.scenes[0])
-    assert (section.title, section.values["beside"], section.values["lacks"]) == ("All methods on three_cart", False, [])
+    assert (section.title, section.values["beside"], section.values["lacks"]) == (
+        "All methods on three_cart",
+        False,
+        [],
+    )
 
 
 def relaxed(tmp_path, name: str, schedule: dict[float, float], paper: bool = False) -> RunRecord:
-    """A relaxation at several eps with the error of each; the plan of each is 1 s long, at 10 eps."""
+    """A relaxation at several eps with the error of each.
+
+    The plan of each is 1 s long, at 10 eps.
+    """
     stages = []
     for place, (eps, missed) in enumerate(schedule.items()):
         one = ran(
-            "softplus_dc", judged(POSITION, missed), judged("physics_scaled", missed**2, "s"), kind="indirect", eps=eps, cost=None
+            "softplus_dc",
+            judged(POSITION, missed),
+            judged("physics_scaled", missed**2, "s"),
+            kind="indirect",
+            eps=eps,
+            cost=None,
         ).stages[0]
         stages.append(
             one.model_copy(
                 update={
-                    "index": place, "has_plan": True, "method_title": "Softplus", "paper": {"cost": 1.0} if paper else {}, "options": {"of": name},
+                    "index": place, "has_plan": True, "method_title": "Softplus",
+                    "paper": {"cost": 1.0} if paper else {}, "options": {"of": name},
                 },
             ),
         )  # fmt: skip
@@ -259,10 +410,13 @@ def relaxed(tmp_path, name: str, schedule: dict[float, float], paper: bool = Fal
     for stage in stages:
         place = stage.index + 1
         columns = {
-            "t": [0.0, 0.5, 1.0], "q1": [10 * stage.eps, 0.0, place], "lam_left": [1.0, -4.0 * place], "gap_left": [0.5, 0.25, -place],
+            "t": [0.0, 0.5, 1.0], "q1": [10 * stage.eps, 0.0, place],
+            "lam_left": [1.0, -4.0 * place], "gap_left": [0.5, 0.25, -place],
             "u1": [float(place), 0.5],
         }  # fmt: skip
-        factory.write_motion(folder / factory.stage_files(stage.index, len(stages))["trajectory"], columns)
+        factory.write_motion(
+            folder / factory.stage_files(stage.index, len(stages))["trajectory"], columns
+        )
     return run
 
 
@@ -271,46 +425,72 @@ def test_plans_are_drawn_from_the_loosest_to_the_tightest(tmp_path):
     told = Report(Stored(None, (run,)), tmp_path)
     section = sweeps.tightening(told, told.scenes[0])
     assert (section.anchor, section.title, section.entries) == (
-        "tightening-1", "Figs. 4–6: plans while ε is tightened", (("tightening-1-1", "Fig. 4: Softplus"),),
+        "tightening-1", "Figs. 4–6: plans while ε is tightened",
+        (("tightening-1-1", "Fig. 4: Softplus"),),
     )  # fmt: skip
     (sweep,) = section.values["sweeps"]
-    assert [(key.style, key.words) for key in sweep.keys] == [("s0", "ε = 10⁻¹"), ("s2", "ε = 10⁻³"), ("s5", "ε = 10⁻⁵")]
+    assert [(key.style, key.words) for key in sweep.keys] == [
+        ("s0", "ε = 10⁻¹"),
+        ("s2", "ε = 10⁻³"),
+        ("s5", "ε = 10⁻⁵"),
+    ]
     assert [row.stage.eps for row in sweep.rows] == [1e-1, 1e-3, 1e-5]
     plots = {plot.title: plot for plot in sweep.plots}
     assert list(plots) == ["Positions", "Contact force, left", "Gap, left", "Input u1"]
     assert drawn(plots["Positions"]).lines == {
-        "q1, ε = 10⁻¹": ("s0", [(0.0, 1.0), (0.5, 0.0), (1.0, 2.0)]), "q1, ε = 10⁻³": ("s2", [(0.0, 0.01), (0.5, 0.0), (1.0, 1.0)]),
+        "q1, ε = 10⁻¹": ("s0", [(0.0, 1.0), (0.5, 0.0), (1.0, 2.0)]),
+        "q1, ε = 10⁻³": ("s2", [(0.0, 0.01), (0.5, 0.0), (1.0, 1.0)]),
         "q1, ε = 10⁻⁵": ("s5", [(0.0, 1e-4), (0.5, 0.0), (1.0, 3.0)]),
     }  # fmt: skip
     assert plots["Positions"].words == "q1 ε = 10⁻⁵: from 0.00010 to 3 m."
     assert drawn(plots["Positions"]).tags == [("strong", "q1")]
     assert (
-        plots["Positions"].height, plots["Positions"].y.quantity, plots["Positions"].y.unit, plots["Positions"].y.high,
+        plots["Positions"].height, plots["Positions"].y.quantity, plots["Positions"].y.unit,
+        plots["Positions"].y.high,
     ) == (300, "position", "m", pytest.approx(3.24))  # fmt: skip
     force = plots["Contact force, left"]
     assert drawn(force).lines["ε = 10⁻¹"] == ("s0", [(0.0, 1.0), (0.5, -8.0)])
-    assert not unsaid(force.words, "ε = 10⁻¹: … 8 N at 0.5 s. ε = 10⁻³: … 4 N at 0.5 s. ε = 10⁻⁵: … 12 N at 0.5 s.")
+    assert not unsaid(
+        force.words,
+        "ε = 10⁻¹: … 8 N at 0.5 s. ε = 10⁻³: … 4 N at 0.5 s. ε = 10⁻⁵: … 12 N at 0.5 s.",
+    )
     assert drawn(force).tags == [("s0", "ε = 10⁻¹"), ("s2", "ε = 10⁻³"), ("s5", "ε = 10⁻⁵")]
     assert (force.y.quantity, force.y.unit, force.y.low, force.y.high, force.x.high) == (
         "force", "N", pytest.approx(-12.65), pytest.approx(1.65), 1.0,
     )  # fmt: skip
-    assert drawn(plots["Gap, left"]).lines["ε = 10⁻⁵"] == ("s5", [(0.0, 0.5), (0.5, 0.25), (1.0, -3.0)])
-    assert (plots["Gap, left"].y.quantity, plots["Gap, left"].y.unit, drawn(plots["Gap, left"]).tags) == ("gap", "m", [])
+    assert drawn(plots["Gap, left"]).lines["ε = 10⁻⁵"] == (
+        "s5",
+        [(0.0, 0.5), (0.5, 0.25), (1.0, -3.0)],
+    )
+    assert (
+        plots["Gap, left"].y.quantity,
+        plots["Gap, left"].y.unit,
+        drawn(plots["Gap, left"]).tags,
+    ) == ("gap", "m", [])
     assert (plots["Input u1"].y.quantity, plots["Input u1"].y.unit) == ("u1", "N")
     assert plots["Input u1"].words.startswith("ε = 10⁻¹: largest size 2 N at 0 s.")
     off, physics = section.values["against"]
-    assert (off.title, physics.title, physics.y.unit) == ("Replay terminal position error against ε", "Physics scaled against ε", "s")
+    assert (off.title, physics.title, physics.y.unit) == (
+        "Replay terminal position error against ε",
+        "Physics scaled against ε",
+        "s",
+    )
     assert drawn(off).lines == {"Softplus": ("c0", [(1e-5, 0.1), (1e-3, 0.2), (1e-1, 0.4)])}
     link = "pages/one.html"
     assert drawn(off).marks[0] == Mark(
-        "c0 full", "circle", "softplus_dc ε = 10⁻¹: replay terminal position error 0.4 m, holds", link, (0.1, 0.4)
+        "c0 full",
+        "circle",
+        "softplus_dc ε = 10⁻¹: replay terminal position error 0.4 m, holds",
+        link,
+        (0.1, 0.4),
     )
     assert (off.x.log, off.x.quantity, off.x.unit, section.values["keys"]) == (True, "ε", "", [])
 
 
 def test_the_same_relaxation_with_other_options_is_another_sweep(tmp_path):
     runs = (
-        relaxed(tmp_path, "one", {1e-3: 0.2, 1e-5: 0.1}), relaxed(tmp_path, "two", {1e-3: 0.3, 1e-5: 0.15}), relaxed(tmp_path, "single", {1e-3: 0.3}),
+        relaxed(tmp_path, "one", {1e-3: 0.2, 1e-5: 0.1}),
+        relaxed(tmp_path, "two", {1e-3: 0.3, 1e-5: 0.15}), relaxed(tmp_path, "single", {1e-3: 0.3}),
     )  # fmt: skip
     (tmp_path / "runs" / "two" / "trajectory-1.nc").unlink(missing_ok=True)
     for path in (tmp_path / "runs" / "two").glob("*"):

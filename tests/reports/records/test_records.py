@@ -1,4 +1,7 @@
-"""Records as they are written and read: columns of numbers, names of files, order, defaults; a folder of them with what is broken in it; runs in parts told as one."""
+"""Records as they are written and read: columns of numbers, names of files, order, defaults.
+
+A folder of them with what is broken in it; runs in parts told as one.
+"""
 
 import base64
 import json
@@ -16,7 +19,15 @@ from wording import unsaid
 
 from reports.records import load as module
 from reports.records.check_record import CheckRecord, CheckRow, FmuRecord, divided, record_of
-from reports.records.load import LARGEST_BYTES, ReportError, collected, grouped, load, optima, record_files
+from reports.records.load import (
+    LARGEST_BYTES,
+    ReportError,
+    collected,
+    grouped,
+    load,
+    optima,
+    record_files,
+)
 from reports.records.record import (
     LONGEST,
     SCHEMA_VERSION,
@@ -34,13 +45,22 @@ from tests.reports import record_factory as factory
 
 
 def stage(**changes) -> StageRecord:
-    said = {"index": 0, "method": "m", "method_title": "", "kind": "direct", "eps": None, "outcome": "solved", "advice": ""}
+    said = {
+        "index": 0,
+        "method": "m",
+        "method_title": "",
+        "kind": "direct",
+        "eps": None,
+        "outcome": "solved",
+        "advice": "",
+    }
     return StageRecord(**(said | changes))
 
 
 def check(name: str = "h01", kind: str = "stress", **changes) -> CheckRecord:
     said = {
-        "key": f"{kind}-{name}", "kind": kind, "name": name, "expected": "", "outcome": "answered", "passed": True, "wall_seconds": 1.0,
+        "key": f"{kind}-{name}", "kind": kind, "name": name, "expected": "", "outcome": "answered",
+        "passed": True, "wall_seconds": 1.0,
         "cpu_seconds": 1.0, "provenance": factory.provenance(),
     }  # fmt: skip
     return CheckRecord(**(said | changes))
@@ -49,7 +69,8 @@ def check(name: str = "h01", kind: str = "stress", **changes) -> CheckRecord:
 @pytest.mark.parametrize(
     ("points", "longest", "found"),
     [
-        (0, 5, []), (1, 5, [0]), (2, 5, [0, 1]), (5, 5, [0, 1, 2, 3, 4]), (6, 5, [0, 1, 2, 4, 5]), (9, 5, [0, 2, 4, 6, 8]), (9, 2, [0, 8]),
+        (0, 5, []), (1, 5, [0]), (2, 5, [0, 1]), (5, 5, [0, 1, 2, 3, 4]), (6, 5, [0, 1, 2, 4, 5]),
+        (9, 5, [0, 2, 4, 6, 8]), (9, 2, [0, 8]),
     ],
 )  # fmt: skip
 def test_points_are_thinned_evenly_with_both_ends(points: int, longest: int, found: list[int]):
@@ -73,8 +94,16 @@ def test_columns_are_the_base64_of_their_bytes():
 
 
 def test_files_of_the_last_stage_have_no_number():
-    assert stage_files(0, 1) == stage_files(2, 3) == {"trajectory": "trajectory.nc", "replay": "replay.nc", "tracked": "tracked.nc"}
-    assert stage_files(1, 3) == {"trajectory": "trajectory_2.nc", "replay": "replay_2.nc", "tracked": "tracked_2.nc"}
+    assert (
+        stage_files(0, 1)
+        == stage_files(2, 3)
+        == {"trajectory": "trajectory.nc", "replay": "replay.nc", "tracked": "tracked.nc"}
+    )
+    assert stage_files(1, 3) == {
+        "trajectory": "trajectory_2.nc",
+        "replay": "replay_2.nc",
+        "tracked": "tracked_2.nc",
+    }
 
 
 def test_a_metric_is_found_by_its_name():
@@ -87,7 +116,9 @@ def test_a_metric_is_found_by_its_name():
 def test_a_leg_has_its_stages_in_order(places: tuple[int, ...]):
     LegRecord(key="", pipeline="", stages=(stage(), stage(index=1)), files={})
     with pytest.raises(ValidationError):
-        LegRecord(key="", pipeline="", stages=tuple(stage(index=place) for place in places), files={})
+        LegRecord(
+            key="", pipeline="", stages=tuple(stage(index=place) for place in places), files={}
+        )
 
 
 def test_what_a_run_and_a_check_are_called():
@@ -108,8 +139,19 @@ def test_a_record_says_itself_what_it_is():
 
 def test_checks_of_an_fmu_are_counted_by_how_they_ended():
     ends = ("failed", "passed", "not offered", "failed", "passed", "passed")
-    rows = tuple(CheckRow(name=f"{n}", type="ME", claim="", status=status, sentence="", seconds=0.0) for n, status in enumerate(ends))
-    fmu = FmuRecord(version="2.0", types=("ME",), bytes=1, sha256="", export_seconds=0.0, check_seconds=0.0, rows=rows)
+    rows = tuple(
+        CheckRow(name=f"{n}", type="ME", claim="", status=status, sentence="", seconds=0.0)
+        for n, status in enumerate(ends)
+    )
+    fmu = FmuRecord(
+        version="2.0",
+        types=("ME",),
+        bytes=1,
+        sha256="",
+        export_seconds=0.0,
+        check_seconds=0.0,
+        rows=rows,
+    )
     assert [fmu.count(status) for status in ("passed", "failed", "not offered")] == [3, 2, 1]
     assert [row.name for row in fmu.failed] == ["0", "3"]
 
@@ -119,7 +161,9 @@ def test_records_lie_in_folders_that_are_finished(tmp_path: Path):
     for name in ("b", "a", ".partial", "c.tmp"):
         (tmp_path / "runs" / name).mkdir(parents=True)
     (tmp_path / "runs" / "file").write_text("x")
-    assert record_files(tmp_path) == [tmp_path / "runs" / name / "record.json" for name in ("a", "b")]
+    assert record_files(tmp_path) == [
+        tmp_path / "runs" / name / "record.json" for name in ("a", "b")
+    ]
 
 
 def test_without_its_campaign_a_folder_is_told_by_name(tmp_path: Path):
@@ -127,7 +171,13 @@ def test_without_its_campaign_a_folder_is_told_by_name(tmp_path: Path):
     base = factory.runs()[0]
 
     def run(scene: str, pipeline: str, key: str):
-        return base.model_copy(update={"scene": base.scene.model_copy(update={"name": scene}), "pipeline": pipeline, "key": key})
+        return base.model_copy(
+            update={
+                "scene": base.scene.model_copy(update={"name": scene}),
+                "pipeline": pipeline,
+                "key": key,
+            }
+        )
 
     runs = [run("a", "z", "5"), run("a", "y", "4"), run("a", "y", "3"), run("b", "x", "1")]
     checks = [check("b", "fmu"), check("a", "stress"), check("a", "fmu")]
@@ -145,7 +195,9 @@ def test_without_its_campaign_a_folder_is_told_by_name(tmp_path: Path):
 def test_with_its_campaign_a_folder_is_told_in_its_order(tmp_path: Path):
     runs = factory.runs()[:4]
     keys = ("stress-h01", runs[2].key, "lost", runs[0].key, runs[1].key, runs[0].key)
-    folder = factory.store(tmp_path / "all", [*runs, check(), check("h02")], factory.campaign(runs, keys=keys))  # type: ignore[list-item]
+    folder = factory.store(
+        tmp_path / "all", [*runs, check(), check("h02")], factory.campaign(runs, keys=keys)
+    )  # type: ignore[list-item]
     (folder / "runs" / runs[1].key / "record.json").write_text("{")
     stored = load(folder)
     assert [item.key for item in stored.runs] == [runs[2].key, runs[0].key]
@@ -173,8 +225,10 @@ def sentence_of(tmp_path: Path, text: str | None) -> str:
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
-        (None, ["not there", "run the campaign again"]), ("{", ["not complete JSON", "run it again"]),
-        ("{}", ["record schema 5", "at check.key: Field required", "and 8 more"]), ("1", ["record schema 5", "Input should be"]),
+        (None, ["not there", "run the campaign again"]),
+        ("{", ["not complete JSON", "run it again"]),
+        ("{}", ["record schema 5", "at check.key: Field required", "and 8 more"]),
+        ("1", ["record schema 5", "Input should be"]),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_record_is_said(tmp_path: Path, text: str | None, parts: list[str]):
@@ -198,17 +252,25 @@ def test_what_is_larger_than_any_record_is_not_read(tmp_path: Path):
     run = factory.runs()[0]
     folder = factory.store(tmp_path / "all", [run])
     path = folder / "runs" / run.key / "record.json"
-    for size, said in ((LARGEST_BYTES + 1, "larger than 64 MB"), (LARGEST_BYTES, "not complete JSON")):
+    for size, said in (
+        (LARGEST_BYTES + 1, "larger than 64 MB"),
+        (LARGEST_BYTES, "not complete JSON"),
+    ):
         os.truncate(path, size)
         (item,) = load(folder).unreadable
         assert said in item.sentence
     assert LARGEST_BYTES == 64 * 2**20
 
 
-def test_a_file_that_refuses_is_told_by_the_systems_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_file_that_refuses_is_told_by_the_systems_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     found: list = []
     (tmp_path / "file").write_text("{}")
-    for error, words in ((PermissionError(13, "Permission denied"), "Permission denied"), (TimeoutError(), "TimeoutError")):
+    for error, words in (
+        (PermissionError(13, "Permission denied"), "Permission denied"),
+        (TimeoutError(), "TimeoutError"),
+    ):
         monkeypatch.setattr(Path, "read_bytes", Mock(side_effect=error))
         assert module.read_record(tmp_path / "file", tmp_path, record_of, found) is None
         assert (found[-1].path, words in found[-1].sentence) == ("file", True)
@@ -222,11 +284,13 @@ def test_what_is_no_record_at_all_has_no_place_in_it(tmp_path: Path):
 
 
 _BROKEN = {
-    "cut short": lambda text: text[: len(text) // 2], "empty": lambda _: "", "not JSON": lambda _: "\x00\x01<html>", "a number": lambda _: "1",
+    "cut short": lambda text: text[: len(text) // 2], "empty": lambda _: "",
+    "not JSON": lambda _: "\x00\x01<html>", "a number": lambda _: "1",
     "another schema": lambda text: json.dumps(json.loads(text) | {"surprise": 1}),
     "a string for a number": lambda text: json.dumps(json.loads(text) | {"wall_seconds": "soon"}),
     "NaN": lambda text: json.dumps(json.loads(text) | {"wall_seconds": float("nan")}),
-    "infinity": lambda text: json.dumps(json.loads(text) | {"cpu_seconds": float("inf")}), "deep": lambda _: "[" * 100_000,
+    "infinity": lambda text: json.dumps(json.loads(text) | {"cpu_seconds": float("inf")}),
+    "deep": lambda _: "[" * 100_000,
     "another key": lambda text: json.dumps(json.loads(text) | {"key": "../../etc"}),
 }  # fmt: skip
 
@@ -276,18 +340,35 @@ def test_a_campaign_of_an_earlier_schema_is_named_and_its_runs_are_read(factory,
 
 
 def start(number: int, cost: float | None) -> StartRecord:
-    return StartRecord(number=number, start="random", outcome="solved" if cost is not None else "stalled", cost=cost)
+    return StartRecord(
+        number=number,
+        start="random",
+        outcome="solved" if cost is not None else "stalled",
+        cost=cost,
+    )
 
 
-def part(place: int, *costs: float | None, parts: int = 2, scene: str = "hill", **changes: object) -> RunRecord:
+def part(
+    place: int, *costs: float | None, parts: int = 2, scene: str = "hill", **changes: object
+) -> RunRecord:
     """Of a run in two parts: the starts at these costs; seconds of the part's own place."""
     starts = tuple(start(10 * place - number, cost) for number, cost in enumerate(costs))
     cheapest = min((cost for cost in costs if cost is not None), default=None)
-    run = factory.ran("many", of=factory.scene(scene), cost=cheapest, starts=starts, iterations=7 * place)
-    seconds = SecondsRecord(**{name: float(place * (number + 1)) for number, name in enumerate(SecondsRecord.model_fields)})
-    stages = tuple(stage.model_copy(update={"seconds": seconds, "message": "own"}) for stage in run.stages)
+    run = factory.ran(
+        "many", of=factory.scene(scene), cost=cheapest, starts=starts, iterations=7 * place
+    )
+    seconds = SecondsRecord(
+        **{
+            name: float(place * (number + 1))
+            for number, name in enumerate(SecondsRecord.model_fields)
+        }
+    )
+    stages = tuple(
+        stage.model_copy(update={"seconds": seconds, "message": "own"}) for stage in run.stages
+    )
     said = {
-        "key": f"{scene}-{place}", "part": place, "parts": parts, "wall_seconds": 3.0 * place, "cpu_seconds": 2.0 * place,
+        "key": f"{scene}-{place}", "part": place, "parts": parts, "wall_seconds": 3.0 * place,
+        "cpu_seconds": 2.0 * place,
         "profile": {"replay": 1.0 * place}, "message": f"part {place}.",
     }  # fmt: skip
     return run.model_copy(update={"stages": stages} | said | changes)
@@ -296,9 +377,12 @@ def part(place: int, *costs: float | None, parts: int = 2, scene: str = "hill", 
 @pytest.mark.parametrize(
     ("costs", "words"),
     [
-        (((5.0, 4.0), (3.0, 4.0)), "4 of 4 starts … 3 distinct optima, from 3 to 5; 1 reached … part 2."),
-        (((4.0, None), (4.0, 4.0)), "3 of 4 starts … all … at the same optimum; 3 reached … part 1."),
-        (((4.0,), (4.0 * (1 + 2e-7),)), "2 of 2 starts … 2 distinct optima, from 4 to 4; 1 reached … part 1."),
+        (((5.0, 4.0), (3.0, 4.0)),
+         "4 of 4 starts … 3 distinct optima, from 3 to 5; 1 reached … part 2."),
+        (((4.0, None), (4.0, 4.0)),
+         "3 of 4 starts … all … at the same optimum; 3 reached … part 1."),
+        (((4.0,), (4.0 * (1 + 2e-7),)),
+         "2 of 2 starts … 2 distinct optima, from 4 to 4; 1 reached … part 1."),
         (((None, None), (None,)), "None of 3 starts was solved. part 1."), (((), ()), "part 1."),
     ],
 )  # fmt: skip
@@ -309,9 +393,16 @@ def test_what_all_starts_came_to(costs: tuple, words: str):
 
 
 def test_seconds_steps_and_phases_are_those_of_all_parts():
-    (whole,) = collected([part(1, 5.0, 4.0), part(2, 3.0, 6.0, profile={"imports": 4.0, "replay": 8.0})])
+    (whole,) = collected(
+        [part(1, 5.0, 4.0), part(2, 3.0, 6.0, profile={"imports": 4.0, "replay": 8.0})]
+    )
     (stage,) = whole.stages
-    assert (whole.wall_seconds, whole.cpu_seconds, whole.profile, stage.iterations) == (9.0, 6.0, {"replay": 9.0, "imports": 4.0}, 21)
+    assert (whole.wall_seconds, whole.cpu_seconds, whole.profile, stage.iterations) == (
+        9.0,
+        6.0,
+        {"replay": 9.0, "imports": 4.0},
+        21,
+    )
     assert list(stage.seconds.model_dump().values()) == [3.0 * number for number in range(1, 10)]
     assert [item.number for item in stage.starts] == [9, 10, 19, 20]
     assert stage.cost == 3.0
@@ -319,7 +410,10 @@ def test_seconds_steps_and_phases_are_those_of_all_parts():
 
 def test_a_part_that_is_missing_or_crashed_is_told():
     (alone,) = collected([part(2, 3.0, parts=4)])
-    assert not unsaid(alone.message, "1 of 1 starts … the same optimum; 1 reached … Only 1 of the 4 parts … part 2.")
+    assert not unsaid(
+        alone.message,
+        "1 of 1 starts … the same optimum; 1 reached … Only 1 of the 4 parts … part 2.",
+    )
     (crashed,) = collected([part(1, 3.0), part(2, outcome="crashed", message="it died.")])
     assert (crashed.outcome, crashed.stages[-1].cost) == ("crashed", 3.0)
     assert crashed.message.endswith("reached the cheapest. it died.")
@@ -332,7 +426,9 @@ def test_a_part_that_is_missing_or_crashed_is_told():
 @pytest.mark.parametrize(
     ("verdicts", "best"),
     [
-        (("violates", "holds"), 2), (("holds", "violates"), 1), (("holds with feedback", "holds"), 2), (("violates", "holds with feedback"), 2), (("consistent", "holds"), 2),
+        (("violates", "holds"), 2), (("holds", "violates"), 1),
+        (("holds with feedback", "holds"), 2), (("violates", "holds with feedback"), 2),
+        (("consistent", "holds"), 2),
         (("violates", "undecided"), 2), (("holds", "holds"), 2),
     ],
 )  # fmt: skip
@@ -341,26 +437,50 @@ def test_a_plan_that_holds_goes_before_a_cheaper_one(verdicts: tuple[str, str], 
     (whole,) = collected([part(1, 5.0, verdict=verdicts[0]), part(2, 4.0, verdict=verdicts[1])])
     assert whole.part == best
     (other,) = collected([part(1, 4.0, verdict=verdicts[0]), part(2, 5.0, verdict=verdicts[1])])
-    assert other.part == (1 if verdicts in (("consistent", "holds"), ("violates", "undecided"), ("holds", "holds")) else best)
+    assert other.part == (
+        1
+        if verdicts in (("consistent", "holds"), ("violates", "undecided"), ("holds", "holds"))
+        else best
+    )
 
 
 def test_only_parts_of_one_run_on_one_scene_belong_together():
     whole = factory.ran("many", of=factory.scene("hill"))
-    runs = [part(1, 5.0), whole, part(1, 5.0, scene="bank"), part(2, 4.0), part(2, 4.0, scene="bank")]
-    assert [[run.key for run in group] for group in grouped(runs)] == [["hill-1", "hill-2"], ["many-key"], ["bank-1", "bank-2"]]
+    runs = [
+        part(1, 5.0),
+        whole,
+        part(1, 5.0, scene="bank"),
+        part(2, 4.0),
+        part(2, 4.0, scene="bank"),
+    ]
+    assert [[run.key for run in group] for group in grouped(runs)] == [
+        ["hill-1", "hill-2"],
+        ["many-key"],
+        ["bank-1", "bank-2"],
+    ]
     assert collected([whole]) == (whole,)
-    assert [(price, [item.number for item in same]) for price, same in optima([start(1, 2.0), start(2, None), start(3, 1.0), start(4, 1.0 + 0.9e-7), start(5, 1.0 + 2.5e-7)])] == [
+    assert [(price, [item.number for item in same]) for price,
+            same in optima([start(1, 2.0), start(2, None), start(3, 1.0), start(4, 1.0 + 0.9e-7),
+                            start(5, 1.0 + 2.5e-7)])] == [
         (1.0, [3, 4]), (1.0 + 2.5e-7, [5]), (2.0, [1]),
     ]  # fmt: skip
-    assert [len(same) for _, same in optima([start(1, -1.0), start(2, -1.0 + 0.9e-7), start(3, 0.0), start(4, 0.0)])] == [2, 2]
+    assert [
+        len(same)
+        for _, same in optima(
+            [start(1, -1.0), start(2, -1.0 + 0.9e-7), start(3, 0.0), start(4, 0.0)]
+        )
+    ] == [2, 2]
 
 
 MODULES = ("record", "check_record")
 # Not empty: what is meant where nothing is said.
 MEANT = {
-    "RunRecord.schema_version": 5, "CampaignRecord.schema_version": 5, "CheckRecord.schema_version": 5,
-    "RunRecord.part": 1, "RunRecord.parts": 1, "RunRecord.verdict": "no plan", "StageRecord.verdict": "no plan",
-    "ReplayRecord.step_source": "none", "ReplayRecord.judged": "open", "ContactRecord.bodies": ("", ""), "SeriesRecord.line": True,
+    "RunRecord.schema_version": 5, "CampaignRecord.schema_version": 5,
+    "CheckRecord.schema_version": 5,
+    "RunRecord.part": 1, "RunRecord.parts": 1, "RunRecord.verdict": "no plan",
+    "StageRecord.verdict": "no plan",
+    "ReplayRecord.step_source": "none", "ReplayRecord.judged": "open",
+    "ContactRecord.bodies": ("", ""), "SeriesRecord.line": True,
 }  # fmt: skip
 
 
@@ -368,7 +488,11 @@ def defaults() -> Iterator[tuple[str, object]]:
     for name in MODULES:
         module = import_module(f"reports.records.{name}")
         for model in vars(module).values():
-            if isinstance(model, type) and issubclass(model, BaseModel) and model.__module__ == module.__name__:
+            if (
+                isinstance(model, type)
+                and issubclass(model, BaseModel)
+                and model.__module__ == module.__name__
+            ):
                 for field, info in model.model_fields.items():
                     default = info.get_default(call_default_factory=True)
                     if default is not PydanticUndefined:
@@ -395,5 +519,7 @@ def test_all_that_is_meant_exists():
 
 
 def test_what_fails_is_named_the_most_frequent_first():
-    way = WayRecord.model_construct(fails_by={"time_limit": 2, "replay_terminal_position_error": 1234})
+    way = WayRecord.model_construct(
+        fails_by={"time_limit": 2, "replay_terminal_position_error": 1234}
+    )
     assert way.fails == "replay terminal position error in 1,234; time limit in 2"

@@ -15,12 +15,18 @@ from validate.cli.check import data, junit, markdown, sarif
 from validate.fmu_check import CheckReport, FmuCheckRow, Status, check_fmu
 
 _ROWS = (
-    FmuCheckRow(name="archive", type="", claim="a zip", status=Status.PASSED, sentence="3 entries.", seconds=0.1, clause="FMI 3.0.2, 2.5.1"),
-    FmuCheckRow(name="start values are the XML's", type="ME", claim="same", status=Status.FAILED, sentence="a|b is 2 <3>.", seconds=0.2, clause="FMI 3.0.2, 2.4.7.5"),
-    FmuCheckRow(name="runs repeat", type="CS", claim="bits", status=Status.FAILED, sentence="x\ndiffers.\x07", seconds=0.3),
-    FmuCheckRow(name="set state restores", type="CS", claim="all", status=Status.WAIVED, sentence="off. Waived: ours.", seconds=0.4, clause="FMI 3.0.2, 2.2.7.4"),
-    FmuCheckRow(name="time after a step", type="CS", claim="time", status=Status.ADVICE, sentence="say it.", seconds=0.5, clause="FMI 3.0.2, 4.2.1"),
-    FmuCheckRow(name="adjoint derivatives", type="ME", claim="adjoint", status=Status.NOT_OFFERED, sentence="none.", seconds=0.6),
+    FmuCheckRow(name="archive", type="", claim="a zip", status=Status.PASSED, sentence="3 entries.",
+                seconds=0.1, clause="FMI 3.0.2, 2.5.1"),
+    FmuCheckRow(name="start values are the XML's", type="ME", claim="same", status=Status.FAILED,
+                sentence="a|b is 2 <3>.", seconds=0.2, clause="FMI 3.0.2, 2.4.7.5"),
+    FmuCheckRow(name="runs repeat", type="CS", claim="bits", status=Status.FAILED,
+                sentence="x\ndiffers.\x07", seconds=0.3),
+    FmuCheckRow(name="set state restores", type="CS", claim="all", status=Status.WAIVED,
+                sentence="off. Waived: ours.", seconds=0.4, clause="FMI 3.0.2, 2.2.7.4"),
+    FmuCheckRow(name="time after a step", type="CS", claim="time", status=Status.ADVICE,
+                sentence="say it.", seconds=0.5, clause="FMI 3.0.2, 4.2.1"),
+    FmuCheckRow(name="adjoint derivatives", type="ME", claim="adjoint", status=Status.NOT_OFFERED,
+                sentence="none.", seconds=0.6),
 )  # fmt: skip
 
 
@@ -32,20 +38,37 @@ def report(tmp_path: Path) -> CheckReport:
 
 
 def test_severity_is_that_of_the_standard_where_a_section_demands_it():
-    assert [row.severity for row in _ROWS] == ["error", "error", "behaviour", "error", "advice", "behaviour"]
+    assert [row.severity for row in _ROWS] == [
+        "error",
+        "error",
+        "behaviour",
+        "error",
+        "advice",
+        "behaviour",
+    ]
 
 
 def test_waived_and_advice_do_not_fail(report: CheckReport):
     assert (report.ok, report.exit_code) == (False, 1)
-    rest = CheckReport(path="x", version="3.0", types=(), rows=tuple(row for row in _ROWS if row.status is not Status.FAILED))
-    assert (rest.ok, rest.exit_code, rest.counts) == (True, 0, "1 passed, 0 failed, 1 not offered, 1 advice, 1 waived")
+    rest = CheckReport(
+        path="x",
+        version="3.0",
+        types=(),
+        rows=tuple(row for row in _ROWS if row.status is not Status.FAILED),
+    )
+    assert (rest.ok, rest.exit_code, rest.counts) == (
+        True,
+        0,
+        "1 passed, 0 failed, 1 not offered, 1 advice, 1 waived",
+    )
 
 
 def test_json_has_every_figure_of_a_row(report: CheckReport):
     rows = data(report)["rows"]
     assert [row["seconds"] for row in rows] == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
     assert rows[3] == {
-        "check": "set state restores", "type": "CS", "claim": "all", "status": "waived", "severity": "error",
+        "check": "set state restores", "type": "CS", "claim": "all", "status": "waived",
+        "severity": "error",
         "clause": "FMI 3.0.2, 2.2.7.4", "sentence": "off. Waived: ours.", "seconds": 0.4,
     }  # fmt: skip
 
@@ -54,11 +77,16 @@ def test_junit_skips_what_is_waived_and_fails_what_failed(report: CheckReport):
     suite = ElementTree.fromstring(junit([(report, 2.5)]))[0]
     ends = {case.get("name"): [part.tag for part in case] for case in suite}
     assert ends == {
-        "archive": [], "start values are the XML's (ME)": ["failure"], "runs repeat (CS)": ["failure"],
-        "set state restores (CS)": ["skipped"], "time after a step (CS)": ["system-out"], "adjoint derivatives (ME)": ["skipped"],
+        "archive": [], "start values are the XML's (ME)": ["failure"],
+        "runs repeat (CS)": ["failure"],
+        "set state restores (CS)": ["skipped"], "time after a step (CS)": ["system-out"],
+        "adjoint derivatives (ME)": ["skipped"],
     }  # fmt: skip
     failures = [case.find("failure") for case in suite if case.find("failure") is not None]
-    assert [(item.get("type"), item.get("message")) for item in failures] == [("error", "a|b is 2 <3>."), ("behaviour", "x differs.")]
+    assert [(item.get("type"), item.get("message")) for item in failures] == [
+        ("error", "a|b is 2 <3>."),
+        ("behaviour", "x differs."),
+    ]
     assert "FMI 3.0.2, 2.4.7.5" in (failures[0].text or "")
 
 
@@ -75,11 +103,17 @@ def test_sarif_tells_what_is_wrong_with_its_level_and_place(report: CheckReport)
 
 def test_markdown_puts_failures_first_and_no_mark_of_a_sentence_works(report: CheckReport):
     text = markdown([report], "python -m validate check 'a b.fmu'")
-    rows = [line.split(" | ")[:2] for line in text.splitlines() if line.startswith("| ") and "outcome" not in line]
+    rows = [
+        line.split(" | ")[:2]
+        for line in text.splitlines()
+        if line.startswith("| ") and "outcome" not in line
+    ]
     assert rows[0] == ["| **failed** (error)", "start values are the XML's (ME)"]
     assert rows[-1][0] == "| not offered"
     assert "a\\|b is 2 \\<3\\>." in text
-    assert "ed7002b439e9ac845f22357d822bac1444730fbdb6016d3ec9432297b9ec9f73" in text  # SHA-256 of the file's seven bytes
+    assert (
+        "ed7002b439e9ac845f22357d822bac1444730fbdb6016d3ec9432297b9ec9f73" in text
+    )  # SHA-256 of the file's seven bytes
 
 
 @pytest.mark.slow
@@ -96,7 +130,12 @@ def test_a_waiver_turns_a_failure_and_nothing_else(tmp_path: Path, cli):
 
 
 @pytest.mark.parametrize(
-    ("waiver", "words"), [("archive", "NAME=REASON"), ("archive= ", "NAME=REASON"), ("archiv=why", "did you mean archive?")]
+    ("waiver", "words"),
+    [
+        ("archive", "NAME=REASON"),
+        ("archive= ", "NAME=REASON"),
+        ("archiv=why", "did you mean archive?"),
+    ],
 )
 def test_a_waiver_that_is_none_is_one_sentence(tmp_path: Path, cli, waiver: str, words: str):
     done = cli("check", str(_doubled(tmp_path)), "--waive", waiver)
@@ -107,7 +146,9 @@ def test_a_waiver_that_is_none_is_one_sentence(tmp_path: Path, cli, waiver: str,
 
 def test_an_entry_that_is_there_twice_stops_no_other_check(tmp_path: Path):
     rows = []
-    report = check_fmu(_doubled(tmp_path), names=["archive", "values stay finite"], told=rows.append)
+    report = check_fmu(
+        _doubled(tmp_path), names=["archive", "values stay finite"], told=rows.append
+    )
     assert tuple(rows) == report.rows, "each row is told once, in order"
     assert {row.title: row.status for row in rows} == {
         "archive": Status.FAILED,
@@ -122,7 +163,9 @@ def test_an_entry_that_is_there_twice_stops_no_other_check(tmp_path: Path):
 @pytest.mark.slow
 def test_rows_are_as_wide_as_the_terminal_or_as_they_like(tmp_path: Path, cli):
     alone = ("check", str(_doubled(tmp_path)), "--only", "archive")
-    narrow, wide = (cli(*alone, *more, COLUMNS="40").stdout.splitlines()[0] for more in ((), ("--wide",)))
+    narrow, wide = (
+        cli(*alone, *more, COLUMNS="40").stdout.splitlines()[0] for more in ((), ("--wide",))
+    )
     assert len(narrow) <= 40 < len(wide)
 
 
@@ -138,11 +181,21 @@ def _doubled(folder: Path) -> Path:
 def test_readers_of_other_people_find_the_same(report: CheckReport, tmp_path: Path):
     (tmp_path / "check.xml").write_bytes(junit([(report, 2.5)]))
     (suite,) = JUnitXml.fromfile(str(tmp_path / "check.xml"))
-    assert (suite.tests, suite.failures, suite.skipped, suite.errors, suite.time) == (6, 2, 2, 0, 2.5)
-    assert [case.name for case in suite if case.is_failure] == ["start values are the XML's (ME)", "runs repeat (CS)"]
+    assert (suite.tests, suite.failures, suite.skipped, suite.errors, suite.time) == (
+        6,
+        2,
+        2,
+        0,
+        2.5,
+    )
+    assert [case.name for case in suite if case.is_failure] == [
+        "start values are the XML's (ME)",
+        "runs repeat (CS)",
+    ]
     log = Sarif.model_validate_json(sarif([report]))  # the types, names and words of SARIF 2.1.0
     (run,) = log.runs
     assert log.version == "2.1.0"
     assert [(item.rule_id, item.level.value) for item in run.results] == [
-        ("start-values-are-the-xmls", "error"), ("runs-repeat", "warning"), ("set-state-restores", "error"), ("time-after-a-step", "note"),
+        ("start-values-are-the-xmls", "error"), ("runs-repeat", "warning"),
+        ("set-state-restores", "error"), ("time-after-a-step", "note"),
     ]  # fmt: skip

@@ -26,7 +26,10 @@ GOOD = (*FAKES, "-k", "only_good")
 
 @pytest.fixture
 def in_here(tmp_path, monkeypatch, capfd):
-    """in_here("al") -> (exit code, stdout, stderr) of the command in this process; what it does to signals is undone."""
+    """in_here("al") -> (exit code, stdout, stderr) of the command in this process.
+
+    What it does to signals is undone.
+    """
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("COLUMNS", raising=False)
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
@@ -43,9 +46,13 @@ def in_here(tmp_path, monkeypatch, capfd):
 def test_help_shows_examples_and_exit_codes(cli):
     overview = cli("--help")
     assert overview.returncode == 0
-    assert not unsaid(overview.stdout, "Examples:", "Exit codes:", "130", "all", "list", "report", "replay", "fmu")
+    assert not unsaid(
+        overview.stdout, "Examples:", "Exit codes:", "130", "all", "list", "report", "replay", "fmu"
+    )
     for name in _COMMANDS:
-        with click.Context(importlib.import_module(f"validate.cli.{name}").command, info_name=name) as context:
+        with click.Context(
+            importlib.import_module(f"validate.cli.{name}").command, info_name=name
+        ) as context:
             text = context.get_help()
             assert "None" not in text
         assert "xample" in text, name
@@ -83,10 +90,19 @@ SOLVERS = {"torch", "pyomo", "cyipopt", "scipy", "sksundae"}
     [
         (("--help",), {"numpy", "sympy", "pydantic"}),
         (("list",), {"numpy", "sympy", "pydantic", "tempfile", "hashlib"}),
-        (("show", "nothing", "--in", "nowhere/at_all"), {"numpy", "psutil", "sympy", "fmpy", "models.scene"}),
+        (
+            ("show", "nothing", "--in", "nowhere/at_all"),
+            {"numpy", "psutil", "sympy", "fmpy", "models.scene"},
+        ),
         (("plan", *GOOD, "--out", "nowhere/at_all"), {"numpy.f2py", "h5py", "rich"}),
-        (("plan", "--scene", "two_body_collision", "--out", "nowhere/at_all"), {"numpy.f2py", "h5py", "rich", "fmpy"}),
-        (("replay", "plan.csv", "--scene", "two_body_collision"), {"pydantic", "reports", "h5py", "numpy.ma", "numpy.f2py", "unittest"}),
+        (
+            ("plan", "--scene", "two_body_collision", "--out", "nowhere/at_all"),
+            {"numpy.f2py", "h5py", "rich", "fmpy"},
+        ),
+        (
+            ("replay", "plan.csv", "--scene", "two_body_collision"),
+            {"pydantic", "reports", "h5py", "numpy.ma", "numpy.f2py", "unittest"},
+        ),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
@@ -99,8 +115,19 @@ def test_a_command_imports_what_it_needs(cli_environment, tmp_path, arguments, s
     write_csv(plan, Trajectory(t=times, q=still, v=still, u=none[:, :0], lam=none), scene)
     words = [str(plan) if word == plan.name else word for word in arguments]
     command = [sys.executable, "-X", "importtime", "-m", "validate", *words]
-    done = subprocess.run(command, capture_output=True, text=True, env=cli_environment, stdin=subprocess.DEVNULL, check=False)
-    imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if line.startswith("import time:")}
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        env=cli_environment,
+        stdin=subprocess.DEVNULL,
+        check=False,
+    )
+    imported = {
+        line.rpartition("|")[2].strip()
+        for line in done.stderr.splitlines()
+        if line.startswith("import time:")
+    }
     assert "validate.cli.group" in imported
     assert not imported & (SOLVERS | spared), done.stderr[-500:]
 
@@ -109,19 +136,34 @@ def test_a_command_imports_what_it_needs(cli_environment, tmp_path, arguments, s
     ("arguments", "words"),
     [
         (("al",), "did you mean all?"), (("frobnicate",), "there are all, plan, run, list"),
-        (("show", "nothing", "--in", "nowhere/at_all"), "no campaign in this folder"), (("run",), "give a campaign file"),
-        (("run", "nowhere.toml"), "No such file"), (("all", *FAKES, "--lf", "--out", "nowhere/at_all"), "no campaign in this folder"),
-        (("all", "--retry", "-1"), "-1 is not in the range"), (("all", "--quik"), "Did you mean '--quick'?"),
-        (("all", "--tools", "campaign_fakes:PLUGIN"), "--tools is called --plugin now."), (("all", "-j", "0"), "0 is not in the range x>=1"),
-        (("all", "-j", "two"), "'two' is not a valid integer"), (("all", "--time-limit", "-1"), "not in the range x>0"),
-        (("all", "--time-limit", "nan"), "not a finite number"), (("all", *FAKES, "-k", "good and"), "a name is missing at its end"),
-        (("all", *FAKES, "--quick", "-k", "only_good"), "--quick leaves out all that"), (("all", "-k", ""), "a name is missing"), (("all", "-k", "strict", "-k", "FMU and not a"), "-k is given 2 times; join what is meant in one: -k '(strict) or (FMU and not a)'"), (("all", "--scene", "tree_cart"), "did you mean three_cart?"),
-        (("all", "--scene", "nowhere/at_all.py"), "there is no such file"), (("all", "--plugin", "no_such_module:PLUGIN"), "cannot be imported"),
-        (("all", "--plugin", "campaign_fakes:NOTHING"), "campaign_fakes has no NOTHING"), (("report", "nowhere/at_all"), "no campaign in this folder"),
-        (("replay", "plan.csv"), "give either --scene or --fmu"), (("replay", "no_plan.csv", "--scene", "three_cart"), "it cannot be read"),
-        (("fmu", "three_cart"), "missing option '-o'"), (("fmu", "three_kart", "-o", "x.fmu"), "did you mean three_cart?"),
+        (("show", "nothing", "--in", "nowhere/at_all"), "no campaign in this folder"),
+        (("run",), "give a campaign file"),
+        (("run", "nowhere.toml"), "No such file"),
+        (("all", *FAKES, "--lf", "--out", "nowhere/at_all"), "no campaign in this folder"),
+        (("all", "--retry", "-1"), "-1 is not in the range"),
+        (("all", "--quik"), "Did you mean '--quick'?"),
+        (("all", "--tools", "campaign_fakes:PLUGIN"), "--tools is called --plugin now."),
+        (("all", "-j", "0"), "0 is not in the range x>=1"),
+        (("all", "-j", "two"), "'two' is not a valid integer"),
+        (("all", "--time-limit", "-1"), "not in the range x>0"),
+        (("all", "--time-limit", "nan"), "not a finite number"),
+        (("all", *FAKES, "-k", "good and"), "a name is missing at its end"),
+        (("all", *FAKES, "--quick", "-k", "only_good"), "--quick leaves out all that"),
+        (("all", "-k", ""), "a name is missing"),
+        (("all", "-k", "strict", "-k", "FMU and not a"),
+         "-k is given 2 times; join what is meant in one: -k '(strict) or (FMU and not a)'"),
+         (("all", "--scene", "tree_cart"), "did you mean three_cart?"),
+        (("all", "--scene", "nowhere/at_all.py"), "there is no such file"),
+        (("all", "--plugin", "no_such_module:PLUGIN"), "cannot be imported"),
+        (("all", "--plugin", "campaign_fakes:NOTHING"), "campaign_fakes has no NOTHING"),
+        (("report", "nowhere/at_all"), "no campaign in this folder"),
+        (("replay", "plan.csv"), "give either --scene or --fmu"),
+        (("replay", "no_plan.csv", "--scene", "three_cart"), "it cannot be read"),
+        (("fmu", "three_cart"), "missing option '-o'"),
+        (("fmu", "three_kart", "-o", "x.fmu"), "did you mean three_cart?"),
         (("fmu", "three_cart", "-o", "x.ssp"), "only --coupled writes an .ssp; call it x.fmu"),
-        (("fmu", "three_cart", "--coupled", "-o", "x.fmu"), "--coupled writes an .ssp; call it x.ssp"),
+        (("fmu", "three_cart", "--coupled", "-o", "x.fmu"),
+         "--coupled writes an .ssp; call it x.ssp"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_one_sentence_and_exit_code_2(in_here, arguments, words):
@@ -145,10 +187,15 @@ def test_a_mistake_ends_the_process_so_too(cli):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("SCENE = 3", "must define SCENE"), ("import nothing_of_that_name", "ModuleNotFoundError"), ("def broken(:", "SyntaxError"),
-        ("from models.scene import Parameter\nimport sympy as sp\nParameter(symbol=sp.Symbol('m'), value=1.0, unit='')", "the unit is missing"),
+        ("SCENE = 3", "must define SCENE"),
+        ("import nothing_of_that_name", "ModuleNotFoundError"),
+        ("def broken(:", "SyntaxError"),
+        (
+            "from models.scene import Parameter\nimport sympy as sp\nParameter(symbol=sp.Symbol('m'), value=1.0, unit='')",
+            "the unit is missing",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_scene_file_with_a_mistake_is_named(in_here, tmp_path, text, words):
     path = tmp_path / "own_scene.py"
     path.write_text(text)
@@ -205,7 +252,11 @@ def test_a_full_disk_is_one_sentence(cli, cli_environment, tmp_path):
     arguments = [sys.executable, "-m", "validate", "all", *GOOD, "--out", str(tmp_path / "out")]
     cli("all", *GOOD, "--out", str(tmp_path / "before"))  # so that the scene is compiled already
     done = subprocess.run(
-        ["sh", "-c", 'ulimit -f 24; exec "$@"', "sh", *arguments], capture_output=True, text=True, env=cli_environment, check=False
+        ["sh", "-c", 'ulimit -f 24; exec "$@"', "sh", *arguments],
+        capture_output=True,
+        text=True,
+        env=cli_environment,
+        check=False,
     )
     assert done.returncode == 3
     (sentence,) = [line for line in done.stderr.splitlines() if line.startswith("error:")]
@@ -223,7 +274,17 @@ def test_no_compiler(cli, tmp_path):
 
 @pytest.mark.slow
 def test_an_unexpected_error_is_one_sentence_and_its_traceback_is_kept(cli, tmp_path):
-    command = ("all", "--plugin", "campaign_fakes:BROKEN", "--scene", "three_cart", "--out", str(tmp_path / "out"), "-k", "only_good")
+    command = (
+        "all",
+        "--plugin",
+        "campaign_fakes:BROKEN",
+        "--scene",
+        "three_cart",
+        "--out",
+        str(tmp_path / "out"),
+        "-k",
+        "only_good",
+    )
     broken = cli(*command, TMPDIR=str(tmp_path))
     assert broken.returncode == 1
     (last,) = [line for line in broken.stderr.splitlines() if line.startswith("error:")]
@@ -235,11 +296,21 @@ def test_an_unexpected_error_is_one_sentence_and_its_traceback_is_kept(cli, tmp_
 
 
 @pytest.mark.parametrize(
-    ("missing", "group"), [("click", "validate.cli.group"), ("numpy", "validate.cli.group"), ("click", "benchmarks.commands")]
+    ("missing", "group"),
+    [
+        ("click", "validate.cli.group"),
+        ("numpy", "validate.cli.group"),
+        ("click", "benchmarks.commands"),
+    ],
 )
 def test_a_python_without_what_touchstone_needs_says_so(missing, group):
     program = f"import sys; sys.modules[{missing!r}] = None; sys.argv = ['it', 'all']; from validate.__main__ import main; main({group!r})"
-    done = subprocess.run([sys.executable, "-c", program], cwd=Path(__file__).parents[3], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=Path(__file__).parents[3],
+        capture_output=True,
+        text=True,
+    )
     assert (done.returncode, done.stdout) == (3, "")
     told = " ".join(done.stderr.split())
     assert told.startswith(f"error: {missing}, which touchstone needs, is not installed in ")
@@ -251,10 +322,17 @@ def test_a_python_without_what_touchstone_needs_says_so(missing, group):
 def test_a_scene_of_ones_own_by_path(cli, tmp_path):
     source = Path(__file__).parents[2] / "scenes" / "oscillator.py"
     out = tmp_path / "out"
-    done = cli("all", *PLUGIN, "-k", "only_good", "--scene", os.path.relpath(source), "--out", str(out))
+    done = cli(
+        "all", *PLUGIN, "-k", "only_good", "--scene", os.path.relpath(source), "--out", str(out)
+    )
     assert done.returncode == 0, done.stderr
     assert "oscillator" in done.stdout
-    assert (out / "results.csv").read_text().splitlines()[1].startswith("oscillator,only_good,1,good,,solved,")
+    assert (
+        (out / "results.csv")
+        .read_text()
+        .splitlines()[1]
+        .startswith("oscillator,only_good,1,good,,solved,")
+    )
 
 
 @pytest.mark.slow
@@ -270,15 +348,29 @@ def test_data_on_stdout_progress_on_stderr(cli, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("plugin", "words"), [("STRICT", "violates - the fake judge is strict"), ("STUMBLING", "undecided - the judge ended with")]
+    ("plugin", "words"),
+    [
+        ("STRICT", "violates - the fake judge is strict"),
+        ("STUMBLING", "undecided - the judge ended with"),
+    ],
 )
 def test_a_direct_plan_that_does_not_hold_fails(cli, tmp_path, plugin, words):
     done = cli(
-        "all", "--plugin", f"campaign_fakes:{plugin}", "--scene", "three_cart", "--out", str(tmp_path), "-k", "only_good or soft_alone"
+        "all",
+        "--plugin",
+        f"campaign_fakes:{plugin}",
+        "--scene",
+        "three_cart",
+        "--out",
+        str(tmp_path),
+        "-k",
+        "only_good or soft_alone",
     )
     assert done.returncode == 1
     failures = [line for line in done.stdout.splitlines() if line.startswith("fails: ")]
-    assert len(failures) == 2, "the indirect cell is expected to violate, but then none of the scene holds"
+    assert len(failures) == 2, (
+        "the indirect cell is expected to violate, but then none of the scene holds"
+    )
     assert f"three_cart x only_good: {words}" in failures[0]
     assert "three_cart: no run holds (only_good solved" in failures[1]
 
@@ -299,7 +391,15 @@ def test_a_limit_on_no_figure_is_said_before_anything_runs(cli, tmp_path: Path):
 
 @pytest.mark.slow
 def test_a_campaign_of_refusals_claims_nothing(cli, tmp_path):
-    done = cli("all", "--scene", "bouncing_mass", "-k", "softplus_dc+strict", "--out", str(tmp_path / "refused"))
+    done = cli(
+        "all",
+        "--scene",
+        "bouncing_mass",
+        "-k",
+        "softplus_dc+strict",
+        "--out",
+        str(tmp_path / "refused"),
+    )
     assert done.returncode == 0
     assert "no method applies to its scene" in done.stdout
     assert "holds" not in done.stdout
@@ -307,7 +407,10 @@ def test_a_campaign_of_refusals_claims_nothing(cli, tmp_path):
 
 @pytest.mark.parametrize("code", [0, 3])
 def test_exit_handlers_run_before_the_process_ends(code: int, cli_environment):
-    """The process ends without taking its modules apart; what a command registered runs, what it wrote arrives, its exit code stays."""
+    """The process ends without taking its modules apart.
+
+    What a command registered runs, what it wrote arrives, its exit code stays.
+    """
     script = f"""
 import atexit, sys
 from validate import __main__
@@ -321,13 +424,25 @@ def command(*_):
 group.run = command
 __main__.main()
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=cli_environment, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        env=cli_environment,
+        check=False,
+    )
     assert (done.returncode, done.stdout, done.stderr) == (code, "written handled", "")
 
 
 def test_an_exception_nobody_caught_ends_as_python_ends(cli_environment):
     script = "from validate import __main__; from validate.cli import group; group.run = None; __main__.main()"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=cli_environment, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        env=cli_environment,
+        check=False,
+    )
     assert done.returncode == 1
     assert "TypeError" in done.stderr
 
@@ -337,12 +452,17 @@ def test_a_campaign_ends_with_findings_and_failures_by_cause(cli, tmp_path):
     words = ("all", *FAKES, "--out", str(tmp_path), "-j", "1")
     done = cli(*words, "-k", "only_raises or only_exit_seven or only_good")
     lines = done.stdout.splitlines()
-    assert any(line.startswith("- ") and "runs that end with exact contact" in line for line in lines)
+    assert any(
+        line.startswith("- ") and "runs that end with exact contact" in line for line in lines
+    )
     (grouped,) = [line for line in lines if line.startswith("fails: 2 runs - No plan: crashed")]
     assert "three_cart x only_raises" in grouped
     assert "three_cart x only_exit_seven" in grouped
     assert not any(line.startswith("three_cart ") for line in lines), "no row a run"
-    assert lines[-3:-1] == [f"report:  {tmp_path / 'report.html'}", f"results: {tmp_path / 'results.csv'}"]
+    assert lines[-3:-1] == [
+        f"report:  {tmp_path / 'report.html'}",
+        f"results: {tmp_path / 'results.csv'}",
+    ]
     assert lines[-1].startswith(f"again:   {sys.executable} -m validate all ")
     assert "so far: three_cart: " in done.stderr
     part = cli(*words, "-k", "only_good", "--table")
@@ -357,21 +477,25 @@ def test_a_campaign_ends_with_findings_and_failures_by_cause(cli, tmp_path):
 @pytest.mark.parametrize(
     "words",
     [
-        ("fmu", "own.py", "-o", "./own.py"), ("replay", "plan.csv", "--scene", "three_cart", "--html", "plan.csv"),
-        ("robust", "plan.csv", "--scene", "three_cart", "--csv", "plan.csv"), ("check", "model.fmu", "--junit", "model.fmu"),
+        ("fmu", "own.py", "-o", "./own.py"),
+        ("replay", "plan.csv", "--scene", "three_cart", "--html", "plan.csv"),
+        ("robust", "plan.csv", "--scene", "three_cart", "--csv", "plan.csv"),
+        ("check", "model.fmu", "--junit", "model.fmu"),
         ("check", "model.fmu", "--sarif", "one.xml", "--junit", "one.xml"),
     ],
 )  # fmt: skip
-def test_no_command_begins_that_would_write_over_what_it_reads_or_writes_besides(cli, tmp_path, monkeypatch, words: tuple[str, ...]):
+def test_no_command_begins_that_would_write_over_what_it_reads_or_writes_besides(
+    cli, tmp_path, monkeypatch, words: tuple[str, ...]
+):
     monkeypatch.chdir(tmp_path)
     for name in ("own.py", "plan.csv", "model.fmu"):
         (tmp_path / name).write_text("precious", encoding="utf-8")
     done = cli(*words)
     assert done.returncode == 2
     assert not unsaid(done.stderr, "named twice", "would be lost", "name another for")
-    assert {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()} == dict.fromkeys(
-        ("own.py", "plan.csv", "model.fmu"), "precious"
-    )
+    assert {
+        path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()
+    } == dict.fromkeys(("own.py", "plan.csv", "model.fmu"), "precious")
 
 
 @pytest.mark.process
@@ -385,16 +509,24 @@ def test_an_empty_name_of_a_file_is_refused_before_the_work(cli):
 @pytest.mark.parametrize(
     ("words", "parts"),
     [
-        (("plan", "--out", "n" * 300), ("'nnn", "no names as long", "shorter")), (("report", "n" * 300), ("no names as long", "shorter")),
-        (("all", "--plugin", ""), ("--plugin", "''", "cannot be imported")), (("all", "--plugin", "../own"), ("--plugin ../own", "cannot be imported")),
-        (("plan", "-k", "(" * 5000 + "strict" + ")" * 5000), ("-k '((((", "nested deeper", "fewer parentheses")),
-        (("plan", "-k", ("strict and " + "not " * 88 + "(") * 34 + "strict" + ")" * 34), ("-k 'strict and", "nested deeper", "fewer parentheses")),
+        (("plan", "--out", "n" * 300), ("'nnn", "no names as long", "shorter")),
+        (("report", "n" * 300), ("no names as long", "shorter")),
+        (("all", "--plugin", ""), ("--plugin", "''", "cannot be imported")),
+        (("all", "--plugin", "../own"), ("--plugin ../own", "cannot be imported")),
+        (("plan", "-k", "(" * 5000 + "strict" + ")" * 5000),
+         ("-k '((((", "nested deeper", "fewer parentheses")),
+        (("plan", "-k", ("strict and " + "not " * 88 + "(") * 34 + "strict" + ")" * 34),
+         ("-k 'strict and", "nested deeper", "fewer parentheses")),
         (("plan", "--scene", "own.py"), ("own.py", "Own while it was read, line 2")),
     ],
 )  # fmt: skip
-def test_odd_words_are_told_in_a_sentence(cli, tmp_path, monkeypatch, words: tuple[str, ...], parts: tuple[str, ...]):
+def test_odd_words_are_told_in_a_sentence(
+    cli, tmp_path, monkeypatch, words: tuple[str, ...], parts: tuple[str, ...]
+):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "own.py").write_text("class Own(BaseException): pass\nraise Own('x')\n", encoding="utf-8")
+    (tmp_path / "own.py").write_text(
+        "class Own(BaseException): pass\nraise Own('x')\n", encoding="utf-8"
+    )
     done = cli(*words)
     assert done.returncode == 2
     assert not unsaid(done.stderr, *parts)

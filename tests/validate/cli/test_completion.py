@@ -14,7 +14,12 @@ pytestmark = pytest.mark.process
 SHELLS = ("bash", "zsh", "fish")
 
 
-def asked(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], instruction: str, line: str = "") -> str:
+def asked(
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    instruction: str,
+    line: str = "",
+) -> str:
     """What the program prints for `_TOUCHSTONE_COMPLETE=instruction touchstone`, where a line has been typed up to its end."""
     monkeypatch.setenv("_TOUCHSTONE_COMPLETE", instruction)
     monkeypatch.setenv("COMP_WORDS", line)
@@ -45,8 +50,10 @@ def test_the_tutorial_says_the_same_line():
     ("line", "offered"),
     [
         ("touchstone sh", ["plain,show"]), ("touchstone all --qu", ["plain,--quick"]),
-        ("touchstone all --scene two_f", ["plain,two_finger", "plain,two_finger_lift"]), ("touchstone replay plan.csv --scene trans", ["plain,transport"]),
-        ("touchstone fmu bounc", ["plain,bouncing_mass"]), ("touchstone all --scene my/own", ["file,my/own"]), ("touchstone nonsense --qu", []),
+        ("touchstone all --scene two_f", ["plain,two_finger", "plain,two_finger_lift"]),
+        ("touchstone replay plan.csv --scene trans", ["plain,transport"]),
+        ("touchstone fmu bounc", ["plain,bouncing_mass"]),
+        ("touchstone all --scene my/own", ["file,my/own"]), ("touchstone nonsense --qu", []),
     ],
 )  # fmt: skip
 def test_what_is_offered(monkeypatch, capfd, line, offered):

@@ -13,7 +13,11 @@ from validate.cli.doctor import TRIALS, State, Trial, examine_machine
 
 def doctor(*words: str, **environment: str) -> subprocess.CompletedProcess:
     return subprocess.run(
-        [sys.executable, "-m", "validate", "doctor", *words], capture_output=True, text=True, env={**os.environ, **environment}, check=False
+        [sys.executable, "-m", "validate", "doctor", *words],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment},
+        check=False,
     )
 
 
@@ -26,7 +30,9 @@ def test_this_machine_runs_the_main_job(tmp_path):
     done = doctor("--out", str(tmp_path / "not" / "yet" / "there"), "--json")
     found = {finding["name"]: finding for finding in json.loads(done.stdout)["findings"]}
     assert {"Python", "store", "C compiler", "cache", "Ipopt", "PyTorch", "FMU"} <= set(found)
-    assert all(finding["state"] == "works" for name, finding in found.items() if "extra" not in name), found
+    assert all(
+        finding["state"] == "works" for name, finding in found.items() if "extra" not in name
+    ), found
     assert done.returncode == 0
     assert list(tmp_path.iterdir()) == [], "nothing is left behind"
 
@@ -43,7 +49,10 @@ def test_without_a_compiler_the_remedy_is_named(tmp_path, monkeypatch):
 def test_what_rests_on_something_broken_is_not_to_be_installed_again(tmp_path, monkeypatch):
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(Path(__file__) / "below_a_file"))
     cache, fmu = list(examine_machine(tmp_path, (*named("cache"), *named("FMU"))))[-2:]
-    assert (cache.state, cache.remedy) == (State.BROKEN, "set TOUCHSTONE_CACHE to a folder you can write")
+    assert (cache.state, cache.remedy) == (
+        State.BROKEN,
+        "set TOUCHSTONE_CACHE to a folder you can write",
+    )
     assert str(Path(__file__) / "below_a_file") in cache.sentence
     assert (fmu.state, fmu.remedy) == (State.BROKEN, "mend cache first")
 
@@ -104,7 +113,9 @@ def test_a_store_without_permission_is_said(tmp_path):
 @pytest.mark.slow
 def test_something_broken_is_exit_code_three(tmp_path):
     (tmp_path / "taken").write_text("x")
-    done = doctor("--out", str(tmp_path / "taken"), TOUCHSTONE_LINEAR_SOLVER="nosuch", CC="/nonexistent/cc")
+    done = doctor(
+        "--out", str(tmp_path / "taken"), TOUCHSTONE_LINEAR_SOLVER="nosuch", CC="/nonexistent/cc"
+    )
     assert done.returncode == 3
     assert "Traceback" not in done.stdout + done.stderr
     assert "to mend it" in done.stdout

@@ -1,4 +1,7 @@
-"""`fmu --mjcf`: an FMU and its map, or a sentence and nothing; a recorded plan comes back to the bit."""
+"""`fmu --mjcf`: an FMU and its map, or a sentence and nothing.
+
+A recorded plan comes back to the bit.
+"""
 
 import json
 import shutil
@@ -12,7 +15,8 @@ from validate.cli.group import run
 
 mujoco = pytest.importorskip("mujoco")
 
-# A ball on a slide that a motor throws at the floor, and a paddle on a free joint that turns without touching anything.
+# A ball on a slide that a motor throws at the floor, and a paddle on a free joint that turns
+# without touching anything.
 ROBOT = """
 <mujoco>
   <option timestep="0.004"/>
@@ -44,7 +48,9 @@ def folder(tmp_path: Path):
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """robot.fmu, robot.toml and a recorded plan.csv, made once."""
     with within(tmp_path_factory.mktemp("exported")) as made:
-        assert run(["fmu", "--mjcf", "robot.xml", "--contact", "ball:floor", "-o", "robot.fmu"]) == 0
+        assert (
+            run(["fmu", "--mjcf", "robot.xml", "--contact", "ball:floor", "-o", "robot.fmu"]) == 0
+        )
         record(made / "plan.csv")
     return made
 
@@ -71,11 +77,15 @@ def record(path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_recorded_plan_comes_back_to_the_bit_by_its_own_step_alone(robot: Path, capfd: pytest.CaptureFixture[str]):
+def test_a_recorded_plan_comes_back_to_the_bit_by_its_own_step_alone(
+    robot: Path, capfd: pytest.CaptureFixture[str]
+):
     def replayed(*options: str) -> dict:
         run(["replay", "plan.csv", "--fmu", "robot.fmu", "--map", "robot.toml", "--json", *options])
         told = json.loads(capfd.readouterr().out)
-        (told["error"],) = [metric for metric in told["metrics"] if metric["name"] == "replay_error"]
+        (told["error"],) = [
+            metric for metric in told["metrics"] if metric["name"] == "replay_error"
+        ]
         return told
 
     own = replayed("--own-step")
@@ -104,7 +114,9 @@ def test_another_parameter_is_told_in_a_sentence(robot: Path, capfd: pytest.Capt
     assert "turns" not in times["sentence"]
     Path("robot.toml").write_text(given + asked.format(6.0, times["value"] * 1.01))
     (back,) = varied("--vary", "mass_ball=0.03")
-    assert back["before"] == times["value"]  # three times what the map says is what a map with three times that says
+    assert (
+        back["before"] == times["value"]
+    )  # three times what the map says is what a map with three times that says
     assert "turns from consistent to violates" in back["sentence"]
 
 
@@ -122,25 +134,65 @@ def test_another_parameter_is_told_in_a_sentence(robot: Path, capfd: pytest.Capt
     ],
 )
 def test_what_cannot_be_varied_is_refused_before_anything_is_replayed(
-    robot: Path, given: str, said: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    robot: Path,
+    given: str,
+    said: tuple[str, ...],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ):
     monkeypatch.delattr("validate.judge.judgement.replay_foreign")
-    assert run(["replay", "plan.csv", "--fmu", "robot.fmu", "--map", "robot.toml", "--vary", given]) == 2
+    assert (
+        run(["replay", "plan.csv", "--fmu", "robot.fmu", "--map", "robot.toml", "--vary", given])
+        == 2
+    )
     told = capfd.readouterr().err
     assert all(part in told for part in said), told
 
 
 @pytest.mark.slow
-def test_a_mistake_of_the_map_is_told_with_the_number_that_stands_there(robot: Path, capfd: pytest.CaptureFixture[str]):
+def test_a_mistake_of_the_map_is_told_with_the_number_that_stands_there(
+    robot: Path, capfd: pytest.CaptureFixture[str]
+):
     with Path("robot.toml").open("a") as file:
         file.write("\n[parameters]\nmass_ball = -5\n")
-    assert run(["replay", "plan.csv", "--fmu", "robot.fmu", "--map", "robot.toml", "--vary", "mass_ball=2"]) == 2
+    assert (
+        run(
+            [
+                "replay",
+                "plan.csv",
+                "--fmu",
+                "robot.fmu",
+                "--map",
+                "robot.toml",
+                "--vary",
+                "mass_ball=2",
+            ]
+        )
+        == 2
+    )
     assert "mass_ball: -5 is not possible" in capfd.readouterr().err
 
 
 @pytest.mark.slow
-def test_own_step_is_for_fmus_and_for_inputs_that_are_held(robot: Path, capfd: pytest.CaptureFixture[str]):
-    assert run(["replay", "plan.csv", "--fmu", "robot.fmu", "--map", "robot.toml", "--own-step", "--hold", "linear"]) == 2
+def test_own_step_is_for_fmus_and_for_inputs_that_are_held(
+    robot: Path, capfd: pytest.CaptureFixture[str]
+):
+    assert (
+        run(
+            [
+                "replay",
+                "plan.csv",
+                "--fmu",
+                "robot.fmu",
+                "--map",
+                "robot.toml",
+                "--own-step",
+                "--hold",
+                "linear",
+            ]
+        )
+        == 2
+    )
     said = capfd.readouterr().err
     assert all(part in said for part in ("plan.csv", "--own-step", "held"))
     assert run(["replay", "plan.csv", "--scene", "three_cart", "--own-step"]) == 2
@@ -161,7 +213,11 @@ def test_a_map_that_is_there_is_kept(folder: Path, capfd: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["--mjcf", "robot.xml", "-o", "robot.xml"], 2, ("-o robot.xml", "named twice", "name another for -o")),
+        (
+            ["--mjcf", "robot.xml", "-o", "robot.xml"],
+            2,
+            ("-o robot.xml", "named twice", "name another for -o"),
+        ),
         (["--mjcf", "robot.xml", "-o", "robot.toml"], 2, ("robot.toml", "robot.fmu")),
         (["--mjcf", "none.xml", "-o", "robot.fmu"], 2, ("none.xml", "no such file")),
         (["--mjcf", "robot.xml", "three_cart", "-o", "robot.fmu"], 2, ("either", "--mjcf")),
@@ -171,7 +227,11 @@ def test_a_map_that_is_there_is_kept(folder: Path, capfd: pytest.CaptureFixture[
     ],
 )
 def test_a_mistake_is_a_sentence_and_nothing_is_written(
-    folder: Path, words: list[str], code: int, said: tuple[str, ...], capfd: pytest.CaptureFixture[str]
+    folder: Path,
+    words: list[str],
+    code: int,
+    said: tuple[str, ...],
+    capfd: pytest.CaptureFixture[str],
 ):
     assert run(["fmu", *words]) == code
     told = capfd.readouterr().err
@@ -181,7 +241,9 @@ def test_a_mistake_is_a_sentence_and_nothing_is_written(
     assert (folder / "robot.xml").read_text() == ROBOT
 
 
-def test_without_a_compiler_nothing_is_written(folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):
+def test_without_a_compiler_nothing_is_written(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+):
     monkeypatch.setenv("CC", "/nowhere/cc")
     assert run(["fmu", "--mjcf", "robot.xml", "-o", "robot.fmu"]) == 3
     assert "CC" in capfd.readouterr().err
@@ -190,14 +252,37 @@ def test_without_a_compiler_nothing_is_written(folder: Path, monkeypatch: pytest
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "version"), [("robot", "2"), ("swing", "3")])
-def test_every_check_of_what_is_offered_passes(folder: Path, name: str, version: str, capfd: pytest.CaptureFixture[str]):
+def test_every_check_of_what_is_offered_passes(
+    folder: Path, name: str, version: str, capfd: pytest.CaptureFixture[str]
+):
     """A robot with friction offers Co-Simulation alone, one without Model Exchange too."""
     (folder / "swing.xml").write_text(
-        ROBOT.replace('type="plane"', 'type="plane" condim="1"').replace('name="ball" size', 'condim="1" name="ball" size')
+        ROBOT.replace('type="plane"', 'type="plane" condim="1"').replace(
+            'name="ball" size', 'condim="1" name="ball" size'
+        )
     )
-    text = (folder / "swing.xml").read_text().replace('type="box" size', 'type="box" contype="0" conaffinity="0" size')
+    text = (
+        (folder / "swing.xml")
+        .read_text()
+        .replace('type="box" size', 'type="box" contype="0" conaffinity="0" size')
+    )
     (folder / "swing.xml").write_text(text)
-    assert run(["fmu", "--mjcf", f"{name}.xml", "--contact", "ball:floor", "--fmi", version, "-o", f"{name}.fmu"]) == 0
+    assert (
+        run(
+            [
+                "fmu",
+                "--mjcf",
+                f"{name}.xml",
+                "--contact",
+                "ball:floor",
+                "--fmi",
+                version,
+                "-o",
+                f"{name}.fmu",
+            ]
+        )
+        == 0
+    )
     assert capfd.readouterr().out.splitlines() == [f"{name}.fmu", f"{name}.toml"]
     code = run(["check", f"{name}.fmu", "--json"])
     told = json.loads(capfd.readouterr().out)

@@ -1,4 +1,7 @@
-"""`.. | head`: whoever reads the output goes away. The exit code says that, never that all holds or that something does not; nothing stays behind."""
+"""`.. | head`: whoever reads the output goes away.
+
+The exit code says that, never that all holds or that something does not; nothing stays behind.
+"""
 
 import os
 import subprocess
@@ -16,7 +19,8 @@ pytestmark = pytest.mark.process
 FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 # One line each on stdout; on stderr (with stdout, as `2>&1 | head` has it) the second too.
 COMMANDS = {
-    "list": ("list",), "help": ("--help",), "plan": ("plan", *FAKES, "-k", "only_good"), "a typo": ("lsit",), "a campaign": ("all", *FAKES, "-k", "only_good"),
+    "list": ("list",), "help": ("--help",), "plan": ("plan", *FAKES, "-k", "only_good"),
+    "a typo": ("lsit",), "a campaign": ("all", *FAKES, "-k", "only_good"),
 }  # fmt: skip
 
 
@@ -35,11 +39,14 @@ def gone() -> Iterator[int]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("command", "together"), CASES)
-def test_a_reader_that_is_gone_is_told_as_that(command: str, together: bool, gone: int, cli_environment, tmp_path):
+def test_a_reader_that_is_gone_is_told_as_that(
+    command: str, together: bool, gone: int, cli_environment, tmp_path
+):
     out = ("--out", str(tmp_path / "out")) if "--plugin" in COMMANDS[command] else ()
     done = subprocess.run(
         [sys.executable, "-m", "validate", *COMMANDS[command], *out], stdout=gone,
-        stderr=subprocess.STDOUT if together else subprocess.PIPE, stdin=subprocess.DEVNULL, env=cli_environment, check=False,
+        stderr=subprocess.STDOUT if together else subprocess.PIPE, stdin=subprocess.DEVNULL,
+        env=cli_environment, check=False,
     )  # fmt: skip
     assert done.returncode == READER_GONE == 141
     said = (done.stderr or b"").decode()
@@ -49,19 +56,33 @@ def test_a_reader_that_is_gone_is_told_as_that(command: str, together: bool, gon
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a device that is always full")
+@pytest.mark.skipif(
+    not Path("/dev/full").exists(), reason="only Linux has a device that is always full"
+)
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize("command", ["list", "help", "a campaign"])
-def test_an_output_that_cannot_be_written_is_one_sentence(command: str, unbuffered: str, cli_environment, tmp_path):
-    """Whether Python learns of it as it writes, or as it ends; where stderr is full too only the exit code can tell it."""
+def test_an_output_that_cannot_be_written_is_one_sentence(
+    command: str, unbuffered: str, cli_environment, tmp_path
+):
+    """Whether Python learns of it as it writes, or as it ends.
+
+    Where stderr is full too only the exit code can tell it.
+    """
     out = ("--out", str(tmp_path / "out")) if "--plugin" in COMMANDS[command] else ()
     words = [sys.executable, "-m", "validate", *COMMANDS[command], *out]
     environment = {**cli_environment, "PYTHONUNBUFFERED": unbuffered}
     with open("/dev/full", "w") as full:
-        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, env=environment, check=False)
+        done = subprocess.run(
+            words, stdout=full, stderr=subprocess.PIPE, text=True, env=environment, check=False
+        )
         mute = subprocess.run(words, stdout=full, stderr=full, env=environment, check=False)
     assert (done.returncode, mute.returncode) == (3, 3)
-    assert not unsaid(done.stderr.splitlines()[-1], "error: ", "cannot be written (No space left on device)", "make room")
+    assert not unsaid(
+        done.stderr.splitlines()[-1],
+        "error: ",
+        "cannot be written (No space left on device)",
+        "make room",
+    )
     assert "Traceback" not in done.stderr
     assert "Exception ignored" not in done.stderr
 
@@ -75,7 +96,13 @@ def test_streams_that_are_closed_are_none_to_write_to(closed: str, cli_environme
 @pytest.mark.slow
 def test_what_finished_is_stored_and_used_again(gone: int, cli, cli_environment, tmp_path):
     command = ("all", *FAKES, "-k", "only_good", "--out", str(tmp_path / "out"))
-    subprocess.run([sys.executable, "-m", "validate", *command], stdout=gone, stderr=subprocess.DEVNULL, env=cli_environment, check=False)
+    subprocess.run(
+        [sys.executable, "-m", "validate", *command],
+        stdout=gone,
+        stderr=subprocess.DEVNULL,
+        env=cli_environment,
+        check=False,
+    )
     again = cli(*command)
     assert "1 stored, 0 to run" in again.stderr
     assert again.returncode == 0

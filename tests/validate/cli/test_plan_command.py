@@ -57,7 +57,9 @@ def test_another_version_is_recognised(cli, ran):
         pytest.fail("the campaign left no good cell")
     try:
         plan = told(cli, ran, "-k", "only_good")
-        assert not unsaid({run["why"] for run in plan["runs"]}, "stored for other code", "another scene file")
+        assert not unsaid(
+            {run["why"] for run in plan["runs"]}, "stored for other code", "another scene file"
+        )
     finally:
         moved.rename(request.parent)
 
@@ -87,20 +89,35 @@ def test_what_a_scene_waives_and_that_it_is_unstable_is_told(cli, tmp_path):
         "    *CARTS.limits, Limit(metric='missed_impulse', value=None, reason='nothing is touched twice')))\n",
         encoding="utf-8",
     )
-    words = ("--plugin", "campaign_fakes:PLUGIN", "--scene", str(path), "-k", "only_good", "--out", str(tmp_path / "out"))
+    words = (
+        "--plugin",
+        "campaign_fakes:PLUGIN",
+        "--scene",
+        str(path),
+        "-k",
+        "only_good",
+        "--out",
+        str(tmp_path / "out"),
+    )
     told = json.loads(cli("plan", *words, "--json").stdout)
     assert told["waived"] == {"waiving": ["missed_impulse: nothing is touched twice"]}
     assert told["unstable"] == {"waiving": "It falls over."}
     lines = cli("plan", *words, "--table").stdout.splitlines()
     assert "waived by waiving: missed_impulse: nothing is touched twice" in lines
-    assert [line for line in lines if not unsaid(line, "waiving is unstable", "feedback is enough", ": It falls over.")]
+    assert [
+        line
+        for line in lines
+        if not unsaid(line, "waiving is unstable", "feedback is enough", ": It falls over.")
+    ]
 
 
 def test_a_folder_of_an_earlier_schema_is_said_to_be_run_again(cli, tmp_path):
     out = tmp_path / "old"
     out.mkdir()
     (out / "campaign.json").write_text('{"schema_version": 2}')
-    sentence = f"{out} holds the records of schema 2, which hold other things than those of schema 5"
+    sentence = (
+        f"{out} holds the records of schema 2, which hold other things than those of schema 5"
+    )
     planned = cli("plan", *FAKES, "--out", str(out), "-k", "only_good")
     assert sentence in planned.stderr
     assert cli("report", str(out)).stderr.startswith(f"error: {sentence}; run the campaign again.")

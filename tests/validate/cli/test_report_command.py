@@ -41,7 +41,9 @@ def _texts(folder: Path) -> dict[str, bytes]:
 
 
 def test_the_same_files_whatever_happened_to_them(folder: Path):
-    tables = {name: text for name, text in _texts(folder).items() if name != "report.html"}  # the fakes' own report is none
+    tables = {
+        name: text for name, text in _texts(folder).items() if name != "report.html"
+    }  # the fakes' own report is none
     _report(folder)
     of_campaign = _texts(folder)
     assert tables.items() <= of_campaign.items()
@@ -60,7 +62,14 @@ def test_pages_or_one_file(folder: Path):
     assert told.exception is None
     assert f"report:  {folder / 'report.html'}" in told.stdout
     assert {path.name for path in (folder / "pages").iterdir()} == {
-        *("scene-three_cart.html", "runs.html", "robustness.html", "errata.html", "time-spent.html", "provenance.html"),
+        *(
+            "scene-three_cart.html",
+            "runs.html",
+            "robustness.html",
+            "errata.html",
+            "time-spent.html",
+            "provenance.html",
+        ),
         *(f"{key[:16]}.html" for key in keys),
     }
     shutil.rmtree(folder / "pages")
@@ -70,12 +79,16 @@ def test_pages_or_one_file(folder: Path):
 
 
 @pytest.mark.parametrize("text", ["{", '{"schema_version": 3}', "[]"], ids=range(3))
-def test_runs_of_a_campaign_whose_own_record_is_damaged_are_shown_all_the_same(folder: Path, text: str):
+def test_runs_of_a_campaign_whose_own_record_is_damaged_are_shown_all_the_same(
+    folder: Path, text: str
+):
     (folder / "campaign.json").write_text(text)
     told = _report(folder)
     assert (told.exit_code, told.exception) == (0, None)
     assert not unsaid(told.stderr, "campaign.json cannot be read", "shows the 2 records")
-    assert "own record is missing or unreadable" in (folder / "report.html").read_text(encoding="utf-8")
+    assert "own record is missing or unreadable" in (folder / "report.html").read_text(
+        encoding="utf-8"
+    )
     shutil.rmtree(folder / "runs")
     refused = _report(folder)
     assert refused.exit_code != 0, "there is nothing to show"
@@ -102,13 +115,19 @@ def test_a_motion_that_is_gone_is_told_and_its_page_drawn_anew(folder: Path):
 
 
 def test_a_campaign_that_ran_nothing_leaves_the_folder_as_it_was(ran: Path, cli):
-    before = {path: path.read_bytes() for path in ran.rglob("*") if path.is_file() and path.suffix not in {".csv"}}
+    before = {
+        path: path.read_bytes()
+        for path in ran.rglob("*")
+        if path.is_file() and path.suffix not in {".csv"}
+    }
     done = cli("all", *FAKES, "--out", str(ran), "-k", "soft_alone or only_good", "-j", "1")
     assert "2 stored, 0 to run" in done.stderr
     assert {path: path.read_bytes() for path in before} == before
     part = cli("all", *FAKES, "--out", str(ran), "-k", "only_good")
     assert part.returncode == 0
-    assert {path: path.read_bytes() for path in before} == before, "a part leaves the others where they are"
+    assert {path: path.read_bytes() for path in before} == before, (
+        "a part leaves the others where they are"
+    )
 
 
 def test_where_no_record_can_be_read_the_tables_are_left_as_they_are(folder: Path):

@@ -15,15 +15,46 @@ def test_a_run_that_holds_with_feedback_shows_both_ends(cli, tmp_path: Path):
     run = factory.run("strict", None, "strict_lcp", verdict="holds with feedback")
     (stage,) = run.stages
     metrics = (
-        MetricRecord(name="cost", value=-0.0, unit="1", meaning="m", question=2, reason="no way is known to be cheap"),
-        MetricRecord(name="replay_error", value=0.6, unit="m", meaning="m", question=4, limit=0.01, ok=False),
-        MetricRecord(name="tracked_replay_error", value=0.004, unit="m", meaning="m", question=4, limit=0.01, ok=True, error=1e-9),
+        MetricRecord(
+            name="cost",
+            value=-0.0,
+            unit="1",
+            meaning="m",
+            question=2,
+            reason="no way is known to be cheap",
+        ),
+        MetricRecord(
+            name="replay_error", value=0.6, unit="m", meaning="m", question=4, limit=0.01, ok=False
+        ),
+        MetricRecord(
+            name="tracked_replay_error",
+            value=0.004,
+            unit="m",
+            meaning="m",
+            question=4,
+            limit=0.01,
+            ok=True,
+            error=1e-9,
+        ),
     )
-    replay = stage.replay.model_copy(update={"judged": "feedback", "tracked": TrackedRecord(error_estimate=1e-9)})
-    changes = {"verdict": "holds with feedback", "why": "with LQR feedback it holds.", "metrics": metrics, "replay": replay}
-    stage = stage.model_copy(update={**changes, "not_asked": ("ghost_impulse: the plan says no forces.",)})
-    scene = run.scene.model_copy(update={"waived": ("cost: no way is known to be cheap",), "unstable": "It falls over."})
-    folder = factory.store(tmp_path / "all", [run.model_copy(update={"stages": (stage,), "scene": scene})])
+    replay = stage.replay.model_copy(
+        update={"judged": "feedback", "tracked": TrackedRecord(error_estimate=1e-9)}
+    )
+    changes = {
+        "verdict": "holds with feedback",
+        "why": "with LQR feedback it holds.",
+        "metrics": metrics,
+        "replay": replay,
+    }
+    stage = stage.model_copy(
+        update={**changes, "not_asked": ("ghost_impulse: the plan says no forces.",)}
+    )
+    scene = run.scene.model_copy(
+        update={"waived": ("cost: no way is known to be cheap",), "unstable": "It falls over."}
+    )
+    folder = factory.store(
+        tmp_path / "all", [run.model_copy(update={"stages": (stage,), "scene": scene})]
+    )
     done = cli("show", "three_cart x strict", "--in", str(folder))
     lines = [" ".join(line.split()) for line in done.stdout.splitlines()]
     assert lines[0] == "three_cart x strict: solved, holds with feedback"
@@ -47,7 +78,9 @@ def test_a_record_that_cannot_be_read_is_not_looked_for_elsewhere(cli, tmp_path:
     folder = factory.store(tmp_path / "all", [run], factory.campaign([run]))
     record = folder / "runs" / run.key / "record.json"
     (folder / "runs" / run.key / "task.json").write_text(
-        json.dumps({"task": {"scene_name": "three_cart", "pipeline": {"name": "strict", "part": None}}})
+        json.dumps(
+            {"task": {"scene_name": "three_cart", "pipeline": {"name": "strict", "part": None}}}
+        )
     )
     record.write_text(record.read_text()[:300])
     done = cli("show", "three_cart x strict", "--in", str(folder))
@@ -59,19 +92,33 @@ def test_a_record_that_cannot_be_read_is_not_looked_for_elsewhere(cli, tmp_path:
 @pytest.mark.parametrize(
     ("task", "named"),
     [
-        ({"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": [2, 4]}}, "three_cart x mpcc (2 of 4)"),
-        ({"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": None}}, "three_cart x mpcc"),
+        (
+            {"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": [2, 4]}},
+            "three_cart x mpcc (2 of 4)",
+        ),
+        (
+            {"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": None}},
+            "three_cart x mpcc",
+        ),
         ({"kind": "FMU", "name": "three_cart, FMI 2.0"}, "FMU: three_cart, FMI 2.0"),
         # Damaged: its record tells.
-        ({"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": 3}}, "three_cart x strict"),
-        ({"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": [3]}}, "three_cart x strict"),
+        (
+            {"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": 3}},
+            "three_cart x strict",
+        ),
+        (
+            {"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": [3]}},
+            "three_cart x strict",
+        ),
         ({"scene_name": "three_cart", "pipeline": "mpcc"}, "three_cart x strict"),
         ({"pipeline": {"name": "mpcc", "part": None}}, "three_cart x strict"),
         ({}, "three_cart x strict"),
         ([1, 2], "three_cart x strict"),
     ],
 )
-def test_a_run_is_called_what_was_asked_for_and_only_else_what_its_record_says(task: object, named: str, tmp_path: Path):
+def test_a_run_is_called_what_was_asked_for_and_only_else_what_its_record_says(
+    task: object, named: str, tmp_path: Path
+):
     run = factory.run("strict", None, "strict_lcp")
     store = Store(factory.store(tmp_path / "all", [run]))
     (store.runs / run.key / "task.json").write_text(json.dumps({"task": task}), encoding="utf-8")
@@ -80,7 +127,9 @@ def test_a_run_is_called_what_was_asked_for_and_only_else_what_its_record_says(t
 
 def test_the_record_and_what_was_asked_for_agree_on_the_name():
     run = factory.run("strict", None, "strict_lcp")
-    assert run.title == title_of({"scene_name": "three_cart", "pipeline": {"name": "strict", "part": None}})
+    assert run.title == title_of(
+        {"scene_name": "three_cart", "pipeline": {"name": "strict", "part": None}}
+    )
     assert run.model_copy(update={"part": 2, "parts": 4}).title == title_of(
         {"scene_name": "three_cart", "pipeline": {"name": "strict", "part": [2, 4]}}
     )

@@ -1,4 +1,8 @@
-"""Tables and sentences fit a terminal: columns go in a stated order, sentences break between words; what a terminal is shown while a campaign runs: how much is done, how long it may take, what runs; and where there are no colours."""
+"""Tables and sentences fit a terminal: columns go in a stated order, sentences break between words.
+
+What a terminal is shown while a campaign runs: how much is done, how long it may take, what runs;
+and where there are no colours.
+"""
 
 import functools
 import io
@@ -13,12 +17,24 @@ from models.errors import MachineError
 from reports.records.record import MetricRecord
 from tests.reports import record_factory as factory
 from validate.cli import narrator
-from validate.cli.table import print_metrics, say, short, table, terminal_width, use_colour, wide_option, wrapped
+from validate.cli.table import (
+    print_metrics,
+    say,
+    short,
+    table,
+    terminal_width,
+    use_colour,
+    wide_option,
+    wrapped,
+)
 from validate.store.disk import write_durably
 from validate.store.store import progress
 
 TITLES = ["scene", "cost", "eps", "why"]
-ROWS = [["three_cart", "490.55", "0.001", "the plan does not reach the goal within its limit"], ["two_discs", "1.0", "", "it holds"]]
+ROWS = [
+    ["three_cart", "490.55", "0.001", "the plan does not reach the goal within its limit"],
+    ["two_discs", "1.0", "", "it holds"],
+]
 
 
 def lines(monkeypatch, width: int | None, **options) -> list[str]:
@@ -30,8 +46,10 @@ def lines(monkeypatch, width: int | None, **options) -> list[str]:
 
 def test_a_pipe_has_every_column_and_one_line_a_row(monkeypatch):
     assert lines(monkeypatch, None, drop=("eps", "cost")) == [
-        "scene         cost    eps  why", "----------  ------  -----  -------------------------------------------------",
-        "three_cart  490.55  0.001  the plan does not reach the goal within its limit", "two_discs      1.0         it holds",
+        "scene         cost    eps  why",
+        "----------  ------  -----  -------------------------------------------------",
+        "three_cart  490.55  0.001  the plan does not reach the goal within its limit",
+        "two_discs      1.0         it holds",
     ]  # fmt: skip
 
 
@@ -44,7 +62,12 @@ def test_a_sentence_breaks_between_words_before_a_column_goes(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("width", "shown", "gone"), [(50, TITLES, []), (44, ["scene", "cost", "why"], ["eps"]), (36, ["scene", "why"], ["eps", "cost"])]
+    ("width", "shown", "gone"),
+    [
+        (50, TITLES, []),
+        (44, ["scene", "cost", "why"], ["eps"]),
+        (36, ["scene", "why"], ["eps", "cost"]),
+    ],
 )
 def test_columns_go_in_the_stated_order(monkeypatch, width, shown, gone):
     found = lines(monkeypatch, width, drop=("eps", "cost"))
@@ -80,7 +103,10 @@ def test_a_sentence_is_indented_after_its_first_line(monkeypatch, capsys):
     monkeypatch.delenv("COLUMNS")
     say("one two\nthree \x1b[31mfour")
     assert capsys.readouterr().out == "one two three [31mfour\n"
-    assert wrapped("a_word_that_is_longer_than_a_line and more", 10) == "a_word_that_is_longer_than_a_line\nand more"
+    assert (
+        wrapped("a_word_that_is_longer_than_a_line and more", 10)
+        == "a_word_that_is_longer_than_a_line\nand more"
+    )
 
 
 def test_a_verdict_has_its_colour_in_its_own_cell_alone(monkeypatch):
@@ -90,11 +116,23 @@ def test_a_verdict_has_its_colour_in_its_own_cell_alone(monkeypatch):
     assert text.splitlines()[-1].endswith("  violates its limit")
 
 
-@pytest.mark.parametrize(("value", "default", "limit"), [(None, True, ""), (None, False, "0.25"), (0.5, True, "0.25")])
-def test_the_default_limit_of_what_could_not_be_measured_is_not_known(monkeypatch, capsys, value, default, limit):
+@pytest.mark.parametrize(
+    ("value", "default", "limit"), [(None, True, ""), (None, False, "0.25"), (0.5, True, "0.25")]
+)
+def test_the_default_limit_of_what_could_not_be_measured_is_not_known(
+    monkeypatch, capsys, value, default, limit
+):
     """It is made of what could not be measured; a limit that the scene set is told."""
     monkeypatch.setenv("COLUMNS", "300")
-    metric = MetricRecord(name="max_penetration", value=value, unit="m", meaning="depth", question=5, limit=0.25, default=default)
+    metric = MetricRecord(
+        name="max_penetration",
+        value=value,
+        unit="m",
+        meaning="depth",
+        question=5,
+        limit=0.25,
+        default=default,
+    )
     print_metrics([(5, metric.name, metric, None)], followed=False, tracked=False)
     heads, _, row = capsys.readouterr().out.splitlines()
     place = re.search(r"\blimit\b", heads)
@@ -103,14 +141,22 @@ def test_the_default_limit_of_what_could_not_be_measured_is_not_known(monkeypatc
 
 
 def test_a_zero_has_no_sign_and_a_number_too_large_for_decimals_is_short():
-    assert [short(-0.0, ".4e"), short(490.554, ".2f"), short(-1e200, ".2f")] == ["0.0000e+00", "490.55", "-1e+200"]
+    assert [short(-0.0, ".4e"), short(490.554, ".2f"), short(-1e200, ".2f")] == [
+        "0.0000e+00",
+        "490.55",
+        "-1e+200",
+    ]
 
 
 @pytest.mark.parametrize("width", [60, 80, 200])
-def test_the_bar_has_the_numbers_whole_and_what_runs_as_far_as_there_is_room(monkeypatch, tmp_path, width):
+def test_the_bar_has_the_numbers_whole_and_what_runs_as_far_as_there_is_room(
+    monkeypatch, tmp_path, width
+):
     """The bar is drawn when something is told; the last time when it ends."""
     shown, clock = io.StringIO(), iter(range(1000, 100000, 10))
-    terminal = functools.partial(rich.console.Console, file=shown, force_terminal=True, width=width, no_color=True)
+    terminal = functools.partial(
+        rich.console.Console, file=shown, force_terminal=True, width=width, no_color=True
+    )
     monkeypatch.setenv("TERM", "xterm")  # on a dumb one no bar moves
     monkeypatch.setattr(rich.console, "Console", lambda **_: terminal())
     monkeypatch.setattr(narrator.time, "monotonic", lambda: float(next(clock)))
@@ -126,22 +172,34 @@ def test_the_bar_has_the_numbers_whole_and_what_runs_as_far_as_there_is_room(mon
     assert max(map(len, lines)) <= width
     assert "4 stored, 26 to run, 2 of them again" in lines
     assert not unsaid(" ".join(" ".join(lines).split()), "[5/30] three_cart x strict: solved")
-    before, after = lines[: (done := next(place for place, line in enumerate(lines) if "[5/30]" in line))], lines[done:]
+    before, after = (
+        lines[: (done := next(place for place, line in enumerate(lines) if "[5/30]" in line))],
+        lines[done:],
+    )
     assert not any("about" in line for line in before), "nobody knows before a cell has finished"
-    assert any(re.search(r" 5/30 \d+:\d\d:\d\d about \d+ min left three_cart", line) for line in after), lines
+    assert any(
+        re.search(r" 5/30 \d+:\d\d:\d\d about \d+ min left three_cart", line) for line in after
+    ), lines
     assert any("strict_lcp" in line for line in lines) == (width == 200)
 
 
-@pytest.mark.parametrize(("seconds", "words"), [(3.24, "3.2 s"), (0.456, "0.46 s"), (12.3, "12 s"), (600, "10 min"), (9000, "2.5 h")])
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(3.24, "3.2 s"), (0.456, "0.46 s"), (12.3, "12 s"), (600, "10 min"), (9000, "2.5 h")],
+)
 def test_a_time_is_told_as_roughly_as_it_is_known(seconds, words):
     assert narrator.in_words(seconds) == words
 
 
 def refused(pipeline: str, why: str):
-    return factory.run(pipeline, None, "strict_lcp", outcome="refused", verdict="not applicable").model_copy(update={"message": why})
+    return factory.run(
+        pipeline, None, "strict_lcp", outcome="refused", verdict="not applicable"
+    ).model_copy(update={"message": why})
 
 
-def test_what_does_not_apply_to_a_scene_is_told_once_for_each_reason_when_its_runs_have_ended(capsys):
+def test_what_does_not_apply_to_a_scene_is_told_once_for_each_reason_when_its_runs_have_ended(
+    capsys,
+):
     runs = [
         refused("mpcc", "mpcc: it has friction: none."),
         refused("front", "mpcc_front: it has friction: none."),
@@ -155,17 +213,25 @@ def test_what_does_not_apply_to_a_scene_is_told_once_for_each_reason_when_its_ru
     plain.found(runs)
     first, ended, *told = capsys.readouterr().err.splitlines()
     assert (first, ended[:30]) == ("0 stored, 4 to run", "[4/4] three_cart x strict: sol")
-    assert told[:2] == ["not applicable: mpcc, front: it has friction: none.", "not applicable: own: a reason: so."]
+    assert told[:2] == [
+        "not applicable: mpcc, front: it has friction: none.",
+        "not applicable: own: a reason: so.",
+    ]
 
 
-def test_what_does_not_apply_is_told_at_the_end_where_the_other_runs_of_its_scene_have_not_ended(capsys):
+def test_what_does_not_apply_is_told_at_the_end_where_the_other_runs_of_its_scene_have_not_ended(
+    capsys,
+):
     """Ctrl-C, or -x: the scene is never whole."""
     run = refused("mpcc", "m: it has none.")
     plain = narrator.PlainNarrator()
     plain.begins(3, 0, 0)
     plain.finished(run)
     plain.ends()
-    assert capsys.readouterr().err.splitlines() == ["0 stored, 3 to run", "not applicable: mpcc: it has none."]
+    assert capsys.readouterr().err.splitlines() == [
+        "0 stored, 3 to run",
+        "not applicable: mpcc: it has none.",
+    ]
     whole = narrator.PlainNarrator()
     whole.begins(1, 0, 0)
     whole.finished(run)
@@ -181,7 +247,9 @@ def test_of_a_folder_that_is_gone_nothing_is_said_to_be_stored(tmp_path):
     assert plain.so_far(tmp_path) == f"1 of 3 runs are stored in {tmp_path}"
     gone = tmp_path / "gone"
     assert not unsaid(plain.so_far(gone), f"{gone} is gone")
-    with pytest.raises(MachineError, match=r"campaign.json \(its folder is gone\).*removed or moved"):
+    with pytest.raises(
+        MachineError, match=r"campaign.json \(its folder is gone\).*removed or moved"
+    ):
         write_durably(gone / "campaign.json", "{}")
 
 

@@ -7,7 +7,16 @@ import time
 from pathlib import Path
 
 import pytest
-from killed_campaigns import FAKES_FOLDER, Kill, finished, kill_and_resume, processes, start, unfinished, untimed
+from killed_campaigns import (
+    FAKES_FOLDER,
+    Kill,
+    finished,
+    kill_and_resume,
+    processes,
+    start,
+    unfinished,
+    untimed,
+)
 from standing_cluster import come
 
 from models.catalog import load_scene
@@ -53,7 +62,9 @@ def test_a_killed_campaign_loses_nothing_and_leaves_nothing(killed, temporary):
     assert list(temporary.iterdir()) == []
 
 
-def test_two_campaigns_in_the_folder_of_a_killed_one_do_not_disturb_each_other(cache, killed, temporary, tmp_path):
+def test_two_campaigns_in_the_folder_of_a_killed_one_do_not_disturb_each_other(
+    cache, killed, temporary, tmp_path
+):
     """They start while what the killed one was running has perhaps not ended yet."""
     out, (whole, _) = tmp_path / "out", killed
     first = start(out, cache, f"{CELLS} or only_family", "-j", "2")
@@ -74,7 +85,8 @@ def test_two_campaigns_in_the_folder_of_a_killed_one_do_not_disturb_each_other(c
     assert list(temporary.iterdir()) == []
 
 
-SCENE, CHAINS = "wall_pendulum", "real_chains:PLUGIN"
+SCENE = "wall_pendulum"
+CHAINS = "real_chains:PLUGIN"
 CAMPAIGN = ("--scene", SCENE, "--plugin", CHAINS, "--no-robust")
 
 
@@ -92,7 +104,9 @@ def _plans(out: Path) -> dict[tuple[str, str], bytes]:
     found = {}
     for file in sorted((out / "runs").glob("*/trajectory*.nc")):
         plan = read_netcdf(file, scene)
-        found[file.parent.name, file.name] = b"".join(array.tobytes() for array in (plan.q, plan.v, plan.u, plan.lam))
+        found[file.parent.name, file.name] = b"".join(
+            array.tobytes() for array in (plan.q, plan.v, plan.u, plan.lam)
+        )
     return found
 
 
@@ -124,7 +138,10 @@ def test_in_another_order(whole, tmp_path, monkeypatch):
 
     monkeypatch.setattr(campaign, "select", shuffled)
     monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
-    run_campaign(CampaignSettings(out=tmp_path, scenes=(SCENE,), plugin=CHAINS, robust=False, jobs=2), PlainNarrator())
+    run_campaign(
+        CampaignSettings(out=tmp_path, scenes=(SCENE,), plugin=CHAINS, robust=False, jobs=2),
+        PlainNarrator(),
+    )
     _same(tmp_path, whole)
 
 
@@ -151,7 +168,10 @@ def test_where_nothing_is_shared(whole, cli, tmp_path):
     assert _plans(tmp_path).items() <= _plans(whole).items()
 
 
-@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
+@pytest.mark.skipif(
+    importlib.util.find_spec("distributed") is None,
+    reason="distributed is not installed (the extra `dask`)",
+)
 def test_on_dask(whole, cli, tmp_path):
     done = cli("all", *CAMPAIGN, "-j", "2", "--engine", "dask", "--out", str(tmp_path))
     assert done.returncode == 0, done.stderr

@@ -29,17 +29,25 @@ KEPT = {"task.json", "log.txt", "record.json", "files.json"}
 def misbehaved(cli, tmp_path_factory):
     """One campaign over every kind of misbehaviour that ends by itself."""
     out = tmp_path_factory.mktemp("misbehaved")
-    done = cli("all", *FAKES, "--out", str(out), "-j", "2", "-k", "not hang and not family and not slow")
+    done = cli(
+        "all", *FAKES, "--out", str(out), "-j", "2", "-k", "not hang and not family and not slow"
+    )
     return out, done
 
 
 @pytest.mark.parametrize(("pipeline", "outcome", "words"), [
-    ("only_good", "solved", ""), ("only_segfault", "crashed", "signal 11 (SIGSEGV) during stage 1 (segfault)"),
-    ("only_abort", "crashed", "signal 6 (SIGABRT)"), ("only_exit_zero", "crashed", "exit code 0 during stage 1 (exit_zero); … no result"),
-    ("only_exit_seven", "crashed", "exit code 7"), ("only_spoiled", "crashed", "its result file cannot be read"),
-    ("only_raises", "crashed", "ValueError in raises: the method's own mistake"), ("only_bad_soft", "crashed", "ValueError in bad_soft"),
-    ("only_misfit", "failed", "q has 1 columns, but scene three_cart has 3 positions"), ("only_no_solution", "crashed", "Solution, not str"),
-    ("only_quits", "crashed", "its last log line: SystemExit: 0"), ("only_refuses", "refused", "it wants friction"), ("only_infeasible", "infeasible", ""),
+    ("only_good", "solved", ""),
+    ("only_segfault", "crashed", "signal 11 (SIGSEGV) during stage 1 (segfault)"),
+    ("only_abort", "crashed", "signal 6 (SIGABRT)"),
+    ("only_exit_zero", "crashed", "exit code 0 during stage 1 (exit_zero); … no result"),
+    ("only_exit_seven", "crashed", "exit code 7"),
+    ("only_spoiled", "crashed", "its result file cannot be read"),
+    ("only_raises", "crashed", "ValueError in raises: the method's own mistake"),
+    ("only_bad_soft", "crashed", "ValueError in bad_soft"),
+    ("only_misfit", "failed", "q has 1 columns, but scene three_cart has 3 positions"),
+    ("only_no_solution", "crashed", "Solution, not str"),
+    ("only_quits", "crashed", "its last log line: SystemExit: 0"),
+    ("only_refuses", "refused", "it wants friction"), ("only_infeasible", "infeasible", ""),
     ("only_garbage", "solved", ""), ("only_litter", "solved", ""),
 ])  # fmt: skip
 def test_every_end_is_the_right_row(misbehaved, pipeline, outcome, words):
@@ -48,9 +56,13 @@ def test_every_end_is_the_right_row(misbehaved, pipeline, outcome, words):
     assert not unsaid(record.message, words)
     assert "\n" not in record.message
     assert [stage.outcome for stage in record.stages] == [outcome]
-    without = {"solved": False, "refused": record.verdict == "not applicable"}.get(outcome, record.verdict == "no plan")
+    without = {"solved": False, "refused": record.verdict == "not applicable"}.get(
+        outcome, record.verdict == "no plan"
+    )
     assert without == (outcome != "solved")
-    assert (record.verdict == "not applicable") == (outcome == "refused"), "never counted with failures"
+    assert (record.verdict == "not applicable") == (outcome == "refused"), (
+        "never counted with failures"
+    )
 
 
 def test_the_traceback_is_in_the_log_and_not_on_the_screen(misbehaved):
@@ -65,8 +77,14 @@ def test_stages_after_a_failed_one_are_rows_too(misbehaved):
     out, _ = misbehaved
     record = records(out)["broken_chain"]
     assert [stage.outcome for stage in record.stages] == ["solved", "crashed", "crashed"]
-    assert record.message == record.stages[1].message == "ValueError in bad_soft: the method's own mistake"
-    assert not unsaid(record.stages[2].message, "not begun", "stage 2 (bad_soft, eps 0.1)", "no answer")
+    assert (
+        record.message
+        == record.stages[1].message
+        == "ValueError in bad_soft: the method's own mistake"
+    )
+    assert not unsaid(
+        record.stages[2].message, "not begun", "stage 2 (bad_soft, eps 0.1)", "no answer"
+    )
     assert record.stages[0].verdict == "holds"
     assert (out / "runs" / record.key / "trajectory_1.nc").exists()
 
@@ -91,7 +109,12 @@ def test_nothing_is_left_behind(misbehaved):
 def test_crashes_fail_the_campaign_and_honest_endings_do_not(misbehaved):
     _, done = misbehaved
     assert done.returncode == 1
-    failed = {name for line in done.stdout.splitlines() if line.startswith("fails: ") for name in re.findall(r"three_cart x (\w+)", line)}
+    failed = {
+        name
+        for line in done.stdout.splitlines()
+        if line.startswith("fails: ")
+        for name in re.findall(r"three_cart x (\w+)", line)
+    }
     crashed = {
         "only_segfault",
         "only_abort",
@@ -110,9 +133,15 @@ def test_progress_is_one_plain_line_a_cell(misbehaved):
     lines = done.stderr.splitlines()
     assert lines[0] == "0 stored, 19 to run"
     refused = [line for line in lines if line.startswith("not applicable: ")]
-    assert sum(line.startswith("[") for line in lines) == len(lines) - 2 - len(refused), "and nothing else"
+    assert sum(line.startswith("[") for line in lines) == len(lines) - 2 - len(refused), (
+        "and nothing else"
+    )
     names = [name for line in refused for name in line.split(": ")[1].split(", ")]
-    assert set(names) == {name for name, record in records(folder).items() if record.verdict == "not applicable"} != set()
+    assert (
+        set(names)
+        == {name for name, record in records(folder).items() if record.verdict == "not applicable"}
+        != set()
+    )
     assert len(lines) - 2 - len(refused) == 19 - len(names)
     assert lines[-1].startswith("so far: three_cart: "), "all runs of the scene have ended"
     assert "\x1b" not in done.stderr + done.stdout
@@ -129,13 +158,26 @@ def test_a_chain_starts_each_stage_from_the_plan_before(misbehaved):
 
 
 def test_a_hanging_cell_ends_at_its_time_limit_with_its_family(cli, tmp_path):
-    done = cli("all", *FAKES, "--out", str(tmp_path), "-j", "2", "-k", "only_hang or only_family", "--time-limit", "4")
+    done = cli(
+        "all",
+        *FAKES,
+        "--out",
+        str(tmp_path),
+        "-j",
+        "2",
+        "-k",
+        "only_hang or only_family",
+        "--time-limit",
+        "4",
+    )
     found = records(tmp_path)
     assert {record.outcome for record in found.values()} == {"time_limit"}
     assert all("time" in record.message for record in found.values())
     assert done.returncode == 1
     assert processes(tmp_path) == []
-    assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == sorted(record.key for record in found.values())
+    assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == sorted(
+        record.key for record in found.values()
+    )
 
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
@@ -147,9 +189,13 @@ def test_an_interrupted_campaign_keeps_what_finished_and_resumes(cli, start_cli,
     _, told = process.communicate()
     assert process.returncode == 130
     assert "interrupted: 1 of 2 runs are stored" in told
-    assert f"resume with: {sys.executable} -m validate all {' '.join(FAKES)} --out {tmp_path}" in told
+    assert (
+        f"resume with: {sys.executable} -m validate all {' '.join(FAKES)} --out {tmp_path}" in told
+    )
     assert processes(tmp_path) == []
-    assert [path.name for path in (tmp_path / "runs").iterdir()] == [records(tmp_path)["only_good"].key]
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == [
+        records(tmp_path)["only_good"].key
+    ]
     assert len((tmp_path / "results.csv").read_text().splitlines()) == 2
     again = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_good")
     assert "1 stored, 0 to run" in again.stderr
@@ -166,7 +212,13 @@ def test_what_is_stored_when_ctrl_c_comes_is_told_of(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Store, "commit", interrupted)
     monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
-    settings = CampaignSettings(out=tmp_path, plugin=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
+    settings = CampaignSettings(
+        out=tmp_path,
+        plugin=FAKES[1],
+        scenes=FAKES[3:],
+        expression="only_good or only_infeasible",
+        jobs=1,
+    )
     with pytest.raises(KeyboardInterrupt):
         run_campaign(settings, heard)
     (record,) = records(tmp_path).values()
@@ -176,9 +228,21 @@ def test_what_is_stored_when_ctrl_c_comes_is_told_of(tmp_path, monkeypatch):
 
 
 def test_what_nohup_ignores_stays_ignored(cli_environment, tmp_path):
-    command = [sys.executable, "-m", "validate", "all", *FAKES, "--out", str(tmp_path), "-k", "only_good"]
+    command = [
+        sys.executable,
+        "-m",
+        "validate",
+        "all",
+        *FAKES,
+        "--out",
+        str(tmp_path),
+        "-k",
+        "only_good",
+    ]
     deaf = ["sh", "-c", "trap '' HUP; exec \"$@\"", "sh", *command]
-    with subprocess.Popen(deaf, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=cli_environment) as process:
+    with subprocess.Popen(
+        deaf, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=cli_environment
+    ) as process:
         assert process.stderr.readline() == "0 stored, 1 to run\n"
         process.send_signal(signal.SIGHUP)
         process.communicate()
@@ -216,7 +280,13 @@ class _Interrupting(PlainNarrator):
 
 def test_ctrl_c_while_the_tables_are_written_is_heard_when_they_are(tmp_path, monkeypatch, ctrl_c):
     monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
-    settings = CampaignSettings(out=tmp_path, plugin=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
+    settings = CampaignSettings(
+        out=tmp_path,
+        plugin=FAKES[1],
+        scenes=FAKES[3:],
+        expression="only_good or only_infeasible",
+        jobs=1,
+    )
     with pytest.raises(KeyboardInterrupt):
         run_campaign(settings, _Interrupting(ctrl_c))
     assert sorted(row["pipeline"] for row in untimed(tmp_path)) == ["only_good", "only_infeasible"]

@@ -1,5 +1,9 @@
-"""A disk that refuses a cell: at each request that the child makes, one after the other. Either the cell is what it would have been, or the campaign
-ends with one sentence; never is a full disk told of as what a method or a judge did."""
+"""A disk that refuses a cell: at each request that the child makes, one after the other.
+
+Either the cell is what it would have been, or the campaign
+
+ends with one sentence; never is a full disk told of as what a method or a judge did.
+"""
 
 import errno
 import json
@@ -23,7 +27,12 @@ from validate.plan.runs import CampaignSettings, select
 from validate.store.provenance import gather
 from validate.store.store import Store
 
-pytestmark = [pytest.mark.process, pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD and forked supervisors are for Linux")]
+pytestmark = [
+    pytest.mark.process,
+    pytest.mark.skipif(
+        sys.platform != "linux", reason="LD_PRELOAD and forked supervisors are for Linux"
+    ),
+]
 _FOR_EVER = 2**62
 
 
@@ -33,21 +42,46 @@ def run(tmp_path_factory) -> Callable[..., tuple[RunRecord | MachineError, int]]
     folder = tmp_path_factory.mktemp("refusing")
     library, told = folder / "refusing_disk.so", folder / "refused.json"
     source = FAKES_FOLDER / "refusing_disk.c"
-    subprocess.run([*find_compiler().command, "-O1", "-shared", "-fPIC", "-o", str(library), str(source), "-ldl"], check=True)
+    subprocess.run(
+        [
+            *find_compiler().command,
+            "-O1",
+            "-shared",
+            "-fPIC",
+            "-o",
+            str(library),
+            str(source),
+            "-ldl",
+        ],
+        check=True,
+    )
     patch = pytest.MonkeyPatch()
     patch.setenv("PYTHONPATH", str(FAKES_FOLDER))
     patch.setenv("LD_PRELOAD", str(library))
     patch.setenv("REFUSED", str(told))
-    (entry,), _ = select(CampaignSettings(out=folder, scenes=("three_cart",), expression="soft_alone", plugin="refused_cells:WRITING"))
+    (entry,), _ = select(
+        CampaignSettings(
+            out=folder,
+            scenes=("three_cart",),
+            expression="soft_alone",
+            plugin="refused_cells:WRITING",
+        )
+    )
     provenance = gather("test")
     preloaded = Preloaded((*MODULES, "refused_cells"))
     patch.delenv("LD_PRELOAD")
     patch.setattr(worker, "_FUNCTION", "refused_cells:main")
 
-    def cell(store: Store, first: int, last: int, error: int) -> tuple[RunRecord | MachineError, int]:
-        told.write_text(json.dumps({"below": str(store.folder), "first": first, "last": last, "error": error}))
+    def cell(
+        store: Store, first: int, last: int, error: int
+    ) -> tuple[RunRecord | MachineError, int]:
+        told.write_text(
+            json.dumps({"below": str(store.folder), "first": first, "last": last, "error": error})
+        )
         try:
-            record = Worker(entry.task, provenance, store, loaded=entry.loaded, preloaded=preloaded).run(lambda: True)
+            record = Worker(
+                entry.task, provenance, store, loaded=entry.loaded, preloaded=preloaded
+            ).run(lambda: True)
         except MachineError as refusal:
             record = refusal
         return record, int(told.with_suffix(".count").read_text())
@@ -68,7 +102,9 @@ def store(tmp_path) -> Store:
 
 
 def _told(record: RunRecord) -> tuple:
-    stages = [(stage.outcome, stage.verdict, stage.cost, len(stage.metrics)) for stage in record.stages]
+    stages = [
+        (stage.outcome, stage.verdict, stage.cost, len(stage.metrics)) for stage in record.stages
+    ]
     return record.outcome, record.verdict, record.message, stages
 
 

@@ -1,4 +1,7 @@
-"""Engines that lose what they run on: workers, the scheduler, the campaign itself. What finished stays, and nothing goes on for nobody."""
+"""Engines that lose what they run on: workers, the scheduler, the campaign itself.
+
+What finished stays, and nothing goes on for nobody.
+"""
 
 import contextlib
 import importlib.util
@@ -16,7 +19,10 @@ from wording import unsaid
 
 pytestmark = [
     pytest.mark.process,
-    pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)"),
+    pytest.mark.skipif(
+        importlib.util.find_spec("distributed") is None,
+        reason="distributed is not installed (the extra `dask`)",
+    ),
 ]
 FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 # One ends at once and one never does, with children that left its group.
@@ -25,18 +31,43 @@ HALF = (*FAKES, "-k", "only_good or only_family", "-j", "1")
 
 @pytest.mark.slow
 def test_a_lost_worker_is_replaced_as_often_as_dask_allows(cli, tmp_path):
-    """After the first loss the cell runs again; two are one more than is allowed here, and it has crashed. The other one waited on the worker both
-    times, and is none the worse."""
+    """After the first loss the cell runs again.
+
+    Two are one more than is allowed here, and it has crashed. The other one waited on the worker
+    both
+
+    times, and is none the worse.
+    """
     counts, out = tmp_path / "counts", tmp_path / "out"
     counts.mkdir()
-    # A loaded machine takes longer than Dask's 15 s to start a worker anew: here every machine takes longer than is told.
-    dask = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1", "DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT": "100ms"}
+    # A loaded machine takes longer than Dask's 15 s to start a worker anew: here every machine
+    # takes longer than is told.
+    dask = {
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
+        "DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT": "100ms",
+    }
     asked = {"COUNTS": str(counts), "KILL": "fatal", "KILLS": "2", **dask}
-    done = cli("all", "--plugin", "leg_fakes:LOSING", "--scene", "three_cart", "--engine", "dask", "-j", "1", "--out", str(out), **asked)
+    done = cli(
+        "all",
+        "--plugin",
+        "leg_fakes:LOSING",
+        "--scene",
+        "three_cart",
+        "--engine",
+        "dask",
+        "-j",
+        "1",
+        "--out",
+        str(out),
+        **asked,
+    )
     assert done.returncode == 1, done.stderr
     calm, fatal = (records(out)[name] for name in ("calm", "fatal"))
     assert calm.outcome == "solved", done.stderr
-    assert (fatal.outcome, fatal.message) == ("crashed", "2 workers of the Dask cluster were lost while they ran it.")
+    assert (fatal.outcome, fatal.message) == (
+        "crashed",
+        "2 workers of the Dask cluster were lost while they ran it.",
+    )
     assert len(list(counts.glob("fatal-*"))) == 2
     assert len(list(counts.glob("calm-*"))) == 1
     assert unfinished(out) == []
@@ -58,7 +89,11 @@ def test_a_killed_campaign_takes_its_dask_workers_with_it_and_is_resumed_by_anot
     kept = finished(out)
     process.kill()
     process.communicate()
-    come(lambda: processes(temporary) == [] and unfinished(out) == [] and list(temporary.iterdir()) == [])
+    come(
+        lambda: (
+            processes(temporary) == [] and unfinished(out) == [] and list(temporary.iterdir()) == []
+        )
+    )
     assert processes(out) == []
     assert finished(out) == kept
     resumed = cli("all", *rest, "--out", str(out))
@@ -68,7 +103,9 @@ def test_a_killed_campaign_takes_its_dask_workers_with_it_and_is_resumed_by_anot
 
 
 @pytest.mark.slow
-def test_a_lost_scheduler_is_one_sentence_and_what_finished_is_stored(start_cli, cli_environment, tmp_path):
+def test_a_lost_scheduler_is_one_sentence_and_what_finished_is_stored(
+    start_cli, cli_environment, tmp_path
+):
     out, logs = tmp_path / "out", tmp_path / "logs"
     logs.mkdir()
     with standing_cluster(logs, cli_environment, workers=1) as (file, lost):
@@ -80,7 +117,10 @@ def test_a_lost_scheduler_is_one_sentence_and_what_finished_is_stored(start_cli,
     assert process.returncode == 3, told
     (sentence,) = [line for line in told.splitlines() if line.startswith("error:")]
     assert not unsaid(sentence, "Dask scheduler is gone", "is stored", "same command goes on")
-    assert f"stopped: 1 of 2 runs are stored in {out}; resume with: {sys.executable} -m validate all" in told
+    assert (
+        f"stopped: 1 of 2 runs are stored in {out}; resume with: {sys.executable} -m validate all"
+        in told
+    )
     assert "Traceback" not in told
     assert [row["pipeline"] for row in untimed(out)] == ["only_good"]
     assert unfinished(out) == []
@@ -122,13 +162,26 @@ for where in sys.argv[1:]:
 
 @pytest.mark.slow
 def test_an_address_where_no_scheduler_answers_is_one_sentence(cli_environment):
-    wrong = ["nonsense://x", "127.0.0.1:notaport", "tcp://", "tls://127.0.0.1:9", "tcp://127.0.0.1:9", "tcp://no.such.host.invalid:8786"]
+    wrong = [
+        "nonsense://x",
+        "127.0.0.1:notaport",
+        "tcp://",
+        "tls://127.0.0.1:9",
+        "tcp://127.0.0.1:9",
+        "tcp://no.such.host.invalid:8786",
+    ]
     with _silent() as silent:
         asked = [*wrong, silent]
-        done = subprocess.run([sys.executable, "-c", _ASKED, *asked], capture_output=True, text=True, env=cli_environment, check=False)
+        done = subprocess.run(
+            [sys.executable, "-c", _ASKED, *asked],
+            capture_output=True,
+            text=True,
+            env=cli_environment,
+            check=False,
+        )
     told = done.stdout.splitlines()
-    assert [line.partition(": no Dask scheduler answers there (")[0] for line in told] == [f"--engine dask:{where}" for where in asked], (
-        done.stderr
-    )
+    assert [line.partition(": no Dask scheduler answers there (")[0] for line in told] == [
+        f"--engine dask:{where}" for where in asked
+    ], done.stderr
     assert all(line.endswith("); start one, or correct the address.") for line in told)
     assert done.stderr == ""

@@ -27,16 +27,25 @@ from validate.tasks.task import ChildExit
 
 pytestmark = pytest.mark.process
 
-NEEDS_DASK = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
+NEEDS_DASK = pytest.mark.skipif(
+    importlib.util.find_spec("distributed") is None,
+    reason="distributed is not installed (the extra `dask`)",
+)
 
 
 class Campaign:
-    """Three cells, of which `crashing` crash, each time they are begun; begun: their keys, in order; silent: how often no answer comes."""
+    """Three cells, of which `crashing` crash, each time they are begun.
+
+    begun: their keys, in order; silent: how often no answer comes.
+    """
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "fakes"))
         settings = CampaignSettings(
-            out=folder, plugin="campaign_fakes:PLUGIN", scenes=("three_cart",), expression="only_good or only_segfault or only_hang"
+            out=folder,
+            plugin="campaign_fakes:PLUGIN",
+            scenes=("three_cart",),
+            expression="only_good or only_segfault or only_hang",
         )
         self.entries = select(settings)[0]
         self.tasks = [entry.task for entry in self.entries]
@@ -55,12 +64,19 @@ class Campaign:
         (entry,) = [entry for entry in self.entries if entry.task.key == key]
         outcome = "crashed" if key in self.crashing else "time_limit"
         child = ChildExit(outcome=outcome, message="as told", wall=0.0, cpu=0.0, log="")
-        return record_for_crash(entry.task, self._provenance, child, self.context.store.runs, entry.loaded)
+        return record_for_crash(
+            entry.task, self._provenance, child, self.context.store.runs, entry.loaded
+        )
 
     def run(self, engine: Any) -> list[str]:
         """Keys of the records, in order."""
-        narrator: Any = SimpleNamespace(runs=lambda running: self.watch(running), warns=self.told.append)
-        return [record.key for record in run_tasks(self.tasks, engine, self.context, self.tries - 1, narrator)]
+        narrator: Any = SimpleNamespace(
+            runs=lambda running: self.watch(running), warns=self.told.append
+        )
+        return [
+            record.key
+            for record in run_tasks(self.tasks, engine, self.context, self.tries - 1, narrator)
+        ]
 
     def local(self) -> LocalEngine:
         engine = LocalEngine(1, self.context, None)
@@ -69,9 +85,14 @@ class Campaign:
 
     def dask(self) -> DaskEngine:
         client = SimpleNamespace(
-            nthreads=lambda: {}, get_executor=lambda pure: self, scheduler=SimpleNamespace(address="here"), cluster=self.cluster
+            nthreads=lambda: {},
+            get_executor=lambda pure: self,
+            scheduler=SimpleNamespace(address="here"),
+            cluster=self.cluster,
         )
-        return DaskEngine(client, self.context, 1, self.context.store.runs / "mark", len(self.tasks))
+        return DaskEngine(
+            client, self.context, 1, self.context.store.runs / "mark", len(self.tasks)
+        )
 
     def submit(self, _function: Any, task: Any, _name: str) -> Future[Any]:
         future: Future[Any] = Future()
@@ -108,7 +129,10 @@ class _Named:
 
 
 class _Two:
-    """An engine for two cells at a time, each of which ends at the second look; started: in order; beside: what ran at each look."""
+    """An engine for two cells at a time, each of which ends at the second look; started: in order.
+
+    beside: what ran at each look.
+    """
 
     jobs = 2
 
@@ -152,7 +176,9 @@ def test_what_must_wait_is_left_for_later(campaign: Campaign, monkeypatch: pytes
 
 
 @pytest.mark.parametrize(("jobs", "expected"), [(None, usable_cores()), (1, 1), (3, 3)])
-def test_without_a_number_of_jobs_a_campaign_takes_every_core(campaign: Campaign, jobs: int | None, expected: int):
+def test_without_a_number_of_jobs_a_campaign_takes_every_core(
+    campaign: Campaign, jobs: int | None, expected: int
+):
     with open_local(jobs, campaign.context, 1) as engine:
         assert engine.jobs == expected
 
@@ -171,7 +197,9 @@ def test_what_is_not_the_cluster_s_is_not_said_of_it(campaign: Campaign):
 
 @pytest.mark.slow
 @NEEDS_DASK
-def test_a_cluster_without_workers_is_waited_for_and_told_of_once(campaign: Campaign, monkeypatch: pytest.MonkeyPatch):
+def test_a_cluster_without_workers_is_waited_for_and_told_of_once(
+    campaign: Campaign, monkeypatch: pytest.MonkeyPatch
+):
     looks: list[Any] = []
 
     def watch(running: Sequence[Any]) -> None:
@@ -188,7 +216,9 @@ def test_a_cluster_without_workers_is_waited_for_and_told_of_once(campaign: Camp
 
 
 @NEEDS_DASK
-def test_workers_of_this_machine_that_nobody_starts_anew_are_not_waited_for(campaign: Campaign, monkeypatch: pytest.MonkeyPatch):
+def test_workers_of_this_machine_that_nobody_starts_anew_are_not_waited_for(
+    campaign: Campaign, monkeypatch: pytest.MonkeyPatch
+):
     from distributed import Status  # pyright: ignore[reportMissingImports]
 
     nannies = [SimpleNamespace(status=Status.closed), SimpleNamespace(status=Status.failed)]
@@ -196,7 +226,14 @@ def test_workers_of_this_machine_that_nobody_starts_anew_are_not_waited_for(camp
     monkeypatch.setattr(module, "_SILENCE", 0.0)
     with pytest.raises(MachineError) as caught:
         campaign.run(campaign.dask())
-    assert not unsaid(caught.value, "--engine dask", "workers ended", "1 tasks wait", "same command", "--engine local")
+    assert not unsaid(
+        caught.value,
+        "--engine dask",
+        "workers ended",
+        "1 tasks wait",
+        "same command",
+        "--engine local",
+    )
     nannies[0].status = Status.running  # it starts one
     assert "no workers now" in campaign.dask().why_idle(1)
 
@@ -206,12 +243,16 @@ def test_a_cell_that_a_worker_gave_up_is_given_out_anew(campaign: Campaign):
     campaign.silent = 5
     assert campaign.run(campaign.dask()) == [task.key for task in campaign.tasks]
     campaign.silent = 6
-    with pytest.raises(MachineError, match=f"lost before they begin {campaign.tasks[0].title}; their logs"):
+    with pytest.raises(
+        MachineError, match=f"lost before they begin {campaign.tasks[0].title}; their logs"
+    ):
         campaign.run(campaign.dask())
 
 
 @NEEDS_DASK
-def test_workers_that_cannot_be_started_here_are_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_workers_that_cannot_be_started_here_are_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     import distributed  # pyright: ignore[reportMissingImports]
 
     def refuses(**_: Any) -> None:
@@ -223,7 +264,9 @@ def test_workers_that_cannot_be_started_here_are_one_sentence(tmp_path: Path, mo
         (tmp_path / "none", r"\[Errno 2\] No such file or directory: .*"),
     ):
         monkeypatch.setattr(tempfile, "tempdir", str(folder))
-        with pytest.raises(MachineError, match=rf"^--engine dask: .*cannot be started.*\({why}\); make room") as caught:
+        with pytest.raises(
+            MachineError, match=rf"^--engine dask: .*cannot be started.*\({why}\); make room"
+        ) as caught:
             _enter(local_cluster(1))
         assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []

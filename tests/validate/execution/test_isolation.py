@@ -45,7 +45,9 @@ def processes_of(place: Path) -> list[int]:
 def call(name: str, request=None, ours: bool = False, **limits):
     arrays = {"x": np.arange(3.0)} if name in ("double", "sums") else None
     given = Limits(**{"seconds": 60.0, **limits})
-    return run_isolated(f"isolated_functions:{name}", request, arrays, limits=given, what="model.fmu", ours=ours)
+    return run_isolated(
+        f"isolated_functions:{name}", request, arrays, limits=given, what="model.fmu", ours=ours
+    )
 
 
 @pytest.fixture
@@ -63,15 +65,21 @@ def forking(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits there")
-def test_a_narrow_limit_of_files_leaves_no_bytecode_cut_off(own_place: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_narrow_limit_of_files_leaves_no_bytecode_cut_off(
+    own_place: Path, monkeypatch: pytest.MonkeyPatch
+):
     """Python writes as much of a module's bytecode as it may, and takes that for the whole in the next process."""
     package = own_place / "package"
     package.mkdir()
-    (package / "long_module.py").write_text(f"text = {'x' * 100_000!r}\ndef length(request, arrays):\n    return len(text)\n")
+    (package / "long_module.py").write_text(
+        f"text = {'x' * 100_000!r}\ndef length(request, arrays):\n    return len(text)\n"
+    )
     monkeypatch.setenv("PYTHONPATH", str(package))
     monkeypatch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
     for limit in (8_000, 512 * 1024**2, 8_000):
-        done = run_isolated("long_module:length", None, limits=Limits(seconds=60.0, file=limit), what="it")
+        done = run_isolated(
+            "long_module:length", None, limits=Limits(seconds=60.0, file=limit), what="it"
+        )
         assert (done.ending, done.sentence, done.value) == (Ending.OK, "", 100_000)
 
 
@@ -84,20 +92,29 @@ def test_values_and_arrays_go_in_and_come_out():
 
 
 MISBEHAVIOUR = pytest.mark.parametrize(("name", "request_", "limits", "ending", "words"), [
-    ("refuses", None, {}, Ending.ERROR, "there is no such thing; choose another."), ("lacks", None, {}, Ending.MACHINE, "there is no compiler."),
+    ("refuses", None, {}, Ending.ERROR, "there is no such thing; choose another."),
+    ("lacks", None, {}, Ending.MACHINE, "there is no compiler."),
     ("finds_no_room", errno.ENOSPC, {}, Ending.MACHINE, "the disk is full"),
-    ("finds_no_room", errno.ENOENT, {}, Ending.EXCEPTION, "FileNotFoundError"), ("stumbles", None, {}, Ending.EXCEPTION, "KeyError: 'lost'"),
-    ("nan_value", None, {}, Ending.EXCEPTION, "not JSON compliant"), ("hangs", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"),
-    ("burns", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"), ("crashes", None, {}, Ending.SIGNAL, "SIGSEGV"),
-    ("aborts", None, {}, Ending.ABORT, "SIGABRT"), ("leaves", 0, {}, Ending.NO_RESULT, "without a result (exit code 0)"),
-    ("leaves", 7, {}, Ending.NO_RESULT, "exit code 7"), ("fills", None, {"memory": 1024**3}, Ending.MEMORY_LIMIT, "memory limit of 1 GiB"),
-    ("fatal", None, {}, Ending.FATAL, "fmi2DoStep failed with status 4"), ("nan", None, {}, Ending.NOT_A_NUMBER, "x is nan"),
+    ("finds_no_room", errno.ENOENT, {}, Ending.EXCEPTION, "FileNotFoundError"),
+    ("stumbles", None, {}, Ending.EXCEPTION, "KeyError: 'lost'"),
+    ("nan_value", None, {}, Ending.EXCEPTION, "not JSON compliant"),
+    ("hangs", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"),
+    ("burns", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"),
+    ("crashes", None, {}, Ending.SIGNAL, "SIGSEGV"),
+    ("aborts", None, {}, Ending.ABORT, "SIGABRT"),
+    ("leaves", 0, {}, Ending.NO_RESULT, "without a result (exit code 0)"),
+    ("leaves", 7, {}, Ending.NO_RESULT, "exit code 7"),
+    ("fills", None, {"memory": 1024**3}, Ending.MEMORY_LIMIT, "memory limit of 1 GiB"),
+    ("fatal", None, {}, Ending.FATAL, "fmi2DoStep failed with status 4"),
+    ("nan", None, {}, Ending.NOT_A_NUMBER, "x is nan"),
 ])  # fmt: skip
 
 
 @pytest.mark.slow
 @MISBEHAVIOUR
-def test_each_misbehaviour_has_its_own_ending(name, request_, limits, ending, words, own_place: Path):
+def test_each_misbehaviour_has_its_own_ending(
+    name, request_, limits, ending, words, own_place: Path
+):
     done = call(name, request_, **limits)
     assert (done.ending, done.value, dict(done.arrays)) == (ending, None, {})
     assert words in done.sentence
@@ -109,9 +126,14 @@ def test_each_misbehaviour_has_its_own_ending(name, request_, limits, ending, wo
 @pytest.mark.slow
 @pytest.mark.usefixtures("forking")
 @MISBEHAVIOUR
-def test_a_fork_that_misbehaves_ends_like_a_process_of_its_own(name, request_, limits, ending, words, own_place: Path):
+def test_a_fork_that_misbehaves_ends_like_a_process_of_its_own(
+    name, request_, limits, ending, words, own_place: Path
+):
     if "memory" in limits:  # of which this process has some already
-        limits = {"memory": limits["memory"] + int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")}
+        limits = {
+            "memory": limits["memory"]
+            + int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+        }
         words = "memory limit of"
     done = call(name, request_, ours=True, **limits)
     assert (done.ending, done.value, dict(done.arrays)) == (ending, None, {})
@@ -124,7 +146,11 @@ def test_a_fork_that_misbehaves_ends_like_a_process_of_its_own(name, request_, l
 @pytest.mark.usefixtures("forking")
 def test_a_fork_answers_for_a_call_of_our_own(own_place: Path, capsys: pytest.CaptureFixture[str]):
     done = call("double", {"a": [1, None]}, ours=True)
-    assert (done.ending, done.value, done.arrays["twice"].tolist()) == (Ending.OK, {"given": {"a": [1, None]}}, [0.0, 2.0, 4.0])
+    assert (done.ending, done.value, done.arrays["twice"].tolist()) == (
+        Ending.OK,
+        {"given": {"a": [1, None]}},
+        [0.0, 2.0, 4.0],
+    )
     assert 0 < done.cpu < 60
     assert done.memory > 1024**2
     told = call("where", ours=True)
@@ -153,7 +179,9 @@ def test_what_is_foreign_or_has_threads_gets_a_process_of_its_own(monkeypatch: p
     thread.join()
 
 
-def test_no_result_on_a_full_disk_is_not_put_down_to_the_model(monkeypatch: pytest.MonkeyPatch, own_place: Path):
+def test_no_result_on_a_full_disk_is_not_put_down_to_the_model(
+    monkeypatch: pytest.MonkeyPatch, own_place: Path
+):
     def refused(descriptor: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -212,12 +240,19 @@ def test_an_outer_limit_ends_the_inner_run_too(tmp_path: Path, own_place: Path):
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "more"), [
     ("starts_and_hangs", ""), ("nested", ""),
-    pytest.param("waits", ", ours=True", marks=pytest.mark.skipif(sys.platform != "linux", reason="forks are Linux's")),
+    pytest.param("waits", ", ours=True",
+                 marks=pytest.mark.skipif(sys.platform != "linux", reason="forks are Linux's")),
 ])  # fmt: skip
-def test_nothing_is_left_when_the_parent_is_killed(name: str, more: str, tmp_path: Path, own_place: Path):
+def test_nothing_is_left_when_the_parent_is_killed(
+    name: str, more: str, tmp_path: Path, own_place: Path
+):
     marker = tmp_path / "marker"
     code = f"from validate.execution.isolated import run_isolated; run_isolated('isolated_functions:{name}', {str(marker)!r}{more})"
-    parent = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(own_place)}, cwd=FAKES_FOLDER.parents[2])
+    parent = subprocess.Popen(
+        [sys.executable, "-c", code],
+        env={**os.environ, "TMPDIR": str(own_place)},
+        cwd=FAKES_FOLDER.parents[2],
+    )
     deadline = time.monotonic() + 300
     while not (marker.exists() and marker.read_text() not in ("", "started")):
         assert time.monotonic() < deadline
@@ -227,7 +262,9 @@ def test_nothing_is_left_when_the_parent_is_killed(name: str, more: str, tmp_pat
         assert f"PPid:\t{parent.pid}\n" in Path("/proc", marker.read_text(), "status").read_text()
     parent.send_signal(signal.SIGKILL)
     parent.wait()
-    while (processes_of(own_place) or list(own_place.glob(f"{FOLDER_PREFIX}*"))) and time.monotonic() < deadline:
+    while (
+        processes_of(own_place) or list(own_place.glob(f"{FOLDER_PREFIX}*"))
+    ) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert processes_of(own_place) == []
     assert list(own_place.iterdir()) == []
@@ -242,7 +279,9 @@ def test_one_child_answers_many_calls_until_one_ends_it(own_place: Path):
             return done.value if done.ok else done.ending
 
         assert [said(text) for text in ("a", "b", "c")] == [1, 2, 3]
-        assert calls("isolated_functions:counts", "d", {"x": np.arange(3.0)}).arrays["x"].tolist() == [0.0, 1.0, 2.0]
+        assert calls("isolated_functions:counts", "d", {"x": np.arange(3.0)}).arrays[
+            "x"
+        ].tolist() == [0.0, 1.0, 2.0]
         assert said("crash if not first") == 1  # once more, in a new process
         assert said("crash") is Ending.SIGNAL
         assert said("a") == 1
@@ -253,7 +292,9 @@ def test_one_child_answers_many_calls_until_one_ends_it(own_place: Path):
     assert processes_of(own_place) in ([], [os.getpid()])
 
 
-_SLEEP = 600 + os.getpid()  # seconds of a daemon: by these it is known as ours, not that of a test in another process
+_SLEEP = (
+    600 + os.getpid()
+)  # seconds of a daemon: by these it is known as ours, not that of a test in another process
 THROWS = """
 #include <new>
 #include <stdexcept>
@@ -261,11 +302,16 @@ extern "C" void throw_out() { throw std::runtime_error("nobody catches this"); }
 extern "C" void refused_by_new() { volatile char *p = new char[(unsigned long)1 << 44]; p[0] = 1; }
 """
 _CALLS = (
-    ("one_huge_allocation", Ending.MEMORY_LIMIT, "memory limit of 4 GiB"), ("null_pointer", Ending.SIGNAL, "SIGSEGV"),
-    ("endless_recursion", Ending.SIGNAL, "SIGSEGV"), ("exit_in_a_thread", Ending.NO_RESULT, "exit code 0"), ("change_folder", Ending.OK, ""),
-    ("close_files", Ending.OK, ""), ("ignore_signals", Ending.TIME_LIMIT, "time limit of 2 s"), ("start_daemon", Ending.OK, ""),
-    ("start_daemon_and_crash", Ending.SIGNAL, "SIGSEGV"), ("remove_what_is_there", Ending.OK, ""), ("take_all_limits", Ending.NO_RESULT, "without a result"),
-    ("jump_out", Ending.SIGNAL, "it crashed"), ("break_the_heap", Ending.ABORT, "SIGABRT"), ("crash_when_unloaded", Ending.OK, ""),
+    ("one_huge_allocation", Ending.MEMORY_LIMIT, "memory limit of 4 GiB"),
+    ("null_pointer", Ending.SIGNAL, "SIGSEGV"),
+    ("endless_recursion", Ending.SIGNAL, "SIGSEGV"),
+    ("exit_in_a_thread", Ending.NO_RESULT, "exit code 0"), ("change_folder", Ending.OK, ""),
+    ("close_files", Ending.OK, ""), ("ignore_signals", Ending.TIME_LIMIT, "time limit of 2 s"),
+    ("start_daemon", Ending.OK, ""),
+    ("start_daemon_and_crash", Ending.SIGNAL, "SIGSEGV"), ("remove_what_is_there", Ending.OK, ""),
+    ("take_all_limits", Ending.NO_RESULT, "without a result"),
+    ("jump_out", Ending.SIGNAL, "it crashed"), ("break_the_heap", Ending.ABORT, "SIGABRT"),
+    ("crash_when_unloaded", Ending.OK, ""),
     ("stop_the_group", Ending.SIGNAL, "SIGTERM"),
 )  # fmt: skip
 
@@ -274,7 +320,8 @@ _CALLS = (
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     library = tmp_path_factory.mktemp("calls") / "calls.so"
     command = [
-        *find_compiler().command, "-O0", "-w", f"-DSLEEP={_SLEEP}", "-shared", "-fPIC", "-pthread", "-o", str(library),
+        *find_compiler().command, "-O0", "-w", f"-DSLEEP={_SLEEP}", "-shared", "-fPIC", "-pthread",
+        "-o", str(library),
         str(FAKES_FOLDER / "foreign_calls.c"),
     ]  # fmt: skip
     subprocess.run(command, check=True, capture_output=True)
@@ -282,8 +329,12 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def call_code(library: Path, name: str, seconds: float = 60.0):
-    limits = Limits(seconds=seconds, memory=4 * 1024**3)  # far above what Python and numpy take for themselves
-    return run_isolated("isolated_functions:calls", [str(library), name], limits=limits, what="model.fmu")
+    limits = Limits(
+        seconds=seconds, memory=4 * 1024**3
+    )  # far above what Python and numpy take for themselves
+    return run_isolated(
+        "isolated_functions:calls", [str(library), name], limits=limits, what="model.fmu"
+    )
 
 
 def sleepers() -> set[str]:
@@ -294,7 +345,9 @@ def sleepers() -> set[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "ending", "words"), _CALLS)
-def test_it_ends_as_it_should_and_leaves_nothing(name: str, ending: Ending, words: str, library: Path, own_place: Path):
+def test_it_ends_as_it_should_and_leaves_nothing(
+    name: str, ending: Ending, words: str, library: Path, own_place: Path
+):
     before = sleepers()
     done = call_code(library, name, seconds=2.0 if ending is Ending.TIME_LIMIT else 60.0)
     assert done.ending is ending, done
@@ -304,12 +357,18 @@ def test_it_ends_as_it_should_and_leaves_nothing(name: str, ending: Ending, word
     assert list(own_place.iterdir()) == []
 
 
-@pytest.mark.parametrize(("name", "ending"), [("throw_out", Ending.ABORT), ("refused_by_new", Ending.MEMORY_LIMIT)])
+@pytest.mark.parametrize(
+    ("name", "ending"), [("throw_out", Ending.ABORT), ("refused_by_new", Ending.MEMORY_LIMIT)]
+)
 def test_exceptions_of_cplusplus(name: str, ending: Ending, tmp_path: Path):
     source, library = tmp_path / "throws.cpp", tmp_path / "throws.so"
     source.write_text(THROWS, encoding="utf-8")
     try:
-        subprocess.run(["c++", "-shared", "-fPIC", "-o", str(library), str(source)], check=True, capture_output=True)
+        subprocess.run(
+            ["c++", "-shared", "-fPIC", "-o", str(library), str(source)],
+            check=True,
+            capture_output=True,
+        )
     except FileNotFoundError:
         pytest.skip("no C++ compiler")
     assert call_code(library, name).ending is ending

@@ -24,12 +24,16 @@ from validate.execution.process import Child, KeptFolder, Preloaded
 
 pytestmark = [
     pytest.mark.process,
-    pytest.mark.skipif(sys.platform != "linux", reason="supervisors see all of their families on Linux only"),
+    pytest.mark.skipif(
+        sys.platform != "linux", reason="supervisors see all of their families on Linux only"
+    ),
 ]
 
 Start: TypeAlias = Callable[[Preloaded | None, str], tuple[Child, Path]]
 
-_SECONDS = 1000 + os.getpid()  # that what is left sleeps: by these it is known as ours, not that of a test in another process
+_SECONDS = (
+    1000 + os.getpid()
+)  # that what is left sleeps: by these it is known as ours, not that of a test in another process
 # A child's function: it tells what it is in its log, and does what the folder says.
 _TOLD = """
 import json, os, resource, signal, subprocess, sys, tempfile, time
@@ -121,8 +125,14 @@ def _begun(folder: Path) -> bool:
 
 def _sleepers() -> set[int]:
     """Processes that sleep as those of _TOLD do."""
-    commands = ((item.pid, item.info["cmdline"] or ["", ""]) for item in psutil.process_iter(["cmdline"]))
-    return {number for number, words in commands if words[-1:] == [f"import time; time.sleep({_SECONDS})"]}
+    commands = (
+        (item.pid, item.info["cmdline"] or ["", ""]) for item in psutil.process_iter(["cmdline"])
+    )
+    return {
+        number
+        for number, words in commands
+        if words[-1:] == [f"import time; time.sleep({_SECONDS})"]
+    }
 
 
 @pytest.mark.slow
@@ -160,7 +170,9 @@ def test_children_share_nothing_but_what_was_imported(start, preloaded):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("act", "code"), [("crash", -signal.SIGSEGV), ("busy", 0), ("busy crash", -signal.SIGSEGV)])
+@pytest.mark.parametrize(
+    ("act", "code"), [("crash", -signal.SIGSEGV), ("busy", 0), ("busy crash", -signal.SIGSEGV)]
+)
 def test_how_it_ended_and_what_it_cost_are_told(start, way, act, code):
     child, folder = start(way, act)
     assert child.wait(300.0)
@@ -192,14 +204,28 @@ def test_what_it_leaves_behind_is_found_wherever_it_went(start, way, act):
     ended = child.end()
     assert (ended.code, ended.strays) == (0, 1)
     assert _sleepers() <= before
-    assert not any(psutil.pid_exists(int(line)) for line in (folder / "log.txt").read_text().splitlines() if line.isdigit())
+    assert not any(
+        psutil.pid_exists(int(line))
+        for line in (folder / "log.txt").read_text().splitlines()
+        if line.isdigit()
+    )
 
 
 def test_what_was_left_and_has_ended_is_not_kept_as_a_zombie(start, way):
     """A child may leave thousands, and go on: the system counts them all."""
     child, folder = start(way, "orphan")
-    come(lambda: "is left" in (folder / "log.txt").read_text() if (folder / "log.txt").exists() else False)
-    left = next(int(line.split()[0]) for line in (folder / "log.txt").read_text().splitlines() if "is left" in line)
+    come(
+        lambda: (
+            "is left" in (folder / "log.txt").read_text()
+            if (folder / "log.txt").exists()
+            else False
+        )
+    )
+    left = next(
+        int(line.split()[0])
+        for line in (folder / "log.txt").read_text().splitlines()
+        if "is left" in line
+    )
     come(lambda: not psutil.pid_exists(left))
     assert not child.wait(0.0)
     ended = child.end()
@@ -249,15 +275,32 @@ time.sleep(1000)
 @pytest.mark.parametrize("kind", ["forked", "alone"])
 def test_nothing_is_left_when_we_are_killed(tmp_path, cli_environment, kind):
     (tmp_path / "told_cell.py").write_text(_TOLD)
-    folder, kept, other = tmp_path / ".partial-family", tmp_path / ".partial-kept", tmp_path / "other"
+    folder, kept, other = (
+        tmp_path / ".partial-family",
+        tmp_path / ".partial-kept",
+        tmp_path / "other",
+    )
     for made in (folder, kept, other, folder / "tmp"):
         made.mkdir()
     before, mark = _sleepers(), f"test={tmp_path}"
-    environment = {**cli_environment, "PYTHONPATH": f"{Path(__file__).parents[3]}{os.pathsep}{tmp_path}", "TEST_MARK": mark}
-    with subprocess.Popen([sys.executable, "-c", _PARENT, kind, str(folder), str(kept)], env=environment) as parent:
+    environment = {
+        **cli_environment,
+        "PYTHONPATH": f"{Path(__file__).parents[3]}{os.pathsep}{tmp_path}",
+        "TEST_MARK": mark,
+    }
+    with subprocess.Popen(
+        [sys.executable, "-c", _PARENT, kind, str(folder), str(kept)], env=environment
+    ) as parent:
         come(lambda: _begun(folder))
         parent.kill()
-    come(lambda: not numbers_of(mark.encode()) and _sleepers() <= before and not folder.exists() and not kept.exists())
+    come(
+        lambda: (
+            not numbers_of(mark.encode())
+            and _sleepers() <= before
+            and not folder.exists()
+            and not kept.exists()
+        )
+    )
     assert other.exists()
 
 
@@ -269,7 +312,9 @@ def test_a_folder_whose_name_says_that_it_is_finished_is_not_removed_by_a_superv
     assert tmp_path.exists()
 
 
-def test_children_outlive_what_they_were_forked_from_and_others_are_started_alone(start, tmp_path, monkeypatch):
+def test_children_outlive_what_they_were_forked_from_and_others_are_started_alone(
+    start, tmp_path, monkeypatch
+):
     (tmp_path / "told_cell.py").write_text(_TOLD)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     preloaded = Preloaded(("told_cell",))

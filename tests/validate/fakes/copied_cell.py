@@ -7,7 +7,9 @@ from pathlib import Path
 
 
 def main(folder: Path) -> int:
-    stored = Path(os.environ["CELLS"]) / json.loads((folder / "task.json").read_text())["task"]["key"]
+    stored = (
+        Path(os.environ["CELLS"]) / json.loads((folder / "task.json").read_text())["task"]["key"]
+    )
     if not stored.is_dir():
         from validate.execution import child
 

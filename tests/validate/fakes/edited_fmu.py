@@ -19,7 +19,9 @@ def edited(source: Path, target: Path, change: Callable[[str], str]) -> Path:
 
 
 def without(element: str) -> Callable[[str], str]:
-    return lambda text: re.sub(rf"<{element}\b[^>]*?(/>|>.*?</{element}>)", "", text, flags=re.DOTALL)
+    return lambda text: re.sub(
+        rf"<{element}\b[^>]*?(/>|>.*?</{element}>)", "", text, flags=re.DOTALL
+    )
 
 
 def renamed(*names: str) -> Callable[[str], str]:

@@ -14,8 +14,10 @@ MODES = {
     name: number
     for number, name in enumerate(
         [
-            "good", "hang", "segfault", "exit", "abort", "nan", "garbage", "fork", "memory", "fatal", "chdir", "closes", "kills_parent",
-            "kills_group", "overflow", "signals", "environment", "rounding", "trap", "stops", "alarm", "daemon", "fills", "leaves_at_once",
+            "good", "hang", "segfault", "exit", "abort", "nan", "garbage", "fork", "memory",
+            "fatal", "chdir", "closes", "kills_parent",
+            "kills_group", "overflow", "signals", "environment", "rounding", "trap", "stops",
+            "alarm", "daemon", "fills", "leaves_at_once",
             "killed", "descriptors", "file", "thread", "mask", "shell",
         ]
     )
@@ -41,7 +43,9 @@ DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 </fmiModelDescription>
 """
 EXCHANGE = '<ModelExchange modelIdentifier="cart" completedIntegratorStepNotNeeded="true"/>'
-COSIMULATION = '<CoSimulation modelIdentifier="cart" canHandleVariableCommunicationStepSize="true"/>'
+COSIMULATION = (
+    '<CoSimulation modelIdentifier="cart" canHandleVariableCommunicationStepSize="true"/>'
+)
 FULL_MAP = """
 [inputs]
 F = { variable = "drive.force", scale = 0.001, unit = "N" }
@@ -59,7 +63,9 @@ replay_error = { value = 1e-2, reason = "a centimetre" }
 ghost_impulse = 0.1
 replay_terminal_position_error = { value = 1.0, reason = "anywhere near" }
 """
-MASS, STIFFNESS, STOP = 2.0, 1000.0, 0.5
+MASS = 2.0
+STIFFNESS = 1000.0
+STOP = 0.5
 
 
 def left(place: Path) -> list[str]:
@@ -78,8 +84,16 @@ def compile_cart(folder: Path, mode: str = "good", defines: tuple[str, ...] = ()
     return library.read_bytes()
 
 
-def build_foreign(path: Path, mode: str = "good", kinds: str = EXCHANGE + COSIMULATION, defines: tuple[str, ...] = ()) -> Path:
-    """A foreign FMU at `path`; its library is compiled beside it, with these macros defined (foreign_cart.c)."""
+def build_foreign(
+    path: Path,
+    mode: str = "good",
+    kinds: str = EXCHANGE + COSIMULATION,
+    defines: tuple[str, ...] = (),
+) -> Path:
+    """A foreign FMU at `path`.
+
+    Its library is compiled beside it, with these macros defined (foreign_cart.c).
+    """
     library = compile_cart(path.parent, mode, defines)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("modelDescription.xml", DESCRIPTION.format(kinds=kinds))
@@ -105,12 +119,18 @@ def foreign_plan(steps: int = 40, step: float = 0.01) -> np.ndarray:
             x, v = STOP + sag + swing * np.sin(angle), swing * omega * np.cos(angle)
             lam = STIFFNESS * (x - STOP)
         else:
-            x, v, lam = STOP - speed * (t - leaves) + a * (t - leaves) ** 2 / 2, -speed + a * (t - leaves), 0.0
+            x, v, lam = (
+                STOP - speed * (t - leaves) + a * (t - leaves) ** 2 / 2,
+                -speed + a * (t - leaves),
+                0.0,
+            )
         rows.append([t, x, v, force, lam])
     return np.array(rows)
 
 
-def write_plan(path: Path, columns: str = "t,x,v_x,F,lam_stop", plan: np.ndarray | None = None) -> Path:
+def write_plan(
+    path: Path, columns: str = "t,x,v_x,F,lam_stop", plan: np.ndarray | None = None
+) -> Path:
     plan = foreign_plan() if plan is None else plan
     order = ["t", "x", "v_x", "F", "lam_stop"]
     chosen = plan[:, [order.index(name) for name in columns.split(",")]]

@@ -1,7 +1,8 @@
 """Commands of ours, each in a fork of a process that has imported what commands import: that takes longer than most of them.
 
 with forked_commands(environment) as run:
-    done = run(["-m", "validate", "list"], environment)        # as subprocess.run([sys.executable, "-m", "validate", "list"], ..) would
+    done = run(["-m", "validate", "list"], environment) # as subprocess.run([sys.executable, "-m",
+    "validate", "list"], ..) would
 """
 
 import gc
@@ -25,14 +26,23 @@ def forked_commands(environment: Mapping[str, str]) -> Iterator[Run]:
     command = [sys.executable, "-m", "forked_commands"]
     with (
         tempfile.TemporaryDirectory() as folder,
-        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment) as server,
+        subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+        ) as server,
     ):
         assert server.stdin is not None
         assert server.stdout is not None
         streams = [Path(folder) / name for name in ("out", "err")]
 
-        def run(words: Sequence[str], environment: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
-            asked = {"words": [*words], "environment": {**environment}, "streams": [*map(str, streams)], "cwd": os.getcwd()}
+        def run(
+            words: Sequence[str], environment: Mapping[str, str]
+        ) -> subprocess.CompletedProcess[str]:
+            asked = {
+                "words": [*words],
+                "environment": {**environment},
+                "streams": [*map(str, streams)],
+                "cwd": os.getcwd(),
+            }
             server.stdin.write(json.dumps(asked) + "\n")
             server.stdin.flush()
             code = int(server.stdout.readline())
@@ -51,11 +61,16 @@ def _serve() -> str:
     sys.exit()
 
 
-def _become(words: Sequence[str], environment: Mapping[str, str], streams: Sequence[str], cwd: str) -> str:
+def _become(
+    words: Sequence[str], environment: Mapping[str, str], streams: Sequence[str], cwd: str
+) -> str:
     os.environ.clear()
     os.environ.update(environment)
     os.chdir(cwd)
-    nothing, (out, err) = os.open(os.devnull, os.O_RDONLY), (os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC) for path in streams)
+    nothing, (out, err) = (
+        os.open(os.devnull, os.O_RDONLY),
+        (os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC) for path in streams),
+    )
     for standard, stream in enumerate((nothing, out, err)):
         os.dup2(stream, standard)
         os.close(stream)

@@ -1,11 +1,14 @@
 """Hostile files for every reader, by random mutation of good ones, and what each reader does with them.
 
-    outcome = tried(READERS["plan CSV"], random, folder)       # "read", "refused", or the traceback; "hang" after HANG seconds of CPU
+    outcome = tried(READERS["plan CSV"], random, folder) # "read", "refused", or the traceback;
+    "hang" after HANG seconds of CPU
 
-A reader may read a file or refuse it by one of our own errors; anything else is a fault. In the tests `random` is hypothesis's `randoms()`, which shrinks a
-fault to the fewest and plainest mutations. `python -m benchmarks fuzz readers` gives `random.Random(seed)`: it counts thousands, and a file that kills the
-process that reads it, after which hypothesis itself would be gone, is made again by its seed. A reader that hangs is stopped by CPU time here, since
-hypothesis looks at its clock only when a test has ended.
+A reader may read a file or refuse it by one of our own errors; anything else is a fault. In the
+tests `random` is hypothesis's `randoms()`, which shrinks a fault to the fewest and plainest
+mutations. `python -m benchmarks fuzz readers` gives `random.Random(seed)`: it counts thousands, and
+a file that kills the process that reads it, after which hypothesis itself would be gone, is made
+again by its seed. A reader that hangs is stopped by CPU time here, since hypothesis looks at its
+clock only when a test has ended.
 """
 
 import random
@@ -113,11 +116,14 @@ def _toml_file(rng: random.Random, folder: Path, text: str) -> Path:
     if rng.random() < 0.5:
         data = spoilt_text(rng, text)
     else:
-        data = _toml(_without_none(spoilt_data(rng, tomllib.loads(text)))).encode("utf-8", "replace")
+        data = _toml(_without_none(spoilt_data(rng, tomllib.loads(text)))).encode(
+            "utf-8", "replace"
+        )
     return _written(folder / "hostile.toml", data)
 
 
-# ---- each reader ----------------------------------------------------------------------------------------------------------------------------
+# ---- each reader
+#   ----------------------------------------------------------------------------------------------------------------------------
 
 
 @cache
@@ -132,7 +138,13 @@ def _trajectory() -> Any:
 
     scene = _scene()
     state = np.tile(np.array(scene.task.start), (7, 1))
-    return Trajectory(t=uniform_grid(0.01, 6), q=state[:, :3], v=state[:, 3:], u=np.ones((6, 2)), lam=np.zeros((6, 2)))
+    return Trajectory(
+        t=uniform_grid(0.01, 6),
+        q=state[:, :3],
+        v=state[:, 3:],
+        u=np.ones((6, 2)),
+        lam=np.zeros((6, 2)),
+    )
 
 
 def _plan(rng: random.Random, folder: Path) -> Path:
@@ -155,7 +167,9 @@ def _map(rng: random.Random, folder: Path) -> Path:
 
     if not (folder / "cart.fmu").exists():
         _zip(folder / "cart.fmu", _good_entries())
-        (folder / "plan.csv").write_text("t,x,v_x,F\n0,0,0,1\n0.1,0,0,1\n0.2,0,0,\n", encoding="utf-8")
+        (folder / "plan.csv").write_text(
+            "t,x,v_x,F\n0,0,0,1\n0.1,0,0,1\n0.2,0,0,\n", encoding="utf-8"
+        )
     return _toml_file(rng, folder, FULL_MAP)
 
 
@@ -166,7 +180,13 @@ def _read_map(path: Path) -> None:
     from validate.judge.replay.mapping import wire
 
     given = read_map(path)
-    wire(read_package(path.with_name("cart.fmu")), PlanTable(path.with_name("plan.csv")), given, None, "map")
+    wire(
+        read_package(path.with_name("cart.fmu")),
+        PlanTable(path.with_name("plan.csv")),
+        given,
+        None,
+        "map",
+    )
 
 
 def _campaign(rng: random.Random, folder: Path) -> Path:
@@ -196,7 +216,10 @@ def _good_entries() -> dict[str, bytes]:
     from foreign_fmu import COSIMULATION, DESCRIPTION, EXCHANGE
 
     text = DESCRIPTION.format(kinds=EXCHANGE + COSIMULATION).replace("{{", "{").replace("}}", "}")
-    return {"modelDescription.xml": text.encode(), "binaries/linux64/cart.so": b"\x7fELF" + bytes(2000)}
+    return {
+        "modelDescription.xml": text.encode(),
+        "binaries/linux64/cart.so": b"\x7fELF" + bytes(2000),
+    }
 
 
 def _zip(path: Path, entries: dict[str, bytes]) -> Path:
@@ -216,7 +239,20 @@ def _fmu(rng: random.Random, folder: Path) -> Path:
         entries["modelDescription.xml"] = spoilt_text(rng, entries["modelDescription.xml"].decode())
     elif kind == 1:
         name = rng.choice(
-            ["../x", "/x", "a\\b", "x" * 300, "a/../b", "resources/x.xml", ".", "", "modelDescription.xml/x", "\ud7ff\x01", "CON", "a/b"]
+            [
+                "../x",
+                "/x",
+                "a\\b",
+                "x" * 300,
+                "a/../b",
+                "resources/x.xml",
+                ".",
+                "",
+                "modelDescription.xml/x",
+                "\ud7ff\x01",
+                "CON",
+                "a/b",
+            ]
         )
         entries[name] = rng.choice([b"", b"<a>", b"\0" * 100_000, b"<!DOCTYPE x>"])
     path = _zip(folder / "hostile.fmu", entries)
@@ -247,18 +283,49 @@ def _netcdf(rng: random.Random, folder: Path) -> Path:
             write_netcdf(good, _trajectory(), _scene())
         return _written(folder / "hostile.nc", spoilt_bytes(rng, good.read_bytes()))
     names = rng.sample(
-        ["t", "q1", "q2", "q3", "v1", "v2", "v3", "u1", "u3", "lam_left", "lam_right", "typo", "gain_u1_q1"], rng.randint(1, 12)
+        [
+            "t",
+            "q1",
+            "q2",
+            "q3",
+            "v1",
+            "v2",
+            "v3",
+            "u1",
+            "u3",
+            "lam_left",
+            "lam_right",
+            "typo",
+            "gain_u1_q1",
+        ],
+        rng.randint(1, 12),
     )
     sizes = [rng.choice([0, 1, 6, 7]) for _ in range(2)]
     columns = []
     for name in names:
         which = rng.randrange(2)
-        values = rng.choice([np.zeros(sizes[which]), np.full(sizes[which], np.nan), np.arange(sizes[which]), np.full(sizes[which], 1e308)])
+        values = rng.choice(
+            [
+                np.zeros(sizes[which]),
+                np.full(sizes[which], np.nan),
+                np.arange(sizes[which]),
+                np.full(sizes[which], 1e308),
+            ]
+        )
         columns.append(
-            Column(name=name, dimension=("node", "step")[which], values=values, unit=rng.choice(["m", "s", "m/s", "N", "", "kg"]))
+            Column(
+                name=name,
+                dimension=("node", "step")[which],
+                values=values,
+                unit=rng.choice(["m", "s", "m/s", "N", "", "kg"]),
+            )
         )
     path = folder / "hostile.nc"
-    write_columns(path, columns, {"scene": rng.choice(["three_cart", "", "x"]), "hold": rng.choice(["zero", "nothing"])})
+    write_columns(
+        path,
+        columns,
+        {"scene": rng.choice(["three_cart", "", "x"]), "hold": rng.choice(["zero", "nothing"])},
+    )
     return path
 
 
@@ -269,10 +336,17 @@ def _read_netcdf(path: Path) -> None:
 
 
 READERS: dict[str, Reader] = {
-    "plan CSV": Reader(_plan, _read_plan), "map TOML": Reader(_map, _read_map), "campaign TOML": Reader(_campaign, _read_campaign),
-    "scene file": Reader(_scene_file, _read_scene), "FMU": Reader(_fmu, _read_fmu), "NetCDF": Reader(_netcdf, _read_netcdf),
-    "record JSON": Reader(spoilt_campaign, read_record), "campaign folder": Reader(spoilt_folder, resume), "stored leg": Reader(spoilt_stored_leg, take_leg),
-    "scheduler file": Reader(spoilt_scheduler, read_scheduler), "bench figures": Reader(spoilt_suite, compare_suite),
-    "foreign plan CSV": Reader(spoilt_table, read_table), "library": Reader(spoilt_library, read_spoilt_library),
-    "leg of a lost run": Reader(spoilt_leg, recover), "isolated answer": Reader(spoilt_answer, read_answer),
+    "plan CSV": Reader(_plan, _read_plan), "map TOML": Reader(_map, _read_map),
+    "campaign TOML": Reader(_campaign, _read_campaign),
+    "scene file": Reader(_scene_file, _read_scene), "FMU": Reader(_fmu, _read_fmu),
+    "NetCDF": Reader(_netcdf, _read_netcdf),
+    "record JSON": Reader(spoilt_campaign, read_record),
+    "campaign folder": Reader(spoilt_folder, resume),
+    "stored leg": Reader(spoilt_stored_leg, take_leg),
+    "scheduler file": Reader(spoilt_scheduler, read_scheduler),
+    "bench figures": Reader(spoilt_suite, compare_suite),
+    "foreign plan CSV": Reader(spoilt_table, read_table),
+    "library": Reader(spoilt_library, read_spoilt_library),
+    "leg of a lost run": Reader(spoilt_leg, recover),
+    "isolated answer": Reader(spoilt_answer, read_answer),
 }  # fmt: skip

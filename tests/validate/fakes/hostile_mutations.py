@@ -6,11 +6,14 @@ import random
 from typing import Any
 
 _TOKENS = [
-    "\0", "nan", "-inf", "1e999", "9" * 5000, "[" * 3000, "{" * 3000, "\ufeff", "\u2028", "\r", '"', '"""', "'", "=", ",", ";", "\t", "#", "-0",
-    "1_000", "true", "..", "../../etc/passwd", "\x1b[31m", "x" * 100_000, "<!DOCTYPE a [<!ENTITY b 'c'>]>", "&lt;", "]]>", "0x10", "é", "1979-13-01",
+    "\0", "nan", "-inf", "1e999", "9" * 5000, "[" * 3000, "{" * 3000, "\ufeff", "\u2028", "\r", '"',
+    '"""', "'", "=", ",", ";", "\t", "#", "-0",
+    "1_000", "true", "..", "../../etc/passwd", "\x1b[31m", "x" * 100_000,
+    "<!DOCTYPE a [<!ENTITY b 'c'>]>", "&lt;", "]]>", "0x10", "é", "1979-13-01",
 ]  # fmt: skip
 _VALUES: list[Any] = [
-    None, True, -1, 0, 10**30, 1.5, 1e308, -1e308, "", "x" * 10_000, "\0", "nan", [], {}, [[[[[]]]]], {"a": {"b": 1}}, ["x", 1], "../../x.py", "é\u202e",
+    None, True, -1, 0, 10**30, 1.5, 1e308, -1e308, "", "x" * 10_000, "\0", "nan", [], {},
+    [[[[[]]]]], {"a": {"b": 1}}, ["x", 1], "../../x.py", "é\u202e",
 ]  # fmt: skip
 
 
@@ -64,4 +67,8 @@ def spoilt_data(rng: random.Random, data: Any) -> Any:
 
 
 def spoilt_json(rng: random.Random, data: Any) -> bytes:
-    return spoilt_text(rng, json.dumps(data)) if rng.random() < 0.5 else json.dumps(spoilt_data(rng, data)).encode()
+    return (
+        spoilt_text(rng, json.dumps(data))
+        if rng.random() < 0.5
+        else json.dumps(spoilt_data(rng, data)).encode()
+    )

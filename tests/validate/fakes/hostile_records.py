@@ -21,17 +21,43 @@ KEY = "a" * 64
 
 def good_record() -> dict[str, Any]:
     """As little of a record as the schema allows."""
-    provenance = dict.fromkeys(("touchstone", "commit", "python", "platform", "cpu", "compiler", "started", "command"), "x")
+    provenance = dict.fromkeys(
+        ("touchstone", "commit", "python", "platform", "cpu", "compiler", "started", "command"), "x"
+    )
     provenance |= {"cores": 1, "threads": 1, "packages": {}, "seed": 0}
-    scene = {name: [] for name in ("coordinates", "velocities", "inputs", "contacts", "parameters", "start", "goal")}
-    metric = {"name": "physics", "value": 1.0, "unit": "N^2", "meaning": "m", "question": 3, "error": 0.1, "limit": 2.0, "ok": True}
+    scene = {
+        name: []
+        for name in (
+            "coordinates",
+            "velocities",
+            "inputs",
+            "contacts",
+            "parameters",
+            "start",
+            "goal",
+        )
+    }
+    metric = {
+        "name": "physics",
+        "value": 1.0,
+        "unit": "N^2",
+        "meaning": "m",
+        "question": 3,
+        "error": 0.1,
+        "limit": 2.0,
+        "ok": True,
+    }
     stage = {
-        "index": 0, "method": "m", "method_title": "", "kind": "direct", "eps": 0.5, "outcome": "solved", "advice": "", "metrics": [metric],
+        "index": 0, "method": "m", "method_title": "", "kind": "direct", "eps": 0.5,
+        "outcome": "solved", "advice": "", "metrics": [metric],
         "questions": [{"number": 3, "text": "t", "answer": "yes"}], "not_asked": ["n"],
     }  # fmt: skip
     return {
-        "key": KEY, "scene": {"name": "s", "title": "", "source": "", "step": 0.01, "steps": 2, **scene}, "pipeline": "p", "pipeline_title": "",
-        "stages": [{**stage, "options": {"a": 1}, "cost": 2.0, "verdict": "holds"}], "outcome": "solved", "must_hold": True, "wall_seconds": 1.0,
+        "key": KEY,
+        "scene": {"name": "s", "title": "", "source": "", "step": 0.01, "steps": 2, **scene},
+        "pipeline": "p", "pipeline_title": "",
+        "stages": [{**stage, "options": {"a": 1}, "cost": 2.0, "verdict": "holds"}],
+        "outcome": "solved", "must_hold": True, "wall_seconds": 1.0,
         "cpu_seconds": 1.0, "provenance": provenance, "log_tail": "l",
     }  # fmt: skip
 
@@ -40,13 +66,21 @@ def spoilt_campaign(rng: random.Random, folder: Path) -> Path:
     run = folder / "campaign" / "runs" / KEY
     run.mkdir(parents=True, exist_ok=True)
     record = good_record()
-    campaign = {"title": "t", "command": "c", "started": "", "keys": [KEY], "provenance": record["provenance"]}
+    campaign = {
+        "title": "t",
+        "command": "c",
+        "started": "",
+        "keys": [KEY],
+        "provenance": record["provenance"],
+    }
     for path, data in (
         (run / "record.json", record),
         (folder / "campaign" / "campaign.json", campaign),
         (run / "task.json", {"task": {"key": KEY}}),
     ):
-        path.write_bytes(spoilt_json(rng, data) if rng.random() < 0.6 else json.dumps(data).encode())
+        path.write_bytes(
+            spoilt_json(rng, data) if rng.random() < 0.6 else json.dumps(data).encode()
+        )
     return folder / "campaign"
 
 
@@ -70,10 +104,14 @@ def read_record(path: Path) -> None:
             command.main([record.key, "--in", str(path)], standalone_mode=False)
 
 
-# ---- somebody's plan --------------------------------------------------------------------------------------------------------------------------
+# ---- somebody's plan
+#   --------------------------------------------------------------------------------------------------------------------------
 def spoilt_table(rng: random.Random, folder: Path) -> Path:
     mark = rng.choice([",", ";", "\t"])
-    rows = [["t", "x", "v_x", "F"], *([f"{0.1 * row:.1f}", "0", "1e-3", "" if row == 5 else "1"] for row in range(6))]
+    rows = [
+        ["t", "x", "v_x", "F"],
+        *([f"{0.1 * row:.1f}", "0", "1e-3", "" if row == 5 else "1"] for row in range(6)),
+    ]
     path = folder / "foreign.csv"
     path.write_bytes(spoilt_text(rng, "# a plan\n" + "\n".join(mark.join(row) for row in rows)))
     return path
@@ -87,31 +125,46 @@ def read_table(path: Path) -> None:
         table.column(name, last_is_open=name == "F")
 
 
-# ---- a library --------------------------------------------------------------------------------------------------------------------------------
+# ---- a library
+#   --------------------------------------------------------------------------------------------------------------------------------
 def library() -> bytes:
     """A library for 64 bits, of nothing but its tables: it exports one function and needs the C library."""
     texts = b"\0fmi3DoStep\0libc.so.6\0GLIBC_2.34\0"
-    symbols = struct.pack("<IBBHQQ", 0, 0, 0, 0, 0, 0) + struct.pack("<IBBHQQ", 1, 0x12, 0, 7, 64, 8)
+    symbols = struct.pack("<IBBHQQ", 0, 0, 0, 0, 0, 0) + struct.pack(
+        "<IBBHQQ", 1, 0x12, 0, 7, 64, 8
+    )
     dynamic = struct.pack("<QQ", 1, 12) + struct.pack("<QQ", 0, 0)
     content, at, places = b"", 64, []
     for part in (texts, symbols, dynamic):
         places.append((at + len(content), len(part)))
         content += part
-    table = [(0, 0, 0, 0, 0), (3, *places[0], 0, 0), (11, *places[1], 1, 24), (6, *places[2], 1, 16)]
+    table = [
+        (0, 0, 0, 0, 0),
+        (3, *places[0], 0, 0),
+        (11, *places[1], 1, 24),
+        (6, *places[2], 1, 16),
+    ]
     sections = b"".join(
-        struct.pack("<IIQQQQIIQQ", 0, kind, 0, 0, offset, size, link, 0, 0, entry) for kind, offset, size, link, entry in table
+        struct.pack("<IIQQQQIIQQ", 0, kind, 0, 0, offset, size, link, 0, 0, entry)
+        for kind, offset, size, link, entry in table
     )
     identity = b"\x7fELF\x02\x01\x01" + bytes(9)
-    header = identity + struct.pack("<HHIQQQIHHHHHH", 3, 62, 1, 0, 0, at + len(content), 0, 64, 0, 0, 64, len(table), 1)
+    header = identity + struct.pack(
+        "<HHIQQQIHHHHHH", 3, 62, 1, 0, 0, at + len(content), 0, 64, 0, 0, 64, len(table), 1
+    )
     return header + content + sections
 
 
 def spoilt_library(rng: random.Random, folder: Path) -> Path:
     path = folder / "hostile.so"
     data = bytearray(library())
-    for _ in range(rng.randint(1, 3)):  # a number of a table, which random bytes seldom make small, or large
+    for _ in range(
+        rng.randint(1, 3)
+    ):  # a number of a table, which random bytes seldom make small, or large
         at, size = rng.randrange(len(data) - 8), rng.choice([2, 4, 8])
-        data[at : at + size] = rng.choice([0, 1, 2, 2**15, 2**31, 2**63 - 1, 2**64 - 1]).to_bytes(8, "little")[:size]
+        data[at : at + size] = rng.choice([0, 1, 2, 2**15, 2**31, 2**63 - 1, 2**64 - 1]).to_bytes(
+            8, "little"
+        )[:size]
     path.write_bytes(spoilt_bytes(rng, bytes(data)) if rng.random() < 0.3 else bytes(data))
     return path
 
@@ -125,7 +178,8 @@ def read_spoilt_library(path: Path) -> None:
         raise TouchstoneError(str(error)) from error
 
 
-# ---- what a child left ------------------------------------------------------------------------------------------------------------------------
+# ---- what a child left
+#   ------------------------------------------------------------------------------------------------------------------------
 def spoilt_leg(rng: random.Random, folder: Path) -> Path:
     """What a run that was lost left of its first leg."""
     content = {
@@ -151,8 +205,14 @@ def spoilt_answer(rng: random.Random, folder: Path) -> Path:
     np.savez(folder / TAKEN, allow_pickle=False, t=np.arange(3.0), q=np.zeros((3, 2)))
     if rng.random() < 0.5:
         (folder / TAKEN).write_bytes(spoilt_bytes(rng, (folder / TAKEN).read_bytes()))
-    told = {"ending": rng.choice(["OK", "ERROR", "MACHINE", "EXCEPTION"]), "value": {"a": 1}, "sentence": "a sentence"}
-    (folder / ANSWER).write_bytes(json.dumps(told).encode() if rng.random() < 0.3 else spoilt_json(rng, told))
+    told = {
+        "ending": rng.choice(["OK", "ERROR", "MACHINE", "EXCEPTION"]),
+        "value": {"a": 1},
+        "sentence": "a sentence",
+    }
+    (folder / ANSWER).write_bytes(
+        json.dumps(told).encode() if rng.random() < 0.3 else spoilt_json(rng, told)
+    )
     return folder
 
 
@@ -160,7 +220,11 @@ def read_answer(path: Path) -> None:
     from validate.execution.isolated import left_by
 
     answer, arrays = left_by(path)
-    if not answer or not {"value", "sentence"} <= answer.keys() or any(not isinstance(array, np.ndarray) for array in arrays.values()):
+    if (
+        not answer
+        or not {"value", "sentence"} <= answer.keys()
+        or any(not isinstance(array, np.ndarray) for array in arrays.values())
+    ):
         raise TouchstoneError("it left no result")
 
 
@@ -180,14 +244,30 @@ def _each(*reads: Callable[[], object]) -> None:
 
 
 def spoilt_folder(rng: random.Random, folder: Path) -> Path:
-    """As spoilt_campaign; what is stored ended in different ways, so that it is asked how long it was allowed to run."""
+    """As spoilt_campaign.
+
+    What is stored ended in different ways, so that it is asked how long it was allowed to run.
+    """
     path = spoilt_campaign(rng, folder)
     run = path / "runs" / KEY
     if rng.random() < 0.5:
         (run / "record.json").write_text(
-            json.dumps({**good_record(), "outcome": rng.choice(["time_limit", "crashed", "failed"]), "verdict": "no plan"})
+            json.dumps(
+                {
+                    **good_record(),
+                    "outcome": rng.choice(["time_limit", "crashed", "failed"]),
+                    "verdict": "no plan",
+                }
+            )
         )
-    request = {"task": {"key": KEY, "scene_name": "s", "pipeline": {"name": "p", "part": []}, "time_limit": 5.0}}
+    request = {
+        "task": {
+            "key": KEY,
+            "scene_name": "s",
+            "pipeline": {"name": "p", "part": []},
+            "time_limit": 5.0,
+        }
+    }
     (run / "task.json").write_bytes(spoilt_json(rng, request))
     (run / "files.json").write_bytes(spoilt_json(rng, {"trajectory_0.nc": 10}))
     return path
@@ -202,7 +282,9 @@ def _entry() -> Any:
     from validate.tasks.task import RunTask
 
     pipeline = Pipeline(name="p", title="p", legs=(Leg(method="m"),))
-    task = RunTask(key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, plugin="", time_limit=9.0)
+    task = RunTask(
+        key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, plugin="", time_limit=9.0
+    )
     return PlannedTask(task, LoadedRun(scene=load_scene("three_cart"), plan=()))
 
 
@@ -224,7 +306,11 @@ def resume(path: Path) -> None:
     if not good.exists():
         spare = spoilt_campaign(_Unspoilt(), path.with_name("spare"))
         shutil.move(spare, good)
-    _each(lambda: only_last_failed(found, store), lambda: compare(load(good), load(path)), lambda: compare(load(path), load(good)))
+    _each(
+        lambda: only_last_failed(found, store),
+        lambda: compare(load(good), load(path)),
+        lambda: compare(load(path), load(good)),
+    )
 
 
 class _Unspoilt(random.Random):
@@ -238,7 +324,8 @@ def spoilt_stored_leg(rng: random.Random, folder: Path) -> Path:
     """A stored leg, what it says spoilt."""
     stage = good_record()["stages"][0]
     content = {
-        "key": KEY, "pipeline": "p", "limit": None, "profile": {}, "stages": [{**stage, "has_plan": False}],
+        "key": KEY, "pipeline": "p", "limit": None, "profile": {},
+        "stages": [{**stage, "has_plan": False}],
         "files": {"trajectory_1.nc": hashlib.sha256(_PLAN).hexdigest()},
     }  # fmt: skip
     source = folder / "legs" / KEY
@@ -261,7 +348,18 @@ def take_leg(path: Path) -> None:
 
 def spoilt_scheduler(rng: random.Random, folder: Path) -> Path:
     path = folder / "scheduler.json"
-    path.write_bytes(spoilt_json(rng, {"type": "Scheduler", "id": "x", "address": "tcp://127.0.0.1:9", "services": {}, "workers": {}}))
+    path.write_bytes(
+        spoilt_json(
+            rng,
+            {
+                "type": "Scheduler",
+                "id": "x",
+                "address": "tcp://127.0.0.1:9",
+                "services": {},
+                "workers": {},
+            },
+        )
+    )
     return path
 
 
@@ -274,7 +372,8 @@ def read_scheduler(path: Path) -> None:
 @cache
 def _suite() -> dict[str, Any]:
     row = {
-        "stage": "solve", "title": "t", "by": "touchstone", "n": 3, "steps": 100, "cpu_s": [1.0, 1.1, 1.2, 1.0, 1.1],
+        "stage": "solve", "title": "t", "by": "touchstone", "n": 3, "steps": 100,
+        "cpu_s": [1.0, 1.1, 1.2, 1.0, 1.1],
         "memory_mib": [9.0] * 5,
     }  # fmt: skip
     rows = [
@@ -284,7 +383,14 @@ def _suite() -> dict[str, Any]:
         {**row, "stage": "build", "cpu_s": [], "memory_mib": [], "failed": "f"},
     ]
     provenance = good_record()["provenance"]
-    return {"kind": "suite", "rows": rows, "figures": [], "repeats": 5, "load": [0.5, 0.5], "provenance": provenance}
+    return {
+        "kind": "suite",
+        "rows": rows,
+        "figures": [],
+        "repeats": 5,
+        "load": [0.5, 0.5],
+        "provenance": provenance,
+    }
 
 
 def spoilt_suite(rng: random.Random, folder: Path) -> Path:

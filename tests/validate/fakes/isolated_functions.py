@@ -136,7 +136,8 @@ def where(request, arrays):
     import tempfile
 
     return [
-        os.getppid(), os.getsid(0) == os.getpid(), tempfile.gettempdir(), os.getcwd(), os.read(0, 1).decode(),
+        os.getppid(), os.getsid(0) == os.getpid(), tempfile.gettempdir(), os.getcwd(),
+        os.read(0, 1).decode(),
         "isolated_functions" in sys.modules,
     ]  # fmt: skip
 

@@ -19,19 +19,26 @@ from typing import Any
 import psutil
 
 FAKES_FOLDER = Path(__file__).parent
-# Cells that end well, badly, slowly, in a crash that is run anew by every resumption, and with processes left over; most of them share stages.
+# Cells that end well, badly, slowly, in a crash that is run anew by every resumption, and with
+# processes left over; most of them share stages.
 CELLS = "good or soft_alone or slow or infeasible or raises or litter or chain"
 # What is written over whenever the same cell is run again.
 _RUN_AGAIN = frozenset({"crashed"})
-_PATIENCE, _LOOK = 300.0, 0.01
+_PATIENCE = 300.0
+_LOOK = 0.01
 # In the environment of a campaign, and of all that it starts.
 _MARK = "KILLED_CAMPAIGN"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Kill:
-    """Who is ended, and how. engine: by which the campaign runs; victim: `campaign`, or of a cell at work its `child`, the `supervisor` of that, what
-    that was forked from (`preloaded`), the Dask `worker` that began it, or `scheduler`, that of a cluster that stands; number: the signal."""
+    """Who is ended, and how. engine: by which the campaign runs.
+
+    victim: `campaign`, or of a cell at work its `child`, the `supervisor` of that, what
+
+    that was forked from (`preloaded`), the Dask `worker` that began it, or `scheduler`, that of a
+    cluster that stands; number: the signal.
+    """
 
     engine: str = "local"
     victim: str = "campaign"
@@ -50,8 +57,13 @@ class Fault(Enum):
 
 @dataclass
 class Kills:
-    """What was seen. kills: that hit a campaign at work; moments: of each, how many cells were stored and how many seconds that was ago at least;
-    kept: finished cells that were found again, unchanged, after a kill; faults: after how many kills, which, and what exactly."""
+    """What was seen. kills: that hit a campaign at work.
+
+    moments: of each, how many cells were stored and how many seconds that was ago at least;
+
+    kept: finished cells that were found again, unchanged, after a kill; faults: after how many
+        kills, which, and what exactly.
+    """
 
     kills: list[Kill] = field(default_factory=list)
     campaigns: int = 0
@@ -65,7 +77,12 @@ class Kills:
 
 
 def environment(cache: Path) -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": str(FAKES_FOLDER), "TOUCHSTONE_CACHE": str(cache), "NO_COLOR": "1"}
+    return {
+        **os.environ,
+        "PYTHONPATH": str(FAKES_FOLDER),
+        "TOUCHSTONE_CACHE": str(cache),
+        "NO_COLOR": "1",
+    }
 
 
 def family(out: Path) -> list[str]:
@@ -74,13 +91,20 @@ def family(out: Path) -> list[str]:
 
 
 def start(out: Path, cache: Path, cells: str, *more: str) -> subprocess.Popen[bytes]:
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell, which what it starts would inherit
+    if (
+        signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    ):  # in the background of a shell, which what it starts would inherit
         signal.signal(signal.SIGINT, signal.default_int_handler)
     chosen = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart", "-k", cells)
     command = [sys.executable, "-m", "validate", "all", *chosen, "--out", str(out), *more]
     with open(out.with_suffix(".log"), "ab") as log:
         return subprocess.Popen(
-            command, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env={**environment(cache), _MARK: str(out)}, start_new_session=True
+            command,
+            stdout=log,
+            stderr=log,
+            stdin=subprocess.DEVNULL,
+            env={**environment(cache), _MARK: str(out)},
+            start_new_session=True,
         )
 
 
@@ -92,7 +116,9 @@ def untimed(out: Path) -> list[dict[str, str]]:
 
 def finished(out: Path) -> dict[str, bytes]:
     """The records that stand under their key, by key."""
-    return {path.parent.name: path.read_bytes() for path in (out / "runs").glob("[!.]*/record.json")}
+    return {
+        path.parent.name: path.read_bytes() for path in (out / "runs").glob("[!.]*/record.json")
+    }
 
 
 def records(out: Path) -> dict[str, Any]:
@@ -122,7 +148,9 @@ def numbers_of(word: bytes, folder: Path | None = None) -> list[int]:
     found = []
     for entry in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
-            is_there = folder is not None and Path(os.readlink(entry / "cwd")).is_relative_to(folder)
+            is_there = folder is not None and Path(os.readlink(entry / "cwd")).is_relative_to(
+                folder
+            )
             if is_there or (word and word in (entry / "environ").read_bytes()):
                 found.append(int(entry.name))
     return sorted(found)
@@ -147,13 +175,18 @@ def kill_and_resume(
     where: Callable[[str], str] = str,
     scheduler: Callable[[], int] = int,
 ) -> Kills:
-    """Run campaigns in `folder`, until each of the kills has hit one at work; one that was hit is resumed in the same folder, by the engine of the next
+    """Run campaigns in `folder`, until each of the kills has hit one at work.
+
+    One that was hit is resumed in the same folder, by the engine of the next
+
     kill, until it comes to its end undisturbed, and is then compared with one that nobody killed.
 
-    where: what `--engine` is given for the name of an engine; scheduler: the number of the process of the cluster that stands.
+    where: what `--engine` is given for the name of an engine; scheduler: the number of the process
+        of the cluster that stands.
 
-    When a kill comes is drawn as: how many cells are stored first, 0 to all that are missing, then how long after that, up to the longest pause
-    between two of them in the whole campaign - or, before the first, up to when that was stored. So kills fall everywhere on a busy machine too.
+    When a kill comes is drawn as: how many cells are stored first, 0 to all that are missing, then
+    how long after that, up to the longest pause between two of them in the whole campaign - or,
+    before the first, up to when that was stored. So kills fall everywhere on a busy machine too.
     """
     draw, seen, waiting = random.Random(seed), Kills(), list(kills)
     first, pause = _paces(folder / "whole", start(folder / "whole", cache, cells, *more))
@@ -166,7 +199,11 @@ def kill_and_resume(
             wanted = draw.randint(0, len(whole - set(before)))
             moment = draw.uniform(0.0, pause if wanted else first)
             process = start(out, cache, cells, *more, "--engine", where(kill.engine))
-            hit = bool(waiting) and _reaches(process, out, len(before) + wanted, moment) and _hits(kill, process, out, scheduler)
+            hit = (
+                bool(waiting)
+                and _reaches(process, out, len(before) + wanted, moment)
+                and _hits(kill, process, out, scheduler)
+            )
             code = process.wait()
             if hit:
                 seen.kills.append(waiting.pop(0))
@@ -177,7 +214,10 @@ def kill_and_resume(
                 _look_at_words(out, code, _log(out).removeprefix(told), before, seen)
             _look(out, before, seen)
         if untimed(out) != expected:
-            seen.blame(Fault.UNEQUAL, f"{out.name}: results.csv is not that of a campaign that nobody killed")
+            seen.blame(
+                Fault.UNEQUAL,
+                f"{out.name}: results.csv is not that of a campaign that nobody killed",
+            )
         if left := unfinished(out):
             seen.blame(Fault.LEFT, f"{out.name}: {left}")
         if set(finished(out)) != whole:
@@ -185,14 +225,18 @@ def kill_and_resume(
     return seen
 
 
-def _hits(kill: Kill, campaign: subprocess.Popen[bytes], out: Path, scheduler: Callable[[], int]) -> bool:
+def _hits(
+    kill: Kill, campaign: subprocess.Popen[bytes], out: Path, scheduler: Callable[[], int]
+) -> bool:
     """Whether the victim was there."""
     if kill.number != signal.SIGKILL:
         os.killpg(campaign.pid, kill.number)  # all in the foreground hear it
         return True
     while campaign.poll() is None:
         with contextlib.suppress(psutil.NoSuchProcess, ProcessLookupError):
-            number = {"campaign": campaign.pid, "scheduler": scheduler()}.get(kill.victim) or _above_a_cell(out).get(kill.victim)
+            number = {"campaign": campaign.pid, "scheduler": scheduler()}.get(
+                kill.victim
+            ) or _above_a_cell(out).get(kill.victim)
             if number is not None:
                 os.kill(number, kill.number)
                 return True
@@ -204,10 +248,17 @@ def _above_a_cell(out: Path) -> dict[str, int]:
     """Numbers of the processes to which a cell at work in this folder is owed, by their names in Kill."""
     for number in numbers_of(b"", out):
         above = [psutil.Process(number), *psutil.Process(number).parents()]
-        supervisors = [process.pid for process in above[1:] if "validate.execution.supervisor" in process.cmdline()]
+        supervisors = [
+            process.pid
+            for process in above[1:]
+            if "validate.execution.supervisor" in process.cmdline()
+        ]
         if supervisors:
             names = ("child", "supervisor", "preloaded")
-            return {**dict(zip(names, (number, *supervisors), strict=False)), "worker": above[len(supervisors) + 1].pid}
+            return {
+                **dict(zip(names, (number, *supervisors), strict=False)),
+                "worker": above[len(supervisors) + 1].pid,
+            }
     return {}
 
 
@@ -240,15 +291,23 @@ def _log(out: Path) -> str:
     return path.read_text(encoding="utf-8") if path.exists() else ""
 
 
-_SAID = re.compile(r"^interrupted: (\d+) of \d+ runs are stored in \S+; resume with: \S+ -m validate all ", re.MULTILINE)
+_SAID = re.compile(
+    r"^interrupted: (\d+) of \d+ runs are stored in \S+; resume with: \S+ -m validate all ",
+    re.MULTILINE,
+)
 
 
 def _look_at_words(out: Path, code: int, told: str, before: dict[str, bytes], seen: Kills) -> None:
     """Of a campaign that was interrupted: how it ended, what it said and wrote."""
     begun, said = " to run\n" in told, _SAID.search(told)
-    # A shell says 130 of a death by the signal too; so ends Python where it came while text was compiled, whatever is done about it.
+    # A shell says 130 of a death by the signal too; so ends Python where it came while text was
+    # compiled, whatever is done about it.
     code = 130 if code == -signal.SIGINT else code
-    if code not in (130, *(() if "report:" not in told else (0, 1))) or "Traceback" in told or (begun and code == 130 and said is None):
+    if (
+        code not in (130, *(() if "report:" not in told else (0, 1)))
+        or "Traceback" in told
+        or (begun and code == 130 and said is None)
+    ):
         seen.blame(Fault.WORDS, f"exit code {code}, {told[-2000:]!r}")
     if left := unfinished(out):
         seen.blame(Fault.LEFT, str(left))
@@ -258,14 +317,19 @@ def _look_at_words(out: Path, code: int, told: str, before: dict[str, bytes], se
         stored = len([key for key in now if key not in again or now[key] != before[key]])
         rows = {row["pipeline"] for row in untimed(out)}
         if not int(said[1]) == stored == len(rows):
-            seen.blame(Fault.WORDS, f"{said[0]!r}, but {stored} are stored and {len(rows)} in results.csv")
+            seen.blame(
+                Fault.WORDS, f"{said[0]!r}, but {stored} are stored and {len(rows)} in results.csv"
+            )
 
 
 def _outcomes(content: bytes) -> set[str]:
     from reports.records.check_record import StoredRecord
 
     record = StoredRecord.model_validate_json(content).root
-    return {record.outcome, *(stage.outcome for stage in getattr(record, "stages", ()))}  # it may have crashed behind stages that are whole
+    return {
+        record.outcome,
+        *(stage.outcome for stage in getattr(record, "stages", ())),
+    }  # it may have crashed behind stages that are whole
 
 
 def _look(out: Path, before: dict[str, bytes], seen: Kills) -> None:
@@ -289,7 +353,9 @@ def _look(out: Path, before: dict[str, bytes], seen: Kills) -> None:
         if now.get(key) == content:
             seen.kept += 1
         else:
-            seen.blame(Fault.LOST, f"the finished cell {key} is {'another' if key in now else 'gone'}")
+            seen.blame(
+                Fault.LOST, f"the finished cell {key} is {'another' if key in now else 'gone'}"
+            )
 
 
 def see_gone(left: Callable[[], Iterable[str]], seen: Kills, what: str) -> None:

@@ -1,7 +1,8 @@
 """The loops of a replay in Python, one call of FMI at a time: what the compiled ones must do, call by call and bit for bit.
 
-integrate(PythonModel(package, variables), ...)    # CVODE through scikit-sundae; of any ContinuousModel
-simulate(package, variables, ...)                  # validate.judge.replay.everyday.simulate with this loop in place of that of loops.c
+integrate(PythonModel(package, variables), ...) # CVODE through scikit-sundae; of any
+ContinuousModel simulate(package, variables, ...) # validate.judge.replay.everyday.simulate with
+this loop in place of that of loops.c
 """
 
 import math
@@ -20,14 +21,19 @@ from validate.judge.replay.reference import ABSOLUTE_FRACTION, PARTS, STEP_LIMIT
 from validate.judge.replay.result import DIVERGENCE, ReplayOutcome, Run, Stop
 from validate.judge.replay.wiring import HeldInputs, Variables
 
-_TSTOP_RETURN, _ROOT_RETURN = 1, 2
+_TSTOP_RETURN = 1
+_ROOT_RETURN = 2
 
 
 class ContinuousModel(Protocol):
-    """What is integrated. x (nx,): the model's states; rates: dx/dt and then the rates of `accumulated` quantities.
+    """What is integrated. x (nx,): the model's states.
 
-    outputs: number of values `read` gives; indicators: number of event functions; nominal (nx,): typical size of each state; wants_steps: whether
-    `step_completed` must be called after every internal step; next_event: time of the next event the model knows of [s], infinite without.
+    rates: dx/dt and then the rates of `accumulated` quantities.
+
+    outputs: number of values `read` gives; indicators: number of event functions; nominal (nx,):
+        typical size of each state; wants_steps: whether
+    `step_completed` must be called after every internal step; next_event: time of the next event
+        the model knows of [s], infinite without.
     """
 
     nominal: np.ndarray
@@ -105,12 +111,26 @@ def integrate(
 
 class _Integration:
     """One run in progress. targets (steps, parts): the points recorded within each step of the plan, the last its end [s]; y: the states and
-    what is accumulated at the last of them."""
+    what is accumulated at the last of them.
+    """
 
     def __init__(
-        self, model: ContinuousModel, inputs: HeldInputs, rtol: float, event_budget: int, run: Run, parts: int, max_step: float
+        self,
+        model: ContinuousModel,
+        inputs: HeldInputs,
+        rtol: float,
+        event_budget: int,
+        run: Run,
+        parts: int,
+        max_step: float,
     ) -> None:
-        self.model, self.inputs, self.rtol, self.event_budget, self.run = model, inputs, rtol, event_budget, run
+        self.model, self.inputs, self.rtol, self.event_budget, self.run = (
+            model,
+            inputs,
+            rtol,
+            event_budget,
+            run,
+        )
         self.step = 0
         self.bound, self.y = np.empty(0), np.empty(0)
         self.solver: Any = None
@@ -133,12 +153,22 @@ class _Integration:
             self.step = step
             feedback = self.inputs.feedback
             if step:
-                self.inputs.begin(step, None if feedback is None else self.run.outputs[-1][: feedback.reference.shape[1]])
+                self.inputs.begin(
+                    step,
+                    None
+                    if feedback is None
+                    else self.run.outputs[-1][: feedback.reference.shape[1]],
+                )
             if feedback is not None:
                 self.run.applied.append(values[step].copy())
             if step and self.inputs.breaks[step]:
-                # Inputs that jump are an event of the FMU; a new slope is not, but the integrator must start afresh as well.
-                self.jump(times[step], values[step], is_event=not self.inputs.linear or feedback is not None)
+                # Inputs that jump are an event of the FMU; a new slope is not, but the integrator
+                # must start afresh as well.
+                self.jump(
+                    times[step],
+                    values[step],
+                    is_event=not self.inputs.linear or feedback is not None,
+                )
                 stop = times[self.inputs.stops[step]]
             self.over_points(stop)
 
@@ -159,15 +189,25 @@ class _Integration:
         """Integrate to `target`, through every event before it, and record it."""
         mode = "onestep" if self.model.wants_steps else "normal"
         while True:
-            # An FMU that wants to know each internal step is integrated up to every recorded point, the others past it.
-            # Beyond an event that the model knows of no integration may go either.
+            # An FMU that wants to know each internal step is integrated up to every recorded point,
+            # the others past it. Beyond an event that the model knows of no integration may go
+            # either.
             known = self.model.next_event
-            result = self.solver.step(min(target, known), mode, min(target if self.model.wants_steps else stop, known))
+            result = self.solver.step(
+                min(target, known), mode, min(target if self.model.wants_steps else stop, known)
+            )
             time, y = float(result.t), result.y
             if result.status < 0:
                 self.within_bounds(time, y)
-                raise Stop(ReplayOutcome.INTEGRATION_FAILED, f"CVODE stopped at t = {time:.6g} s: {result.message}")
-            wanted = self.model.wants_steps and result.status != _ROOT_RETURN and self.model.step_completed(time, y)
+                raise Stop(
+                    ReplayOutcome.INTEGRATION_FAILED,
+                    f"CVODE stopped at t = {time:.6g} s: {result.message}",
+                )
+            wanted = (
+                self.model.wants_steps
+                and result.status != _ROOT_RETURN
+                and self.model.step_completed(time, y)
+            )
             is_due = result.status != _ROOT_RETURN and time >= known
             if result.status == _ROOT_RETURN or wanted or is_due:
                 if result.status == _ROOT_RETURN:
@@ -182,7 +222,10 @@ class _Integration:
             return
 
     def after_event(self, time: float, y: np.ndarray, target: float, knot: bool) -> bool:
-        """The FMU's event at (time, y), its record, and a new solver from there. Whether it fell on the point `target`, but for rounding."""
+        """The FMU's event at (time, y), its record, and a new solver from there.
+
+        Whether it fell on the point `target`, but for rounding.
+        """
         self.y = self.model.event(time, y, None)
         falls_on_it = abs(target - time) <= 1e-13 * max(1.0, abs(target))
         time = target if falls_on_it else time
@@ -192,7 +235,11 @@ class _Integration:
 
     def absolute_tolerances(self) -> np.ndarray:
         """(states and accumulated)."""
-        return ABSOLUTE_FRACTION * self.rtol * np.concatenate([self.model.nominal, np.ones(self.model.accumulated)])
+        return (
+            ABSOLUTE_FRACTION
+            * self.rtol
+            * np.concatenate([self.model.nominal, np.ones(self.model.accumulated)])
+        )
 
     def renew(self, time: float, y: np.ndarray) -> None:
         """A new solver from (time, y): after an event (sksundae's own list of events would grow for ever otherwise)."""
@@ -200,7 +247,8 @@ class _Integration:
         if self.model.indicators:
             options = {"eventsfn": self.gaps(), "num_events": self.model.indicators}
         self.solver = CVODE(
-            self.right_hand_side(), method="Adams", rtol=self.rtol, atol=self.absolute_tolerances(), max_num_steps=STEP_LIMIT,
+            self.right_hand_side(), method="Adams", rtol=self.rtol, atol=self.absolute_tolerances(),
+            max_num_steps=STEP_LIMIT,
             min_step=self.min_step, max_step=self.max_step, **options,
         )  # fmt: skip
         self.solver.init_step(time, y)
@@ -211,10 +259,15 @@ class _Integration:
         def rates(time: float, y: np.ndarray, yp: np.ndarray) -> None:
             if inputs.linear:
                 step = self.step
-                model.set_inputs(inputs.values[step] + inputs.slopes[step] * (time - inputs.times[step]))
+                model.set_inputs(
+                    inputs.values[step] + inputs.slopes[step] * (time - inputs.times[step])
+                )
             model.rates(time, y, yp)
             if not math.isfinite(sum(yp.tolist())):
-                raise Stop(ReplayOutcome.NOT_A_NUMBER, f"A rate of change was not a finite number at t = {time:.6g} s.")
+                raise Stop(
+                    ReplayOutcome.NOT_A_NUMBER,
+                    f"A rate of change was not a finite number at t = {time:.6g} s.",
+                )
 
         return rates
 
@@ -231,20 +284,29 @@ class _Integration:
         if not (np.abs(y[: len(self.bound)]) < self.bound).all():
             raise Stop(ReplayOutcome.DIVERGED, f"A state left every bound at t = {time:.6g} s.")
         if not np.isfinite(y).all():
-            raise Stop(ReplayOutcome.NOT_A_NUMBER, f"Work or impulse was not a finite number at t = {time:.6g} s.")
+            raise Stop(
+                ReplayOutcome.NOT_A_NUMBER,
+                f"Work or impulse was not a finite number at t = {time:.6g} s.",
+            )
 
     def note(self, time: float, crossed: np.ndarray) -> None:
         """Count an event; the sign CVODE gives is that of the indicator's slope."""
         for indicator in np.flatnonzero(crossed):
             self.run.events.append((time, int(indicator), bool(crossed[indicator] < 0)))
         if len(self.run.events) > self.event_budget:
-            raise Stop(ReplayOutcome.EVENT_BUDGET, f"More than {self.event_budget} contact events by t = {time:.6g} s.")
+            raise Stop(
+                ReplayOutcome.EVENT_BUDGET,
+                f"More than {self.event_budget} contact events by t = {time:.6g} s.",
+            )
 
     def record(self, time: float, y: np.ndarray, knot: bool = False) -> None:
         self.within_bounds(time, y)
         outputs = self.model.read(time, y)
         if not np.isfinite(outputs).all():
-            raise Stop(ReplayOutcome.NOT_A_NUMBER, f"An output was not a finite number at t = {time:.6g} s.")
+            raise Stop(
+                ReplayOutcome.NOT_A_NUMBER,
+                f"An output was not a finite number at t = {time:.6g} s.",
+            )
         if knot:
             self.run.knots.append(len(self.run.t))
         self.run.t.append(time)
@@ -253,7 +315,13 @@ class _Integration:
 
 
 def simulate(
-    package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int, *, rolls_back: bool = False
+    package: Package,
+    variables: Variables,
+    start: np.ndarray,
+    inputs: HeldInputs,
+    fineness: int,
+    *,
+    rolls_back: bool = False,
 ) -> Run:
     """What validate.judge.replay.everyday.simulate says."""
     with patch.object(everyday, "step_through", _step_through):
@@ -269,13 +337,21 @@ def _step_through(stepping: Stepping, run: Run) -> None:
         if inputs.feedback is not None:
             run.applied.append(value.copy())
 
-        def advance(calls: int, begin: float = begin, length: float = length, step: int = step, value: np.ndarray = value) -> None:
+        def advance(
+            calls: int,
+            begin: float = begin,
+            length: float = length,
+            step: int = step,
+            value: np.ndarray = value,
+        ) -> None:
             for call in range(calls):
                 if given.count:
                     at = call if stepping.slopes or not inputs.linear else call + 0.5
                     fmu.write(given, value + inputs.slopes[step] * (length * at / calls))
                     if stepping.slopes:
-                        fmu.fmu.setRealInputDerivatives(given.array, [1] * given.count, inputs.slopes[step])
+                        fmu.fmu.setRealInputDerivatives(
+                            given.array, [1] * given.count, inputs.slopes[step]
+                        )
                 # Communication points are taken from the grid, never summed up.
                 answer = fmu.fmu.step(begin + length * call / calls, length / calls)
                 if answer.early:

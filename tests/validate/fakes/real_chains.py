@@ -13,7 +13,10 @@ from validate.tasks.plugins import DEFAULT
 _BEGIN = Leg(method="softplus_dc", schedule=SOFTPLUS_EPS)
 _ENDS = ("strict_lcp", "collocation", "mpcc")
 PIPELINES = (
-    *(Pipeline(name=f"begin+{name}", title="begins alike", legs=(_BEGIN, Leg(method=name))) for name in _ENDS),
+    *(
+        Pipeline(name=f"begin+{name}", title="begins alike", legs=(_BEGIN, Leg(method=name)))
+        for name in _ENDS
+    ),
     Pipeline(name="alone", title="shares nothing", legs=(Leg(method="collocation"),)),
 )
 PLUGIN = replace(DEFAULT, pipelines_for=lambda scene: PIPELINES, checks=lambda scenes: ())

@@ -1,6 +1,7 @@
 """Cells whose disk refuses: the child of a process that has tests/validate/fakes/refusing_disk.c in LD_PRELOAD.
 
-REFUSED names a file of JSON, {"below": folder, "first": number, "last": number, "error": errno}; the number of requests is written beside it.
+REFUSED names a file of JSON, {"below": folder, "first": number, "last": number, "error": errno};
+the number of requests is written beside it.
 """
 
 import ctypes
@@ -20,7 +21,11 @@ load_scene("three_cart")  # once, in the server
 
 
 def _write_replay(path: Path, replay: object, scene: object) -> None:
-    write_columns(path, [Column(name="t", dimension="time", values=np.arange(3.0), unit="s")], {"content": "a fake replay"})
+    write_columns(
+        path,
+        [Column(name="t", dimension="time", values=np.arange(3.0), unit="s")],
+        {"content": "a fake replay"},
+    )
 
 
 WRITING = replace(campaign_fakes.PLUGIN, write_replay=_write_replay)
@@ -31,7 +36,12 @@ def main(folder: Path) -> int:
     told = json.loads(place.read_text())
     disk = ctypes.CDLL(None)
     disk.requests.restype = ctypes.c_long
-    disk.refuse(told["below"].encode(), ctypes.c_long(told["first"]), ctypes.c_long(told["last"]), told["error"])
+    disk.refuse(
+        told["below"].encode(),
+        ctypes.c_long(told["first"]),
+        ctypes.c_long(told["last"]),
+        told["error"],
+    )
     try:
         return child.main(folder)
     finally:

@@ -1,10 +1,11 @@
 """Command lines whose disk refuses: each in a fork of this process, which has tests/validate/fakes/refusing_disk.c in LD_PRELOAD.
 
-    {"words": [..], "below": folder, "first": number, "last": number, "error": errno, "told": file, "environment": {..}}
+    {"words": [..], "below": folder, "first": number, "last": number, "error": errno, "told": file,
+    "environment": {..}}
         ->  [exit code, number of requests]
 
-A line of JSON each. What the command says is in the file `told`. Cells do not run: what an earlier campaign stored of them is copied by their process
-(copied_cell.py).
+A line of JSON each. What the command says is in the file `told`. Cells do not run: what an earlier
+campaign stored of them is copied by their process (copied_cell.py).
 """
 
 import ctypes
@@ -36,7 +37,12 @@ def _run(request: dict[str, Any]) -> list[int]:
     told = os.open(request["told"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(told, 1)
     os.dup2(told, 2)
-    disk.refuse(request["below"].encode(), ctypes.c_long(request["first"]), ctypes.c_long(request["last"]), request["error"])
+    disk.refuse(
+        request["below"].encode(),
+        ctypes.c_long(request["first"]),
+        ctypes.c_long(request["last"]),
+        request["error"],
+    )
     code = group.run(request["words"])
     sys.stdout.flush()
     return [code, disk.requests()]

@@ -1,7 +1,8 @@
 """A robot of MuJoCo that has a bit of everything, and its time step [s]."""
 
 H = 0.002
-# A leg on a free trunk that falls on its foot, with a servo that has a state, a motor and three kinds of sensors.
+# A leg on a free trunk that falls on its foot, with a servo that has a state, a motor and three
+# kinds of sensors.
 LEG = f"""
 <mujoco>
   <option timestep="{H}"/>

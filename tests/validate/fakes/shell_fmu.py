@@ -28,7 +28,8 @@ static double next_event(const Model *m) { (void)m; return HUGE_VAL; }
 class Foreign:
     """A model for shell.c: macros, C text, (name, reference, attributes, <Real> attributes) of its reals, and more of the description.
 
-    expected, untold: check -> words of its sentence, of those that pass and of those that cannot be told.
+    expected, untold: check -> words of its sentence, of those that pass and of those that cannot be
+        told.
     """
 
     name: str
@@ -82,7 +83,8 @@ static double next_event(const Model *m) { (void)m; return HUGE_VAL; }
         experiment='startTime="0" stopTime="3" stepSize="1e-2"',
         indicators=1,
         expected=(("event indicators announce events", "state events"),),
-        # A bounce that comes a little later differs by the whole velocity: such a comparison says nothing.
+        # A bounce that comes a little later differs by the whole velocity: such a comparison says
+        # nothing.
         untold=(("Model Exchange equals Co-Simulation", "no more than explicit Euler"),),
     ),
     Foreign(
@@ -114,7 +116,10 @@ static int slope(const Model *m, const unsigned *u, size_t nu, const unsigned *k
         states=(2, 4),
         experiment='startTime="0" stopTime="20" stepSize="1e-2"',
         slopes=True,
-        expected=(("directional derivatives", "entries at"), ("Model Exchange equals Co-Simulation", "no more than explicit Euler")),
+        expected=(
+            ("directional derivatives", "entries at"),
+            ("Model Exchange equals Co-Simulation", "no more than explicit Euler"),
+        ),
     ),
     Foreign(
         name="stair",
@@ -145,7 +150,11 @@ static void calculate(Model *m) { m->r[2] = -m->r[3] * m->r[1]; }
 """
         + NO_EVENTS
         + SKIP_SLOPE,
-        reals=(("x", STATE, 'start="1"'), ("der(x)", RATE, 'derivative="2"'), ("k", PARAMETER, 'start="1"')),
+        reals=(
+            ("x", STATE, 'start="1"'),
+            ("der(x)", RATE, 'derivative="2"'),
+            ("k", PARAMETER, 'start="1"'),
+        ),
         states=(2,),
         experiment='startTime="0" stopTime="10" stepSize="0.1"',
         variable_step=False,
@@ -161,7 +170,9 @@ def _description(model: Foreign) -> str:
     )
     outputs = [place + 1 for place in model.states] and model.states
     listed = outputs or (2,)
-    can = 'canGetAndSetFMUstate="true" canSerializeFMUstate="true"' + (' providesDirectionalDerivative="true"' if model.slopes else "")
+    can = 'canGetAndSetFMUstate="true" canSerializeFMUstate="true"' + (
+        ' providesDirectionalDerivative="true"' if model.slopes else ""
+    )
     rates = "".join(f'<Unknown index="{place + 1}"/>' for place in model.states)
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="{model.name}" guid="{{{model.name}}}" numberOfEventIndicators="{model.indicators}">
@@ -181,7 +192,10 @@ def _description(model: Foreign) -> str:
 
 
 def build_shell(model: Foreign, folder: Path, edit: tuple[str, str] = ("", "")) -> Path:
-    """The model's FMU in a folder; compiled there. edit: a text of shell.c, and what stands there instead."""
+    """The model's FMU in a folder.
+
+    Compiled there. edit: a text of shell.c, and what stands there instead.
+    """
     assert edit[0] in _SHELL.read_text(encoding="utf-8")
     shell = f'#define IDENTIFIER "{model.name}"\n{model.macros}{_SHELL.read_text(encoding="utf-8").replace(*edit, 1)}'
     sources = {"shell.c": shell, "model.h": model.code, **standard_headers(find_standard("2.0"))}

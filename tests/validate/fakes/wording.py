@@ -1,7 +1,8 @@
 """Messages are tested by what they must say - what, where, the number, the advice -, not by whole sentences.
 
-assert not unsaid(done.stderr, "'mm'", "inputs.F: … 'm' is expected")      # what fails names the part that is missing
-with pytest.raises(MapError, match=saying("inputs.F: … give a scale")):    # " … " stands for whatever is said in between
+assert not unsaid(done.stderr, "'mm'", "inputs.F: … 'm' is expected") # what fails names the part
+that is missing with pytest.raises(MapError, match=saying("inputs.F: … give a scale")): # " … "
+stands for whatever is said in between
 """
 
 import re

@@ -39,7 +39,8 @@ def zeros(time: float, y: Any) -> list[float]:
 
 def made(method: tuple[int, int], y: np.ndarray, **more: Any) -> Cvode:
     given: dict[str, Any] = {
-        "rtol": 1e-8, "absolute": np.array([1e-9, 2e-9, 3e-9]), "min_step": 1e-14, "max_step": 0.25, "max_steps": 10_000,
+        "rtol": 1e-8, "absolute": np.array([1e-9, 2e-9, 3e-9]), "min_step": 1e-14, "max_step": 0.25,
+        "max_steps": 10_000,
     }  # fmt: skip
     given |= {"rates": filling(swing, 3, True), "indicators": filling(zeros, 2, False), "count": 2}
     return Cvode(method, y, **(given | more))
@@ -59,7 +60,8 @@ def test_it_is_scikit_sundaes_cvode_bit_for_bit(method: tuple[int, int], name: s
         values[:] = zeros(time, y)
 
     theirs = CVODE(
-        rates, method=name, rtol=1e-8, atol=np.array([1e-9, 2e-9, 3e-9]), min_step=1e-14, max_step=0.25, max_num_steps=10_000, eventsfn=events, num_events=2
+        rates, method=name, rtol=1e-8, atol=np.array([1e-9, 2e-9, 3e-9]), min_step=1e-14,
+        max_step=0.25, max_num_steps=10_000, eventsfn=events, num_events=2
     )  # fmt: skip
     theirs.init_step(0.125, start)
     signs, looks = [], 0
@@ -67,7 +69,11 @@ def test_it_is_scikit_sundaes_cvode_bit_for_bit(method: tuple[int, int], name: s
         while ours.time < target:
             flag = ours.advance(target, target, one_step=one_step)
             result = theirs.step(target, "onestep" if one_step else "normal", target)
-            assert (flag, ours.time, ours.y.tolist()) == (result.status, result.t, result.y.tolist())
+            assert (flag, ours.time, ours.y.tolist()) == (
+                result.status,
+                result.t,
+                result.y.tolist(),
+            )
             looks += 1
             if flag == ROOT_RETURN:
                 assert ours.roots.tolist() == result.i_events[-1].tolist()
@@ -100,11 +106,25 @@ def test_what_cvode_gives_up_has_its_words():
     few.renew(0.0)
     before = few.y.tolist()
     flag = few.advance(1.0, 1.0, one_step=False)
-    assert (flag, few.time, few.y.tolist(), cvode.why(flag)) == (-1, 0.0, before, "Could not reach endpoint after 'max_num_steps'.")
+    assert (flag, few.time, few.y.tolist(), cvode.why(flag)) == (
+        -1,
+        0.0,
+        before,
+        "Could not reach endpoint after 'max_num_steps'.",
+    )
     with pytest.raises(RuntimeError, match=r"refused its stop time at t = 0 s"):
         few.advance(1.0, -1.0, one_step=False)
     few.close()
-    failing = Cvode(ADAMS, np.zeros(1), rates=FILLS(lambda *_: -1), rtol=1e-6, absolute=np.ones(1), min_step=0.0, max_step=1.0, max_steps=9)
+    failing = Cvode(
+        ADAMS,
+        np.zeros(1),
+        rates=FILLS(lambda *_: -1),
+        rtol=1e-6,
+        absolute=np.ones(1),
+        min_step=0.0,
+        max_step=1.0,
+        max_steps=9,
+    )
     failing.renew(0.0)
     assert "right-hand-side" in cvode.why(failing.advance(1.0, 1.0, one_step=False))
     failing.min_step = 2.0
@@ -114,14 +134,24 @@ def test_what_cvode_gives_up_has_its_words():
     assert cvode.why(-28) == "CVODE's flag -28."
 
 
-def test_a_solver_that_is_missing_damaged_or_of_another_version_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    for spec in (None, SimpleNamespace(submodule_search_locations=[str(tmp_path)]), SimpleNamespace(submodule_search_locations=None)):
+def test_a_solver_that_is_missing_damaged_or_of_another_version_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    for spec in (
+        None,
+        SimpleNamespace(submodule_search_locations=[str(tmp_path)]),
+        SimpleNamespace(submodule_search_locations=None),
+    ):
         monkeypatch.setattr(cvode.importlib.util, "find_spec", lambda name, spec=spec: spec)
         with pytest.raises(MachineError, match="CVODE, is missing"):
             cvode.functions.__wrapped__()
     (tmp_path / "_cy_cvode.py").write_text("")
     (tmp_path / "_cy_cvode.x.so").write_bytes(b"nothing")
-    monkeypatch.setattr(cvode.importlib.util, "find_spec", lambda name: SimpleNamespace(submodule_search_locations=[str(tmp_path)]))
+    monkeypatch.setattr(
+        cvode.importlib.util,
+        "find_spec",
+        lambda name: SimpleNamespace(submodule_search_locations=[str(tmp_path)]),
+    )
     with pytest.raises(MachineError, match=r"cannot be reached in .*_cy_cvode\.x\.so \("):
         cvode.functions.__wrapped__()
     monkeypatch.undo()
@@ -133,7 +163,11 @@ def test_a_solver_that_is_missing_damaged_or_of_another_version_says_so(tmp_path
 
 def test_it_prints_nothing_and_leaves_no_file_open(capfd: pytest.CaptureFixture[str]):
     """Of an indicator that stays zero SUNDIALS would warn on stderr."""
-    solver = made(ADAMS, np.array([1.0, -0.25, 2.0]), indicators=filling(lambda time, y: [0.0, time - 9.0], 2, False))
+    solver = made(
+        ADAMS,
+        np.array([1.0, -0.25, 2.0]),
+        indicators=filling(lambda time, y: [0.0, time - 9.0], 2, False),
+    )
     solver.renew(0.0)
     open_files = len(os.listdir("/proc/self/fd")) if Path("/proc/self/fd").is_dir() else 0
     for _ in range(3):

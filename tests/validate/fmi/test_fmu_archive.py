@@ -32,7 +32,11 @@ GOOD = '<fmiModelDescription fmiVersion="2.0"><CoSimulation modelIdentifier="m"/
 LIBRARY = "binaries/linux64/m.so"
 
 
-def write(path: Path, entries: dict[str, bytes | str], change: Callable[[zipfile.ZipInfo], None] | None = None) -> Path:
+def write(
+    path: Path,
+    entries: dict[str, bytes | str],
+    change: Callable[[zipfile.ZipInfo], None] | None = None,
+) -> Path:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in entries.items():
             item = zipfile.ZipInfo("entry")
@@ -55,9 +59,15 @@ def pipe(item: zipfile.ZipInfo) -> None:
 def test_ours_is_let_in_and_unpacked(tmp_path: Path):
     archive = check_archive(build_fmu(load_scene("three_cart")))
     identifiers = {kind: interface["modelIdentifier"] for kind, interface in archive.kinds.items()}
-    assert (archive.version, identifiers) == ("2.0", {"ModelExchange": "three_cart", "CoSimulation": "three_cart"})
+    assert (archive.version, identifiers) == (
+        "2.0",
+        {"ModelExchange": "three_cart", "CoSimulation": "three_cart"},
+    )
     unpack(archive, tmp_path)
-    assert sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file()) == archive.unpacked
+    assert (
+        sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file())
+        == archive.unpacked
+    )
     assert problems(archive.path) == ()
 
 
@@ -65,9 +75,9 @@ def test_ours_is_let_in_and_unpacked(tmp_path: Path):
 def test_fmi_3_has_other_names_for_platforms(tmp_path: Path, version: str):
     text = GOOD.replace('"2.0"', f'"{version}"')
     assert (
-        check_archive(write(tmp_path / "m.fmu", {DESCRIPTION: text, "binaries/x86_64-linux/m.so": b"x"})).kinds["CoSimulation"][
-            "modelIdentifier"
-        ]
+        check_archive(
+            write(tmp_path / "m.fmu", {DESCRIPTION: text, "binaries/x86_64-linux/m.so": b"x"})
+        ).kinds["CoSimulation"]["modelIdentifier"]
         == "m"
     )
     with pytest.raises(ArchiveError, match=r"no binary for this machine .*m\.so\).*linux64"):
@@ -86,10 +96,22 @@ def test_fmi_3_has_other_names_for_platforms(tmp_path: Path, version: str):
         ({"pipe": ""}, pipe, "links", "neither a file nor a folder"),
         ({"a": "", "a/b": ""}, None, "names", "both a file and the folder"),
         ({"resources/zero": bytes(64 * 1024**2)}, None, "ratio", "zip bomb"),
-        ({"x.xml": '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]><x>&e;</x>'}, None, "xml", "x.xml has a DOCTYPE"),
-        ({"terminalsAndIcons/terminalsAndIcons.xml": '<!DOCTYPE x><x/>'.encode("utf-16")}, None, "xml", "DOCTYPE"),
+        (
+            {
+                "x.xml": '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]><x>&e;</x>'
+            },
+            None,
+            "xml",
+            "x.xml has a DOCTYPE",
+        ),
+        (
+            {"terminalsAndIcons/terminalsAndIcons.xml": "<!DOCTYPE x><x/>".encode("utf-16")},
+            None,
+            "xml",
+            "DOCTYPE",
+        ),
     ],
-)  # fmt: skip
+)
 def test_unsafe_entries_are_refused(tmp_path: Path, extra, change, check: str, words: str):
     path = write(tmp_path / "m.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x", **extra}, change)
     with pytest.raises(ArchiveError, match=words) as caught:
@@ -102,35 +124,52 @@ def test_unsafe_entries_are_refused(tmp_path: Path, extra, change, check: str, w
 @pytest.mark.parametrize(
     ("entries", "check", "words"),
     [
-        ({LIBRARY: b"x"}, "description", "no modelDescription.xml"), ({f"m/{DESCRIPTION}": GOOD}, "description", "must lie at the top"),
+        ({LIBRARY: b"x"}, "description", "no modelDescription.xml"),
+        ({f"m/{DESCRIPTION}": GOOD}, "description", "must lie at the top"),
         ({DESCRIPTION: "<fmiModelDescription", LIBRARY: b"x"}, "description", "not well-formed"),
         ({DESCRIPTION: "", LIBRARY: b"x"}, "description", "not well-formed"),
         ({DESCRIPTION: "<html/>", LIBRARY: b"x"}, "description", "begins with <html>"),
-        ({DESCRIPTION: GOOD.replace("2.0", "1.0"), LIBRARY: b"x"}, "version", "FMI version '1.0'; 2.0 and 3.0"),
+        ({DESCRIPTION: GOOD.replace("2.0", "1.0"), LIBRARY: b"x"}, "version",
+         "FMI version '1.0'; 2.0 and 3.0"),
         ({DESCRIPTION: GOOD.replace("2.0", "2.1"), LIBRARY: b"x"}, "version", "'2.1'"),
-        ({DESCRIPTION: GOOD.replace("CoSimulation", "Simulation"), LIBRARY: b"x"}, "kind", "neither Model Exchange nor Co-Simulation"),
-        ({DESCRIPTION: GOOD}, "binary", "it has none at all"), ({DESCRIPTION: GOOD, "binaries/win64/m.dll": b"x"}, "binary", "it has win64"),
-        ({DESCRIPTION: GOOD, "binaries/linux64/other.so": b"x"}, "binary", r"binaries/linux64/m\.so"),
+        ({DESCRIPTION: GOOD.replace("CoSimulation", "Simulation"), LIBRARY: b"x"}, "kind",
+         "neither Model Exchange nor Co-Simulation"),
+        ({DESCRIPTION: GOOD}, "binary", "it has none at all"),
+        ({DESCRIPTION: GOOD, "binaries/win64/m.dll": b"x"}, "binary", "it has win64"),
+        ({DESCRIPTION: GOOD, "binaries/linux64/other.so": b"x"}, "binary",
+         r"binaries/linux64/m\.so"),
     ],
 )  # fmt: skip
-def test_what_is_no_fmu_for_this_machine_is_refused(tmp_path: Path, entries, check: str, words: str):
+def test_what_is_no_fmu_for_this_machine_is_refused(
+    tmp_path: Path, entries, check: str, words: str
+):
     with pytest.raises(ArchiveError, match=words) as caught:
         check_archive(write(tmp_path / "m.fmu", entries))
     assert caught.value.check == check
 
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
-@pytest.mark.parametrize("identifier", ["", "x.y", "a b;touch X", "../../../x", "1st", "m\u00fc", "m" * 250, "m/m", None])
-def test_an_identifier_that_is_none_of_c_is_refused_before_a_path_is_made_of_it(tmp_path: Path, version: str, identifier: str | None):
+@pytest.mark.parametrize(
+    "identifier", ["", "x.y", "a b;touch X", "../../../x", "1st", "m\u00fc", "m" * 250, "m/m", None]
+)
+def test_an_identifier_that_is_none_of_c_is_refused_before_a_path_is_made_of_it(
+    tmp_path: Path, version: str, identifier: str | None
+):
     good = GOOD.replace('"2.0"', f'"{version}"').replace("</fmi", "<ModelVariables/></fmi")
     other = "" if identifier is None else f' modelIdentifier="{identifier}"'
     alone = good.replace(' modelIdentifier="m"', other)
     library = {binary_name(version, "m"): b"x"}
-    with pytest.raises(ArchiveError, match=r"modelIdentifier is .*; expected a C identifier .*\(FMI 2.0.4, 2.3; 3.0.2, 2.5.1\)") as caught:
+    with pytest.raises(
+        ArchiveError,
+        match=r"modelIdentifier is .*; expected a C identifier .*\(FMI 2.0.4, 2.3; 3.0.2, 2.5.1\)",
+    ) as caught:
         read_package(write(tmp_path / "alone.fmu", {DESCRIPTION: alone, **library}))
     assert caught.value.check == "identifier"
     assert len(str(caught.value)) < 400
-    for hidden in (good.replace("<Model", f"<CoSimulation{other}/><Model"), good.replace("</fmi", f"<CoSimulation{other}/></fmi")):
+    for hidden in (
+        good.replace("<Model", f"<CoSimulation{other}/><Model"),
+        good.replace("</fmi", f"<CoSimulation{other}/></fmi"),
+    ):
         with pytest.raises(FmuError, match="modelIdentifier is "):
             read_package(write(tmp_path / "hidden.fmu", {DESCRIPTION: hidden, **library}))
 
@@ -138,7 +177,9 @@ def test_an_identifier_that_is_none_of_c_is_refused_before_a_path_is_made_of_it(
 def test_the_longest_identifier_is_that_of_the_longest_name_of_a_file(tmp_path: Path):
     name = "_" + "m1" * 124
     text = GOOD.replace('"m"', f'"{name}"').replace("</fmi", "<ModelVariables/></fmi")
-    package = read_package(write(tmp_path / "m.fmu", {DESCRIPTION: text, binary_name("2.0", name): b"x"}))
+    package = read_package(
+        write(tmp_path / "m.fmu", {DESCRIPTION: text, binary_name("2.0", name): b"x"})
+    )
     with unpacked(package) as ready:
         assert ready.folder is not None
         assert (ready.folder / binary_name("2.0", name)).is_file()
@@ -147,22 +188,62 @@ def test_the_longest_identifier_is_that_of_the_longest_name_of_a_file(tmp_path: 
 @pytest.mark.parametrize(
     ("version", "inside", "words"),
     [
-        ("3.0", '<ModelVariables/><ModelStructure><Output valueReference="7"/></ModelStructure>', "names the value reference 7, which no variable has"),
-        ("2.0", '<ModelVariables/><ModelStructure><Outputs><Unknown index="1"/></Outputs></ModelStructure>', "names a variable by an index that is none"),
-        ("3.0", '<ModelVariables><Float64 name="x" valueReference="abc"/></ModelVariables>', "has 'abc' where a number must be"),
-        ("3.0", '<ModelVariables><Float64 name="x" valueReference="4294967296"/></ModelVariables>', "'x' has the value reference 4294967296; expected"),
-        ("3.0", '<ModelVariables><Float64 name="x" valueReference="-1"/></ModelVariables>', "'x' has the value reference -1; expected"),
-        ("3.0", '<ModelVariables><Float64 name="x"/></ModelVariables>', "lacks an element or attribute that must be there"),
-        ("2.0", '<ModelVariables><ScalarVariable name="x" valueReference="0"/></ModelVariables>', "lacks an element or attribute"),
+        (
+            "3.0",
+            '<ModelVariables/><ModelStructure><Output valueReference="7"/></ModelStructure>',
+            "names the value reference 7, which no variable has",
+        ),
+        (
+            "2.0",
+            '<ModelVariables/><ModelStructure><Outputs><Unknown index="1"/></Outputs></ModelStructure>',
+            "names a variable by an index that is none",
+        ),
+        (
+            "3.0",
+            '<ModelVariables><Float64 name="x" valueReference="abc"/></ModelVariables>',
+            "has 'abc' where a number must be",
+        ),
+        (
+            "3.0",
+            '<ModelVariables><Float64 name="x" valueReference="4294967296"/></ModelVariables>',
+            "'x' has the value reference 4294967296; expected",
+        ),
+        (
+            "3.0",
+            '<ModelVariables><Float64 name="x" valueReference="-1"/></ModelVariables>',
+            "'x' has the value reference -1; expected",
+        ),
+        (
+            "3.0",
+            '<ModelVariables><Float64 name="x"/></ModelVariables>',
+            "lacks an element or attribute that must be there",
+        ),
+        (
+            "2.0",
+            '<ModelVariables><ScalarVariable name="x" valueReference="0"/></ModelVariables>',
+            "lacks an element or attribute",
+        ),
         ("3.0", "", "lacks an element or attribute"),
-        ("3.0", '<ModelVariables><Odd name="x" valueReference="0"/></ModelVariables>', "has 'Odd', which FMI does not know"),
-        ("3.0", '<ModelVariables><Float64 name="x" valueReference="0" declaredType="no"/></ModelVariables>', "cannot be understood: Variable \"x\""),
+        (
+            "3.0",
+            '<ModelVariables><Odd name="x" valueReference="0"/></ModelVariables>',
+            "has 'Odd', which FMI does not know",
+        ),
+        (
+            "3.0",
+            '<ModelVariables><Float64 name="x" valueReference="0" declaredType="no"/></ModelVariables>',
+            'cannot be understood: Variable "x"',
+        ),
     ],
-)  # fmt: skip
-def test_a_description_that_is_not_understood_is_told_without_the_words_of_python(tmp_path: Path, version: str, inside: str, words: str):
+)
+def test_a_description_that_is_not_understood_is_told_without_the_words_of_python(
+    tmp_path: Path, version: str, inside: str, words: str
+):
     text = GOOD.replace('"2.0"', f'"{version}"').replace("</fmi", f"{inside}</fmi")
     with pytest.raises(FmuError, match=f"modelDescription.xml:? {words}") as caught:
-        read_package(write(tmp_path / "m.fmu", {DESCRIPTION: text, binary_name(version, "m"): b"x"}))
+        read_package(
+            write(tmp_path / "m.fmu", {DESCRIPTION: text, binary_name(version, "m"): b"x"})
+        )
     assert "Error" not in str(caught.value)
 
 
@@ -190,7 +271,15 @@ def test_a_damaged_entry_is_a_sentence(tmp_path: Path):
 
 
 def test_what_is_dangerous_is_told_before_what_is_damaged_behind_it(tmp_path: Path):
-    path = write(tmp_path / "m.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x", "a.xml": "<!DOCTYPE x><x/>", "b.xml": bytes(range(256)) * 40})
+    path = write(
+        tmp_path / "m.fmu",
+        {
+            DESCRIPTION: GOOD,
+            LIBRARY: b"x",
+            "a.xml": "<!DOCTYPE x><x/>",
+            "b.xml": bytes(range(256)) * 40,
+        },
+    )
     data = bytearray(path.read_bytes())
     at = data.index(b"b.xml") + len("b.xml") + 20
     data[at : at + 30] = bytes(30)
@@ -208,7 +297,10 @@ def test_duplicates_and_counts(tmp_path: Path):
             archive.writestr(name, GOOD)
     with pytest.raises(ArchiveError, match="is there 2 times"):
         check_archive(path)
-    many = write(tmp_path / "many.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x", **{f"f{n}": "" for n in range(20)}})
+    many = write(
+        tmp_path / "many.fmu",
+        {DESCRIPTION: GOOD, LIBRARY: b"x", **{f"f{n}": "" for n in range(20)}},
+    )
     with pytest.raises(ArchiveError, match="22 files, more than the 10"), limited(MOST_ENTRIES=10):
         check_archive(many)
     with pytest.raises(ArchiveError, match="unpacked it has"), limited(MOST_UNPACKED=10):
@@ -216,7 +308,9 @@ def test_duplicates_and_counts(tmp_path: Path):
 
 
 def test_all_problems_of_a_file_are_listed(tmp_path: Path):
-    path = write(tmp_path / "m.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x", "../a": "", "b\\c": "", "/d": ""})
+    path = write(
+        tmp_path / "m.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x", "../a": "", "b\\c": "", "/d": ""}
+    )
     assert [problem.check for problem in problems(path)] == ["names", "names", "names"]
 
 
@@ -225,7 +319,14 @@ def test_all_problems_of_a_file_are_listed(tmp_path: Path):
 
 def sized(path: Path, count: int) -> Path:
     """Description and library, and one entry of so many bytes that cannot be packed well."""
-    return write(path, {DESCRIPTION: GOOD, LIBRARY: b"x", "data": hashlib.sha256(b"").digest() * (count // 32) + b"\0" * (count % 32)})
+    return write(
+        path,
+        {
+            DESCRIPTION: GOOD,
+            LIBRARY: b"x",
+            "data": hashlib.sha256(b"").digest() * (count // 32) + b"\0" * (count % 32),
+        },
+    )
 
 
 @contextmanager
@@ -245,9 +346,15 @@ def test_what_is_as_large_as_is_let_in_is_let_in(tmp_path: Path):
     path = sized(tmp_path / "m.fmu", 10_000)
     unpacked, packed = 10_000 + len(GOOD) + 1, path.stat().st_size
     assert check_archive(path).unpacked == unpacked
-    assert (checks(path, MOST_UNPACKED=unpacked), checks(path, MOST_UNPACKED=unpacked - 1)) == ([], ["size"])
+    assert (checks(path, MOST_UNPACKED=unpacked), checks(path, MOST_UNPACKED=unpacked - 1)) == (
+        [],
+        ["size"],
+    )
     assert (checks(path, MOST_ENTRIES=3), checks(path, MOST_ENTRIES=2)) == ([], ["entries"])
-    assert (checks(path, MOST_XML=len(GOOD)), checks(path, MOST_XML=len(GOOD) - 1)) == ([], ["size"])
+    assert (checks(path, MOST_XML=len(GOOD)), checks(path, MOST_XML=len(GOOD) - 1)) == (
+        [],
+        ["size"],
+    )
     ratio = unpacked / packed
     assert ratio > 5.0
     assert checks(path, MOST_RATIO=ratio * 0.99, RATIO_MATTERS_FROM=unpacked) == []
@@ -256,12 +363,24 @@ def test_what_is_as_large_as_is_let_in_is_let_in(tmp_path: Path):
         (bomb,) = problems(path)
     assert bomb.check == "ratio"
     assert f"{ratio:.0f} times as much; from 5 times on" in str(bomb)
-    limits = module.MOST_UNPACKED, module.MOST_ENTRIES, module.MOST_RATIO, module.RATIO_MATTERS_FROM, module.MOST_XML
+    limits = (
+        module.MOST_UNPACKED,
+        module.MOST_ENTRIES,
+        module.MOST_RATIO,
+        module.RATIO_MATTERS_FROM,
+        module.MOST_XML,
+    )
     assert limits == (2_147_483_648, 20_000, 100.0, 33_554_432, 67_108_864)
 
 
 @pytest.mark.parametrize(
-    ("count", "said"), [(1_073_741_824, "1 GB"), (1_073_741_823, "1.02e+03 MB"), (3 * 1024**3 // 2, "1.5 GB"), (524_288, "0.5 MB")]
+    ("count", "said"),
+    [
+        (1_073_741_824, "1 GB"),
+        (1_073_741_823, "1.02e+03 MB"),
+        (3 * 1024**3 // 2, "1.5 GB"),
+        (524_288, "0.5 MB"),
+    ],
 )
 def test_sizes_are_told_in_megabytes_and_gigabytes(count: int, said: str):
     assert module._size(count) == said
@@ -279,7 +398,13 @@ def test_encrypted_entries_and_names_that_are_none_are_refused(tmp_path: Path):
         item: Any = SimpleNamespace(orig_filename=name, external_attr=0, flag_bits=0)
         (found,) = module._ArchiveCheck(path)._of_entry(item)
         assert (found.check, "has no proper name" in str(found)) == ("names", True)
-    for kind, expected in ((stat.S_IFREG, []), (stat.S_IFDIR, []), (0, []), (stat.S_IFLNK, ["links"]), (stat.S_IFIFO, ["links"])):
+    for kind, expected in (
+        (stat.S_IFREG, []),
+        (stat.S_IFDIR, []),
+        (0, []),
+        (stat.S_IFLNK, ["links"]),
+        (stat.S_IFIFO, ["links"]),
+    ):
         item = SimpleNamespace(orig_filename="a", external_attr=kind << 16, flag_bits=0x2)
         assert [found.check for found in module._ArchiveCheck(path)._of_entry(item)] == expected
 
@@ -294,27 +419,49 @@ def test_a_check_may_be_let_pass(tmp_path: Path):
 
 
 def test_only_interfaces_with_a_binary_are_offered_and_scheduled_execution_is_none(tmp_path: Path):
-    both = GOOD.replace("<CoSimulation", '<ModelExchange modelIdentifier="other"/><ScheduledExecution modelIdentifier="m"/><CoSimulation')
-    path = write(tmp_path / "m.fmu", {DESCRIPTION: both, LIBRARY: b"x", "binaries/win64/m.dll": b"x", "binaries/": ""})
+    both = GOOD.replace(
+        "<CoSimulation",
+        '<ModelExchange modelIdentifier="other"/><ScheduledExecution modelIdentifier="m"/><CoSimulation',
+    )
+    path = write(
+        tmp_path / "m.fmu",
+        {DESCRIPTION: both, LIBRARY: b"x", "binaries/win64/m.dll": b"x", "binaries/": ""},
+    )
     found = check_archive(path)
     assert found.kinds == {"CoSimulation": {"modelIdentifier": "m"}}
     alone = GOOD.replace("CoSimulation", "ScheduledExecution")
-    with pytest.raises(ArchiveError, match="Co-Simulation, only Scheduled Execution, which needs a scheduler"):
+    with pytest.raises(
+        ArchiveError, match="Co-Simulation, only Scheduled Execution, which needs a scheduler"
+    ):
         check_archive(write(path, {DESCRIPTION: alone, LIBRARY: b"x"}))
     with pytest.raises(ArchiveError, match=r"nor Co-Simulation\.$"):
-        check_archive(write(path, {DESCRIPTION: '<fmiModelDescription fmiVersion="2.0"><Unit/></fmiModelDescription>', LIBRARY: b"x"}))
+        check_archive(
+            write(
+                path,
+                {
+                    DESCRIPTION: '<fmiModelDescription fmiVersion="2.0"><Unit/></fmiModelDescription>',
+                    LIBRARY: b"x",
+                },
+            )
+        )
     assert set(interfaces(both.encode())) == {"ModelExchange", "ScheduledExecution", "CoSimulation"}
 
 
 def test_other_texts_may_be_anything_that_is_no_doctype(tmp_path: Path):
-    """Only the description must be XML; what else ends in .xml is looked at for a DOCTYPE alone, whatever its letters."""
+    """Only the description must be XML.
+
+    What else ends in .xml is looked at for a DOCTYPE alone, whatever its letters.
+    """
     others: dict[str, bytes | str] = {
-        "a.xml": "<broken", "b.ssd": '<?xml version="1.0" encoding="nobody"?><x/>', "c.XML": "<html/>", "d.txt": "<!DOCTYPE x><x/>",
+        "a.xml": "<broken", "b.ssd": '<?xml version="1.0" encoding="nobody"?><x/>',
+        "c.XML": "<html/>", "d.txt": "<!DOCTYPE x><x/>",
     }  # fmt: skip
     path = write(tmp_path / "m.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x", **others})
     assert problems(path) == ()
     for name in ("a.ssv", "a.ssm", "a.ssb", "A.SSD"):
-        assert checks(write(path, {DESCRIPTION: GOOD, LIBRARY: b"x", name: "<!DOCTYPE x><x/>"})) == ["xml"]
+        assert checks(
+            write(path, {DESCRIPTION: GOOD, LIBRARY: b"x", name: "<!DOCTYPE x><x/>"})
+        ) == ["xml"]
     nested = write(path, {f"m/{DESCRIPTION}": GOOD, "a.xml": "<!DOCTYPE x><x/>"})
     assert checks(nested) == ["xml"], "what is dangerous ends it"
 
@@ -322,30 +469,58 @@ def test_other_texts_may_be_anything_that_is_no_doctype(tmp_path: Path):
 @pytest.mark.parametrize("version", ["3.0.1-beta", "3.1", "3.0.", "4.0", "2.0.4", ""])
 def test_versions(version: str, tmp_path: Path):
     text = GOOD.replace('"2.0"', f'"{version}"')
-    path = write(tmp_path / "m.fmu", {DESCRIPTION: text, "binaries/x86_64-linux/m.so": b"x", LIBRARY: b"x"})
+    path = write(
+        tmp_path / "m.fmu", {DESCRIPTION: text, "binaries/x86_64-linux/m.so": b"x", LIBRARY: b"x"}
+    )
     assert checks(path) == ([] if version == "3.0.1-beta" else ["version"])
 
 
 @pytest.mark.parametrize(
     ("system", "machine", "two", "three"),
     [
-        ("Linux", "x86_64", "binaries/linux64/m.so", "binaries/x86_64-linux/m.so"), ("Linux", "ARM64", "binaries/linux64/m.so", "binaries/aarch64-linux/m.so"),
+        ("Linux", "x86_64", "binaries/linux64/m.so", "binaries/x86_64-linux/m.so"),
+        ("Linux", "ARM64", "binaries/linux64/m.so", "binaries/aarch64-linux/m.so"),
         ("Darwin", "arm64", "binaries/darwin64/m.dylib", "binaries/aarch64-darwin/m.dylib"),
-        ("Windows", "AMD64", "binaries/win64/m.dll", "binaries/x86_64-windows/m.dll"), ("Plan9", "mips", "binaries/plan964/m.so", "binaries/mips-plan9/m.so"),
+        ("Windows", "AMD64", "binaries/win64/m.dll", "binaries/x86_64-windows/m.dll"),
+        ("Plan9", "mips", "binaries/plan964/m.so", "binaries/mips-plan9/m.so"),
     ],
 )  # fmt: skip
-def test_where_a_binary_lies_on_each_machine(system: str, machine: str, two: str, three: str, monkeypatch: pytest.MonkeyPatch):
+def test_where_a_binary_lies_on_each_machine(
+    system: str, machine: str, two: str, three: str, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setattr(module.platform, "system", lambda: system)
     monkeypatch.setattr(module.platform, "machine", lambda: machine)
     assert (binary_name("2.0", "m"), binary_name("3.0", "m")) == (two, three)
 
 
 def test_only_what_is_wanted_is_unpacked_and_only_what_was_checked(tmp_path: Path):
-    path = write(tmp_path / "m.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x", "sources/a.c": "int a;", "documentation/b": "b", "sourcesc": "c"})
+    path = write(
+        tmp_path / "m.fmu",
+        {
+            DESCRIPTION: GOOD,
+            LIBRARY: b"x",
+            "sources/a.c": "int a;",
+            "documentation/b": "b",
+            "sourcesc": "c",
+        },
+    )
     archive = check_archive(path)
     unpack(archive, tmp_path / "out", leave_out=("sources/", "documentation/"))
-    assert sorted(item.name for item in (tmp_path / "out").rglob("*") if item.is_file()) == ["m.so", DESCRIPTION, "sourcesc"]
-    write(path, {DESCRIPTION: GOOD, LIBRARY: b"xy", "sources/a.c": "int a;", "documentation/b": "b", "sourcesc": "c"})
+    assert sorted(item.name for item in (tmp_path / "out").rglob("*") if item.is_file()) == [
+        "m.so",
+        DESCRIPTION,
+        "sourcesc",
+    ]
+    write(
+        path,
+        {
+            DESCRIPTION: GOOD,
+            LIBRARY: b"xy",
+            "sources/a.c": "int a;",
+            "documentation/b": "b",
+            "sourcesc": "c",
+        },
+    )
     with pytest.raises(ArchiveError, match="changed while it was read"):
         unpack(archive, tmp_path / "again")
     (tmp_path / "file").write_bytes(b"")
@@ -356,8 +531,12 @@ def test_only_what_is_wanted_is_unpacked_and_only_what_was_checked(tmp_path: Pat
         unpack(gone, tmp_path / "out")
 
 
-@pytest.mark.parametrize("error", [NotImplementedError("strong encryption\nand more"), EOFError(), RuntimeError("odd")])
-def test_what_python_cannot_read_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception):
+@pytest.mark.parametrize(
+    "error", [NotImplementedError("strong encryption\nand more"), EOFError(), RuntimeError("odd")]
+)
+def test_what_python_cannot_read_is_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+):
     path = write(tmp_path / "m.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x"})
 
     def fails(self: Any, name: Any) -> bytes:
@@ -366,7 +545,14 @@ def test_what_python_cannot_read_is_a_sentence(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(zipfile.ZipFile, "read", fails)
     (problem,) = problems(path)
     first = str(error).partition("\n")[0] or "EOFError"
-    assert (problem.check, str(problem)) == ("zip", f"FMU {path}: it is a zip file that cannot be read ({first}).")
-    monkeypatch.setattr(zipfile.ZipFile, "read", lambda self, name: (_ for _ in ()).throw(PermissionError(13, "Permission denied")))
+    assert (problem.check, str(problem)) == (
+        "zip",
+        f"FMU {path}: it is a zip file that cannot be read ({first}).",
+    )
+    monkeypatch.setattr(
+        zipfile.ZipFile,
+        "read",
+        lambda self, name: (_ for _ in ()).throw(PermissionError(13, "Permission denied")),
+    )
     with pytest.raises(MachineError, match=r"it cannot be read \(Permission denied\)"):
         problems(path)

@@ -31,7 +31,8 @@ from validate.fmi.instance import (
     load_instance,
 )
 
-TWO, THREE = CLASSES[2, "CS"], CLASSES[3, "CS"]
+TWO = CLASSES[2, "CS"]
+THREE = CLASSES[3, "CS"]
 
 
 def bare(kind: Any, **answers: Any) -> tuple[Any, list[Any]]:
@@ -65,12 +66,17 @@ def refused(status: int) -> FMICallException:
     ("status", "terminated", "expected"),
     [
         (None, None, StepAnswer(event=False, ends=False, early=False, reached=2.5)),
-        (fmi2Discard, True, StepAnswer(event=False, ends=True, early=False, reached=2.5)), (fmi2Discard, False, None),
+        (fmi2Discard, True, StepAnswer(event=False, ends=True, early=False, reached=2.5)),
+        (fmi2Discard, False, None),
         (fmi2Discard, refused(fmi2Error), None), (fmi2Error, True, None),
     ],
 )  # fmt: skip
-def test_a_step_that_is_discarded_ends_only_where_the_fmu_says_so(status: int | None, terminated: Any, expected: StepAnswer | None):
-    fmu, log = bare(TWO, doStep=None if status is None else refused(status), getBooleanStatus=terminated)
+def test_a_step_that_is_discarded_ends_only_where_the_fmu_says_so(
+    status: int | None, terminated: Any, expected: StepAnswer | None
+):
+    fmu, log = bare(
+        TWO, doStep=None if status is None else refused(status), getBooleanStatus=terminated
+    )
     if expected is None:
         with pytest.raises(FMICallException):
             fmu.step(2.0, 0.5)
@@ -92,10 +98,16 @@ def test_the_last_successful_time_is_asked_of_fmi_2_alone():
 @pytest.mark.parametrize(
     ("kind", "type_of", "values", "name", "held"),
     [
-        (TWO, "Real", [1.5, -2.5], "Real", [1.5, -2.5]), (TWO, "Integer", [2.0, 3.0], "Integer", [2, 3]), (TWO, "Enumeration", [3.0, 1.0], "Integer", [3, 1]),
-        (TWO, "Boolean", [1.0, 0.0], "Boolean", [1, 0]), (THREE, "Float64", [1.5, -2.5], "Float64", [1.5, -2.5]),
-        (THREE, "Float32", [1.5, -2.5], "Float32", [1.5, -2.5]), (THREE, "Int32", [2.0, -7.0], "Int32", [2, -7]), (THREE, "UInt8", [2.0, 255.0], "UInt8", [2, 255]),
-        (THREE, "Boolean", [2.0, 0.0], "Boolean", [True, False]), (THREE, "Enumeration", [3.0, 1.0], "Int64", [3, 1]),
+        (TWO, "Real", [1.5, -2.5], "Real", [1.5, -2.5]),
+        (TWO, "Integer", [2.0, 3.0], "Integer", [2, 3]),
+        (TWO, "Enumeration", [3.0, 1.0], "Integer", [3, 1]),
+        (TWO, "Boolean", [1.0, 0.0], "Boolean", [1, 0]),
+        (THREE, "Float64", [1.5, -2.5], "Float64", [1.5, -2.5]),
+        (THREE, "Float32", [1.5, -2.5], "Float32", [1.5, -2.5]),
+        (THREE, "Int32", [2.0, -7.0], "Int32", [2, -7]),
+        (THREE, "UInt8", [2.0, 255.0], "UInt8", [2, 255]),
+        (THREE, "Boolean", [2.0, 0.0], "Boolean", [True, False]),
+        (THREE, "Enumeration", [3.0, 1.0], "Int64", [3, 1]),
     ],
 )  # fmt: skip
 def test_values_are_handed_over_by_the_call_of_their_type_as_c_has_them(
@@ -109,10 +121,17 @@ def test_values_are_handed_over_by_the_call_of_their_type_as_c_has_them(
     fmu.transfer("Set", several)
     fmu.transfer("Get", several)
     size = (2,) if kind is THREE else ()
-    assert log == [(call, "component", several.array, several.count, several.memory, *size) for call in reversed(calls)]
+    assert log == [
+        (call, "component", several.array, several.count, several.memory, *size)
+        for call in reversed(calls)
+    ]
     assert (list(several.memory), list(several.array)) == (held, [7] if kind is THREE else [7, 9])
     several.forget()
-    assert np.isnan(several.values).all() if several.values.dtype.kind == "f" else not several.values.any()
+    assert (
+        np.isnan(several.values).all()
+        if several.values.dtype.kind == "f"
+        else not several.values.any()
+    )
 
 
 def test_doubles_are_handed_over_in_the_order_of_each_version():
@@ -128,44 +147,75 @@ def test_doubles_are_handed_over_in_the_order_of_each_version():
 
 
 def test_each_version_sets_up_and_derives_by_its_own_calls():
-    two, log = bare(TWO, setupExperiment=None, enterInitializationMode=None, getDirectionalDerivative=[2.0])
+    two, log = bare(
+        TWO, setupExperiment=None, enterInitializationMode=None, getDirectionalDerivative=[2.0]
+    )
     two.setup(1.0, 2.0, 1e-6)
     two.enter(1.0, 2.0, 1e-6)
     assert two.directional([1], [2], [3.0], 4) == [2.0]
     assert log == [
-        ("setupExperiment", ("tolerance", 1e-6), ("startTime", 1.0), ("stopTime", 2.0)), ("enterInitializationMode",),
+        ("setupExperiment", ("tolerance", 1e-6), ("startTime", 1.0), ("stopTime", 2.0)),
+        ("enterInitializationMode",),
         ("getDirectionalDerivative", [1], [2], [3.0]),
     ]  # fmt: skip
-    three, log = bare(THREE, enterInitializationMode=None, getDirectionalDerivative=[2.0], getAdjointDerivative=[3.0])
+    three, log = bare(
+        THREE,
+        enterInitializationMode=None,
+        getDirectionalDerivative=[2.0],
+        getAdjointDerivative=[3.0],
+    )
     three.setup(1.0, 2.0, 1e-6)
     three.enter(1.0, 2.0, 1e-6)
-    assert (three.directional([1], [2], [3.0], 4), three.adjoint([5], [6], [7.0], 8)) == ([2.0], [3.0])
+    assert (three.directional([1], [2], [3.0], 4), three.adjoint([5], [6], [7.0], 8)) == (
+        [2.0],
+        [3.0],
+    )
     assert log == [
         ("enterInitializationMode", ("tolerance", 1e-6), ("startTime", 1.0), ("stopTime", 2.0)),
-        ("getDirectionalDerivative", [1], [2], [3.0], ("nSensitivity", 4)), ("getAdjointDerivative", [5], [6], [7.0], ("nSensitivity", 8)),
+        ("getDirectionalDerivative", [1], [2], [3.0], ("nSensitivity", 4)),
+        ("getAdjointDerivative", [5], [6], [7.0], ("nSensitivity", 8)),
     ]  # fmt: skip
 
 
 def test_each_versions_model_exchange_gives_rates_and_ends_events_by_its_own_calls():
     def tells(component: Any, info: Any) -> None:
-        info._obj.newDiscreteStatesNeeded, info._obj.nextEventTimeDefined, info._obj.nextEventTime = 1, 1, 2.5
+        (
+            info._obj.newDiscreteStatesNeeded,
+            info._obj.nextEventTimeDefined,
+            info._obj.nextEventTime,
+        ) = 1, 1, 2.5
 
     def answers(component: Any, *places: Any) -> None:
         for place, value in zip(places, (True, False, False, False, True, 2.5), strict=True):
             place._obj.value = value
 
     two, log_2 = bare(CLASSES[2, "ME"], fmi2GetDerivatives=None, fmi2NewDiscreteStates=tells)
-    three, log_3 = bare(CLASSES[3, "ME"], fmi3GetContinuousStateDerivatives=None, fmi3UpdateDiscreteStates=answers)
+    three, log_3 = bare(
+        CLASSES[3, "ME"], fmi3GetContinuousStateDerivatives=None, fmi3UpdateDiscreteStates=answers
+    )
     for fmu in (two, three):
         fmu.rates("into", 2)
         assert fmu.update() == (True, False, False, False, True, 2.5)
-    assert (log_2[0], log_2[1][0]) == (("fmi2GetDerivatives", "component", "into", 2), "fmi2NewDiscreteStates")
-    assert (log_3[0], log_3[1][0]) == (("fmi3GetContinuousStateDerivatives", "component", "into", 2), "fmi3UpdateDiscreteStates")
+    assert (log_2[0], log_2[1][0]) == (
+        ("fmi2GetDerivatives", "component", "into", 2),
+        "fmi2NewDiscreteStates",
+    )
+    assert (log_3[0], log_3[1][0]) == (
+        ("fmi3GetContinuousStateDerivatives", "component", "into", 2),
+        "fmi3UpdateDiscreteStates",
+    )
 
 
 @pytest.mark.parametrize(
     ("status", "raised", "fatal"),
-    [(0, False, False), (1, False, False), (2, True, False), (3, True, False), (4, True, True), (17, True, False)],
+    [
+        (0, False, False),
+        (1, False, False),
+        (2, True, False),
+        (3, True, False),
+        (4, True, True),
+        (17, True, False),
+    ],
 )
 def test_a_status_is_refused_unless_it_is_ok_or_a_warning(status: int, raised: bool, fatal: bool):
     """Also one that FMI does not know; and what is fatal is remembered."""
@@ -199,13 +249,19 @@ def made(major: int = 2, kind: str = "CS", **description: Any) -> tuple[Instance
     """An instance whose calls are noted. Answers are given by `instance.fmu.NAME = ..`."""
     log: list[Any] = []
     instance = object.__new__(Instance)
-    given = {"fmiVersion": f"{major}.0", "numberOfContinuousStates": 2, "numberOfEventIndicators": 3} | description
+    given = {
+        "fmiVersion": f"{major}.0",
+        "numberOfContinuousStates": 2,
+        "numberOfEventIndicators": 3,
+    } | description
     instance.description, instance.kind, instance.options = SimpleNamespace(**given), kind, {}
     instance.time, instance.next_event, instance._needs_tool = math.nan, math.inf, False
     instance.said = deque(maxlen=4)
 
     class Calls:
-        component, fatal, prefix = "component", False, f"fmi{major}"
+        component = "component"
+        fatal = False
+        prefix = f"fmi{major}"
 
         def __getattr__(self, name: str) -> Any:
             return lambda *given: log.append((name, *given))
@@ -217,7 +273,9 @@ def made(major: int = 2, kind: str = "CS", **description: Any) -> tuple[Instance
 def test_an_initialisation_sets_first_what_is_set_before_and_then_the_inputs():
     instance, log = made()
     memory: list[Any] = []
-    instance.fmu.transfer = lambda verb, what: memory.append((verb, list(what.array), list(what.memory), what.count))
+    instance.fmu.transfer = lambda verb, what: memory.append(
+        (verb, list(what.array), list(what.memory), what.count)
+    )
     instance.initialise(1.5, [(12, 0.5), (13, -2.0)], References([3]), np.array([7.0]))
     assert [call[0] for call in log] == ["setup", "enter", "exitInitializationMode"]
     assert log[0] == ("setup", 1.5, None, None)
@@ -232,7 +290,13 @@ def test_whole_numbers_are_chosen_where_there_are_some():
     instance.fmu.references = THREE.references
     instance.choose([(4, 1), (5, 2)])
     ((call, verb, what),) = log
-    assert (call, verb, what.kind, list(what.array), list(what.memory)) == ("transfer", "Set", "Int64", [4, 5], [1, 2])
+    assert (call, verb, what.kind, list(what.array), list(what.memory)) == (
+        "transfer",
+        "Set",
+        "Int64",
+        [4, 5],
+        [1, 2],
+    )
 
 
 def test_nothing_is_read_or_written_where_there_is_nothing():
@@ -241,12 +305,18 @@ def test_nothing_is_read_or_written_where_there_is_nothing():
     instance.write(References([]), [])
     assert log == []
     some = References([3, 4])
-    instance.fmu.transfer = lambda verb, what: what.memory.__setitem__(slice(None), [5.0, 6.0] if verb == "Get" else [])
+    instance.fmu.transfer = lambda verb, what: what.memory.__setitem__(
+        slice(None), [5.0, 6.0] if verb == "Get" else []
+    )
     assert (instance.read(some).tolist(), some.count) == ([5.0, 6.0], 2)
 
 
-@pytest.mark.parametrize(("component", "fatal"), [("component", False), (None, False), ("component", True)])
-def test_what_lives_is_ended_and_freed_and_nothing_after_a_fatal_status(component: Any, fatal: bool):
+@pytest.mark.parametrize(
+    ("component", "fatal"), [("component", False), (None, False), ("component", True)]
+)
+def test_what_lives_is_ended_and_freed_and_nothing_after_a_fatal_status(
+    component: Any, fatal: bool
+):
     instance, log = made(3)
     instance.fmu.component, instance.fmu.fatal = component, fatal
     instance.unload()
@@ -273,7 +343,11 @@ def test_what_does_not_terminate_is_freed_all_the_same():
 def test_an_event_goes_round_until_the_fmu_is_content():
     """Again, ends, nominals changed, states changed, a next event, its time."""
     instance, log = made(kind="ME")
-    rounds = [(True, False, False, True, False, 9.0), (True, False, True, False, True, 8.0), (False, False, False, False, True, 7.5)]
+    rounds = [
+        (True, False, False, True, False, 9.0),
+        (True, False, True, False, True, 8.0),
+        (False, False, False, False, True, 7.5),
+    ]
     instance.fmu.update = iter(rounds).__next__
     assert instance.event() is True
     assert (log, instance.next_event) == ([("enterEventMode",), ("leave",)], 7.5)
@@ -297,9 +371,19 @@ def test_states_and_indicators_are_read_into_memory_of_their_size():
     def filled(array: Any, size: int) -> None:
         array[:] = [10.0 * size + index for index in range(size)]
 
-    for name in ("getContinuousStates", "getNominalsOfContinuousStates", "rates", "getEventIndicators"):
+    for name in (
+        "getContinuousStates",
+        "getNominalsOfContinuousStates",
+        "rates",
+        "getEventIndicators",
+    ):
         setattr(instance.fmu, name, filled)
-    assert instance.states().tolist() == instance.nominals().tolist() == instance.rates().tolist() == [20.0, 21.0]
+    assert (
+        instance.states().tolist()
+        == instance.nominals().tolist()
+        == instance.rates().tolist()
+        == [20.0, 21.0]
+    )
     assert instance.indicators().tolist() == [30.0, 31.0, 32.0]
     none, _ = made(kind="ME", numberOfContinuousStates=0)
     none.fmu.getContinuousStates = lambda array, size: None
@@ -368,7 +452,9 @@ def test_what_the_fmu_said_last_ends_a_sentence():
 def test_an_fmu_that_gives_no_instance_lacks_its_tool_or_misbehaves(needs_tool: bool):
     instance, _ = made()
     instance.fmu.make, instance._needs_tool = Mock(side_effect=Exception("null")), needs_tool
-    with pytest.raises(Lacking if needs_tool else Misbehaviour, match="the FMU returned no instance") as caught:
+    with pytest.raises(
+        Lacking if needs_tool else Misbehaviour, match="the FMU returned no instance"
+    ) as caught:
         instance.instantiate()
     assert ("needs the tool" in str(caught.value)) is needs_tool
     instance.fmu.make = Mock(side_effect=refused(fmi2Error))
@@ -379,10 +465,30 @@ def test_an_fmu_that_gives_no_instance_lacks_its_tool_or_misbehaves(needs_tool: 
 @pytest.mark.parametrize(
     ("error", "there", "kind", "words"),
     [
-        (AttributeError("fmi2DoStep"), False, Misbehaviour, r"missing in the binary \(fmi2DoStep\)"),
-        (OSError("libtool.so.2: cannot open shared object file"), False, Lacking, r"its binary needs libtool\.so\.2, which neither"),
-        (OSError("libtool.so.2: cannot open shared object file"), True, Misbehaviour, r"cannot be loaded \(libtool"),
-        (Exception("No platform binary"), False, Misbehaviour, r"cannot be loaded \(No platform binary\)"),
+        (
+            AttributeError("fmi2DoStep"),
+            False,
+            Misbehaviour,
+            r"missing in the binary \(fmi2DoStep\)",
+        ),
+        (
+            OSError("libtool.so.2: cannot open shared object file"),
+            False,
+            Lacking,
+            r"its binary needs libtool\.so\.2, which neither",
+        ),
+        (
+            OSError("libtool.so.2: cannot open shared object file"),
+            True,
+            Misbehaviour,
+            r"cannot be loaded \(libtool",
+        ),
+        (
+            Exception("No platform binary"),
+            False,
+            Misbehaviour,
+            r"cannot be loaded \(No platform binary\)",
+        ),
     ],
 )
 def test_a_binary_that_does_not_load_says_why(error, there, kind, words, tmp_path, monkeypatch):
@@ -391,7 +497,12 @@ def test_a_binary_that_does_not_load_says_why(error, there, kind, words, tmp_pat
         (tmp_path / "binaries/libtool.so.2").write_bytes(b"")
 
     def fails(**given: Any) -> Any:
-        assert given == {"guid": "g", "modelIdentifier": "m", "unzipDirectory": str(tmp_path), "instanceName": "replay"}
+        assert given == {
+            "guid": "g",
+            "modelIdentifier": "m",
+            "unzipDirectory": str(tmp_path),
+            "instanceName": "replay",
+        }
         raise error
 
     monkeypatch.setitem(CLASSES, (2, "ME"), fails)
@@ -399,7 +510,9 @@ def test_a_binary_that_does_not_load_says_why(error, there, kind, words, tmp_pat
         SimpleNamespace(modelIdentifier="m", needsExecutionTool=False),
         SimpleNamespace(modelIdentifier="other", needsExecutionTool=True),
     )
-    description = SimpleNamespace(fmiVersion="2.0", guid="g", modelExchange=interface, coSimulation=other)
+    description = SimpleNamespace(
+        fmiVersion="2.0", guid="g", modelExchange=interface, coSimulation=other
+    )
     with pytest.raises(kind, match=words):
         Instance(description, tmp_path, "ME", "replay")
     package: Any = SimpleNamespace(description=description, folder=tmp_path, path="x.fmu")
@@ -412,14 +525,19 @@ def test_a_binary_that_does_not_load_is_called_as_in_its_archive(tmp_path: Path)
     (tmp_path / name).parent.mkdir(parents=True)
     (tmp_path / name).write_bytes(b"hello")
     interface = SimpleNamespace(modelIdentifier="m", needsExecutionTool=False)
-    description = SimpleNamespace(fmiVersion="2.0", guid="g", modelExchange=interface, coSimulation=None)
+    description = SimpleNamespace(
+        fmiVersion="2.0", guid="g", modelExchange=interface, coSimulation=None
+    )
     with pytest.raises(Misbehaviour, match=rf"the binary cannot be loaded \(.* {name}: ") as caught:
         Instance(description, tmp_path, "ME", "replay")
     assert str(tmp_path) not in str(caught.value)
 
 
 def test_a_fault_becomes_a_sentence_about_its_file():
-    with pytest.raises(FmuError, match=r"^FMU a/b\.fmu: .*end the simulation at t = 2 s\.$"), faults_of(Path("a/b.fmu")):
+    with (
+        pytest.raises(FmuError, match=r"^FMU a/b\.fmu: .*end the simulation at t = 2 s\.$"),
+        faults_of(Path("a/b.fmu")),
+    ):
         raise TerminationRequested(2.0)
 
 
@@ -431,7 +549,9 @@ def test_an_ability_is_claimed_by_the_interface_that_says_so(said: str | None):
     given = {} if said is None else {"can": said}
     description = SimpleNamespace(modelExchange="me", coSimulation="cs")
     kinds: dict[str, dict[str, str]] = {"CoSimulation": given, "ModelExchange": {}}
-    package = Package(path=Path("x"), digest="d", version="3.0", kinds=kinds, unpacked=0, description=description)
+    package = Package(
+        path=Path("x"), digest="d", version="3.0", kinds=kinds, unpacked=0, description=description
+    )
     assert package.can("CoSimulation", "can") is (said in ("true", "1"))
     assert not package.can("ModelExchange", "can")
     assert not package.can("ScheduledExecution", "can")

@@ -34,7 +34,9 @@ def _edited(content: dict[str, bytes], edits: Sequence[Edit]) -> dict[str, bytes
     changed = dict(content)
     for name, old, new in edits:
         text = changed[name].decode()
-        assert old in text, f"{name} does not contain {old!r} any more: the defect must be seeded elsewhere"
+        assert old in text, (
+            f"{name} does not contain {old!r} any more: the defect must be seeded elsewhere"
+        )
         changed[name] = text.replace(old, new, 1).encode()
     return changed
 
@@ -49,7 +51,9 @@ def _compiled(content: dict[str, bytes], folder: Path) -> dict[str, bytes]:
     }
     includes = sorted({Path(name).parent for name in sources} - {Path()})
     library = folder / "defective.so"
-    compile_shared(find_compiler(), sources, library, extra_flags=["-w", "-O0"], include_dirs=includes)
+    compile_shared(
+        find_compiler(), sources, library, extra_flags=["-w", "-O0"], include_dirs=includes
+    )
     return content | {binary: library.read_bytes()}
 
 
@@ -76,9 +80,15 @@ def sound_content() -> Callable[[str], dict[str, bytes]]:
 def must_find(defective: Callable[..., Path]) -> Callable[..., None]:
     """must_find(defect, check, words, edits, version): the check of that name must fail with these words in its sentence."""
 
-    def find(defect: str, check: str, words: str, edits: Sequence[Edit], version: str = "2.0") -> None:
-        report = check_fmu(defective(edits, version), names=[check], seconds=1.5 if "hangs" in defect else 20.0)
-        found = [row.sentence for row in report.rows if row.name == check and row.status is Status.FAILED]
+    def find(
+        defect: str, check: str, words: str, edits: Sequence[Edit], version: str = "2.0"
+    ) -> None:
+        report = check_fmu(
+            defective(edits, version), names=[check], seconds=1.5 if "hangs" in defect else 20.0
+        )
+        found = [
+            row.sentence for row in report.rows if row.name == check and row.status is Status.FAILED
+        ]
         assert found, [(row.name, row.type, row.status.value, row.sentence) for row in report.rows]
         assert words in " ".join(found), found
 

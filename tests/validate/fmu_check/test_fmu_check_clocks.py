@@ -27,7 +27,11 @@ _INTERVAL = """    (void)vr, (void)nvr, (void)instance;
     return fmi3OK;
 """
 _EDITS = (
-    ("modelDescription.xml", "  <CoSimulation", '  <ScheduledExecution modelIdentifier="three_cart"/>\n  <CoSimulation'),
+    (
+        "modelDescription.xml",
+        "  <CoSimulation",
+        '  <ScheduledExecution modelIdentifier="three_cart"/>\n  <CoSimulation',
+    ),
     (
         "modelDescription.xml",
         "  <ModelVariables>\n",
@@ -46,16 +50,21 @@ _EDITS = (
         "    clock_update = clockUpdate, lock = lockPreemption, unlock = unlockPreemption, environment = instanceEnvironment;\n"
         '    return new_instance(&draft, "fmi3InstantiateScheduledExecution", instanceName, instantiationToken, "instantiation token");\n',
     ),
-    ("sources/fmi3_absent.h", '    (void)clockReference, (void)activationTime;\n    return not_offered(instance, "fmi3ActivateModelPartition", NO_CLOCKS);\n', _ACTIVATE),
+    (
+        "sources/fmi3_absent.h",
+        '    (void)clockReference, (void)activationTime;\n    return not_offered(instance, "fmi3ActivateModelPartition", NO_CLOCKS);\n',
+        _ACTIVATE,
+    ),
     (
         "sources/fmi3_absent.h",
         '    (void)vr, (void)nvr, (void)intervals, (void)qualifiers;\n    return not_offered(instance, "fmi3GetIntervalDecimal", NO_CLOCKS);\n',
         _INTERVAL,
     ),
-)  # fmt: skip
+)
 
 
-# Ticks in Event Mode: `beat` counts itself in `sum`, every fifth makes `done` tick, each makes `after` tick 4 ms later; `pulse` takes `given`.
+# Ticks in Event Mode: `beat` counts itself in `sum`, every fifth makes `done` tick, each makes
+# `after` tick 4 ms later; `pulse` takes `given`.
 _CLOCKS = """    <Clock name="beat" valueReference="901" causality="input" intervalVariability="constant" intervalDecimal="0.01" shiftDecimal="0.005"/>
     <Clock name="pulse" valueReference="902" causality="input" intervalVariability="triggered"/>
     <Clock name="done" valueReference="903" causality="output" intervalVariability="triggered"/>
@@ -112,21 +121,59 @@ _ENDED = "    ((Instance *)instance)->beat = ((Instance *)instance)->pulse = ((I
 _ABSENT = "sources/fmi3_absent.h"
 _TICKING = (
     ("modelDescription.xml", "  <ModelVariables>\n", f"  <ModelVariables>\n{_CLOCKS}"),
-    ("modelDescription.xml", "  <ModelStructure>\n", '  <ModelStructure>\n    <Output valueReference="903"/>\n    <Output valueReference="905"/>\n'),
-    ("modelDescription.xml", "    <EventIndicator ", '    <InitialUnknown valueReference="903"/>\n    <EventIndicator '),
-    ("sources/instance.h", "    int log_events;\n", "    int log_events;\n    int beat, pulse, done, sum, given, wait;\n"),
+    (
+        "modelDescription.xml",
+        "  <ModelStructure>\n",
+        '  <ModelStructure>\n    <Output valueReference="903"/>\n    <Output valueReference="905"/>\n',
+    ),
+    (
+        "modelDescription.xml",
+        "    <EventIndicator ",
+        '    <InitialUnknown valueReference="903"/>\n    <EventIndicator ',
+    ),
+    (
+        "sources/instance.h",
+        "    int log_events;\n",
+        "    int log_events;\n    int beat, pulse, done, sum, given, wait;\n",
+    ),
     (_ABSENT, "NO_VARIABLES(Int32)\n", _INT32),
-    (_ABSENT, '    (void)vr, (void)values;\n    return said(no_variables(instance, "fmi3GetClock", "Clock", nvr));\n', _GET_CLOCK),
-    (_ABSENT, '    (void)vr, (void)values;\n    return said(no_variables(instance, "fmi3SetClock", "Clock", nvr));\n', _SET_CLOCK),
-    (_ABSENT, '    (void)vr, (void)nvr, (void)intervals, (void)qualifiers;\n    return not_offered(instance, "fmi3GetIntervalDecimal", NO_CLOCKS);\n', _WAITS),
-    (_ABSENT, '    (void)vr, (void)nvr, (void)counters, (void)resolutions, (void)qualifiers;\n    return not_offered(instance, "fmi3GetIntervalFraction", NO_CLOCKS);\n', _FRACTION),
-    (_ABSENT, '    (void)vr, (void)nvr, (void)shifts;\n    return not_offered(instance, "fmi3GetShiftDecimal", NO_CLOCKS);\n', _SHIFT),
-    ("sources/fmi3.c", '    *nextEventTime = 0.0;\n    return said(update_discrete_states(self, "fmi3UpdateDiscreteStates"));\n', f'    *nextEventTime = 0.0;\n{_ENDED}    return said(update_discrete_states(self, "fmi3UpdateDiscreteStates"));\n'),
-)  # fmt: skip
+    (
+        _ABSENT,
+        '    (void)vr, (void)values;\n    return said(no_variables(instance, "fmi3GetClock", "Clock", nvr));\n',
+        _GET_CLOCK,
+    ),
+    (
+        _ABSENT,
+        '    (void)vr, (void)values;\n    return said(no_variables(instance, "fmi3SetClock", "Clock", nvr));\n',
+        _SET_CLOCK,
+    ),
+    (
+        _ABSENT,
+        '    (void)vr, (void)nvr, (void)intervals, (void)qualifiers;\n    return not_offered(instance, "fmi3GetIntervalDecimal", NO_CLOCKS);\n',
+        _WAITS,
+    ),
+    (
+        _ABSENT,
+        '    (void)vr, (void)nvr, (void)counters, (void)resolutions, (void)qualifiers;\n    return not_offered(instance, "fmi3GetIntervalFraction", NO_CLOCKS);\n',
+        _FRACTION,
+    ),
+    (
+        _ABSENT,
+        '    (void)vr, (void)nvr, (void)shifts;\n    return not_offered(instance, "fmi3GetShiftDecimal", NO_CLOCKS);\n',
+        _SHIFT,
+    ),
+    (
+        "sources/fmi3.c",
+        '    *nextEventTime = 0.0;\n    return said(update_discrete_states(self, "fmi3UpdateDiscreteStates"));\n',
+        f'    *nextEventTime = 0.0;\n{_ENDED}    return said(update_discrete_states(self, "fmi3UpdateDiscreteStates"));\n',
+    ),
+)
 
 
 @pytest.mark.slow
-def test_clocks_tick_in_events_and_what_is_clocked_is_read_then_only(defective: Callable[..., Path]):
+def test_clocks_tick_in_events_and_what_is_clocked_is_read_then_only(
+    defective: Callable[..., Path],
+):
     """Twenty beats from 5 ms on until 0.2 s, the countdown 4 ms after each, a fixed clock at 1, 26, .. 176 ms, pulses every 20 ms; no other check minds the clocks."""
     report = check_fmu(defective(_TICKING, "3.0"))
     assert not report.failures(), [(row.title, row.sentence) for row in report.failures()]
@@ -134,7 +181,13 @@ def test_clocks_tick_in_events_and_what_is_clocked_is_read_then_only(defective: 
     assert [row.type for row in found] == ["ME", "CS"]
     for row in found:
         assert row.status is Status.PASSED, row.sentence
-        for words in ("beat 20 times", "pulse 10 times", "done 4 times", "after 20 times", "often 8 times"):
+        for words in (
+            "beat 20 times",
+            "pulse 10 times",
+            "done 4 times",
+            "after 20 times",
+            "often 8 times",
+        ):
             assert words in row.sentence, row.sentence
 
 
@@ -142,18 +195,42 @@ def test_clocks_tick_in_events_and_what_is_clocked_is_read_then_only(defective: 
 @pytest.mark.parametrize(
     ("words", "old", "new"),
     [
-        ("done is still active after fmi3UpdateDiscreteStates at t = 0.045 s", "->done = 0;", "->pulse;"),
-        ("beat ticks at t = 0.015 s its variables cannot be read", "        if (self->model.phase != PHASE_INIT", "        if (self->sum == 2) return fmi3Error;\n        if (self->model.phase != PHASE_INIT"),
-        ("beat cannot be activated at t = 0.025 s", "        if (!values[i]) return", "        if (self->sum == 2 && vr[i] == 901) return"),
-        ("interval of often is told as 0.025 s, and as the fraction 1/50", "resolutions[0] = 40", "resolutions[0] = 50"),
+        (
+            "done is still active after fmi3UpdateDiscreteStates at t = 0.045 s",
+            "->done = 0;",
+            "->pulse;",
+        ),
+        (
+            "beat ticks at t = 0.015 s its variables cannot be read",
+            "        if (self->model.phase != PHASE_INIT",
+            "        if (self->sum == 2) return fmi3Error;\n        if (self->model.phase != PHASE_INIT",
+        ),
+        (
+            "beat cannot be activated at t = 0.025 s",
+            "        if (!values[i]) return",
+            "        if (self->sum == 2 && vr[i] == 901) return",
+        ),
+        (
+            "interval of often is told as 0.025 s, and as the fraction 1/50",
+            "resolutions[0] = 40",
+            "resolutions[0] = 50",
+        ),
         ("interval of often is not yet known", "vr[i] == 907 || self->wait", "self->wait"),
         ("shift of often is told as -0.001 s", "0.001", "-0.001"),
         ("a second run", "self->sum++", "self->sum += turns++"),
     ],
-)  # fmt: skip
-def test_a_defect_of_ticks_is_found_in_either_interface(words: str, old: str, new: str, defective: Callable[..., Path]):
+)
+def test_a_defect_of_ticks_is_found_in_either_interface(
+    words: str, old: str, new: str, defective: Callable[..., Path]
+):
     edits = [
-        (name, before, after.replace(old, new).replace(_SET_CLOCK[:28], f"    static int turns;\n    (void)turns;\n{_SET_CLOCK[:28]}"))
+        (
+            name,
+            before,
+            after.replace(old, new).replace(
+                _SET_CLOCK[:28], f"    static int turns;\n    (void)turns;\n{_SET_CLOCK[:28]}"
+            ),
+        )
         for name, before, after in _TICKING
     ]
     assert any(old in after for _, _, after in _TICKING)
@@ -162,11 +239,15 @@ def test_a_defect_of_ticks_is_found_in_either_interface(words: str, old: str, ne
         for row in check_fmu(defective(edits, "3.0"), names=["clocks tick in Event Mode"]).rows
         if row.name == "clocks tick in Event Mode"
     ]
-    assert [(row.status, words in row.sentence) for row in found] == [(Status.FAILED, True)] * 2, [row.sentence for row in found]
+    assert [(row.status, words in row.sentence) for row in found] == [(Status.FAILED, True)] * 2, [
+        row.sentence for row in found
+    ]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("old", "new"), [('resolution="100"', 'resolution="0"'), ('priority="1"', 'priority="first"')])
+@pytest.mark.parametrize(
+    ("old", "new"), [('resolution="100"', 'resolution="0"'), ('priority="1"', 'priority="first"')]
+)
 def test_a_clock_whose_numbers_are_none_is_told(old: str, new: str, must_find: Callable[..., None]):
     edits = [(name, before, after.replace(old, new)) for name, before, after in _EDITS]
     must_find(new, _NAME, "of a clock is no number", edits, "3.0")
@@ -193,13 +274,20 @@ def test_clocks_tick_and_countdowns_follow(defective: Callable[..., Path]):
     ("words", "old", "new"),
     [
         ("1 locks of preemption are not given back", "    unlock();\n", ""),
-        ("the partition of beat cannot be activated at t = 0.01 s", "    lock();\n", "    if (clockReference == 901 && activationTime > 0.0) return fmi3Error;\n    lock();\n"),
+        ("the partition of beat cannot be activated at t = 0.01 s", "    lock();\n",
+         "    if (clockReference == 901 && activationTime > 0.0) return fmi3Error;\n    lock();\n"),
         ("the interval of after has the qualifier 7", "fmi3IntervalChanged", "7"),
         ("the interval of after is told as -1 s", "0.004", "-1.0"),
-        ("a second run", "    lock();\n", "    static int turns;\n    self->model.v[0] += 1e-9 * turns++;\n    lock();\n"),
+        ("a second run", "    lock();\n",
+         "    static int turns;\n    self->model.v[0] += 1e-9 * turns++;\n    lock();\n"),
     ],
 )  # fmt: skip
-def test_a_defect_of_clocks_is_found(words: str, old: str, new: str, must_find: Callable[..., None]):
-    edits = [(name, before, after.replace(old, new) if after in (_ACTIVATE, _INTERVAL) else after) for name, before, after in _EDITS]
+def test_a_defect_of_clocks_is_found(
+    words: str, old: str, new: str, must_find: Callable[..., None]
+):
+    edits = [
+        (name, before, after.replace(old, new) if after in (_ACTIVATE, _INTERVAL) else after)
+        for name, before, after in _EDITS
+    ]
     assert any(old in after for _, _, after in _EDITS)
     must_find(words, _NAME, words, edits, "3.0")

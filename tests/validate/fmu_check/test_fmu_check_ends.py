@@ -1,4 +1,7 @@
-"""An FMU that ends the simulation itself is run again, and shorter: that is no failure. One that never makes a step is."""
+"""An FMU that ends the simulation itself is run again, and shorter: that is no failure.
+
+One that never makes a step is.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +13,13 @@ from validate.fmu_check import Status, check_fmu
 _FILE = "sources/fmi2.c"
 _ANSWER = "fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value)\n{\n"
 _STEP = "    int event;\n    return said(do_step("
-_NAMES = ("values stay finite", "runs repeat", "set state restores", "serialised state loads elsewhere", "reset equals a fresh instance")
+_NAMES = (
+    "values stay finite",
+    "runs repeat",
+    "set state restores",
+    "serialised state loads elsewhere",
+    "reset equals a fresh instance",
+)
 
 
 def ending_at(time: float) -> tuple[tuple[str, str, str], ...]:
@@ -21,7 +30,11 @@ def ending_at(time: float) -> tuple[tuple[str, str, str], ...]:
             _STEP,
             f"    int event;\n    if (((Instance *)c)->model.time > {time} - 1e-9) return fmi2Discard;\n    return said(do_step(",
         ),
-        (_FILE, _ANSWER, f"{_ANSWER}    if (c && s == fmi2Terminated) {{ *value = fmi2True; return fmi2OK; }}\n"),
+        (
+            _FILE,
+            _ANSWER,
+            f"{_ANSWER}    if (c && s == fmi2Terminated) {{ *value = fmi2True; return fmi2OK; }}\n",
+        ),
     )
 
 
@@ -42,10 +55,18 @@ def test_an_end_before_the_first_step_is_one(defective: Callable[..., Path]):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("declared", "status"), [("", Status.FAILED), ('fixedInternalStepSize="0.1" ', Status.ADVICE)])
-def test_a_step_below_the_one_made_inside_is_advice_where_that_is_declared(defective: Callable[..., Path], declared: str, status: Status):
+@pytest.mark.parametrize(
+    ("declared", "status"), [("", Status.FAILED), ('fixedInternalStepSize="0.1" ', Status.ADVICE)]
+)
+def test_a_step_below_the_one_made_inside_is_advice_where_that_is_declared(
+    defective: Callable[..., Path], declared: str, status: Status
+):
     edits = (
-        ("sources/fmi3.c", "*lastSuccessfulTime = self->model.time;", "*lastSuccessfulTime = 0.1 * (int)(10.0 * self->model.time + 1e-9);"),
+        (
+            "sources/fmi3.c",
+            "*lastSuccessfulTime = self->model.time;",
+            "*lastSuccessfulTime = 0.1 * (int)(10.0 * self->model.time + 1e-9);",
+        ),
         ("modelDescription.xml", "<CoSimulation", f"<CoSimulation {declared}"),
     )
     report = check_fmu(defective(edits, "3.0"), names=["time after a step"])

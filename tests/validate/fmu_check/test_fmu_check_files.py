@@ -31,17 +31,30 @@ def _pack(path: Path, content: dict[str, bytes], method: int = zipfile.ZIP_DEFLA
 
 def _sentence(path: Path, check: str = "archive") -> str:
     report = check_fmu(path, names=_STATIC)
-    return " ".join(row.sentence for row in report.rows if row.name == check and row.status is Status.FAILED)
+    return " ".join(
+        row.sentence for row in report.rows if row.name == check and row.status is Status.FAILED
+    )
 
 
 @pytest.mark.parametrize(
-    ("name", "words"), [("../outside.txt", "leads out"), ("/tmp/outside.txt", "absolute path"), ("sources\\model.h", "backslash")]
+    ("name", "words"),
+    [
+        ("../outside.txt", "leads out"),
+        ("/tmp/outside.txt", "absolute path"),
+        ("sources\\model.h", "backslash"),
+    ],
 )
-def test_entry_with_a_name_that_is_not_unpacked(tmp_path: Path, sound_content, name: str, words: str):
+def test_entry_with_a_name_that_is_not_unpacked(
+    tmp_path: Path, sound_content, name: str, words: str
+):
     content = sound_content("2.0") | {name: b"x"}
     report = check_fmu(_pack(tmp_path / "bad.fmu", content))
-    assert [(row.name, words in row.sentence) for row in report.rows if row.status is Status.FAILED] == [("archive", True)]
-    assert all(row.status is Status.NOT_OFFERED for row in report.rows[1:]), "what is unsafe is not unpacked"
+    assert [
+        (row.name, words in row.sentence) for row in report.rows if row.status is Status.FAILED
+    ] == [("archive", True)]
+    assert all(row.status is Status.NOT_OFFERED for row in report.rows[1:]), (
+        "what is unsafe is not unpacked"
+    )
 
 
 def test_link(tmp_path: Path, sound_content):
@@ -57,7 +70,9 @@ def test_link(tmp_path: Path, sound_content):
 
 @pytest.mark.slow
 def test_compression_method(tmp_path: Path, sound_content):
-    assert "other than deflate" in _sentence(_pack(tmp_path / "bad.fmu", sound_content("2.0"), method=zipfile.ZIP_LZMA))
+    assert "other than deflate" in _sentence(
+        _pack(tmp_path / "bad.fmu", sound_content("2.0"), method=zipfile.ZIP_LZMA)
+    )
 
 
 def test_no_schema(defective: Callable[..., Path]):
@@ -69,13 +84,19 @@ def test_binary_that_is_none(tmp_path: Path, sound_content):
     content = sound_content("2.0")
     binary = next(name for name in content if name.startswith("binaries/"))
     content[binary] = b"MZ not what it should be"
-    assert "does not begin like an ELF file" in _sentence(_pack(tmp_path / "bad.fmu", content), "exported functions")
+    assert "does not begin like an ELF file" in _sentence(
+        _pack(tmp_path / "bad.fmu", content), "exported functions"
+    )
 
 
 @pytest.mark.slow
 def test_other_platform_only(tmp_path: Path, sound_content, cli):
-    content = {name: data for name, data in sound_content("2.0").items() if not name.startswith("sources/")}
-    content["modelDescription.xml"] = re.sub(rb"<SourceFiles>.*?</SourceFiles>", b"", content["modelDescription.xml"], flags=re.DOTALL)
+    content = {
+        name: data for name, data in sound_content("2.0").items() if not name.startswith("sources/")
+    }
+    content["modelDescription.xml"] = re.sub(
+        rb"<SourceFiles>.*?</SourceFiles>", b"", content["modelDescription.xml"], flags=re.DOTALL
+    )
     binary = next(name for name in content if name.startswith("binaries/"))
     content["binaries/win64/three_cart.dll"] = content.pop(binary)
     path = _pack(tmp_path / "other.fmu", content)
@@ -110,7 +131,10 @@ def test_no_description(tmp_path: Path):
 
 
 def test_unknown_check(tmp_path: Path):
-    with pytest.raises(UnknownNameError, match=r"there is no check 'Stop time'; did you mean stop time is respected\?"):
+    with pytest.raises(
+        UnknownNameError,
+        match=r"there is no check 'Stop time'; did you mean stop time is respected\?",
+    ):
         check_fmu(_pack(tmp_path / "any.fmu", {}), names=["Stop time"])
     with pytest.raises(UnknownNameError, match="there is no check 'time'; there are: archive, "):
         check_fmu(_pack(tmp_path / "any.fmu", {}), names=["time"])
@@ -119,14 +143,18 @@ def test_unknown_check(tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_command_in_json_and_plain(tmp_path: Path, sound_content, defective: Callable[..., Path], cli):
+def test_command_in_json_and_plain(
+    tmp_path: Path, sound_content, defective: Callable[..., Path], cli
+):
     path = _pack(tmp_path / "sound.fmu", sound_content("2.0"))
     done = cli("check", str(path), "--only", "start values are the XML's", "--json")
     assert done.returncode == 0, done.stderr
     data = json.loads(done.stdout)
     assert data["ok"]
     assert data["fmi"] == "2.0"
-    assert [row["check"] for row in data["rows"] if row["status"] == "passed"].count("start values are the XML's") == 2
+    assert [row["check"] for row in data["rows"] if row["status"] == "passed"].count(
+        "start values are the XML's"
+    ) == 2
     done = cli("check", str(defective([_OTHER_START])), "--only", "start values are the XML's")
     assert done.returncode == 1
     assert not unsaid(done.stdout, "k is 30 in the binary, 31")
@@ -134,8 +162,13 @@ def test_command_in_json_and_plain(tmp_path: Path, sound_content, defective: Cal
 
 
 @pytest.mark.slow
-def test_command_writes_a_page_and_junit_of_several(tmp_path: Path, sound_content, defective: Callable[..., Path], cli):
-    sound, bad = _pack(tmp_path / "sound.fmu", sound_content("2.0")), defective([_OTHER_START]).rename(tmp_path / "b<a>d.fmu")
+def test_command_writes_a_page_and_junit_of_several(
+    tmp_path: Path, sound_content, defective: Callable[..., Path], cli
+):
+    sound, bad = (
+        _pack(tmp_path / "sound.fmu", sound_content("2.0")),
+        defective([_OTHER_START]).rename(tmp_path / "b<a>d.fmu"),
+    )
     page, junit = tmp_path / "new" / "check.html", tmp_path / "new" / "check.xml"
     only = ("--only", "start values are the XML's", "--only", "adjoint derivatives")
     done = cli("check", str(sound), str(bad), *only, "--html", str(page), "--junit", str(junit))
@@ -152,7 +185,10 @@ def test_command_writes_a_page_and_junit_of_several(tmp_path: Path, sound_conten
 
     suites = ElementTree.parse(junit).getroot()
     assert [suite.get("name") for suite in suites] == [str(sound), str(bad)]
-    assert [(suite.get("failures"), suite.get("skipped")) for suite in suites] == [("0", "2"), ("2", "2")]
+    assert [(suite.get("failures"), suite.get("skipped")) for suite in suites] == [
+        ("0", "2"),
+        ("2", "2"),
+    ]
     for suite in suites:
         cases = suite.findall("testcase")
         assert len(cases) == int(suite.get("tests", "")) == 6
@@ -182,7 +218,13 @@ def test_command_needs_neither_solver_nor_torch(cli_environment):
     import sys
 
     code = "import sys, validate.cli.check, validate.fmu_check; print([name for name in ('pyomo', 'torch', 'formulations') if name in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], env=cli_environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=cli_environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert done.stdout.strip() == "[]", done.stderr
 
 
@@ -194,7 +236,9 @@ def test_elf_of_our_own(sound_content):
     assert "fmi3GetAdjointDerivative" in library.exported
     assert not any(name.startswith("scene_") for name in library.exported)
     other = data[:4] + b"\1\2" + data[6:18] + b"\0\3" + data[20:]
-    assert (read_library(other).machine, read_library(other).exported) == ("x86", frozenset()), "of 32 bits, big end first"
+    assert (read_library(other).machine, read_library(other).exported) == ("x86", frozenset()), (
+        "of 32 bits, big end first"
+    )
     for broken in (b"", b"\x7fELF", data[:100], b"\x7fELF" + bytes(60)):
         with pytest.raises(NotElf):
             read_library(broken)
@@ -202,15 +246,26 @@ def test_elf_of_our_own(sound_content):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
-def test_an_fmu_of_sources_is_compiled_and_then_checked(version: str, sound_content: Callable[[str], dict[str, bytes]], tmp_path: Path):
-    content = {name: data for name, data in sound_content(version).items() if not name.startswith("binaries/")}
-    report = check_fmu(_pack(tmp_path / "sources.fmu", content), names=["sources compile", "values stay finite"])
+def test_an_fmu_of_sources_is_compiled_and_then_checked(
+    version: str, sound_content: Callable[[str], dict[str, bytes]], tmp_path: Path
+):
+    content = {
+        name: data
+        for name, data in sound_content(version).items()
+        if not name.startswith("binaries/")
+    }
+    report = check_fmu(
+        _pack(tmp_path / "sources.fmu", content), names=["sources compile", "values stay finite"]
+    )
     found = {(row.name, row.type): row.status for row in report.rows}
     assert found["sources compile", "ME"] is Status.PASSED
     assert found["values stay finite", "CS"] is Status.PASSED
     assert not report.unrunnable
     name = "sources/equations.h"
-    report = check_fmu(_pack(tmp_path / "broken.fmu", content | {name: content[name] + b"\n#error no\n"}), names=["sources compile"])
+    report = check_fmu(
+        _pack(tmp_path / "broken.fmu", content | {name: content[name] + b"\n#error no\n"}),
+        names=["sources compile"],
+    )
     (row,) = [row for row in report.rows if (row.name, row.type) == ("sources compile", "ME")]
     assert row.status is Status.FAILED
     assert "sources/equations.h" in row.sentence
@@ -220,23 +275,40 @@ def test_an_fmu_of_sources_is_compiled_and_then_checked(version: str, sound_cont
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "legal"),
-    [("a.b[1,2].c", True), ("der(a.b)", True), ("'x y'.z", True), ("a..b", False), ("1a", False), ("der(a", False), ("a[b]", False), ("a b", False)],
+    [("a.b[1,2].c", True), ("der(a.b)", True), ("'x y'.z", True), ("a..b", False), ("1a", False),
+     ("der(a", False), ("a[b]", False), ("a b", False)],
 )  # fmt: skip
-def test_a_structured_name_is_legal_or_told_however_it_is_found_out(name: str, legal: bool, defective: Callable[..., Path]):
+def test_a_structured_name_is_legal_or_told_however_it_is_found_out(
+    name: str, legal: bool, defective: Callable[..., Path]
+):
     """FMPy's parser takes a millisecond a name, and is asked about those alone that are not plain."""
     path = defective([("modelDescription.xml", 'name="kinetic_energy"', f'name="{name}"')], "3.0")
-    (row,) = [row for row in check_fmu(path, names=["description is valid"]).rows if row.name == "description is valid"]
+    (row,) = [
+        row
+        for row in check_fmu(path, names=["description is valid"]).rows
+        if row.name == "description is valid"
+    ]
     assert ("is not a legal variable name" in row.sentence) is not legal, row.sentence
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
-def test_nothing_is_compiled_or_loaded_outside_the_folder(version: str, sound_content: Callable[[str], dict[str, bytes]], tmp_path: Path):
+def test_nothing_is_compiled_or_loaded_outside_the_folder(
+    version: str, sound_content: Callable[[str], dict[str, bytes]], tmp_path: Path
+):
     outside = f"../../../../../../../..{tmp_path}/escaped"
-    content = {name: data for name, data in sound_content(version).items() if not name.startswith("binaries/")}
+    content = {
+        name: data
+        for name, data in sound_content(version).items()
+        if not name.startswith("binaries/")
+    }
     for name in ("modelDescription.xml", "sources/buildDescription.xml"):
         content |= (
-            {name: content[name].replace(b'modelIdentifier="three_cart"', f'modelIdentifier="{outside}"'.encode())}
+            {
+                name: content[name].replace(
+                    b'modelIdentifier="three_cart"', f'modelIdentifier="{outside}"'.encode()
+                )
+            }
             if name in content
             else {}
         )
@@ -244,8 +316,14 @@ def test_nothing_is_compiled_or_loaded_outside_the_folder(version: str, sound_co
     report = check_fmu(path)
     found = {row.name: row for row in report.rows}
     assert found["description is valid"].status is Status.FAILED
-    assert not unsaid(found["description is valid"].sentence, f"modelIdentifier is '{outside[:40]}", "expected a C identifier")
-    assert {row.status for row in report.rows if row.name not in ("archive", "description is valid")} == {Status.NOT_OFFERED}
+    assert not unsaid(
+        found["description is valid"].sentence,
+        f"modelIdentifier is '{outside[:40]}",
+        "expected a C identifier",
+    )
+    assert {
+        row.status for row in report.rows if row.name not in ("archive", "description is valid")
+    } == {Status.NOT_OFFERED}
     assert [item.name for item in tmp_path.iterdir()] == ["sources.fmu"]
 
 
@@ -255,7 +333,8 @@ def test_a_check_of_files_needs_no_integrator(tmp_path: Path, monkeypatch: pytes
 
     monkeypatch.setattr(cvode, "functions", missing)
     (tmp_path / "told").touch()
-    request = {"path": str(tmp_path / "m.fmu"), "folder": str(tmp_path), "told": str(tmp_path / "told"), "version": "2.0", "seconds": 1.0, "runnable": False}  # fmt: skip
+    request = {"path": str(tmp_path / "m.fmu"), "folder": str(tmp_path),
+               "told": str(tmp_path / "told"), "version": "2.0", "seconds": 1.0, "runnable": False}  # fmt: skip
     assert run_checks({**request, "names": _STATIC[:1]}, {})["types"] == []
     with pytest.raises(MachineError, match="CVODE"):
         run_checks({**request, "names": list(NAMES)}, {})

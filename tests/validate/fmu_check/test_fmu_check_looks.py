@@ -41,7 +41,13 @@ def thrown(steps_to_wall: float) -> Scene:
                 damping_law=DampingLaw.KELVIN_VOIGT,
             ),
         ),
-        task=Task(start=(-steps_to_wall * STEP, 1.0), goal=(None, None), running_cost=sp.Integer(0), step=STEP, steps=40),
+        task=Task(
+            start=(-steps_to_wall * STEP, 1.0),
+            goal=(None, None),
+            running_cost=sp.Integer(0),
+            step=STEP,
+            steps=40,
+        ),
     )
 
 

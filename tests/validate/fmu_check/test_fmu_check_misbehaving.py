@@ -12,16 +12,24 @@ from validate.fmu_check import Status, check_fmu
 
 pytestmark = pytest.mark.process
 
-_RUN, _HOST, _FIRST = "values stay finite", "leaves its host as it was", "starts and ends"
-# Mode -> the check that fails, and words of its sentence; a bad end comes in the first check of Co-Simulation already.
+_RUN = "values stay finite"
+_HOST = "leaves its host as it was"
+_FIRST = "starts and ends"
+# Mode -> the check that fails, and words of its sentence; a bad end comes in the first check of
+# Co-Simulation already.
 _ENDS = {
-    "hang": "it hung", "segfault": "SIGSEGV", "exit": "exit code 0", "abort": "SIGABRT", "memory": "", "fatal": "status 4 (fatal)", "kills_parent": "SIGKILL",
-    "kills_group": "SIGKILL", "overflow": "SIGSEGV", "trap": "SIGFPE", "stops": "it hung", "alarm": "SIGALRM", "fills": "", "leaves_at_once": "exit code 0",
+    "hang": "it hung", "segfault": "SIGSEGV", "exit": "exit code 0", "abort": "SIGABRT",
+    "memory": "", "fatal": "status 4 (fatal)", "kills_parent": "SIGKILL",
+    "kills_group": "SIGKILL", "overflow": "SIGSEGV", "trap": "SIGFPE", "stops": "it hung",
+    "alarm": "SIGALRM", "fills": "", "leaves_at_once": "exit code 0",
     "killed": "SIGKILL", "descriptors": "exit code 1",
 }  # fmt: skip
 _CHANGES = {
-    "garbage": "prints on the standard output", "fork": "behind", "chdir": "the working folder is /,", "closes": "file descriptor 0 is closed", "signals": "the handler of SIGHUP",
-    "environment": "is gone", "rounding": "upward", "daemon": "behind", "file": "'left.txt' is new or changed", "thread": "1 thread", "mask": "777", "shell": "behind",
+    "garbage": "prints on the standard output", "fork": "behind",
+    "chdir": "the working folder is /,", "closes": "file descriptor 0 is closed",
+    "signals": "the handler of SIGHUP",
+    "environment": "is gone", "rounding": "upward", "daemon": "behind",
+    "file": "'left.txt' is new or changed", "thread": "1 thread", "mask": "777", "shell": "behind",
 }  # fmt: skip
 _FAILS = (
     {mode: (_FIRST, words) for mode, words in _ENDS.items()}
@@ -36,14 +44,18 @@ def test_every_mode_is_here():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", _FAILS)
-def test_it_is_named_and_nothing_is_left(mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_it_is_named_and_nothing_is_left(
+    mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     place = tmp_path / "place"
     place.mkdir()
     monkeypatch.setenv("TEST_MARK", str(place))
     monkeypatch.setattr(tempfile, "tempdir", str(place))
     kinds = EXCHANGE if mode in ("signals", "thread", "daemon") else COSIMULATION
     name, words = _FAILS[mode]
-    report = check_fmu(build_foreign(tmp_path / "it.fmu", mode, kinds), names=[_FIRST, _HOST, _RUN], seconds=3.0)
+    report = check_fmu(
+        build_foreign(tmp_path / "it.fmu", mode, kinds), names=[_FIRST, _HOST, _RUN], seconds=3.0
+    )
     rows = {row.name: row for row in report.rows}
     assert rows[name].status is Status.FAILED, report.rows
     assert words in rows[name].sentence

@@ -9,22 +9,32 @@ from models.catalog import load_scene
 from models.fmu import build_fmu
 from validate.fmu_check import Status, check_fmu
 
-# In both versions what most scenes have; then curved contacts that are damped, friction on one of them and a mass matrix that couples; friction
-# under a load of its own; neither contacts nor inputs. A full campaign checks every scene of the catalog.
+# In both versions what most scenes have; then curved contacts that are damped, friction on one of
+# them and a mass matrix that couples; friction under a load of its own; neither contacts nor
+# inputs. A full campaign checks every scene of the catalog.
 _SCENES = Path(__file__).parents[2] / "scenes"
 _OWN = [
     ("three_cart", "2.0"),
     ("three_cart", "3.0"),
-    *((str(_SCENES / f"{name}.py"), version) for name, version in (("damped_arm", "3.0"), ("drawer", "2.0"), ("oscillator", "3.0"))),
+    *(
+        (str(_SCENES / f"{name}.py"), version)
+        for name, version in (("damped_arm", "3.0"), ("drawer", "2.0"), ("oscillator", "3.0"))
+    ),
 ]
 
 
 def _alarms(report) -> list[str]:
-    return [f"{row.name} ({row.type}): {row.sentence}" for row in report.rows if row.status is Status.FAILED]
+    return [
+        f"{row.name} ({row.type}): {row.sentence}"
+        for row in report.rows
+        if row.status is Status.FAILED
+    ]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("scene", "version"), _OWN, ids=lambda value: Path(value).stem if "/" in value else value)
+@pytest.mark.parametrize(
+    ("scene", "version"), _OWN, ids=lambda value: Path(value).stem if "/" in value else value
+)
 def test_no_alarm_on_our_own(scene: str, version: str):
     report = check_fmu(build_fmu(load_scene(scene), version))
     assert report.types == ("ME", "CS")
@@ -39,4 +49,6 @@ def test_no_alarm_on_other_models(model: Foreign, tmp_path: Path):
     for expected, status in ((model.expected, Status.PASSED), (model.untold, Status.NOT_OFFERED)):
         for name, words in expected:
             rows = [row for row in report.rows if row.name == name]
-            assert any(row.status is status and words in row.sentence for row in rows), [row.sentence for row in rows]
+            assert any(row.status is status and words in row.sentence for row in rows), [
+                row.sentence for row in rows
+            ]

@@ -25,13 +25,25 @@ STRING = '<ScalarVariable name="who" valueReference="0" causality="parameter" va
         ('"\\xff"', "me", "no text"),
     ],
 )
-def test_a_string_is_read_and_is_its_start(tmp_path: Path, given: str | None, start: str, said: str):
+def test_a_string_is_read_and_is_its_start(
+    tmp_path: Path, given: str | None, start: str, said: str
+):
     refusal = 'SELF; return n ? refuse(self, "no strings") : fmi2OK;'
-    giving = refusal if given is None else f"(void)c; for (size_t k = 0; k < n; k++) value[k] = {given}; return fmi2OK;"
+    giving = (
+        refusal
+        if given is None
+        else f"(void)c; for (size_t k = 0; k < n; k++) value[k] = {given}; return fmi2OK;"
+    )
     fmu = build_shell(FOREIGN[0], tmp_path, (refusal, giving))
-    target = edited(fmu, tmp_path / "texts.fmu", lambda text: text.replace("</ModelVariables>", f"{STRING.format(start)}</ModelVariables>"))
+    target = edited(
+        fmu,
+        tmp_path / "texts.fmu",
+        lambda text: text.replace("</ModelVariables>", f"{STRING.format(start)}</ModelVariables>"),
+    )
     report = check_fmu(target, names=["variables can be read"], seconds=300.0)
-    (row,) = (row for row in report.rows if row.name == "variables can be read" and row.type == "ME")
+    (row,) = (
+        row for row in report.rows if row.name == "variables can be read" and row.type == "ME"
+    )
     assert row.status is (Status.PASSED if start == "me" and given == '"me"' else Status.FAILED)
     assert said in row.sentence
 
@@ -46,11 +58,23 @@ def test_a_string_is_read_and_is_its_start(tmp_path: Path, given: str | None, st
 )
 def test_terminals_name_what_there_is(tmp_path: Path, old: str, new: str, said: str):
     path, target = "terminalsAndIcons/terminalsAndIcons.xml", tmp_path / "terminals.fmu"
-    with zipfile.ZipFile(build_fmu(load_scene("three_cart"), results=False)) as archive, zipfile.ZipFile(target, "w") as made:
+    with (
+        zipfile.ZipFile(build_fmu(load_scene("three_cart"), results=False)) as archive,
+        zipfile.ZipFile(target, "w") as made,
+    ):
         assert old.encode() in archive.read(path)
         for name in archive.namelist():
-            made.writestr(name, archive.read(name).replace(old.encode(), new.encode()) if name == path else archive.read(name))
-    (row,) = (row for row in check_fmu(target, names=["description is valid"]).rows if row.name == "description is valid")
+            made.writestr(
+                name,
+                archive.read(name).replace(old.encode(), new.encode())
+                if name == path
+                else archive.read(name),
+            )
+    (row,) = (
+        row
+        for row in check_fmu(target, names=["description is valid"]).rows
+        if row.name == "description is valid"
+    )
     assert row.status is Status.FAILED
     assert path in row.sentence
     assert said in row.sentence

@@ -1,4 +1,7 @@
-"""A few hostile files for every reader: each is read or refused in a sentence; `python -m benchmarks fuzz readers` tries thousands."""
+"""A few hostile files for every reader: each is read or refused in a sentence.
+
+`python -m benchmarks fuzz readers` tries thousands.
+"""
 
 from collections import Counter
 from pathlib import Path
@@ -11,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 EACH = 40
-# Seeds that ended in a traceback before they were mended: a name of no letters in a zip, a deflated entry that is damaged, an encoding that nobody knows;
-# a key of a campaign that is no file name.
+# Seeds that ended in a traceback before they were mended: a name of no letters in a zip, a deflated
+# entry that is damaged, an encoding that nobody knows; a key of a campaign that is no file name.
 MENDED = {"FMU": (16, 35, 42, 56, 915), "record JSON": (1305,)}
 
 
@@ -34,7 +37,9 @@ def test_a_hostile_file_is_read_or_refused(name: str, tmp_path: Path):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize(("name", "seed"), [(name, seed) for name, seeds in MENDED.items() for seed in seeds])
+@pytest.mark.parametrize(
+    ("name", "seed"), [(name, seed) for name, seeds in MENDED.items() for seed in seeds]
+)
 def test_what_was_mended_stays_so(name: str, seed: int, tmp_path: Path):
     assert tried(READERS[name], Random(seed), tmp_path) in ("read", "refused")
 
@@ -46,7 +51,12 @@ def test_what_is_spoilt_was_good(tmp_path: Path):
     from validate.fmu_check.files import read_library
 
     made = read_library(library())
-    assert (made.machine, made.exported, made.needed, made.glibc) == ("x86_64", {"fmi3DoStep"}, ("libc.so.6",), "2.34")
+    assert (made.machine, made.exported, made.needed, made.glibc) == (
+        "x86_64",
+        {"fmi3DoStep"},
+        ("libc.so.6",),
+        "2.34",
+    )
 
 
 def test_a_fault_is_found(tmp_path: Path):
@@ -74,7 +84,9 @@ def test_a_file_nested_without_end_is_read_or_refused(name: str, tmp_path: Path)
 
     def nested(rng: Random, folder: Path) -> Path:
         path = spoilt_folder(rng, folder)
-        (path if name == "campaign.json" else path / "runs" / KEY).joinpath(name).write_text("[" * 3000, encoding="utf-8")
+        (path if name == "campaign.json" else path / "runs" / KEY).joinpath(name).write_text(
+            "[" * 3000, encoding="utf-8"
+        )
         return path
 
     assert tried(Reader(nested, resume), Random(1), tmp_path) in ("read", "refused")

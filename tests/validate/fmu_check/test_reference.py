@@ -31,11 +31,17 @@ _CHECK = "stored results hold"
 _INTEGRATOR = Foreign(
     name="integrator",
     macros="#define NX 1\n#define NZ 0\n#define NR 3\n#define NI 0\n#define SOLVER_STEP 0.1\n#define STATE(k) ((k) + 1)\n#define RATE(k) ((k) + 2)\n",
-    code="static void start(Model *m) { (void)m; }\nstatic void calculate(Model *m) { m->r[2] = m->r[3]; }\n" + NO_EVENTS + SKIP_SLOPE,
-    reals=(("x", STATE, 'start="0"'), ("der(x)", RATE, 'derivative="2"'), ("u", 'causality="input" variability="continuous"', 'start="0"')),
+    code="static void start(Model *m) { (void)m; }\nstatic void calculate(Model *m) { m->r[2] = m->r[3]; }\n"
+    + NO_EVENTS
+    + SKIP_SLOPE,
+    reals=(
+        ("x", STATE, 'start="0"'),
+        ("der(x)", RATE, 'derivative="2"'),
+        ("u", 'causality="input" variability="continuous"', 'start="0"'),
+    ),
     states=(2,),
     experiment='startTime="0" stopTime="2" stepSize="0.1"',
-)  # fmt: skip
+)
 
 
 def _model(name: str) -> Foreign:
@@ -48,7 +54,10 @@ def _run(*arguments: object) -> Result:
 
 def _written(fmu: Path) -> tuple[Table, Table]:
     """Values and bars beside an FMU."""
-    texts = [fmu.with_name(f"{fmu.stem}{ending}").read_text(encoding="utf-8") for ending in ("_ref.csv", "_ref_error.csv")]
+    texts = [
+        fmu.with_name(f"{fmu.stem}{ending}").read_text(encoding="utf-8")
+        for ending in ("_ref.csv", "_ref_error.csv")
+    ]
     return read_table("values", texts[0]), read_table("bars", texts[1])
 
 
@@ -99,7 +108,9 @@ def test_inputs_are_lines_between_their_times_and_jump_where_a_time_is_there_twi
     values, error = _written(fmu)
     want = np.where(values.times < 1.0, 0.5 * values.times**2, 0.5)
     assert (np.abs(values.columns["x"][:, 0] - want) <= error.columns["x"][:, 0] + 1e-15).all()
-    assert read_table("in", (tmp_path / "integrator_in.csv").read_text(encoding="utf-8")).columns["u"].tolist() == [[0], [1], [0], [0]]
+    assert read_table("in", (tmp_path / "integrator_in.csv").read_text(encoding="utf-8")).columns[
+        "u"
+    ].tolist() == [[0], [1], [0], [0]]
 
 
 @pytest.mark.slow
@@ -109,11 +120,17 @@ def test_co_simulation_is_what_model_exchange_is_within_both_bars(tmp_path: Path
     (tmp_path / "cart_in.csv").write_text("time,u1\n0,0\n0.5,40\n1,40\n", encoding="utf-8")
     runs = []
     for kind in ("ME", "CS"):
-        assert _run(fmu, "--type", kind, "--stop-time", "1", "--step", "0.02", "--overwrite").exception is None
+        assert (
+            _run(fmu, "--type", kind, "--stop-time", "1", "--step", "0.02", "--overwrite").exception
+            is None
+        )
         runs.append(_written(fmu))
     (exchange, wide), (steps, narrow) = runs
     for name in ("q1", "v3"):
-        assert (np.abs(exchange.columns[name] - steps.columns[name]) <= wide.columns[name] + narrow.columns[name]).all(), name
+        assert (
+            np.abs(exchange.columns[name] - steps.columns[name])
+            <= wide.columns[name] + narrow.columns[name]
+        ).all(), name
         assert 0.0 < narrow.columns[name].max() < 1e-2
 
 
@@ -128,11 +145,17 @@ def test_what_no_step_and_no_tolerance_changes_has_no_bar(tmp_path: Path):
 
 @pytest.mark.slow
 def test_what_becomes_no_number_is_no_reference(tmp_path: Path):
-    broken = replace(_INTEGRATOR, name="broken", code=_INTEGRATOR.code.replace("= m->r[3];", "= m->r[3] > 0.5 ? 0.0 / 0.0 : m->r[3];"))
+    broken = replace(
+        _INTEGRATOR,
+        name="broken",
+        code=_INTEGRATOR.code.replace("= m->r[3];", "= m->r[3] > 0.5 ? 0.0 / 0.0 : m->r[3];"),
+    )
     fmu = build_shell(broken, tmp_path)
     (tmp_path / "in.csv").write_text("time,u\n0,0\n1,1\n2,1\n", encoding="utf-8")
     done = _run(fmu, "--type", "CS", "--input", tmp_path / "in.csv")
-    assert not unsaid(str(done.exception), "x … is nan at t = 0.6 s … no number … end the experiment before")
+    assert not unsaid(
+        str(done.exception), "x … is nan at t = 0.6 s … no number … end the experiment before"
+    )
     assert not list(tmp_path.glob("*_ref*"))
 
 
@@ -151,7 +174,9 @@ def test_a_solution_in_the_fmu_is_tried_again_and_a_number_that_is_worse_is_name
     assert not list(tmp_path.glob("*_ref*"))
     assert _row(fmu).status is Status.NOT_OFFERED
     row = _row(carrier)
-    assert (row.status, "within its error bars" in row.sentence) == (Status.PASSED, True), row.sentence
+    assert (row.status, "within its error bars" in row.sentence) == (Status.PASSED, True), (
+        row.sentence
+    )
     with zipfile.ZipFile(carrier) as archive:
         content = {name: archive.read(name) for name in archive.namelist()}
     name = f"{FOLDER}/dahlquist_ref.csv"
@@ -179,13 +204,19 @@ def _packed(path: Path, content: dict[str, bytes]) -> Path:
         ("time,x,y7\n0,1,1\n1,0.36,1\n", Status.FAILED, ["no variable 'y7'", "old.csv"]),
         ("time,x,xx\n0,1,\n1,0.36,\n", Status.FAILED, ["no variable 'xx'", "did you mean x?"]),
         ("time,x\n0,1\n1,oops\n", Status.FAILED, ["line 3", "'oops', no number"]),
-        ("time,x\n0,1\n1,0.3487\n", Status.ADVICE, ["x is 0.3487 at t = 1 s", "0.36787944", "how exact"]),
+        (
+            "time,x\n0,1\n1,0.3487\n",
+            Status.ADVICE,
+            ["x is 0.3487 at t = 1 s", "0.36787944", "how exact"],
+        ),
         ("time,x\n0,1\n1,7\n", Status.FAILED, ["x is 7 at t = 1 s", "plain Co-Simulation"]),
         ("time,x\n0,1\n1,0.367879441\n", Status.PASSED, ["2 times"]),
         (None, Status.ADVICE, ["names the result 'old.csv', which is not in the FMU"]),
     ],
 )
-def test_a_result_that_somebody_stored(tmp_path: Path, text: str | None, status: Status, words: list[str]):
+def test_a_result_that_somebody_stored(
+    tmp_path: Path, text: str | None, status: Status, words: list[str]
+):
     """x' = -x in steps of 0.1 s gives 0.3487 at 1 s where the truth is 0.3679."""
     fmu = build_shell(_model("dahlquist"), tmp_path)
     manifest = f'<fmiReferences xmlns:l="http://fmi-standard.org/fmi-ls-manifest" {" ".join(f"""l:fmi-ls-{name}="a" """ for name in ("name", "version", "description"))}><Related source="old.csv" role="result"/></fmiReferences>'
@@ -203,7 +234,9 @@ def test_a_result_that_somebody_stored(tmp_path: Path, text: str | None, status:
 def test_a_file_that_is_there_is_kept_unless_it_is_to_be_replaced(tmp_path: Path):
     fmu, precious = build_shell(_INTEGRATOR, tmp_path), tmp_path / "prec.csv"
     precious.write_text("precious\n")
-    assert f"{precious} is there already; give --overwrite" in str(_run(fmu, "-o", precious).exception)
+    assert f"{precious} is there already; give --overwrite" in str(
+        _run(fmu, "-o", precious).exception
+    )
     assert precious.read_text() == "precious\n"
     drive = tmp_path / "integrator_in.csv"
     drive.write_text("time,u\n0,1\n2,1\n")
@@ -220,17 +253,27 @@ def test_a_file_that_is_there_is_kept_unless_it_is_to_be_replaced(tmp_path: Path
 @pytest.mark.parametrize(
     ("experiment", "options", "words"),
     [
-        ('startTime="0" stopTime="2"', ("--step", "1e-12"), "a line every 1e-12 s makes 2e+12 lines of 2 s; a result has 5368709 at most: give a longer --step."),
+        (
+            'startTime="0" stopTime="2"',
+            ("--step", "1e-12"),
+            "a line every 1e-12 s makes 2e+12 lines of 2 s; a result has 5368709 at most: give a longer --step.",
+        ),
         ('startTime="0" stopTime="2"', ("--step", "1e-320"), "makes inf lines"),
         ('startTime="0"', (), "it does not say when its experiment ends; give --stop-time."),
-        ('startTime="1" stopTime="0"', (), "the experiment begins at 1 s, and cannot end at 0 s; give a --stop-time after"),
+        (
+            'startTime="1" stopTime="0"',
+            (),
+            "the experiment begins at 1 s, and cannot end at 0 s; give a --stop-time after",
+        ),
         ('startTime="0" stopTime="INF"', (), "cannot end at inf s"),
         ('stopTime="2"', ("--stop-time", "0"), "begins at 0 s, and cannot end at 0 s"),
         ('stopTime="abc"', (), "DefaultExperiment has stopTime='abc', which is no number"),
         ('stopTime="2" tolerance="fine"', (), "tolerance='fine', which is no number"),
     ],
-)  # fmt: skip
-def test_an_experiment_that_is_none_is_refused_in_a_sentence(tmp_path: Path, experiment: str, options: tuple[str, ...], words: str):
+)
+def test_an_experiment_that_is_none_is_refused_in_a_sentence(
+    tmp_path: Path, experiment: str, options: tuple[str, ...], words: str
+):
     fmu = build_shell(replace(_INTEGRATOR, experiment=experiment), tmp_path)
     error = _run(fmu, *options).exception
     assert isinstance(error, TouchstoneError)
@@ -239,12 +282,17 @@ def test_an_experiment_that_is_none_is_refused_in_a_sentence(tmp_path: Path, exp
 
 @pytest.mark.slow
 def test_other_readers_read_what_is_written(tmp_path: Path):
-    """FMPy reads a cross-check; the manifest keeps what it named before, and a second writing adds nothing."""
+    """FMPy reads a cross-check.
+
+    The manifest keeps what it named before, and a second writing adds nothing.
+    """
     fmu = build_shell(_model("dahlquist"), tmp_path)
     assert _run(fmu).exception is None
     options = read_ref_opt_file(tmp_path / "dahlquist_ref.opt")
     assert options == {"StartTime": 0.0, "StopTime": 10.0, "StepSize": 0.02, "RelTol": 1e-4}
-    assert read_csv(tmp_path / "dahlquist_ref.csv")["x"][-1] == pytest.approx(math.exp(-10.0), rel=1e-5)
+    assert read_csv(tmp_path / "dahlquist_ref.csv")["x"][-1] == pytest.approx(
+        math.exp(-10.0), rel=1e-5
+    )
     row = _row(fmu)
     assert (row.status, "dahlquist_ref.csv" in row.sentence) == (Status.PASSED, True), row.sentence
     assert "there already" in str(_run(fmu).exception)
@@ -253,9 +301,14 @@ def test_other_readers_read_what_is_written(tmp_path: Path):
     with (tmp_path / "dahlquist_cc.csv").open(encoding="utf-8") as file:
         assert next(csv.reader(file)) == ["time", "x"]
     with zipfile.ZipFile(fmu, "a") as archive:
-        archive.writestr(f"{FOLDER}/{MANIFEST}", '<fmiReferences><Related source="model.mo" role="model"/></fmiReferences>')
+        archive.writestr(
+            f"{FOLDER}/{MANIFEST}",
+            '<fmiReferences><Related source="model.mo" role="model"/></fmiReferences>',
+        )
     assert _run(fmu, "-o", fmu).exception is None
-    assert f"{fmu}: {FOLDER}/dahlquist_ref.csv is there already; give --overwrite" in str(_run(fmu, "-o", fmu, "--step", "1").exception)
+    assert f"{fmu}: {FOLDER}/dahlquist_ref.csv is there already; give --overwrite" in str(
+        _run(fmu, "-o", fmu, "--step", "1").exception
+    )
     assert _run(fmu, "-o", fmu, "--overwrite").exception is None
     with zipfile.ZipFile(fmu) as archive:
         root = ElementTree.fromstring(archive.read(f"{FOLDER}/{MANIFEST}"))
@@ -267,7 +320,10 @@ def test_other_readers_read_what_is_written(tmp_path: Path):
         "dahlquist_ref.opt",
         "dahlquist.exp",
     ]
-    assert root.get("{http://fmi-standard.org/fmi-ls-manifest}fmi-ls-name") == "org.fmi-standard.fmi-ls-ref"
+    assert (
+        root.get("{http://fmi-standard.org/fmi-ls-manifest}fmi-ls-name")
+        == "org.fmi-standard.fmi-ls-ref"
+    )
 
 
 @pytest.mark.parametrize(
@@ -287,7 +343,9 @@ def test_a_table_that_is_none_is_refused_in_a_sentence(text: str, words: str):
 
 
 def test_tables_keep_every_bit():
-    table = Table(np.array([0.0, 1.0 / 3.0]), {"a[1,2]": np.array([[0.1, 1e-300], [2.0 / 3.0, -0.0]])})
+    table = Table(
+        np.array([0.0, 1.0 / 3.0]), {"a[1,2]": np.array([[0.1, 1e-300], [2.0 / 3.0, -0.0]])}
+    )
     again = read_table("again", table_text(table))
     assert again.times.tobytes() == table.times.tobytes()
     assert again.columns["a[1,2]"].tobytes() == table.columns["a[1,2]"].tobytes()

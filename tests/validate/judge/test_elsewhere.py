@@ -15,7 +15,14 @@ from models.trajectory import Trajectory, uniform_grid
 from validate.judge import elsewhere as room
 from validate.judge.elsewhere import EngineVerdict, Otherwise, elsewhere
 from validate.judge.judgement import Judgement, judge
-from validate.judge.simulator import Came, Drive, EngineAnswer, describe_engine, engine_names, load_engine
+from validate.judge.simulator import (
+    Came,
+    Drive,
+    EngineAnswer,
+    describe_engine,
+    engine_names,
+    load_engine,
+)
 from validate.truth.problems import ground
 
 
@@ -25,14 +32,29 @@ def left_alone(scene: Scene, limit: float) -> Judgement:
         f"{of}terminal_{what}_error" for of in ("", "replay_") for what in ("position", "velocity")
     }
     asked = Limit(metric="replay_error", value=limit, reason="of this test")
-    waived = tuple(Limit(metric=name, value=None, reason="of this test") for name in sorted(known - {"replay_error"}))
+    waived = tuple(
+        Limit(metric=name, value=None, reason="of this test")
+        for name in sorted(known - {"replay_error"})
+    )
     scene = replace(scene, limits=(asked, *waived))
-    t, nothing = uniform_grid(scene.task.step, scene.task.steps), np.zeros((scene.task.steps + 1, 0))
+    t, nothing = (
+        uniform_grid(scene.task.step, scene.task.steps),
+        np.zeros((scene.task.steps + 1, 0)),
+    )
     u = np.zeros((scene.task.steps, scene.nu))
     plan = Trajectory(t=t, q=nothing, v=nothing, u=u, lam=nothing[1:])
-    true = load_engine("fmu")(Drive(scene=scene, plan=plan, start=np.array(scene.task.start, dtype=float), tolerance=1e-12))
+    true = load_engine("fmu")(
+        Drive(
+            scene=scene, plan=plan, start=np.array(scene.task.start, dtype=float), tolerance=1e-12
+        )
+    )
     forces = np.zeros((len(u), scene.nc + scene.nf))
-    return judge(scene, Trajectory(t=t, q=true.q, v=true.v, u=u, lam=forces, missing=frozenset({"lam", "friction"})))
+    return judge(
+        scene,
+        Trajectory(
+            t=t, q=true.q, v=true.v, u=u, lam=forces, missing=frozenset({"lam", "friction"})
+        ),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +69,10 @@ def planted(monkeypatch):
 
     def here(name, drives, *, limits=None):
         return EngineAnswer(
-            came=Came.DONE, motions=tuple(load_engine(name)(drive if name == "fmu" else spoil[0](drive)) for drive in drives)
+            came=Came.DONE,
+            motions=tuple(
+                load_engine(name)(drive if name == "fmu" else spoil[0](drive)) for drive in drives
+            ),
         )
 
     monkeypatch.setattr(room, "run_engine", here)
@@ -84,7 +109,10 @@ def test_what_goes_away_with_the_step_is_a_step_error(thrown: Judgement, planted
 
 def of_contacts(drive: Drive, **change) -> Drive:
     """A drive whose contacts are others: each field by a function of the contact."""
-    contacts = tuple(replace(item, **{name: of(item) for name, of in change.items()}) for item in drive.scene.contacts)
+    contacts = tuple(
+        replace(item, **{name: of(item) for name, of in change.items()})
+        for item in drive.scene.contacts
+    )
     return replace(drive, scene=replace(drive.scene, contacts=contacts))
 
 
@@ -122,7 +150,11 @@ def test_a_motion_that_leaves_every_bound_is_a_row(thrown: Judgement, planted, m
     def lost(name, drives, *, limits=None):
         answer = given(name, drives)
         return replace(
-            answer, motions=tuple(replace(item, q=np.where(np.arange(len(item.q))[:, None] < 9, item.q, np.nan)) for item in answer.motions)
+            answer,
+            motions=tuple(
+                replace(item, q=np.where(np.arange(len(item.q))[:, None] < 9, item.q, np.nan))
+                for item in answer.motions
+            ),
         )
 
     monkeypatch.setattr(room, "run_engine", lost)
@@ -131,12 +163,18 @@ def test_a_motion_that_leaves_every_bound_is_a_row(thrown: Judgement, planted, m
     assert row.as_json()["levels"][0]["distance"] is None
 
 
-def test_feedback_that_has_no_end_is_a_row_and_no_verdict_without_it(thrown: Judgement, planted, monkeypatch):
+def test_feedback_that_has_no_end_is_a_row_and_no_verdict_without_it(
+    thrown: Judgement, planted, monkeypatch
+):
     planted[0] = lambda drive: replace(drive, start=drive.start + np.array([0.0, 8.0 * drive.step]))
     given = room.run_engine
 
     def late(name, drives, *, limits=None):
-        return EngineAnswer(came=Came.FAILED, why="it was ended") if drives[0].feedback is not None else given(name, drives)
+        return (
+            EngineAnswer(came=Came.FAILED, why="it was ended")
+            if drives[0].feedback is not None
+            else given(name, drives)
+        )
 
     monkeypatch.setattr(room, "run_engine", late)
     (row,) = elsewhere(thrown, ("fmu_everyday",))
@@ -162,6 +200,7 @@ def test_only_a_replay_on_a_scene_has_a_matrix(thrown: Judgement):
 def test_every_engine_says_how_it_makes_contact():
     engines = {name: describe_engine(name) for name in engine_names()}
     assert all(about.law for about in engines.values())
-    assert {name: engines[name].adaptive for name in ("mujoco", "drake_continuous", "drake_sap", "drake_cenic")} == {
+    assert {name: engines[name].adaptive for name in ("mujoco", "drake_continuous", "drake_sap",
+        "drake_cenic")} == {
         "mujoco": False, "drake_continuous": True, "drake_sap": False, "drake_cenic": True,
     }  # fmt: skip

@@ -15,39 +15,66 @@ from validate.judge.judgement import judge
 
 q, v, u = sp.symbols("q v u", real=True)
 m, c, k, d = sp.symbols("m c k d", positive=True)
-WALL, START = 1.0, (0.0, 0.0)
+WALL = 1.0
+START = (0.0, 0.0)
 
 
 def scene_of(
-    *, h: float, steps: int, end: np.ndarray, push: float, mass: float, drag: float, k_wall: float, damping: float, inputs: bool
+    *,
+    h: float,
+    steps: int,
+    end: np.ndarray,
+    push: float,
+    mass: float,
+    drag: float,
+    k_wall: float,
+    damping: float,
+    inputs: bool,
 ) -> Scene:
     parameters = [
         Parameter(symbol=m, value=mass, unit="kg", lower=1e-9, description="mass"),
         Parameter(symbol=c, value=drag, unit="N s/m", lower=0.0, description="drag"),
-        Parameter(symbol=k, value=k_wall, unit="N/m", lower=1e-9, description="stiffness of the wall"),
+        Parameter(
+            symbol=k, value=k_wall, unit="N/m", lower=1e-9, description="stiffness of the wall"
+        ),
     ]
     damped: dict[str, Any] = {}
     if damping:
-        parameters.append(Parameter(symbol=d, value=damping, unit="N s/m", lower=0.0, description="damping of the wall"))
+        parameters.append(
+            Parameter(
+                symbol=d, value=damping, unit="N s/m", lower=0.0, description="damping of the wall"
+            )
+        )
         damped = {"damping": d, "damping_law": DampingLaw.KELVIN_VOIGT}
     start = START if inputs else (0.0, 0.5)
     return Scene(
         name="slider", title="A mass and a wall", source="Newton",
         coordinates=(Coordinate(symbol=q, velocity=v, unit="m", description="place"),),
-        inputs=(Input(symbol=u, unit="N", lower=-push, upper=push, description="push"),) if inputs else (),
+        inputs=(Input(symbol=u, unit="N", lower=-push, upper=push, description="push"),
+                ) if inputs else (),
         parameters=tuple(parameters),
-        kinetic_energy=m * v**2 / 2, potential_energy=sp.Integer(0), forces=((u if inputs else 0) - c * v,),
+        kinetic_energy=m * v**2 / 2, potential_energy=sp.Integer(0),
+        forces=((u if inputs else 0) - c * v,),
         contacts=(
-            Contact(name="wall", bodies=("mass", "wall"), penetration=q - WALL, stiffness=k, nominal=0.01, depth=0.5, depth_reason="half the wall",
+            Contact(name="wall", bodies=("mass", "wall"), penetration=q - WALL, stiffness=k,
+                    nominal=0.01, depth=0.5, depth_reason="half the wall",
                     description="mass against wall", **damped),
         ),
-        task=Task(start=start, goal=tuple(np.round(end, 4)), running_cost=u**2 if inputs else sp.Integer(0), step=h, steps=steps),
-        limits=goal_limits(position=0.002, velocity=0.002, reason="ten times what rounding to 4 decimals takes"),
+        task=Task(start=start, goal=tuple(np.round(end, 4)),
+                  running_cost=u**2 if inputs else sp.Integer(0), step=h, steps=steps),
+        limits=goal_limits(position=0.002, velocity=0.002,
+                           reason="ten times what rounding to 4 decimals takes"),
     )  # fmt: skip
 
 
 def truth(
-    t: np.ndarray, pushes: np.ndarray, start: tuple[float, float], mass: float, drag: float, k_wall: float, damping: float
+    t: np.ndarray,
+    pushes: np.ndarray,
+    start: tuple[float, float],
+    mass: float,
+    drag: float,
+    k_wall: float,
+    damping: float,
 ) -> dict[str, np.ndarray]:
     """q, v at t, and the contact force at the start, at the end and in the mean of each step: linear equations, pressed or free, by matrix exponentials."""
 
@@ -62,7 +89,13 @@ def truth(
         """Of (q, v, impulse, 1)."""
         k, d = (k_wall, damping) if closed else (0.0, 0.0)
         return np.array(
-            [[0, 1, 0, 0], [-k / mass, -(drag + d) / mass, 0, (push + k * WALL) / mass], [k, d, 0, -k * WALL], [0, 0, 0, 0]], dtype=float
+            [
+                [0, 1, 0, 0],
+                [-k / mass, -(drag + d) / mass, 0, (push + k * WALL) / mass],
+                [k, d, 0, -k * WALL],
+                [0, 0, 0, 0],
+            ],
+            dtype=float,
         )
 
     x, closed = np.array([*start, 0.0, 1.0]), False
@@ -81,7 +114,12 @@ def truth(
                 continue
             low = looks[first - 1] if first else 1e-12
             when = (
-                brentq(lambda time, A=A, x=x: pressed(expm(A * time) @ x), low, looks[first], xtol=1e-15)
+                brentq(
+                    lambda time, A=A, x=x: pressed(expm(A * time) @ x),
+                    low,
+                    looks[first],
+                    xtol=1e-15,
+                )
                 if pressed(expm(A * low) @ x) * (1 if closed else -1) > 0
                 else low
             )
@@ -90,7 +128,13 @@ def truth(
         impulses.append(x[2])
     nodes = np.array(states)
     forces = np.array([force(state) for state in nodes])
-    return {"q": nodes[:, 0], "v": nodes[:, 1], "start": forces[:-1], "end": forces[1:], "mean": np.array(impulses) / np.diff(t)}
+    return {
+        "q": nodes[:, 0],
+        "v": nodes[:, 1],
+        "start": forces[:-1],
+        "end": forces[1:],
+        "mean": np.array(impulses) / np.diff(t),
+    }
 
 
 # What the mass and wall are, the plan's grid, and what the plan says.
@@ -98,10 +142,13 @@ PLANS: dict[str, dict[str, Any]] = {
     "a hard bounce within a step, mean forces": {"k": 1e4, "forces": "mean"},
     "a harder one, forces at the start, all of them 0": {"k": 1e6, "forces": "start"},
     "a harder one, mean forces": {"k": 1e6, "forces": "mean"},
-    "a strongly damped wall, mean forces": {"damping": 150.0, "k": 200.0, "forces": "mean", "h": 0.005, "steps": 400},
-    "a damped wall, forces and no velocities": {"damping": 30.0, "k": 200.0, "forces": "mean", "says": "q"},
+    "a strongly damped wall, mean forces": {"damping": 150.0, "k": 200.0, "forces": "mean",
+                                            "h": 0.005, "steps": 400},
+    "a damped wall, forces and no velocities": {"damping": 30.0, "k": 200.0, "forces": "mean",
+                                                "says": "q"},
     "a light mass in a strong drag": {"mass": 1e-4, "drag": 2.0, "k": 100.0, "says": "qv"},
-    "a strong drag, positions alone": {"mass": 1.0, "drag": 800.0, "k": 500.0, "push": 900.0, "says": "q", "h": 0.005, "steps": 400},
+    "a strong drag, positions alone": {"mass": 1.0, "drag": 800.0, "k": 500.0, "push": 900.0,
+                                       "says": "q", "h": 0.005, "steps": 400},
     "hard bounces, positions alone": {"k": 1e6, "says": "q", "h": 0.005, "steps": 400},
     "a clock that began in 1970": {"k": 200.0, "forces": "end", "since": 1.7e9},
     "nothing driven and nothing touched": {"k": 200.0, "inputs": False, "says": "qv", "steps": 50},
@@ -112,16 +159,28 @@ PLANS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", PLANS)
 def test_an_exact_plan_holds(name: str):
     plan = {
-        "mass": 1.0, "drag": 2.0, "damping": 0.0, "push": 4.0, "h": 0.02, "steps": 100, "says": "qv", "since": 0.0,
+        "mass": 1.0, "drag": 2.0, "damping": 0.0, "push": 4.0, "h": 0.02, "steps": 100,
+        "says": "qv", "since": 0.0,
         "inputs": True, **PLANS[name],
     }  # fmt: skip
     t = plan["h"] * np.arange(plan["steps"] + 1)
-    body = {"mass": plan["mass"], "drag": plan["drag"], "k_wall": plan["k"], "damping": plan["damping"]}
-    pushes = np.where(t[:-1] < 1.2, plan["push"], -0.25 * plan["push"]) if plan["inputs"] else np.zeros(len(t) - 1)
+    body = {
+        "mass": plan["mass"],
+        "drag": plan["drag"],
+        "k_wall": plan["k"],
+        "damping": plan["damping"],
+    }
+    pushes = (
+        np.where(t[:-1] < 1.2, plan["push"], -0.25 * plan["push"])
+        if plan["inputs"]
+        else np.zeros(len(t) - 1)
+    )
     true = truth(t, pushes, START if plan["inputs"] else (0.0, 0.5), **body)
     assert (true["q"].max() > WALL or true["mean"].max() > 0.0) == plan["inputs"], "it touches"
     end = np.array([true["q"][-1], true["v"][-1]])
-    scene = scene_of(h=plan["h"], steps=plan["steps"], end=end, push=plan["push"], inputs=plan["inputs"], **body)
+    scene = scene_of(
+        h=plan["h"], steps=plan["steps"], end=end, push=plan["push"], inputs=plan["inputs"], **body
+    )
     columns = {"t": plan["since"] + t, **{key: true[key] for key in plan["says"]}}
     columns |= {"u": pushes} if plan["inputs"] else {}
     columns |= {"lam_wall": true[plan["forces"]]} if "forces" in plan else {}
@@ -140,10 +199,14 @@ def test_friction_whose_load_changes_on_the_way_is_that_of_any_part_of_a_step(fo
         parameters=(Parameter(symbol=m, value=mass, unit="kg", lower=1e-9, description="mass"),
                     Parameter(symbol=c, value=mu, unit="1", lower=0.0, description="friction"),
                     Parameter(symbol=k, value=5.0, unit="N", lower=0.0, description="load at 0"),
-                    Parameter(symbol=d, value=3.0, unit="N/m", lower=0.0, description="load a metre")),
-        kinetic_energy=m * v**2 / 2, potential_energy=sp.Integer(0), forces=(sp.Integer(0),), inputs=(), contacts=(),
-        frictions=(Friction(name="rail", slip=v, coefficient=c, normal_force=k + d * q, nominal=0.1, description="on the rail"),),
-        task=Task(start=(0.0, 2.0), goal=(None, 0.0), running_cost=sp.Integer(0), step=h, steps=steps),
+                    Parameter(symbol=d, value=3.0, unit="N/m", lower=0.0,
+                              description="load a metre")),
+        kinetic_energy=m * v**2 / 2, potential_energy=sp.Integer(0), forces=(sp.Integer(0),),
+        inputs=(), contacts=(),
+        frictions=(Friction(name="rail", slip=v, coefficient=c, normal_force=k + d * q, nominal=0.1,
+                            description="on the rail"),),
+        task=Task(start=(0.0, 2.0), goal=(None, 0.0), running_cost=sp.Integer(0), step=h,
+                  steps=steps),
         limits=goal_limits(velocity=0.01, reason="it stands"),
     )  # fmt: skip
     w, rest = np.sqrt(mu * 3.0 / mass), 5.0 / 3.0
@@ -158,6 +221,14 @@ def test_friction_whose_load_changes_on_the_way_is_that_of_any_part_of_a_step(fo
     said = {"start": pull[:-1], "end": pull[1:], "mean": mass * np.diff(speed) / h}[forces]
     found = judge(scene, {"t": t, "q": place, "v": speed, "friction_rail": said})
     assert found.verdict.value == "holds", str(found)
-    wrong = judge(scene, {"t": t, "q": place, "v": speed, "friction_rail": np.where(np.arange(steps) > steps - 20, 1.0, said)})
+    wrong = judge(
+        scene,
+        {
+            "t": t,
+            "q": place,
+            "v": speed,
+            "friction_rail": np.where(np.arange(steps) > steps - 20, 1.0, said),
+        },
+    )
     assert wrong.verdict.value == "violates"
     assert not unsaid(wrong.score.why, "neither inputs nor contact give")

@@ -1,4 +1,7 @@
-"""`judge(scene, plan)`: every form of a plan gives the same verdict; what it declares counts; mistakes are one sentence."""
+"""`judge(scene, plan)`: every form of a plan gives the same verdict; what it declares counts.
+
+Mistakes are one sentence.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +27,8 @@ from validate.judge.judgement import as_trajectory, judge, wire_fmu
 from validate.judge.replay.wiring import HeldInputs
 from validate.judge.score import Question, Verdict
 
-STEPS, H = 50, 0.02
+STEPS = 50
+H = 0.02
 START = (2.0, 2.55, 3.1, 0.3, 0.0, -0.3)
 
 
@@ -34,7 +38,8 @@ def made(hold: Hold) -> tuple[Scene, Trajectory]:
     t = uniform_grid(H, STEPS)
     u = np.column_stack([9.0 * np.sin(9.0 * t), -8.0 * np.cos(8.0 * t)])
     plan = Trajectory(
-        t=t, q=np.zeros((STEPS + 1, 3)), v=np.zeros((STEPS + 1, 3)), u=u[:-1], lam=np.zeros((STEPS, 2)), hold=hold,
+        t=t, q=np.zeros((STEPS + 1, 3)), v=np.zeros((STEPS + 1, 3)), u=u[:-1],
+        lam=np.zeros((STEPS, 2)), hold=hold,
         u_end=u[-1], missing=frozenset({"lam"}),
     )  # fmt: skip
     held, parts = HeldInputs(plan), 100
@@ -68,7 +73,10 @@ def columns(scene: Scene, plan: Trajectory) -> dict[str, np.ndarray]:
 
 def framed(arrays: dict[str, np.ndarray]) -> Any:
     """As a DataFrame, whose columns are all as long."""
-    padded = {name: np.pad(values, (0, STEPS + 1 - len(values)), constant_values=np.nan) for name, values in arrays.items()}
+    padded = {
+        name: np.pad(values, (0, STEPS + 1 - len(values)), constant_values=np.nan)
+        for name, values in arrays.items()
+    }
     return pytest.importorskip("pandas").DataFrame(padded)
 
 
@@ -77,7 +85,9 @@ def solution(plan: Trajectory | None) -> Solution:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", ["csv", "csv as text", "netcdf", "trajectory", "solution", "mapping", "dataframe"])
+@pytest.mark.parametrize(
+    "form", ["csv", "csv as text", "netcdf", "trajectory", "solution", "mapping", "dataframe"]
+)
 def test_every_form_of_a_plan_gives_the_same_verdict(held, tmp_path: Path, form: str):
     scene, plan = held
     if form.startswith("csv"):
@@ -90,19 +100,26 @@ def test_every_form_of_a_plan_gives_the_same_verdict(held, tmp_path: Path, form:
     elif form == "dataframe":
         given = framed(columns(scene, plan))
     else:
-        given = {"trajectory": plan, "solution": solution(plan), "mapping": columns(scene, plan)}[form]
+        given = {"trajectory": plan, "solution": solution(plan), "mapping": columns(scene, plan)}[
+            form
+        ]
     told = judge(scene, given)
     assert told.verdict is Verdict.HOLDS, told
     assert told.holds
     assert not unsaid(repr(told), "holds: every question … closest to its limit:")
     assert (told.plan.scheme, told.plan.missing) == (None, {"lam"})
-    assert told.score.value("replay_error") == pytest.approx(judge(scene, plan).score.value("replay_error"), rel=1e-9)
+    assert told.score.value("replay_error") == pytest.approx(
+        judge(scene, plan).score.value("replay_error"), rel=1e-9
+    )
     assert told.replay.tracked is None, "feedback is not tried where the inputs alone do"
 
 
 @pytest.mark.slow
 def test_the_judge_integrates_no_reference_results(held, monkeypatch):
-    """They take seconds, of a stiff scene minutes, outside of every limit; a replay has no use for them."""
+    """They take seconds, of a stiff scene minutes, outside of every limit.
+
+    A replay has no use for them.
+    """
     from models.fmu import description as experiment
 
     monkeypatch.setattr(experiment, "true_motion", lambda *arguments: pytest.fail("integrated"))
@@ -112,7 +129,12 @@ def test_the_judge_integrates_no_reference_results(held, monkeypatch):
 
 def test_a_solution_without_a_plan_is_a_verdict():
     told = judge("three_cart", solution(None))
-    assert (told.verdict, told.plan, told.replay, told.holds) == (Verdict.NO_PLAN, None, None, False)
+    assert (told.verdict, told.plan, told.replay, told.holds) == (
+        Verdict.NO_PLAN,
+        None,
+        None,
+        False,
+    )
 
 
 @pytest.mark.slow
@@ -120,11 +142,15 @@ def test_a_scene_is_given_by_name_too():
     """At rest, with no input: consistent in itself, but it says itself that it does not arrive, and no time step is blamed."""
     scene = load_scene("three_cart")
     t = uniform_grid(scene.task.step, scene.task.steps)
-    rest = {"t": t, "u1": 0.0 * t, "u3": 0.0 * t} | {f"q{i + 1}": np.full_like(t, scene.task.start[i]) for i in range(3)}
+    rest = {"t": t, "u1": 0.0 * t, "u3": 0.0 * t} | {
+        f"q{i + 1}": np.full_like(t, scene.task.start[i]) for i in range(3)
+    }
     for scheme in (None, "semi_implicit_euler"):
         told = judge("three_cart", rest, scheme=scheme)
         assert told.verdict is Verdict.VIOLATES
-        assert not unsaid(told.score.why, "plan itself ends 0.866 m … limit 0.05")  # sqrt(3) times half a metre
+        assert not unsaid(
+            told.score.why, "plan itself ends 0.866 m … limit 0.05"
+        )  # sqrt(3) times half a metre
         assert "step" not in told.score.why
         assert "driven" not in told.score.why
         assert told.score.metric("replay_error").ok is True
@@ -142,7 +168,9 @@ def test_where_the_other_hold_passes_the_sentence_names_it(held, lines, hold: Ho
 
 def test_a_last_input_beyond_the_bounds_counts_only_where_it_is_applied(held, lines):
     for (scene, plan), ok in ((held, True), (lines, False)):
-        metric = judge(scene, replace(plan, u_end=np.array([10.5, 0.0]))).score.metric("bound_violation")
+        metric = judge(scene, replace(plan, u_end=np.array([10.5, 0.0]))).score.metric(
+            "bound_violation"
+        )
         assert metric.ok is ok
 
 
@@ -156,7 +184,10 @@ def test_a_motion_that_neither_hold_gives_is_not_said_to_be_held_otherwise(held)
 @pytest.mark.slow
 def test_printed_with_four_decimals_it_holds(held, lines):
     for scene, plan in (held, lines):
-        printed = {name: np.array([float(f"{value:.4f}") for value in values]) for name, values in columns(scene, plan).items()}
+        printed = {
+            name: np.array([float(f"{value:.4f}") for value in values])
+            for name, values in columns(scene, plan).items()
+        }
         hold = "linear" if plan.hold is Hold.LINEAR else None
         assert judge(scene, printed, hold=hold).verdict is Verdict.HOLDS
         bare = {name: values for name, values in printed.items() if not name.startswith("v")}
@@ -168,7 +199,10 @@ def test_printed_with_four_decimals_it_holds(held, lines):
 
 
 def test_an_exact_plan_that_claims_another_programs_step_is_refused_its_claim(held):
-    """Declared: its own equations are asked, and they are not these. Undeclared: the same plan holds."""
+    """Declared: its own equations are asked, and they are not these.
+
+    Undeclared: the same plan holds.
+    """
     scene, plan = held
     told = judge(scene, columns(scene, plan), scheme="semi_implicit_euler")
     assert told.verdict is Verdict.VIOLATES
@@ -195,15 +229,22 @@ def test_feedback_where_it_is_asked_for_changes_no_verdict(held):
 @pytest.mark.parametrize(
     ("change", "arguments", "words"),
     [
-        ({"u1": None}, {}, "the column 'u1' is missing"), ({"q3": None}, {}, "the column 'q3' is missing beside 'q1'"),
-        ({"w": np.zeros(STEPS + 1)}, {}, "the column 'w' is unknown"), ({}, {"hold": "cubic"}, "hold 'cubic' … zero or linear"),
-        ({}, {"scheme": "rk4"}, "the scheme 'rk4' is unknown"), ({}, {"hold": ["zero"]}, "hold ['zero'] … zero or linear"),
+        ({"u1": None}, {}, "the column 'u1' is missing"),
+        ({"q3": None}, {}, "the column 'q3' is missing beside 'q1'"),
+        ({"w": np.zeros(STEPS + 1)}, {}, "the column 'w' is unknown"),
+        ({}, {"hold": "cubic"}, "hold 'cubic' … zero or linear"),
+        ({}, {"scheme": "rk4"}, "the scheme 'rk4' is unknown"),
+        ({}, {"hold": ["zero"]}, "hold ['zero'] … zero or linear"),
         ({}, {"scheme": 3}, "the scheme 3 is unknown"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_one_sentence(held, change: dict, arguments: dict, words: str):
     scene, plan = held
-    given = {name: values for name, values in (columns(scene, plan) | change).items() if values is not None}
+    given = {
+        name: values
+        for name, values in (columns(scene, plan) | change).items()
+        if values is not None
+    }
     with pytest.raises(TrajectoryError) as caught:
         judge(scene, given, **arguments)
     assert not unsaid(caught.value, words)
@@ -235,7 +276,10 @@ def test_a_file_that_says_its_own_scheme_is_not_asked_for_another(held, tmp_path
         judge(scene, SimpleNamespace(trajectory="plan.csv"))
 
 
-@pytest.mark.parametrize(("scheme", "hold"), [("semi_implicit_euler", "zero"), (Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER)])
+@pytest.mark.parametrize(
+    ("scheme", "hold"),
+    [("semi_implicit_euler", "zero"), (Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER)],
+)
 def test_hold_and_scheme_are_given_as_such_or_by_their_text(held, tmp_path: Path, scheme, hold):
     scene, plan = held
     path = tmp_path / "plan.csv"
@@ -269,9 +313,18 @@ def test_a_dataframe_says_no_more_and_no_less_than_its_numbers(held):
             frame.set_axis(pandas.MultiIndex.from_product([["a"], frame.columns]), axis=1),
             "a column is called ('a', 't'), but its name must be text",
         ),
-        (frame.set_axis(range(len(frame.columns)), axis=1), "a column is called 0, but its name must be text"),
-        (frame.assign(t=pandas.to_timedelta(frame["t"], unit="s")), "the column 't' is of type timedelta64"),
-        (frame.assign(u1=pandas.array([None] * (STEPS + 1), dtype="Int64")), "the column 'u1' is empty; it has t,"),
+        (
+            frame.set_axis(range(len(frame.columns)), axis=1),
+            "a column is called 0, but its name must be text",
+        ),
+        (
+            frame.assign(t=pandas.to_timedelta(frame["t"], unit="s")),
+            "the column 't' is of type timedelta64",
+        ),
+        (
+            frame.assign(u1=pandas.array([None] * (STEPS + 1), dtype="Int64")),
+            "the column 'u1' is empty; it has t,",
+        ),
         (frame.assign(q1=frame["q1"] + 1j), "the column 'q1' is of type complex128"),
         (frame["t"], "a Series is no plan"),
     ):
@@ -282,7 +335,8 @@ def test_a_dataframe_says_no_more_and_no_less_than_its_numbers(held):
 
 @pytest.mark.parametrize(
     ("verdict", "lenient", "strict"),
-    [(Verdict.HOLDS, 0, 0), (Verdict.HOLDS_WITH_FEEDBACK, 0, 1), (Verdict.VIOLATES, 1, 1), (Verdict.UNDECIDED, 1, 1)],
+    [(Verdict.HOLDS, 0, 0), (Verdict.HOLDS_WITH_FEEDBACK, 0, 1), (Verdict.VIOLATES, 1, 1),
+     (Verdict.UNDECIDED, 1, 1)],
 )  # fmt: skip
 def test_exit_codes(verdict: Verdict, lenient: int, strict: int):
     assert (exit_code(verdict, "feedback"), exit_code(verdict, "holds")) == (lenient, strict)
@@ -294,27 +348,52 @@ def test_exit_codes(verdict: Verdict, lenient: int, strict: int):
 @pytest.mark.parametrize(
     ("hold", "scheme", "inputs", "motion", "verdict", "again"),
     [
-        (Hold.ZERO_ORDER, None, 1, "no", Verdict.VIOLATES, True), (Hold.LINEAR, None, 1, "no", Verdict.UNDECIDED, True),
-        (Hold.ZERO_ORDER, Scheme.SEMI_IMPLICIT_EULER, 1, "no", Verdict.VIOLATES, False), (Hold.ZERO_ORDER, None, 0, "no", Verdict.VIOLATES, False),
-        (Hold.ZERO_ORDER, None, 1, "undecided", Verdict.UNDECIDED, False), (Hold.ZERO_ORDER, None, 1, "yes", Verdict.VIOLATES, False),
-        (Hold.ZERO_ORDER, None, 1, "yes", Verdict.HOLDS_WITH_FEEDBACK, True), (Hold.ZERO_ORDER, None, 1, "yes", Verdict.HOLDS, False),
+        (Hold.ZERO_ORDER, None, 1, "no", Verdict.VIOLATES, True),
+        (Hold.LINEAR, None, 1, "no", Verdict.UNDECIDED, True),
+        (Hold.ZERO_ORDER, Scheme.SEMI_IMPLICIT_EULER, 1, "no", Verdict.VIOLATES, False),
+        (Hold.ZERO_ORDER, None, 0, "no", Verdict.VIOLATES, False),
+        (Hold.ZERO_ORDER, None, 1, "undecided", Verdict.UNDECIDED, False),
+        (Hold.ZERO_ORDER, None, 1, "yes", Verdict.VIOLATES, False),
+        (Hold.ZERO_ORDER, None, 1, "yes", Verdict.HOLDS_WITH_FEEDBACK, True),
+        (Hold.ZERO_ORDER, None, 1, "yes", Verdict.HOLDS, False),
         (Hold.ZERO_ORDER, Scheme.SEMI_IMPLICIT_EULER, 1, "yes", Verdict.HOLDS_WITH_FEEDBACK, False),
     ],
 )  # fmt: skip
-def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(hold, scheme, inputs, motion, verdict, again, monkeypatch):
+def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(
+    hold, scheme, inputs, motion, verdict, again, monkeypatch
+):
     nodes = np.zeros((3, 1))
-    plan = Trajectory(t=uniform_grid(0.5, 2), q=nodes, v=nodes, u=np.zeros((2, inputs)), lam=np.zeros((2, 0)), hold=hold, scheme=scheme)
+    plan = Trajectory(
+        t=uniform_grid(0.5, 2),
+        q=nodes,
+        v=nodes,
+        u=np.zeros((2, inputs)),
+        lam=np.zeros((2, 0)),
+        hold=hold,
+        scheme=scheme,
+    )
     replays: list[Any] = []
     scores: list[Any] = []
-    monkeypatch.setattr(module, "replay_foreign", lambda *given, **named: replays.append((given, named)) or f"replay {len(replays)}")
+    monkeypatch.setattr(
+        module,
+        "replay_foreign",
+        lambda *given, **named: replays.append((given, named)) or f"replay {len(replays)}",
+    )
     answered = SimpleNamespace(questions=((Question.MOTION, motion),), verdict=verdict)
-    monkeypatch.setattr(module, "score", lambda *given, **named: scores.append((given, named)) or answered)
-    foreign: Any = SimpleNamespace(model="model", variables=SimpleNamespace(internal_step=None, parameters=()))
+    monkeypatch.setattr(
+        module, "score", lambda *given, **named: scores.append((given, named)) or answered
+    )
+    foreign: Any = SimpleNamespace(
+        model="model", variables=SimpleNamespace(internal_step=None, parameters=())
+    )
     monkeypatch.setattr(module, "read_package", lambda path: "package")
     monkeypatch.setattr("validate.judge.replay.mapping.wire", lambda *given: (foreign, plan))
     found = wire_fmu(Path("a.fmu"), {"t": plan.t}, limits="limits").judge(True)  # type: ignore[arg-type]
     assert (found.scene, found.plan, found.replay) == ("model", plan, "replay 1")
-    assert replays[0] == ((foreign, "package", plan), {"limits": "limits", "own_step": False, "track": True})
+    assert replays[0] == (
+        (foreign, "package", plan),
+        {"limits": "limits", "own_step": False, "track": True},
+    )
     assert scores[0] == (("model", plan, "replay 1"), {})
     assert len(replays) == len(scores) == 1 + again
     if again:
@@ -324,41 +403,77 @@ def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(hol
         assert scores[1] == (("model", plan, "replay 1"), {"other_hold": "replay 2"})
 
 
-def test_a_plan_on_somebodys_fmu_is_wired_in_whatever_form_it_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_plan_on_somebodys_fmu_is_wired_in_whatever_form_it_comes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     asked: list[Any] = []
     monkeypatch.setattr(module, "read_package", lambda path: f"package of {path}")
-    foreign = SimpleNamespace(model="model", variables=SimpleNamespace(internal_step=None, parameters=()))
+    foreign = SimpleNamespace(
+        model="model", variables=SimpleNamespace(internal_step=None, parameters=())
+    )
     monkeypatch.setattr(module, "_judged", lambda *given: given)
-    monkeypatch.setattr("validate.judge.replay.mapping.wire", lambda *given: asked.append(given) or (foreign, "trajectory"))
+    monkeypatch.setattr(
+        "validate.judge.replay.mapping.wire",
+        lambda *given: asked.append(given) or (foreign, "trajectory"),
+    )
     (tmp_path / "plan.csv").write_text("t,u\n0,1\n1,\n")
     columns = {"t": np.array([0.0, 1.0]), "u": np.array([1.0])}
     for plan in (tmp_path / "plan.csv", str(tmp_path / "plan.csv"), columns):
-        subject, trajectory, run, feedback = wire_fmu(Path("a.fmu"), plan, hold="linear").judge(True)  # type: ignore[misc]
+        subject, trajectory, run, feedback = wire_fmu(Path("a.fmu"), plan, hold="linear").judge(
+            True
+        )  # type: ignore[misc]
         assert (subject, trajectory, feedback) == ("model", "trajectory", True)
         assert (run.func, run.args, run.keywords) == (
-            module.replay_foreign, (foreign, "package of a.fmu"), {"limits": module.Limits(), "own_step": False},
+            module.replay_foreign, (foreign, "package of a.fmu"),
+            {"limits": module.Limits(), "own_step": False},
         )  # fmt: skip
         package, table, map_file, hold, where, factors = asked[-1]
-        assert (package, table.names[0], map_file, hold, where, factors) == ("package of a.fmu", "t", None, "linear", "FMU a.fmu", None)
+        assert (package, table.names[0], map_file, hold, where, factors) == (
+            "package of a.fmu",
+            "t",
+            None,
+            "linear",
+            "FMU a.fmu",
+            None,
+        )
     (tmp_path / "map.toml").write_text("[limits]\nreplay_error = 0.5\n")
-    run = wire_fmu(Path("a.fmu"), columns, map_path=tmp_path / "map.toml", limits=module.Limits(seconds=2.0)).judge()[2]  # type: ignore[index]
+    run = wire_fmu(
+        Path("a.fmu"), columns, map_path=tmp_path / "map.toml", limits=module.Limits(seconds=2.0)
+    ).judge()[2]  # type: ignore[index]
     assert run.keywords == {"limits": module.Limits(seconds=2.0), "own_step": False}
-    assert (asked[-1][2].limits["replay_error"].value, asked[-1][4]) == (0.5, f"map {tmp_path / 'map.toml'}")
+    assert (asked[-1][2].limits["replay_error"].value, asked[-1][4]) == (
+        0.5,
+        f"map {tmp_path / 'map.toml'}",
+    )
     (tmp_path / "map.toml").write_text("[limits]\nreplay_eror = 0.5\n")
-    with pytest.raises(TouchstoneError, match=r"limits\.replay_eror: .*no metric.*\(near it: replay_error"):
+    with pytest.raises(
+        TouchstoneError, match=r"limits\.replay_eror: .*no metric.*\(near it: replay_error"
+    ):
         wire_fmu(Path("a.fmu"), columns, map_path=tmp_path / "map.toml")
     with pytest.raises(TrajectoryError, match="plan: a int has no names"):
         wire_fmu(Path("a.fmu"), 7)
 
 
 @pytest.mark.parametrize("feedback", [True, False])
-def test_a_scenes_plan_is_followed_where_its_score_wants_it(feedback: bool, monkeypatch: pytest.MonkeyPatch):
+def test_a_scenes_plan_is_followed_where_its_score_wants_it(
+    feedback: bool, monkeypatch: pytest.MonkeyPatch
+):
     scene = load_scene("wall_pendulum")
     states = np.zeros((3, 1))
-    plan = Trajectory(t=np.array([5.0, 5.5, 6.0]), q=states, v=states, u=np.zeros((2, 1)), lam=np.zeros((2, 1)))
+    plan = Trajectory(
+        t=np.array([5.0, 5.5, 6.0]), q=states, v=states, u=np.zeros((2, 1)), lam=np.zeros((2, 1))
+    )
     tracks: list[Any] = []
-    monkeypatch.setattr(module, "replay", lambda *given, **named: tracks.append((given, named)) or "replay")
-    monkeypatch.setattr(module, "score", lambda *given, **named: SimpleNamespace(questions=(), verdict=Verdict.HOLDS, metrics=given[2]))
+    monkeypatch.setattr(
+        module, "replay", lambda *given, **named: tracks.append((given, named)) or "replay"
+    )
+    monkeypatch.setattr(
+        module,
+        "score",
+        lambda *given, **named: SimpleNamespace(
+            questions=(), verdict=Verdict.HOLDS, metrics=given[2]
+        ),
+    )
     monkeypatch.setattr(module, "wants_feedback", lambda metrics: metrics == "wanted")
     found = module.judge_trajectory(scene, Path("a.fmu"), plan, feedback=feedback, limits=None)
     assert (found.plan.t.tolist(), found.replay) == ([0.0, 0.5, 1.0], "replay")
@@ -369,22 +484,33 @@ def test_a_scenes_plan_is_followed_where_its_score_wants_it(feedback: bool, monk
 
 
 @pytest.mark.parametrize("followed", [True, False])
-def test_a_replay_that_is_not_followed_is_scored_once(followed: bool, monkeypatch: pytest.MonkeyPatch):
-    """What comes back is what was scored to ask whether to follow it; with a tracked replay beside it, it is another."""
+def test_a_replay_that_is_not_followed_is_scored_once(
+    followed: bool, monkeypatch: pytest.MonkeyPatch
+):
+    """What comes back is what was scored to ask whether to follow it.
+
+    With a tracked replay beside it, it is another.
+    """
     scene = load_scene("wall_pendulum")
     states = np.zeros((3, 1))
-    plan = Trajectory(t=np.array([0.0, 0.5, 1.0]), q=states, v=states, u=np.zeros((2, 1)), lam=np.zeros((2, 1)))
+    plan = Trajectory(
+        t=np.array([0.0, 0.5, 1.0]), q=states, v=states, u=np.zeros((2, 1)), lam=np.zeros((2, 1))
+    )
     scored: list[Any] = []
 
     def score(*given: Any, **named: Any) -> Any:
         scored.append(given[2])
         return SimpleNamespace(questions=(), verdict=Verdict.HOLDS, metrics={}, number=len(scored))
 
-    monkeypatch.setattr(module, "replay", lambda *given, track, **named: "followed" if track("opened") else "opened")
+    monkeypatch.setattr(
+        module, "replay", lambda *given, track, **named: "followed" if track("opened") else "opened"
+    )
     monkeypatch.setattr(module, "score", score)
     monkeypatch.setattr(module, "wants_feedback", lambda metrics: followed)
     found: Any = module.judge_trajectory(scene, Path("a.fmu"), plan, limits=None)
-    assert (found.replay, scored) == (("followed", ["opened", "followed"]) if followed else ("opened", ["opened"]))
+    assert (found.replay, scored) == (
+        ("followed", ["opened", "followed"]) if followed else ("opened", ["opened"])
+    )
     assert found.score.number == len(scored)
 
 
@@ -400,7 +526,9 @@ def coarse(steps: int, parts: int = 1) -> Trajectory:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("forces", [True, False])
-def test_a_plan_of_a_coarse_grid_that_declares_no_scheme_is_told_its_step_and_one_that_does(forces: bool):
+def test_a_plan_of_a_coarse_grid_that_declares_no_scheme_is_told_its_step_and_one_that_does(
+    forces: bool,
+):
     scene, plan = load_scene("three_cart"), coarse(50)
     asked = replace(
         scene,
@@ -419,7 +547,11 @@ def test_a_plan_of_a_coarse_grid_that_declares_no_scheme_is_told_its_step_and_on
     assert ("the contact forces are correct" in told.score.why) is forces
     step = float(told.score.why.partition("Try h = ")[2].split()[0])
     finer = coarse(50, int(np.ceil(0.1 / step)))
-    assert np.abs(finer.q - told.replay.q[told.replay.knots]).max() < metric.limit < np.abs(plan.q - told.replay.q[told.replay.knots]).max()
+    assert (
+        np.abs(finer.q - told.replay.q[told.replay.knots]).max()
+        < metric.limit
+        < np.abs(plan.q - told.replay.q[told.replay.knots]).max()
+    )
 
 
 def test_feedback_follows_the_velocities_that_explain_the_positions():
@@ -429,6 +561,10 @@ def test_feedback_follows_the_velocities_that_explain_the_positions():
     euler = replace(exact, q=coarse.q, v=coarse.v)
     off = np.abs(np.diff(exact.q, axis=0) / H - exact.v[1:]).max()
     for plan, near in ((exact, 0.02 * off), (euler, 1e-9)):
-        told = replace(plan, v=np.vstack([plan.v[:1], np.diff(plan.q, axis=0) / H]), missing=frozenset({"v", "lam"}))
+        told = replace(
+            plan,
+            v=np.vstack([plan.v[:1], np.diff(plan.q, axis=0) / H]),
+            missing=frozenset({"v", "lam"}),
+        )
         followed = judge(scene, told, feedback=True).replay.tracked.feedback.reference
         assert np.abs(followed[:, 3:] - plan.v).max() < near

@@ -15,10 +15,14 @@ NAMES = ("three_cart", "softplus_dc+strict", "softplus_dc", "strict_lcp")
 @pytest.mark.parametrize(
     ("expression", "expected"),
     [
-        ("strict", True), ("STRICT", True), ("softplus_dc+strict", True), ("relaxed", False), ("not relaxed", True), ("strict and relaxed", False),
-        ("strict and not relaxed", True), ("relaxed or three", True), ("relaxed or gd and strict", False), ("(relaxed or strict) and three", True),
-        ("not (relaxed or strict)", False), ("not not strict", True), ("strict or relaxed", True), ("relaxed or strict or relaxed", True), ("=strict", False),
-        ("=strict_lcp", True), ("=STRICT_LCP and not =strict", True), ('="the ""title"" of it"', True), ('="the title"', False), ('="strict_lcp"', True),
+        ("strict", True), ("STRICT", True), ("softplus_dc+strict", True), ("relaxed", False),
+        ("not relaxed", True), ("strict and relaxed", False),
+        ("strict and not relaxed", True), ("relaxed or three", True),
+        ("relaxed or gd and strict", False), ("(relaxed or strict) and three", True),
+        ("not (relaxed or strict)", False), ("not not strict", True), ("strict or relaxed", True),
+        ("relaxed or strict or relaxed", True), ("=strict", False),
+        ("=strict_lcp", True), ("=STRICT_LCP and not =strict", True),
+        ('="the ""title"" of it"', True), ('="the title"', False), ('="strict_lcp"', True),
         ("title", False), ('="', False),
     ],
 )  # fmt: skip
@@ -32,14 +36,22 @@ def test_the_words_of_an_expression_are_its_names():
 
 @pytest.mark.parametrize(
     ("word", "nearest"),
-    [("strikt", "strict_lcp"), ("thre_cart", "three_cart"), ("=softplus_d", "softplus_dc"), ("SOFPLUS", "softplus_dc")],
+    [
+        ("strikt", "strict_lcp"),
+        ("thre_cart", "three_cart"),
+        ("=softplus_d", "softplus_dc"),
+        ("SOFPLUS", "softplus_dc"),
+    ],
 )
 def test_near_a_misspelt_name_is_the_name(word, nearest):
     assert near(word, ("an FMU of three_cart, FMI 2.0", *NAMES))[0] == nearest
 
 
 def test_a_part_of_a_name_is_near_too():
-    assert near("strickt", ["structure", "softplus_gd+strict"]) == ["softplus_gd+strict", "structure"]
+    assert near("strickt", ["structure", "softplus_gd+strict"]) == [
+        "softplus_gd+strict",
+        "structure",
+    ]
 
 
 def test_something_is_near_whatever_was_typed():
@@ -49,12 +61,18 @@ def test_something_is_near_whatever_was_typed():
 def test_of_several_words_those_that_are_in_no_name_are_answered():
     error = NothingSelectedError("strict and sofplus and a1 and a2 and a3", NAMES)
     assert "strict and sofplus" in error.headline
-    assert [sentence.partition(" is in no name")[0] for sentence in error.mistakes[:-1]] == ["'sofplus'", "'a1'", "'a2'"]
+    assert [sentence.partition(" is in no name")[0] for sentence in error.mistakes[:-1]] == [
+        "'sofplus'",
+        "'a1'",
+        "'a2'",
+    ]
     assert len(error.mistakes) + 1 == 5, "five lines at most"
     (both, _) = NothingSelectedError("strict and three", NAMES).mistakes
     assert "each of its words is in a name" in both
     (alone, _) = NothingSelectedError("=free_motion", NAMES).mistakes
-    assert not unsaid(alone, "'=free_motion' is a method that no pipeline … runs; … formulations/pipelines.py")
+    assert not unsaid(
+        alone, "'=free_motion' is a method that no pipeline … runs; … formulations/pipelines.py"
+    )
 
 
 def test_cheap_scenes_come_first_after_that_of_the_paper(tmp_path: Path):
@@ -67,15 +85,22 @@ def test_cheap_scenes_come_first_after_that_of_the_paper(tmp_path: Path):
         "damped_collision",
         "two_body_collision",
     ]
-    assert scene_cost(load_scene("push_box")) == 100 * 2 * 5 * 2, "steps, states, and a contact with friction"
+    assert scene_cost(load_scene("push_box")) == 100 * 2 * 5 * 2, (
+        "steps, states, and a contact with friction"
+    )
     named = _scenes(CampaignSettings(out=tmp_path, scenes=("two_finger", "three_cart")))
-    assert [reference.scene.name for reference in named] == ["two_finger", "three_cart"], "as they were typed"
+    assert [reference.scene.name for reference in named] == ["two_finger", "three_cart"], (
+        "as they were typed"
+    )
 
 
 @pytest.mark.parametrize(
     ("expression", "parts"),
     [
-        *((text, ["-k"]) for text in ("", "and", "not", "strict)", "()")), ("strict and", ["a name is missing at its end"]), ("or strict", ["a name is missing before 'or'"]), ("(strict", ["a ')' is missing"]), ("(strict relu", ["a ')' is missing"]),
+        *((text, ["-k"]) for text in ("", "and", "not", "strict)", "()")),
+        ("strict and", ["a name is missing at its end"]),
+        ("or strict", ["a name is missing before 'or'"]), ("(strict", ["a ')' is missing"]),
+        ("(strict relu", ["a ')' is missing"]),
         ("strict relaxed", ["'relaxed' was not expected"]),
     ],
 )  # fmt: skip

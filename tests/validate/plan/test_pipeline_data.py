@@ -33,10 +33,16 @@ def test_every_pipeline_of_table_one_is_there():
 def test_schedules_and_counts_are_the_papers():
     stages = stage_plan(find_pipeline("softplus_gd+relu_gd"))
     assert [(leg.method, eps, options) for leg, eps, options in stages] == [
-        ("softplus_gd", 1e-3, {"iterations": 15}), ("softplus_gd", 1e-5, {"iterations": 14}), ("softplus_gd", 1e-7, {"iterations": 11}),
+        ("softplus_gd", 1e-3, {"iterations": 15}), ("softplus_gd", 1e-5, {"iterations": 14}),
+        ("softplus_gd", 1e-7, {"iterations": 11}),
         ("relu_gd", None, {"iterations": 10}),
     ]  # fmt: skip
-    assert [eps for _, eps, _ in stage_plan(find_pipeline("relaxed+strict"))] == [1e-2, 1e-3, 1e-4, None]
+    assert [eps for _, eps, _ in stage_plan(find_pipeline("relaxed+strict"))] == [
+        1e-2,
+        1e-3,
+        1e-4,
+        None,
+    ]
     assert stage_plan(find_pipeline("relu_gd"))[0][2] == {"iterations": 200}
     assert stage_plan(find_pipeline("softplus_dc+relu_gd"))[-1][2] == {"iterations": 6}
 
@@ -61,7 +67,9 @@ def test_methods_know_their_stages(pipeline):
 def test_json_keeps_a_pipeline(pipeline):
     """Each of its parts, as what a child is given."""
     for part in parts_of(pipeline):
-        task = RunTask(key="k", scene="three_cart", scene_name="s", pipeline=part, plugin="p", time_limit=1.0)
+        task = RunTask(
+            key="k", scene="three_cart", scene_name="s", pipeline=part, plugin="p", time_limit=1.0
+        )
         again = task_from_json(json.loads(json.dumps(task_to_json(task))))
         assert isinstance(again, RunTask)
         assert stage_plan(again.pipeline) == stage_plan(part)

@@ -1,4 +1,7 @@
-"""What is possible in a scene but hardly meant is told before anything runs; the bank gives no cause."""
+"""What is possible in a scene but hardly meant is told before anything runs.
+
+The bank gives no cause.
+"""
 
 import json
 from dataclasses import replace
@@ -31,7 +34,9 @@ def test_what_changes_nothing_is_named():
     bank = load_scene("wall_pendulum")
     idle = Parameter(symbol=sp.Symbol("spare"), value=1.0, unit="m")
     brake = Input(symbol=sp.Symbol("brake", real=True), unit="N")
-    said = scene_doubts(replace(bank, parameters=(*bank.parameters, idle), inputs=(*bank.inputs, brake)))
+    said = scene_doubts(
+        replace(bank, parameters=(*bank.parameters, idle), inputs=(*bank.inputs, brake))
+    )
     of_parameter, of_input = said
     assert not unsaid(of_parameter, "wall_pendulum", "parameter spare", "changes nothing")
     assert not unsaid(of_input, "wall_pendulum", "input brake", "moves nothing")
@@ -41,7 +46,13 @@ def test_a_limit_that_judges_nothing_is_named():
     bank = load_scene("wall_pendulum")  # its end is free
     limit = Limit(metric="discrete_terminal_position_error", value=1.0, reason="as elsewhere")
     (said,) = scene_doubts(replace(bank, limits=(*bank.limits, limit)))
-    assert not unsaid(said, "wall_pendulum", "limit on discrete_terminal_position_error", "judges nothing", "(norm of")
+    assert not unsaid(
+        said,
+        "wall_pendulum",
+        "limit on discrete_terminal_position_error",
+        "judges nothing",
+        "(norm of",
+    )
 
 
 def test_a_goal_deeper_than_the_contact_reaches_is_asked_about():
@@ -57,8 +68,19 @@ def test_a_goal_deeper_than_the_contact_reaches_is_asked_about():
         deep = bank.with_task(goal=(q1 + inside * depth - gap, q2, q3 + 10.0, 0.0, 0.0, 0.0))
         found = [said for said in scene_doubts(deep) if "at the goal" in said]
         assert len(found) == told
-        assert all(not unsaid(said, "contact left", f"{1.1 * depth:.3g} m deep at the goal … ends at {depth:.3g} m") for said in found)
-    assert not [said for said in scene_doubts(bank.with_task(goal=(q1, None, q3, 0.0, 0.0, 0.0))) if "at the goal" in said]
+        assert all(
+            not unsaid(
+                said,
+                "contact left",
+                f"{1.1 * depth:.3g} m deep at the goal … ends at {depth:.3g} m",
+            )
+            for said in found
+        )
+    assert not [
+        said
+        for said in scene_doubts(bank.with_task(goal=(q1, None, q3, 0.0, 0.0, 0.0)))
+        if "at the goal" in said
+    ]
 
 
 @pytest.fixture
@@ -74,7 +96,13 @@ def standing_still(scene):
     state = np.tile(start, (steps + 1, 1))
     nothing = np.zeros((steps, len(scene.inputs)))
     lam = np.zeros((steps, len(scene.contacts)))
-    return Trajectory(t=task.step * np.arange(steps + 1), q=state[:, : scene.nq], v=state[:, scene.nq :], u=nothing, lam=lam)
+    return Trajectory(
+        t=task.step * np.arange(steps + 1),
+        q=state[:, : scene.nq],
+        v=state[:, scene.nq :],
+        u=nothing,
+        lam=lam,
+    )
 
 
 PLAN = ("plan", "--scene", "{scene}", "-k", "=strict", "--out", "{folder}/out")
@@ -82,7 +110,9 @@ REPLAY = ("replay", "{folder}/plan.csv", "--scene", "{scene}")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arguments", [PLAN, (*PLAN, "--json"), ("fmu", "{scene}", "-o", "{folder}/made.fmu"), REPLAY])
+@pytest.mark.parametrize(
+    "arguments", [PLAN, (*PLAN, "--json"), ("fmu", "{scene}", "-o", "{folder}/made.fmu"), REPLAY]
+)
 def test_a_start_deep_in_contact_is_asked_about(tmp_path, capsys, wrong_sign, arguments):
     scene = load_scene(str(wrong_sign))
     write_csv(tmp_path / "plan.csv", standing_still(scene), scene)
@@ -97,7 +127,9 @@ def test_a_doubt_goes_into_json_too(tmp_path, capsys, wrong_sign):
     """Who reads the score by machine is warned like everybody else, and what is on stdout stays JSON."""
     scene = load_scene(str(wrong_sign))
     write_csv(tmp_path / "plan.csv", standing_still(scene), scene)
-    assert run([word.format(scene=wrong_sign, folder=tmp_path) for word in (*REPLAY, "--json")]) in (0, 1)
+    assert run(
+        [word.format(scene=wrong_sign, folder=tmp_path) for word in (*REPLAY, "--json")]
+    ) in (0, 1)
     out, err = capsys.readouterr()
     (warning,) = json.loads(out)["warnings"]
     assert not unsaid(warning, "sign of its penetration right?")

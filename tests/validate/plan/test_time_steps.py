@@ -27,27 +27,43 @@ def test_a_stable_step_is_stored_without_a_warning(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_step_past_the_limit_is_told_before_the_cells_stored_shown_and_used_again(cli, tmp_path, monkeypatch):
+def test_a_step_past_the_limit_is_told_before_the_cells_stored_shown_and_used_again(
+    cli, tmp_path, monkeypatch
+):
     path = tmp_path / "stiff_pair.py"
     path.write_text(UNSTABLE)
-    done = cli("all", "--scene", str(path), "-k", "free_motion and stiff", "--out", str(tmp_path / "out"))
+    done = cli(
+        "all", "--scene", str(path), "-k", "free_motion and stiff", "--out", str(tmp_path / "out")
+    )
     lines = [line for line in done.stderr.splitlines() if line.strip()]
-    warned = next(index for index, line in enumerate(lines) if line.startswith("warning: scene stiff_pair: with pair closed"))
+    warned = next(
+        index
+        for index, line in enumerate(lines)
+        if line.startswith("warning: scene stiff_pair: with pair closed")
+    )
     finished = [index for index, line in enumerate(lines) if line.startswith("[1/")]
     assert "take a step below 0.000866 s" in lines[warned]
     assert not finished or warned < finished[0]
     stored = json.loads((tmp_path / "out" / "campaign.json").read_text())
     (step,) = stored["time_steps"]
     assert step["radius"] > 1.0
-    assert "past the stability limit" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    monkeypatch.setattr(campaign, "step_stability", lambda scene: None)  # asked again, it would fail
+    assert "past the stability limit" in (tmp_path / "out" / "report.html").read_text(
+        encoding="utf-8"
+    )
+    monkeypatch.setattr(
+        campaign, "step_stability", lambda scene: None
+    )  # asked again, it would fail
     (found,) = time_steps([load_scene(str(path))], campaign_of(tmp_path / "out").time_steps)
     assert found.warning
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "command", [("plan", "-k", "free_motion and stiff", "--scene"), ("plan", "--json", "-k", "free_motion and stiff", "--scene")]
+    "command",
+    [
+        ("plan", "-k", "free_motion and stiff", "--scene"),
+        ("plan", "--json", "-k", "free_motion and stiff", "--scene"),
+    ],
 )
 def test_a_plan_of_a_campaign_tells_it_too(cli, tmp_path, command):
     path = tmp_path / "stiff_pair.py"
@@ -66,7 +82,14 @@ def test_a_plan_on_a_step_too_long_is_told_before_its_score(cli, tmp_path):
         coarse = scene.with_task(step=step, steps=5)
         q = np.tile(np.array(scene.task.start[:3]), (6, 1))
         none = np.zeros((5, 2))
-        plan = Trajectory(t=uniform_grid(step, 5), q=q, v=0.0 * q, u=none, lam=none, scheme=Scheme.SEMI_IMPLICIT_EULER)
+        plan = Trajectory(
+            t=uniform_grid(step, 5),
+            q=q,
+            v=0.0 * q,
+            u=none,
+            lam=none,
+            scheme=Scheme.SEMI_IMPLICIT_EULER,
+        )
         write_csv(tmp_path / "plan.csv", plan, coarse)
         said[step] = cli("replay", str(tmp_path / "plan.csv"), "--scene", "three_cart").stderr
     assert "past the stability limit" not in said[scene.task.step]

@@ -30,9 +30,16 @@ from validate.store.store import Store
 from validate.tasks.task import CheckTask
 
 
-def key(*legs: Leg, scene: str = "wall_pendulum", name: str = "same", title: str = "one title") -> str:
+def key(
+    *legs: Leg, scene: str = "wall_pendulum", name: str = "same", title: str = "one title"
+) -> str:
     entries, _ = select(
-        CampaignSettings(out=Path("nowhere"), scenes=(scene,), expression="same", pipelines=(Pipeline(name=name, title=title, legs=legs),))
+        CampaignSettings(
+            out=Path("nowhere"),
+            scenes=(scene,),
+            expression="same",
+            pipelines=(Pipeline(name=name, title=title, legs=legs),),
+        )
     )
     (entry,) = entries
     return entry.task.key
@@ -48,7 +55,9 @@ def others(item: Field[Any]) -> list[object]:
     if isinstance(default, tuple):
         return [default[:-1], (*default[:-1], math.nextafter(default[-1], math.inf))]
     near = (
-        [default - 2, default + 2] if isinstance(default, int) else [math.nextafter(default, -math.inf), math.nextafter(default, math.inf)]
+        [default - 2, default + 2]
+        if isinstance(default, int)
+        else [math.nextafter(default, -math.inf), math.nextafter(default, math.inf)]
     )
     return [value for value in near if bounds[0] <= value <= bounds[1]]
 
@@ -60,7 +69,9 @@ def test_every_option_of_every_method_has_a_key_of_its_own(name: str):
     asked = Leg(method=name, schedule=(1e-2 if method.needs_eps else None,))
     options = fields(method.options)
     changed = [{item.name: value} for item in options for value in others(item)]
-    assert {name for variant in changed for name in variant} == {item.name for item in options}, "each option in turn"
+    assert {name for variant in changed for name in variant} == {item.name for item in options}, (
+        "each option in turn"
+    )
     keys = [key(replace(asked, options=variant)) for variant in changed]
     assert len({key(asked), *keys}) == 1 + len(changed)
     by_stage = [key(replace(asked, stage_options=(variant,))) for variant in changed]
@@ -75,13 +86,17 @@ STRICT = Leg(method="strict_lcp")
 @pytest.mark.slow
 def test_whatever_is_asked_otherwise_has_another_key():
     variants = {
-        "as it is": key(SOFT, STRICT), "another eps": key(replace(SOFT, schedule=(1e-3, math.nextafter(1e-5, 1.0))), STRICT),
+        "as it is": key(SOFT, STRICT),
+        "another eps": key(replace(SOFT, schedule=(1e-3, math.nextafter(1e-5, 1.0))), STRICT),
         "the same eps in another order": key(replace(SOFT, schedule=(1e-5, 1e-3)), STRICT),
         "a stage less": key(replace(SOFT, schedule=(1e-3,)), STRICT), "a method less": key(SOFT),
         "the methods the other way round": key(STRICT, SOFT),
-        "an option of one stage": key(replace(SOFT, stage_options=({"max_iterations": 7},)), STRICT),
-        "an option of the other stage": key(replace(SOFT, stage_options=({}, {"max_iterations": 7})), STRICT),
-        "another scene": key(SOFT, STRICT, scene="three_cart"), "another name": key(SOFT, STRICT, name="same_otherwise"),
+        "an option of one stage": key(replace(SOFT, stage_options=({"max_iterations": 7},)),
+                                      STRICT),
+        "an option of the other stage": key(replace(SOFT,
+            stage_options=({}, {"max_iterations": 7})), STRICT),
+        "another scene": key(SOFT, STRICT, scene="three_cart"),
+        "another name": key(SOFT, STRICT, name="same_otherwise"),
     }  # fmt: skip
     assert len(set(variants.values())) == len(variants)
     assert key(SOFT, STRICT) == variants["as it is"]
@@ -98,22 +113,31 @@ def test_another_linear_solver_or_library_has_another_key(monkeypatch: pytest.Mo
     assert key(STRICT) == ours
     versions = provenance.library_versions()
     for name in versions:
-        monkeypatch.setattr(provenance, "library_versions", lambda name=name: {**versions, name: "another"})
+        monkeypatch.setattr(
+            provenance, "library_versions", lambda name=name: {**versions, name: "another"}
+        )
         assert key(STRICT) != ours, name
 
 
 SOURCES = provenance._source_digests()
-# A file of ours, and whether it decides: a run of strict_lcp, a check of nothing but models/fmu, one that names no sources, which has all.
+# A file of ours, and whether it decides: a run of strict_lcp, a check of nothing but models/fmu,
+# one that names no sources, which has all.
 DECIDES = {
-    "models/fmu/package.py": (True, True, True), "models/dynamics.py": (True, False, True), "formulations/methods/strict_lcp.py": (True, False, False),
-    "formulations/methods/mpcc.py": (False, False, False), "models/scenes/three_cart.py": (False, False, False), "validate/tasks/check.py": (False, True, True),
-    "validate/judge/score/measures.py": (True, False, True), "reports/records/record.py": (True, True, True),
+    "models/fmu/package.py": (True, True, True), "models/dynamics.py": (True, False, True),
+    "formulations/methods/strict_lcp.py": (True, False, False),
+    "formulations/methods/mpcc.py": (False, False, False),
+    "models/scenes/three_cart.py": (False, False, False),
+    "validate/tasks/check.py": (False, True, True),
+    "validate/judge/score/measures.py": (True, False, True),
+    "reports/records/record.py": (True, True, True),
 }  # fmt: skip
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("changed", DECIDES)
-def test_a_key_is_of_the_sources_that_decide_and_of_no_others(changed: str, monkeypatch: pytest.MonkeyPatch):
+def test_a_key_is_of_the_sources_that_decide_and_of_no_others(
+    changed: str, monkeypatch: pytest.MonkeyPatch
+):
     assert changed in SOURCES, "or nothing would be changed"
     one = CheckTask(kind="k", name="n", expected="e", function="f", sources=("models/fmu",))
     whole = replace(one, sources=())
@@ -122,7 +146,9 @@ def test_a_key_is_of_the_sources_that_decide_and_of_no_others(changed: str, monk
         return key(STRICT), provenance.check_key(one), provenance.check_key(whole)
 
     before = keys()
-    monkeypatch.setattr(provenance, "_source_digests", lambda: {**SOURCES, changed: "another digest"})
+    monkeypatch.setattr(
+        provenance, "_source_digests", lambda: {**SOURCES, changed: "another digest"}
+    )
     monkeypatch.setattr(provenance, "_digest_of_sources", provenance._digest_of_sources.__wrapped__)
     assert tuple(now != then for now, then in zip(keys(), before, strict=True)) == DECIDES[changed]
 
@@ -134,11 +160,15 @@ def test_a_record_says_where_it_came_from():
     assert told.cores == len(os.sched_getaffinity(0))
     assert told.threads == 1
     assert told.command == "python -m validate all"
-    assert told.packages == {name: version for name, version in provenance.library_versions().items() if name != "python"}
+    assert told.packages == {
+        name: version for name, version in provenance.library_versions().items() if name != "python"
+    }
     information = Path("/proc/cpuinfo")
     if information.exists():
         models = {
-            line.partition(":")[2].strip() for line in information.read_text(encoding="utf-8").splitlines() if line.startswith("model name")
+            line.partition(":")[2].strip()
+            for line in information.read_text(encoding="utf-8").splitlines()
+            if line.startswith("model name")
         }
         assert not models or any(model in told.cpu for model in models)
 
@@ -150,7 +180,13 @@ OSCILLATOR = Path(__file__).parents[2] / "scenes" / "oscillator.py"
 def _plan(steps: int = 500) -> Trajectory:
     q = np.tile([2.0, 2.6, 3.0], (steps + 1, 1))  # gaps 0.1 and -0.1
     q[:, 0] += np.linspace(0.0, 0.05, steps + 1)
-    return Trajectory(t=uniform_grid(0.01, steps), q=q, v=np.zeros_like(q), u=np.ones((steps, 2)), lam=np.full((steps, 2), 2.0))
+    return Trajectory(
+        t=uniform_grid(0.01, steps),
+        q=q,
+        v=np.zeros_like(q),
+        u=np.ones((steps, 2)),
+        lam=np.full((steps, 2), 2.0),
+    )
 
 
 def test_files_of_plans_have_gaps_and_poses(tmp_path):
@@ -159,7 +195,9 @@ def test_files_of_plans_have_gaps_and_poses(tmp_path):
     assert columns["gap_left"].values[0] == pytest.approx(0.1)
     assert columns["gap_left"].values[-1] == pytest.approx(0.05)
     assert columns["gap_right"].values[0] == pytest.approx(-0.1)
-    assert [columns[f"pose_{part}_1"].values[-1] for part in ("x", "y", "angle")] == pytest.approx([2.05, 0.25, 0.0])
+    assert [columns[f"pose_{part}_1"].values[-1] for part in ("x", "y", "angle")] == pytest.approx(
+        [2.05, 0.25, 0.0]
+    )
     assert (columns["pose_x_2"].description, columns["pose_angle_2"].unit) == ("x of middle", "rad")
 
 
@@ -168,8 +206,10 @@ def test_a_key_is_content():
     key = content_key(SCENE, stages, ["strict_lcp"])
     assert key == content_key(load_scene("three_cart"), [list(stages[0])], ["strict_lcp"])
     others = [
-        content_key(SCENE.with_parameters(k=31.0), stages, ["strict_lcp"]), content_key(SCENE.with_task(steps=499), stages, ["strict_lcp"]),
-        content_key(SCENE, [("strict_lcp", None, {"a": "2"})], ["strict_lcp"]), content_key(SCENE, stages, ["strict_lcp"], "another judge"),
+        content_key(SCENE.with_parameters(k=31.0), stages, ["strict_lcp"]),
+        content_key(SCENE.with_task(steps=499), stages, ["strict_lcp"]),
+        content_key(SCENE, [("strict_lcp", None, {"a": "2"})], ["strict_lcp"]),
+        content_key(SCENE, stages, ["strict_lcp"], "another judge"),
     ]  # fmt: skip
     assert len({key, *others}) == 5
 
@@ -188,7 +228,9 @@ def _imported_reports(name: str) -> set[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             node.body = [ast.Pass()]
-    found = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
+    found = {
+        node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module
+    }
     return {f"{module.replace('.', '/')}.py" for module in found if module.startswith("reports.")}
 
 
@@ -197,10 +239,18 @@ def test_whatever_writes_records_is_part_of_their_keys():
     """Of the files that count, each imports of the room of reports only what counts too, or what tells of records that are written already."""
     counted = provenance._source_digests()
     # the last is of a page of one plan, which no run stores
-    telling = {"reports/records/load.py", "reports/render.py", "reports/records/robustness_record.py"}
+    telling = {
+        "reports/records/load.py",
+        "reports/render.py",
+        "reports/records/robustness_record.py",
+    }
     imported = {name: _imported_reports(name) for name in counted if name.endswith(".py")}
     assert "reports/records/record.py" in imported["validate/tasks/records.py"]
-    assert {name: missing for name, modules in imported.items() if (missing := modules - set(counted) - telling)} == {}
+    assert {
+        name: missing
+        for name, modules in imported.items()
+        if (missing := modules - set(counted) - telling)
+    } == {}
     # a cell's record holds columns of numbers and the paper's figures
     assert {"reports/records/record.py", "reports/paper.py"} <= set(source_digests(["strict_lcp"]))
     assert "reports/records/check_record.py" not in source_digests(["strict_lcp"])
@@ -212,7 +262,9 @@ def test_the_file_of_a_scene_without_contacts_or_inputs_has_its_motion_alone(tmp
     nodes = 4
     q = np.linspace(0.0, 0.3, nodes)[:, None]
     write_netcdf(
-        tmp_path / "trajectory.nc", Trajectory(t=uniform_grid(0.1, 3), q=q, v=0 * q, u=np.zeros((3, 0)), lam=np.zeros((3, 0))), scene
+        tmp_path / "trajectory.nc",
+        Trajectory(t=uniform_grid(0.1, 3), q=q, v=0 * q, u=np.zeros((3, 0)), lam=np.zeros((3, 0))),
+        scene,
     )
     columns, _ = read_columns(tmp_path / "trajectory.nc")
     moving = {name for name in columns if not name.startswith("pose_")}
@@ -246,20 +298,33 @@ class Soft(sp.Function):
 
 
 @pytest.mark.slow
-def test_a_changed_module_is_noticed_and_the_old_one_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_changed_module_is_noticed_and_the_old_one_found_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
     monkeypatch.chdir(tmp_path)
-    scene, parts, out = tmp_path / "scenes" / "own.py", tmp_path / "scenes" / "parts_.py", tmp_path / "out"
+    scene, parts, out = (
+        tmp_path / "scenes" / "own.py",
+        tmp_path / "scenes" / "parts_.py",
+        tmp_path / "out",
+    )
     scene.parent.mkdir()
     scene.write_text(OWN_SCENE)
 
     def settings(stiffness: float) -> CampaignSettings:
         parts.write_text(PARTS.format(stiffness=stiffness))
-        return CampaignSettings(out=out, plugin="campaign_fakes:PLUGIN", scenes=("scenes/own.py",), expression="=only_good")
+        return CampaignSettings(
+            out=out,
+            plugin="campaign_fakes:PLUGIN",
+            scenes=("scenes/own.py",),
+            expression="=only_good",
+        )
 
     (first,) = run_campaign(settings(1.0), PlainNarrator()).records
     assert first.outcome == "solved", first.log_tail
-    (harder,) = run_campaign(settings(2.0), PlainNarrator()).records  # of which the expressions of the scene say nothing
+    (harder,) = run_campaign(
+        settings(2.0), PlainNarrator()
+    ).records  # of which the expressions of the scene say nothing
     assert first.key != harder.key
     assert len(list((out / "runs").iterdir())) == 2
     (back,) = with_stored(select(settings(1.0))[0], Store(out), settings(1.0))

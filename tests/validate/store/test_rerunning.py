@@ -31,14 +31,20 @@ def ran(cli, tmp_path_factory):
 
 
 def names(out: Path) -> list[str]:
-    return sorted(json.loads(path.read_text())["pipeline"] for path in out.glob("runs/*/record.json"))
+    return sorted(
+        json.loads(path.read_text())["pipeline"] for path in out.glob("runs/*/record.json")
+    )
 
 
 def test_last_failed_runs_those_and_keeps_the_rest(cli, ran):
     done = cli("plan", *FAKES, "--out", str(ran), "--lf", "--json")
     plan = json.loads(done.stdout)
     why = {run["name"].split(" x ")[1]: run["why"] for run in plan["runs"]}
-    assert why == {"only_good": "", "only_raises": "it failed the last time", "only_exit_seven": "it failed the last time"}
+    assert why == {
+        "only_good": "",
+        "only_raises": "it failed the last time",
+        "only_exit_seven": "it failed the last time",
+    }
     again = cli("all", *FAKES, "--out", str(ran), "--lf", "--json")
     assert again.stderr.splitlines()[0] == "1 stored, 2 to run, 2 of them again"
     assert {row["pipeline"] for row in json.loads(again.stdout)["results"]} == set(why)
@@ -47,7 +53,12 @@ def test_last_failed_runs_those_and_keeps_the_rest(cli, ran):
 def test_last_failed_of_what_did_not_fail(cli, ran):
     done = cli("all", *FAKES, "--out", str(ran), "--lf", "-k", "only_good")
     assert done.returncode == 2
-    assert not unsaid(done.stderr, "nothing that is selected failed", "not selected (three_cart x ", "-k, --scene, --plugin")
+    assert not unsaid(
+        done.stderr,
+        "nothing that is selected failed",
+        "not selected (three_cart x ",
+        "-k, --scene, --plugin",
+    )
 
 
 class _Stopped(PlainNarrator):
@@ -61,7 +72,13 @@ class _Stopped(PlainNarrator):
 def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch, capsys):
     """Also where nothing is heard of the interruption: the marks lie in the store."""
     monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
-    settings = CampaignSettings(out=tmp_path, plugin=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
+    settings = CampaignSettings(
+        out=tmp_path,
+        plugin=FAKES[1],
+        scenes=FAKES[3:],
+        expression="only_good or only_infeasible",
+        jobs=1,
+    )
     whole = run_campaign(settings, PlainNarrator())
     stopped = _Stopped()
     with pytest.raises(KeyboardInterrupt):
@@ -72,12 +89,19 @@ def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch,
     kept = {path.parent.name: path.read_bytes() for path in tmp_path.glob("runs/*/record.json")}
     assert len(kept) == 2
     store, (chosen, _) = Store(tmp_path), select(settings)
-    assert sorted(reasons(with_stored(chosen, store, settings), store)) == ["", "stored, but to be run anew, which was interrupted"]
+    assert sorted(reasons(with_stored(chosen, store, settings), store)) == [
+        "",
+        "stored, but to be run anew, which was interrupted",
+    ]
     resumed = PlainNarrator()
     again = run_campaign(settings, resumed)
     assert (resumed.stored, resumed.done, resumed.anew) == (1, 1, 1)
     assert [record.key for record in again.records] == [record.key for record in whole.records]
-    done = [path.parent.name for path in tmp_path.glob("runs/*/record.json") if path.read_bytes() != kept[path.parent.name]]
+    done = [
+        path.parent.name
+        for path in tmp_path.glob("runs/*/record.json")
+        if path.read_bytes() != kept[path.parent.name]
+    ]
     assert len(done) == 1, "each cell was run anew once"
     assert all(entry.stored for entry in with_stored(chosen, store, settings))
 
@@ -85,13 +109,28 @@ def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch,
 def test_what_a_stop_at_the_first_failure_leaves_stays_as_it_is(cli, ran):
     done = cli("all", *FAKES, "--out", str(ran), "--lf", "-x", "-j", "1")
     assert done.stderr.splitlines()[0] == "1 stored, 2 to run, 2 of them again"
-    assert not unsaid(done.stderr, "first failure (-x)", "2 of 3 runs are done", f"{ran} holds of the others is kept")
+    assert not unsaid(
+        done.stderr,
+        "first failure (-x)",
+        "2 of 3 runs are done",
+        f"{ran} holds of the others is kept",
+    )
     plan = json.loads(cli("plan", *FAKES, "--out", str(ran), "-k", CHOICE, "--json").stdout)
     assert {run["why"] for run in plan["runs"]} == {"", "stored, but it crashed"}
 
 
 def test_stop_at_the_first_failure(cli, tmp_path):
-    done = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_exit_seven or only_slow or only_raises", "-x", "-j", "1")
+    done = cli(
+        "all",
+        *FAKES,
+        "--out",
+        str(tmp_path),
+        "-k",
+        "only_exit_seven or only_slow or only_raises",
+        "-x",
+        "-j",
+        "1",
+    )
     assert done.returncode == 1
     assert not unsaid(done.stderr, "first failure (-x)", f"1 of 3 runs are stored in {tmp_path}")
     assert names(tmp_path) == ["only_exit_seven"]
@@ -101,7 +140,13 @@ def test_stop_at_the_first_failure(cli, tmp_path):
 def test_show_tells_all_of_a_run_and_how_to_run_it_again(cli, ran, tmp_path):
     done = cli("show", "three_cart x only_good", "--in", str(ran))
     assert done.returncode == 0, done.stderr
-    for word in ("three_cart x only_good: solved, holds", "terminal_error", "options of stage 1 (good): iterations = 7", "log", str(ran)):
+    for word in (
+        "three_cart x only_good: solved, holds",
+        "terminal_error",
+        "options of stage 1 (good): iterations = 7",
+        "log",
+        str(ran),
+    ):
         assert not unsaid(done.stdout, word)
     again = shlex.split(done.stdout.splitlines()[-1].removeprefix("again: "))
     assert again[again.index("-k") + 1] == '="three_cart x only_good"'
@@ -120,7 +165,11 @@ def test_show_of_a_failure_ends_with_1_and_its_log(cli, ran):
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("three_cart", "means 3 runs"), ("only_gud", "did you mean three_cart x only_good?"), ("\x1b[31m", "there is no run")],
+    [
+        ("three_cart", "means 3 runs"),
+        ("only_gud", "did you mean three_cart x only_good?"),
+        ("\x1b[31m", "there is no run"),
+    ],
 )
 def test_show_of_no_run_or_several(cli, ran, name, words):
     done = cli("show", name, "--in", str(ran))
@@ -131,6 +180,21 @@ def test_show_of_no_run_or_several(cli, ran, name, words):
 
 def test_the_command_can_be_typed_again_in_any_shell():
     """zsh takes =strict for the path of a program called strict."""
-    told = command_line(["all", "-k", "=strict", "--out", "my runs", "--scene", "it's.py", "-k", ""])
-    assert shlex.split(told) == ["python", "-m", "validate", "all", "-k", "=strict", "--out", "my runs", "--scene", "it's.py", "-k", ""]
+    told = command_line(
+        ["all", "-k", "=strict", "--out", "my runs", "--scene", "it's.py", "-k", ""]
+    )
+    assert shlex.split(told) == [
+        "python",
+        "-m",
+        "validate",
+        "all",
+        "-k",
+        "=strict",
+        "--out",
+        "my runs",
+        "--scene",
+        "it's.py",
+        "-k",
+        "",
+    ]
     assert "-k '=strict' --out 'my runs'" in told

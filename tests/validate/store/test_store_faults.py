@@ -35,7 +35,11 @@ from validate.store.disk import (
 )
 from validate.store.store import RECORD, Store
 
-FAKES = {"plugin": "campaign_fakes:PLUGIN", "scenes": ("three_cart",), "expression": "only_good or only_refuses"}
+FAKES = {
+    "plugin": "campaign_fakes:PLUGIN",
+    "scenes": ("three_cart",),
+    "expression": "only_good or only_refuses",
+}
 RUN = factory.runs()[0]
 _ASKED = ("rename", "replace", "fsync", "mkdir", "open", "unlink")
 
@@ -115,7 +119,9 @@ def _refusals(disk: Disk, act: Callable[[], object]) -> Iterator[int]:
             if refused is not None:  # else it could do without
                 assert refused.exit_code == 3
                 assert "\n" not in str(refused)
-                assert ("the disk is full" if error == errno.ENOSPC else "read-only") in str(refused)
+                assert ("the disk is full" if error == errno.ENOSPC else "read-only") in str(
+                    refused
+                )
             yield number
 
 
@@ -139,7 +145,9 @@ def test_an_older_run_outlives_every_refusal(tmp_path, disk):
         disk.refuse(-1, 0)
         _put(store, old)
         names = [path.name for path in (tmp_path / "runs").iterdir()]
-        assert [name for name in names if not name.endswith("-old")] == [old.key]  # that removing was refused is left to the next campaign
+        assert [name for name in names if not name.endswith("-old")] == [
+            old.key
+        ]  # that removing was refused is left to the next campaign
     assert requests >= 2 * 10
     assert store.read(old.key) == new
 
@@ -166,7 +174,9 @@ def test_a_campaign_that_is_refused_anything_loses_nothing(cli, tmp_path, disk):
     (settings.out / "checks.csv").write_text("of an earlier campaign")  # is to be removed
     for _ in _refusals(disk, lambda: run_campaign(settings, PlainNarrator())):
         assert (settings.out / "results.csv").read_bytes() == results
-        assert {path: path.read_bytes() for path in settings.out.glob("runs/*/record.json")} == records
+        assert {
+            path: path.read_bytes() for path in settings.out.glob("runs/*/record.json")
+        } == records
         assert [path for path in settings.out.rglob(".*") if path.is_file()] == []
 
 
@@ -221,7 +231,16 @@ def test_many_may_store_the_same_cell_at_once(tmp_path):
     assert [path.name for path in (tmp_path / "runs").iterdir()] == [runs[0].key]
 
 
-REFUSE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.ENOTDIR}
+REFUSE = {
+    errno.EACCES,
+    errno.EPERM,
+    errno.EROFS,
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EIO,
+    errno.EFBIG,
+    errno.ENOTDIR,
+}
 END = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO}
 ALL = {*REFUSE, errno.ENOENT, errno.EEXIST, errno.EINVAL}
 
@@ -262,7 +281,10 @@ def test_a_folder_that_is_gone_is_said_so(tmp_path: Path):
 
 
 def test_what_an_error_came_of_counts_too(tmp_path: Path):
-    """The cause that was stated, else what was handled at the time; the file that it names, else that of the task."""
+    """The cause that was stated, else what was handled at the time.
+
+    The file that it names, else that of the task.
+    """
     inner = problem(errno.ENOSPC, "/full/inner")
     for link in ("__cause__", "__context__"):
         outer = ValueError("a plan")
@@ -276,8 +298,12 @@ def test_what_an_error_came_of_counts_too(tmp_path: Path):
         raise_if_disk_ended(tmp_path, problem(errno.EIO))
 
 
-@pytest.mark.parametrize(("file", "named"), [("/tmp/there", ": /tmp/there)"), (None, f"({os.strerror(errno.ENOSPC)})")])
-def test_no_temporary_folder_names_what_it_knows(file: str | None, named: str, monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize(
+    ("file", "named"), [("/tmp/there", ": /tmp/there)"), (None, f"({os.strerror(errno.ENOSPC)})")]
+)
+def test_no_temporary_folder_names_what_it_knows(
+    file: str | None, named: str, monkeypatch: pytest.MonkeyPatch
+):
     said = str(no_temporary_folder(problem(errno.ENOSPC, file)))
     assert named in said
     assert "TMPDIR" in said
@@ -315,7 +341,11 @@ def test_a_temporary_folder_is_gone_afterwards():
 def test_a_refusal_names_the_file_it_was_about(tmp_path: Path):
     file = tmp_path / "file"
     file.write_text("old")
-    for refused in (lambda: make_folder(file / "below"), lambda: write_durably(file / "below", "x"), lambda: remove(tmp_path)):
+    for refused in (
+        lambda: make_folder(file / "below"),
+        lambda: write_durably(file / "below", "x"),
+        lambda: remove(tmp_path),
+    ):
         with pytest.raises(MachineError, match=str(tmp_path)) as caught:
             refused()
         assert isinstance(caught.value.__cause__, OSError)
@@ -339,10 +369,14 @@ def test_what_is_aside_says_whose_it_is(tmp_path: Path, monkeypatch: pytest.Monk
     write_durably(tmp_path / "file", "x")
     assert replaced[0].parent == tmp_path
     assert replaced[0].name.startswith(".partial-file-")
-    assert aside_name("what", "token") == f".partial-what-token-{os.getpid()}-{socket.gethostname()}"
+    assert (
+        aside_name("what", "token") == f".partial-what-token-{os.getpid()}-{socket.gethostname()}"
+    )
 
 
-def test_ctrl_c_in_the_middle_of_a_write_leaves_the_old_text_and_nothing_else(tmp_path, monkeypatch):
+def test_ctrl_c_in_the_middle_of_a_write_leaves_the_old_text_and_nothing_else(
+    tmp_path, monkeypatch
+):
     write_durably(tmp_path / "file", "old")
 
     def interrupted(*_: object) -> None:

@@ -21,7 +21,16 @@ from validate.execution.worker import record_for_crash
 from validate.plan.runs import CampaignSettings, only_last_failed, reasons, select, with_stored
 from validate.store import store as module
 from validate.store.provenance import gather, machine
-from validate.store.store import FILES, PROGRESS, RECORD, REQUEST, Store, StoreError, _owner_lives, progress
+from validate.store.store import (
+    FILES,
+    PROGRESS,
+    RECORD,
+    REQUEST,
+    Store,
+    StoreError,
+    _owner_lives,
+    progress,
+)
 from validate.store.stored import (
     CAMPAIGN,
     CampaignError,
@@ -52,8 +61,11 @@ def dead() -> int:
 
 def test_who_is_at_work(dead: int):
     lives = {
-        f".partial-a-token-{os.getpid()}-{HOST}": True, f".partial-a-token-{os.getpid()}-{HOST}-old": True, f".partial-a-token-{dead}-{HOST}": False,
-        f".partial-a-token-{dead}-{HOST}-old": False, f".partial-a-token-{dead}-another-host": True, f".partial-a-token-{dead}": False,
+        f".partial-a-token-{os.getpid()}-{HOST}": True,
+        f".partial-a-token-{os.getpid()}-{HOST}-old": True,
+        f".partial-a-token-{dead}-{HOST}": False,
+        f".partial-a-token-{dead}-{HOST}-old": False, f".partial-a-token-{dead}-another-host": True,
+        f".partial-a-token-{dead}": False,
         ".partial-a-token-x1-another-host": False, ".partial-": False,
     }  # fmt: skip
     assert {name: _owner_lives(name) for name in lives} == lives
@@ -73,7 +85,9 @@ def store(tmp_path: Path) -> Store:
     return found
 
 
-def put(store: Store, name: str, record: object = None, cell: object = None, files: object = None) -> Path:
+def put(
+    store: Store, name: str, record: object = None, cell: object = None, files: object = None
+) -> Path:
     folder = store.runs / name
     folder.mkdir()
     if record is not None:
@@ -120,12 +134,18 @@ def test_a_mark_stays_until_it_is_taken_back(store: Store):
     put(store, run.key, run)
     put(store, "without a record")
     assert store.mark_for_rerun([run.key, "without a record", "nowhere"]) == [run.key]
-    assert [store.needs_rerun(key) for key in (run.key, "without a record", "nowhere")] == [True, False, False]
+    assert [store.needs_rerun(key) for key in (run.key, "without a record", "nowhere")] == [
+        True,
+        False,
+        False,
+    ]
     store.unmark([run.key, "nowhere"])
     assert not store.needs_rerun(run.key)
 
 
-def test_a_disk_that_takes_no_mark_is_told_with_the_mark(store: Store, monkeypatch: pytest.MonkeyPatch):
+def test_a_disk_that_takes_no_mark_is_told_with_the_mark(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+):
     run = factory.runs()[0]
     put(store, run.key, run)
 
@@ -135,11 +155,15 @@ def test_a_disk_that_takes_no_mark_is_told_with_the_mark(store: Store, monkeypat
     monkeypatch.setattr(Path, "touch", full)
     with pytest.raises(MachineError) as told:
         store.mark_for_rerun([run.key])
-    assert not unsaid(told.value, f"cannot write {store.runs / run.key}", "the disk is full", "make room")
+    assert not unsaid(
+        told.value, f"cannot write {store.runs / run.key}", "the disk is full", "make room"
+    )
 
 
 @pytest.mark.parametrize(("processor", "told"), [("Z80", "Z80"), ("", "vax")])
-def test_a_machine_that_does_not_list_its_processors_is_told_by_what_it_is(monkeypatch: pytest.MonkeyPatch, processor: str, told: str):
+def test_a_machine_that_does_not_list_its_processors_is_told_by_what_it_is(
+    monkeypatch: pytest.MonkeyPatch, processor: str, told: str
+):
     def nowhere(path: Path, encoding: str) -> str:
         raise FileNotFoundError(errno.ENOENT, "No such file", str(path))
 
@@ -156,13 +180,20 @@ def test_what_was_asked_for_is_read_where_it_can_be(store: Store):
     put(store, ".partial-d", cell={"name": "unfinished"})
     (put(store, "e") / REQUEST).write_text("[1]")
     assert list(store.requests()) == [{"name": "first"}, {"name": "second"}]
-    assert (store.request("a"), store.request("c"), store.request("nowhere")) == ({"name": "first"}, {}, {})
+    assert (store.request("a"), store.request("c"), store.request("nowhere")) == (
+        {"name": "first"},
+        {},
+        {},
+    )
 
 
 def test_a_task_is_stored_under_its_key_with_the_sizes_of_its_files(store: Store):
     for text in ("one", "another"):
         partial = store.open_partial("0123456789abcdef", "token")
-        assert re.fullmatch(rf"\.partial-0123456789ab-token[0-9a-f]{{27}}-{os.getpid()}-{re.escape(HOST)}", partial.name)
+        assert re.fullmatch(
+            rf"\.partial-0123456789ab-token[0-9a-f]{{27}}-{os.getpid()}-{re.escape(HOST)}",
+            partial.name,
+        )
         assert Store(partial.parents[1]).folder == store.folder
         (partial / "plan.nc").write_text(text)
         progress(partial, "halfway")
@@ -174,7 +205,9 @@ def test_a_task_is_stored_under_its_key_with_the_sizes_of_its_files(store: Store
         assert [path.name for path in store.runs.iterdir()] == ["0123456789abcdef"]
 
 
-def test_an_older_run_that_cannot_be_put_back_stays_aside(store: Store, monkeypatch: pytest.MonkeyPatch):
+def test_an_older_run_that_cannot_be_put_back_stays_aside(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+):
     """It is moved aside, its successor is refused its name, and so is its own way back: it is all there is, and is not removed."""
     key = "0123456789abcdef"
     older = store.open_partial(key, "older")
@@ -195,15 +228,24 @@ def test_an_older_run_that_cannot_be_put_back_stays_aside(store: Store, monkeypa
 
 
 def test_preparing_removes_what_the_dead_left_and_nothing_else(store: Store, dead: int):
-    """Unfinished runs, and files that were being written in the folder or its surveys; a run that was to be replaced is put back."""
+    """Unfinished runs, and files that were being written in the folder or its surveys.
+
+    A run that was to be replaced is put back.
+    """
     run = factory.runs()[0]
     mine = put(store, f".partial-a-token-{os.getpid()}-{HOST}")
     put(store, f".partial-b-token-{dead}-{HOST}")
     put(store, f".partial-c-token-{dead}-{HOST}-old", run)
     put(store, f".partial-d-token-{dead}-{HOST}", factory.runs()[1])
     (store.folder / "surveys").mkdir()
-    kept = [store.folder / "results.csv", store.folder / "surveys" / f".partial-file-token-{os.getpid()}-{HOST}"]
-    gone = [store.folder / f".partial-file-token-{dead}-{HOST}", store.folder / "surveys" / f".partial-file-token-{dead}-{HOST}"]
+    kept = [
+        store.folder / "results.csv",
+        store.folder / "surveys" / f".partial-file-token-{os.getpid()}-{HOST}",
+    ]
+    gone = [
+        store.folder / f".partial-file-token-{dead}-{HOST}",
+        store.folder / "surveys" / f".partial-file-token-{dead}-{HOST}",
+    ]
     for path in (*kept, *gone):
         path.write_text("x")
     store.prepare()
@@ -224,7 +266,11 @@ CHECK = {"kind": "stress", "name": "h01", "scene": "push_box"}
 
 
 def test_what_tasks_are_called():
-    assert [title_of(task) for task in (RUN, PART, CHECK)] == ["three_cart x strict", "three_cart x strict (2 of 3)", "stress: h01"]
+    assert [title_of(task) for task in (RUN, PART, CHECK)] == [
+        "three_cart x strict",
+        "three_cart x strict (2 of 3)",
+        "stress: h01",
+    ]
     others = (
         {**CHECK, "scene": None},
         {**CHECK, "kind": "FMU"},
@@ -233,40 +279,59 @@ def test_what_tasks_are_called():
         {**RUN, "pipeline": {"name": "x"}},
     )
     assert len({identity(task) for task in (RUN, PART, CHECK, *others)}) == 8
-    same = ({**RUN, "key": "other"}, {**RUN, "pipeline": {"name": "strict"}}, {**RUN, "pipeline": {"name": "strict", "part": []}})
+    same = (
+        {**RUN, "key": "other"},
+        {**RUN, "pipeline": {"name": "strict"}},
+        {**RUN, "pipeline": {"name": "strict", "part": []}},
+    )
     assert {identity(task) for task in same} == {identity(RUN)}
     assert identity({"pipeline": "damaged", **CHECK}) == identity(CHECK)
 
 
-def test_names_come_from_what_was_asked_or_from_the_record(store: Store, monkeypatch: pytest.MonkeyPatch):
+def test_names_come_from_what_was_asked_or_from_the_record(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+):
     first, second = factory.runs()[:2]
     put(store, first.key, first, cell=PART)
     put(store, second.key, second, cell={"pipeline": "damaged"})
     put(store, "nothing")
-    assert stored_names(store, [first.key, second.key, "nothing"]) == {first.key: "three_cart x strict (2 of 3)", second.key: second.title}
+    assert stored_names(store, [first.key, second.key, "nothing"]) == {
+        first.key: "three_cart x strict (2 of 3)",
+        second.key: second.title,
+    }
     monkeypatch.setattr(module, "record_of", None)
-    assert stored_names(store, [first.key]) == {first.key: "three_cart x strict (2 of 3)"}, "the record was not read"
+    assert stored_names(store, [first.key]) == {first.key: "three_cart x strict (2 of 3)"}, (
+        "the record was not read"
+    )
 
 
 def test_a_campaign_has_its_tasks_in_its_order(tmp_path: Path):
     runs = factory.runs()[:3]
     check = CheckRecord(
-        key="check", kind="stress", name="h01", expected="", outcome="answered", passed=True, wall_seconds=1.0, cpu_seconds=1.0,
+        key="check", kind="stress", name="h01", expected="", outcome="answered", passed=True,
+        wall_seconds=1.0, cpu_seconds=1.0,
         provenance=factory.provenance(),
     )  # fmt: skip
     campaign = factory.campaign(runs, keys=(runs[2].key, "check", "lost", runs[0].key))
     store = Store(factory.store(tmp_path / "all", [*runs, check], campaign))  # type: ignore[list-item]
     assert campaign_of(store.folder) == campaign
-    assert [record.key for key in campaign.keys if (record := store.read(key)) is not None] == [runs[2].key, "check", runs[0].key]
+    assert [record.key for key in campaign.keys if (record := store.read(key)) is not None] == [
+        runs[2].key,
+        "check",
+        runs[0].key,
+    ]
     assert check.title == "stress: h01"
 
 
 @pytest.mark.parametrize(("text", "parts"), [
-    (None, ("no campaign in this folder", "--out")), ("", ("damaged",)), ("[1]", ("damaged",)), ("{half", ("damaged",)),
+    (None, ("no campaign in this folder", "--out")), ("", ("damaged",)), ("[1]", ("damaged",)),
+    ("{half", ("damaged",)),
     ("{}", ("damaged, or of another version", "(5 fields do not fit)", "run the campaign again")),
     ('{"schema_version": 3}', ("schema 3", "run the campaign again")),
 ])  # fmt: skip
-def test_what_is_no_campaign_is_refused_with_its_place(tmp_path: Path, text: str | None, parts: tuple[str, ...]):
+def test_what_is_no_campaign_is_refused_with_its_place(
+    tmp_path: Path, text: str | None, parts: tuple[str, ...]
+):
     if text is not None:
         (tmp_path / CAMPAIGN).write_text(text)
     with pytest.raises(CampaignError) as caught:
@@ -279,7 +344,12 @@ def test_what_is_no_campaign_is_refused_with_its_place(tmp_path: Path, text: str
 def entry():
     """The cell three_cart x relu_gd of the real catalogs."""
     entries, _ = select(
-        CampaignSettings(out=None, time_limit=600.0, scenes=("three_cart",), expression="relu_gd and not softplus and not relaxed")
+        CampaignSettings(
+            out=None,
+            time_limit=600.0,
+            scenes=("three_cart",),
+            expression="relu_gd and not softplus and not relaxed",
+        )
     )
     (found,) = entries
     return found
@@ -288,11 +358,24 @@ def entry():
 def _record(entry, outcome: str, message: str = "") -> RunRecord:
     from formulations.solution import Outcome
 
-    stages = [unfinished_stage("three_cart", "relu_gd", planned, Outcome[outcome.upper()], message) for planned in entry.loaded.plan]
-    return run_record(entry.task, scene_record(entry.loaded.scene), stages, gather("test"), wall=1.0, cpu=1.0, log="a\nb")
+    stages = [
+        unfinished_stage("three_cart", "relu_gd", planned, Outcome[outcome.upper()], message)
+        for planned in entry.loaded.plan
+    ]
+    return run_record(
+        entry.task,
+        scene_record(entry.loaded.scene),
+        stages,
+        gather("test"),
+        wall=1.0,
+        cpu=1.0,
+        log="a\nb",
+    )
 
 
-def _stored(store: Store, record: RunRecord, time_limit: float = 600.0, files: tuple[str, ...] = ()) -> Path:
+def _stored(
+    store: Store, record: RunRecord, time_limit: float = 600.0, files: tuple[str, ...] = ()
+) -> Path:
     store.prepare()
     partial = store.open_partial(record.key, "token")
     for name in files:
@@ -303,7 +386,8 @@ def _stored(store: Store, record: RunRecord, time_limit: float = 600.0, files: t
 
 
 @pytest.mark.parametrize(("outcome", "time_limit", "used_again"), [
-    ("solved", 600.0, True), ("infeasible", 600.0, True), ("refused", 600.0, True), ("crashed", 600.0, False), ("time_limit", 600.0, True),
+    ("solved", 600.0, True), ("infeasible", 600.0, True), ("refused", 600.0, True),
+    ("crashed", 600.0, False), ("time_limit", 600.0, True),
     ("time_limit", 599.0, False),
 ])  # fmt: skip
 def test_what_is_used_again(tmp_path, entry, outcome, time_limit, used_again):
@@ -317,15 +401,27 @@ def test_what_is_used_again(tmp_path, entry, outcome, time_limit, used_again):
 
 
 @pytest.mark.parametrize(("time_limit", "used_again"), [(600.0, True), (599.0, False)])
-def test_a_certificate_that_time_took_is_made_when_there_is_more(tmp_path, entry, time_limit, used_again):
+def test_a_certificate_that_time_took_is_made_when_there_is_more(
+    tmp_path, entry, time_limit, used_again
+):
     """The plans were kept, and with them the outcome of the last stage: it does not say that time ran out."""
     store, record = Store(tmp_path), _record(entry, "solved")
     partial = tmp_path / "run"
     (leg,) = entry.task.legs
     place(partial, 1).mkdir(parents=True)
-    stages = tuple(stage.model_copy(update={"certificate_missing": True}) for stage in record.stages)
-    write_leg(place(partial, 1), LegRecord(key=leg.key, pipeline="relu_gd", stages=stages, files={}))
-    child = ChildExit(outcome="time_limit", message=f"ended at its time limit of {time_limit:g} s.", wall=time_limit, cpu=1.0, log="")
+    stages = tuple(
+        stage.model_copy(update={"certificate_missing": True}) for stage in record.stages
+    )
+    write_leg(
+        place(partial, 1), LegRecord(key=leg.key, pipeline="relu_gd", stages=stages, files={})
+    )
+    child = ChildExit(
+        outcome="time_limit",
+        message=f"ended at its time limit of {time_limit:g} s.",
+        wall=time_limit,
+        cpu=1.0,
+        log="",
+    )
     kept = record_for_crash(entry.task, gather("test"), child, partial, entry.loaded)
     assert kept.outcome == "solved"
     _stored(store, kept, time_limit)
@@ -334,10 +430,18 @@ def test_a_certificate_that_time_took_is_made_when_there_is_more(tmp_path, entry
 
 
 HARMS = {
-    "stored, but trajectory.nc is gone or cut off": lambda folder: (folder / "trajectory.nc").unlink(),
-    "stored, but replay.nc is gone or cut off": lambda folder: (folder / "replay.nc").write_bytes(b""),
-    "stored, but files.json is gone or cut off": lambda folder: (folder / "files.json").write_text("[1]"),
-    "stored, but its record cannot be read": lambda folder: (folder / "record.json").write_text("{}"),
+    "stored, but trajectory.nc is gone or cut off": lambda folder: (
+        folder / "trajectory.nc"
+    ).unlink(),
+    "stored, but replay.nc is gone or cut off": lambda folder: (folder / "replay.nc").write_bytes(
+        b""
+    ),
+    "stored, but files.json is gone or cut off": lambda folder: (folder / "files.json").write_text(
+        "[1]"
+    ),
+    "stored, but its record cannot be read": lambda folder: (folder / "record.json").write_text(
+        "{}"
+    ),
     "": lambda folder: (folder / "log.txt").unlink(missing_ok=True),
 }
 
@@ -354,10 +458,13 @@ def test_a_run_whose_files_are_gone_is_run_again(tmp_path, entry, why):
 @pytest.mark.parametrize(("text", "named"), [
     (json.dumps({"schema_version": SCHEMA_VERSION - 1}), f"schema {SCHEMA_VERSION - 1},"),
     (json.dumps({"schema_version": SCHEMA_VERSION + 1}), f"schema {SCHEMA_VERSION + 1},"),
-    (json.dumps({"schema_version": "9" * 50}), f"schema {'9' * 20},"), (json.dumps({"schema_version": SCHEMA_VERSION}), ""), (json.dumps({}), ""),
+    (json.dumps({"schema_version": "9" * 50}), f"schema {'9' * 20},"),
+    (json.dumps({"schema_version": SCHEMA_VERSION}), ""), (json.dumps({}), ""),
     ("[", ""), (None, ""),
 ])  # fmt: skip
-def test_records_of_another_version_are_named_and_run_again(text: str | None, named: str, tmp_path: Path):
+def test_records_of_another_version_are_named_and_run_again(
+    text: str | None, named: str, tmp_path: Path
+):
     if text is not None:
         (tmp_path / CAMPAIGN).write_text(text, encoding="utf-8")
     sentence = earlier_schema(tmp_path)
@@ -398,28 +505,47 @@ def test_what_a_campaign_is_does_not_depend_on_when_and_how_it_was_called() -> N
 
 
 def _asked(pipeline: str) -> dict:
-    return {"scene_name": "three_cart", "scene": "three_cart", "pipeline": {"name": pipeline, "part": None, "legs": []}}
+    return {
+        "scene_name": "three_cart",
+        "scene": "three_cart",
+        "pipeline": {"name": pipeline, "part": None, "legs": []},
+    }
 
 
 def _store_of(folder: Path, runs: list[RunRecord], names: Iterable[str]) -> Store:
     """A campaign of these runs, of which those with a name say what was asked for."""
     store = Store(factory.store(folder / "all", runs))
     for run, name in zip(runs, names, strict=False):
-        (store.runs / run.key / REQUEST).write_text(json.dumps({"task": _asked(name)}), encoding="utf-8")
+        (store.runs / run.key / REQUEST).write_text(
+            json.dumps({"task": _asked(name)}), encoding="utf-8"
+        )
     return store
 
 
 @pytest.mark.parametrize(
     ("part", "keys"),
-    [(["b"], "abc"), (["c", "a"], "cab"), (["d"], "abcd"), (["b", "d"], "abcd"), (["B"], "aBc"), ([], "abc")],
+    [
+        (["b"], "abc"),
+        (["c", "a"], "cab"),
+        (["d"], "abcd"),
+        (["b", "d"], "abcd"),
+        (["B"], "aBc"),
+        ([], "abc"),
+    ],
 )  # B: the same run, of other code
 def test_a_part_leaves_the_others_where_they_are(part: list[str], keys: str, tmp_path: Path):
-    store = _store_of(tmp_path, [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"], "abc")
-    found = with_others(store, campaign_of(store.folder), {identity(_asked(key.lower())): key for key in part})
+    store = _store_of(
+        tmp_path, [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"], "abc"
+    )
+    found = with_others(
+        store, campaign_of(store.folder), {identity(_asked(key.lower())): key for key in part}
+    )
     assert "".join(found) == keys
 
 
 def test_what_cannot_be_read_does_not_stay(tmp_path: Path):
-    store = _store_of(tmp_path, [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"], "ab")
+    store = _store_of(
+        tmp_path, [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"], "ab"
+    )
     (store.runs / "b" / "record.json").unlink()
     assert with_others(store, campaign_of(store.folder), {identity(_asked("d")): "d"}) == ("a", "d")

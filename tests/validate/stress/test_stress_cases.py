@@ -1,6 +1,7 @@
 """Every stress case: described without being imported, measured (with cheaper parameters where it is long), in a record that passes.
 
-In a campaign it is selected by its name, measured in a child, stored, used again, and a row of the report.
+In a campaign it is selected by its name, measured in a child, stored, used again, and a row of the
+report.
 """
 
 import importlib
@@ -16,7 +17,16 @@ from models.errors import TouchstoneError, UnknownNameError
 from reports.records.check_record import CheckRecord
 from reports.rule import failures
 from validate.store.provenance import gather
-from validate.stress.case import at_least, at_most, chart, checks, finding, none_of, refusal, unlimited
+from validate.stress.case import (
+    at_least,
+    at_most,
+    chart,
+    checks,
+    finding,
+    none_of,
+    refusal,
+    unlimited,
+)
 from validate.stress.catalog import FOLDER, case_names, describe_case, heading, load_case
 from validate.tasks.check import Found
 from validate.tasks.task import task_to_json
@@ -43,8 +53,10 @@ CHEAP: dict[str, dict[str, object]] = {
 def record_of(name: str, found: Found) -> CheckRecord:
     """The record that a campaign would store, through JSON and back."""
     record = CheckRecord(
-        key="0" * 64, kind="stress case", name=heading(name), expected=describe_case(name).expected, outcome="answered",
-        passed=found.passed, found=found.sentence, figures=found.figures, wall_seconds=1.0, cpu_seconds=1.0,
+        key="0" * 64, kind="stress case", name=heading(name), expected=describe_case(name).expected,
+        outcome="answered",
+        passed=found.passed, found=found.sentence, figures=found.figures, wall_seconds=1.0,
+        cpu_seconds=1.0,
         provenance=gather("a test"), **found.details,
     )  # fmt: skip
     return CheckRecord.model_validate_json(record.model_dump_json())
@@ -58,7 +70,9 @@ def test_the_case_passes_and_its_record_is_whole(name: str, monkeypatch):
         monkeypatch.setattr(module, constant, value)
     found = load_case(name)()
     assert found.passed, [
-        f"{figure.name} = {figure.value} (limit {figure.limit}): {figure.meaning}" for figure in found.figures if not figure.ok
+        f"{figure.name} = {figure.value} (limit {figure.limit}): {figure.meaning}"
+        for figure in found.figures
+        if not figure.ok
     ]
     record = record_of(name, found)
     assert record.passed
@@ -76,9 +90,15 @@ def test_the_case_passes_and_its_record_is_whole(name: str, monkeypatch):
 def test_a_case_says_what_it_depends_on(name: str):
     """A stored result is used again only while these are the same: names that the file loads must be among them."""
     text, said = (FOLDER / f"{name}.py").read_text(encoding="utf-8"), describe_case(name)
-    loaded = set(re.findall(r'load_scene\("(\w+)"\)', text)) | set(re.findall(r"from models\.scenes\.(\w+) import", text))
+    loaded = set(re.findall(r'load_scene\("(\w+)"\)', text)) | set(
+        re.findall(r"from models\.scenes\.(\w+) import", text)
+    )
     assert loaded <= set(said.scenes) <= set(scene_names())
-    assert set(re.findall(r'(?:load_method\(|solved\(.+?, )"(\w+)"', text)) <= set(said.methods) <= set(method_names())
+    assert (
+        set(re.findall(r'(?:load_method\(|solved\(.+?, )"(\w+)"', text))
+        <= set(said.methods)
+        <= set(method_names())
+    )
     module = importlib.import_module(f"validate.stress.cases.{name}")
     assert (module.CASE, module.measure) == (said, load_case(name))
 
@@ -94,9 +114,14 @@ def test_all_rows_are_there_once_and_offered_to_a_campaign():
 @pytest.mark.parametrize(
     ("figure", "ok"),
     [
-        (at_most("error", 1.0, 1.0, reason="r"), True), (at_most("error", 1.1, 1.0, reason="r"), False), (at_most("error", math.nan, 1.0, reason="r"), False),
-        (at_most("error", -math.inf, 1.0, reason="r"), False), (at_least("order", 1.9, 2.0, reason="r"), False),
-        (at_least("order", 2.0, 2.0, reason="r"), True), (none_of("wrong", ["one thing"], reason="r"), False), (none_of("wrong", [], reason="r"), True),
+        (at_most("error", 1.0, 1.0, reason="r"), True),
+        (at_most("error", 1.1, 1.0, reason="r"), False),
+        (at_most("error", math.nan, 1.0, reason="r"), False),
+        (at_most("error", -math.inf, 1.0, reason="r"), False),
+        (at_least("order", 1.9, 2.0, reason="r"), False),
+        (at_least("order", 2.0, 2.0, reason="r"), True),
+        (none_of("wrong", ["one thing"], reason="r"), False),
+        (none_of("wrong", [], reason="r"), True),
         (unlimited("only told", 5.0), None), (unlimited("only told", math.nan), False),
     ],
 )  # fmt: skip
@@ -110,8 +135,13 @@ def test_a_case_without_a_judged_figure_has_not_passed():
 
 
 def test_numbers_that_are_none_get_into_no_record():
-    drawn = chart("t", x=("x", ""), y=("y", ""), series={"s": ([1.0, 2.0, 3.0], [1.0, math.nan, math.inf])})
-    record = record_of(NAMES[0], finding("two\nlines", at_most("error", math.nan, 1.0, reason="r"), charts=(drawn,)))
+    drawn = chart(
+        "t", x=("x", ""), y=("y", ""), series={"s": ([1.0, 2.0, 3.0], [1.0, math.nan, math.inf])}
+    )
+    record = record_of(
+        NAMES[0],
+        finding("two\nlines", at_most("error", math.nan, 1.0, reason="r"), charts=(drawn,)),
+    )
     assert not record.passed
     assert record.figures[0].value is None
     assert record.charts[0].series[0].x == (1.0,)
@@ -126,8 +156,14 @@ def _raise(error: Exception) -> None:
     ("act", "wrong"),
     [
         (lambda: _raise(TouchstoneError("eps must be below 1.")), None),
-        (lambda: _raise(TouchstoneError("eps\nmust be below 1.")), "does not name 'eps' or 'sharpness'"),
-        (lambda: _raise(TouchstoneError("it must be below 1.")), "does not name 'eps' or 'sharpness'"),
+        (
+            lambda: _raise(TouchstoneError("eps\nmust be below 1.")),
+            "does not name 'eps' or 'sharpness'",
+        ),
+        (
+            lambda: _raise(TouchstoneError("it must be below 1.")),
+            "does not name 'eps' or 'sharpness'",
+        ),
         (lambda: _raise(ValueError("eps")), "ValueError instead of a sentence"),
         (lambda: None, "it is taken"),
     ],
@@ -178,11 +214,15 @@ def test_a_quick_campaign_says_that_it_leaves_cases_out(campaign, cli):
 def test_list_names_them(cli):
     listed = json.loads(cli("list", "--json").stdout)["stress cases"]
     assert [item["name"] for item in listed] == list(case_names())
-    assert {item["name"] for item in listed if item["quick"]} == {name for name in case_names() if describe_case(name).quick}
+    assert {item["name"] for item in listed if item["quick"]} == {
+        name for name in case_names() if describe_case(name).quick
+    }
 
 
 def test_a_case_that_there_is_not():
-    with pytest.raises(UnknownNameError, match=r"no stress case 'stiffness'; did you mean h01_stiffness\?"):
+    with pytest.raises(
+        UnknownNameError, match=r"no stress case 'stiffness'; did you mean h01_stiffness\?"
+    ):
         describe_case("stiffness")
     with pytest.raises(UnknownNameError, match="no stress case 'wrong'; there are h01_stiffness, "):
         describe_case("wrong")

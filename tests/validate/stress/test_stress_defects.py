@@ -51,7 +51,10 @@ def test_a_step_that_loses_speed_in_contact(monkeypatch):
 
     def lossy(self, *arguments, **options):
         found = rollout(self, *arguments, **options)
-        return replace(found, v=found.v * np.where((found.lam[-1:] == 0.0) & (found.lam.max() > 0.0), 0.95, 1.0))
+        return replace(
+            found,
+            v=found.v * np.where((found.lam[-1:] == 0.0) & (found.lam.max() > 0.0), 0.95, 1.0),
+        )
 
     monkeypatch.setattr(h02_restitution, "SWEEP", (0.5,))
     monkeypatch.setattr(Kernel, "rollout", lossy)
@@ -63,13 +66,21 @@ def test_a_limit_that_is_twice_too_far(monkeypatch):
     said = h01_stiffness.step_stability
     monkeypatch.setattr(h01_stiffness, "STIFFNESSES", (1e2, 2e4))
     monkeypatch.setattr(h01_stiffness, "SWEPT", 2)
-    monkeypatch.setattr(h01_stiffness, "step_stability", lambda scene: said(scene.with_task(step=scene.task.step / math.sqrt(2.0))))
+    monkeypatch.setattr(
+        h01_stiffness,
+        "step_stability",
+        lambda scene: said(scene.with_task(step=scene.task.step / math.sqrt(2.0))),
+    )
     assert "warned of wrongly" in broken(h01_stiffness.measure())
 
 
 def test_a_gradient_that_is_one_percent_off(monkeypatch):
     adjoint = Kernel.adjoint
-    monkeypatch.setattr(Kernel, "adjoint", lambda self, *a, **o: tuple(1.01 * array for array in adjoint(self, *a, **o)))
+    monkeypatch.setattr(
+        Kernel,
+        "adjoint",
+        lambda self, *a, **o: tuple(1.01 * array for array in adjoint(self, *a, **o)),
+    )
     assert "gradient" in broken(h04_grazing.measure())
 
 
@@ -80,7 +91,12 @@ def test_contacts_whose_order_matters(monkeypatch):
 
     def biased(scene, **options):
         first, *others = scene.contacts
-        return rolled(replace(scene, contacts=(replace(first, stiffness=first.stiffness * (1 + 1e-9)), *others)), **options)
+        return rolled(
+            replace(
+                scene, contacts=(replace(first, stiffness=first.stiffness * (1 + 1e-9)), *others)
+            ),
+            **options,
+        )
 
     monkeypatch.setattr(motion, "rolled", biased)
     assert "listed the other way round" in broken(h05_simultaneous.measure())
@@ -89,7 +105,9 @@ def test_contacts_whose_order_matters(monkeypatch):
 @pytest.mark.slow
 def test_a_goal_out_of_reach_that_is_called_solved(monkeypatch):
     monkeypatch.setattr(h10_out_of_reach, "METHODS", {"strict_lcp": None})
-    changed(monkeypatch, h10_out_of_reach, lambda solution: replace(solution, outcome=Outcome.SOLVED))
+    changed(
+        monkeypatch, h10_out_of_reach, lambda solution: replace(solution, outcome=Outcome.SOLVED)
+    )
     finding = h10_out_of_reach.measure()
     assert "do not say so" in broken(finding)
     assert "hands back a plan" in finding.figures[0].meaning
@@ -105,7 +123,10 @@ def test_coincident_centres_without_a_direction(monkeypatch):
         pair = scene.contacts[0]
         x1, y1, x2, y2 = (coordinate.symbol for coordinate in scene.coordinates)
         r = next(parameter.symbol for parameter in scene.parameters if parameter.name == "r")
-        return replace(scene, contacts=(replace(pair, penetration=2 * r - ((x2 - x1) ** 2 + (y2 - y1) ** 2) ** 0.5),))
+        return replace(
+            scene,
+            contacts=(replace(pair, penetration=2 * r - ((x2 - x1) ** 2 + (y2 - y1) ** 2) ** 0.5),),
+        )
 
     monkeypatch.setattr(h11_overlap, "load_scene", plain)
     monkeypatch.setattr(h11_overlap, "DISTANCES", (0.3, 0.0))
@@ -116,7 +137,9 @@ def test_coincident_centres_without_a_direction(monkeypatch):
 @pytest.mark.parametrize("case", [h12_biactive, h13_b_stationary])
 def test_a_certificate_that_finds_all_points_strongly_stationary(monkeypatch, case):
     certify = case.certify
-    monkeypatch.setattr(case, "certify", lambda *a, **o: replace(certify(*a, **o), stationarity=Stationarity.STRONG))
+    monkeypatch.setattr(
+        case, "certify", lambda *a, **o: replace(certify(*a, **o), stationarity=Stationarity.STRONG)
+    )
     assert broken(case.measure())
 
 
@@ -125,15 +148,24 @@ def test_stiction_that_creeps(monkeypatch):
     rolled = motion.rolled
     monkeypatch.setattr(h14_creep, "COEFFICIENTS", (0.2,))
     monkeypatch.setattr(h14_creep, "STEPS", (0.01, 0.005))
-    monkeypatch.setattr(motion, "rolled", lambda scene, **given: rolled(scene, **{**given, "law": ContactLaw.SOFTPLUS, "eps": 1e-3}))
+    monkeypatch.setattr(
+        motion,
+        "rolled",
+        lambda scene, **given: rolled(scene, **{**given, "law": ContactLaw.SOFTPLUS, "eps": 1e-3}),
+    )
     assert "must stick" in broken(h14_creep.measure())
 
 
 def test_an_eps_above_one_that_is_taken(monkeypatch):
-    monkeypatch.setattr("models.codegen.kernel.sharpness", lambda eps, length: abs(math.log(abs(eps))) / length if eps else 1.0 / length)
+    monkeypatch.setattr(
+        "models.codegen.kernel.sharpness",
+        lambda eps, length: abs(math.log(abs(eps))) / length if eps else 1.0 / length,
+    )
     finding = h15_softplus_eps.measure()
     assert "accepted nonsense inputs" in broken(finding)
-    assert "1.5 for the compiled law is taken" in next(figure.meaning for figure in finding.figures if figure.ok is False)
+    assert "1.5 for the compiled law is taken" in next(
+        figure.meaning for figure in finding.figures if figure.ok is False
+    )
 
 
 def test_a_plan_that_takes_anything(monkeypatch):
@@ -160,7 +192,9 @@ def test_a_replay_with_another_stiffness(monkeypatch):
     monkeypatch.setattr(
         motion,
         "replayed",
-        lambda scene, plan, **given: replayed(scene.with_parameters(k=(1.0 + 1e-6) * scene.parameter_values[_k(scene)]), plan, **given),
+        lambda scene, plan, **given: replayed(
+            scene.with_parameters(k=(1.0 + 1e-6) * scene.parameter_values[_k(scene)]), plan, **given
+        ),
     )
     assert broken(h03_mass_ratio.measure()) == "relative error of the contact time"
 
@@ -180,19 +214,36 @@ def test_a_plan_that_loses_momentum_in_contact(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("defect", ["warning", "replay", "goal"])
-def test_plans_of_unequal_masses_that_are_warned_of_wrongly_or_do_not_hold(monkeypatch, defect: str):
-    """A limit four times too near; a replay of carts a tenth heavier; a method that gives up where there is a plan."""
+def test_plans_of_unequal_masses_that_are_warned_of_wrongly_or_do_not_hold(
+    monkeypatch, defect: str
+):
+    """A limit four times too near; a replay of carts a tenth heavier.
+
+    A method that gives up where there is a plan.
+    """
     said, replayed = h03_mass_ratio.step_stability, h03_mass_ratio.replayed
     monkeypatch.setattr(h03_mass_ratio, "simulated", lambda: (np.zeros((4, 1)), []))
     monkeypatch.setattr(h03_mass_ratio, "RATIOS", (1.0,))
     monkeypatch.setattr(h03_mass_ratio, "PLANNED", (1e-1,) if defect == "warning" else (1e1,))
     if defect == "warning":
-        monkeypatch.setattr(h03_mass_ratio, "step_stability", lambda scene: said(scene.with_task(step=4.0 * scene.task.step)))
+        monkeypatch.setattr(
+            h03_mass_ratio,
+            "step_stability",
+            lambda scene: said(scene.with_task(step=4.0 * scene.task.step)),
+        )
     elif defect == "replay":
-        monkeypatch.setattr(h03_mass_ratio, "replayed", lambda scene, plan, like: replayed(scene.with_parameters(m=1.1), plan, like=like))
+        monkeypatch.setattr(
+            h03_mass_ratio,
+            "replayed",
+            lambda scene, plan, like: replayed(scene.with_parameters(m=1.1), plan, like=like),
+        )
     else:
         chained = h03_mass_ratio._chained
-        monkeypatch.setattr(h03_mass_ratio, "_chained", lambda scene: replace(chained(scene), outcome=Outcome.STALLED, trajectory=None))
+        monkeypatch.setattr(
+            h03_mass_ratio,
+            "_chained",
+            lambda scene: replace(chained(scene), outcome=Outcome.STALLED, trajectory=None),
+        )
     failed = broken(h03_mass_ratio.measure())
     assert ("largest replay error" if defect == "replay" else "neither planned nor told") in failed
 
@@ -203,7 +254,9 @@ def _k(scene):
 
 def test_a_budget_of_events_that_nobody_keeps(monkeypatch):
     replayed = h06_zeno.replayed
-    monkeypatch.setattr(h06_zeno, "replayed", lambda scene, plan, event_budget=None: replayed(scene, plan))
+    monkeypatch.setattr(
+        h06_zeno, "replayed", lambda scene, plan, event_budget=None: replayed(scene, plan)
+    )
     assert broken(h06_zeno.measure()) == "what does not end, or is not told"
 
 
@@ -211,7 +264,9 @@ def test_growth_of_other_equations_and_descent_that_keeps_silent(monkeypatch):
     """The steps of a pole under half the gravity; and `solved`, whatever happened."""
     steps = h07_unstable.load_steps
     monkeypatch.setattr(h07_unstable, "ITERATIONS", 2)
-    monkeypatch.setattr(h07_unstable, "load_steps", lambda scene: steps(scene.with_parameters(g=4.9)))
+    monkeypatch.setattr(
+        h07_unstable, "load_steps", lambda scene: steps(scene.with_parameters(g=4.9))
+    )
     changed(monkeypatch, h07_unstable, lambda solution: replace(solution, outcome=Outcome.SOLVED))
     failed = broken(h07_unstable.measure())
     assert "growth rate of the gradient" in failed
@@ -246,23 +301,34 @@ def test_smoothing_that_is_lost_on_the_way(monkeypatch):
     monkeypatch.setattr(
         h09_dead_relu,
         "solved",
-        lambda scene, method, eps=None, plan=None, **given: solved(scene, method, eps, **{**given, "max_iterations": 20}),
+        lambda scene, method, eps=None, plan=None, **given: solved(
+            scene, method, eps, **{**given, "max_iterations": 20}
+        ),
     )
     assert "terminal position error after smoothing" in broken(h09_dead_relu.measure())
 
 
 @pytest.mark.slow
 def test_a_length_that_is_hidden_in_the_law_and_an_optimum_that_depends_on_it(monkeypatch):
-    """A micrometre, or a thousandth of one where lengths are millimetres; a cost that is a hundred-thousandth dearer there."""
+    """A micrometre, or a thousandth of one where lengths are millimetres.
+
+    A cost that is a hundred-thousandth dearer there.
+    """
     rolled = h16_units.rolled
 
     def shifted(scene, **given):
-        contacts = tuple(replace(contact, penetration=contact.penetration + 1e-6) for contact in scene.contacts)
+        contacts = tuple(
+            replace(contact, penetration=contact.penetration + 1e-6) for contact in scene.contacts
+        )
         return rolled(replace(scene, contacts=contacts), **given)
 
     metres = motion.solved(load_scene("three_cart"), "mpcc", seconds=20.0, search=False)
     dearer = replace(metres, cost=(1.0 + 1e-5) * metres.cost)
-    monkeypatch.setattr(h16_units, "solved", lambda scene, method, **given: metres if scene.length == 1.0 else dearer)
+    monkeypatch.setattr(
+        h16_units,
+        "solved",
+        lambda scene, method, **given: metres if scene.length == 1.0 else dearer,
+    )
     monkeypatch.setattr(h16_units, "rolled", shifted)
     failed = broken(h16_units.measure())
     assert "plan's step: difference after rescaling" in failed
@@ -276,12 +342,16 @@ def test_a_front_whose_plans_end_elsewhere(monkeypatch):
     def stronger(solution):
         def point(item):
             plan = item.solution.trajectory
-            return replace(item, solution=replace(item.solution, trajectory=replace(plan, u=1.001 * plan.u)))
+            return replace(
+                item, solution=replace(item.solution, trajectory=replace(plan, u=1.001 * plan.u))
+            )
 
         return replace(solution, front=tuple(point(item) for item in solution.front))
 
     monkeypatch.setattr(h17_front, "TOLERANCES", (0.0, 0.1))
-    monkeypatch.setattr(h17_front, "certify_solution", lambda scene, solution: solution)  # a certificate of other inputs would say nothing
+    monkeypatch.setattr(
+        h17_front, "certify_solution", lambda scene, solution: solution
+    )  # a certificate of other inputs would say nothing
     changed(monkeypatch, h17_front, stronger)
     assert "end beyond its tolerance, true contact law" in broken(h17_front.measure())
 
@@ -291,7 +361,11 @@ def test_a_replay_that_holds_what_a_plan_joins(monkeypatch):
     replayed = h18_hold.replayed
     monkeypatch.setattr(h18_hold, "COUNTS", (10, 40))
     monkeypatch.setattr(h18_hold, "FINE", 320)
-    monkeypatch.setattr(h18_hold, "replayed", lambda scene, plan: replayed(scene, replace(plan, hold=Hold.ZERO_ORDER)))
+    monkeypatch.setattr(
+        h18_hold,
+        "replayed",
+        lambda scene, plan: replayed(scene, replace(plan, hold=Hold.ZERO_ORDER)),
+    )
     assert "order with lines" in broken(h18_hold.measure())
 
 
@@ -317,9 +391,13 @@ def test_float32_where_float64_is_said(monkeypatch, defect: str):
         monkeypatch.setattr(
             h21_float32,
             "reference_rollout",
-            lambda scene, u, start, **given: tuple(part.to(start.dtype) for part in reference(scene, u.float(), start.float(), **given)),
+            lambda scene, u, start, **given: tuple(
+                part.to(start.dtype) for part in reference(scene, u.float(), start.float(), **given)
+            ),
         )
         assert "error of float64" in broken(h21_float32.measure())
     else:
-        monkeypatch.setattr(h21_float32, "rollout", lambda scene, u: compiled(scene, u.to(torch.float64)))
+        monkeypatch.setattr(
+            h21_float32, "rollout", lambda scene, u: compiled(scene, u.to(torch.float64))
+        )
         assert "what is taken in float32" in broken(h21_float32.measure())

@@ -27,7 +27,16 @@ from validate.tasks.task import CheckTask, SceneReference, task_from_json, task_
 pytestmark = pytest.mark.slow
 
 # The time limit is for the one that hangs, beside which the others run.
-FAKES = ("--plugin", "check_fakes:PLUGIN", "--scene", "three_cart", "-k", "only_good or asked", "--time-limit", "12")
+FAKES = (
+    "--plugin",
+    "check_fakes:PLUGIN",
+    "--scene",
+    "three_cart",
+    "-k",
+    "only_good or asked",
+    "--time-limit",
+    "12",
+)
 
 
 def _records(out: Path) -> dict[str, CheckRecord]:
@@ -49,8 +58,10 @@ def asked(cli, tmp_path_factory):
 
 
 @pytest.mark.parametrize(("says", "outcome", "passed", "words"), [
-    ("yes", "answered", True, "it says yes."), ("no", "answered", False, "it says no."), ("maybe", "answered", False, "it says maybe."),
-    ("refuse", "failed", False, "the check says why it cannot."), ("raise", "crashed", False, "ValueError: its own mistake"),
+    ("yes", "answered", True, "it says yes."), ("no", "answered", False, "it says no."),
+    ("maybe", "answered", False, "it says maybe."),
+    ("refuse", "failed", False, "the check says why it cannot."),
+    ("raise", "crashed", False, "ValueError: its own mistake"),
     ("segfault", "crashed", False, r"signal 11 \(SIGSEGV\) during the question segfault"),
     ("hang", "time_limit", False, "time limit of 12 s, during the question hang"),
 ])  # fmt: skip
@@ -70,7 +81,11 @@ def test_what_fails_is_told_and_the_rest_is_not_disturbed(asked):
     failing = [line for line in done.stdout.splitlines() if line.startswith("fails: ")]
     assert len(failing) == 6
     assert not unsaid(failing, "no of three_cart: failed - it says no.")
-    assert [line for line in failing if not unsaid(line, "question: refuse of three_cart", "says why it cannot")]
+    assert [
+        line
+        for line in failing
+        if not unsaid(line, "question: refuse of three_cart", "says why it cannot")
+    ]
     assert re.search(r"\[\d/8\] question: yes of three_cart: passed, .*it says yes", done.stderr)
     assert "only_good" in (out / "results.csv").read_text()
     assert "question" not in (out / "results.csv").read_text()
@@ -90,9 +105,14 @@ def test_what_answered_is_stored_and_what_crashed_is_asked_again(asked, cli):
 
 
 def test_selection_by_words_and_scenes_and_quick():
-    settings = CampaignSettings(out=Path(), plugin="check_fakes:PLUGIN", scenes=("three_cart",), expression="asked")
+    settings = CampaignSettings(
+        out=Path(), plugin="check_fakes:PLUGIN", scenes=("three_cart",), expression="asked"
+    )
     entries, left_out = select(settings)
-    assert [entry.task.title for entry in entries][:2] == ["question: yes of three_cart", "question: no of three_cart"]
+    assert [entry.task.title for entry in entries][:2] == [
+        "question: yes of three_cart",
+        "question: no of three_cart",
+    ]
     assert len(entries) == 7, "the one about no scene is not meant where scenes are named"
     assert left_out == ()
     quick, left_out = select(replace(settings, quick=True))
@@ -106,7 +126,14 @@ def test_selection_by_words_and_scenes_and_quick():
 
 
 def _check(**changes) -> CheckTask:
-    whole = {"kind": "k", "name": "n", "expected": "e", "function": "f:g", "arguments": {"a": 1}, "sources": ("validate/fmu_check/",)}
+    whole = {
+        "kind": "k",
+        "name": "n",
+        "expected": "e",
+        "function": "f:g",
+        "arguments": {"a": 1},
+        "sources": ("validate/fmu_check/",),
+    }
     return CheckTask(**{**whole, **changes})
 
 
@@ -114,7 +141,8 @@ def test_equal_content_has_equal_keys_and_other_content_another():
     key = check_key(_check())
     assert key == check_key(_check(time_limit=3.0, words=("w",), quick=False, scene="s"))
     others = [
-        _check(name="m"), _check(arguments={"a": 2}), _check(content=scene_text(load_scene("three_cart"))),
+        _check(name="m"), _check(arguments={"a": 2}),
+        _check(content=scene_text(load_scene("three_cart"))),
         _check(sources=("validate/judge/replay/",)), _check(sources=()), _check(function="f:h"),
     ]  # fmt: skip
     keys = {key, *(check_key(other) for other in others)}
@@ -138,12 +166,16 @@ def test_every_scene_in_every_version_is_checked_and_quick_says_what_it_leaves_o
     assert [(entry.task.scene, entry.task.arguments["version"]) for entry in entries] == [
         (scene, version)
         for version in VERSIONS
-        for scene in sorted(scene_names(), key=lambda name: (name != "three_cart", scene_cost(load_scene(name))))
+        for scene in sorted(
+            scene_names(), key=lambda name: (name != "three_cart", scene_cost(load_scene(name)))
+        )
     ]
     assert len({entry.task.key for entry in entries}) == len(entries)
     quick, left_out = select(CampaignSettings(out=Path(), expression="fmu_check", quick=True))
     assert {entry.task.arguments["version"] for entry in quick} == {"2.0"}
-    assert {entry.task.scene for entry in quick} == {name for name in scene_names() if load_scene(name).quick}
+    assert {entry.task.scene for entry in quick} == {
+        name for name in scene_names() if load_scene(name).quick
+    }
     assert left_out[-1] == f"FMU, FMI 3.0: {len(scene_names())} checks"
 
 
@@ -153,13 +185,23 @@ def test_a_campaign_checks_an_fmu_stores_it_and_tells_of_it(cli, tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     assert "FMU: 1 of 1 checks passed" in done.stdout
     assert "[1/1] FMU: bouncing_mass, FMI 2.0: passed, " in done.stderr
-    (record,) = (StoredRecord.model_validate_json(path.read_bytes()).root for path in tmp_path.glob("runs/*/record.json"))
+    (record,) = (
+        StoredRecord.model_validate_json(path.read_bytes()).root
+        for path in tmp_path.glob("runs/*/record.json")
+    )
     assert record.fmu.count("failed") == 0
     assert record.fmu.count("passed") > 30
     assert len({(row.name, row.type) for row in record.fmu.rows}) == len(record.fmu.rows)
     (row,) = csv.DictReader((tmp_path / "checks.csv").read_text(encoding="utf-8").splitlines())
-    assert (row["kind"], row["scene"], row["outcome"], row["passed"]) == ("FMU", "bouncing_mass", "answered", "True")
-    assert json.loads((tmp_path / "campaign.json").read_text())["violation"] == [], "nothing was planned for"
+    assert (row["kind"], row["scene"], row["outcome"], row["passed"]) == (
+        "FMU",
+        "bouncing_mass",
+        "answered",
+        "True",
+    )
+    assert json.loads((tmp_path / "campaign.json").read_text())["violation"] == [], (
+        "nothing was planned for"
+    )
     assert "bouncing_mass" in (tmp_path / "pages" / "fmus.html").read_text(encoding="utf-8")
     again = cli(*command, "--json")
     assert "1 stored, 0 to run" in again.stderr
@@ -182,7 +224,9 @@ def test_a_failed_check_of_our_own_is_found_and_named(monkeypatch, tmp_path):
         return path
 
     monkeypatch.setattr(validate.tasks.fmu_checks, "build_fmu", defective)
-    found = check({"scene": "bouncing_mass", "version": "2.0"}, Course(tmp_path, time.monotonic() + 100.0))
+    found = check(
+        {"scene": "bouncing_mass", "version": "2.0"}, Course(tmp_path, time.monotonic() + 100.0)
+    )
     assert not found.passed
     assert "start values are the XML's (CS)" in found.sentence
     assert found.details["fmu"].failed
@@ -192,7 +236,9 @@ def test_a_failed_check_of_our_own_is_found_and_named(monkeypatch, tmp_path):
 @pytest.mark.parametrize("version", VERSIONS)
 def test_the_key_is_that_of_the_scene_and_its_sources(version):
     def key(scene: str) -> str:
-        (entry,), _ = select(CampaignSettings(out=Path(), scenes=(scene,), expression=f"fmi{version[0]}"))
+        (entry,), _ = select(
+            CampaignSettings(out=Path(), scenes=(scene,), expression=f"fmi{version[0]}")
+        )
         return entry.task.key
 
     assert key("bouncing_mass") == key("bouncing_mass")

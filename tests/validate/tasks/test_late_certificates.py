@@ -31,7 +31,10 @@ pytestmark = pytest.mark.process
 def in_reach(monkeypatch):
     """The fakes can be imported, here and by a child."""
     monkeypatch.syspath_prepend(str(FAKES_FOLDER))
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(FAKES_FOLDER), os.environ.get("PYTHONPATH", "")])))
+    monkeypatch.setenv(
+        "PYTHONPATH",
+        os.pathsep.join(filter(None, [str(FAKES_FOLDER), os.environ.get("PYTHONPATH", "")])),
+    )
 
 
 def _task(last: str) -> RunTask:
@@ -40,16 +43,23 @@ def _task(last: str) -> RunTask:
     chosen = pipeline(last)
     plan = planned_stages(chosen, PLUGIN.methods_of(chosen))
     return RunTask(
-        key=f"key_of_{last}", scene="three_cart", scene_name="three_cart", pipeline=chosen, plugin="certificate_fakes:PLUGIN",
-        time_limit=1e5, legs=planned_legs(plan, lambda stages: "-".join(planned.name for planned in stages)),
+        key=f"key_of_{last}", scene="three_cart", scene_name="three_cart", pipeline=chosen,
+        plugin="certificate_fakes:PLUGIN",
+        time_limit=1e5,
+        legs=planned_legs(plan, lambda stages: "-".join(planned.name for planned in stages)),
     )  # fmt: skip
 
 
-def _run(last: str, folder: Path, preloaded: Preloaded | None, monkeypatch: pytest.MonkeyPatch) -> tuple[RunRecord, Path]:
+def _run(
+    last: str, folder: Path, preloaded: Preloaded | None, monkeypatch: pytest.MonkeyPatch
+) -> tuple[RunRecord, Path]:
     """The record of a run whose time is up once its last certificate has begun, and its folder in the store."""
     task, store = _task(last), Store(folder)
     store.prepare()
-    worker, late = Worker(task, gather("a test"), store, preloaded=preloaded), time.monotonic() + 2 * task.time_limit
+    worker, late = (
+        Worker(task, gather("a test"), store, preloaded=preloaded),
+        time.monotonic() + 2 * task.time_limit,
+    )
 
     def look() -> bool:
         (partial,) = store.runs.glob(f"{PARTIAL}*")
@@ -59,17 +69,26 @@ def _run(last: str, folder: Path, preloaded: Preloaded | None, monkeypatch: pyte
 
     record = worker.run(wanted=look)
     assert isinstance(record, RunRecord)
-    assert RunRecord.model_validate_json((store.runs / task.key / "record.json").read_bytes()) == record
+    assert (
+        RunRecord.model_validate_json((store.runs / task.key / "record.json").read_bytes())
+        == record
+    )
     return record, store.runs / task.key
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("last", "outcome", "why"), [
-    ("endless", "solved", "certificate is missing … limit of 100000 s, during … stage 3 (endless)."),
-    ("crashing", "crashed", "certificate is missing: … signal 11 (SIGSEGV) during … stage 3 (crashing)."),
+    ("endless", "solved",
+     "certificate is missing … limit of 100000 s, during … stage 3 (endless)."),
+    ("crashing", "crashed",
+     "certificate is missing: … signal 11 (SIGSEGV) during … stage 3 (crashing)."),
 ])  # fmt: skip
 def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_path, monkeypatch):
-    with contextlib.closing(Preloaded(MODULES)) if last == "endless" else contextlib.nullcontext() as preloaded:
+    with (
+        contextlib.closing(Preloaded(MODULES))
+        if last == "endless"
+        else contextlib.nullcontext() as preloaded
+    ):
         record, folder = _run(last, tmp_path, preloaded, monkeypatch)
     soft, quick, late = record.stages
     assert (record.outcome, record.message, record.verdict) == (outcome, late.message, "holds")
@@ -80,9 +99,21 @@ def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_p
     for stage in record.stages:
         assert stage.has_plan
         assert stage.replay is not None
-        assert [figure.name for figure in stage.metrics] == ["terminal_error", "physics", "replay_error"]
+        assert [figure.name for figure in stage.metrics] == [
+            "terminal_error",
+            "physics",
+            "replay_error",
+        ]
     names = {path.name for path in folder.iterdir()}
-    assert names == {"record.json", "task.json", "log.txt", "files.json", "trajectory.nc", "trajectory_1.nc", "trajectory_2.nc"}
+    assert names == {
+        "record.json",
+        "task.json",
+        "log.txt",
+        "files.json",
+        "trajectory.nc",
+        "trajectory_1.nc",
+        "trajectory_2.nc",
+    }
     assert sum(record.profile.values()) == pytest.approx(record.wall_seconds)
     assert record.profile["certificate"] > 0.0
     told = rows([record])
@@ -90,7 +121,9 @@ def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_p
     assert told[-1]["cost"] == record.stages[-1].cost is not None
 
 
-def test_a_front_is_certified_though_nothing_was_found_within_its_smallest_tolerance(in_reach, tmp_path):
+def test_a_front_is_certified_though_nothing_was_found_within_its_smallest_tolerance(
+    in_reach, tmp_path
+):
     record = run_path(_task("front"), gather("a test"), tmp_path, Profile(time.monotonic()))
     stage = record.stages[-1]
     assert not stage.has_plan

@@ -13,12 +13,21 @@ from killed_campaigns import records, untimed
 from formulations.pipelines import find_pipeline, load_method
 from models.catalog import load_scene
 from models.trajectory_netcdf import read_netcdf
-from validate.tasks.leg import PlannedLeg, legs_in, must_wait, place, planned_legs, planned_stages, take
+from validate.tasks.leg import (
+    PlannedLeg,
+    legs_in,
+    must_wait,
+    place,
+    planned_legs,
+    planned_stages,
+    take,
+)
 
 pytestmark = pytest.mark.slow
 
 FAKES = ("--scene", "three_cart", "--plugin", "leg_fakes:SHARING")
-# How often each method runs when everything is shared: relaxing is left to its own in `shorter`, and nothing is kept of what a clock ended.
+# How often each method runs when everything is shared: relaxing is left to its own in `shorter`,
+# and nothing is kept of what a clock ended.
 ONCE = {"relaxing": 3 + 2, "tuning": 1, "one": 2 + 1, "two": 2 + 1 + 1, "late": 2, "cold": 1}
 
 
@@ -49,7 +58,9 @@ def fakes(cli, tmp_path_factory):
     def run(name: str, *options: str, **environment: str) -> Ran:
         out, counts = base / name, base / f"{name}-counts"
         counts.mkdir(exist_ok=True)
-        done = cli("all", *FAKES, "--out", str(out), "-j", "2", *options, COUNTS=str(counts), **environment)
+        done = cli(
+            "all", *FAKES, "--out", str(out), "-j", "2", *options, COUNTS=str(counts), **environment
+        )
         return Ran(out, counts, done)
 
     return run
@@ -87,10 +98,16 @@ def test_a_leg_runs_once(whole):
     assert _counted(whole.counts) == ONCE, whole.done.stderr
     found = records(whole.out)
     assert found["begin+picky"].outcome == "refused"
-    owners = {stage.shared_from or name for name in ("begin+one", "begin+two", "begin") for stage in found[name].stages[:3]}
+    owners = {
+        stage.shared_from or name
+        for name in ("begin+one", "begin+two", "begin")
+        for stage in found[name].stages[:3]
+    }
     assert len(owners) == 1
     first, second = (found[name].stages[2] for name in ("begin+one", "begin+two"))
-    assert first.model_copy(update={"shared_from": ""}) == second.model_copy(update={"shared_from": ""})
+    assert first.model_copy(update={"shared_from": ""}) == second.model_copy(
+        update={"shared_from": ""}
+    )
     assert [stage.shared_from for stage in found["late+two"].stages] == ["", ""]
 
 
@@ -131,7 +148,9 @@ def test_a_leg_is_stored_before_what_comes_after_it(lost):
     assert found["soft+one"].stages[0].shared_from == "soft+falls"
     assert [stage.outcome for stage in found["soft+falls"].stages] == ["solved", "crashed"]
     told = {"shared_from", "seconds", "survey"}  # a run that is lost tries no plan in other worlds
-    kept, taken = (found[name].stages[0].model_dump(exclude=told) for name in ("soft+falls", "soft+one"))
+    kept, taken = (
+        found[name].stages[0].model_dump(exclude=told) for name in ("soft+falls", "soft+one")
+    )
     assert kept == taken
     assert (lost.out / "runs" / found["soft+falls"].key / "trajectory_1.nc").exists()
 
@@ -161,7 +180,10 @@ def test_the_time_of_a_pipeline_is_that_of_its_stages_wherever_they_ran(whole):
             total += stage.seconds.stage
             assert stage.seconds.total == (pytest.approx(total) if stage.seconds.stage else 0.0)
         own = sum(stage.seconds.stage for stage in record.stages if not stage.shared_from)
-        spent = sum(record.profile.get(name, 0.0) for name in ("build", "translate", "evaluate", "linear_algebra", "solve_rest"))
+        spent = sum(
+            record.profile.get(name, 0.0)
+            for name in ("build", "translate", "evaluate", "linear_algebra", "solve_rest")
+        )
         assert own <= spent + 1e-3  # the profile is of what ran here, and of nothing else
 
 
@@ -178,7 +200,8 @@ def test_the_numbers_are_those_of_cells_that_share_nothing(whole, fakes):
 def test_killed_in_between_and_resumed(whole, fakes, method):
     """In the midst of a leg, and in one that comes after it, which then starts from files.
 
-    One cell at a time until the kill: of a second nobody knows how far it comes before it is ended too.
+    One cell at a time until the kill: of a second nobody knows how far it comes before it is ended
+    too.
     """
     only = "begin+one begin+two begin+tune+two"
     ran = fakes(f"killed_{method}", "-j", "1", KILL=method, ONLY=only)
@@ -189,7 +212,9 @@ def test_killed_in_between_and_resumed(whole, fakes, method):
     together = [row for row in untimed(whole.out) if row["pipeline"] in only.split()]
     assert untimed(again.out) == together
     assert _counted(again.counts)[method] == 1 + {"relaxing": 3, "two": 2}[method]
-    assert {path.name for path in (again.out / "runs").iterdir()} == {record.key for record in records(again.out).values()}
+    assert {path.name for path in (again.out / "runs").iterdir()} == {
+        record.key for record in records(again.out).values()
+    }
 
 
 @pytest.mark.parametrize("damage", ["stages", "plan", "missing", "empty", "another", "number"])
@@ -199,7 +224,9 @@ def test_a_damaged_leg_is_put_aside(whole, tmp_path, damage):
     leg = next(path for path in sorted(stored.iterdir()) if (path / "trajectory_3.nc").exists())
     good = take(stored, leg.name, None, 3, tmp_path / "leg_1", scene)
     assert len(good[0].stages) == 3
-    assert {path.name for path in (tmp_path / "leg_1").iterdir()} == {path.name for path in leg.iterdir()}
+    assert {path.name for path in (tmp_path / "leg_1").iterdir()} == {
+        path.name for path in leg.iterdir()
+    }
     content = json.loads((leg / "leg.json").read_text())
     if damage == "stages":
         (leg / "leg.json").write_text(json.dumps({**content, "stages": content["stages"][:2]}))
@@ -233,16 +260,25 @@ def test_plans_of_legs_lie_in_the_run(whole):
     for name in ("begin+one", "begin+two", "begin"):
         record = records(whole.out)[name]
         folder = whole.out / "runs" / record.key
-        plans = [f"trajectory_{number}.nc" for number in range(1, len(record.stages))] + ["trajectory.nc"]
+        plans = [f"trajectory_{number}.nc" for number in range(1, len(record.stages))] + [
+            "trajectory.nc"
+        ]
         assert sorted(path.name for path in folder.glob("trajectory*.nc")) == sorted(plans)
-        assert [read_netcdf(folder / plan, scene).u[0, 0] for plan in plans] == list(range(len(plans)))
+        assert [read_netcdf(folder / plan, scene).u[0, 0] for plan in plans] == list(
+            range(len(plans))
+        )
         assert not [path for path in folder.iterdir() if path.is_dir()]
 
 
 def test_a_stored_leg_is_waited_for_by_nobody(tmp_path):
-    mine, theirs = (PlannedLeg(0, 1, "short", "short"), PlannedLeg(1, 2, "long", "last")), (PlannedLeg(0, 1, "short", "short"),)
+    mine, theirs = (
+        (PlannedLeg(0, 1, "short", "short"), PlannedLeg(1, 2, "long", "last")),
+        (PlannedLeg(0, 1, "short", "short"),),
+    )
     assert must_wait(mine, [(), theirs], tmp_path, 1.0)
-    assert must_wait(mine, [(PlannedLeg(0, 1, "last", "last"),)], tmp_path, 1.0)  # it may come to start as that does
+    assert must_wait(
+        mine, [(PlannedLeg(0, 1, "last", "last"),)], tmp_path, 1.0
+    )  # it may come to start as that does
     assert not must_wait(mine, [(), (PlannedLeg(0, 2, "other", "other"),)], tmp_path, 1.0)
     (tmp_path / "short").mkdir(parents=True)
     assert not must_wait(mine, [theirs], tmp_path, 1.0)

@@ -33,7 +33,8 @@ def test_laps_leave_nothing_out(passes):
 
 
 @pytest.mark.parametrize(("parts", "expected"), [
-    ({"build": 0.25, "evaluate": 0.5, "translate": 0.0}, {"build": 0.25, "evaluate": 0.5, "rest": 0.25}),
+    ({"build": 0.25, "evaluate": 0.5, "translate": 0.0},
+     {"build": 0.25, "evaluate": 0.5, "rest": 0.25}),
     ({"build": 3.0, "evaluate": 1.0}, {"build": 0.75, "evaluate": 0.25, "rest": 0.0}),
 ])  # fmt: skip
 def test_a_split_lap_keeps_its_length(passes, parts, expected):
@@ -49,18 +50,44 @@ def test_the_start_of_the_process_counts():
     """To the tick of the system, not to the second in which it tells when it was booted."""
     told = "from validate.tasks.profile import Profile; print(Profile.since_process_start().total)"
     began = time.monotonic()
-    started = float(subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True).stdout)
+    started = float(
+        subprocess.run(
+            [sys.executable, "-c", told], capture_output=True, text=True, check=True
+        ).stdout
+    )
     assert 0.01 < started < time.monotonic() - began + 0.02
 
 
 @pytest.mark.slow
 def test_a_cells_profile_is_its_wall_time(cli, tmp_path):
-    done = cli("all", "--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart", "--out", str(tmp_path), "-k", "only_good or only_slow")
+    done = cli(
+        "all",
+        "--plugin",
+        "campaign_fakes:PLUGIN",
+        "--scene",
+        "three_cart",
+        "--out",
+        str(tmp_path),
+        "-k",
+        "only_good or only_slow",
+    )
     assert done.returncode in (0, 1), done.stderr
     records = [json.loads(path.read_text()) for path in tmp_path.glob("runs/*/record.json")]
     assert len(records) == 2
     for record in records:
         assert sum(record["profile"].values()) == pytest.approx(record["wall_seconds"])
-        assert {START, "imports", "scene", "compile", "opening", "solve_rest", "replay", "writing", "record"} <= set(record["profile"])
+        assert {
+            START,
+            "imports",
+            "scene",
+            "compile",
+            "opening",
+            "solve_rest",
+            "replay",
+            "writing",
+            "record",
+        } <= set(record["profile"])
     slow = next(record for record in records if "slow" in record["pipeline"])
-    assert slow["profile"]["solve_rest"] >= 0.6, "the fake sleeps that long, and claims nothing of it"
+    assert slow["profile"]["solve_rest"] >= 0.6, (
+        "the fake sleeps that long, and claims nothing of it"
+    )

@@ -46,18 +46,40 @@ def read_as_a_reader_does(element: ElementTree.Element) -> str:
     return {"\u2062": "*", "\u00b7": "*"}.get(text, text) if tag in ("mo", "mn") else "".join(parts)
 
 
-@pytest.mark.parametrize("name", ["hopper", "hopper_planar", "two_finger_lift", "damped_collision", "three_cart"])
-def test_an_equation_that_is_read_as_it_is_shown_is_the_equation(name: str, monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize(
+    "name", ["hopper", "hopper_planar", "two_finger_lift", "damped_collision", "three_cart"]
+)
+def test_an_equation_that_is_read_as_it_is_shown_is_the_equation(
+    name: str, monkeypatch: pytest.MonkeyPatch
+):
     shown: list[tuple[sp.Basic, str]] = []
-    monkeypatch.setattr(module, "presentation", lambda expression: shown.append((expression, presentation(expression))) or "")
+    monkeypatch.setattr(
+        module,
+        "presentation",
+        lambda expression: shown.append((expression, presentation(expression))) or "",
+    )
     equations(derive(load_scene(name)))
     compared, rng = 0, np.random.default_rng(1)
-    words = {"sin": np.sin, "cos": np.cos, "sinh": np.sinh, "cosh": np.cosh, "log": np.log, "sign": np.sign, "sqrt": np.sqrt, "max": max}
+    words = {
+        "sin": np.sin,
+        "cos": np.cos,
+        "sinh": np.sinh,
+        "cosh": np.cosh,
+        "log": np.log,
+        "sign": np.sign,
+        "sqrt": np.sqrt,
+        "max": max,
+    }
     for equation, text in shown:
         if not isinstance(equation, sp.Eq) or equation.has(sp.Derivative, sp.Sum, sp.Abs):
             continue
-        values = {symbol: rng.uniform(0.5, 1.5) for symbol in sorted(equation.free_symbols, key=str)}
-        names = {read_as_a_reader_does(ElementTree.fromstring(presentation(symbol))): value for symbol, value in values.items()}
+        values = {
+            symbol: rng.uniform(0.5, 1.5) for symbol in sorted(equation.free_symbols, key=str)
+        }
+        names = {
+            read_as_a_reader_does(ElementTree.fromstring(presentation(symbol))): value
+            for symbol, value in values.items()
+        }
         assert len(names) == len(values), "two symbols look alike"
         read = read_as_a_reader_does(ElementTree.fromstring(text)).split("=")
         for side, said in zip(equation.args, read, strict=True):

@@ -72,7 +72,11 @@ def test_engines_are_asked_of_it_and_earlier_ones_keep_their_rows(ran: Path, cli
     told = json.loads((ran / SIMULATORS).read_bytes())
     assert list(told["plans"]) == [key]
     (everyday,) = told["plans"][key]
-    assert (everyday["engine"], everyday["verdict"], everyday["agrees"]) == ("fmu_everyday", "holds", True)
+    assert (everyday["engine"], everyday["verdict"], everyday["agrees"]) == (
+        "fmu_everyday",
+        "holds",
+        True,
+    )
     assert max(level["distance"] for level in everyday["levels"]) < 1e-3
     assert "fmu_everyday: holds" in first.stderr
     assert "simulators.html" in (ran / "report.html").read_text(encoding="utf-8")
@@ -80,10 +84,15 @@ def test_engines_are_asked_of_it_and_earlier_ones_keep_their_rows(ran: Path, cli
     assert "fmu_everyday gives our verdict on 1 of 1 plan" in page
     second = cli("report", str(ran), "--engine", "fmu")
     assert second.returncode == 0, second.stderr
-    assert [row["engine"] for row in json.loads((ran / SIMULATORS).read_bytes())["plans"][key]] == ["fmu_everyday", "fmu"]
+    assert [row["engine"] for row in json.loads((ran / SIMULATORS).read_bytes())["plans"][key]] == [
+        "fmu_everyday",
+        "fmu",
+    ]
     again = cli("report", str(ran))
     assert again.returncode == 0
-    assert (ran / "pages" / "simulators.html").read_text(encoding="utf-8").count('<th scope="col">fmu') == 2
+    assert (ran / "pages" / "simulators.html").read_text(encoding="utf-8").count(
+        '<th scope="col">fmu'
+    ) == 2
 
 
 def test_an_unknown_engine_is_one_sentence(ran: Path, cli):

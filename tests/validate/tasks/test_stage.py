@@ -25,7 +25,9 @@ SOLVED = Solution(method="m", outcome=Outcome.SOLVED)
 def planned_by(solve: Any, kind: Kind = Kind.INDIRECT, **session: Any) -> Any:
     """A stage of a method whose session answers so."""
     given = {"solve": solve, "start_used": lambda start: start, "close": lambda: None} | session
-    method = SimpleNamespace(kind=kind, exact=kind is Kind.DIRECT, open=lambda scene, options: SimpleNamespace(**given))
+    method = SimpleNamespace(
+        kind=kind, exact=kind is Kind.DIRECT, open=lambda scene, options: SimpleNamespace(**given)
+    )
     return SimpleNamespace(name="m", method=method, options="options", eps=0.125)
 
 
@@ -42,7 +44,9 @@ def plan(step: float, steps: int) -> Trajectory:
 
 def test_a_plan_on_another_grid_of_the_same_duration_is_taken():
     task = SCENE.task
-    found = run(Solution(method="m", outcome=Outcome.SOLVED, trajectory=plan(task.step / 2, 2 * task.steps)))
+    found = run(
+        Solution(method="m", outcome=Outcome.SOLVED, trajectory=plan(task.step / 2, 2 * task.steps))
+    )
     assert found.trajectory.steps == 2 * task.steps
 
 
@@ -55,24 +59,42 @@ def test_the_first_stage_pays_for_the_opening_and_no_other_does(monkeypatch: pyt
     with closing(OpenLeg(SCENE, planned)) as leg:
         leg.leaves(None)
         first, second, third = (leg.run(planned, None, 10.0) for _ in range(3))
-    assert [(stage.wall, stage.cpu) for stage in (first, second, third)] == [(3.0, 24.0), (1.0, 8.0), (1.0, 8.0)]
+    assert [(stage.wall, stage.cpu) for stage in (first, second, third)] == [
+        (3.0, 24.0),
+        (1.0, 8.0),
+        (1.0, 8.0),
+    ]
 
 
-@pytest.mark.parametrize(("longer", "refused"), [(1 + 5e-10, False), (1 - 5e-10, False), (1 + 2e-9, True), (1 - 2e-9, True), (100.0, True)])
+@pytest.mark.parametrize(
+    ("longer", "refused"),
+    [(1 + 5e-10, False), (1 - 5e-10, False), (1 + 2e-9, True), (1 - 2e-9, True), (100.0, True)],
+)
 def test_a_plan_lasts_as_long_as_the_task_but_for_rounding(longer: float, refused: bool):
     """Any damped scene comes to rest if one waits: the goal belongs to the task's end."""
     task = SCENE.task
-    answer = Solution(method="m", outcome=Outcome.SOLVED, trajectory=plan(longer * task.step, task.steps))
+    answer = Solution(
+        method="m", outcome=Outcome.SOLVED, trajectory=plan(longer * task.step, task.steps)
+    )
     if refused:
-        with pytest.raises(TrajectoryError, match=f"lasts {longer * task.horizon:.6g} s, .*wall_pendulum {task.horizon:.6g} s"):
+        with pytest.raises(
+            TrajectoryError,
+            match=f"lasts {longer * task.horizon:.6g} s, .*wall_pendulum {task.horizon:.6g} s",
+        ):
             run(answer)
     else:
         assert run(answer).trajectory is not None
 
 
 @pytest.mark.parametrize("kind", list(Kind))
-def test_a_session_is_asked_as_planned_and_the_plan_of_a_direct_method_is_looked_at(kind: Kind, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "as_asked", lambda scene, solution: replace(solution, message=f"asked of {scene.name}"))
+def test_a_session_is_asked_as_planned_and_the_plan_of_a_direct_method_is_looked_at(
+    kind: Kind, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(
+        module,
+        "as_asked",
+        lambda scene, solution: replace(solution, message=f"asked of {scene.name}"),
+    )
     task, asked = SCENE.task, []
     answer = Solution(method="m", outcome=Outcome.SOLVED, trajectory=plan(task.step, task.steps))
     planned = planned_by(lambda **given: asked.append(given) or answer, kind)
@@ -81,13 +103,18 @@ def test_a_session_is_asked_as_planned_and_the_plan_of_a_direct_method_is_looked
         assert (leg.leaves(start), leg.leaves(None)) == (False, True)
         found = leg.run(planned, start, 7.0)
     assert asked == [{"eps": 0.125, "warm_start": start, "time_limit": 7.0}]
-    assert (found.planned, found.solution.message) == (planned, "asked of wall_pendulum" if kind is Kind.DIRECT else "")
+    assert (found.planned, found.solution.message) == (
+        planned,
+        "asked of wall_pendulum" if kind is Kind.DIRECT else "",
+    )
     without = planned_by(lambda **given: SOLVED, kind)
     with closing(OpenLeg(SCENE, without)) as leg:
         assert leg.run(without, None, 7.0).solution is SOLVED
 
 
-def test_what_is_no_solution_is_refused_and_a_session_that_does_not_close_keeps_what_was_found(capsys: pytest.CaptureFixture[str]):
+def test_what_is_no_solution_is_refused_and_a_session_that_does_not_close_keeps_what_was_found(
+    capsys: pytest.CaptureFixture[str],
+):
     def stuck() -> None:
         raise RuntimeError("does not close")
 
@@ -104,7 +131,9 @@ def test_what_is_no_solution_is_refused_and_a_session_that_does_not_close_keeps_
 def stage(kind: Kind, *has_plan: bool) -> SolvedStage:
     """A solved stage; whether it, and each point of its front, has a plan."""
     task = SCENE.task
-    own, *front = [replace(SOLVED, trajectory=plan(task.step, task.steps) if has else None) for has in has_plan]
+    own, *front = [
+        replace(SOLVED, trajectory=plan(task.step, task.steps) if has else None) for has in has_plan
+    ]
     solution = replace(own, front=tuple(SimpleNamespace(solution=point) for point in front))
     return SolvedStage(planned_by(None, kind), solution, wall=3.0, cpu=2.0)
 
@@ -130,9 +159,12 @@ def test_each_method_is_opened_once_before_anything_is_timed(monkeypatch, capsys
 
     profile: Any = SimpleNamespace(lap=lambda name: log.append(f"lap {name}"))
     plugin: Any = SimpleNamespace(compile=lambda scene: log.append(("compile", scene)))
-    prepare(plugin, SCENE, (opens("a"), opens("b", ValueError("later")), opens("a")), tmp_path, profile)
+    prepare(
+        plugin, SCENE, (opens("a"), opens("b", ValueError("later")), opens("a")), tmp_path, profile
+    )
     assert log == [
-        (tmp_path, "the compilation of the scene"), ("compile", SCENE), "lap compile", (tmp_path, "the preparation of a"), ("a", SCENE, "of a"), "close a",
+        (tmp_path, "the compilation of the scene"), ("compile", SCENE), "lap compile",
+        (tmp_path, "the preparation of a"), ("a", SCENE, "of a"), "close a",
         (tmp_path, "the preparation of b"), ("b", SCENE, "of b"), "lap opening",
     ]  # fmt: skip
     assert "ValueError: later" in capsys.readouterr().err
@@ -144,8 +176,16 @@ def test_each_method_is_opened_once_before_anything_is_timed(monkeypatch, capsys
 def log(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """What is written, and what a record is made of; clocks that go on by a second."""
     found: list[Any] = []
-    monkeypatch.setattr(module, "write_netcdf", lambda path, plan, scene, gains=None: found.append((path.name, gains)))
-    monkeypatch.setattr(module, "stage_record", lambda *given, **named: SimpleNamespace(model_copy=lambda update: (given, named, update)))
+    monkeypatch.setattr(
+        module,
+        "write_netcdf",
+        lambda path, plan, scene, gains=None: found.append((path.name, gains)),
+    )
+    monkeypatch.setattr(
+        module,
+        "stage_record",
+        lambda *given, **named: SimpleNamespace(model_copy=lambda update: (given, named, update)),
+    )
     monkeypatch.setattr(module, "with_certificate", lambda *given: given)
     walls = itertools.count(5.0, 1.0)
     monkeypatch.setattr(module.time, "perf_counter", lambda: next(walls))
@@ -160,27 +200,39 @@ def judge_of(log: list[Any], answer: Any) -> Judge:
         return answer
 
     plugin: Any = SimpleNamespace(
-        build_fmu=lambda scene: log.append("build") or "the FMU", judge=judge, certify=lambda scene, solution: replace(solution, message="certified"),
+        build_fmu=lambda scene: log.append("build") or "the FMU", judge=judge, certify=lambda scene,
+        solution: replace(solution, message="certified"),
         write_replay=lambda path, replay, scene: log.append((path.name, replay)),
     )  # fmt: skip
     return Judge(plugin, SCENE, SimpleNamespace(lap=lambda name: log.append(f"lap {name}")))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("tracked", [False, True])
-def test_a_plan_is_judged_and_what_was_seen_is_written_beside_it(log: list[Any], tracked: bool, tmp_path: Path):
+def test_a_plan_is_judged_and_what_was_seen_is_written_beside_it(
+    log: list[Any], tracked: bool, tmp_path: Path
+):
     followed = SimpleNamespace(feedback=SimpleNamespace(gains="gains")) if tracked else None
     replayed = SimpleNamespace(tracked=followed)
-    judge, item = judge_of(log, SimpleNamespace(replay=replayed, score="score")), stage(Kind.DIRECT, True)
+    judge, item = (
+        judge_of(log, SimpleNamespace(replay=replayed, score="score")),
+        stage(Kind.DIRECT, True),
+    )
     given, named, update = judge.record(item, tmp_path, 1, 4.0)  # type: ignore[misc] - of the fixture
     judged = named.pop("judged")
     assert given == (SCENE, item.planned, item.solution, 1)
     assert named == {"wall": 3.0, "cpu": 2.0, "before": 4.0}
-    assert (judged.replay, judged.score, judged.seconds, judged.problem) == (replayed, "score", 1.0, "")
+    assert (judged.replay, judged.score, judged.seconds, judged.problem) == (
+        replayed,
+        "score",
+        1.0,
+        "",
+    )
     assert update == {"certificate_missing": True}
     files = module.leg_files(2)
     rest = [(files["tracked"], followed), (files["trajectory"], "gains")] if tracked else []
     assert log == [
-        "build", "lap fmu_build", (files["trajectory"], None), "lap writing", ("judge", SCENE, "the FMU"), "lap replay", (files["replay"], replayed),
+        "build", "lap fmu_build", (files["trajectory"], None), "lap writing",
+        ("judge", SCENE, "the FMU"), "lap replay", (files["replay"], replayed),
         *rest, "lap writing",
     ]  # fmt: skip
     log.clear()
@@ -189,28 +241,48 @@ def test_a_plan_is_judged_and_what_was_seen_is_written_beside_it(log: list[Any],
 
 
 def test_without_a_plan_nothing_is_built_and_nothing_judged(log: list[Any], tmp_path: Path):
-    _, named, update = judge_of(log, ValueError()).record(stage(Kind.DIRECT, False), tmp_path, 0, 0.0)  # type: ignore[misc]
-    assert (log, named["judged"].score, named["judged"].problem, update) == (["lap fmu_build"], None, "", {"certificate_missing": False})
+    _, named, update = judge_of(log, ValueError()).record(
+        stage(Kind.DIRECT, False), tmp_path, 0, 0.0
+    )  # type: ignore[misc]
+    assert (log, named["judged"].score, named["judged"].problem, update) == (
+        ["lap fmu_build"],
+        None,
+        "",
+        {"certificate_missing": False},
+    )
 
 
-def test_a_judge_that_stumbles_leaves_the_plan_and_its_words(log: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_judge_that_stumbles_leaves_the_plan_and_its_words(
+    log: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     item = stage(Kind.INDIRECT, True)
     for error, words in (
         (ValueError("odd\nmore"), "the judge ended with ValueError: odd"),
         (KeyError(), "the judge ended with KeyError: no further words."),
     ):
         _, named, _ = judge_of(log, error).record(item, tmp_path, 0, 0.0)  # type: ignore[misc]
-        assert (named["judged"].problem, named["judged"].seconds, named["judged"].score) == (words, 1.0, None)
+        assert (named["judged"].problem, named["judged"].seconds, named["judged"].score) == (
+            words,
+            1.0,
+            None,
+        )
     assert "ValueError: odd" in capsys.readouterr().err
     assert log[-2:] == [("judge", SCENE, "the FMU"), "lap replay"]
     with pytest.raises(MachineError):
         judge_of(log, MachineError("full")).record(item, tmp_path, 0, 0.0)
 
 
-def test_a_certificate_is_that_of_the_plan_unless_its_maker_stumbles(log: list[Any], capsys: pytest.CaptureFixture[str]):
+def test_a_certificate_is_that_of_the_plan_unless_its_maker_stumbles(
+    log: list[Any], capsys: pytest.CaptureFixture[str]
+):
     item, judge = stage(Kind.DIRECT, True), judge_of(log, None)
     record, scene, solution = judge.certified("record", item)  # type: ignore[arg-type,misc]
-    assert (record, scene, solution.message, log) == ("record", SCENE, "certified", ["lap certificate"])
+    assert (record, scene, solution.message, log) == (
+        "record",
+        SCENE,
+        "certified",
+        ["lap certificate"],
+    )
 
     def fails(scene: Any, solution: Any) -> Any:
         raise ValueError("singular")

@@ -1,4 +1,7 @@
-"""A record says what its source says, field by field, with values that all differ; what is not known is not 0. A scene's equations as they are written by hand."""
+"""A record says what its source says, field by field, with values that all differ.
+
+What is not known is not 0. A scene's equations as they are written by hand.
+"""
 
 import math
 from dataclasses import replace
@@ -35,26 +38,44 @@ from reports.records.record import (
     TrackedRecord,
 )
 from tests.reports import record_factory as factory
-from validate.judge.replay.result import Difference, Event, Growth, Replay, ReplayError, ReplayOutcome
+from validate.judge.replay.result import (
+    Difference,
+    Event,
+    Growth,
+    Replay,
+    ReplayError,
+    ReplayOutcome,
+)
 from validate.judge.replay.wiring import Effort
 from validate.judge.score import Question, Score, Verdict
 from validate.judge.score.verdict import Metric
 from validate.tasks import scene_record as module
 from validate.tasks.leg import Planned
 from validate.tasks.paper import paper_row
-from validate.tasks.records import LOG_LINES, Judged, run_record, stage_record, stages_of, unfinished_stage, with_certificate
+from validate.tasks.records import (
+    LOG_LINES,
+    Judged,
+    run_record,
+    stage_record,
+    stages_of,
+    unfinished_stage,
+    with_certificate,
+)
 from validate.tasks.scene_record import equations, scene_record
 from validate.tasks.task import RunTask
 
 SCENE = load_scene("three_cart")
 METHOD = load_method("softplus_dc")
 UNJUDGED = Judged()
-PLANNED = Planned(index=2, name="softplus_dc", method=METHOD, eps=1e-5, options=METHOD.read_options({}))
+PLANNED = Planned(
+    index=2, name="softplus_dc", method=METHOD, eps=1e-5, options=METHOD.read_options({})
+)
 
 
 def metric(**changes: Any) -> Metric:
     said = {
-        "name": "replay_error", "question": Question.MOTION, "value": 1.5, "unit": "m", "meaning": "far", "error": 0.25, "limit": 2.5,
+        "name": "replay_error", "question": Question.MOTION, "value": 1.5, "unit": "m",
+        "meaning": "far", "error": 0.25, "limit": 2.5,
         "reason": "r", "ok": True, "default": False,
     }  # fmt: skip
     return Metric(**(said | changes))
@@ -64,13 +85,17 @@ def plan(*forces: tuple[float, float]) -> Trajectory:
     """A plan with these contact forces (left, right), one pair a step."""
     steps = len(forces)
     still = np.zeros((steps + 1, 3))
-    return Trajectory(t=uniform_grid(0.01, steps), q=still, v=still, u=np.zeros((steps, 2)), lam=np.array(forces))
+    return Trajectory(
+        t=uniform_grid(0.01, steps), q=still, v=still, u=np.zeros((steps, 2)), lam=np.array(forces)
+    )
 
 
 def certificate(**changes: Any) -> Certificate:
     said = {
-        "primal": 1e-7, "primal_relative": 2e-7, "complementarity": 3e-7, "product": 4e-7, "forced": 5e-7, "dual": 6e-7, "given_dual": math.nan,
-        "pairs": 40, "biactive": 3, "stationarity": Stationarity.STRONG, "descent": 0.0, "worst": "constraint_time[3]", "objective": 12.5,
+        "primal": 1e-7, "primal_relative": 2e-7, "complementarity": 3e-7, "product": 4e-7,
+        "forced": 5e-7, "dual": 6e-7, "given_dual": math.nan,
+        "pairs": 40, "biactive": 3, "stationarity": Stationarity.STRONG, "descent": 0.0,
+        "worst": "constraint_time[3]", "objective": 12.5,
         "least": 0.125, "unique": True,
     }  # fmt: skip
     return Certificate(**(said | changes))
@@ -78,7 +103,8 @@ def certificate(**changes: Any) -> Certificate:
 
 CERTIFIED = certificate()
 CERTIFICATE = CertificateRecord(
-    holds=True, feasible=True, primal=1e-7, worst="constraint_time[3]", complementarity=3e-7, dual=6e-7, letter="S", meaning=Stationarity.STRONG.value,
+    holds=True, feasible=True, primal=1e-7, worst="constraint_time[3]", complementarity=3e-7,
+    dual=6e-7, letter="S", meaning=Stationarity.STRONG.value,
     pairs=40, biactive=3, least=0.125, unique=True, b_stationary=True, sentence=CERTIFIED.sentence,
 )  # fmt: skip
 
@@ -86,10 +112,14 @@ CERTIFICATE = CertificateRecord(
 def replay(**changes: Any) -> Replay:
     nodes = np.zeros(2)
     said = {
-        "scene": "three_cart", "outcome": ReplayOutcome.OK, "message": "", "method": "reference", "t": np.array([0.0, 1.0]), "q": np.zeros((2, 3)),
-        "v": np.zeros((2, 3)), "lam": np.zeros((2, 2)), "gap": np.zeros((2, 2)), "friction": np.zeros((2, 0)), "knots": np.arange(2),
-        "kinetic_energy": nodes, "potential_energy": nodes, "contact_energy": nodes, "input_work": None, "dissipated_work": None,
-        "contact_impulse": None, "events": (Event(time=0.5, contact="left", closes=True),) * 7, "event_budget": 100, "error": error(0.0), "seconds_reference": 0.75,
+        "scene": "three_cart", "outcome": ReplayOutcome.OK, "message": "", "method": "reference",
+        "t": np.array([0.0, 1.0]), "q": np.zeros((2, 3)),
+        "v": np.zeros((2, 3)), "lam": np.zeros((2, 2)), "gap": np.zeros((2, 2)),
+        "friction": np.zeros((2, 0)), "knots": np.arange(2),
+        "kinetic_energy": nodes, "potential_energy": nodes, "contact_energy": nodes,
+        "input_work": None, "dissipated_work": None,
+        "contact_impulse": None, "events": (Event(time=0.5, contact="left", closes=True),) * 7,
+        "event_budget": 100, "error": error(0.0), "seconds_reference": 0.75,
         "seconds_everyday": 0.375, "fmu": "abc",
     }  # fmt: skip
     return Replay(**(said | changes))
@@ -101,21 +131,25 @@ def error(by: float) -> ReplayError:
         Difference(position=by + n, state=by + 10 * n, gap=by + 100 * n) for n in range(1, 7)
     )
     return ReplayError(
-        estimate=estimate, tolerance=tolerance, step=step, everyday=everyday, rollback=rollback, lag=lag, step_source="second run",
+        estimate=estimate, tolerance=tolerance, step=step, everyday=everyday, rollback=rollback,
+        lag=lag, step_source="second run",
         step_ratio=4.0,
     )  # fmt: skip
 
 
 def solution(**changes: Any) -> Solution:
     said = {
-        "method": "softplus_dc", "outcome": Outcome.ITERATION_LIMIT, "message": "it took long", "trajectory": plan((0.0, 0.0)), "cost": 490.5,
+        "method": "softplus_dc", "outcome": Outcome.ITERATION_LIMIT, "message": "it took long",
+        "trajectory": plan((0.0, 0.0)), "cost": 490.5,
         "iterations": 77, "solver": "Ipopt 3.14",
     }  # fmt: skip
     return Solution(**(said | changes))
 
 
 def recorded(found: Solution, judged: Judged = UNJUDGED, index: int = 1) -> StageRecord:
-    return stage_record(SCENE, PLANNED, found, index, wall=7.0, cpu=6.5, before=100.0, judged=judged)
+    return stage_record(
+        SCENE, PLANNED, found, index, wall=7.0, cpu=6.5, before=100.0, judged=judged
+    )
 
 
 def scored(*metrics: Metric, **changes: Any) -> Score:
@@ -127,32 +161,46 @@ def test_every_field_of_a_stage_stands_in_its_own():
         residuals={"defect": 1e-9, "lost": math.nan, "endless": math.inf, "none": 0.0},
         bound=Bound(value=1.0, gap=0.5, proved=True, decisions=9, open_decisions=8, nodes=7),
         size=ModelSize(unknowns=11, equations=12), paper_size=ModelSize(unknowns=13, equations=14),
-        seconds=Seconds(build=0.5, translate=0.25, evaluate=0.125, linear_algebra=2.0, wall=3.0, cpu=4.0), certificate=CERTIFIED,
-        options={"count": 3, "tight": True, "step": 0.5, "name": "x", "none": None, "many": (1, 2.5), "endless": math.inf, "mixed": (1, math.nan), "empty": (), "other": Outcome.SOLVED},
+        seconds=Seconds(build=0.5, translate=0.25, evaluate=0.125, linear_algebra=2.0, wall=3.0,
+                        cpu=4.0), certificate=CERTIFIED,
+        options={"count": 3, "tight": True, "step": 0.5, "name": "x", "none": None,
+                 "many": (1, 2.5), "endless": math.inf, "mixed": (1, math.nan), "empty": (),
+                 "other": Outcome.SOLVED},
         history={"loss": (3.0, 2.0, 1.0), "norm": (30.0, 20.0, 10.0)},
-        starts=(Attempt(number=4, start="at rest", outcome=Outcome.STALLED, cost=5.5, windows=(("left", 1, 2),), seconds=1.5),),
-        front=(FrontPoint(tolerance=0.01, solution=solution(outcome=Outcome.SOLVED, cost=6.5, residuals={"discrete_terminal_error": 0.005})),),
+        starts=(Attempt(number=4, start="at rest", outcome=Outcome.STALLED, cost=5.5,
+                        windows=(("left", 1, 2),), seconds=1.5),),
+        front=(FrontPoint(tolerance=0.01,
+                          solution=solution(outcome=Outcome.SOLVED, cost=6.5,
+                                            residuals={"discrete_terminal_error": 0.005})),),
     )  # fmt: skip
     judged = Judged(
-        score=scored(metric(), questions=((Question.GOAL, "yes"), (Question.JUDGE, "undecided")), not_asked=("friction: none",)),
+        score=scored(metric(), questions=((Question.GOAL, "yes"), (Question.JUDGE, "undecided")),
+                     not_asked=("friction: none",)),
         replay=replay(), seconds=8.0,
     )  # fmt: skip
     assert recorded(found, judged) == StageRecord(
-        index=1, method="softplus_dc", method_title=METHOD.title, kind="indirect", eps=1e-5, outcome="iteration_limit",
-        advice=Outcome.ITERATION_LIMIT.value, message="it took long", cost=490.5, iterations=77, solver="Ipopt 3.14",
+        index=1, method="softplus_dc", method_title=METHOD.title, kind="indirect", eps=1e-5,
+        outcome="iteration_limit",
+        advice=Outcome.ITERATION_LIMIT.value, message="it took long", cost=490.5, iterations=77,
+        solver="Ipopt 3.14",
         residuals={"defect": 1e-9, "none": 0.0},
         bound=BoundRecord(value=1.0, gap=0.5, proved=True, decisions=9, open_decisions=8, nodes=7),
         size=SizeRecord(unknowns=11, equations=12, paper_unknowns=13, paper_equations=14),
-        options={"count": 3, "tight": True, "step": 0.5, "name": "x", "none": None, "many": [1.0, 2.5], "endless": "inf", "mixed": "(1, nan)", "empty": [], "other": "Outcome.SOLVED"},
+        options={"count": 3, "tight": True, "step": 0.5, "name": "x", "none": None,
+                 "many": [1.0, 2.5], "endless": "inf", "mixed": "(1, nan)", "empty": [],
+                 "other": "Outcome.SOLVED"},
         history={"loss": (3.0, 2.0, 1.0), "norm": (30.0, 20.0, 10.0)}, certificate=CERTIFICATE,
-        starts=(StartRecord(number=4, start="at rest", outcome="stalled", cost=5.5, windows=(("left", 1, 2),), seconds=1.5),),
+        starts=(StartRecord(number=4, start="at rest", outcome="stalled", cost=5.5,
+                            windows=(("left", 1, 2),), seconds=1.5),),
         front=(FrontPointRecord(tolerance=0.01, outcome="solved", cost=6.5, terminal_error=0.005),),
         seconds=SecondsRecord(
-            build=0.5, translate=0.25, evaluate=0.125, linear_algebra=2.0, solve=2.125, stage=7.0, stage_cpu=6.5, total=107.0, replay=8.0
+            build=0.5, translate=0.25, evaluate=0.125, linear_algebra=2.0, solve=2.125, stage=7.0,
+            stage_cpu=6.5, total=107.0, replay=8.0
         ),
         metrics=(
             MetricRecord(
-                name="replay_error", value=1.5, unit="m", meaning="far", question=4, error=0.25, limit=2.5, reason="r", ok=True, default=False
+                name="replay_error", value=1.5, unit="m", meaning="far", question=4, error=0.25,
+                limit=2.5, reason="r", ok=True, default=False
             ),
         ),
         verdict="holds", why="so",
@@ -162,45 +210,87 @@ def test_every_field_of_a_stage_stands_in_its_own():
         ),
         not_asked=("friction: none",), has_plan=True,
         replay=ReplayRecord(
-            error_estimate=1.0, tolerance_difference=2.0, step_difference=3.0, everyday_difference=4.0, rollback_difference=5.0,
-            step_source="second run", events=7, seconds_reference=0.75, seconds_everyday=0.375, fmu="abc", message=ReplayOutcome.OK.value,
+            error_estimate=1.0, tolerance_difference=2.0, step_difference=3.0,
+            everyday_difference=4.0, rollback_difference=5.0,
+            step_source="second run", events=7, seconds_reference=0.75, seconds_everyday=0.375,
+            fmu="abc", message=ReplayOutcome.OK.value,
         ),
     )  # fmt: skip
 
 
 def test_what_a_stage_does_not_have_is_not_there():
     found = recorded(solution(trajectory=None, cost=math.nan))
-    assert (found.cost, found.bound, found.size, found.certificate, found.replay) == (None, None, None, None, None)
-    assert (found.starts, found.front, found.metrics, found.questions, found.not_asked, found.history) == ((), (), (), (), (), {})
-    assert (found.verdict, found.why, found.has_plan, found.seconds.replay) == ("no plan", "it took long", False, 0.0)
-    assert found.options == {name: found.options[name] for name in vars(PLANNED.options)}, "none were said: those that were asked"
+    assert (found.cost, found.bound, found.size, found.certificate, found.replay) == (
+        None,
+        None,
+        None,
+        None,
+        None,
+    )
+    assert (
+        found.starts,
+        found.front,
+        found.metrics,
+        found.questions,
+        found.not_asked,
+        found.history,
+    ) == ((), (), (), (), (), {})
+    assert (found.verdict, found.why, found.has_plan, found.seconds.replay) == (
+        "no plan",
+        "it took long",
+        False,
+        0.0,
+    )
+    assert found.options == {name: found.options[name] for name in vars(PLANNED.options)}, (
+        "none were said: those that were asked"
+    )
     one = ModelSize(unknowns=1, equations=2)
     assert recorded(solution(size=one)).size is recorded(solution(paper_size=one)).size is None
 
 
 @pytest.mark.parametrize(("changes", "judged", "said"), [
-    ({"trajectory": None, "outcome": Outcome.REFUSED}, Judged(), ("not applicable", "it took long")),
+    ({"trajectory": None, "outcome": Outcome.REFUSED}, Judged(),
+     ("not applicable", "it took long")),
     ({"trajectory": None, "message": ""}, Judged(), ("no plan", Outcome.ITERATION_LIMIT.value)),
     ({}, Judged(problem="the judge stumbled"), ("undecided", "the judge stumbled")),
-    ({}, Judged(problem="unsaid", score=scored(verdict=Verdict.VIOLATES, why="it does not")), ("violates", "it does not")),
+    ({}, Judged(problem="unsaid", score=scored(verdict=Verdict.VIOLATES, why="it does not")),
+     ("violates", "it does not")),
 ], ids=["refused", "without a plan", "without a score", "scored"])  # fmt: skip
-def test_the_verdict_is_the_scores_or_says_why_there_is_none(changes: dict[str, Any], judged: Judged, said: tuple[str, str]):
+def test_the_verdict_is_the_scores_or_says_why_there_is_none(
+    changes: dict[str, Any], judged: Judged, said: tuple[str, str]
+):
     found = recorded(solution(**changes), judged)
     assert (found.verdict, found.why) == said
 
 
 def test_the_replay_with_feedback_stands_beside_the_open_one():
-    effort = Effort(rms=(0.5, 0.25), peak=(1.5, 1.25), rms_share=0.0625, peak_share=0.125, plan_share=0.75, saturated=0.875)
+    effort = Effort(
+        rms=(0.5, 0.25),
+        peak=(1.5, 1.25),
+        rms_share=0.0625,
+        peak_share=0.125,
+        plan_share=0.75,
+        saturated=0.875,
+    )
     followed = replay(
-        error=error(0.5), events=(Event(time=0.5, contact="left", closes=True),) * 3, seconds_reference=5.0, seconds_everyday=6.0, effort=effort,
+        error=error(0.5), events=(Event(time=0.5, contact="left", closes=True),) * 3,
+        seconds_reference=5.0, seconds_everyday=6.0, effort=effort,
         outcome=ReplayOutcome.DIVERGED, message="",
     )  # fmt: skip
     growth = Growth(amplification=math.exp(6.0), begin=0.0, end=1.0, duration=2.0)
-    judged = Judged(score=scored(judged="feedback"), replay=replay(tracked=followed, growth=growth, message="a word"))
+    judged = Judged(
+        score=scored(judged="feedback"),
+        replay=replay(tracked=followed, growth=growth, message="a word"),
+    )
     found = recorded(solution(), judged).replay
-    assert (found.judged, found.growth_rate, found.message) == ("feedback", pytest.approx(3.0), "a word")
+    assert (found.judged, found.growth_rate, found.message) == (
+        "feedback",
+        pytest.approx(3.0),
+        "a word",
+    )
     assert found.tracked == TrackedRecord(
-        error_estimate=1.5, events=3, seconds_reference=5.0, seconds_everyday=6.0, message=ReplayOutcome.DIVERGED.value, rms=(0.5, 0.25),
+        error_estimate=1.5, events=3, seconds_reference=5.0, seconds_everyday=6.0,
+        message=ReplayOutcome.DIVERGED.value, rms=(0.5, 0.25),
         peak=(1.5, 1.25), rms_share=0.0625, peak_share=0.125, plan_share=0.75, saturated=0.875,
     )  # fmt: skip
     said = replace(followed, message="its own word")
@@ -209,13 +299,27 @@ def test_the_replay_with_feedback_stands_beside_the_open_one():
 
 
 def test_an_error_of_the_replay_that_is_not_known_is_missing():
-    unknown = ReplayError(estimate=None, tolerance=Difference(position=math.inf, state=1.0, gap=1.0))
+    unknown = ReplayError(
+        estimate=None, tolerance=Difference(position=math.inf, state=1.0, gap=1.0)
+    )
     found = recorded(solution(), Judged(replay=replay(error=unknown), problem="no score")).replay
-    assert (found.error_estimate, found.tolerance_difference, found.step_difference, found.rollback_difference) == (None, None, None, None)
-    assert (found.judged, found.growth_rate, found.tracked, found.step_source) == ("open", None, None, "none")
+    assert (
+        found.error_estimate,
+        found.tolerance_difference,
+        found.step_difference,
+        found.rollback_difference,
+    ) == (None, None, None, None)
+    assert (found.judged, found.growth_rate, found.tracked, found.step_source) == (
+        "open",
+        None,
+        None,
+        "none",
+    )
 
 
-@pytest.mark.parametrize(("value", "said"), [(0.0, 0.0), (-0.0, 0.0), (1e-9, 1e-9), (math.inf, None), (math.nan, None)])
+@pytest.mark.parametrize(
+    ("value", "said"), [(0.0, 0.0), (-0.0, 0.0), (1e-9, 1e-9), (math.inf, None), (math.nan, None)]
+)
 def test_an_error_that_is_not_known_is_not_recorded_as_none(value: float, said: float | None):
     (found,) = recorded(solution(), Judged(score=scored(metric(error=value)))).metrics
     assert found.error == said
@@ -223,28 +327,43 @@ def test_an_error_that_is_not_known_is_not_recorded_as_none(value: float, said: 
 
 @pytest.mark.parametrize("value", [None, math.inf, math.nan])
 def test_what_was_not_measured_has_no_value(value: float | None):
-    (found,) = recorded(solution(), Judged(score=scored(metric(value=value, limit=math.inf, ok=None)))).metrics
+    (found,) = recorded(
+        solution(), Judged(score=scored(metric(value=value, limit=math.inf, ok=None)))
+    ).metrics
     assert (found.value, found.limit, found.ok) == (None, None, None)
 
 
 @pytest.mark.parametrize(("forces", "windows"), [
-    (((1.0, 0.0),), (("left", 0, 0),)), (((0.0, 1.0), (0.0, 1.0)), (("right", 0, 1),)), (((0.0, -1.0), (0.0, 0.0)), ()),
-    (((1.0, 0.0), (0.0, 2.0), (3.0, 2.0), (4.0, 0.0)), (("left", 0, 0), ("left", 2, 3), ("right", 1, 2))),
+    (((1.0, 0.0),), (("left", 0, 0),)), (((0.0, 1.0), (0.0, 1.0)), (("right", 0, 1),)),
+    (((0.0, -1.0), (0.0, 0.0)), ()),
+    (((1.0, 0.0), (0.0, 2.0), (3.0, 2.0), (4.0, 0.0)),
+     (("left", 0, 0), ("left", 2, 3), ("right", 1, 2))),
 ])  # fmt: skip
 def test_windows_are_the_first_and_the_last_step_of_each_force(forces: tuple, windows: tuple):
-    (point,) = recorded(solution(front=(FrontPoint(tolerance=1.0, solution=solution(trajectory=plan(*forces))),))).front
+    (point,) = recorded(
+        solution(front=(FrontPoint(tolerance=1.0, solution=solution(trajectory=plan(*forces))),))
+    ).front
     assert point.windows == windows
 
 
 def test_a_point_of_a_front_without_a_plan_says_how_it_ended():
     found = recorded(
-        solution(front=(FrontPoint(tolerance=0.5, solution=solution(trajectory=None, outcome=Outcome.INFEASIBLE, cost=None)),))
+        solution(
+            front=(
+                FrontPoint(
+                    tolerance=0.5,
+                    solution=solution(trajectory=None, outcome=Outcome.INFEASIBLE, cost=None),
+                ),
+            )
+        )
     )
     assert found.front == (FrontPointRecord(tolerance=0.5, outcome="infeasible"),)
 
 
 def test_iterations_that_are_not_finite_are_left_out_and_long_histories_are_thinned():
-    found = recorded(solution(history={"loss": (1.0, math.nan, 3.0, 4.0), "norm": (1.5, 2.5, 3.5, math.inf)}))
+    found = recorded(
+        solution(history={"loss": (1.0, math.nan, 3.0, 4.0), "norm": (1.5, 2.5, 3.5, math.inf)})
+    )
     assert found.history == {"loss": (1.0, 3.0), "norm": (1.5, 3.5)}
     assert recorded(solution(history={"loss": (math.nan,)})).history == {"loss": ()}
     assert recorded(solution(history={"loss": ()})).history == {"loss": ()}
@@ -257,34 +376,64 @@ def test_a_certificate_comes_to_its_stage_alone():
     points = (FrontPoint(tolerance=0.5, solution=solution(certificate=certificate(pairs=41))),)
     after = with_certificate(before, SCENE, solution(certificate=CERTIFIED, front=points))
     assert (after.certificate, after.certificate_missing) == (CERTIFICATE, False)
-    assert [None if point.certificate is None else point.certificate.pairs for point in after.front] == [41]
-    assert after.model_copy(update={"certificate": None, "front": (), "certificate_missing": True}) == before
+    assert [
+        None if point.certificate is None else point.certificate.pairs for point in after.front
+    ] == [41]
+    assert (
+        after.model_copy(update={"certificate": None, "front": (), "certificate_missing": True})
+        == before
+    )
 
 
 def test_what_a_certificate_does_not_know_is_missing():
     found = recorded(
-        solution(certificate=certificate(primal=math.inf, complementarity=math.nan, dual=math.nan, least=math.nan, unique=False))
+        solution(
+            certificate=certificate(
+                primal=math.inf,
+                complementarity=math.nan,
+                dual=math.nan,
+                least=math.nan,
+                unique=False,
+            )
+        )
     ).certificate
-    assert (found.primal, found.complementarity, found.dual, found.least, found.unique) == (None, None, None, None, False)
+    assert (found.primal, found.complementarity, found.dual, found.least, found.unique) == (
+        None,
+        None,
+        None,
+        None,
+        False,
+    )
     assert (found.holds, found.feasible) == (False, False)
 
 
 def test_a_plan_that_is_feasible_need_not_hold():
-    found = recorded(solution(certificate=certificate(stationarity=Stationarity.WEAK, descent=-1.0))).certificate
+    found = recorded(
+        solution(certificate=certificate(stationarity=Stationarity.WEAK, descent=-1.0))
+    ).certificate
     assert (found.feasible, found.holds, found.b_stationary) == (True, False, False)
 
 
 def leg(pipeline: str, *totals: float) -> LegRecord:
     stages = tuple(
-        recorded(solution(), index=place).model_copy(update={"seconds": SecondsRecord(stage=1.0, total=total)})
+        recorded(solution(), index=place).model_copy(
+            update={"seconds": SecondsRecord(stage=1.0, total=total)}
+        )
         for place, total in enumerate(totals)
     )
     return LegRecord(key="k", pipeline=pipeline, stages=stages, files={})
 
 
 def test_the_stages_of_a_run_are_those_of_its_legs_one_after_the_other():
-    """Each is counted on from the legs before it, its seconds too; what another run made names it."""
-    found = stages_of((leg("softplus_dc+relu_gd", 1.0, 3.0, 6.0), leg("softplus_dc+strict", 10.0)), "three_cart", "softplus_dc+strict")
+    """Each is counted on from the legs before it, its seconds too.
+
+    What another run made names it.
+    """
+    found = stages_of(
+        (leg("softplus_dc+relu_gd", 1.0, 3.0, 6.0), leg("softplus_dc+strict", 10.0)),
+        "three_cart",
+        "softplus_dc+strict",
+    )
     assert [stage.index for stage in found] == [0, 1, 2, 3]
     assert [stage.seconds.total for stage in found] == [1.0, 3.0, 6.0, 16.0]
     assert [stage.seconds.stage for stage in found] == [1.0] * 4
@@ -294,28 +443,55 @@ def test_the_stages_of_a_run_are_those_of_its_legs_one_after_the_other():
     assert stages_of((), "three_cart", "mpcc") == []
 
 
-@pytest.mark.parametrize(("outcome", "verdict"), [(Outcome.REFUSED, "not applicable"), (Outcome.CRASHED, "no plan")])
+@pytest.mark.parametrize(
+    ("outcome", "verdict"), [(Outcome.REFUSED, "not applicable"), (Outcome.CRASHED, "no plan")]
+)
 def test_a_stage_without_an_answer_says_why(outcome: Outcome, verdict: str):
     found = unfinished_stage("three_cart", "softplus_dc+strict", PLANNED, outcome, "signal 11")
     assert found == StageRecord(
-        index=2, method="softplus_dc", method_title=METHOD.title, kind="indirect", eps=1e-5, outcome=outcome.name.lower(), advice=outcome.value,
+        index=2, method="softplus_dc", method_title=METHOD.title, kind="indirect", eps=1e-5,
+        outcome=outcome.name.lower(), advice=outcome.value,
         message="signal 11", options=recorded(solution()).options, verdict=verdict, why="signal 11",
         paper={"cost": 339.53, "stability": 0.0, "physics": 239.50, "time": 12.40},
     )  # fmt: skip
 
 
 def run_of(pipeline: Pipeline, *stages: StageRecord, **changes: Any):
-    task = RunTask(key="key", scene="file.py", scene_name="three_cart", pipeline=pipeline, plugin="", time_limit=60.0)
+    task = RunTask(
+        key="key",
+        scene="file.py",
+        scene_name="three_cart",
+        pipeline=pipeline,
+        plugin="",
+        time_limit=60.0,
+    )
     said = {"wall": 1.5, "cpu": 2.5, "log": "first\nlast"}
     return run_record(task, factory.scene(), stages, factory.provenance(), **(said | changes))
 
 
 def test_a_run_ends_as_its_last_stage_does():
-    stages = (recorded(solution()), recorded(solution(outcome=Outcome.REFUSED, trajectory=None, message="no"), index=2))
+    stages = (
+        recorded(solution()),
+        recorded(solution(outcome=Outcome.REFUSED, trajectory=None, message="no"), index=2),
+    )
     found = run_of(find_pipeline("softplus_dc+strict"), *stages, profile={"replay": 0.25})
-    assert (found.key, found.pipeline, found.pipeline_title) == ("key", "softplus_dc+strict", find_pipeline("softplus_dc+strict").title)
-    assert (found.outcome, found.message, found.verdict, found.must_hold) == ("refused", "no", "not applicable", False)
-    assert (found.wall_seconds, found.cpu_seconds, found.profile, found.log_tail) == (1.5, 2.5, {"replay": 0.25}, "first\nlast")
+    assert (found.key, found.pipeline, found.pipeline_title) == (
+        "key",
+        "softplus_dc+strict",
+        find_pipeline("softplus_dc+strict").title,
+    )
+    assert (found.outcome, found.message, found.verdict, found.must_hold) == (
+        "refused",
+        "no",
+        "not applicable",
+        False,
+    )
+    assert (found.wall_seconds, found.cpu_seconds, found.profile, found.log_tail) == (
+        1.5,
+        2.5,
+        {"replay": 0.25},
+        "first\nlast",
+    )
     assert (found.part, found.parts, found.stages) == (1, 1, stages)
     assert found.title == "three_cart x softplus_dc+strict"
 
@@ -323,8 +499,16 @@ def test_a_run_ends_as_its_last_stage_does():
 def test_what_is_said_of_a_run_counts_more_than_its_last_stage():
     stage = recorded(solution()).model_copy(update={"kind": "direct"})
     log = "\n".join(map(str, range(LOG_LINES + 1)))
-    found = run_of(replace(find_pipeline("mpcc"), part=(2, 3)), stage, outcome="crashed", message="", log=log)
-    assert (found.outcome, found.message, found.must_hold, found.part, found.parts) == ("crashed", "", True, 2, 3)
+    found = run_of(
+        replace(find_pipeline("mpcc"), part=(2, 3)), stage, outcome="crashed", message="", log=log
+    )
+    assert (found.outcome, found.message, found.must_hold, found.part, found.parts) == (
+        "crashed",
+        "",
+        True,
+        2,
+        3,
+    )
     assert found.log_tail.splitlines() == [str(line) for line in range(1, 41)]
     assert found.title == "three_cart x mpcc (2 of 3)"
 
@@ -372,15 +556,24 @@ def written(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.parametrize("name", EQUATIONS)
 def test_each_equation_stands_in_its_place(name: str, written):
-    assert written(load_scene(name)) == [line.strip() for line in EQUATIONS[name].strip().splitlines()]
+    assert written(load_scene(name)) == [
+        line.strip() for line in EQUATIONS[name].strip().splitlines()
+    ]
 
 
 def test_the_cost_of_the_last_state_is_added_to_the_sum(written):
-    assert written(load_scene("two_discs"))[-1] == "cost of the last state, added to that sum: Eq(J_T, x2**2 + y2**2)"
+    assert (
+        written(load_scene("two_discs"))[-1]
+        == "cost of the last state, added to that sum: Eq(J_T, x2**2 + y2**2)"
+    )
 
 
-def test_forces_are_greek_by_the_beginning_of_their_names_alone_where_they_limit_friction_too(written):
-    limits = " ".join(text for text in written(load_scene("push_box")) if "friction" in text.partition(":")[0])
+def test_forces_are_greek_by_the_beginning_of_their_names_alone_where_they_limit_friction_too(
+    written,
+):
+    limits = " ".join(
+        text for text in written(load_scene("push_box")) if "friction" in text.partition(":")[0]
+    )
     assert "lambda_" in limits
     assert "lam_" not in limits
     scene = load_scene("transport")
@@ -396,35 +589,67 @@ def test_a_scene_record_says_each_quantity_with_its_own_words(name: str):
     record, values = scene_record(scene), scene.parameter_values
 
     def said(items):
-        return tuple(QuantityRecord(name=item.name, unit=item.unit, description=item.description) for item in items)
+        return tuple(
+            QuantityRecord(name=item.name, unit=item.unit, description=item.description)
+            for item in items
+        )
 
     def number(expression):
         return float(sp.sympify(expression).subs(values))
 
-    assert (record.name, record.title, record.source, record.unstable) == (scene.name, scene.title, scene.source, scene.unstable)
+    assert (record.name, record.title, record.source, record.unstable) == (
+        scene.name,
+        scene.title,
+        scene.source,
+        scene.unstable,
+    )
     assert record.coordinates == said(scene.coordinates)
     assert record.inputs == said(scene.inputs)
     assert record.velocities == tuple(
-        QuantityRecord(name=item.velocity_name, unit=item.velocity_unit, description=f"velocity of {item.description}")
+        QuantityRecord(
+            name=item.velocity_name,
+            unit=item.velocity_unit,
+            description=f"velocity of {item.description}",
+        )
         for item in scene.coordinates
     )
     assert record.parameters == tuple(
-        QuantityRecord(name=item.name, unit=item.unit, description=item.description, value=item.value) for item in scene.parameters
+        QuantityRecord(
+            name=item.name, unit=item.unit, description=item.description, value=item.value
+        )
+        for item in scene.parameters
     )
     assert record.contacts == tuple(
-        ContactRecord(name=item.name, unit="N/m", description=item.description, bodies=item.bodies, value=number(item.stiffness))
+        ContactRecord(
+            name=item.name,
+            unit="N/m",
+            description=item.description,
+            bodies=item.bodies,
+            value=number(item.stiffness),
+        )
         for item in scene.contacts
     )
     assert record.frictions == tuple(
-        QuantityRecord(name=item.force_name, unit="1", description=item.description, value=number(item.coefficient))
+        QuantityRecord(
+            name=item.force_name,
+            unit="1",
+            description=item.description,
+            value=number(item.coefficient),
+        )
         for item in scene.frictions
     )
     assert record.answers == tuple(
-        QuantityRecord(name=item.quantity, unit="", description=item.source, value=item.value) for item in scene.answers
+        QuantityRecord(name=item.quantity, unit="", description=item.source, value=item.value)
+        for item in scene.answers
     )
     shapes = [(item.name, item.kind, tuple(map(number, item.size))) for item in scene.shapes]
     assert [(item.name, item.kind, item.size) for item in record.shapes] == shapes
-    assert (record.start, record.goal, record.step, record.steps) == (scene.task.start, scene.task.goal, scene.task.step, scene.task.steps)
+    assert (record.start, record.goal, record.step, record.steps) == (
+        scene.task.start,
+        scene.task.goal,
+        scene.task.step,
+        scene.task.steps,
+    )
     assert record.operations == step_operations(scene)
     assert record.absent == derive(scene).absent
 
@@ -432,8 +657,13 @@ def test_a_scene_record_says_each_quantity_with_its_own_words(name: str):
 def test_three_carts_by_hand():
     record = scene_record(load_scene("three_cart"))
     assert "friction" in record.absent
-    assert [(shape.name, shape.size) for shape in record.shapes] == [(name, (0.5, 0.5)) for name in ("left", "middle", "right")]
-    assert [(contact.value, contact.bodies) for contact in record.contacts] == [(30.0, ("left", "middle")), (30.0, ("middle", "right"))]
+    assert [(shape.name, shape.size) for shape in record.shapes] == [
+        (name, (0.5, 0.5)) for name in ("left", "middle", "right")
+    ]
+    assert [(contact.value, contact.bodies) for contact in record.contacts] == [
+        (30.0, ("left", "middle")),
+        (30.0, ("middle", "right")),
+    ]
 
 
 def test_what_has_no_words_is_called_by_its_name():
@@ -444,7 +674,10 @@ def test_what_has_no_words_is_called_by_its_name():
         frictions=tuple(replace(item, description="") for item in scene.frictions),
     )
     record = scene_record(silent)
-    assert [item.description for item in record.velocities] == ["velocity of cargo", "velocity of cart"]
+    assert [item.description for item in record.velocities] == [
+        "velocity of cargo",
+        "velocity of cart",
+    ]
     assert [item.description for item in record.frictions] == ["belt"]
 
 
@@ -459,15 +692,25 @@ def test_limits_that_are_waived_stand_with_their_reasons():
 def test_a_body_whose_place_the_goal_leaves_open_or_that_never_moves_has_no_goal():
     goals = {shape.name: shape.goal for shape in scene_record(load_scene("hopper_planar")).shapes}
     assert goals == {"body": (2.0, 1.0, 0.0), "leg": None, "foot": None, "floor": None}
-    assert [shape.goal for shape in scene_record(load_scene("three_cart")).shapes] == [(x, 0.25, 0.0) for x in (2.5, 3.5, 4.5)]
+    assert [shape.goal for shape in scene_record(load_scene("three_cart")).shapes] == [
+        (x, 0.25, 0.0) for x in (2.5, 3.5, 4.5)
+    ]
 
 
 @pytest.mark.parametrize(
     ("scene", "name", "published"),
-    [("three_cart", "three_cart", "three_cart"), ("/own/three_cart.py", "three_cart", ""), ("three_cart", "slow_cart", "")],
+    [
+        ("three_cart", "three_cart", "three_cart"),
+        ("/own/three_cart.py", "three_cart", ""),
+        ("three_cart", "slow_cart", ""),
+    ],
 )
-def test_the_papers_numbers_stand_beside_the_scene_of_the_catalog_and_no_file_of_that_name(scene: str, name: str, published: str):
+def test_the_papers_numbers_stand_beside_the_scene_of_the_catalog_and_no_file_of_that_name(
+    scene: str, name: str, published: str
+):
     pipeline = Pipeline(name="softplus_dc+strict", title="", legs=())
-    task = RunTask(key="key", scene=scene, scene_name=name, pipeline=pipeline, plugin="", time_limit=60.0)
+    task = RunTask(
+        key="key", scene=scene, scene_name=name, pipeline=pipeline, plugin="", time_limit=60.0
+    )
     assert task.published == published
     assert bool(paper_row(task.published, pipeline.name, 3)) == bool(published)

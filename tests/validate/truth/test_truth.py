@@ -1,4 +1,7 @@
-"""The truth suite: its answers are right, two ways; it finds five faults planted in each adapter; what it writes is equal twice but for times."""
+"""The truth suite: its answers are right, two ways; it finds five faults planted in each adapter.
+
+What it writes is equal twice but for times.
+"""
 
 import importlib
 import importlib.util
@@ -27,17 +30,24 @@ from validate.truth.problems import TruthProblem, problems, restitution
 PROBLEMS = {f"{problem.phenomenon}: {problem.name}": problem for problem in problems()}
 # What each fault is looked for with, the first of them that the engine expresses.
 SHOWS = {
-    "stiffness / 2": "rebound: undamped", "friction off": "creep under load: mu = 0.5, half of what friction holds",
-    "step x 2": "two-body collision: masses 1 and 3", "sign of the normal": "rebound: undamped", "damping ignored": "rebound: Kelvin-Voigt damping",
+    "stiffness / 2": "rebound: undamped",
+    "friction off": "creep under load: mu = 0.5, half of what friction holds",
+    "step x 2": "two-body collision: masses 1 and 3", "sign of the normal": "rebound: undamped",
+    "damping ignored": "rebound: Kelvin-Voigt damping",
 }  # fmt: skip
 
 
 def of_package(package: str):
     """Skipped where a package is missing."""
-    return pytest.mark.skipif(importlib.util.find_spec(package) is None, reason=f"{package} is not installed")
+    return pytest.mark.skipif(
+        importlib.util.find_spec(package) is None, reason=f"{package} is not installed"
+    )
 
 
-DRAKE = [pytest.param(f"drake_{name}", marks=[pytest.mark.peer, of_package("pydrake")]) for name in ("continuous", "sap", "cenic")]
+DRAKE = [
+    pytest.param(f"drake_{name}", marks=[pytest.mark.peer, of_package("pydrake")])
+    for name in ("continuous", "sap", "cenic")
+]
 
 
 def here(engine: str, drives) -> EngineAnswer:
@@ -47,12 +57,20 @@ def here(engine: str, drives) -> EngineAnswer:
 
 def asked(problem: TruthProblem, engine: str) -> TruthRow:
     """The row of an engine that runs here."""
-    return judged(problem, engine, here(engine, drives(problem, describe_engine(engine))), problem.end(), here)
+    return judged(
+        problem, engine, here(engine, drives(problem, describe_engine(engine))), problem.end(), here
+    )
 
 
 def error_of(problem: TruthProblem, engine: str) -> float:
     """At the finest of its levels, in this process; infinite where it diverged."""
-    row = judged(problem, engine, here(engine, drives(problem, describe_engine(engine))), problem.end(), unasked)
+    row = judged(
+        problem,
+        engine,
+        here(engine, drives(problem, describe_engine(engine))),
+        problem.end(),
+        unasked,
+    )
     error = row.levels[-1].error
     return math.inf if error is None else error
 
@@ -67,16 +85,30 @@ def test_there_are_thirteen_phenomena():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name, problem in PROBLEMS.items() if problem.exact and not name.startswith(("energy", "dying"))])
+@pytest.mark.parametrize(
+    "name",
+    [
+        name
+        for name, problem in PROBLEMS.items()
+        if problem.exact and not name.startswith(("energy", "dying"))
+    ],
+)
 def test_a_closed_form_is_what_our_own_integration_gives(name: str):
     problem = PROBLEMS[name]
-    found = true_motion(Equations(problem.scene), [Piece(end=problem.duration, u=np.array(problem.u))], np.array([problem.duration]))[0][0]
+    found = true_motion(
+        Equations(problem.scene),
+        [Piece(end=problem.duration, u=np.array(problem.u))],
+        np.array([problem.duration]),
+    )[0][0]
     scales = np.repeat([problem.position, problem.velocity], problem.scene.nq)
     assert np.nanmax(np.abs(found - problem.end()) / scales) <= 1e-9
 
 
 def test_dying_bounces_rest_when_the_series_of_flights_says():
-    """t_1 + (2 v/g) e/(1 - e) of flights and the contacts between them; gravity, which acts in contact too, takes a tenth of e here."""
+    """t_1 + (2 v/g) e/(1 - e) of flights and the contacts between them.
+
+    gravity, which acts in contact too, takes a tenth of e here.
+    """
     problem = PROBLEMS["dying bounces: damping ratio 0.2, until it rests"]
     v, e = math.sqrt(2 * 9.81 * 0.5), restitution(0.2)
     series = v / 9.81 + 2 * v / 9.81 * e / (1 - e)
@@ -85,17 +117,26 @@ def test_dying_bounces_rest_when_the_series_of_flights_says():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted({problem.phenomenon: name for name, problem in PROBLEMS.items()}.values()))
+@pytest.mark.parametrize(
+    "name", sorted({problem.phenomenon: name for name, problem in PROBLEMS.items()}.values())
+)
 def test_our_reference_is_right(name: str):
     assert error_of(PROBLEMS[name], "fmu") <= truth.NEAR
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", SHOWS)
-@pytest.mark.parametrize("engine", ["fmu", "fmu_everyday", pytest.param("mujoco", marks=of_package("mujoco")), *DRAKE])
+@pytest.mark.parametrize(
+    "engine", ["fmu", "fmu_everyday", pytest.param("mujoco", marks=of_package("mujoco")), *DRAKE]
+)
 def test_a_fault_planted_in_an_adapter_is_found(monkeypatch, engine: str, fault: str):
-    damped = {"drake_continuous": "rebound: Hunt-Crossley damping", "drake_cenic": "rebound: Hunt-Crossley damping"}
-    problem = PROBLEMS[damped.get(engine, SHOWS[fault]) if fault == "damping ignored" else SHOWS[fault]]
+    damped = {
+        "drake_continuous": "rebound: Hunt-Crossley damping",
+        "drake_cenic": "rebound: Hunt-Crossley damping",
+    }
+    problem = PROBLEMS[
+        damped.get(engine, SHOWS[fault]) if fault == "damping ignored" else SHOWS[fault]
+    ]
     right = error_of(problem, engine)
     assert right < (0.1 if engine in ("drake_sap", "drake_cenic") else 2e-3)
     plant(monkeypatch, engine, fault)
@@ -105,24 +146,39 @@ def test_a_fault_planted_in_an_adapter_is_found(monkeypatch, engine: str, fault:
 
 def plant(monkeypatch, engine: str, fault: str) -> None:
     """The fault, where the adapter reads the scene or makes its steps."""
-    module, ours = importlib.import_module(f"validate.judge.engines.{engine}"), engine.startswith("fmu")
+    module, ours = (
+        importlib.import_module(f"validate.judge.engines.{engine}"),
+        engine.startswith("fmu"),
+    )
     shared = (
-        importlib.import_module("validate.judge.engines.fmu" if ours else "validate.judge.engines._drake")
+        importlib.import_module(
+            "validate.judge.engines.fmu" if ours else "validate.judge.engines._drake"
+        )
         if ours or "drake" in engine
         else module
     )
     if fault == "step x 2" and engine == "drake_sap":  # its plant has the step
         given = module.Plant
-        monkeypatch.setattr(module, "Plant", lambda drive, time_step, **how: given(drive, time_step=2.0 * time_step, **how))
+        monkeypatch.setattr(
+            module,
+            "Plant",
+            lambda drive, time_step, **how: given(drive, time_step=2.0 * time_step, **how),
+        )
         return
     if fault == "step x 2" and not ours:
         monkeypatch.setattr(
-            module, "stepped", lambda drive, advance, given=module.stepped: given(drive, lambda u, slope, count, h: advance(u, slope, count, 2 * h)),
+            module, "stepped", lambda drive, advance,
+            given=module.stepped: given(drive, lambda u, slope, count,
+                                        h: advance(u, slope, count, 2 * h)),
         )  # fmt: skip
         return
     if fault == "step x 2":
         monkeypatch.setattr(
-            shared, "HeldInputs", lambda plan, feedback, held=shared.HeldInputs: held(replace(plan, t=2.0 * plan.t), feedback)
+            shared,
+            "HeldInputs",
+            lambda plan, feedback, held=shared.HeldInputs: held(
+                replace(plan, t=2.0 * plan.t), feedback
+            ),
         )
         return
     name = "build_fmu" if ours else "mechanism_of"
@@ -133,7 +189,9 @@ def plant(monkeypatch, engine: str, fault: str) -> None:
 def spoilt(scene: Scene, fault: str) -> Scene:
     """A scene as a faulty adapter reads it."""
     if fault == "friction off":
-        return replace(scene, frictions=tuple(replace(item, coefficient=sp.S.Zero) for item in scene.frictions))
+        return replace(
+            scene, frictions=tuple(replace(item, coefficient=sp.S.Zero) for item in scene.frictions)
+        )
     change = {
         "stiffness / 2": lambda contact: replace(contact, stiffness=contact.stiffness / 2),
         "sign of the normal": lambda contact: replace(contact, penetration=-contact.penetration),
@@ -161,8 +219,15 @@ def test_each_disagreement_is_explained_by_what_was_measured():
 
 def test_rows_without_a_number_stand_in_the_table():
     problem = PROBLEMS["rebound: Hunt-Crossley damping"]
-    lost = judged(problem, "mujoco", EngineAnswer(came=Came.MISSING, why="engine mujoco: not installed"), problem.end())
-    fine = lost.model_copy(update={"engine": "fmu", "came": "cannot express it", "sentence": "it has no such contact"})
+    lost = judged(
+        problem,
+        "mujoco",
+        EngineAnswer(came=Came.MISSING, why="engine mujoco: not installed"),
+        problem.end(),
+    )
+    fine = lost.model_copy(
+        update={"engine": "fmu", "came": "cannot express it", "sentence": "it has no such contact"}
+    )
     record = recorded(("fmu", "mujoco"), [fine, lost])
     assert "cannot express it | not installed" in as_markdown(record, "x")
     assert largest_disagreement(record.problems[0]) is not None
@@ -173,8 +238,12 @@ def test_rows_without_a_number_stand_in_the_table():
 def test_what_is_written_is_equal_twice_but_for_times(monkeypatch):
     few = [PROBLEMS["rebound: Hunt-Crossley damping"]]
     monkeypatch.setattr(truth, "problems", lambda: few)
-    runs = [recorded(("fmu", "fmu_everyday"), truth.measure(("fmu", "fmu_everyday"))) for _ in range(2)]
-    one, other = ([line.rsplit(",", 2)[0] for line in as_csv(record).splitlines()] for record in runs)
+    runs = [
+        recorded(("fmu", "fmu_everyday"), truth.measure(("fmu", "fmu_everyday"))) for _ in range(2)
+    ]
+    one, other = (
+        [line.rsplit(",", 2)[0] for line in as_csv(record).splitlines()] for record in runs
+    )
     assert one == other
     assert len(one) == 1 + 2 * 4
     assert as_markdown(runs[0], "x") == as_markdown(runs[1], "x")
@@ -192,11 +261,19 @@ def test_a_name_that_is_no_engine_is_one_sentence(cli):
 
 @pytest.mark.slow
 @pytest.mark.process
-def test_an_engine_that_is_missing_is_exit_code_3_where_it_is_asked_for(cli_environment, tmp_path: Path):
+def test_an_engine_that_is_missing_is_exit_code_3_where_it_is_asked_for(
+    cli_environment, tmp_path: Path
+):
     (tmp_path / "sitecustomize.py").write_text("import sys\nsys.modules['mujoco'] = None\n")
     paths = os.pathsep.join([str(tmp_path), cli_environment["PYTHONPATH"]])
     command = [sys.executable, "-m", "validate", "truth", "--engine", "mujoco"]
-    done = subprocess.run(command, capture_output=True, text=True, env={**cli_environment, "PYTHONPATH": paths}, check=False)
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        env={**cli_environment, "PYTHONPATH": paths},
+        check=False,
+    )
     assert done.returncode == 3
     assert not unsaid(done.stderr, "not installed; pip install")
     assert "Traceback" not in done.stderr

@@ -1,1 +1,5 @@
-"""Other simulators as judges. ONE FILE = ONE ENGINE: `ENGINE = Simulator(..)`, whose arguments are literals, and `simulate(drive) -> SimulatedMotion`."""
+"""Other simulators as judges.
+
+ONE FILE = ONE ENGINE: `ENGINE = Simulator(..)`, whose arguments are literals, and `simulate(drive)
+-> SimulatedMotion`.
+"""

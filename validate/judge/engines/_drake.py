@@ -1,7 +1,8 @@
 """Drake's plant of a scene, which its engines share: bodies by their MJCF, contacts as points between balls and half-spaces, all else as applied forces.
 
-Both of a pair have twice the stiffness of the contact: Drake puts them in series. What rubs under a constant weight is pressed on a plane of its own.
-Hunt and Crossley's damping is Drake's own; Kelvin and Voigt's only its SAP knows. A stop on a joint, which no pads express, is one of the forces.
+Both of a pair have twice the stiffness of the contact: Drake puts them in series. What rubs under a
+constant weight is pressed on a plane of its own. Hunt and Crossley's damping is Drake's own; Kelvin
+and Voigt's only its SAP knows. A stop on a joint, which no pads express, is one of the forces.
 """
 
 from __future__ import annotations
@@ -15,22 +16,33 @@ from models.scene.contacts import DampingLaw
 from validate.judge.engines._mechanism import Mechanism, Touch, mechanism_of
 from validate.judge.simulator import CannotExpressError, Drive
 
-drake: Any = importlib.import_module("pydrake.all")  # a checker without the package takes its place for a module
+drake: Any = importlib.import_module(
+    "pydrake.all"
+)  # a checker without the package takes its place for a module
 
 # Slip at which regularised friction is whole [m/s]; Drake's default is 1e-3.
 STICTION = 1e-4
 _TINY = 1e-12
-_SYMBOLIC = {name: getattr(drake, name) for name in ("sin", "cos", "sqrt", "exp", "log")} | {"Max": drake.max}
+_SYMBOLIC = {name: getattr(drake, name) for name in ("sin", "cos", "sqrt", "exp", "log")} | {
+    "Max": drake.max
+}
 
 
 class Plant:
-    """A scene in Drake: its diagram and context, and how states and inputs go in and out; with a time step [s] discrete, by SAP. Raises CannotExpressError."""
+    """A scene in Drake: its diagram and context, and how states and inputs go in and out.
+
+    With a time step [s] discrete, by SAP. Raises CannotExpressError.
+    """
 
     def __init__(self, drive: Drive, *, time_step: float = 0.0) -> None:
         mechanism = mechanism_of(drive.scene, weights=True)
-        builder, names = drake.DiagramBuilder(), [coordinate.name for coordinate in drive.scene.coordinates]
+        builder, names = (
+            drake.DiagramBuilder(),
+            [coordinate.name for coordinate in drive.scene.coordinates],
+        )
         config = drake.MultibodyPlantConfig(
-            time_step=time_step, contact_model="point", discrete_contact_approximation="sap", use_sampled_output_ports=False,
+            time_step=time_step, contact_model="point", discrete_contact_approximation="sap",
+            use_sampled_output_ports=False,
             stiction_tolerance=STICTION * drive.soft, sap_near_rigid_threshold=0.0,
         )  # fmt: skip
         self.plant, graph = drake.AddMultibodyPlant(config, builder)
@@ -38,28 +50,52 @@ class Plant:
             f'<mujoco model="scene"><worldbody>{mechanism.bodies}</worldbody></mujoco>', "xml"
         )
         self.plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -mechanism.gravity])
-        pairs = [self._pads(touch, time_step > 0.0) for touch in mechanism.touches if not touch.stops]
+        pairs = [
+            self._pads(touch, time_step > 0.0) for touch in mechanism.touches if not touch.stops
+        ]
         self.plant.Finalize()
         filters = graph.collision_filter_manager()
-        filters.Apply(drake.CollisionFilterDeclaration().ExcludeWithin(drake.GeometrySet([pad for pair in pairs for pad in pair])))
+        filters.Apply(
+            drake.CollisionFilterDeclaration().ExcludeWithin(
+                drake.GeometrySet([pad for pair in pairs for pad in pair])
+            )
+        )
         for one, other in pairs:
-            filters.Apply(drake.CollisionFilterDeclaration().AllowBetween(drake.GeometrySet(one), drake.GeometrySet(other)))
+            filters.Apply(
+                drake.CollisionFilterDeclaration().AllowBetween(
+                    drake.GeometrySet(one), drake.GeometrySet(other)
+                )
+            )
         joints = [self.plant.GetJointByName(name) for name in names]
-        self._q, self._v = ([getattr(joint, part)() for joint in joints] for part in ("position_start", "velocity_start"))
+        self._q, self._v = (
+            [getattr(joint, part)() for joint in joints]
+            for part in ("position_start", "velocity_start")
+        )
         self._joints, self._back = mechanism.joints, np.linalg.inv(mechanism.joints)
         forces = self._forces(mechanism)
         builder.AddSystem(forces)
-        parts = builder.AddSystem(drake.Multiplexer([self.plant.num_multibody_states(), max(1, drive.scene.nu)]))
+        parts = builder.AddSystem(
+            drake.Multiplexer([self.plant.num_multibody_states(), max(1, drive.scene.nu)])
+        )
         builder.Connect(self.plant.get_state_output_port(), parts.get_input_port(0))
         builder.Connect(parts.get_output_port(0), forces.get_input_port())
-        builder.Connect(forces.get_output_port(), self.plant.get_applied_generalized_force_input_port())
+        builder.Connect(
+            forces.get_output_port(), self.plant.get_applied_generalized_force_input_port()
+        )
         self.diagram = builder.Build()
         self.context = self.diagram.CreateDefaultContext()
-        self._own, self._inputs = self.plant.GetMyMutableContextFromRoot(self.context), parts.GetMyMutableContextFromRoot(self.context)
+        self._own, self._inputs = (
+            self.plant.GetMyMutableContextFromRoot(self.context),
+            parts.GetMyMutableContextFromRoot(self.context),
+        )
         self._port = parts.get_input_port(1)
         for body in map(self.plant.get_body, self.plant.GetBodyIndices(instance)):
-            if body.default_mass() == 0.0:  # between two joints of one body; CENIC wants some mass of each
-                body.SetSpatialInertiaInBodyFrame(self._own, drake.SpatialInertia.SolidSphereWithMass(_TINY, 1.0))
+            if (
+                body.default_mass() == 0.0
+            ):  # between two joints of one body; CENIC wants some mass of each
+                body.SetSpatialInertiaInBodyFrame(
+                    self._own, drake.SpatialInertia.SolidSphereWithMass(_TINY, 1.0)
+                )
         q, v = self.plant.GetPositions(self._own), self.plant.GetVelocities(self._own)
         q[self._q], v[self._v] = (self._joints @ part for part in np.split(drive.start, 2))
         for name, _, start in mechanism.weights:
@@ -73,24 +109,38 @@ class Plant:
             raise CannotExpressError(f"contact {touch.name}: {touch.why}")
         if touch.damping and (touch.law is DampingLaw.KELVIN_VOIGT) is not linear:
             own = "Kelvin and Voigt's alone" if linear else "Hunt and Crossley's alone"
-            raise CannotExpressError(f"contact {touch.name}: its damping is another than this plant has, which is {own}")
+            raise CannotExpressError(
+                f"contact {touch.name}: its damping is another than this plant has, which is {own}"
+            )
         found, across = [], sum(pad.radius for pad in touch.pads)
         for place, pad in enumerate(touch.pads):
-            # Drake puts both in series, and friction where they meet: balls give way in proportion to their radii.
+            # Drake puts both in series, and friction where they meet: balls give way in proportion
+            # to their radii.
             share = pad.radius / across if all(each.radius for each in touch.pads) else 0.5
             properties = drake.ProximityProperties()
             dissipation = None if linear else touch.damping * touch.steepness
             drake.AddContactMaterial(
-                dissipation=dissipation, point_stiffness=touch.stiffness * touch.steepness**2 / share,
-                friction=drake.CoulombFriction(touch.friction, touch.friction), properties=properties,
+                dissipation=dissipation,
+                point_stiffness=touch.stiffness * touch.steepness**2 / share,
+                friction=drake.CoulombFriction(touch.friction, touch.friction),
+                properties=properties,
             )  # fmt: skip
             if linear:  # those of a pair add
-                properties.AddProperty("material", "relaxation_time", touch.damping / touch.stiffness / 2.0)
+                properties.AddProperty(
+                    "material", "relaxation_time", touch.damping / touch.stiffness / 2.0
+                )
             body = self.plant.GetBodyByName(pad.body) if pad.body else self.plant.world_body()
             shape, pose = drake.Sphere(pad.radius), drake.RigidTransform(list(pad.at))
             if not pad.radius:
-                shape, pose = drake.HalfSpace(), drake.HalfSpace.MakePose(list(pad.normal), list(pad.at))
-            found.append(self.plant.RegisterCollisionGeometry(body, pose, shape, f"{touch.name}_{place}", properties))
+                shape, pose = (
+                    drake.HalfSpace(),
+                    drake.HalfSpace.MakePose(list(pad.normal), list(pad.at)),
+                )
+            found.append(
+                self.plant.RegisterCollisionGeometry(
+                    body, pose, shape, f"{touch.name}_{place}", properties
+                )
+            )
         return found
 
     def _forces(self, mechanism: Mechanism) -> Any:
@@ -99,21 +149,33 @@ class Plant:
         sizes = {"q": self.plant.num_positions(), "v": self.plant.num_velocities(), "u": max(1, nu)}
         q, v, u = (drake.MakeVectorVariable(size, letter) for letter, size in sizes.items())
         found = [drake.Expression(0.0)] * len(v)
-        for place, force in zip(self._v, mechanism.smooth([_SYMBOLIC], stops=True)(*q[self._q], *v[self._v], *u[:nu]), strict=True):
+        for place, force in zip(
+            self._v,
+            mechanism.smooth([_SYMBOLIC], stops=True)(*q[self._q], *v[self._v], *u[:nu]),
+            strict=True,
+        ):
             found[place] = drake.Expression() + force
         for name, weight, _ in mechanism.weights:
             found[self.plant.GetJointByName(name).velocity_start()] = drake.Expression(weight)
-        # Drake asks derivatives of every such system in continuous time, and fails where there is no state: one that stays.
+        # Drake asks derivatives of every such system in continuous time, and fails where there is
+        # no state: one that stays.
         still = drake.Variable("still")
-        return drake.SymbolicVectorSystem(state=[still], input=[*q, *v, *u], dynamics=[drake.Expression(0.0)], output=found)
+        return drake.SymbolicVectorSystem(
+            state=[still], input=[*q, *v, *u], dynamics=[drake.Expression(0.0)], output=found
+        )
 
     def drive_by(self, u: np.ndarray) -> None:
         """Inputs (nu,) [N, N m] from now on. Raises nothing."""
         self._port.FixValue(self._inputs, u if len(u) else np.zeros(1))
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and velocities of the scene's coordinates, (nq,) each [m, rad, m/s, rad/s]. Raises nothing."""
-        return self._back @ self.plant.GetPositions(self._own)[self._q], self._back @ self.plant.GetVelocities(self._own)[self._v]
+        """Positions and velocities of the scene's coordinates, (nq,) each [m, rad, m/s, rad/s].
+
+        Raises nothing.
+        """
+        return self._back @ self.plant.GetPositions(self._own)[
+            self._q
+        ], self._back @ self.plant.GetVelocities(self._own)[self._v]
 
     def advance(self, scheme: str, drive: Drive) -> Any:
         """What `stepped` calls, by an integrator that chooses its steps by the drive's tolerance, no longer than one of the plan."""
@@ -122,7 +184,9 @@ class Plant:
         integrator.set_target_accuracy(drive.tolerance)
         simulator.Initialize()
 
-        def advance(u: np.ndarray, slope: np.ndarray, count: int, h: float) -> tuple[np.ndarray, np.ndarray]:
+        def advance(
+            u: np.ndarray, slope: np.ndarray, count: int, h: float
+        ) -> tuple[np.ndarray, np.ndarray]:
             """Over count h [s] under u (nu,) [N, N m]: positions and velocities (nq,) [m, rad, m/s, rad/s]; NaN where Drake gives up. Raises nothing."""
             pieces, begin = count if slope.any() else 1, self.context.get_time()
             try:

@@ -18,10 +18,14 @@ ENGINE = Simulator(
 def simulate(drive: Drive) -> SimulatedMotion:
     """The motion of a drive at its step. Raises CannotExpressError."""
     if not np.allclose(np.diff(drive.plan.t), drive.step * drive.parts, rtol=1e-9, atol=0.0):
-        raise CannotExpressError("the plan's steps differ in length, and a discrete plant has one step")
+        raise CannotExpressError(
+            "the plan's steps differ in length, and a discrete plant has one step"
+        )
     plant = Plant(drive, time_step=drive.step)
 
-    def advance(u: np.ndarray, slope: np.ndarray, count: int, h: float) -> tuple[np.ndarray, np.ndarray]:
+    def advance(
+        u: np.ndarray, slope: np.ndarray, count: int, h: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """After so many steps of h [s] under u (nu,) [N, N m], slope (nu,): positions and velocities (nq,) [m, rad, m/s, rad/s]. Raises nothing."""
         for part in range(count):
             plant.drive_by(u + slope * h * (part + 0.5))

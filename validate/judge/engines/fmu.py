@@ -17,7 +17,11 @@ from validate.judge.replay.subject import find_variables
 from validate.judge.replay.wiring import HeldInputs, Variables
 from validate.judge.simulator import Drive, SimulatedMotion, Simulator
 
-ENGINE = Simulator(title="our FMU, reference (CVODE)", tolerances=(1e-7, 1e-9, 1e-11, 1e-13), law="the scene's own, events located")
+ENGINE = Simulator(
+    title="our FMU, reference (CVODE)",
+    tolerances=(1e-7, 1e-9, 1e-11, 1e-13),
+    law="the scene's own, events located",
+)
 
 
 def simulate(drive: Drive) -> SimulatedMotion:
@@ -31,7 +35,9 @@ def simulate(drive: Drive) -> SimulatedMotion:
     return motion_of(drive, steps)
 
 
-def motion_of(drive: Drive, steps: Callable[[Package, Variables, HeldInputs], Run]) -> SimulatedMotion:
+def motion_of(
+    drive: Drive, steps: Callable[[Package, Variables, HeldInputs], Run]
+) -> SimulatedMotion:
     """Of our FMU by whatever steps it: positions and velocities at the plan's nodes, NaN from where the run ended. Raises FmuError."""
     with unpacked(read_package(build_fmu(drive.scene, results=False))) as package:
         variables, nq = find_variables(package, drive.scene), drive.scene.nq
@@ -41,5 +47,9 @@ def motion_of(drive: Drive, steps: Callable[[Package, Variables, HeldInputs], Ru
     states = np.full((len(drive.plan.t), 2 * nq), np.nan)
     rows = np.array(run.outputs)[run.knots, : 2 * nq]
     states[: len(rows)] = rows
-    applied = None if drive.feedback is None else np.array(run.applied).reshape(len(run.applied), drive.scene.nu)
+    applied = (
+        None
+        if drive.feedback is None
+        else np.array(run.applied).reshape(len(run.applied), drive.scene.nu)
+    )
     return SimulatedMotion(q=states[:, :nq], v=states[:, nq:], seconds=seconds, applied=applied)

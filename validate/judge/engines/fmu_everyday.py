@@ -6,9 +6,16 @@ from validate.judge.engines.fmu import motion_of
 from validate.judge.replay.everyday import simulate as step_through
 from validate.judge.simulator import Drive, SimulatedMotion, Simulator
 
-ENGINE = Simulator(title="our FMU, every day (fixed step)", law="the scene's own, at its internal steps")
+ENGINE = Simulator(
+    title="our FMU, every day (fixed step)", law="the scene's own, at its internal steps"
+)
 
 
 def simulate(drive: Drive) -> SimulatedMotion:
     """The motion of a drive at its step. Raises FmuError."""
-    return motion_of(drive, lambda package, variables, inputs: step_through(package, variables, drive.start, inputs, drive.parts))
+    return motion_of(
+        drive,
+        lambda package, variables, inputs: step_through(
+            package, variables, drive.start, inputs, drive.parts
+        ),
+    )

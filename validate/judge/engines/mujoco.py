@@ -1,10 +1,13 @@
 """MuJoCo: a scene as bodies on joints and tendons between them, by Runge-Kutta 4 at a fixed step.
 
-An undamped contact is a tendon with a dead band, whose force is k max(phi, 0) exactly; what rubs on it a tendon along the slip, whose friction loss follows
-that force at each stage of a step. A damped contact is a tendon with a limit, and one that no tendon measures a pair of geoms: constraints, which MuJoCo makes of acceleration units at an impedance d, so that k and c are weighed with
-the inverse mass that it takes for the constraint. At the smallest impedance that it takes, d = 1e-4, the force is max(k phi + c phi', 0) but for 1e-4 of what
-else acts on the bodies; at its default of 0.9 a depth is 3 to 51 % wrong. Friction is a constraint on the slip, regularised whatever is asked: it creeps. What
-is smooth acts as forces on the joints, at each stage of a step.
+An undamped contact is a tendon with a dead band, whose force is k max(phi, 0) exactly; what rubs on
+it a tendon along the slip, whose friction loss follows that force at each stage of a step. A damped
+contact is a tendon with a limit, and one that no tendon measures a pair of geoms: constraints,
+which MuJoCo makes of acceleration units at an impedance d, so that k and c are weighed with the
+inverse mass that it takes for the constraint. At the smallest impedance that it takes, d = 1e-4,
+the force is max(k phi + c phi', 0) but for 1e-4 of what else acts on the bodies; at its default of
+0.9 a depth is 3 to 51 % wrong. Friction is a constraint on the slip, regularised whatever is asked:
+it creeps. What is smooth acts as forces on the joints, at each stage of a step.
 """
 
 from __future__ import annotations
@@ -18,7 +21,9 @@ from models.scene.contacts import DampingLaw
 from validate.judge.engines._mechanism import Mechanism, Pad, Touch, mechanism_of
 from validate.judge.simulator import CannotExpressError, Drive, SimulatedMotion, Simulator, stepped
 
-mujoco: Any = importlib.import_module("mujoco")  # a checker without the package takes this file for it
+mujoco: Any = importlib.import_module(
+    "mujoco"
+)  # a checker without the package takes this file for it
 
 ENGINE = Simulator(
     title="MuJoCo, Runge-Kutta 4",
@@ -27,15 +32,22 @@ ENGINE = Simulator(
     softens="how much its friction gives way",
 )
 # The smallest and largest impedance that MuJoCo takes, and the first as it is told.
-_SOFT, _HARD = 1e-4, 0.9999
+_SOFT = 1e-4
+_HARD = 0.9999
 _IMPEDANCE = [_SOFT, _SOFT, 0.001, 0.5, 1.0]
-# Constraint force of friction over that of the normal at the same violation: 1e8 leaves friction with 1e-4 of the inverse mass as compliance, as _HARD does.
+# Constraint force of friction over that of the normal at the same violation: 1e8 leaves friction
+# with 1e-4 of the inverse mass as compliance, as _HARD does.
 _RATIO = 1e8
-# Slip decays by this share of itself in a step at most, as Runge-Kutta 4 bears 2.7; on pads at this rate [1/s], as faster decay pushes apart what slides.
-_DECAY, _RATE = 0.5, 1e3
-# Half the size of the block whose face is a plane, which no motion leaves, and half its depth [m]: planes may not move.
-_BLOCK, _DEPTH = 100.0, 1.0
-_FAR, _TINY = 1e6, 1e-12
+# Slip decays by this share of itself in a step at most, as Runge-Kutta 4 bears 2.7; on pads at this
+# rate [1/s], as faster decay pushes apart what slides.
+_DECAY = 0.5
+_RATE = 1e3
+# Half the size of the block whose face is a plane, which no motion leaves, and half its depth [m]:
+# planes may not move.
+_BLOCK = 100.0
+_DEPTH = 1.0
+_FAR = 1e6
+_TINY = 1e-12
 
 
 def simulate(drive: Drive) -> SimulatedMotion:
@@ -50,17 +62,25 @@ def simulate(drive: Drive) -> SimulatedMotion:
     data.qpos[places], data.qvel[places] = (joints @ part for part in np.split(drive.start, 2))
     forces, u_now = mechanism.smooth(), np.zeros(scene.nu)
 
-    # What is pressed by a dead band: the row of its friction, the band, and the friction a metre of depth.
+    # What is pressed by a dead band: the row of its friction, the band, and the friction a metre of
+    # depth.
     bands = [touch for touch in mechanism.touches if _band_rubs(touch)]
-    pressed = [(row, model.tendon(touch.name).id, touch.friction * touch.stiffness, touch.offset) for row, touch in enumerate(bands)]
+    pressed = [
+        (row, model.tendon(touch.name).id, touch.friction * touch.stiffness, touch.offset)
+        for row, touch in enumerate(bands)
+    ]
 
     def passive(_: Any, now: Any) -> None:
         if not mechanism.steady:
-            now.qfrc_passive[places] += forces(*now.qpos[places].tolist(), *now.qvel[places].tolist(), *u_now.tolist())
+            now.qfrc_passive[places] += forces(
+                *now.qpos[places].tolist(), *now.qvel[places].tolist(), *u_now.tolist()
+            )
         for row, band, rate, offset in pressed:
             now.efc_frictionloss[now.ne + row] = rate * max(offset - now.ten_length[band], 0.0)
 
-    def advance(u: np.ndarray, slope: np.ndarray, count: int, h: float) -> tuple[np.ndarray, np.ndarray]:
+    def advance(
+        u: np.ndarray, slope: np.ndarray, count: int, h: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (nq,) [m, rad, m/s, rad/s] after so many steps of h [s] under u (nu,) [N, N m], slope (nu,). Raises nothing."""
         model.opt.timestep = h
         for part in range(count if slope.any() else 1):
@@ -86,20 +106,36 @@ def _model(mechanism: Mechanism, names: list[str]) -> Any:
     )
     for touch in mechanism.touches:
         if touch.damping and touch.law is DampingLaw.HUNT_CROSSLEY:
-            raise CannotExpressError(f"contact {touch.name}: MuJoCo has no damping that grows with the depth (Hunt and Crossley's)")
-        band = {"name": touch.name, "stiffness": touch.stiffness, "springlength": [touch.offset, _FAR]}
+            raise CannotExpressError(
+                f"contact {touch.name}: MuJoCo has no damping that grows with the depth (Hunt and Crossley's)"
+            )
+        band = {
+            "name": touch.name,
+            "stiffness": touch.stiffness,
+            "springlength": [touch.offset, _FAR],
+        }
         if touch.normal.any() and (not touch.friction or _band_rubs(touch)):
-            limit = {"name": touch.name, "limited": True, "range": [touch.offset, _FAR], "solimp_limit": _IMPEDANCE}
+            limit = {
+                "name": touch.name,
+                "limited": True,
+                "range": [touch.offset, _FAR],
+                "solimp_limit": _IMPEDANCE,
+            }
             _fixed(spec, names, touch.normal, **(limit if touch.damping else band))
         elif touch.centres is not None and not (touch.friction or touch.damping):
             tendon = spec.add_tendon(**band)
             for centre in touch.centres:
-                tendon.wrap_site(spec.body(names[centre[0]]).add_site(name=f"{touch.name}_{names[centre[0]]}").name)
+                tendon.wrap_site(
+                    spec.body(names[centre[0]])
+                    .add_site(name=f"{touch.name}_{names[centre[0]]}")
+                    .name
+                )
         elif touch.pads is None:
             raise CannotExpressError(f"contact {touch.name}: {touch.why}")
         else:
             _add_pair(spec, touch, touch.pads)
-    # Friction's rows are in the order of these tendons; what a band presses has its limit at each stage of a step.
+    # Friction's rows are in the order of these tendons; what a band presses has its limit at each
+    # stage of a step.
     for name, direction, limit in _rubs(mechanism):
         _fixed(spec, names, direction, name=f"rub_{name}", frictionloss=limit)
     return spec.compile()
@@ -107,13 +143,24 @@ def _model(mechanism: Mechanism, names: list[str]) -> Any:
 
 def _band_rubs(touch: Touch) -> bool:
     """Whether a dead band makes the contact and another tendon its friction: both along directions that do not change."""
-    return bool(touch.friction and not touch.damping and touch.normal.any() and touch.slip is not None)
+    return bool(
+        touch.friction and not touch.damping and touch.normal.any() and touch.slip is not None
+    )
 
 
 def _rubs(mechanism: Mechanism) -> list[tuple[str, np.ndarray, float]]:
-    """Tendons that rub, by name, direction (nq,) and limit [N]; those of bands first, with any limit."""
-    bands = [(touch.name, touch.slip, 1.0) for touch in mechanism.touches if touch.slip is not None and _band_rubs(touch)]
-    return bands + [(rub.name, rub.direction, rub.coefficient * rub.pressed) for rub in mechanism.rubs]
+    """Tendons that rub, by name, direction (nq,) and limit [N].
+
+    Those of bands first, with any limit.
+    """
+    bands = [
+        (touch.name, touch.slip, 1.0)
+        for touch in mechanism.touches
+        if touch.slip is not None and _band_rubs(touch)
+    ]
+    return bands + [
+        (rub.name, rub.direction, rub.coefficient * rub.pressed) for rub in mechanism.rubs
+    ]
 
 
 def _add_pair(spec: Any, touch: Touch, pads: tuple[Pad, Pad]) -> None:
@@ -121,15 +168,28 @@ def _add_pair(spec: Any, touch: Touch, pads: tuple[Pad, Pad]) -> None:
     names = [f"{touch.name}_{place}" for place in range(2)]
     for name, pad in zip(names, pads, strict=True):
         body = spec.body(pad.body) if pad.body else spec.worldbody
-        shape, at, turn = mujoco.mjtGeom.mjGEOM_SPHERE, np.array(pad.at), np.array([1.0, 0.0, 0.0, 0.0])
+        shape, at, turn = (
+            mujoco.mjtGeom.mjGEOM_SPHERE,
+            np.array(pad.at),
+            np.array([1.0, 0.0, 0.0, 0.0]),
+        )
         if not pad.radius:
             shape, at = mujoco.mjtGeom.mjGEOM_BOX, at - _DEPTH * np.array(pad.normal)
             mujoco.mju_quatZ2Vec(turn, np.array(pad.normal))
         size = (pad.radius, 0.0, 0.0) if pad.radius else (_BLOCK, _BLOCK, _DEPTH)
-        body.add_geom(name=name, type=shape, size=size, pos=at, quat=turn, mass=0.0, contype=0, conaffinity=0)
+        body.add_geom(
+            name=name, type=shape, size=size, pos=at, quat=turn, mass=0.0, contype=0, conaffinity=0
+        )
     rubs = [touch.friction, touch.friction, 0.0, 0.0, 0.0]
     condim = 3 if touch.friction else 1
-    spec.add_pair(name=touch.name, geomname1=names[0], geomname2=names[1], condim=condim, solimp=_IMPEDANCE, friction=rubs)
+    spec.add_pair(
+        name=touch.name,
+        geomname1=names[0],
+        geomname2=names[1],
+        condim=condim,
+        solimp=_IMPEDANCE,
+        friction=rubs,
+    )
 
 
 def _fixed(spec: Any, names: list[str], direction: np.ndarray, **what: Any) -> None:
@@ -148,7 +208,9 @@ def _set_constraints(model: Any, mechanism: Mechanism, h: float, soft: float) ->
         tendon = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TENDON, touch.name)
         if pair >= 0:
             bodies = model.geom_bodyid[[model.pair_geom1[pair], model.pair_geom2[pair]]]
-            model.pair_solref[pair] = -pull * touch.steepness**2 * model.body_invweight0[bodies, 0].sum()
+            model.pair_solref[pair] = (
+                -pull * touch.steepness**2 * model.body_invweight0[bodies, 0].sum()
+            )
             model.pair_solreffriction[pair] = -_TINY, -min(_DECAY / h, _RATE / soft) * _SOFT
         elif tendon >= 0:  # of one with a dead band, which has no limit, nobody reads it
             model.tendon_solref_lim[tendon] = -pull * model.tendon_invweight0[tendon]

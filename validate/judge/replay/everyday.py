@@ -2,8 +2,9 @@
 
     run = simulate(package, variables, start, inputs, fineness=200)
 
-Step halving by rollback: each step is made coarsely, taken back, and made again finely, from which the run goes on. What the two differ by is that
-step's local error, wherever earlier steps have brought the motion. The FMU must save and restore its state. The run itself is the plain one at the
+Step halving by rollback: each step is made coarsely, taken back, and made again finely, from which
+the run goes on. What the two differ by is that step's local error, wherever earlier steps have
+brought the motion. The FMU must save and restore its state. The run itself is the plain one at the
 finer step, bit for bit.
 """
 
@@ -27,7 +28,8 @@ from validate.judge.replay.wiring import HeldInputs, Variables
 # Calls of doStep a plan step, of an FMU that has no internal step to set: its fineness over this.
 FINENESS_OF_A_CALL = 50
 _SHORTEST = 0.1
-# Outputs after the state is restored and those before it was left are the same within this share of their size.
+# Outputs after the state is restored and those before it was left are the same within this share of
+# their size.
 SAME = 1e-9
 
 
@@ -65,7 +67,9 @@ def everyday_refusal(package: Package, inputs: HeldInputs) -> str | None:
     if interface is None:
         return "the FMU offers no Co-Simulation"
     steps = np.diff(inputs.times)
-    if not interface.canHandleVariableCommunicationStepSize and not np.allclose(steps, steps[0], rtol=1e-9, atol=0.0):
+    if not interface.canHandleVariableCommunicationStepSize and not np.allclose(
+        steps, steps[0], rtol=1e-9, atol=0.0
+    ):
         return "the plan's steps differ in length, which the FMU's Co-Simulation does not take"
     return None
 
@@ -77,7 +81,11 @@ def offers_rollback(package: Package, variables: Variables) -> bool:
         return False
     if variables.internal_step is None:
         return bool(interface.canHandleVariableCommunicationStepSize)
-    owners = [item for item in package.description.modelVariables if int(item.valueReference) == variables.internal_step]
+    owners = [
+        item
+        for item in package.description.modelVariables
+        if int(item.valueReference) == variables.internal_step
+    ]
     return any(item.variability == "tunable" for item in owners)
 
 
@@ -85,8 +93,10 @@ def offers_rollback(package: Package, variables: Variables) -> bool:
 class Stepping:
     """An initialised FMU and what is to be done with it.
 
-    parts: calls of doStep a step of the plan; slopes: whether the FMU is told those of the inputs; states: how many of the outputs are positions and
-    velocities, and come first; own_step_of: the reference of the FMU's own step, empty if it has none to set; own_step: that step [s], twice that in a
+    parts: calls of doStep a step of the plan; slopes: whether the FMU is told those of the inputs;
+        states: how many of the outputs are positions and
+    velocities, and come first; own_step_of: the reference of the FMU's own step, empty if it has
+        none to set; own_step: that step [s], twice that in a
     coarse step.
     """
 
@@ -112,7 +122,9 @@ def simulate(
     rolls_back: bool = False,
     fmu: Instance | None = None,
 ) -> Run:
-    """Step over the plan's grid; outputs and knots are those of the plan's nodes, accumulated stays empty.
+    """Step over the plan's grid.
+
+    Outputs and knots are those of the plan's nodes, accumulated stays empty.
 
     Parameters
     ----------
@@ -120,10 +132,13 @@ def simulate(
     variables : the references of what is set and read.
     start : (n,) start values [unit of each variable], in the order of Variables.start.
     inputs : of the plan, with feedback or without.
-    fineness : internal steps a plan step; an FMU without the parameter `internal_step` gets fineness/50 calls of doStep a step. Inputs that are lines
-        within a step become stairs of `fineness` calls, each at its middle, for an FMU that takes no slopes: wrong by the square of a stair.
-    rolls_back : every step is made at half that fineness too, and taken back; what the two differ by is `Run.local`.
-    fmu : an instance that is as new, and stays loaded; None: one is loaded for this run.
+    fineness : internal steps a plan step; an FMU without the parameter `internal_step` gets
+        fineness/50 calls of doStep a step. Inputs that are lines
+        within a step become stairs of `fineness` calls, each at its middle, for an FMU that takes
+        no slopes: wrong by the square of a stair.
+    rolls_back : every step is made at half that fineness too, and taken back; what the two differ
+    by is `Run.local`. fmu : an instance that is as new, and stays loaded; None: one is loaded for
+    this run.
 
     Raises
     ------
@@ -135,20 +150,30 @@ def simulate(
     try:
         fmu = fmu or load_instance(package, "CS")
         try:
-            own, own_step = [] if variables.internal_step is None else [variables.internal_step], base_step(inputs.grid) / fineness
-            given, settings = References(variables.u), [*variables.parameters, *zip(variables.start, start.tolist(), strict=True)]
+            own, own_step = (
+                [] if variables.internal_step is None else [variables.internal_step],
+                base_step(inputs.grid) / fineness,
+            )
+            given, settings = (
+                References(variables.u),
+                [*variables.parameters, *zip(variables.start, start.tolist(), strict=True)],
+            )
             settings += [(reference, own_step) for reference in own]
             fmu.choose(variables.choices)
             fmu.initialise(float(inputs.times[0]), settings, given, inputs.begin(0, None))
             # FMI 3.0 has no call for inputs that are lines within a communication step.
-            interpolates = package.cosimulation is not None and package.cosimulation.canInterpolateInputs
+            interpolates = (
+                package.cosimulation is not None and package.cosimulation.canInterpolateInputs
+            )
             slopes = inputs.linear and interpolates and not package.is_three
             parts = 1 if own else max(1, fineness // FINENESS_OF_A_CALL)
             parts = fineness if inputs.linear and not slopes else parts
             parts = 2 * ((parts + 1) // 2) if rolls_back and not own else parts
             stepping = Stepping(
-                fmu=fmu, given=given, outputs=References(variables.outputs), inputs=inputs, parts=parts, slopes=slopes,
-                states=len(variables.q) + len(variables.v), rolls_back=rolls_back, own_step_of=References(own), own_step=own_step,
+                fmu=fmu, given=given, outputs=References(variables.outputs), inputs=inputs,
+                parts=parts, slopes=slopes,
+                states=len(variables.q) + len(variables.v), rolls_back=rolls_back,
+                own_step_of=References(own), own_step=own_step,
             )  # fmt: skip
             if record_start(stepping, run):
                 step_through(stepping, run)
@@ -175,22 +200,40 @@ def record_start(stepping: Stepping, run: Run) -> bool:
 
 
 def step_through(stepping: Stepping, run: Run) -> None:
-    """All steps of the plan, recorded in `run`, which holds the first node. Raises RollbackError, FMICallException, Fault."""
+    """All steps of the plan, recorded in `run`, which holds the first node.
+
+    Raises RollbackError, FMICallException, Fault.
+    """
     fmu, inputs, states = stepping.fmu, stepping.inputs, stepping.states
     given, width, steps = stepping.given.count, stepping.outputs.count, len(inputs.values)
     called = ["GetReal", "SetReal", "DoStep"]
     called += ["SetRealInputDerivatives"] if stepping.slopes else []
     called += ["GetFMUstate", "SetFMUstate"] if stepping.rolls_back else []
-    compiled, described = loops.load(), loops.describe(fmu, called, inputs=stepping.given, outputs=stepping.outputs)
-    times, values, rates = (np.array(array, dtype=float, order="C") for array in (inputs.times, inputs.values, inputs.slopes))
+    compiled, described = (
+        loops.load(),
+        loops.describe(fmu, called, inputs=stepping.given, outputs=stepping.outputs),
+    )
+    times, values, rates = (
+        np.array(array, dtype=float, order="C")
+        for array in (inputs.times, inputs.values, inputs.slopes)
+    )
     outputs, local = np.empty((steps + 1, width)), np.empty((steps, width))
     outputs[0] = run.outputs[0]
-    orders, applied, coarse, own = np.ones(given, dtype=np.int32), np.empty(given), np.empty(width), stepping.own_step_of
+    orders, applied, coarse, own = (
+        np.ones(given, dtype=np.int32),
+        np.empty(given),
+        np.empty(width),
+        stepping.own_step_of,
+    )
     loop: Any = structure("stepping")(
-        fmu=described, times=address_of(times), values=address_of(values), slopes=address_of(rates), linear=inputs.linear,
-        gives_slopes=stepping.slopes, orders=address_of(orders), parts=stepping.parts, bounded=states, bound=DIVERGENCE,
-        outputs=address_of(outputs), applied=address_of(applied), rolls_back=stepping.rolls_back, own_step_count=own.count,
-        own_step_reference=ctypes.addressof(own.array), own_step=stepping.own_step, same=SAME, coarse=address_of(coarse), local=address_of(local),
+        fmu=described, times=address_of(times), values=address_of(values), slopes=address_of(rates),
+        linear=inputs.linear,
+        gives_slopes=stepping.slopes, orders=address_of(orders), parts=stepping.parts,
+        bounded=states, bound=DIVERGENCE,
+        outputs=address_of(outputs), applied=address_of(applied), rolls_back=stepping.rolls_back,
+        own_step_count=own.count,
+        own_step_reference=ctypes.addressof(own.array), own_step=stepping.own_step, same=SAME,
+        coarse=address_of(coarse), local=address_of(local),
     )  # fmt: skip
     reason, place = Reason.DONE, ctypes.byref(loop)
     if inputs.feedback is None:
@@ -207,7 +250,9 @@ def step_through(stepping: Stepping, run: Run) -> None:
     run.t.extend(times[1 : done + 1].tolist())
     run.outputs.extend(outputs[1 : done + 1])
     if stepping.rolls_back:
-        run.local.extend(local[: done + (reason in (Reason.OUTPUT_NOT_FINITE, Reason.OUT_OF_BOUNDS))])
+        run.local.extend(
+            local[: done + (reason in (Reason.OUTPUT_NOT_FINITE, Reason.OUT_OF_BOUNDS))]
+        )
     if loop.place and loop.fmu.fault_status != fmi2Fatal:
         fmu.forget(ctypes.c_void_p(loop.place))
     if reason is Reason.CALL_REFUSED:
@@ -230,4 +275,6 @@ def early_return(reached: float) -> Misbehaviour:
 def require_some_method(package: Package, refusal: str | None) -> None:
     """Raise FmuError if the FMU offers no Model Exchange and its Co-Simulation is refused."""
     if package.exchange is None and refusal is not None:
-        raise FmuError(f"FMU {package.path}: it offers no Model Exchange, and {refusal}; the plan cannot be replayed.")
+        raise FmuError(
+            f"FMU {package.path}: it offers no Model Exchange, and {refusal}; the plan cannot be replayed."
+        )

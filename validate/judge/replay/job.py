@@ -20,13 +20,26 @@ import numpy as np
 
 from models.errors import MachineError
 from models.trajectory import Trajectory
-from validate.execution.isolated import Ending, Isolated, IsolatedCalls, Limits, packed, run_isolated, unpacked_from
+from validate.execution.isolated import (
+    Ending,
+    Isolated,
+    IsolatedCalls,
+    Limits,
+    packed,
+    run_isolated,
+    unpacked_from,
+)
 from validate.fmi.archive import unpack
 from validate.fmi.description import NOT_RUN, FmuError, Package, read_package, unpacked
 from validate.fmi.instance import faults_of
 from validate.fmi.loops import adopt, library_path
 from validate.fmi.surroundings import changes, listed, surroundings
-from validate.judge.replay.everyday import RollbackError, everyday_refusal, offers_rollback, require_some_method
+from validate.judge.replay.everyday import (
+    RollbackError,
+    everyday_refusal,
+    offers_rollback,
+    require_some_method,
+)
 from validate.judge.replay.everyday import simulate as simulate_everyday
 from validate.judge.replay.reference import PARTS, ExchangeModel, integrate
 from validate.judge.replay.result import ReplayOutcome, Run
@@ -36,7 +49,8 @@ from validate.judge.replay.wiring import Feedback, HeldInputs, Variables, World,
 _RECORDED = ("t", "outputs", "accumulated", "knots", "applied", "local")
 # Endings that may be the fault of a saved state alone: the job is done once more, without.
 _RETRIED = (Ending.SIGNAL, Ending.ABORT, Ending.NO_RESULT)
-# What an ending of the child means for the replay. The others are mistakes: of the user (a sentence), of the machine, or ours.
+# What an ending of the child means for the replay. The others are mistakes: of the user (a
+# sentence), of the machine, or ours.
 _ENDED = {
     Ending.TIME_LIMIT: ReplayOutcome.TIME_LIMIT,
     Ending.MEMORY_LIMIT: ReplayOutcome.MEMORY_LIMIT,
@@ -50,7 +64,8 @@ _ENDED = {
 class Simulated:
     """The runs of a replay.
 
-    reference, everyday: one run a tolerance or step, empty where the FMU cannot; refusal: why there is no everyday run; note: what else is to be
+    reference, everyday: one run a tolerance or step, empty where the FMU cannot; refusal: why there
+        is no everyday run; note: what else is to be
     recorded; CPU seconds of each.
     """
 
@@ -71,12 +86,15 @@ class Simulated:
 _QUOTED = 60
 
 
-def simulate(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def simulate(
+    request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """All simulations of a job in a child.
 
     Parameters
     ----------
-    request : path of the FMU; loops, the compiled ones, where they are not to be looked for; kept, whether the child is called many times, and reads and
+    request : path of the FMU; loops, the compiled ones, where they are not to be looked for; kept,
+        whether the child is called many times, and reads and
         unpacks the FMU once.
     arrays : Simulations, and their feedback or None, packed.
 
@@ -93,19 +111,42 @@ def simulate(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tu
     adopt(Path(request["loops"]))
     job, feedback = unpacked_from(arrays)
     done = _simulate(job, package, feedback, before)
-    runs = [("reference", run) for run in done.reference] + [("everyday", run) for run in done.everyday]
+    runs = [("reference", run) for run in done.reference] + [
+        ("everyday", run) for run in done.everyday
+    ]
     value = {
-        "runs": [{"kind": kind, "outcome": run.outcome.name, "message": run.message, "events": run.events} for kind, run in runs],
+        "runs": [
+            {
+                "kind": kind,
+                "outcome": run.outcome.name,
+                "message": run.message,
+                "events": run.events,
+            }
+            for kind, run in runs
+        ],
         "refusal": done.refusal,
         "note": done.note,
         "seconds": [done.seconds_reference, done.seconds_everyday],
     }
-    return value, {f"{number}_{name}": np.array(getattr(run, name)) for number, (_, run) in enumerate(runs) for name in _RECORDED}
+    return value, {
+        f"{number}_{name}": np.array(getattr(run, name))
+        for number, (_, run) in enumerate(runs)
+        for name in _RECORDED
+    }
 
 
-def _simulate(job: Simulations, package: Package, feedback: Feedback | None, before: dict[str, Any] | None = None) -> Simulated:
+def _simulate(
+    job: Simulations,
+    package: Package,
+    feedback: Feedback | None,
+    before: dict[str, Any] | None = None,
+) -> Simulated:
     """All simulations of a job in this process. before: what it was like before the FMU was there, where changes of that are to be told."""
-    inputs = HeldInputs(job.plan, feedback) if job.world is None else WorldInputs(job.plan, job.world, feedback)
+    inputs = (
+        HeldInputs(job.plan, feedback)
+        if job.world is None
+        else WorldInputs(job.plan, job.world, feedback)
+    )
     variables, start, note = job.variables, job.start, ""
     reference: list[Run] = []
     everyday: list[Run] = []
@@ -115,7 +156,17 @@ def _simulate(job: Simulations, package: Package, feedback: Feedback | None, bef
         began = clock.process_time()
         for rtol in job.tolerances if package.exchange is not None else ():
             with closing(ExchangeModel(package, variables)) as model:
-                reference.append(integrate(model, start, inputs, rtol, job.event_budget, parts=job.parts, max_step=job.max_step))
+                reference.append(
+                    integrate(
+                        model,
+                        start,
+                        inputs,
+                        rtol,
+                        job.event_budget,
+                        parts=job.parts,
+                        max_step=job.max_step,
+                    )
+                )
         middle = clock.process_time()
         rolls_back = job.rolls_back and offers_rollback(package, variables)
         for fineness in job.fineness if refusal is None else ():
@@ -126,9 +177,12 @@ def _simulate(job: Simulations, package: Package, feedback: Feedback | None, bef
             everyday.append(run)
         seconds = middle - began, clock.process_time() - middle
         if before is not None and (changed := changes(before, surroundings())):
-            note = f"{note} The FMU's code changed the process it runs in: {listed(changed)}.".lstrip()
+            note = (
+                f"{note} The FMU's code changed the process it runs in: {listed(changed)}.".lstrip()
+            )
     return Simulated(
-        reference=tuple(reference), everyday=tuple(everyday), refusal=refusal, seconds_reference=seconds[0], seconds_everyday=seconds[1], note=note,
+        reference=tuple(reference), everyday=tuple(everyday), refusal=refusal,
+        seconds_reference=seconds[0], seconds_everyday=seconds[1], note=note,
     )  # fmt: skip
 
 
@@ -141,8 +195,13 @@ def _kept(path: str) -> Package:
     return replace(package, folder=folder)
 
 
-def _rolled_back(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int) -> tuple[Run, str]:
-    """The run with rollback - or without, where the FMU cannot after all; and the sentence that says so."""
+def _rolled_back(
+    package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int
+) -> tuple[Run, str]:
+    """The run with rollback - or without, where the FMU cannot after all.
+
+    And the sentence that says so.
+    """
     try:
         run = simulate_everyday(package, variables, start, inputs, fineness, rolls_back=True)
         if run.outcome is not ReplayOutcome.FMU_FAILED:
@@ -158,9 +217,12 @@ def _rolled_back(package: Package, variables: Variables, start: np.ndarray, inpu
 class Simulations:
     """What is simulated of an FMU.
 
-    start: (n,) start values [unit of each variable], in the order of Variables.start; tolerances: relative, of the reference, the looser first;
-    fineness: internal steps a plan step of the everyday replay, the coarser first; parts, max_step: of the reference
-    (validate.judge.replay.reference.integrate); rolls_back: whether the last everyday run halves its steps, where the FMU can; world: a perturbed one,
+    start: (n,) start values [unit of each variable], in the order of Variables.start; tolerances:
+        relative, of the reference, the looser first;
+    fineness: internal steps a plan step of the everyday replay, the coarser first; parts, max_step:
+        of the reference
+    (validate.judge.replay.reference.integrate); rolls_back: whether the last everyday run halves
+        its steps, where the FMU can; world: a perturbed one,
     whose start and inputs are in the FMU's units.
     """
 
@@ -180,7 +242,8 @@ class Simulations:
 class Job(Simulations):
     """The simulations of one FMU, and where they run.
 
-    limits: of the child, None: in this process; ours: whether the FMU is one that we made; child: one for many jobs, None: every job has its own.
+    limits: of the child, None: in this process; ours: whether the FMU is one that we made; child:
+        one for many jobs, None: every job has its own.
     """
 
     package: Package
@@ -189,17 +252,29 @@ class Job(Simulations):
     child: IsolatedCalls | None = None
 
     def run(self, feedback: Feedback | None = None) -> Simulated:
-        """Run all simulations, here or in a child; what ended the child is an outcome. feedback: in the FMU's units; None: the inputs alone.
+        """Run all simulations, here or in a child.
 
-        Raises FmuError if the FMU cannot be opened, or misbehaves, MachineError if this machine cannot run it.
+        What ended the child is an outcome. feedback: in the FMU's units; None: the inputs alone.
+
+        Raises FmuError if the FMU cannot be opened, or misbehaves, MachineError if this machine
+        cannot run it.
         """
         package, jobs = self.package, [self]
         if self.limits is None:
             return _simulate(self, package, feedback)
         if _only_once(package):  # one instance a process: every run has a process of its own
-            jobs = [replace(self, tolerances=(rtol,), fineness=()) for rtol in self.tolerances if package.exchange is not None]
+            jobs = [
+                replace(self, tolerances=(rtol,), fineness=())
+                for rtol in self.tolerances
+                if package.exchange is not None
+            ]
             jobs += [
-                replace(self, tolerances=(), fineness=(fineness,), rolls_back=self.rolls_back and fineness == self.fineness[-1])
+                replace(
+                    self,
+                    tolerances=(),
+                    fineness=(fineness,),
+                    rolls_back=self.rolls_back and fineness == self.fineness[-1],
+                )
                 for fineness in self.fineness
                 if package.cosimulation is not None
             ]
@@ -209,33 +284,58 @@ class Job(Simulations):
         package = self.package
         child = None if _only_once(package) else self.child
         # The loops are compiled here, where no limit of the FMU's holds.
-        request = {"path": str(package.path.resolve()), "loops": str(library_path()), "kept": child is not None}
-        call = child or partial(run_isolated, limits=self.limits, what=f"FMU {package.path}", ours=self.ours)
+        request = {
+            "path": str(package.path.resolve()),
+            "loops": str(library_path()),
+            "kept": child is not None,
+        }
+        call = child or partial(
+            run_isolated, limits=self.limits, what=f"FMU {package.path}", ours=self.ours
+        )
 
         def ask(rolls_back: bool) -> Isolated:
             asked = {field.name: getattr(self, field.name) for field in fields(Simulations)}
             return call(
-                "validate.judge.replay.job:simulate", request, arrays=packed(Simulations(**{**asked, "rolls_back": rolls_back}), feedback)
+                "validate.judge.replay.job:simulate",
+                request,
+                arrays=packed(Simulations(**{**asked, "rolls_back": rolls_back}), feedback),
             )
 
         done, retried = ask(self.rolls_back), ""
         if done.ending in _RETRIED and self.rolls_back and offers_rollback(package, self.variables):
             again = ask(False)
             if again.ok:
-                done, retried = again, f"No step was rolled back, as the FMU did not survive it: {done.sentence}"
+                done, retried = (
+                    again,
+                    f"No step was rolled back, as the FMU did not survive it: {done.sentence}",
+                )
         if done.ending in _ENDED:
             ended: tuple[Run, ...] = (Run(outcome=_ENDED[done.ending], message=done.sentence),)
             reference = ended if self.tolerances and package.exchange is not None else ()
             return Simulated(
-                reference=reference, everyday=() if reference else ended, refusal=None, seconds_reference=done.cpu, seconds_everyday=0.0
+                reference=reference,
+                everyday=() if reference else ended,
+                refusal=None,
+                seconds_reference=done.cpu,
+                seconds_everyday=0.0,
             )
         if done.ending is Ending.MACHINE:
             raise MachineError(done.sentence)
         if not done.ok:
             raise FmuError(done.sentence)
-        strays = "" if not done.strays else f"The FMU left {done.strays} process{'es' if done.strays > 1 else ''} behind, which we ended."
-        printed = "" if self.ours or not done.output.strip() else f"The FMU prints: {' '.join(done.output.split())[:_QUOTED]!r}."
-        return _simulated(done.value, done.arrays, " ".join(text for text in (retried, strays, printed) if text))
+        strays = (
+            ""
+            if not done.strays
+            else f"The FMU left {done.strays} process{'es' if done.strays > 1 else ''} behind, which we ended."
+        )
+        printed = (
+            ""
+            if self.ours or not done.output.strip()
+            else f"The FMU prints: {' '.join(done.output.split())[:_QUOTED]!r}."
+        )
+        return _simulated(
+            done.value, done.arrays, " ".join(text for text in (retried, strays, printed) if text)
+        )
 
 
 def _only_once(package: Package) -> bool:
@@ -260,7 +360,9 @@ def _simulated(value: Mapping[str, Any], arrays: Mapping[str, np.ndarray], note:
     for number, item in enumerate(value["runs"]):
         stored = {name: list(arrays[f"{number}_{name}"]) for name in _RECORDED}
         events = [(float(time), int(index), bool(closes)) for time, index, closes in item["events"]]
-        run = Run(**stored, events=events, outcome=ReplayOutcome[item["outcome"]], message=item["message"])
+        run = Run(
+            **stored, events=events, outcome=ReplayOutcome[item["outcome"]], message=item["message"]
+        )
         runs[item["kind"]].append(run)
     return Simulated(
         reference=tuple(runs["reference"]),

@@ -1,12 +1,14 @@
-"""The map of somebody's FMU: MAP.toml, how it and somebody's plan belong together; or, where none is given, by equal names.
+"""The map of somebody's FMU: MAP.toml, how it and somebody's plan belong together.
 
-    [positions]
-    x = "cart.s"                                             # column of the plan = variable of the FMU
-    y = { variable = "cart2.s_mm", scale = 0.001 }           # plan's value = scale * FMU's + offset
+or, where none is given, by equal names.
+
+    [positions] x = "cart.s" # column of the plan = variable of the FMU y = { variable =
+    "cart2.s_mm", scale = 0.001 } # plan's value = scale * FMU's + offset
 
 Every mistake is reported with its path, all in one sentence. See docs/replay.md for all sections.
 
-And whether a unit can be that of a quantity: a scale turns one unit of a quantity into another, but no mass into a length.
+And whether a unit can be that of a quantity: a scale turns one unit of a quantity into another, but
+no mass into a length.
 """
 
 from __future__ import annotations
@@ -38,7 +40,11 @@ class _Strict(BaseModel):
 
 
 class Signal(_Strict):
-    """A variable of the FMU. For outputs: plan = scale * FMU + offset; for inputs: FMU = scale * plan + offset. unit: of the plan's column."""
+    """A variable of the FMU.
+
+    For outputs: plan = scale * FMU + offset; for inputs: FMU = scale * plan + offset. unit: of the
+    plan's column.
+    """
 
     variable: str = Field(min_length=1)
     scale: float = 1.0
@@ -58,7 +64,10 @@ class VelocitySignal(Signal):
 
 
 class InputSignal(Signal):
-    """lower, upper: bounds in the unit of the plan's column; without one, the FMU's own min and max."""
+    """lower, upper: bounds in the unit of the plan's column.
+
+    Without one, the FMU's own min and max.
+    """
 
     lower: float | None = None
     upper: float | None = None
@@ -67,7 +76,9 @@ class InputSignal(Signal):
     def _in_order(self) -> InputSignal:
         if self.lower is not None and self.upper is not None and self.lower >= self.upper:
             raise PydanticCustomError(
-                "bounds", "lower is {lower}, but must be below upper, {upper}", {"lower": f"{self.lower:g}", "upper": f"{self.upper:g}"}
+                "bounds",
+                "lower is {lower}, but must be below upper, {upper}",
+                {"lower": f"{self.lower:g}", "upper": f"{self.upper:g}"},
             )
         return self
 
@@ -75,7 +86,8 @@ class InputSignal(Signal):
 class ContactEntry(_Strict):
     """A contact: its force, positive when it pushes, and its gap, negative in contact, as variables of the FMU.
 
-    column: of the planned force, lam_<name> without one; depth: penetration at which the FMU's model of the contact ends, in the unit of the gap [m].
+    column: of the planned force, lam_<name> without one; depth: penetration at which the FMU's
+        model of the contact ends, in the unit of the gap [m].
     """
 
     force: Signal | None = None
@@ -95,11 +107,18 @@ class _Valued(_Strict):
     @model_validator(mode="before")
     @classmethod
     def _short(cls, value: Any) -> Any:
-        return {"value": value} if isinstance(value, (int, float)) and not isinstance(value, bool) else value
+        return (
+            {"value": value}
+            if isinstance(value, (int, float)) and not isinstance(value, bool)
+            else value
+        )
 
 
 class MapLimit(_Valued):
-    """value: the largest with which a plan still holds; waived: the metric's default limit does not count, for a reason that must be given."""
+    """value: the largest with which a plan still holds.
+
+    waived: the metric's default limit does not count, for a reason that must be given.
+    """
 
     value: float | None = Field(default=None, ge=0.0)
     waived: bool = False
@@ -108,7 +127,9 @@ class MapLimit(_Valued):
     @model_validator(mode="after")
     def _one_of_two(self) -> MapLimit:
         if self.waived == (self.value is not None):
-            raise PydanticCustomError("limit", "it needs one of the two: a value, or waived = true with a reason")
+            raise PydanticCustomError(
+                "limit", "it needs one of the two: a value, or waived = true with a reason"
+            )
         if self.waived and not self.reason.strip():
             raise PydanticCustomError("reason", "a limit is waived for a reason; add reason = '..'")
         return self
@@ -122,7 +143,10 @@ class UncertaintyEntry(_Valued):
 
 
 class PlanEntry(_Strict):
-    """time: name of the time column; hold: of the inputs within a step, None: as the plan declares, else zero."""
+    """time: name of the time column.
+
+    hold: of the inputs within a step, None: as the plan declares, else zero.
+    """
 
     time: str = "t"
     hold: Literal["zero", "linear"] | None = None
@@ -179,13 +203,20 @@ def read_map(path: Path) -> MapFile:
         raise MapError(f"map {path}: {found}{'' if found.endswith('?') else '.'}") from error
 
 
-def multiplied(given: MapFile, named: Named, factors: Mapping[str, float] | None, where: str) -> MapFile:
-    """The map with parameters so many times what it or the FMU says; a name that is none stays, and is refused as one of the map. Raises MapError."""
+def multiplied(
+    given: MapFile, named: Named, factors: Mapping[str, float] | None, where: str
+) -> MapFile:
+    """The map with parameters so many times what it or the FMU says.
+
+    A name that is none stays, and is refused as one of the map. Raises MapError.
+    """
     found = dict(given.parameters)
     for name, factor in (factors or {}).items():
         start = getattr(named.by_name.get(name), "start", 1.0)
         if name not in found and start is None:
-            raise MapError(f"{where}: parameters.{name}: the FMU gives it no value that could be multiplied; give one in the map.")
+            raise MapError(
+                f"{where}: parameters.{name}: the FMU gives it no value that could be multiplied; give one in the map."
+            )
         try:
             found[name] = factor * found.get(name, float(start))
         except (TypeError, ValueError):  # no number: it is refused with its type
@@ -204,7 +235,9 @@ def _composed(path: Path, value: Any) -> Any:
     found: dict[str, Any] = {}
     for name, item in value.items():
         if composed(name) in found:
-            raise MapError(f"map {path}: two keys {composed(name)!r} look the same, but are written with other signs of Unicode.")
+            raise MapError(
+                f"map {path}: two keys {composed(name)!r} look the same, but are written with other signs of Unicode."
+            )
         found[composed(name)] = _composed(path, item)
     return found
 
@@ -231,14 +264,18 @@ def _model_at(place: tuple[str | int, ...]) -> type[BaseModel]:
     return Signal if len(place) == 4 else (get_args(section) or (section,))[-1]
 
 
-# What each quantity may be in, but for a factor. Pure numbers and radians pass for any: an arm of 1 m is often left out.
+# What each quantity may be in, but for a factor. Pure numbers and radians pass for any: an arm of 1
+# m is often left out.
 QUANTITIES = {"position": ("m",), "velocity": ("m/s", "1/s"), "force": ("N", "N m"), "gap": ("m",)}
-# What forces and gaps of a contact are in without a scale, by what they are called where they belong to an angle too.
+# What forces and gaps of a contact are in without a scale, by what they are called where they
+# belong to an angle too.
 CONTACT_UNITS = {"force": ("N", "N m", "N.m", "Nm"), "gap": ("m", "rad")}
-# What columns of a plan's friction forces begin with, as a scene's plan has them. A map has no place for them: nothing of an FMU is held against them.
+# What columns of a plan's friction forces begin with, as a scene's plan has them. A map has no
+# place for them: nothing of an FMU is held against them.
 FRICTION = "friction_"
 # What is of mechanics, and what is not: the scale of a sensor only its maker knows.
-_MECHANICAL, _OTHERS = ("kg", "m", "s"), ("A", "K", "mol", "cd")
+_MECHANICAL = ("kg", "m", "s")
+_OTHERS = ("A", "K", "mol", "cd")
 
 
 class Dimensions:
@@ -246,7 +283,11 @@ class Dimensions:
 
     def __init__(self, description: Any) -> None:
         """description: FMPy's."""
-        self._defined = {unit.name: unit.baseUnit for unit in description.unitDefinitions if unit.baseUnit is not None}
+        self._defined = {
+            unit.name: unit.baseUnit
+            for unit in description.unitDefinitions
+            if unit.baseUnit is not None
+        }
 
     def contradicts(self, unit: str | None, what: str, of_fmu: bool = False) -> bool:
         """Whether nothing in this unit is such a quantity."""
@@ -263,7 +304,10 @@ class Dimensions:
 
 
 def may_be_rate(position: str, velocity: str) -> bool:
-    """Whether a velocity is in its position's unit per second, as far as both units are known; "1" is a unit that nobody told."""
+    """Whether a velocity is in its position's unit per second, as far as both units are known.
+
+    "1" is a unit that nobody told.
+    """
     try:
         expected, found = dict(base_exponents(position)), base_exponents(velocity)
     except ValueError:  # a unit that we do not know
@@ -286,7 +330,10 @@ _RATES = ("m/s", "rad/s")
 
 
 def _check_numbers(package: Package, variable: Any) -> None:
-    """Raises FmuError for a start, bound or nominal of a variable that is no number; those of an array are separated by blanks."""
+    """Raises FmuError for a start, bound or nominal of a variable that is no number.
+
+    Those of an array are separated by blanks.
+    """
     for what in ("start", "min", "max", "nominal"):
         if (text := getattr(variable, what, None)) is None:
             continue
@@ -302,12 +349,16 @@ _TAKEN = (
     f"a map takes variables of one floating-point number ({', '.join(REAL)}); leave it out (inputs and parameters keep their start values), "
     "or wrap the FMU in one that has such a variable for it"
 )
-# Names from which on only some are compared with one that is not there, and how many: comparing takes up to 40 us a name.
+# Names from which on only some are compared with one that is not there, and how many: comparing
+# takes up to 40 us a name.
 _MANY = 2000
 
 
 class Named:
-    """The variables of an FMU by their names, in Unicode's composed form; `twice`: names that are there more than once, which FMI forbids."""
+    """The variables of an FMU by their names, in Unicode's composed form.
+
+    `twice`: names that are there more than once, which FMI forbids.
+    """
 
     def __init__(self, package: Package) -> None:
         self.by_name: dict[str, Any] = {}
@@ -324,7 +375,10 @@ class Named:
         return [name for name, variable in self.by_name.items() if variable.type in REAL]
 
     def refusal(self, name: str) -> str:
-        """Why a map cannot take a variable of this name, a clause without full stop; empty where it can."""
+        """Why a map cannot take a variable of this name, a clause without full stop.
+
+        Empty where it can.
+        """
         variable, array = self.by_name.get(name), name.rpartition("[")[0]
         if name in self.twice:
             return f"the FMU has two variables {name!r}, so it is not clear which is meant"
@@ -338,7 +392,10 @@ class Named:
 
 
 def by_equal_names(named: Named, table: Table) -> MapFile:
-    """Columns are what the FMU's variables of their names are: inputs; lam_X (with gap_X) contacts; friction_X left out where it is a force; in m/s or rad/s velocities; else positions."""
+    """Columns are what the FMU's variables of their names are: inputs; lam_X (with gap_X) contacts.
+
+    friction_X left out where it is a force; in m/s or rad/s velocities; else positions.
+    """
     by_name = named.by_name
     sections: dict[str, dict[str, Any]] = {"inputs": {}, "positions": {}, "contacts": {}}
     rates = []
@@ -346,7 +403,10 @@ def by_equal_names(named: Named, table: Table) -> MapFile:
         variable = by_name.get(name)
         if name == "t":
             continue
-        if name.startswith(FRICTION) and (variable is None or (variable.causality != "input" and variable.unit in CONTACT_UNITS["force"])):
+        if name.startswith(FRICTION) and (
+            variable is None
+            or (variable.causality != "input" and variable.unit in CONTACT_UNITS["force"])
+        ):
             continue
         if variable is None:
             raise MapError(
@@ -357,7 +417,9 @@ def by_equal_names(named: Named, table: Table) -> MapFile:
         elif name.startswith("lam_"):
             contact = name.removeprefix("lam_")
             gap = f"gap_{contact}"
-            sections["contacts"][contact] = {"force": name, "gap": gap} if gap in by_name else {"force": name}
+            sections["contacts"][contact] = (
+                {"force": name, "gap": gap} if gap in by_name else {"force": name}
+            )
         elif variable.unit in _RATES:
             rates.append(name)
         else:
@@ -366,19 +428,29 @@ def by_equal_names(named: Named, table: Table) -> MapFile:
         sections["positions"] |= {name: name for name in rates}
         rates = []
     velocities = {
-        position: {"variable": rate, "column": rate} for position, rate in _paired(list(sections["positions"]), rates, by_name).items()
+        position: {"variable": rate, "column": rate}
+        for position, rate in _paired(list(sections["positions"]), rates, by_name).items()
     }
     if not sections["inputs"] and not sections["positions"]:
-        raise MapError(f"{table.where}: the plan and the FMU share no names; say what belongs together in a map (--map MAP.toml).")
+        raise MapError(
+            f"{table.where}: the plan and the FMU share no names; say what belongs together in a map (--map MAP.toml)."
+        )
     return MapFile.model_validate({**sections, "velocities": velocities})
 
 
 def _paired(positions: list[str], rates: list[str], by_name: Mapping[str, Any]) -> dict[str, str]:
-    """Velocity of each position: the FMU says that it is its derivative, or its name does; the others by their order in the plan."""
+    """Velocity of each position: the FMU says that it is its derivative, or its name does.
+
+    The others by their order in the plan.
+    """
     pairs = {}
     for rate in rates:
         of = getattr(by_name[rate], "derivative", None)
-        owner = composed(of.name) if of is not None else rate.removeprefix("v_").removeprefix("der(").removesuffix(")")
+        owner = (
+            composed(of.name)
+            if of is not None
+            else rate.removeprefix("v_").removeprefix("der(").removesuffix(")")
+        )
         if owner in positions and owner not in pairs:
             pairs[owner] = rate
     left = [rate for rate in rates if rate not in pairs.values()]
@@ -391,7 +463,11 @@ def hint(name: str, known: Iterable[str]) -> str:
     known = list(known)
     if len(known) > _MANY:
         parts = {name[at : at + 3].lower() for at in range(max(1, min(len(name), 200) - 2))}
-        known = heapq.nlargest(_MANY, known, key=lambda item: sum(part in item.lower() for part in parts) / (len(item) + len(name)))
+        known = heapq.nlargest(
+            _MANY,
+            known,
+            key=lambda item: sum(part in item.lower() for part in parts) / (len(item) + len(name)),
+        )
     close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
     return f" (near it: {', '.join(close)})" if close else ""
 

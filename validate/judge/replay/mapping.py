@@ -15,37 +15,77 @@ import numpy as np
 from models.errors import TrajectoryError
 from models.plan_table import Table, lack_of
 from models.scene.parts import Limit
-from models.trajectory import Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
+from models.trajectory import (
+    Trajectory,
+    declared_hold,
+    declared_scheme,
+    missing_groups,
+    times_and_inputs,
+)
 from validate.fmi.description import REAL, Package
 from validate.judge.replay import map_schema, subject
-from validate.judge.replay.map_schema import CONTACT_UNITS, FRICTION, QUANTITIES, Dimensions, InputSignal, MapError, MapFile, Named, Signal
+from validate.judge.replay.map_schema import (
+    CONTACT_UNITS,
+    FRICTION,
+    QUANTITIES,
+    Dimensions,
+    InputSignal,
+    MapError,
+    MapFile,
+    Named,
+    Signal,
+)
 from validate.judge.replay.result import Difference
 from validate.judge.replay.wiring import INTERNAL_STEP, Variables
 
 # Steps that the task of an FMU counts as.
 _STEPS = 500
-# How far a bound in the map may lie beyond the FMU's own, as a share of it: rounding of a change of units.
+# How far a bound in the map may lie beyond the FMU's own, as a share of it: rounding of a change of
+# units.
 _ROUNDING = 1e-9
 
 
 def wire(
-    package: Package, table: Table, given: MapFile | None, hold: str | None, where: str, factors: Mapping[str, float] | None = None
+    package: Package,
+    table: Table,
+    given: MapFile | None,
+    hold: str | None,
+    where: str,
+    factors: Mapping[str, float] | None = None,
 ) -> tuple[subject.Foreign, Trajectory]:
-    """where: what a mistake is said about, "map FILE" or "FMU FILE"; factors: of parameters. Raises MapError, TrajectoryError."""
+    """where: what a mistake is said about, "map FILE" or "FMU FILE"; factors: of parameters.
+
+    Raises MapError, TrajectoryError.
+    """
     named = Named(package)
-    whole = map_schema.multiplied(given or map_schema.by_equal_names(named, table), named, factors, where)
+    whole = map_schema.multiplied(
+        given or map_schema.by_equal_names(named, table), named, factors, where
+    )
     wiring = _Wiring(package, named, table, whole, where)
     return wiring.foreign(), wiring.trajectory(hold)
 
 
 class _Wiring:
-    def __init__(self, package: Package, named: Named, table: Table, given: MapFile, where: str) -> None:
-        self.map, self._table, self._package, self._named, self._where = given, table, package, named, where
+    def __init__(
+        self, package: Package, named: Named, table: Table, given: MapFile, where: str
+    ) -> None:
+        self.map, self._table, self._package, self._named, self._where = (
+            given,
+            table,
+            package,
+            named,
+            where,
+        )
         self._by_name = named.by_name
         self._dimensions = Dimensions(package.description)
         # Where it stands in the map, column and signal of each.
-        self._positions: list[tuple[str, str, Signal]] = [(f"positions.{name}", name, signal) for name, signal in given.positions.items()]
-        self._velocities = [(f"velocities.{name}", self._velocity_column(name), signal) for name, signal in given.velocities.items()]
+        self._positions: list[tuple[str, str, Signal]] = [
+            (f"positions.{name}", name, signal) for name, signal in given.positions.items()
+        ]
+        self._velocities = [
+            (f"velocities.{name}", self._velocity_column(name), signal)
+            for name, signal in given.velocities.items()
+        ]
         self._check_names()
         self._check_limits()
         self._check_columns()
@@ -71,17 +111,27 @@ class _Wiring:
     def _parameter(self, path: str, name: str, value: float | None = None) -> int:
         variable = self._variable(path, name)
         if variable.causality != "parameter":
-            raise self._fail(path, f"{name!r} is no parameter of the FMU, but {variable.causality}.")
+            raise self._fail(
+                path, f"{name!r} is no parameter of the FMU, but {variable.causality}."
+            )
         if value is not None:
             for sign, name_of, end in ((-1, "least", variable.min), (1, "most", variable.max)):
                 if end is not None and sign * value > sign * float(end):
-                    raise self._fail(path, f"{value:g} is not possible: the FMU allows at {name_of} {float(end):g}.")
+                    raise self._fail(
+                        path,
+                        f"{value:g} is not possible: the FMU allows at {name_of} {float(end):g}.",
+                    )
         return int(variable.valueReference)
 
     def _startable(self, path: str, name: str) -> int:
         variable = self._variable(path, name)
-        if variable.causality not in ("parameter", "input") and variable.initial not in ("exact", "approx"):
-            raise self._fail(path, f"{name!r} has no start value that can be set: the FMU calculates it.")
+        if variable.causality not in ("parameter", "input") and variable.initial not in (
+            "exact",
+            "approx",
+        ):
+            raise self._fail(
+                path, f"{name!r} has no start value that can be set: the FMU calculates it."
+            )
         return int(variable.valueReference)
 
     def _check_names(self) -> None:
@@ -95,7 +145,10 @@ class _Wiring:
             self._check_unit(path, name, signal)
         for name in given.velocities:
             if name not in given.positions:
-                raise self._fail(f"velocities.{name}", f"there is no position of that name{map_schema.hint(name, given.positions)}.")
+                raise self._fail(
+                    f"velocities.{name}",
+                    f"there is no position of that name{map_schema.hint(name, given.positions)}.",
+                )
         read: dict[int, str] = {}
         for path, column, signal in self._positions + self._velocities:
             self._check_once(read, path, signal.variable)
@@ -108,7 +161,9 @@ class _Wiring:
         for name, entry in given.contacts.items():
             if entry.force is None and entry.gap is None:
                 raise self._fail(f"contacts.{name}", "it names neither force nor gap.")
-        gaps = {reference: path for reference, path in read.items() if not path.startswith("positions.")}  # a gap may be a position
+        gaps = {
+            reference: path for reference, path in read.items() if not path.startswith("positions.")
+        }  # a gap may be a position
         for what, taken in (("force", read), ("gap", gaps)):
             for name, entry in given.contacts.items():
                 path, signal = f"contacts.{name}.{what}", getattr(entry, what)
@@ -121,17 +176,34 @@ class _Wiring:
         for name in given.goal:
             if name not in known:
                 near = map_schema.hint(name, known) or f"; there are {', '.join(known)}"
-                raise self._fail(f"goal.{name}", f"there is no position or velocity of that name{near}.")
+                raise self._fail(
+                    f"goal.{name}", f"there is no position or velocity of that name{near}."
+                )
 
     def _check_unit(self, path: str, column: str, signal: Signal) -> None:
-        """A unit that the map or the plan's header says, against the FMU's; where they differ, a scale must say how."""
+        """A unit that the map or the plan's header says, against the FMU's.
+
+        Where they differ, a scale must say how.
+        """
         variable = self._variable(path, signal.variable)
         written = self._table.units.get(column)
         if signal.unit and written and signal.unit != written:
-            raise self._fail(path, f"the plan's column {column!r} is in {written!r}, but the map says {signal.unit!r}.")
+            raise self._fail(
+                path,
+                f"the plan's column {column!r} is in {written!r}, but the map says {signal.unit!r}.",
+            )
         unit = signal.unit or written
-        if unit and variable.unit and unit != variable.unit and signal.scale == 1.0 and signal.offset == 0.0:
-            raise self._fail(path, f"the plan is in {unit!r}, but {signal.variable!r} is in {variable.unit!r}; give a scale.")
+        if (
+            unit
+            and variable.unit
+            and unit != variable.unit
+            and signal.scale == 1.0
+            and signal.offset == 0.0
+        ):
+            raise self._fail(
+                path,
+                f"the plan is in {unit!r}, but {signal.variable!r} is in {variable.unit!r}; give a scale.",
+            )
         self._check_scale(path, signal)
 
     def _check_scale(self, path: str, signal: Signal) -> None:
@@ -141,10 +213,17 @@ class _Wiring:
     def _check_quantity(self, path: str, what: str, column: str, signal: Signal) -> None:
         """No scale makes a length of a mass."""
         own, said = self._variable(path, signal.variable).unit, self._table.units.get(column)
-        known = {repr(signal.variable): (own, True), "it": (signal.unit, False), f"the plan's {column!r}": (said, False)}
+        known = {
+            repr(signal.variable): (own, True),
+            "it": (signal.unit, False),
+            f"the plan's {column!r}": (said, False),
+        }
         for whose, (unit, of_fmu) in known.items():
             if self._dimensions.contradicts(unit, what, of_fmu):
-                raise self._fail(path, f"{whose} is in {unit!r}, which no scale makes a {what}, in {' or '.join(QUANTITIES[what])}.")
+                raise self._fail(
+                    path,
+                    f"{whose} is in {unit!r}, which no scale makes a {what}, in {' or '.join(QUANTITIES[what])}.",
+                )
 
     def _check_once(self, read: dict[int, str], path: str, variable: str) -> None:
         """A variable is one thing: by its reference, as an FMU may call it by two names."""
@@ -155,25 +234,41 @@ class _Wiring:
 
     def _check_rate(self, name: str) -> None:
         """A velocity is in its position's unit per second, where both units are known."""
-        position, velocity = self._unit(name, self.map.positions[name]), self._unit(self._velocity_column(name), self.map.velocities[name])
+        position, velocity = (
+            self._unit(name, self.map.positions[name]),
+            self._unit(self._velocity_column(name), self.map.velocities[name]),
+        )
         if not map_schema.may_be_rate(position, velocity):
             raise self._fail(
-                f"velocities.{name}", f"it is in {velocity!r}, but positions.{name} in {position!r}; it must be in '{position}/s'."
+                f"velocities.{name}",
+                f"it is in {velocity!r}, but positions.{name} in {position!r}; it must be in '{position}/s'.",
             )
 
     def _check_contact_unit(self, path: str, what: str, signal: Signal) -> None:
-        """Forces are in N, gaps in m; where the FMU has another unit, a scale must say how - if only `scale = 1.0`."""
+        """Forces are in N, gaps in m.
+
+        Where the FMU has another unit, a scale must say how - if only `scale = 1.0`.
+        """
         known, own = CONTACT_UNITS[what], self._variable(path, signal.variable).unit
         if signal.unit and signal.unit not in known:
-            raise self._fail(path, f"it is in {signal.unit!r}, but a {what} must be in {known[0]!r} behind its scale, as in the plan.")
+            raise self._fail(
+                path,
+                f"it is in {signal.unit!r}, but a {what} must be in {known[0]!r} behind its scale, as in the plan.",
+            )
         if own and own not in known and not signal.model_fields_set & {"scale", "offset"}:
-            raise self._fail(path, f"{signal.variable!r} is in {own!r}, but a {what} must be in {known[0]!r}; give a scale.")
+            raise self._fail(
+                path,
+                f"{signal.variable!r} is in {own!r}, but a {what} must be in {known[0]!r}; give a scale.",
+            )
         self._check_scale(path, signal)
 
     def _check_limits(self) -> None:
         """A goal needs a limit that says how near is near enough, of its positions and of its velocities."""
         given = self.map
-        for part, columns in (("position", given.positions), ("velocity", map(self._velocity_column, given.velocities))):
+        for part, columns in (
+            ("position", given.positions),
+            ("velocity", map(self._velocity_column, given.velocities)),
+        ):
             metric = f"replay_terminal_{part}_error"
             asked = next((column for column in columns if column in given.goal), None)
             if asked is not None and metric not in given.limits:
@@ -195,10 +290,19 @@ class _Wiring:
         for name in needed:
             if name not in table.given:
                 near = "" if name in table.names else map_schema.hint(name, table.names)
-                raise TrajectoryError(f"{table.where}: {lack_of(table, name)}{near}; it has {', '.join(table.given)}.")
-        known = {*needed, *given.positions, *map(self._velocity_column, given.velocities), *map(self._force_column, given.contacts)}
+                raise TrajectoryError(
+                    f"{table.where}: {lack_of(table, name)}{near}; it has {', '.join(table.given)}."
+                )
+        known = {
+            *needed,
+            *given.positions,
+            *map(self._velocity_column, given.velocities),
+            *map(self._force_column, given.contacts),
+        }
         known |= {value for value in given.start.values() if isinstance(value, str)}
-        self._frictions = [name for name in table.names if name.startswith(FRICTION) and name not in known]
+        self._frictions = [
+            name for name in table.names if name.startswith(FRICTION) and name not in known
+        ]
         for name in table.names:
             if name not in known and name not in self._frictions:
                 raise TrajectoryError(
@@ -211,13 +315,25 @@ class _Wiring:
     def _check_roles(self) -> None:
         """A column is one thing."""
         given, roles = self.map, {self.map.plan.time: "the time (plan.time)"}
-        claims = [(name, f"inputs.{name}", "call one of the two otherwise") for name in given.inputs]
-        claims += [(name, f"positions.{name}", "call one of the two otherwise") for name in given.positions]
-        claims += [(self._velocity_column(name), f"velocities.{name}", "give it another by column = '..'") for name in given.velocities]
-        claims += [(self._force_column(name), f"contacts.{name}", "give it another by column = '..'") for name in given.contacts]
+        claims = [
+            (name, f"inputs.{name}", "call one of the two otherwise") for name in given.inputs
+        ]
+        claims += [
+            (name, f"positions.{name}", "call one of the two otherwise") for name in given.positions
+        ]
+        claims += [
+            (self._velocity_column(name), f"velocities.{name}", "give it another by column = '..'")
+            for name in given.velocities
+        ]
+        claims += [
+            (self._force_column(name), f"contacts.{name}", "give it another by column = '..'")
+            for name in given.contacts
+        ]
         for column, path, advice in claims:
             if column in roles:
-                raise self._fail(path, f"its column {column!r} is that of {roles[column]} already; {advice}.")
+                raise self._fail(
+                    path, f"its column {column!r} is that of {roles[column]} already; {advice}."
+                )
             roles[column] = path
 
     def _lacks(self) -> Mapping[str, str]:
@@ -241,23 +357,42 @@ class _Wiring:
         read: dict[str, list[Signal]] = {
             "q": list(given.positions.values()),
             "v": [] if "v" in lacks else [given.velocities[name] for name in given.positions],
-            "lam": [] if "lam" in lacks else [entry.force for entry in given.contacts.values() if entry.force],
-            "gap": [] if "gap" in lacks else [entry.gap for entry in given.contacts.values() if entry.gap],
+            "lam": []
+            if "lam" in lacks
+            else [entry.force for entry in given.contacts.values() if entry.force],
+            "gap": []
+            if "gap" in lacks
+            else [entry.gap for entry in given.contacts.values() if entry.gap],
         }
-        signals, driven = [signal for group in read.values() for signal in group], list(given.inputs.values())
+        signals, driven = (
+            [signal for group in read.values() for signal in group],
+            list(given.inputs.values()),
+        )
         references: dict[str, Any] = {
-            group: tuple(self._place(signal.variable) for signal in found) for group, found in {**read, "u": driven}.items()
+            group: tuple(self._place(signal.variable) for signal in found)
+            for group, found in {**read, "u": driven}.items()
         }
-        settings, internal = self._settings(), given.internal_step or (INTERNAL_STEP if INTERNAL_STEP in self._by_name else None)
-        parameters, begin = self._uncertain(internal), self._begin(dict(settings), [*read["q"], *read["v"]])
+        settings, internal = (
+            self._settings(),
+            given.internal_step or (INTERNAL_STEP if INTERNAL_STEP in self._by_name else None),
+        )
+        parameters, begin = (
+            self._uncertain(internal),
+            self._begin(dict(settings), [*read["q"], *read["v"]]),
+        )
         return subject.Foreign(
             model=self._model(parameters, begin),
             parameters=tuple(self._place(item.name) for item in parameters),
             variables=Variables(
                 **references,
-                parameters=tuple((self._parameter(f"parameters.{name}", name, value), value) for name, value in given.parameters.items()),
+                parameters=tuple(
+                    (self._parameter(f"parameters.{name}", name, value), value)
+                    for name, value in given.parameters.items()
+                ),
                 start=tuple(reference for reference, _ in settings),
-                internal_step=None if internal is None else self._parameter("internal_step", internal),
+                internal_step=None
+                if internal is None
+                else self._parameter("internal_step", internal),
             ),
             scale=np.array([signal.scale for signal in signals]),
             offset=np.array([signal.offset for signal in signals]),
@@ -269,23 +404,37 @@ class _Wiring:
     def _settings(self) -> list[tuple[int, float]]:
         """Start variables and their values: those of the map, and positions and velocities of the plan's first row that can be set."""
         given, found = self.map, {}
-        taken = {self._reference(f"parameters.{name}", name): f"parameters.{name}" for name in given.parameters}
-        taken |= {self._place(signal.variable): f"inputs.{name}" for name, signal in given.inputs.items()}
+        taken = {
+            self._reference(f"parameters.{name}", name): f"parameters.{name}"
+            for name in given.parameters
+        }
+        taken |= {
+            self._place(signal.variable): f"inputs.{name}" for name, signal in given.inputs.items()
+        }
         for name, value in given.start.items():
             path = f"start.{name}"
             self._check_once(taken, path, name)
             if isinstance(value, str):
                 if value not in self._table.given:
-                    raise self._fail(path, f"{lack_of(self._table, value)} in the plan{map_schema.hint(value, self._table.names)}.")
+                    raise self._fail(
+                        path,
+                        f"{lack_of(self._table, value)} in the plan{map_schema.hint(value, self._table.names)}.",
+                    )
                 if unit := self._variable(path, name).unit:
                     self._table.check_unit(value, unit)
                 value = float(self._table.column(value, False)[0])
             found[self._startable(path, name)] = float(value)
         for _, column, signal in self._positions + self._velocities:
             variable = self._by_name[signal.variable]
-            if column in self._table.given and variable.initial in ("exact", "approx") and variable.start is not None:
+            if (
+                column in self._table.given
+                and variable.initial in ("exact", "approx")
+                and variable.start is not None
+            ):
                 first = float(self._table.column(column, False)[0])
-                found.setdefault(int(variable.valueReference), (first - signal.offset) / signal.scale)
+                found.setdefault(
+                    int(variable.valueReference), (first - signal.offset) / signal.scale
+                )
         return list(found.items())
 
     def _uncertain(self, internal: str | None) -> tuple[subject.ForeignParameter, ...]:
@@ -294,55 +443,90 @@ class _Wiring:
         for name in given.uncertainty:
             self._parameter(f"uncertainty.{name}", name)
         for name, item in self._by_name.items():
-            is_one = item.causality == "parameter" and item.type in REAL and not getattr(item, "dimensions", None)
+            is_one = (
+                item.causality == "parameter"
+                and item.type in REAL
+                and not getattr(item, "dimensions", None)
+            )
             value = given.parameters.get(name, item.start) if is_one and name != internal else None
             if value is None or name in self._named.twice:
                 continue
-            lower, upper = (sign * math.inf if end is None else float(end) for sign, end in ((-1, item.min), (1, item.max)))
+            lower, upper = (
+                sign * math.inf if end is None else float(end)
+                for sign, end in ((-1, item.min), (1, item.max))
+            )
             entry = given.uncertainty.get(name)
             size, reason = (None, "") if entry is None else (entry.value, entry.reason)
             for end in (float(value) - size, float(value) + size) if size else ():
                 self._parameter(f"uncertainty.{name}", name, end)
-            told = {"unit": item.unit or "1", "lower": lower, "upper": upper, "uncertainty": size, "uncertainty_reason": reason}
+            told = {
+                "unit": item.unit or "1",
+                "lower": lower,
+                "upper": upper,
+                "uncertainty": size,
+                "uncertainty_reason": reason,
+            }
             found.append(subject.ForeignParameter(name=name, value=float(value), **told))
         return tuple(found)
 
     def _begin(self, settings: Mapping[int, float], signals: list[Signal]) -> dict[int, float]:
-        """Where a simulation starts, in the plan's units, by the places that can be set; settings: what the plan and the map set, by reference."""
+        """Where a simulation starts, in the plan's units, by the places that can be set.
+
+        settings: what the plan and the map set, by reference.
+        """
         found = {}
         for place, signal in enumerate(signals):
             variable = self._by_name[signal.variable]
             if variable.initial in ("exact", "approx") and variable.start is not None:
-                found[place] = signal.scale * settings.get(int(variable.valueReference), float(variable.start)) + signal.offset
+                found[place] = (
+                    signal.scale * settings.get(int(variable.valueReference), float(variable.start))
+                    + signal.offset
+                )
         return found
 
-    def _model(self, parameters: tuple[subject.ForeignParameter, ...], begin: Mapping[int, float]) -> subject.ForeignModel:
+    def _model(
+        self, parameters: tuple[subject.ForeignParameter, ...], begin: Mapping[int, float]
+    ) -> subject.ForeignModel:
         given = self.map
         coordinates = tuple(
             subject.ForeignCoordinate(
                 name=name,
-                velocity_name=self._velocity_column(name) if name in given.velocities else f"v_{name}",
+                velocity_name=self._velocity_column(name)
+                if name in given.velocities
+                else f"v_{name}",
                 unit=self._unit(name, signal),
-                velocity_unit=self._unit(self._velocity_column(name), given.velocities[name]) if name in given.velocities else "1/s",
-                nominal=map_schema.positive(self._by_name[signal.variable].nominal) * abs(signal.scale),
+                velocity_unit=self._unit(self._velocity_column(name), given.velocities[name])
+                if name in given.velocities
+                else "1/s",
+                nominal=map_schema.positive(self._by_name[signal.variable].nominal)
+                * abs(signal.scale),
             )
             for name, signal in given.positions.items()
         )
         goal = [given.goal.get(item.name) for item in coordinates]
-        goal += [given.goal.get(item.velocity_name) if item.name in given.velocities else None for item in coordinates]
+        goal += [
+            given.goal.get(item.velocity_name) if item.name in given.velocities else None
+            for item in coordinates
+        ]
         times = self._table.column(given.plan.time, False)
         return subject.ForeignModel(
             name=Path(self._package.path).stem,
             coordinates=coordinates,
             inputs=tuple(self._input(name, signal) for name, signal in given.inputs.items()),
             contacts=tuple(
-                subject.ForeignContact(name=name, force_name=self._force_column(name), gap_name=f"gap_{name}", depth=entry.depth)
+                subject.ForeignContact(
+                    name=name,
+                    force_name=self._force_column(name),
+                    gap_name=f"gap_{name}",
+                    depth=entry.depth,
+                )
                 for name, entry in given.contacts.items()
             ),
             task=subject.ForeignTask(
                 start=self._start(),
                 goal=tuple(goal),
-                step=(float(np.ptp(times)) if given.task.duration is None else given.task.duration) / _STEPS,
+                step=(float(np.ptp(times)) if given.task.duration is None else given.task.duration)
+                / _STEPS,
                 horizon=given.task.duration,
             ),
             limits=self._limits(),
@@ -356,26 +540,48 @@ class _Wiring:
         )
 
     def _start(self) -> tuple[float | None, ...]:
-        """(2*nq,) what the map's [start] says of positions and velocities, in the plan's unit; None where the plan starts as it says."""
+        """(2*nq,) what the map's [start] says of positions and velocities, in the plan's unit.
+
+        None where the plan starts as it says.
+        """
         given = self.map
-        numbers = {self._place(name): value for name, value in given.start.items() if not isinstance(value, str)}
+        numbers = {
+            self._place(name): value
+            for name, value in given.start.items()
+            if not isinstance(value, str)
+        }
 
         def at(signal: Signal | None) -> float | None:
             value = None if signal is None else numbers.get(self._place(signal.variable))
             return None if value is None or signal is None else signal.scale * value + signal.offset
 
-        return tuple(at(signals.get(name)) for signals in (given.positions, given.velocities) for name in given.positions)
+        return tuple(
+            at(signals.get(name))
+            for signals in (given.positions, given.velocities)
+            for name in given.positions
+        )
 
     def _limits(self) -> tuple[Limit, ...]:
-        """Those of the map; how near the replay must come to the goal is asked of the plan itself too, where the map has no other word for that."""
+        """Those of the map.
+
+        How near the replay must come to the goal is asked of the plan itself too, where the map has
+        no other word for that.
+        """
         given = self.map.limits
-        limits = [Limit(metric=name, value=entry.value, reason=entry.reason or "set in the map") for name, entry in given.items()]
+        limits = [
+            Limit(metric=name, value=entry.value, reason=entry.reason or "set in the map")
+            for name, entry in given.items()
+        ]
         for part in ("position", "velocity"):
             replayed = f"replay_terminal_{part}_error"
             if replayed in given and f"terminal_{part}_error" not in given:
                 entry = given[replayed]
                 limits.append(
-                    Limit(metric=f"terminal_{part}_error", value=entry.value, reason=entry.reason or "as near as its replay must come")
+                    Limit(
+                        metric=f"terminal_{part}_error",
+                        value=entry.value,
+                        reason=entry.reason or "as near as its replay must come",
+                    )
                 )
         return tuple(limits)
 
@@ -384,89 +590,162 @@ class _Wiring:
         stated, count = self.map.accuracy, len(self.map.positions)
         if stated.position is None and stated.velocity is None and stated.gap is None:
             return None
-        position, velocity, gap = (math.inf if value is None else value for value in (stated.position, stated.velocity, stated.gap))
+        position, velocity, gap = (
+            math.inf if value is None else value
+            for value in (stated.position, stated.velocity, stated.gap)
+        )
         if "v" in self.lacks:
             velocity = 0.0  # there is none that could be wrong
-        return Difference(position=position, state=math.sqrt(count) * math.hypot(position, velocity) if count else velocity, gap=gap)
+        return Difference(
+            position=position,
+            state=math.sqrt(count) * math.hypot(position, velocity) if count else velocity,
+            gap=gap,
+        )
 
     def _not_asked(self) -> tuple[str, ...]:
-        """For what the map or the FMU leaves out; what the plan does not say is the score's to tell."""
+        """For what the map or the FMU leaves out.
+
+        What the plan does not say is the score's to tell.
+        """
         given, found = self.map, []
         if given.task.duration is None:
             found.append("duration_error: the map gives no [task] duration")
         if any(value is None for value in self._start()[: len(given.positions)]):
-            found.append("start_error: the map's [start] gives no number for every position, so nothing is asked of where the plan starts")
+            found.append(
+                "start_error: the map's [start] gives no number for every position, so nothing is asked of where the plan starts"
+            )
         for name, signal in given.inputs.items():
             bound = self._input(name, signal)
-            ends = [word for word, end in (("lower", bound.lower), ("upper", bound.upper)) if math.isinf(end)]
+            ends = [
+                word
+                for word, end in (("lower", bound.lower), ("upper", bound.upper))
+                if math.isinf(end)
+            ]
             if ends:
                 found.append(
                     f"bound_violation: input {name} has no {' and no '.join(ends)} bound, neither in the map ([inputs]) nor in the FMU"
                 )
         if not given.goal:
-            found.append("replay_terminal_position_error, replay_terminal_velocity_error: the map gives no [goal]")
+            found.append(
+                "replay_terminal_position_error, replay_terminal_velocity_error: the map gives no [goal]"
+            )
         if "q" in self.lacks:
             found.append("replay_error: the map names no [positions]")
         for name, entry in given.contacts.items():
             if entry.gap is None:
                 found.append(f"max_penetration: contact {name} has no gap in the map")
             elif entry.depth is None:
-                found.append(f"max_penetration: contact {name} has no depth in the map (depth = .., where its model ends)")
+                found.append(
+                    f"max_penetration: contact {name} has no depth in the map (depth = .., where its model ends)"
+                )
         if not given.contacts:
-            found.append("max_penetration, ghost_impulse, missed_impulse: the map names no [contacts]")
+            found.append(
+                "max_penetration, ghost_impulse, missed_impulse: the map names no [contacts]"
+            )
         elif "gap" in self.lacks or "lam" in self.lacks:
-            found.append("ghost_impulse, missed_impulse: not every contact has both force and gap in the map")
-        found.append("contact_law_error, unexplained_force, defect: an FMU keeps its equations to itself; only a scene has them")
+            found.append(
+                "ghost_impulse, missed_impulse: not every contact has both force and gap in the map"
+            )
+        found.append(
+            "contact_law_error, unexplained_force, defect: an FMU keeps its equations to itself; only a scene has them"
+        )
         return tuple(found)
 
     def _notes(self) -> tuple[str, ...]:
         notes, scheme = [], declared_scheme(self._table)
         if scheme is not None:
-            said = "which is of a scene's equations; an FMU keeps its own, so nothing is asked of it."
+            said = (
+                "which is of a scene's equations; an FMU keeps its own, so nothing is asked of it."
+            )
             notes.append(f"The plan declares the scheme {scheme.value}, {said}")
         if self._frictions:
-            notes.append(f"Nothing is asked of the plan's friction forces ({', '.join(self._frictions)}): an FMU's own are not read.")
+            notes.append(
+                f"Nothing is asked of the plan's friction forces ({', '.join(self._frictions)}): an FMU's own are not read."
+            )
         driven = {self._place(signal.variable) for signal in self.map.inputs.values()}
-        inputs = [(name, item.type) for name, item in self._by_name.items() if item.causality == "input" and item.type != "Clock"]
-        idle = [name for name, kind in inputs if kind not in REAL or self._place(name) not in driven]
+        inputs = [
+            (name, item.type)
+            for name, item in self._by_name.items()
+            if item.causality == "input" and item.type != "Clock"
+        ]
+        idle = [
+            name for name, kind in inputs if kind not in REAL or self._place(name) not in driven
+        ]
         if idle:
             named = ", ".join(idle[:5]) + " .." * (len(idle) > 5)
-            notes.append(f"Inputs of the FMU that the plan does not drive keep their start values: {named}.")
+            notes.append(
+                f"Inputs of the FMU that the plan does not drive keep their start values: {named}."
+            )
         return tuple(notes)
 
     def _unit(self, column: str, signal: Signal) -> str:
-        own = self._by_name[signal.variable].unit if signal.scale == 1.0 and signal.offset == 0.0 else None
+        own = (
+            self._by_name[signal.variable].unit
+            if signal.scale == 1.0 and signal.offset == 0.0
+            else None
+        )
         return signal.unit or self._table.units.get(column) or own or "1"
 
     def _input(self, name: str, signal: InputSignal) -> subject.ForeignInput:
         """Bounds in the plan's unit are those of the map, which may not lie beyond those that the FMU declares; else the latter."""
         variable = self._by_name[signal.variable]
-        least, most = -math.inf if variable.min is None else float(variable.min), math.inf if variable.max is None else float(variable.max)
+        least, most = (
+            -math.inf if variable.min is None else float(variable.min),
+            math.inf if variable.max is None else float(variable.max),
+        )
         lower, upper = sorted((end - signal.offset) / signal.scale for end in (least, most))
-        for word, value, sign, end in (("lower", signal.lower, -1.0, lower), ("upper", signal.upper, 1.0, upper)):
+        for word, value, sign, end in (
+            ("lower", signal.lower, -1.0, lower),
+            ("upper", signal.upper, 1.0, upper),
+        ):
             if value is not None and sign * (value - end) > _ROUNDING * abs(end):
                 raise self._fail(
-                    f"inputs.{name}.{word}", f"{value:g} lies beyond the FMU's own bound, which is {end:g} in the plan's unit."
+                    f"inputs.{name}.{word}",
+                    f"{value:g} lies beyond the FMU's own bound, which is {end:g} in the plan's unit.",
                 )
-        lower, upper = (lower if signal.lower is None else signal.lower), (upper if signal.upper is None else signal.upper)
+        lower, upper = (
+            (lower if signal.lower is None else signal.lower),
+            (upper if signal.upper is None else signal.upper),
+        )
         if lower >= upper:
-            raise self._fail(f"inputs.{name}", f"its lower bound is {lower:g}, its upper bound {upper:g}, in the plan's unit.")
-        return subject.ForeignInput(name=name, unit=self._unit(name, signal), lower=lower, upper=upper)
+            raise self._fail(
+                f"inputs.{name}",
+                f"its lower bound is {lower:g}, its upper bound {upper:g}, in the plan's unit.",
+            )
+        return subject.ForeignInput(
+            name=name, unit=self._unit(name, signal), lower=lower, upper=upper
+        )
 
     def trajectory(self, hold: str | None) -> Trajectory:
         """The plan; what it does not say is in `missing`, with zeros in its place."""
         given, table = self.map, self._table
-        # Without positions in the map it says none, and no velocities unless every position has one.
-        velocities = [self._velocity_column(name) for name in given.positions] if "v" not in self.lacks else []
-        groups = {"q": list(given.positions), "v": velocities, "lam": [self._force_column(name) for name in given.contacts]}
-        missing = missing_groups(table, groups) | {group for group in ("q", "v") if not groups[group]}
+        # Without positions in the map it says none, and no velocities unless every position has
+        # one.
+        velocities = (
+            [self._velocity_column(name) for name in given.positions]
+            if "v" not in self.lacks
+            else []
+        )
+        groups = {
+            "q": list(given.positions),
+            "v": velocities,
+            "lam": [self._force_column(name) for name in given.contacts],
+        }
+        missing = missing_groups(table, groups) | {
+            group for group in ("q", "v") if not groups[group]
+        }
         who = "--hold" if hold else f"{self._where} (plan.hold)"
         held = declared_hold(table, hold or given.plan.hold, who)
-        t, u, u_end = times_and_inputs(table, given.plan.time, list(given.inputs), held, self._duration(missing))
+        t, u, u_end = times_and_inputs(
+            table, given.plan.time, list(given.inputs), held, self._duration(missing)
+        )
         nodes, steps = len(t), len(t) - 1
 
         def group(key: str, rows: int) -> np.ndarray:
-            """Columns of a group, (rows, n) [unit of each column], zeros where the plan has none. Raises TrajectoryError."""
+            """Columns of a group, (rows, n) [unit of each column], zeros where the plan has none.
+
+            Raises TrajectoryError.
+            """
             columns = groups[key]
             if key in missing or not columns:
                 return np.zeros((rows, len(given.contacts if key == "lam" else given.positions)))
@@ -474,7 +753,14 @@ class _Wiring:
 
         try:
             return Trajectory(
-                t=t, q=group("q", nodes), v=group("v", nodes), u=u, lam=group("lam", steps), hold=held, missing=missing, u_end=u_end
+                t=t,
+                q=group("q", nodes),
+                v=group("v", nodes),
+                u=u,
+                lam=group("lam", steps),
+                hold=held,
+                missing=missing,
+                u_end=u_end,
             )
         except TrajectoryError as error:
             raise TrajectoryError(f"{error} ({table.source})") from error
@@ -482,4 +768,8 @@ class _Wiring:
     def _duration(self, missing: frozenset[str]) -> tuple[float, float] | None:
         """How long a plan of inputs alone is meant to last, and how near to that is as long: half its own last step."""
         duration, times = self.map.task.duration, self._table.column(self.map.plan.time, False)
-        return (duration, float(times[-1] - times[-2]) / 2.0) if duration is not None and "q" in missing else None
+        return (
+            (duration, float(times[-1] - times[-2]) / 2.0)
+            if duration is not None and "q" in missing
+            else None
+        )

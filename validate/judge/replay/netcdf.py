@@ -3,8 +3,9 @@
 write_replay(path, replay, scene)
 columns, attributes = read_columns(path)     # models.netcdf: bit for bit what was written
 
-Of a scene of ours the poses of its shapes stand there too (models.kinematics), for those who draw it without the scene.
-A tracked replay is a file of its own, with the inputs it applied; the law that made them, its gains, is stored with the plan (models.trajectory_netcdf).
+Of a scene of ours the poses of its shapes stand there too (models.kinematics), for those who draw
+it without the scene. A tracked replay is a file of its own, with the inputs it applied; the law
+that made them, its gains, is stored with the plan (models.trajectory_netcdf).
 """
 
 from __future__ import annotations
@@ -35,12 +36,29 @@ def _groups(scene: Subject) -> dict[str, list[tuple[str, str, str]]]:
     """(name, unit, description) of the columns of every array over time."""
     return {
         "q": [(item.name, item.unit, item.description) for item in scene.coordinates],
-        "v": [(item.velocity_name, item.velocity_unit, f"velocity of {item.name}") for item in scene.coordinates],
-        "lam": [(item.force_name, "N", f"contact force, {item.description or item.name}") for item in scene.contacts],
-        "gap": [(item.gap_name, "m", f"gap, negative in contact, {item.description or item.name}") for item in scene.contacts],
-        "friction": [(item.force_name, "N", f"friction force, {item.description or item.name}") for item in scene.frictions],
+        "v": [
+            (item.velocity_name, item.velocity_unit, f"velocity of {item.name}")
+            for item in scene.coordinates
+        ],
+        "lam": [
+            (item.force_name, "N", f"contact force, {item.description or item.name}")
+            for item in scene.contacts
+        ],
+        "gap": [
+            (item.gap_name, "m", f"gap, negative in contact, {item.description or item.name}")
+            for item in scene.contacts
+        ],
+        "friction": [
+            (item.force_name, "N", f"friction force, {item.description or item.name}")
+            for item in scene.frictions
+        ],
         "contact_impulse": [
-            (f"impulse_{item.name}", "N s", f"impulse since the start, {item.description or item.name}") for item in scene.contacts
+            (
+                f"impulse_{item.name}",
+                "N s",
+                f"impulse since the start, {item.description or item.name}",
+            )
+            for item in scene.contacts
         ],
         **{field: [(field, "J", text)] for field, text in _SERIES.items()},
     }
@@ -49,15 +67,30 @@ def _groups(scene: Subject) -> dict[str, list[tuple[str, str, str]]]:
 def write_replay(path: Path, replay: Replay, scene: Subject) -> None:
     """Write a replay of this scene. Raises MachineError if the file cannot be written."""
     if replay.scene != scene.name:
-        raise TrajectoryError(f"file {path}: the replay is of scene {replay.scene}, not of {scene.name}.")
+        raise TrajectoryError(
+            f"file {path}: the replay is of scene {replay.scene}, not of {scene.name}."
+        )
     columns = [Column(name="t", dimension="time", values=replay.t, unit="s", description="time")]
     for field, group in _groups(scene).items():
         if (values := getattr(replay, field)) is not None:
             columns += as_columns(group, values.reshape(len(values), len(group)), "time")
-    columns.append(Column(name="knots", dimension="node", values=replay.knots, unit="1", description="rows that are nodes of the plan"))
+    columns.append(
+        Column(
+            name="knots",
+            dimension="node",
+            values=replay.knots,
+            unit="1",
+            description="rows that are nodes of the plan",
+        )
+    )
     if replay.applied is not None and len(replay.applied):
         columns += as_columns(
-            [(f"applied_{item.name}", item.unit, f"{item.name} as applied") for item in scene.inputs], replay.applied, "step"
+            [
+                (f"applied_{item.name}", item.unit, f"{item.name} as applied")
+                for item in scene.inputs
+            ],
+            replay.applied,
+            "step",
         )
     facts = {
         "outcome": replay.outcome.name,
@@ -72,8 +105,17 @@ def write_replay(path: Path, replay: Replay, scene: Subject) -> None:
         "growth": None if replay.growth is None else asdict(replay.growth),
         "effort": None if replay.effort is None else asdict(replay.effort),
     }
-    columns = [*columns, *pose_columns(scene, replay.q, "time")] if isinstance(scene, Scene) else storable(columns)
-    attributes = {"content": _CONTENT, "scene": scene.name, "fmu_sha256": replay.fmu, "facts": json.dumps(facts, allow_nan=False)}
+    columns = (
+        [*columns, *pose_columns(scene, replay.q, "time")]
+        if isinstance(scene, Scene)
+        else storable(columns)
+    )
+    attributes = {
+        "content": _CONTENT,
+        "scene": scene.name,
+        "fmu_sha256": replay.fmu,
+        "facts": json.dumps(facts, allow_nan=False),
+    }
     write_columns(path, columns, attributes)
 
 
@@ -83,7 +125,10 @@ def storable_name(name: str) -> str:
 
 
 def storable(columns: list[Column]) -> list[Column]:
-    """Columns of somebody's FMU under names that NetCDF allows and that are there once; a name that had to be changed stands in the description."""
+    """Columns of somebody's FMU under names that NetCDF allows and that are there once.
+
+    A name that had to be changed stands in the description.
+    """
     taken: set[str] = {"time", "node", "step"}  # dimensions
     found = []
     for column in columns:
@@ -93,6 +138,10 @@ def storable(columns: list[Column]) -> list[Column]:
             count += 1
             name = f"{base}_{count}"
         taken.add(name)
-        text = column.description if name == column.name else f"{column.name}: {column.description}".rstrip(": ")
+        text = (
+            column.description
+            if name == column.name
+            else f"{column.name}: {column.description}".rstrip(": ")
+        )
         found.append(replace(column, name=name, description=text))
     return found

@@ -1,11 +1,14 @@
 """The reference integrator: CVODE over a Model Exchange FMU, stopped at every gap event and at every jump of the inputs.
 
-    run = integrate(ExchangeModel(package, variables), start, inputs, rtol=1e-13, event_budget=10_000)
+    run = integrate(ExchangeModel(package, variables), start, inputs, rtol=1e-13,
+    event_budget=10_000)
 
-Between two such points the right-hand side is smooth, so the integrator's order and its error control hold; across one they
-would not. Adams' method (orders 1 to 12) needs half the evaluations of BDF here: contacts are springs, hardly damped.
+Between two such points the right-hand side is smooth, so the integrator's order and its error
+control hold; across one they would not. Adams' method (orders 1 to 12) needs half the evaluations
+of BDF here: contacts are springs, hardly damped.
 
-The loop is that of loops.c: one call a step of the plan, and one an event. CVODE is that of validate.fmi.cvode.
+The loop is that of loops.c: one call a step of the plan, and one an event. CVODE is that of
+validate.fmi.cvode.
 """
 
 from __future__ import annotations
@@ -25,16 +28,20 @@ from validate.fmi.loops import SOLVER, Reason, address_of, structure
 from validate.judge.replay.result import DIVERGENCE, ReplayOutcome, Run, Stop
 from validate.judge.replay.wiring import HeldInputs, Variables
 
-# Parts of each step of the plan at whose ends the motion is recorded: enough to see what happens between nodes.
+# Parts of each step of the plan at whose ends the motion is recorded: enough to see what happens
+# between nodes.
 PARTS = 3
-# Internal steps to the next point before the integrator is given up (a step of three_cart takes about 20).
+# Internal steps to the next point before the integrator is given up (a step of three_cart takes
+# about 20).
 STEP_LIMIT = 100_000
-# The absolute tolerance is this fraction of rtol * nominal, so that small coordinates (penetrations) are resolved too.
+# The absolute tolerance is this fraction of rtol * nominal, so that small coordinates
+# (penetrations) are resolved too.
 ABSOLUTE_FRACTION = 0.1
 # As a share of the time: two times that are the same but for rounding.
 _ROUNDING = 1e-14
 _CALLED = (
-    "GetReal", "SetReal", "SetTime", "SetContinuousStates", "GetContinuousStates", "GetDerivatives", "GetEventIndicators",
+    "GetReal", "SetReal", "SetTime", "SetContinuousStates", "GetContinuousStates", "GetDerivatives",
+    "GetEventIndicators",
     "CompletedIntegratorStep", "EnterEventMode", "NewDiscreteStates", "EnterContinuousTimeMode",
 )  # fmt: skip
 
@@ -42,7 +49,8 @@ _CALLED = (
 class ExchangeModel:
     """An FMU for Model Exchange. Every FMI call that is refused raises FMICallException.
 
-    states, indicators, accumulated, outputs: how many there are; nominal (states,): typical size of each; references: of what is accumulated, of
+    states, indicators, accumulated, outputs: how many there are; nominal (states,): typical size of
+        each; references: of what is accumulated, of
     outputs, of inputs.
     """
 
@@ -52,7 +60,11 @@ class ExchangeModel:
         self.states, self.indicators = self.instance.state_count, self.instance.indicator_count
         self.accumulated, self.outputs = len(variables.rates), len(variables.outputs)
         self.nominal = np.ones(self.states)
-        self.references = References(variables.rates), References(variables.outputs), References(variables.u)
+        self.references = (
+            References(variables.rates),
+            References(variables.outputs),
+            References(variables.u),
+        )
 
     def start(self, time: float, state: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Initialise with the plan's start.
@@ -123,7 +135,9 @@ class ExchangeModel:
             fmu.write(self.references[2], u)
         return np.concatenate([fmu.states(), y[self.states :]]) if fmu.settle() else y
 
-    def jacobian(self, time: float, x: np.ndarray, unknowns: Sequence[int], knowns: Sequence[int]) -> np.ndarray:
+    def jacobian(
+        self, time: float, x: np.ndarray, unknowns: Sequence[int], knowns: Sequence[int]
+    ) -> np.ndarray:
         """Directional derivatives at a state.
 
         Parameters
@@ -141,11 +155,17 @@ class ExchangeModel:
         FMICallException : if the FMU refuses a call.
         """
         self.move(time, x)
-        columns = [self.instance.fmu.directional(unknowns, [known], [1.0], len(unknowns)) for known in knowns]
+        columns = [
+            self.instance.fmu.directional(unknowns, [known], [1.0], len(unknowns))
+            for known in knowns
+        ]
         return np.array(columns, dtype=float).reshape(len(knowns), len(unknowns)).T
 
     def move(self, time: float, y: np.ndarray) -> None:
-        """Set time [s] and the states of y (states + accumulated,) [unit of each state]. Raises FMICallException if the FMU refuses."""
+        """Set time [s] and the states of y (states + accumulated,) [unit of each state].
+
+        Raises FMICallException if the FMU refuses.
+        """
         self.instance.move(time, y[: self.states])
 
     def close(self) -> None:
@@ -197,9 +217,22 @@ class _Integration:
     """CVODE over the plan's steps by the loop of loops.c, from event to event."""
 
     def __init__(
-        self, model: ExchangeModel, inputs: HeldInputs, rtol: float, event_budget: int, run: Run, parts: int, max_step: float
+        self,
+        model: ExchangeModel,
+        inputs: HeldInputs,
+        rtol: float,
+        event_budget: int,
+        run: Run,
+        parts: int,
+        max_step: float,
     ) -> None:
-        self.model, self.inputs, self.rtol, self.event_budget, self.run = model, inputs, rtol, event_budget, run
+        self.model, self.inputs, self.rtol, self.event_budget, self.run = (
+            model,
+            inputs,
+            rtol,
+            event_budget,
+            run,
+        )
         self.step = 0
         begin, end = inputs.times[:-1], inputs.times[1:]
         inner = [begin + (end - begin) * point / parts for point in range(1, parts)]
@@ -207,25 +240,40 @@ class _Integration:
         self._loops = loops.load()
         rates, outputs, given = model.references
         fmu = loops.describe(
-            model.instance, _CALLED, inputs=given, outputs=outputs, rates=rates, states=model.states, indicators=model.indicators
+            model.instance,
+            _CALLED,
+            inputs=given,
+            outputs=outputs,
+            rates=rates,
+            states=model.states,
+            indicators=model.indicators,
         )
         size, (steps, points) = model.states + model.accumulated, self.targets.shape
         self.y = np.empty(size)
         self._values, self._slopes, self._applied = (np.zeros(fmu.inputs) for _ in range(3))
-        self._outputs, self._sums = np.empty((steps, points, model.outputs)), np.empty((steps, points, model.accumulated))
-        self._targets_at, self._outputs_at, self._sums_at = map(address_of, (self.targets, self._outputs, self._sums))
+        self._outputs, self._sums = (
+            np.empty((steps, points, model.outputs)),
+            np.empty((steps, points, model.accumulated)),
+        )
+        self._targets_at, self._outputs_at, self._sums_at = map(
+            address_of, (self.targets, self._outputs, self._sums)
+        )
         self._absolute, self._bound = np.empty(size), np.empty(model.states)
         self._loop = structure("integration")(
-            fmu=fmu, solver=(ctypes.c_void_p * len(SOLVER))(*map(cvode.address, SOLVER)), wants_steps=model.instance.wants_steps,
-            linear=inputs.linear, bound=address_of(self._bound), values=address_of(self._values), slopes=address_of(self._slopes),
+            fmu=fmu, solver=(ctypes.c_void_p * len(SOLVER))(*map(cvode.address, SOLVER)),
+            wants_steps=model.instance.wants_steps,
+            linear=inputs.linear, bound=address_of(self._bound), values=address_of(self._values),
+            slopes=address_of(self._slopes),
             applied=address_of(self._applied), y=address_of(self.y),
         )  # fmt: skip
         self._at = ctypes.addressof(self._loop)
         self._solver = Cvode(
-            ADAMS, self.y, rates=self._loops.integration_rates, indicators=self._loops.integration_indicators, count=model.indicators,
+            ADAMS, self.y, rates=self._loops.integration_rates,
+            indicators=self._loops.integration_indicators, count=model.indicators,
             data=self._at, rtol=rtol, absolute=self._absolute, max_steps=STEP_LIMIT,
             # Smaller steps than this do not change the time any more.
-            min_step=4e-16 * float(np.abs(inputs.times).max()), max_step=min(float(np.ptp(inputs.times)), max_step),
+            min_step=4e-16 * float(np.abs(inputs.times).max()),
+            max_step=min(float(np.ptp(inputs.times)), max_step),
         )  # fmt: skip
         self._loop.roots = address_of(self._solver.roots)
 
@@ -238,7 +286,11 @@ class _Integration:
         times = inputs.times
         x = model.start(times[0], start, inputs.begin(0, None))
         self._bound[:] = DIVERGENCE * np.maximum(model.nominal, np.abs(x))
-        self._absolute[:] = ABSOLUTE_FRACTION * self.rtol * np.concatenate([model.nominal, np.ones(model.accumulated)])
+        self._absolute[:] = (
+            ABSOLUTE_FRACTION
+            * self.rtol
+            * np.concatenate([model.nominal, np.ones(model.accumulated)])
+        )
         self.y[:] = np.concatenate([x, np.zeros(model.accumulated)])
         self._record(times[0], knot=True)
         self._renew(times[0])
@@ -247,11 +299,15 @@ class _Integration:
             self.step = step
             feedback = inputs.feedback
             if step:
-                inputs.begin(step, None if feedback is None else run.outputs[-1][: feedback.reference.shape[1]])
+                inputs.begin(
+                    step,
+                    None if feedback is None else run.outputs[-1][: feedback.reference.shape[1]],
+                )
             if feedback is not None:
                 run.applied.append(inputs.values[step].copy())
             if step and inputs.breaks[step]:
-                # Inputs that jump are an event of the FMU; a new slope is not, but the integrator must start afresh as well.
+                # Inputs that jump are an event of the FMU; a new slope is not, but the integrator
+                # must start afresh as well.
                 self._jump(times[step], is_event=not inputs.linear or feedback is not None)
                 stop = times[inputs.stops[step]]
             self._over_points(stop)
@@ -264,7 +320,11 @@ class _Integration:
         """Go on afresh from `time` with the inputs of the step in progress: other values, or other slopes."""
         self._loop.time = time
         self._set_inputs()
-        self._check(self._loops.integration_jump(self._at) if is_event else self._loops.integration_restart(self._at))
+        self._check(
+            self._loops.integration_jump(self._at)
+            if is_event
+            else self._loops.integration_restart(self._at)
+        )
         self.model.instance.next_event = self._loop.next_event
 
     def _over_points(self, stop: float) -> None:
@@ -274,14 +334,21 @@ class _Integration:
         done, count = 0, self.targets.shape[1]
         while done < count:
             place = self.step * count + done
-            outputs, sums = self._outputs_at + 8 * place * self._outputs.shape[2], self._sums_at + 8 * place * self._sums.shape[2]
-            reason = self._loops.integration_advance(self._at, self._targets_at + 8 * place, count - done, stop, outputs, sums)
+            outputs, sums = (
+                self._outputs_at + 8 * place * self._outputs.shape[2],
+                self._sums_at + 8 * place * self._sums.shape[2],
+            )
+            reason = self._loops.integration_advance(
+                self._at, self._targets_at + 8 * place, count - done, stop, outputs, sums
+            )
             first, done = done, done + self._loop.reached
             self._take(first, done)
             if reason == Reason.EVENT:
                 if self._loop.flag == ROOT_RETURN:
                     self._note(self._loop.time)
-                done += self._after_event(self._loop.time, float(self.targets[self.step, done]), knot=done == count - 1)
+                done += self._after_event(
+                    self._loop.time, float(self.targets[self.step, done]), knot=done == count - 1
+                )
             else:
                 self._check(reason)
 
@@ -299,33 +366,54 @@ class _Integration:
         for indicator in np.flatnonzero(self._solver.roots):
             self.run.events.append((time, int(indicator), bool(self._solver.roots[indicator] < 0)))
         if len(self.run.events) > self.event_budget:
-            raise Stop(ReplayOutcome.EVENT_BUDGET, f"More than {self.event_budget} contact events by t = {time:.6g} s.")
+            raise Stop(
+                ReplayOutcome.EVENT_BUDGET,
+                f"More than {self.event_budget} contact events by t = {time:.6g} s.",
+            )
 
     def _after_event(self, time: float, target: float, knot: bool) -> bool:
-        """The FMU's event at `time`, its record, and a new solver from there. Whether it fell on the point `target`, but for rounding.
+        """The FMU's event at `time`, its record, and a new solver from there.
 
-        One that the FMU wants where the plan's inputs jump is the event of that jump: it sees the new ones.
+        Whether it fell on the point `target`, but for rounding.
+
+        One that the FMU wants where the plan's inputs jump is the event of that jump: it sees the
+        new ones.
         """
         falls_on_it = abs(target - time) <= 10.0 * _ROUNDING * max(1.0, abs(target))
         time = target if falls_on_it else time
-        if self._loop.flag == ROOT_RETURN or not (falls_on_it and knot and self._jumps_after(self.step)):
-            # A rounding later: what such an input takes through zero there has then changed its sign.
-            line = self._values + self._slopes * (time + _ROUNDING * max(1.0, abs(time)) - self._loop.begin)
+        if self._loop.flag == ROOT_RETURN or not (
+            falls_on_it and knot and self._jumps_after(self.step)
+        ):
+            # A rounding later: what such an input takes through zero there has then changed its
+            # sign.
+            line = self._values + self._slopes * (
+                time + _ROUNDING * max(1.0, abs(time)) - self._loop.begin
+            )
             self.y[:] = self.model.event(time, self.y, line if self.inputs.linear else None)
         self._record(time, knot=knot and falls_on_it)
         self._renew(time)
         return falls_on_it
 
     def _jumps_after(self, step: int) -> bool:
-        """Whether inputs jump at the end of a step, which is an event of the FMU; a new slope is none."""
+        """Whether inputs jump at the end of a step, which is an event of the FMU.
+
+        A new slope is none.
+        """
         inputs = self.inputs
-        return step + 1 < len(inputs.values) and bool(inputs.breaks[step + 1]) and (not inputs.linear or inputs.feedback is not None)
+        return (
+            step + 1 < len(inputs.values)
+            and bool(inputs.breaks[step + 1])
+            and (not inputs.linear or inputs.feedback is not None)
+        )
 
     def _record(self, time: float, knot: bool) -> None:
         self._within_bounds(time)
         outputs = self.model.read(time, self.y)
         if not np.isfinite(outputs).all():
-            raise Stop(ReplayOutcome.NOT_A_NUMBER, f"An output was not a finite number at t = {time:.6g} s.")
+            raise Stop(
+                ReplayOutcome.NOT_A_NUMBER,
+                f"An output was not a finite number at t = {time:.6g} s.",
+            )
         if knot:
             self.run.knots.append(len(self.run.t))
         self.run.t.append(time)
@@ -341,14 +429,20 @@ class _Integration:
 
     def _set_inputs(self) -> None:
         self._loop.begin = self.inputs.times[self.step]
-        self._values[:], self._slopes[:] = self.inputs.values[self.step], self.inputs.slopes[self.step]
+        self._values[:], self._slopes[:] = (
+            self.inputs.values[self.step],
+            self.inputs.slopes[self.step],
+        )
 
     def _within_bounds(self, time: float) -> None:
         """Raise Stop where a state has left every bound, or anything is no finite number."""
         if not (np.abs(self.y[: self.model.states]) < self._bound).all():
             raise Stop(ReplayOutcome.DIVERGED, f"A state left every bound at t = {time:.6g} s.")
         if not np.isfinite(self.y).all():
-            raise Stop(ReplayOutcome.NOT_A_NUMBER, f"Work or impulse was not a finite number at t = {time:.6g} s.")
+            raise Stop(
+                ReplayOutcome.NOT_A_NUMBER,
+                f"Work or impulse was not a finite number at t = {time:.6g} s.",
+            )
 
     def _check(self, number: int) -> None:
         """Raise for what the loop came back with, if it is not done."""
@@ -360,10 +454,21 @@ class _Integration:
         if reason in (Reason.WANTS_END, Reason.NEVER_SETTLES):
             loops.unsettled(reason, time)
         if reason is Reason.RATE_NOT_FINITE:
-            raise Stop(ReplayOutcome.NOT_A_NUMBER, f"A rate of change was not a finite number at t = {self._loop.fault_time:.6g} s.")
+            raise Stop(
+                ReplayOutcome.NOT_A_NUMBER,
+                f"A rate of change was not a finite number at t = {self._loop.fault_time:.6g} s.",
+            )
         if reason is Reason.OUTPUT_NOT_FINITE:
-            raise Stop(ReplayOutcome.NOT_A_NUMBER, f"An output was not a finite number at t = {time:.6g} s.")
+            raise Stop(
+                ReplayOutcome.NOT_A_NUMBER,
+                f"An output was not a finite number at t = {time:.6g} s.",
+            )
         if reason in (Reason.OUT_OF_BOUNDS, Reason.SUM_NOT_FINITE, Reason.SOLVER_FAILED):
             self._within_bounds(time)
-            raise Stop(ReplayOutcome.INTEGRATION_FAILED, f"CVODE stopped at t = {time:.6g} s: {cvode.why(int(self._loop.flag))}")
-        raise RuntimeError(f"CVODE refused {'its stop time' if reason is Reason.STOP_TIME_REFUSED else 'to be set up'} at t = {time:.6g} s")
+            raise Stop(
+                ReplayOutcome.INTEGRATION_FAILED,
+                f"CVODE stopped at t = {time:.6g} s: {cvode.why(int(self._loop.flag))}",
+            )
+        raise RuntimeError(
+            f"CVODE refused {'its stop time' if reason is Reason.STOP_TIME_REFUSED else 'to be set up'} at t = {time:.6g} s"
+        )

@@ -1,4 +1,7 @@
-"""What a replay hands back: the true motion under the plan's inputs, and how far it can be trusted; and what each of its simulations recorded."""
+"""What a replay hands back: the true motion under the plan's inputs, and how far it can be trusted.
+
+And what each of its simulations recorded.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,10 @@ class ReplayOutcome(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Growth:
-    """amplification: see validate.judge.replay.tracking; begin, end [s]: between which it is reached; duration [s]: of the plan."""
+    """amplification: see validate.judge.replay.tracking.
+
+    begin, end [s]: between which it is reached; duration [s]: of the plan.
+    """
 
     amplification: float
     begin: float
@@ -56,8 +62,10 @@ class Growth:
 class Event:
     """A gap that closed or opened at `time` [s].
 
-    contact: its name; or the force's name of a friction that began to stick or to slip; or the name of the push of a damped contact that was released
-    (closes, because its push fell below zero) or pressed again; or `indicator_<n>` where the FMU has indicators of its own.
+    contact: its name; or the force's name of a friction that began to stick or to slip; or the name
+        of the push of a damped contact that was released
+    (closes, because its push fell below zero) or pressed again; or `indicator_<n>` where the FMU
+        has indicators of its own.
     """
 
     time: float
@@ -69,7 +77,8 @@ class Event:
 class Difference:
     """Largest difference of two simulations over the plan's nodes.
 
-    position: of any one coordinate [m or rad]; state: Euclidean norm over positions and velocities; gap: of any one gap [m].
+    position: of any one coordinate [m or rad]; state: Euclidean norm over positions and velocities;
+        gap: of any one gap [m].
     """
 
     position: float
@@ -81,25 +90,38 @@ class Difference:
 class ReplayError:
     """How wrong the judged trajectory may be, and what that is made of (None: could not be measured).
 
-    tolerance: reference at two tolerances; step: everyday replay at two internal steps; everyday: everyday (finer step)
-    against reference. `estimate` is what verdicts use: the tolerance difference, which overstates the error of the tighter
-    run that is judged - unless the everyday replay, an independent method, differs from the reference by more than its own
-    step halving explains; then that difference. Where the looser reference did not get to the end, the larger of `everyday` and `step` counts. Without a reference (the FMU has no Model Exchange) the finer everyday run is
-    judged and its step difference, the error of the coarser run to first order, is the estimate, 1 / (step_ratio - 1) times that where the ratio is below 2; there is
+    tolerance: reference at two tolerances; step: everyday replay at two internal steps; everyday:
+        everyday (finer step)
+    against reference. `estimate` is what verdicts use: the tolerance difference, which overstates
+        the error of the tighter
+    run that is judged - unless the everyday replay, an independent method, differs from the
+        reference by more than its own
+    step halving explains; then that difference. Where the looser reference did not get to the end,
+        the larger of `everyday` and `step` counts. Without a reference (the FMU has no Model
+        Exchange) the finer everyday run is
+    judged and its step difference, the error of the coarser run to first order, is the estimate, 1
+        / (step_ratio - 1) times that where the ratio is below 2; there is
     none if half the step changes nothing, or the ratio is below 1.5.
 
-    stated: what the author of an FMU says the results of its Co-Simulation are good to (the map's [accuracy]), infinite in what is not stated;
-    it is the estimate where no run tells one, and else the larger of the two counts, in what is stated. With a reference it explains `everyday`, as `step` does.
+    stated: what the author of an FMU says the results of its Co-Simulation are good to (the map's
+        [accuracy]), infinite in what is not stated;
+    it is the estimate where no run tells one, and else the larger of the two counts, in what is
+        stated. With a reference it explains `everyday`, as `step` does.
 
-    rollback: what halving a step changes within that step, summed over all steps (validate.fmi.loops; None: the FMU does not restore its state).
-    Without a reference the larger of it and of `step` is the estimate; alone - no coarser run got to the end - it is carried on by its velocities.
-    step_source: what told the everyday replay's own error: "second run", "rollback" or "second run and rollback", and "stated" behind a comma
+    rollback: what halving a step changes within that step, summed over all steps
+        (validate.fmi.loops; None: the FMU does not restore its state).
+    Without a reference the larger of it and of `step` is the estimate; alone - no coarser run got
+        to the end - it is carried on by its velocities.
+    step_source: what told the everyday replay's own error: "second run", "rollback" or "second run
+        and rollback", and "stated" behind a comma
     or alone; "none" where nothing did.
 
-    lag: the motion at twice the relaxation time against the one that is judged, of scenes without inertia (models.scene.quasi_static): what is left of it, to first
+    lag: the motion at twice the relaxation time against the one that is judged, of scenes without
+        inertia (models.scene.quasi_static): what is left of it, to first
     order; in the estimate too.
 
-    step_ratio: how much the everyday replay's position difference shrank when its step was halved once more (Richardson): 2^order where it
+    step_ratio: how much the everyday replay's position difference shrank when its step was halved
+        once more (Richardson): 2^order where it
     converges, about 1 or less where it does not; None where the differences are rounding already.
     """
 
@@ -115,7 +137,10 @@ class ReplayError:
 
     @property
     def would_decide(self) -> str:
-        """What would make this error smaller or known; empty where there was a reference to compare with."""
+        """What would make this error smaller or known.
+
+        Empty where there was a reference to compare with.
+        """
         if self.tolerance is not None or self.everyday is not None:
             return ""
         if self.estimate is None:
@@ -123,10 +148,15 @@ class ReplayError:
                 "state how good its results are in the map ([accuracy] position = ..), or take an FMU that names its internal step "
                 f"(internal_step = ..) or {_EXCHANGE}"
             )
-        parts = (("position", self.estimate.position), ("velocity", self.estimate.state), ("gap", self.estimate.gap))
+        parts = (
+            ("position", self.estimate.position),
+            ("velocity", self.estimate.state),
+            ("gap", self.estimate.gap),
+        )
         unknown = [name for name, value in parts if math.isinf(value)]
         if unknown:
-            # The norm of the state is unknown where the position is, whatever is stated of the velocity.
+            # The norm of the state is unknown where the position is, whatever is stated of the
+            # velocity.
             unknown = [name for name in unknown if name != "velocity" or "position" not in unknown]
             return f"state [accuracy] {' and '.join(unknown)} in the map too, or take an FMU that {_EXCHANGE}"
         if "stated" in self.step_source:
@@ -138,7 +168,9 @@ class ReplayError:
         numbers = asdict(self)
         for item in numbers.values():
             if isinstance(item, dict):
-                item |= {name: value if math.isfinite(value) else None for name, value in item.items()}
+                item |= {
+                    name: value if math.isfinite(value) else None for name, value in item.items()
+                }
         return numbers
 
 
@@ -146,8 +178,9 @@ class ReplayError:
 class Recorded:
     """A motion row by row, and what belongs to it.
 
-    q, v (n, nq); lam, gap (n, nc) [N, m] with gap = -penetration; friction (n, nf) [N]; kinetic, potential, contact_energy (n,) [J];
-    input_work, dissipated_work (n,) [J] and contact_impulse (n, nc) [N s], accumulated from the start - None where the FMU has no such output.
+    q, v (n, nq); lam, gap (n, nc) [N, m] with gap = -penetration; friction (n, nf) [N]; kinetic,
+    potential, contact_energy (n,) [J]; input_work, dissipated_work (n,) [J] and contact_impulse (n,
+    nc) [N s], accumulated from the start - None where the FMU has no such output.
     """
 
     q: np.ndarray
@@ -165,7 +198,9 @@ class Recorded:
     def rows(self, chosen: np.ndarray) -> Recorded:
         """Some of its rows, by their numbers (m,) [-]. Raises IndexError."""
         arrays = ((item.name, getattr(self, item.name)) for item in fields(Recorded))
-        taken: dict[str, Any] = {name: array if array is None else array[chosen] for name, array in arrays}
+        taken: dict[str, Any] = {
+            name: array if array is None else array[chosen] for name, array in arrays
+        }
         return Recorded(**taken)
 
 
@@ -173,11 +208,14 @@ class Recorded:
 class Replay(Recorded):
     """The plan's inputs applied, from the plan's start, to the true continuous contact dynamics.
 
-    t (n,) [s]: every node of the plan, points between them, and every event, to which the rows of `Recorded` belong; knots (nodes,): rows of t that
-    are plan nodes. Every number is finite; a replay that did not get to the end holds what came before (`outcome`, `message`).
+    t (n,) [s]: every node of the plan, points between them, and every event, to which the rows of
+    `Recorded` belong; knots (nodes,): rows of t that are plan nodes. Every number is finite; a
+    replay that did not get to the end holds what came before (`outcome`, `message`).
 
-    growth: of an error in the open loop (None: not measured). tracked: the replay with feedback around the plan, where there is one; it has feedback
-    (the law, in the plan's units), applied (steps, nu), the inputs at the start of each step that it made, and effort, which an open one has not.
+    growth: of an error in the open loop (None: not measured). tracked: the replay with feedback
+        around the plan, where there is one; it has feedback
+    (the law, in the plan's units), applied (steps, nu), the inputs at the start of each step that
+        it made, and effort, which an open one has not.
     lagging: the motion at twice the relaxation time, of scenes without inertia (`ReplayError.lag`).
     """
 
@@ -204,7 +242,9 @@ class Replay(Recorded):
         for value in vars(self).values():
             if isinstance(value, np.ndarray):
                 if not np.isfinite(value).all():
-                    raise ValueError("a replay holds finite numbers only; what is not finite belongs into its outcome.")
+                    raise ValueError(
+                        "a replay holds finite numbers only; what is not finite belongs into its outcome."
+                    )
                 value.setflags(write=False)
 
     @property
@@ -219,11 +259,15 @@ class Replay(Recorded):
 
     @property
     def energy(self) -> np.ndarray:
-        """Kinetic, potential and contact energy at each row, (n,) [J]. Raises TypeError where one of them is missing."""
+        """Kinetic, potential and contact energy at each row, (n,) [J].
+
+        Raises TypeError where one of them is missing.
+        """
         return self.kinetic_energy + self.potential_energy + self.contact_energy
 
 
-# A state this many times its nominal (and its start) has left every bound; in Co-Simulation, which tells no nominals, this itself.
+# A state this many times its nominal (and its start) has left every bound; in Co-Simulation, which
+# tells no nominals, this itself.
 DIVERGENCE = 1e9
 
 
@@ -231,8 +275,9 @@ DIVERGENCE = 1e9
 class Run:
     """What one simulation recorded, point by point.
 
-    Times, outputs of the model and accumulated quantities per point; rows that are nodes; events as (time, indicator, closes); with feedback the
-    inputs applied from the start of each step on; with rollback what halving each step changed.
+    Times, outputs of the model and accumulated quantities per point; rows that are nodes; events as
+    (time, indicator, closes); with feedback the inputs applied from the start of each step on; with
+    rollback what halving each step changed.
     """
 
     t: list[float] = field(default_factory=list)
@@ -247,16 +292,24 @@ class Run:
 
     def end_without_number(self, time: float) -> None:
         """The outputs at a time [s] are not all finite."""
-        self.outcome, self.message = ReplayOutcome.NOT_A_NUMBER, f"An output was not a finite number at t = {time:.6g} s."
+        self.outcome, self.message = (
+            ReplayOutcome.NOT_A_NUMBER,
+            f"An output was not a finite number at t = {time:.6g} s.",
+        )
 
     def end_out_of_bounds(self, time: float) -> None:
         """A state is beyond any bound at a time [s] that was stepped to."""
-        self.outcome, self.message = ReplayOutcome.DIVERGED, f"A state left every bound by t = {time:.6g} s."
+        self.outcome, self.message = (
+            ReplayOutcome.DIVERGED,
+            f"A state left every bound by t = {time:.6g} s.",
+        )
 
     def end_refused(self, error: FMICallException, begin: float) -> None:
         """The FMU refused a call; begin: the first time of the run [s]."""
         self.outcome = ReplayOutcome.FATAL if error.status == _FATAL else ReplayOutcome.FMU_FAILED
-        self.message = f"{str(error).rstrip('.')} (after t = {self.t[-1] if self.t else begin:.6g} s)."
+        self.message = (
+            f"{str(error).rstrip('.')} (after t = {self.t[-1] if self.t else begin:.6g} s)."
+        )
 
 
 class Stop(Exception):  # noqa: N818 - it ends a run, and is no error of the program

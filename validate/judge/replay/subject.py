@@ -1,9 +1,10 @@
 """What is replayed: a scene, or somebody's FMU of which only names, units, a goal and limits are known (`ForeignModel`).
 
-A ForeignModel answers what replay and score ask of a scene, in the same words; equations and a compiled kernel it lacks.
+A ForeignModel answers what replay and score ask of a scene, in the same words; equations and a
+compiled kernel it lacks.
 
-`find_variables` finds the variables of a scene in its FMU; `recorded` takes apart by name what a simulation recorded, and computes from the scene's
-equations what the FMU does not give.
+`find_variables` finds the variables of a scene in its FMU; `recorded` takes apart by name what a
+simulation recorded, and computes from the scene's equations what the FMU does not give.
 """
 
 from __future__ import annotations
@@ -69,7 +70,10 @@ class ForeignContact:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignParameter:
-    """A parameter of the FMU that may be otherwise [unit of the FMU]; uncertainty: None: a share of its value."""
+    """A parameter of the FMU that may be otherwise [unit of the FMU].
+
+    uncertainty: None: a share of its value.
+    """
 
     name: str
     value: float
@@ -84,8 +88,10 @@ class ForeignParameter:
 class ForeignTask:
     """What a plan on somebody's FMU is to do.
 
-    start, goal: (2*nq,) positions, then velocities; None where nothing is asked. step [s]: a task of an FMU has none of its own, and counts as one of
-    500 steps, so that a plan may be a thousandth of its duration off and a motion is seen as often however few rows its plan has.
+    start, goal: (2*nq,) positions, then velocities; None where nothing is asked. step [s]: a task
+        of an FMU has none of its own, and counts as one of
+    500 steps, so that a plan may be a thousandth of its duration off and a motion is seen as often
+        however few rows its plan has.
     horizon: how long a plan of this task lasts [s], None where the map does not say.
     """
 
@@ -104,10 +110,14 @@ class ForeignTask:
 class ForeignModel(Counted):
     """A model of which only the FMU is known: what replay and score ask of a scene, in the same words.
 
-    lacks: what cannot be shown, as {"v": "no velocities are named", ...}; keys are q, v, lam, gap. accuracy: how wrong the author says its
-    Co-Simulation may be, infinite in what is not stated; None: nothing is stated. not_asked: a sentence for each question of the verdict that cannot
-    be asked, with what would make it askable; each begins with the metrics it is about. notes: what else is to be reported.
-    parameters: those that may be otherwise; begin (2*nq,): where a simulation starts, in the plan's units, 0 where nobody says; startable: the places
+    lacks: what cannot be shown, as {"v": "no velocities are named", ...}; keys are q, v, lam, gap.
+        accuracy: how wrong the author says its
+    Co-Simulation may be, infinite in what is not stated; None: nothing is stated. not_asked: a
+        sentence for each question of the verdict that cannot
+    be asked, with what would make it askable; each begins with the metrics it is about. notes: what
+        else is to be reported.
+    parameters: those that may be otherwise; begin (2*nq,): where a simulation starts, in the plan's
+        units, 0 where nobody says; startable: the places
     in that which can be set.
     """
 
@@ -130,7 +140,10 @@ class ForeignModel(Counted):
 
     @property
     def depths(self) -> tuple[float | None, ...]:
-        """(nc,) penetration of each contact at which the model ends [m]; None where the map does not say."""
+        """(nc,) penetration of each contact at which the model ends [m].
+
+        None where the map does not say.
+        """
         return tuple(contact.depth for contact in self.contacts)
 
 
@@ -138,8 +151,10 @@ class ForeignModel(Counted):
 class Foreign:
     """Somebody's FMU, wired (validate.judge.replay.mapping): what it is called, its references, and how its numbers become the plan's.
 
-    scale, offset (outputs,): plan's value = scale * FMU's + offset, in the order of Variables.outputs; input_scale, input_offset (nu,): FMU's value
-    = scale * plan's + offset; start: values in the FMU's units, in the order of Variables.start; hold as the plan's; parameters: references of the model's.
+    scale, offset (outputs,): plan's value = scale * FMU's + offset, in the order of
+    Variables.outputs; input_scale, input_offset (nu,): FMU's value = scale * plan's + offset;
+    start: values in the FMU's units, in the order of Variables.start; hold as the plan's;
+    parameters: references of the model's.
     """
 
     model: ForeignModel
@@ -161,13 +176,23 @@ class Foreign:
 Subject = Scene | ForeignModel
 
 
-def recorded(subject: Subject, variables: Variables, run: Run, rows: list[int] | None = None) -> Recorded:
-    """The numbers of a run by name, at all its points or at some rows; zero what neither the FMU nor a scene gives."""
-    scene, chosen = subject if isinstance(subject, Scene) else None, slice(None) if rows is None else rows
+def recorded(
+    subject: Subject, variables: Variables, run: Run, rows: list[int] | None = None
+) -> Recorded:
+    """The numbers of a run by name, at all its points or at some rows.
+
+    Zero what neither the FMU nor a scene gives.
+    """
+    scene, chosen = (
+        subject if isinstance(subject, Scene) else None,
+        slice(None) if rows is None else rows,
+    )
     values = np.array(run.outputs).reshape(len(run.t), len(variables.outputs))[chosen]
     count, nq, nc = len(values), subject.nq, subject.nc
     widths = [nq, *map(len, (variables.v, variables.lam, variables.gap, variables.friction))]
-    q, v, lam, gap, friction, energies = (part.copy() for part in np.split(values, np.cumsum(widths), axis=1))
+    q, v, lam, gap, friction, energies = (
+        part.copy() for part in np.split(values, np.cumsum(widths), axis=1)
+    )
     zeros = np.zeros((count, nc))  # of a foreign model, for what its `lacks` names
     if not variables.v and nq:
         v = np.zeros((count, nq))
@@ -178,7 +203,11 @@ def recorded(subject: Subject, variables: Variables, run: Run, rows: list[int] |
     if not variables.friction:
         friction = np.zeros((count, subject.nf))
     given = dict(zip(variables.energies, energies.T.copy(), strict=True))
-    sums = np.array(run.accumulated).reshape(len(run.t), len(variables.rates))[chosen] if run.accumulated else None
+    sums = (
+        np.array(run.accumulated).reshape(len(run.t), len(variables.rates))[chosen]
+        if run.accumulated
+        else None
+    )
 
     def energy(name: str) -> np.ndarray:
         """One of the energies, (n,) [J]. Raises nothing."""
@@ -192,7 +221,10 @@ def recorded(subject: Subject, variables: Variables, run: Run, rows: list[int] |
         return np.array(kinetic if name == "kinetic_energy" else potential)
 
     def work(power: str) -> np.ndarray | None:
-        """Work since the start of one of the powers, (n,) [J]; None where it was not integrated. Raises nothing."""
+        """Work since the start of one of the powers, (n,) [J]; None where it was not integrated.
+
+        Raises nothing.
+        """
         if power in variables.zero:
             return np.zeros(count)
         if sums is None or power not in variables.powers:
@@ -200,15 +232,18 @@ def recorded(subject: Subject, variables: Variables, run: Run, rows: list[int] |
         return sums[:, len(variables.lam) + list(variables.powers).index(power)].copy()
 
     return Recorded(
-        q=q, v=v, lam=lam, gap=gap, friction=friction, **{name: energy(name) for name in ENERGIES}, input_work=work("input_power"),
-        dissipated_work=work("dissipated_power"), contact_impulse=None if sums is None or len(variables.lam) != nc else sums[:, :nc].copy(),
+        q=q, v=v, lam=lam, gap=gap, friction=friction, **{name: energy(name) for name in ENERGIES},
+        input_work=work("input_power"),
+        dissipated_work=work("dissipated_power"),
+        contact_impulse=None if sums is None or len(variables.lam) != nc else sums[:, :nc].copy(),
     )  # fmt: skip
 
 
 def find_variables(package: Package, scene: Scene) -> Variables:
     """The variables of the FMU that have the names of the scene's.
 
-    Positions, velocities and inputs must be there; the rest may be missing. Raises FmuError naming the variable.
+    Positions, velocities and inputs must be there; the rest may be missing. Raises FmuError naming
+    the variable.
     """
     groups = {**grouped_names(scene), "gap": tuple(item.gap_name for item in scene.contacts)}
     by_name = {variable.name: variable for variable in package.description.modelVariables}
@@ -216,7 +251,9 @@ def find_variables(package: Package, scene: Scene) -> Variables:
     def reference(name: str) -> int | None:
         variable = by_name.get(name)
         if variable is not None and variable.type not in REAL:
-            raise FmuError(f"FMU {package.path}: {variable.name} is of type {variable.type}, but must be {' or '.join(REAL)}.")
+            raise FmuError(
+                f"FMU {package.path}: {variable.name} is of type {variable.type}, but must be {' or '.join(REAL)}."
+            )
         return None if variable is None else int(variable.valueReference)
 
     found: dict[str, Any] = {}
@@ -230,7 +267,9 @@ def find_variables(package: Package, scene: Scene) -> Variables:
         found[which] = () if missing else tuple(item for item in references if item is not None)
     for name, item in zip(groups["u"], found["u"], strict=True):
         if by_name[name].causality != "input":
-            raise FmuError(f"FMU {package.path}: {name} (value reference {item}) is no input, but the plan drives it.")
+            raise FmuError(
+                f"FMU {package.path}: {name} (value reference {item}) is no input, but the plan drives it."
+            )
 
     parameters = []
     for parameter in scene.parameters:
@@ -242,7 +281,9 @@ def find_variables(package: Package, scene: Scene) -> Variables:
         "potential_energy": not structure.conservative_forces,
         "contact_energy": not structure.contacts,
         "input_power": not structure.inputs,
-        "dissipated_power": not (structure.dissipation or structure.friction or structure.contact_damping),
+        "dissipated_power": not (
+            structure.dissipation or structure.friction or structure.contact_damping
+        ),
     }
 
     def present(group: tuple[str, ...]) -> Mapping[str, int]:

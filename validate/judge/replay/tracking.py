@@ -1,31 +1,42 @@
-"""Feedback around a plan: the time-varying LQR, held over each step and saturated at the bounds; and how much errors grow without it.
+"""Feedback around a plan: the time-varying LQR, held over each step and saturated at the bounds.
 
-    u_t = sat(u_plan_t + K_t (x_plan_t - x(t)))        at the nodes; between them the correction is held, as a robot's computer does
+And how much errors grow without it.
 
-K_t, t = T-1 .. 0, is the discrete Riccati recursion (Anderson and Moore, Optimal Control: Linear Quadratic Methods, 1990, section 2.4)
+    u_t = sat(u_plan_t + K_t (x_plan_t - x(t))) at the nodes; between them the correction is held,
+    as a robot's computer does
+
+K_t, t = T-1 .. 0, is the discrete Riccati recursion (Anderson and Moore, Optimal Control: Linear
+Quadratic Methods, 1990, section 2.4)
 
     K_t = (R + B' P B)^-1 B' P A,     P <- Q + A' P (A - B K_t),     from P = Q_T
 
-with A, B the exact derivatives of the true motion over step t at the plan's state and input: ten small steps of the compiled kernel, so that a contact
-that opens or closes within the step, sticks or slips counts for as long as it does. Where the plan touches, the true law's spring is in A; where it
-does not, there is none, whatever force the plan claims.
+with A, B the exact derivatives of the true motion over step t at the plan's state and input: ten
+small steps of the compiled kernel, so that a contact that opens or closes within the step, sticks
+or slips counts for as long as it does. Where the plan touches, the true law's spring is in A; where
+it does not, there is none, whatever force the plan claims.
 
-Weights, for every scene alike: Q = 1/nominal^2 of each component of the state, R = 1/scale^2 with an input's scale half the width of its bounds
-(without bounds the plan's own largest value), so that an error of the nominal size is worth all of an input. At the end Q_T = T Q, as much as all the
+Weights, for every scene alike: Q = 1/nominal^2 of each component of the state, R = 1/scale^2 with
+an input's scale half the width of its bounds (without bounds the plan's own largest value), so that
+an error of the nominal size is worth all of an input. At the end Q_T = T Q, as much as all the
 steps before it, but Q alone for what the goal leaves free.
 
-An FMU without a scene is linearised by its own directional derivatives (`design_foreign`). At each node its states are set to the plan's and its events
-are settled, so that a contact that the plan closes is closed. One step is exp(h (F_t + F_{t+1})/2) with F the Jacobian of the rates by states and held
+An FMU without a scene is linearised by its own directional derivatives (`design_foreign`). At each
+    node its states are set to the plan's and its events
+are settled, so that a contact that the plan closes is closed. One step is exp(h (F_t + F_{t+1})/2)
+    with F the Jacobian of the rates by states and held
 inputs: of second order in h, and half a contact where it closes in between.
 
-How much an error grows in the open loop (`measure_growth`): the plan is cut into at most 50 blocks. Phi of a block is the exact derivative of the
-plan's own time step (of one that declares no scheme: of steps that are stable in contact, and so small that smaller ones give the same), with the true contact law, from the block's
-first state on under the plan's inputs; Phi(j, i) is the product of the blocks i .. j - 1. The amplification is the largest 2-norm over i < j of
-S^-1 Phi_qq(j, i) S, the positions that positions lead to, with S the scene's nominals: a finite-time Lyapunov growth. Its rate is such that
-amplification = exp(rate T). Velocities are left out: in a contact of frequency w a position becomes w times as much speed, which is no growth.
+How much an error grows in the open loop (`measure_growth`): the plan is cut into at most 50 blocks.
+Phi of a block is the exact derivative of the plan's own time step (of one that declares no scheme:
+of steps that are stable in contact, and so small that smaller ones give the same), with the true
+contact law, from the block's first state on under the plan's inputs; Phi(j, i) is the product of
+the blocks i .. j - 1. The amplification is the largest 2-norm over i < j of S^-1 Phi_qq(j, i) S,
+the positions that positions lead to, with S the scene's nominals: a finite-time Lyapunov growth.
+Its rate is such that amplification = exp(rate T). Velocities are left out: in a contact of
+frequency w a position becomes w times as much speed, which is no growth.
 
-An exact plan lies on edges: a contact just touches, friction just sticks. The derivative there is that of one side, and rounding decides which. So the
-number explains a verdict, and decides none.
+An exact plan lies on edges: a contact just touches, friction just sticks. The derivative there is
+that of one side, and rounding decides which. So the number explains a verdict, and decides none.
 """
 
 from __future__ import annotations
@@ -59,7 +70,9 @@ def tracking_refusal(package: Package, variables: Variables) -> str | None:
     exchange = package.exchange
     if exchange is None:
         return "it offers no Model Exchange, whose states feedback needs"
-    if not package.can("ModelExchange", f"providesDirectionalDerivative{'s' if package.is_three else ''}"):
+    if not package.can(
+        "ModelExchange", f"providesDirectionalDerivative{'s' if package.is_three else ''}"
+    ):
         return "it provides no directional derivatives"
     if not variables.u:
         return "it has no inputs"
@@ -73,7 +86,9 @@ def tracking_refusal(package: Package, variables: Variables) -> str | None:
     return None
 
 
-def design_foreign(foreign: Foreign, package: Package, plan: Trajectory, limits: Limits) -> tuple[Feedback, Growth | None]:
+def design_foreign(
+    foreign: Foreign, package: Package, plan: Trajectory, limits: Limits
+) -> tuple[Feedback, Growth | None]:
     """The feedback around a plan for an FMU without a scene, and how much errors grow along it.
 
     Parameters
@@ -93,13 +108,22 @@ def design_foreign(foreign: Foreign, package: Package, plan: Trajectory, limits:
         raise TrackingError("plan: it does not say its positions, so there is nothing to track.")
     (a, b), (c, d) = foreign.units
     states = (np.hstack([plan.q, plan.v]) - b) / a
-    A, B = linearised(package, foreign.variables, plan.with_inputs_in(c, d), foreign.start, states, limits)
+    A, B = linearised(
+        package, foreign.variables, plan.with_inputs_in(c, d), foreign.start, states, limits
+    )
     A, B = A * (a[:, None] / a[None, :]), B * (a[:, None] * c[None, :])
-    return feedback_from(foreign.model, plan, A, B), largest_growth(A, plan.t, nominals(foreign.model))
+    return feedback_from(foreign.model, plan, A, B), largest_growth(
+        A, plan.t, nominals(foreign.model)
+    )
 
 
 def linearised(
-    package: Package, variables: Variables, plan: Trajectory, start: np.ndarray, states: np.ndarray, limits: Limits
+    package: Package,
+    variables: Variables,
+    plan: Trajectory,
+    start: np.ndarray,
+    states: np.ndarray,
+    limits: Limits,
 ) -> tuple[np.ndarray, np.ndarray]:
     """An FMU's motion over each step, linearised along a plan, in the FMU's units, states in the order of variables.q + variables.v.
 
@@ -116,20 +140,34 @@ def linearised(
 
     Raises
     ------
-    TrackingError : if the FMU offers no directional derivatives of these states, refuses them, or gives one that is not finite.
+    TrackingError : if the FMU offers no directional derivatives of these states, refuses them, or
+        gives one that is not finite.
     """
     refusal = tracking_refusal(package, variables)
     if refusal is not None:
         raise TrackingError(f"FMU {package.path}: the plan cannot be tracked, because {refusal}.")
-    request, given = str(package.path.resolve()), packed(variables) | {"t": plan.t, "u": plan.u, "start": start, "states": states}
-    done = run_isolated("validate.judge.replay.tracking:jacobians", request, given, limits=limits, what=f"FMU {package.path}")
+    request, given = (
+        str(package.path.resolve()),
+        packed(variables) | {"t": plan.t, "u": plan.u, "start": start, "states": states},
+    )
+    done = run_isolated(
+        "validate.judge.replay.tracking:jacobians",
+        request,
+        given,
+        limits=limits,
+        what=f"FMU {package.path}",
+    )
     if not done.ok:
         raise TrackingError(done.sentence)
     found = done.arrays
     nx, h = states.shape[1], np.diff(plan.t)
-    pair = (found["first"] + found["last"]) / 2.0  # (steps, nx, nx + nu): at both ends of each step, with the input of the step
+    pair = (
+        found["first"] + found["last"]
+    ) / 2.0  # (steps, nx, nx + nu): at both ends of each step, with the input of the step
     if not np.isfinite(pair).all():
-        raise TrackingError(f"FMU {package.path}: the plan cannot be tracked, because a directional derivative is not a finite number.")
+        raise TrackingError(
+            f"FMU {package.path}: the plan cannot be tracked, because a directional derivative is not a finite number."
+        )
     square = np.zeros((len(h), pair.shape[2], pair.shape[2]))
     square[:, :nx] = h[:, None, None] * pair
     from scipy.linalg import expm
@@ -144,11 +182,13 @@ def jacobians(path: str, arrays: Mapping[str, np.ndarray]) -> tuple[None, dict[s
     Parameters
     ----------
     path : of the FMU.
-    arrays : t (nodes,) [s], u (steps, nu), start (n,), states (nodes, nx) [unit of each variable]; and the Variables, packed.
+    arrays : t (nodes,) [s], u (steps, nu), start (n,), states (nodes, nx) [unit of each variable];
+        and the Variables, packed.
 
     Returns
     -------
-    None, and first, last (steps, nx, nx + nu) [unit of the state per second and per unit of the known].
+    None, and first, last (steps, nx, nx + nu) [unit of the state per second and per unit of the
+        known].
 
     Raises
     ------
@@ -156,7 +196,10 @@ def jacobians(path: str, arrays: Mapping[str, np.ndarray]) -> tuple[None, dict[s
     """
     (variables,) = unpacked_from(arrays)
     t, u, states = arrays["t"], arrays["u"], arrays["states"]
-    found = {name: np.empty((len(u), states.shape[1], states.shape[1] + u.shape[1])) for name in ("first", "last")}
+    found = {
+        name: np.empty((len(u), states.shape[1], states.shape[1] + u.shape[1]))
+        for name in ("first", "last")
+    }
     with unpacked(read_package(Path(path))) as package, faults_of(package.path):
         order = [int(item.valueReference) for item in _states(package)]
         places = [order.index(reference) for reference in (*variables.q, *variables.v)]
@@ -178,12 +221,17 @@ def _states(package: Package) -> list[Any]:
     return [item.variable.derivative for item in package.description.derivatives]
 
 
-# Blocks in which a plan is cut: growth within one is told by the next product, and fifty keep the cost below that of one replay.
+# Blocks in which a plan is cut: growth within one is told by the next product, and fifty keep the
+# cost below that of one replay.
 _BLOCKS = 50
 
-# Parts of a plan's step, more and more until twice in a row the growth is the same up to this factor, or they are so many in all (a CPU second). The first are
-# no longer than this share of the longest stable ones.
-_FINER, _AGREE, _MOST, _STABLY = 8, 1.2, 4_000_000, 0.25
+# Parts of a plan's step, more and more until twice in a row the growth is the same up to this
+# factor, or they are so many in all (a CPU second). The first are no longer than this share of the
+# longest stable ones.
+_FINER = 8
+_AGREE = 1.2
+_MOST = 4_000_000
+_STABLY = 0.25
 
 
 def nominals(subject: Subject) -> np.ndarray:
@@ -195,8 +243,9 @@ def nominals(subject: Subject) -> np.ndarray:
 def measure_growth(kernel: Kernel, scene: Scene, plan: Trajectory) -> Growth | None:
     """How much an error grows along the plan in the open loop.
 
-    None where the true law leads out of every bound within a block, the mass matrix is singular, or, of a plan that declares no scheme, smaller steps
-    keep giving another number: then it is the steps that are unstable.
+    None where the true law leads out of every bound within a block, the mass matrix is singular,
+    or, of a plan that declares no scheme, smaller steps keep giving another number: then it is the
+    steps that are unstable.
     """
     if plan.scheme is not None:
         return _growth_in(1, kernel, scene, plan)
@@ -220,7 +269,9 @@ def _growth_in(parts: int, kernel: Kernel, scene: Scene, plan: Trajectory) -> Gr
     try:
         blocks = [
             kernel.end_derivatives(
-                np.concatenate([plan.q[first], plan.v[first]]), np.repeat(plan.u[first:last], parts, axis=0), h[first] / parts
+                np.concatenate([plan.q[first], plan.v[first]]),
+                np.repeat(plan.u[first:last], parts, axis=0),
+                h[first] / parts,
             )[0]
             for first, last in pairwise(edges)
         ]
@@ -264,7 +315,12 @@ def largest_growth(steps: np.ndarray, t: np.ndarray, scale: np.ndarray) -> Growt
             begin = int(gains.argmax())
             best = max(best, (float(gains[begin]), begin, end))
     amplification, begin, end = best
-    return Growth(amplification=amplification, begin=float(t[begin]), end=float(t[end]), duration=float(t[-1] - t[0]))
+    return Growth(
+        amplification=amplification,
+        begin=float(t[begin]),
+        end=float(t[end]),
+        duration=float(t[-1] - t[0]),
+    )
 
 
 def _edges(steps: int) -> np.ndarray:
@@ -283,7 +339,9 @@ class TrackingError(TouchstoneError):
 def design_feedback(kernel: Kernel, scene: Scene, plan: Trajectory) -> Feedback:
     """The feedback around a plan of a scene. Raises TrackingError."""
     if scene.nu == 0:
-        raise TrackingError(f"scene {scene.name}: it has no inputs, so there is nothing to feed back to.")
+        raise TrackingError(
+            f"scene {scene.name}: it has no inputs, so there is nothing to feed back to."
+        )
     h = np.diff(plan.t) / _SUBSTEPS
     states = np.hstack([plan.q, plan.v])
     try:
@@ -293,7 +351,9 @@ def design_feedback(kernel: Kernel, scene: Scene, plan: Trajectory) -> Feedback:
         ]
     except KernelError as error:
         raise TrackingError(f"plan: the motion cannot be linearised along it ({error}).") from error
-    return feedback_from(scene, plan, np.array([a for a, _ in pairs]), np.array([b for _, b in pairs]))
+    return feedback_from(
+        scene, plan, np.array([a for a, _ in pairs]), np.array([b for _, b in pairs])
+    )
 
 
 def feedback_from(subject: Subject, plan: Trajectory, A: np.ndarray, B: np.ndarray) -> Feedback:
@@ -316,7 +376,8 @@ def feedback_from(subject: Subject, plan: Trajectory, A: np.ndarray, B: np.ndarr
     free = np.isnan(goal_state(subject.task))  # type: ignore[arg-type] - a foreign task has a goal of the same form
     gains = lqr_gains(A, B, weight, 1.0 / scale**2, np.where(free, weight, plan.steps * weight))
     return Feedback(
-        gains=gains, reference=np.hstack([plan.q, plan.v]), u=plan.u, lower=lower, upper=upper, scale=scale,
+        gains=gains, reference=np.hstack([plan.q, plan.v]), u=plan.u, lower=lower, upper=upper,
+        scale=scale,
         loop=(A - B @ gains) * (sizes / sizes[:, None]), push=B * (scale / sizes[:, None]),
     )  # fmt: skip
 
@@ -342,7 +403,9 @@ def input_scale(lower: np.ndarray, upper: np.ndarray, u: np.ndarray) -> np.ndarr
     return np.where(np.isfinite(half), half, np.where(largest > 0.0, largest, 1.0))
 
 
-def lqr_gains(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, Q_end: np.ndarray) -> np.ndarray:
+def lqr_gains(
+    A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, Q_end: np.ndarray
+) -> np.ndarray:
     """Gains of the discrete Riccati recursion of the module docstring.
 
     Parameters
@@ -367,7 +430,9 @@ def lqr_gains(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, Q_end:
         for t in range(steps - 1, -1, -1):
             BP = B[t].T @ P
             if not np.isfinite(BP).all():
-                raise TrackingError(f"plan: the tracking gains overflow at step {t}; what grows there no input reaches.")
+                raise TrackingError(
+                    f"plan: the tracking gains overflow at step {t}; what grows there no input reaches."
+                )
             try:
                 K[t] = np.linalg.solve(np.diag(R) + BP @ B[t], BP @ A[t])
             except np.linalg.LinAlgError as error:

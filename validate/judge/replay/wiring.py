@@ -1,7 +1,8 @@
 """What a simulation of a plan needs of it: value references, inputs as functions of time, a feedback law.
 
-`Variables` holds value references only, so that it travels to a child process. `HeldInputs` are the plan's inputs between its nodes: constant
-over a step, or a line to the next node's value; with `Feedback` a constant is added over each step. `measure_effort` says how much that was.
+`Variables` holds value references only, so that it travels to a child process. `HeldInputs` are the
+plan's inputs between its nodes: constant over a step, or a line to the next node's value; with
+`Feedback` a constant is added over each step. `measure_effort` says how much that was.
 `WorldInputs` are what becomes of them in a perturbed world: later, by another gain, with noise.
 """
 
@@ -15,7 +16,8 @@ import numpy as np
 
 from models.trajectory import Hold, Trajectory
 
-# The outputs a replay can use beside positions and velocities; what an FMU lacks is computed from the scene or left out.
+# The outputs a replay can use beside positions and velocities; what an FMU lacks is computed from
+# the scene or left out.
 ENERGIES = ("kinetic_energy", "potential_energy", "contact_energy")
 POWERS = ("input_power", "dissipated_power")
 INTERNAL_STEP = "internal_step"
@@ -23,11 +25,16 @@ INTERNAL_STEP = "internal_step"
 
 @dataclass(frozen=True, kw_only=True)
 class Variables:
-    """Value references. lam, gap and friction are empty where the FMU lacks one of them; v may be empty for an FMU without a scene.
+    """Value references. lam, gap and friction are empty where the FMU lacks one of them.
 
-    energies, powers: those the FMU has, by name; zero: names of energies and powers that the scene does not have at all;
-    parameters: (reference, value) set before the start; start: references of what is set to the plan's start, in the order of the start
-    vector; internal_step: of the Co-Simulation; choices: (reference, value) of whole numbers set before the start.
+    V may be empty for an FMU without a scene.
+
+    energies, powers: those the FMU has, by name; zero: names of energies and powers that the scene
+        does not have at all;
+    parameters: (reference, value) set before the start; start: references of what is set to the
+        plan's start, in the order of the start
+    vector; internal_step: of the Co-Simulation; choices: (reference, value) of whole numbers set
+        before the start.
     """
 
     q: tuple[int, ...]
@@ -59,9 +66,11 @@ class Variables:
 class Feedback:
     """u_t = sat(u_plan_t + K_t (x_plan_t - x(t))) at each node.
 
-    gains K (steps, nu, nx); reference x_plan (nodes, nx) positions, then velocities; u (steps, nu) of the plan; lower, upper (nu,) bounds, may be
-    infinite; scale (nu,): what an input's effort is a share of (half the width of its bounds, or the plan's own largest value). loop (steps, nx, nx),
-    push (steps, nx, nu): how the linearised motion falls behind the plan, in nominal sizes, x' = loop x + push w, where inputs w are missing, in scales.
+    gains K (steps, nu, nx); reference x_plan (nodes, nx) positions, then velocities; u (steps, nu)
+    of the plan; lower, upper (nu,) bounds, may be infinite; scale (nu,): what an input's effort is
+    a share of (half the width of its bounds, or the plan's own largest value). loop (steps, nx,
+    nx), push (steps, nx, nu): how the linearised motion falls behind the plan, in nominal sizes, x'
+    = loop x + push w, where inputs w are missing, in scales.
     """
 
     gains: np.ndarray
@@ -90,9 +99,13 @@ class Feedback:
         IndexError : for a step that the plan does not have.
         """
         wanted = self.u[step] + self.gains[step] @ (self.reference[step] - state)
-        return np.minimum(np.maximum(wanted, self.lower), self.upper)  # np.clip takes five times as long
+        return np.minimum(
+            np.maximum(wanted, self.lower), self.upper
+        )  # np.clip takes five times as long
 
-    def in_units(self, output: tuple[np.ndarray, np.ndarray], inputs: tuple[np.ndarray, np.ndarray]) -> Feedback:
+    def in_units(
+        self, output: tuple[np.ndarray, np.ndarray], inputs: tuple[np.ndarray, np.ndarray]
+    ) -> Feedback:
         """The same law in an FMU's units.
 
         Parameters
@@ -107,7 +120,8 @@ class Feedback:
         (a, b), (c, d) = output, inputs
         bounds = np.sort([c * self.lower + d, c * self.upper + d], axis=0)
         return replace(
-            self, gains=c[None, :, None] * self.gains * a, reference=(self.reference - b) / a, u=c * self.u + d,
+            self, gains=c[None, :, None] * self.gains * a, reference=(self.reference - b) / a,
+            u=c * self.u + d,
             lower=bounds[0], upper=bounds[1], scale=np.abs(c) * self.scale,
         )  # fmt: skip
 
@@ -116,9 +130,12 @@ class Feedback:
 class Effort:
     """What the feedback added to the plan's inputs.
 
-    rms, peak: root mean square over time and largest value, of each input in its unit; rms_share, peak_share: the largest over the inputs as a share of
-    the input's scale (half the width of its bounds); plan_share: root mean square of all that was added over that of the plan's own inputs, each input in
-    its scale, or its part of the motion that both make, where that is more (None: the plan's inputs are all 0, but something was added); saturated:
+    rms, peak: root mean square over time and largest value, of each input in its unit; rms_share,
+        peak_share: the largest over the inputs as a share of
+    the input's scale (half the width of its bounds); plan_share: root mean square of all that was
+        added over that of the plan's own inputs, each input in
+    its scale, or its part of the motion that both make, where that is more (None: the plan's inputs
+        are all 0, but something was added); saturated:
     share of the steps in which some input stood at a bound that the plan did not ask for.
     """
 
@@ -140,20 +157,28 @@ def measure_effort(plan: Trajectory, applied: np.ndarray, feedback: Feedback) ->
     added = np.abs(given)
     if not steps:
         zero = (0.0,) * plan.u.shape[1]
-        return Effort(rms=zero, peak=zero, rms_share=0.0, peak_share=0.0, plan_share=0.0, saturated=0.0)
+        return Effort(
+            rms=zero, peak=zero, rms_share=0.0, peak_share=0.0, plan_share=0.0, saturated=0.0
+        )
     rms, peak = np.sqrt((h[:, None] * added**2).sum(axis=0) / h.sum()), added.max(axis=0)
     own = np.sqrt((h[:, None] * plan.u[:steps] ** 2).sum(axis=0) / h.sum())
     share = float(np.linalg.norm(rms / feedback.scale)), float(np.linalg.norm(own / feedback.scale))
     # Dither and kicks that cancel are large, and make no motion.
     held = HeldInputs(plan)
-    part = _part_of_motion(feedback, given, held.values[:steps] + held.slopes[:steps] * h[:, None] / 2.0, h)
+    part = _part_of_motion(
+        feedback, given, held.values[:steps] + held.slopes[:steps] * h[:, None] / 2.0, h
+    )
     at_bound = ((applied <= feedback.lower) | (applied >= feedback.upper)) & (added > 0.0)
     return Effort(
         rms=tuple(rms.tolist()),
         peak=tuple(peak.tolist()),
         rms_share=float((rms / feedback.scale).max()),
         peak_share=float((peak / feedback.scale).max()),
-        plan_share=max(share[0] / share[1], part) if share[1] > 0.0 else None if share[0] > 0.0 else 0.0,
+        plan_share=max(share[0] / share[1], part)
+        if share[1] > 0.0
+        else None
+        if share[0] > 0.0
+        else 0.0,
         saturated=float(at_bound.any(axis=1).mean()),
     )
 
@@ -161,12 +186,19 @@ def measure_effort(plan: Trajectory, applied: np.ndarray, feedback: Feedback) ->
 def _part_of_motion(feedback: Feedback, added: np.ndarray, own: np.ndarray, h: np.ndarray) -> float:
     """Of the motion that inputs (steps, nu) make, those added and the plan's own, the part of those added; 0 where neither makes any.
 
-    What inputs make is how far the loop's positions would fall behind without them, in the root mean square over the steps h (steps,) [s].
+    What inputs make is how far the loop's positions would fall behind without them, in the root
+    mean square over the steps h (steps,) [s].
     """
     missing = np.stack([added, own], axis=2) / feedback.scale[:, None]
-    nq, behind, squares = feedback.loop.shape[1] // 2, np.zeros((feedback.loop.shape[1], 2)), np.zeros(2)
+    nq, behind, squares = (
+        feedback.loop.shape[1] // 2,
+        np.zeros((feedback.loop.shape[1], 2)),
+        np.zeros(2),
+    )
     with np.errstate(over="ignore", invalid="ignore"):
-        for loop, push, lack, step in zip(feedback.loop, feedback.push, missing, h.tolist(), strict=False):
+        for loop, push, lack, step in zip(
+            feedback.loop, feedback.push, missing, h.tolist(), strict=False
+        ):
             behind = loop @ behind + push @ lack
             squares += step * (behind[:nq] ** 2).sum(axis=0)
         of_added, both = float(np.sqrt(squares[0])), float(np.sqrt(squares).sum())
@@ -176,9 +208,10 @@ def _part_of_motion(feedback: Feedback, added: np.ndarray, own: np.ndarray, h: n
 class HeldInputs:
     """u(t) of a plan. values, slopes (steps, nu): at the start of each step, and per second within it; grid: the plan's own times [s].
 
-    breaks (steps,): whether u or its slope jumps where step i begins, so that an integrator must start afresh there. With feedback every step begins
-    with a jump, and `values` are those of the run in progress: `begin` sets them. stops (steps,): the first node after the start of each step beyond which
-    no integration may go.
+    breaks (steps,): whether u or its slope jumps where step i begins, so that an integrator must
+    start afresh there. With feedback every step begins with a jump, and `values` are those of the
+    run in progress: `begin` sets them. stops (steps,): the first node after the start of each step
+    beyond which no integration may go.
     """
 
     def __init__(self, trajectory: Trajectory, feedback: Feedback | None = None) -> None:
@@ -195,10 +228,16 @@ class HeldInputs:
         jumps = self.slopes[1:] != self.slopes[:-1]
         if trajectory.hold is Hold.ZERO_ORDER:
             jumps = trajectory.u[1:] != trajectory.u[:-1]
-        self.breaks = np.concatenate([[True], jumps.any(axis=1)]) if feedback is None else np.full(trajectory.steps, True)
+        self.breaks = (
+            np.concatenate([[True], jumps.any(axis=1)])
+            if feedback is None
+            else np.full(trajectory.steps, True)
+        )
         steps = np.arange(trajectory.steps)
         # The first break at or after each step, and the end of the plan.
-        following = np.minimum.accumulate(np.where(self.breaks, steps, trajectory.steps)[::-1])[::-1]
+        following = np.minimum.accumulate(np.where(self.breaks, steps, trajectory.steps)[::-1])[
+            ::-1
+        ]
         self.stops: list[int] = [*following[1:].tolist(), trajectory.steps]
 
     def begin(self, step: int, state: np.ndarray | None) -> np.ndarray:
@@ -219,9 +258,15 @@ class HeldInputs:
         """
         if self.feedback is not None:
             u = self.feedback.at(step, self.feedback.reference[0] if state is None else state)
-            if self.linear:  # the correction is held: it may not lead out of the bounds at the end of the step either
+            # the correction is held: it may not lead out of the bounds at the end of the step
+            # either
+            if self.linear:
                 change = self.slopes[step] * (self.times[step + 1] - self.times[step])
-                u = np.clip(u, self.feedback.lower - np.minimum(change, 0.0), self.feedback.upper - np.maximum(change, 0.0))
+                u = np.clip(
+                    u,
+                    self.feedback.lower - np.minimum(change, 0.0),
+                    self.feedback.upper - np.maximum(change, 0.0),
+                )
             self.values[step] = u
         return self.values[step]
 
@@ -234,8 +279,10 @@ _SAME = 1e-9
 class World:
     """A perturbed world: parameters (np,) and start (2*nq,) [units of the scene], gain (nu,) [-], noise (steps, nu) [unit of each input], delay [s].
 
-    whole: inputs change at the plan's nodes alone, as some FMUs take no other steps: over each step they are the mean of what they would be.
-    longest: steps of the plan are made in equal parts that are no longer [s], as Co-Simulation shows its motion at their ends alone.
+    whole: inputs change at the plan's nodes alone, as some FMUs take no other steps: over each step
+        they are the mean of what they would be.
+    longest: steps of the plan are made in equal parts that are no longer [s], as Co-Simulation
+        shows its motion at their ends alone.
     """
 
     parameters: np.ndarray
@@ -256,10 +303,14 @@ def with_times_between(t: np.ndarray, longest: float) -> np.ndarray:
 
 
 class WorldInputs(HeldInputs):
-    """What a plan's inputs become in a world: later, by another gain, with noise; with feedback, its commands do.
+    """What a plan's inputs become in a world: later, by another gain, with noise.
 
-    A command given at a node arrives `delay` later; until the first arrives it is that of the start. rows (nodes,): where the plan's nodes are among the times;
-    grid: these nodes and the ends of the parts between them. With feedback a world is never `whole`. What worlds there are, validate.judge.robustness.worlds says.
+    With feedback, its commands do.
+
+    A command given at a node arrives `delay` later; until the first arrives it is that of the
+        start. rows (nodes,): where the plan's nodes are among the times;
+    grid: these nodes and the ends of the parts between them. With feedback a world is never
+        `whole`. What worlds there are, validate.judge.robustness.worlds says.
     """
 
     def __init__(self, plan: Trajectory, world: World, feedback: Feedback | None = None) -> None:
@@ -268,26 +319,42 @@ class WorldInputs(HeldInputs):
         self._commands, self._world = HeldInputs(plan, feedback), world
         arrivals, shortest = plan.t[:-1] + world.delay, _SAME * float(np.diff(plan.t).min())
         self.grid = with_times_between(plan.t, world.longest)
-        between = arrivals[(arrivals < plan.t[-1] - shortest) & (_to_nearest(arrivals, self.grid) > shortest)]
+        between = arrivals[
+            (arrivals < plan.t[-1] - shortest) & (_to_nearest(arrivals, self.grid) > shortest)
+        ]
         self.times = np.union1d(self.grid, between)
         self.rows = np.searchsorted(self.times, plan.t)
         begins = self.times[:-1]
-        # Of each step of these times: the plan's step in which it lies, that whose command is in force, and since when it is [s].
+        # Of each step of these times: the plan's step in which it lies, that whose command is in
+        # force, and since when it is [s].
         self._lies_in = np.searchsorted(plan.t, begins + shortest, side="right") - 1
-        self._command = np.maximum(np.searchsorted(arrivals, begins + shortest, side="right") - 1, 0)
+        self._command = np.maximum(
+            np.searchsorted(arrivals, begins + shortest, side="right") - 1, 0
+        )
         self._since = np.maximum(begins - arrivals[self._command], 0.0)
         arrived = begins + shortest >= arrivals[self._command]
-        self.slopes = np.where(arrived[:, None], self._commands.slopes[self._command], 0.0) * world.gain
+        self.slopes = (
+            np.where(arrived[:, None], self._commands.slopes[self._command], 0.0) * world.gain
+        )
         self.linear = bool(self.slopes.any())
-        self._added = self._since[:, None] * self._commands.slopes[self._command] * world.gain + world.noise[self._lies_in]
+        self._added = (
+            self._since[:, None] * self._commands.slopes[self._command] * world.gain
+            + world.noise[self._lies_in]
+        )
         self.values = self._commands.values[self._command] * world.gain + self._added
         if world.whole:
             lengths, h = np.diff(self.times)[:, None], np.diff(plan.t)[:, None]
             middles = self.values + self.slopes * lengths / 2.0
-            means, slopes = (np.add.reduceat(part * lengths, self.rows[:-1]) / h for part in (middles, self.slopes))
+            means, slopes = (
+                np.add.reduceat(part * lengths, self.rows[:-1]) / h
+                for part in (middles, self.slopes)
+            )
             self.times, self.rows = self.grid, np.searchsorted(self.grid, plan.t)
             begins, step = self.grid[:-1], np.repeat(np.arange(plan.steps), np.diff(self.rows))
-            self.slopes, self.values = slopes[step], means[step] + slopes[step] * ((begins - plan.t[step])[:, None] - h[step] / 2.0)
+            self.slopes, self.values = (
+                slopes[step],
+                means[step] + slopes[step] * ((begins - plan.t[step])[:, None] - h[step] / 2.0),
+            )
         self.breaks, self.stops = np.full(len(begins), True), list(range(1, len(self.times)))
 
     @property
@@ -301,7 +368,9 @@ class WorldInputs(HeldInputs):
             node = int(self._lies_in[step])
             if self.rows[node] == step:
                 self._commands.begin(node, self._world.start if state is None else state)
-            self.values[step] = self._commands.values[self._command[step]] * self._world.gain + self._added[step]
+            self.values[step] = (
+                self._commands.values[self._command[step]] * self._world.gain + self._added[step]
+            )
         return self.values[step]
 
 

@@ -1,11 +1,12 @@
 """How much a plan can take: in what share of perturbed worlds it arrives, and which perturbation it takes least of.
 
-    found = robustness("three_cart", "plan.csv", samples=1000)
-    found.alone.share, found.alone.interval, found.weakest
-    survey(scene, plan, limits, False).weakest          # in short, as a campaign asks it of every plan that holds
+    found = robustness("three_cart", "plan.csv", samples=1000) found.alone.share,
+    found.alone.interval, found.weakest survey(scene, plan, limits, False).weakest # in short, as a
+    campaign asks it of every plan that holds
 
-Inputs alone and with feedback apart. Worlds come from validate.judge.robustness.worlds, trials from validate.judge.robustness.trials; a sample is
-tried once more by the reference, and what differs is counted.
+Inputs alone and with feedback apart. Worlds come from validate.judge.robustness.worlds, trials from
+validate.judge.robustness.trials; a sample is tried once more by the reference, and what differs is
+counted.
 """
 
 from __future__ import annotations
@@ -28,25 +29,48 @@ from models.errors import TrajectoryError
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.judge.judgement import Judgement, WiredFmu, as_trajectory, judge
-from validate.judge.robustness.trials import Arena, Asked, FmuArena, SceneArena, WorldTrial, asked_limits
-from validate.judge.robustness.worlds import Draw, Perturbation, PerturbationKind, draw, moved, perturbations
+from validate.judge.robustness.trials import (
+    Arena,
+    Asked,
+    FmuArena,
+    SceneArena,
+    WorldTrial,
+    asked_limits,
+)
+from validate.judge.robustness.worlds import (
+    Draw,
+    Perturbation,
+    PerturbationKind,
+    draw,
+    moved,
+    perturbations,
+)
 from validate.judge.score.unexplained import with_velocities
 from validate.judge.score.verdict import Verdict
 
-SAMPLES, MOST = 1000, 1_000_000
+SAMPLES = 1000
+MOST = 1_000_000
 # Shares against size: all sizes times these, in so many of the worlds.
-SCALES, _OF_A_CURVE = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0), 256
+SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+_OF_A_CURVE = 256
 # One of so many worlds is tried by the reference too, within these bounds.
-_EVERY, _FEWEST, _MOST_CHECKED = 50, 10, 200
+_EVERY = 50
+_FEWEST = 10
+_MOST_CHECKED = 200
 # Sizes of one perturbation: from the first, by this factor up to the last, then bisected to 1 %.
-_FIRST, _FACTOR, FARTHEST, _WITHIN = 1 / 32, math.sqrt(2.0), 64.0, 0.01
-# Move of the replays whose differences are slopes and curvatures, in sizes: over three decades around it both are the same to three digits.
+_FIRST = 1 / 32
+_FACTOR = math.sqrt(2.0)
+FARTHEST = 64.0
+_WITHIN = 0.01
+# Move of the replays whose differences are slopes and curvatures, in sizes: over three decades
+# around it both are the same to three digits.
 _SLOPE = 1e-2
 _Z95 = 1.959963984540054
 # Worlds whose motion is kept to be shown.
 _SHOWN = 3
 # One of so many worlds is tried with feedback too, which costs ten times as much.
-_LEAST, OF_FEEDBACK = 10, 4
+_LEAST = 10
+OF_FEEDBACK = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +91,10 @@ class Share:
         if not self.samples:
             return 0.0, 1.0
         n, share, z2 = self.samples, self.share, _Z95**2
-        middle, half = share + z2 / (2 * n), _Z95 * math.sqrt(share * (1 - share) / n + z2 / (4 * n * n))
+        middle, half = (
+            share + z2 / (2 * n),
+            _Z95 * math.sqrt(share * (1 - share) / n + z2 / (4 * n * n)),
+        )
         low, high = ((middle + sign * half) / (1 + z2 / n) for sign in (-1, 1))
         return (0.0 if self.arrived == 0 else low), (1.0 if self.arrived == n else high)
 
@@ -86,8 +113,10 @@ class Curve:
 class FirstFailure:
     """One perturbation, one way, driven as the plan holds: the size at which the plan first fails.
 
-    direction: -1 or 1; sizes: in sizes of the perturbation, None where it arrives up to `tried`; amount: the same in the perturbation's unit; by: what fails there;
-    predicted: where the slopes at the scene's own world say that it does; curved: where slopes and curvatures do; same_modes: whether contacts close and
+    direction: -1 or 1; sizes: in sizes of the perturbation, None where it arrives up to `tried`;
+        amount: the same in the perturbation's unit; by: what fails there;
+    predicted: where the slopes at the scene's own world say that it does; curved: where slopes and
+        curvatures do; same_modes: whether contacts close and
     open in the same order up to there, moved either way.
     """
 
@@ -137,10 +166,14 @@ class Way:
 
 @dataclass(kw_only=True, eq=False)
 class Robustness:
-    """What was measured of a plan, and grows while it is measured; complete: False where that was interrupted.
+    """What was measured of a plan, and grows while it is measured.
 
-    fineness: internal steps a plan step; ways: inputs alone, then with feedback; trials: replays in all; seconds: CPU time [s]; points (samples, causes):
-    the worlds in sizes; motions: (number of the world, what happened) of the first worlds, inputs alone.
+    complete: False where that was interrupted.
+
+    fineness: internal steps a plan step; ways: inputs alone, then with feedback; trials: replays in
+        all; seconds: CPU time [s]; points (samples, causes):
+    the worlds in sizes; motions: (number of the world, what happened) of the first worlds, inputs
+        alone.
     """
 
     judgement: Judgement
@@ -182,13 +215,20 @@ class Robustness:
 
     @property
     def feedback(self) -> Way | None:
-        """With feedback; None where the plan has no states to feed back, or the work was interrupted before."""
+        """With feedback.
+
+        None where the plan has no states to feed back, or the work was interrupted before.
+        """
         return self.ways[1] if len(self.ways) > 1 else None
 
     @property
     def weakest(self) -> FirstFailure | None:
         """The perturbation of which the plan takes the fewest sizes."""
-        return min((item for item in self.failures if item.sizes is not None), key=lambda item: item.sizes or 0.0, default=None)
+        return min(
+            (item for item in self.failures if item.sizes is not None),
+            key=lambda item: item.sizes or 0.0,
+            default=None,
+        )
 
 
 def robustness(
@@ -223,7 +263,9 @@ def robustness(
     SceneError, TrajectoryError, FmuError, MachineError : in one sentence.
     """
     if not isinstance(samples, int) or not _LEAST <= samples <= MOST:
-        raise TrajectoryError(f"samples: {samples} must be a whole number from {_LEAST} to {MOST}; {SAMPLES} tell a share to 3 %.")
+        raise TrajectoryError(
+            f"samples: {samples} must be a whole number from {_LEAST} to {MOST}; {SAMPLES} tell a share to 3 %."
+        )
     if not isinstance(seed, int) or seed < 0:
         raise TrajectoryError(f"seed: {seed} must be a whole number of at least 0.")
     if isinstance(scene, WiredFmu):
@@ -237,9 +279,13 @@ def robustness(
         trajectory = trajectory.from_zero()
         causes, judgement = perturbations(subject, trajectory, kinds), judge(subject, trajectory)
         assert judgement.replay is not None  # of a plan
-        arena_of = partial(SceneArena.of, subject, with_velocities(subject, trajectory, judgement.replay))
+        arena_of = partial(
+            SceneArena.of, subject, with_velocities(subject, trajectory, judgement.replay)
+        )
     # The plan of an FMU without a goal is consistent at best: then its own motion is what is asked.
-    holds = judgement.holds or (isinstance(scene, WiredFmu) and judgement.verdict is Verdict.CONSISTENT)
+    holds = judgement.holds or (
+        isinstance(scene, WiredFmu) and judgement.verdict is Verdict.CONSISTENT
+    )
     if not holds and not anyway:
         raise TrajectoryError(
             f"plan: it does not hold to begin with ({judgement.score.sentence.rstrip('.')}); what it takes beyond is measured with --anyway (anyway=True)."
@@ -251,14 +297,22 @@ def robustness(
             _measure(arena, worlds, found, tell)
         except KeyboardInterrupt:
             found.complete = False
-        found.fineness, found.trials, found.seconds = arena.fineness, arena.trials, time.process_time() - began + arena.seconds
+        found.fineness, found.trials, found.seconds = (
+            arena.fineness,
+            arena.trials,
+            time.process_time() - began + arena.seconds,
+        )
     return found
 
 
 def _measure(arena: Arena, worlds: Draw, found: Robustness, tell: Callable[[str], None]) -> None:
     samples = len(worlds.points)
     for feedback in (False,) if arena.feedback is None else (False, True):
-        way, count = (Way(name="with feedback"), max(_LEAST, samples // OF_FEEDBACK)) if feedback else (found.alone, samples)
+        way, count = (
+            (Way(name="with feedback"), max(_LEAST, samples // OF_FEEDBACK))
+            if feedback
+            else (found.alone, samples)
+        )
         tell(f"{count} worlds, {way.name}")
         for number in range(count):
             trial = arena.trial(worlds.world(number, arena.nominal), feedback=feedback)
@@ -281,7 +335,9 @@ def _measure(arena: Arena, worlds: Draw, found: Robustness, tell: Callable[[str]
         way.curve = _curve(arena, worlds, min(len(way.tried), _OF_A_CURVE), bool(feedback))
 
 
-def check_by_reference(arena: Arena, worlds: Draw, ratios: Sequence[float], feedback: bool) -> Checked:
+def check_by_reference(
+    arena: Arena, worlds: Draw, ratios: Sequence[float], feedback: bool
+) -> Checked:
     """Every so manieth world again by the reference. ratios: of each world tried, by the everyday replay. Raises FmuError, MachineError."""
     count = min(len(ratios), max(_FEWEST, min(_MOST_CHECKED, len(ratios) // _EVERY)))
     numbers = np.unique(np.linspace(0, len(ratios) - 1, count).round().astype(int)).tolist()
@@ -292,22 +348,34 @@ def check_by_reference(arena: Arena, worlds: Draw, ratios: Sequence[float], feed
             differ.append((number, ratios[number], ratio))
         if math.isfinite(ratio) and math.isfinite(ratios[number]):
             largest = max(largest, abs(ratio - ratios[number]))
-    return Checked(count=len(numbers), differ=tuple(differ), largest_difference=largest, by=arena.by)
+    return Checked(
+        count=len(numbers), differ=tuple(differ), largest_difference=largest, by=arena.by
+    )
 
 
 def _curve(arena: Arena, worlds: Draw, samples: int, feedback: bool) -> Curve:
     """Shares at all scales that no parameter's range forbids, the scale of one half bisected between two of them."""
-    room = min((min(cause.below or math.inf, cause.above) for cause in worlds.causes), default=math.inf)
+    room = min(
+        (min(cause.below or math.inf, cause.above) for cause in worlds.causes), default=math.inf
+    )
 
     def share(scale: float) -> Share:
-        trials = (arena.trial(worlds.world(number, arena.nominal, scale), feedback=feedback) for number in range(samples))
+        trials = (
+            arena.trial(worlds.world(number, arena.nominal, scale), feedback=feedback)
+            for number in range(samples)
+        )
         return Share(arrived=sum(trial.arrives for trial in trials), samples=samples)
 
     scales = [scale for scale in SCALES if scale <= room]
     shares = [share(scale) for scale in scales]
     below = [index for index, item in enumerate(shares) if item.share < 0.5]
     if not below or below[0] == 0:
-        return Curve(scales=tuple(scales), shares=tuple(shares), half=None, beyond="above" if not below else "below")
+        return Curve(
+            scales=tuple(scales),
+            shares=tuple(shares),
+            half=None,
+            beyond="above" if not below else "below",
+        )
     low, high = scales[below[0] - 1], scales[below[0]]
     while high / low > 1.0 + _WITHIN * 5:
         middle = math.sqrt(low * high)
@@ -326,7 +394,9 @@ def _same_modes(arena: Arena, cause: Perturbation, size: float) -> bool:
     return len({arena.checked(world, feedback=arena.followed).modes for world in worlds}) == 1
 
 
-def _along(arena: Arena, cause: Perturbation, direction: int, largest: float) -> tuple[float, WorldTrial] | None:
+def _along(
+    arena: Arena, cause: Perturbation, direction: int, largest: float
+) -> tuple[float, WorldTrial] | None:
     """The size at which the plan first fails along one perturbation, one way, and the trial of the smallest move that fails; None where there is none."""
     cases: dict[float, WorldTrial] = {}
 
@@ -335,31 +405,52 @@ def _along(arena: Arena, cause: Perturbation, direction: int, largest: float) ->
         return cases[size].ratio
 
     sizes = first_failure(ratio, largest)
-    return None if sizes is None else (sizes, cases[min(size for size, trial in cases.items() if size >= sizes and not trial.arrives)])
+    return (
+        None
+        if sizes is None
+        else (
+            sizes,
+            cases[
+                min(size for size, trial in cases.items() if size >= sizes and not trial.arrives)
+            ],
+        )
+    )
 
 
 def _failures(arena: Arena, cause: Perturbation) -> Iterable[FirstFailure]:
     """Both ways along one perturbation."""
     own, one_sided = _at(arena, cause, 0.0), cause.below == 0.0
-    near = [_at(arena, cause, size) for size in ((_SLOPE, 2.0 * _SLOPE) if one_sided else (_SLOPE, -_SLOPE))]
+    near = [
+        _at(arena, cause, size)
+        for size in ((_SLOPE, 2.0 * _SLOPE) if one_sided else (_SLOPE, -_SLOPE))
+    ]
     known = all(trial.shares for trial in (own, *near))
-    parts = [(trial.states, np.vstack([trial.gaps, trial.lowest]), trial.cost) for trial in (own, *near)]
+    parts = [
+        (trial.states, np.vstack([trial.gaps, trial.lowest]), trial.cost) for trial in (own, *near)
+    ]
     series = [_series(values, one_sided) for values in zip(*parts, strict=True)] if known else []
     for direction in (1,) if one_sided else (-1, 1):
         tried = min(FARTHEST, cause.above if direction > 0 else cause.below)
         sizes, failed = _along(arena, cause, direction, tried) or (None, None)
         yield FirstFailure(
-            cause=cause, direction=direction, sizes=sizes, tried=tried, by="" if failed is None else failed.fails_by, predicted=_foretold(arena.asked, series, direction, tried), curved=_foretold(arena.asked, series, direction, tried, order=2),
+            cause=cause, direction=direction, sizes=sizes, tried=tried,
+            by="" if failed is None else failed.fails_by,
+            predicted=_foretold(arena.asked, series, direction, tried),
+            curved=_foretold(arena.asked, series, direction, tried, order=2),
             same_modes=sizes is None or _same_modes(arena, cause, sizes),
         )  # fmt: skip
 
 
-def _foretold(asked: Asked, series: Sequence[tuple[Any, ...]], direction: int, tried: float, order: int = 1) -> float | None:
+def _foretold(
+    asked: Asked, series: Sequence[tuple[Any, ...]], direction: int, tried: float, order: int = 1
+) -> float | None:
     """The first failure by the series of what is asked, to this order; None where there is none."""
 
     def ratio(size: float) -> float:
         moved_by = [(direction * size) ** power for power in range(order + 1)]
-        states, gaps, cost = (sum(map(operator.mul, terms, moved_by), start=np.float64(0.0)) for terms in series)
+        states, gaps, cost = (
+            sum(map(operator.mul, terms, moved_by), start=np.float64(0.0)) for terms in series
+        )
         return max(asked.shares(np.asarray(states), np.asarray(gaps), float(cost)).values())
 
     return first_failure(ratio, tried) if series else None
@@ -369,7 +460,11 @@ def _series(parts: Sequence[Any], one_sided: bool) -> tuple[Any, ...]:
     """A number's Taylor series in sizes, to the second order: of its values at the scene's own world and at moves of _SLOPE and -_SLOPE, or twice _SLOPE."""
     own, first, second = parts
     if one_sided:
-        return own, (4.0 * first - 3.0 * own - second) / (2.0 * _SLOPE), (second - 2.0 * first + own) / (2.0 * _SLOPE**2)
+        return (
+            own,
+            (4.0 * first - 3.0 * own - second) / (2.0 * _SLOPE),
+            (second - 2.0 * first + own) / (2.0 * _SLOPE**2),
+        )
     return own, (first - second) / (2.0 * _SLOPE), (first + second - 2.0 * own) / (2.0 * _SLOPE**2)
 
 
@@ -398,8 +493,11 @@ def first_failure(ratio: Callable[[float], float], largest: float) -> float | No
     return (low + high) / 2.0
 
 
-# Worlds of a plan of a campaign: shares are told to 6 %. Where they cost more internal steps than this in all, half as many, and so on down to the fewest.
-SURVEYED, FEWEST, MOST_STEPS = 256, 32, 2**19
+# Worlds of a plan of a campaign: shares are told to 6 %. Where they cost more internal steps than
+# this in all, half as many, and so on down to the fewest.
+SURVEYED = 256
+FEWEST = 32
+MOST_STEPS = 2**19
 SEED = 0
 
 
@@ -407,8 +505,10 @@ SEED = 0
 class Survey:
     """What was found of a plan.
 
-    alone, feedback: how many worlds it arrives in, None where the plan has no states to feed back; checked, differ: worlds that the reference was asked about too,
-    and in how many it says otherwise; weakest: the perturbation by itself of which the plan takes the fewest sizes (`""`: it takes all up to 64), how far [unit], and
+    alone, feedback: how many worlds it arrives in, None where the plan has no states to feed back;
+        checked, differ: worlds that the reference was asked about too,
+    and in how many it says otherwise; weakest: the perturbation by itself of which the plan takes
+        the fewest sizes (`""`: it takes all up to 64), how far [unit], and
     the metric by which it fails there - with feedback where it holds only so.
     """
 
@@ -426,8 +526,9 @@ class Survey:
 def survey(scene: Scene, plan: Trajectory, limits: Mapping[str, float], followed: bool) -> Survey:
     """Try a plan that holds in the worlds of a campaign.
 
-    They are the same for every plan of a scene, so that two of them differ by no luck of the draw. First failures are not looked for along every perturbation
-    to their end, as `robustness` does: only where a plan fails at a smaller size than along those before.
+    They are the same for every plan of a scene, so that two of them differ by no luck of the draw.
+    First failures are not looked for along every perturbation to their end, as `robustness` does:
+    only where a plan fails at a smaller size than along those before.
 
     Parameters
     ----------
@@ -436,7 +537,8 @@ def survey(scene: Scene, plan: Trajectory, limits: Mapping[str, float], followed
 
     Raises
     ------
-    TrajectoryError : where the scene limits neither an end nor a cost, or nothing of it can be perturbed.
+    TrajectoryError : where the scene limits neither an end nor a cost, or nothing of it can be
+        perturbed.
     FmuError, MachineError : in one sentence.
     """
     plan = plan.from_zero()
@@ -448,17 +550,33 @@ def survey(scene: Scene, plan: Trajectory, limits: Mapping[str, float], followed
         worlds, shares, checks = draw(causes, samples, SEED), [], []
         for feedback in (False,) if arena.feedback is None else (False, True):
             numbers = range(samples // OF_FEEDBACK if feedback else samples)
-            ratios = [arena.trial(worlds.world(number, arena.nominal), feedback=feedback).ratio for number in numbers]
+            ratios = [
+                arena.trial(worlds.world(number, arena.nominal), feedback=feedback).ratio
+                for number in numbers
+            ]
             shares.append(Share(arrived=sum(ratio <= 1.0 for ratio in ratios), samples=len(ratios)))
             checks.append(check_by_reference(arena, worlds, ratios, feedback))
         smallest, weakest = FARTHEST, {}
-        for cause, direction in product((item for item in causes if item.kind is not PerturbationKind.NOISE), (-1, 1)):
+        for cause, direction in product(
+            (item for item in causes if item.kind is not PerturbationKind.NOISE), (-1, 1)
+        ):
             tried = min(smallest, cause.below if direction < 0 else cause.above)
-            if tried > 0.0 and not _at(arena, cause, direction * tried).arrives and (first := _along(arena, cause, direction, tried)):
+            if (
+                tried > 0.0
+                and not _at(arena, cause, direction * tried).arrives
+                and (first := _along(arena, cause, direction, tried))
+            ):
                 smallest, failed = first
                 amount = direction * smallest * cause.size
-                weakest = {"weakest": cause.name, "sizes": smallest, "amount": amount, "unit": cause.unit, "by": failed.fails_by}
+                weakest = {
+                    "weakest": cause.name,
+                    "sizes": smallest,
+                    "amount": amount,
+                    "unit": cause.unit,
+                    "by": failed.fails_by,
+                }
     return Survey(
-        alone=shares[0], feedback=shares[1] if len(shares) > 1 else None, checked=sum(item.count for item in checks), differ=sum(len(item.differ) for item in checks),
+        alone=shares[0], feedback=shares[1] if len(shares) > 1 else None,
+        checked=sum(item.count for item in checks), differ=sum(len(item.differ) for item in checks),
         **weakest,
     )  # fmt: skip

@@ -1,13 +1,15 @@
 """A plan tried in one world: the everyday replay there, and whether it arrives - near enough to the goal, no contact deeper than its model reaches.
 
     with SceneArena.of(scene, plan, limits) as arena:
-        arena.trial(world).ratio         # the largest of what is asked, as a share of its limit: up to 1 it arrives
-        arena.checked(world).ratio       # the same by the reference
+        arena.trial(world).ratio # the largest of what is asked, as a share of its limit: up to 1 it
+        arrives arena.checked(world).ratio # the same by the reference
 
-The FMU's step is the coarsest whose motion in the model's own world ends where the reference's does; of a scene in two perturbed worlds too, and where none
-does, worlds are the reference's. A scene's FMU is loaded once, and reset before each
-world. Somebody's is tried in the child process that a replay uses, and what ends the child there is a world in which the plan fails: by Co-Simulation where
-it has that, checked by Model Exchange, or else by half the smallest step; one with Model Exchange alone by a looser and a tighter tolerance.
+The FMU's step is the coarsest whose motion in the model's own world ends where the reference's
+does; of a scene in two perturbed worlds too, and where none does, worlds are the reference's. A
+scene's FMU is loaded once, and reset before each world. Somebody's is tried in the child process
+that a replay uses, and what ends the child there is a world in which the plan fails: by
+Co-Simulation where it has that, checked by Model Exchange, or else by half the smallest step; one
+with Model Exchange alone by a looser and a tighter tolerance.
 
     with FmuArena.of(wired, limits) as arena:
         arena.trial(world).fails_by            # "crashed", where the FMU did
@@ -40,7 +42,14 @@ from validate.judge.replay.everyday import simulate
 from validate.judge.replay.job import Job
 from validate.judge.replay.reference import ExchangeModel, integrate
 from validate.judge.replay.result import ReplayOutcome, Run
-from validate.judge.replay.run import EVENT_BUDGET, LOOKS, OWN_STEP, foreign_job, in_plan_units, with_rows
+from validate.judge.replay.run import (
+    EVENT_BUDGET,
+    LOOKS,
+    OWN_STEP,
+    foreign_job,
+    in_plan_units,
+    with_rows,
+)
 from validate.judge.replay.run import FINENESS as JUDGED
 from validate.judge.replay.subject import Subject, find_variables, recorded
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign
@@ -50,28 +59,39 @@ from validate.judge.score import Score
 from validate.judge.score.evidence import Evidence
 from validate.judge.score.measures import replay_limits
 
-# Internal steps a plan step, the coarsest first; the one whose end is as near to the reference's as this share of the limits is taken, else the last.
+# Internal steps a plan step, the coarsest first; the one whose end is as near to the reference's as
+# this share of the limits is taken, else the last.
 FINENESS = (2, 5, 10, 20, 50, 100, 200)
-# In the place of a fineness; and the relative tolerance of the reference: limits are told with three digits.
-REFERENCE, RTOL = -1, 1e-9
-# A piece between two rows in which a contact may go deeper than they tell is run again in so many parts, more where these do not tell it either.
+# In the place of a fineness; and the relative tolerance of the reference: limits are told with
+# three digits.
+REFERENCE = -1
+RTOL = 1e-9
+# A piece between two rows in which a contact may go deeper than they tell is run again in so many
+# parts, more where these do not tell it either.
 _PARTS = (32, 128, 512, 2048, 8192, 32768)
-# Rows tell a depth where what is between them adds no more than this share of it: the cubic through them is then right to 1e-4.
+# Rows tell a depth where what is between them adds no more than this share of it: the cubic through
+# them is then right to 1e-4.
 _TOLD = 0.01
 # How much further than shares the gaps of two motions may be apart.
 _ROUGHLY = 10.0
 # What goes no deeper than this share of the limit is not looked at closely.
 _SHALLOW = 1e-3
-_POSITION, _VELOCITY = "replay_terminal_position_error", "replay_terminal_velocity_error"
-_COST, _SPEED, _DEPTH, _MOTION = "replay_cost", "replay_velocity_bound_violation", "max_penetration", "replay_error"
+_POSITION = "replay_terminal_position_error"
+_VELOCITY = "replay_terminal_velocity_error"
+_COST = "replay_cost"
+_SPEED = "replay_velocity_bound_violation"
+_DEPTH = "max_penetration"
+_MOTION = "replay_error"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Asked:
     """What arriving means.
 
-    limits: of the metrics that are asked, by name [their units]: how far from the goal (2*nq,) (NaN: free) positions and velocities may end, what the motion
-    may cost, how far velocities may leave lower, upper (nq,); depths (nc,): how deep each contact may be [m]; near (nq,): how far positions may be from the
+    limits: of the metrics that are asked, by name [their units]: how far from the goal (2*nq,)
+        (NaN: free) positions and velocities may end, what the motion
+    may cost, how far velocities may leave lower, upper (nq,); depths (nc,): how deep each contact
+        may be [m]; near (nq,): how far positions may be from the
     planned (nodes, nq) [m or rad], None: that is not asked.
     """
 
@@ -84,12 +104,18 @@ class Asked:
     planned: np.ndarray | None = None
 
     @classmethod
-    def of(cls, scene: Subject, limits: Mapping[str, float], plan: Trajectory | None = None) -> Asked:
-        """By the limits that the judge held this plan to, by metric; of an FMU whose map gives no goal, the plan's own motion is asked.
+    def of(
+        cls, scene: Subject, limits: Mapping[str, float], plan: Trajectory | None = None
+    ) -> Asked:
+        """By the limits that the judge held this plan to, by metric.
+
+        Of an FMU whose map gives no goal, the plan's own motion is asked.
 
         Raises TrajectoryError where none is on an end, a cost or that motion.
         """
-        asked = {name: limits[name] for name in (_POSITION, _VELOCITY, _COST, _SPEED) if name in limits}
+        asked = {
+            name: limits[name] for name in (_POSITION, _VELOCITY, _COST, _SPEED) if name in limits
+        }
         near = None
         if not asked.keys() - {_SPEED}:
             if isinstance(scene, Scene):
@@ -105,10 +131,21 @@ class Asked:
         depths = np.array([math.inf if depth is None else depth for depth in scene.depths])
         if own is not None:
             depths = np.full(scene.nc, math.inf if own.value is None else own.value)
-        lower, upper = (np.array([getattr(item, f"velocity_{side}") for item in scene.coordinates]) for side in ("lower", "upper"))
+        lower, upper = (
+            np.array([getattr(item, f"velocity_{side}") for item in scene.coordinates])
+            for side in ("lower", "upper")
+        )
         planned = None if near is None or plan is None else plan.q
         goal = goal_state(scene.task)  # type: ignore[arg-type] - a foreign task has a goal of the same form
-        return cls(limits=asked, goal=goal, depths=depths, lower=lower, upper=upper, near=near, planned=planned)
+        return cls(
+            limits=asked,
+            goal=goal,
+            depths=depths,
+            lower=lower,
+            upper=upper,
+            near=near,
+            planned=planned,
+        )
 
     def shares(self, states: np.ndarray, gaps: np.ndarray, cost: float) -> dict[str, float]:
         """What is asked as shares of its limits.
@@ -129,19 +166,31 @@ class Asked:
             _VELOCITY: lambda: distance(end[half:], self.goal[half:]),
             _COST: lambda: cost,
             # The velocity of the end belongs to the goal.
-            _SPEED: lambda: float(np.maximum(self.lower - states[:-1, half:], states[:-1, half:] - self.upper).max(initial=-math.inf)),
+            _SPEED: lambda: float(
+                np.maximum(self.lower - states[:-1, half:], states[:-1, half:] - self.upper).max(
+                    initial=-math.inf
+                )
+            ),
         }
         # A limit on a cost may be negative, or 0.
-        shares = {name: 1.0 + (values[name]() - limit) / (abs(limit) or 1.0) for name, limit in self.limits.items()}
+        shares = {
+            name: 1.0 + (values[name]() - limit) / (abs(limit) or 1.0)
+            for name, limit in self.limits.items()
+        }
         if self.near is not None:
             away = np.abs(states[:, :half] - self.planned).max(axis=0)
-            shares[_MOTION] = float(np.max(1.0 + (away - self.near) / np.where(self.near > 0.0, self.near, 1.0)))
+            shares[_MOTION] = float(
+                np.max(1.0 + (away - self.near) / np.where(self.near > 0.0, self.near, 1.0))
+            )
         if len(self.depths):
             shares[_DEPTH] = self.depth_share(gaps.min(axis=0, initial=math.inf))
         return shares
 
     def depth_share(self, lowest: np.ndarray) -> float:
-        """The deepest contact as a share of its depth [-]. lowest: least gaps (nc,) [m]. Raises ValueError without contacts."""
+        """The deepest contact as a share of its depth [-]. lowest: least gaps (nc,) [m].
+
+        Raises ValueError without contacts.
+        """
         return float(np.max(-lowest / self.depths))
 
 
@@ -154,8 +203,11 @@ def asked_limits(score: Score) -> dict[str, float]:
 class WorldTrial:
     """One world: states (nodes, 2*nq) [m or rad, then per second] and gaps (nodes, nc) [m] at the plan's nodes, fewer where the motion ended early.
 
-    lowest: the least gaps (nc,) [m], of a scene between its rows too; closed (points, nc): which contacts are, wherever the run showed it, by the reference of a scene after each of its events;
-    cost: the task's, of this motion and its commands, NaN where it ended early; shares: what is asked as shares of its limits; empty where the motion did not come to its end.
+    lowest: the least gaps (nc,) [m], of a scene between its rows too; closed (points, nc): which
+        contacts are, wherever the run showed it, by the reference of a scene after each of its
+        events;
+    cost: the task's, of this motion and its commands, NaN where it ended early; shares: what is
+        asked as shares of its limits; empty where the motion did not come to its end.
     """
 
     states: np.ndarray
@@ -179,20 +231,30 @@ class WorldTrial:
     @property
     def fails_by(self) -> str:
         """The metric with the largest share, or how the motion ended."""
-        return max(self.shares, key=lambda name: self.shares[name]) if self.shares else self.outcome.name.lower()
+        return (
+            max(self.shares, key=lambda name: self.shares[name])
+            if self.shares
+            else self.outcome.name.lower()
+        )
 
     @property
     def modes(self) -> tuple[tuple[int, ...], ...]:
         """Which contacts are closed, one after the other, without how long."""
         closed = [tuple(np.flatnonzero(row).tolist()) for row in self.closed]
-        return tuple(now for before, now in zip([None, *closed], closed, strict=False) if now != before)
+        return tuple(
+            now for before, now in zip([None, *closed], closed, strict=False) if now != before
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Ran:
-    """How a run ended; states (nodes, 2*nq) and gaps (nodes, nc) at the plan's nodes, fewer where it ended early; commands (steps, nu).
+    """How a run ended.
 
-    lowest: the least gaps (nc,) [m], rightly so where a contact may be as deep as given (nc,) [m]; closed: as of a WorldTrial.
+    States (nodes, 2*nq) and gaps (nodes, nc) at the plan's nodes, fewer where it ended early;
+    commands (steps, nu).
+
+    lowest: the least gaps (nc,) [m], rightly so where a contact may be as deep as given (nc,) [m];
+        closed: as of a WorldTrial.
     """
 
     outcome: ReplayOutcome
@@ -206,19 +268,37 @@ class _Ran:
 class Arena(ABC):
     """Where a plan is tried in one world after the other: what runs a world (`_run`) is a scene's or an FMU's own.
 
-    feedback: around the motion of the inputs alone in the model's own world, or where that does not arrive around the plan; None where there can be none;
-    followed: whether the plan holds only with it; nominal: the model's own world; fineness: internal steps a plan step.
+    feedback: around the motion of the inputs alone in the model's own world, or where that does not
+        arrive around the plan; None where there can be none;
+    followed: whether the plan holds only with it; nominal: the model's own world; fineness:
+        internal steps a plan step.
     """
 
-    # What checks it, and how near to that the motion in the model's own world must end [shares of the limits].
-    by, near = "by the reference", 1e-3
+    # What checks it, and how near to that the motion in the model's own world must end [shares of
+    # the limits].
+    by = "by the reference"
+    near = 1e-3
     levels: Sequence[int] = FINENESS
     # CPU time in other processes [s]; trials made.
-    seconds, trials = 0.0, 0
+    seconds = 0.0
+    trials = 0
 
-    def __init__(self, scene: Subject, plan: Trajectory, asked: Asked, followed: bool, feedback: Feedback | None) -> None:
+    def __init__(
+        self,
+        scene: Subject,
+        plan: Trajectory,
+        asked: Asked,
+        followed: bool,
+        feedback: Feedback | None,
+    ) -> None:
         """Raises FmuError."""
-        self.scene, self.plan, self.asked, self.followed, self.feedback = scene, plan, asked, followed, feedback
+        self.scene, self.plan, self.asked, self.followed, self.feedback = (
+            scene,
+            plan,
+            asked,
+            followed,
+            feedback,
+        )
         self.nominal: World = nominal_world(scene, plan)
         self.probes: Sequence[World] = (self.nominal,)
         self._cost = Evidence(scene, plan, None).cost_of
@@ -226,8 +306,13 @@ class Arena(ABC):
     def settle(self) -> Self:
         """Choose the fineness, and what the feedback follows. Raises FmuError."""
         self.fineness = self._fine_enough()
-        # It follows the motion that arrives: what the plan's own states differ from it by is the plan's grid, which is no disturbance and may be dear to undo.
-        if self.feedback is not None and not self.followed and (own := self._tried(self.nominal, self.fineness, False)).arrives:
+        # It follows the motion that arrives: what the plan's own states differ from it by is the
+        # plan's grid, which is no disturbance and may be dear to undo.
+        if (
+            self.feedback is not None
+            and not self.followed
+            and (own := self._tried(self.nominal, self.fineness, False)).arrives
+        ):
             self.feedback = replace(self.feedback, reference=own.states)
         return self
 
@@ -245,14 +330,30 @@ class Arena(ABC):
         return self._tried(world, self.fineness, feedback)
 
     def checked(self, world: World, *, feedback: bool = False) -> WorldTrial:
-        """The same by the reference: CVODE from event to event; of an FMU without Model Exchange finer steps. Raises FmuError, MachineError."""
+        """The same by the reference: CVODE from event to event.
+
+        Of an FMU without Model Exchange finer steps. Raises FmuError, MachineError.
+        """
         return self._tried(world, REFERENCE, feedback)
 
     def _tried(self, world: World, fineness: int, feedback: bool) -> WorldTrial:
         ran = self._run(world, fineness, self.feedback if feedback else None)
-        states, gaps, lowest, outcome = ran.states, ran.gaps, ran.gaps.min(axis=0, initial=math.inf), ran.outcome
+        states, gaps, lowest, outcome = (
+            ran.states,
+            ran.gaps,
+            ran.gaps.min(axis=0, initial=math.inf),
+            ran.outcome,
+        )
         if outcome is not ReplayOutcome.OK:
-            return WorldTrial(states=states, gaps=gaps, lowest=lowest, closed=ran.closed, cost=math.nan, shares={}, outcome=outcome)
+            return WorldTrial(
+                states=states,
+                gaps=gaps,
+                lowest=lowest,
+                closed=ran.closed,
+                cost=math.nan,
+                shares={},
+                outcome=outcome,
+            )
         q, v = np.hsplit(states, 2)
         cost = self._cost(self.plan.t, q, v, ran.commands) if _COST in self.asked.limits else 0.0
         shares = self.asked.shares(states, gaps, cost)
@@ -261,7 +362,15 @@ class Arena(ABC):
             others = max(shares.values(), default=0.0)
             lowest = ran.lowest(self.asked.depths * (others if others > 1.0 else _SHALLOW))
             shares[_DEPTH] = self.asked.depth_share(lowest)
-        return WorldTrial(states=states, gaps=gaps, lowest=lowest, closed=ran.closed, cost=cost, shares=shares, outcome=outcome)
+        return WorldTrial(
+            states=states,
+            gaps=gaps,
+            lowest=lowest,
+            closed=ran.closed,
+            cost=cost,
+            shares=shares,
+            outcome=outcome,
+        )
 
     def _fine_enough(self) -> int:
         exact = [self.checked(world, feedback=self.followed) for world in self.probes]
@@ -279,13 +388,23 @@ class Arena(ABC):
         if found.outcome is not exact.outcome or not exact.shares:
             return found.outcome is exact.outcome
         names = exact.shares if exact.arrives else [exact.fails_by]
-        shares = all(abs(found.shares[name] - exact.shares[name]) <= self.near * max(1.0, abs(exact.shares[name])) for name in names)
-        return shares and bool((np.abs(found.gaps - exact.gaps) <= _ROUGHLY * self.near * self.asked.depths).all())
+        shares = all(
+            abs(found.shares[name] - exact.shares[name])
+            <= self.near * max(1.0, abs(exact.shares[name]))
+            for name in names
+        )
+        return shares and bool(
+            (np.abs(found.gaps - exact.gaps) <= _ROUGHLY * self.near * self.asked.depths).all()
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Motion:
-    """A scene's motion in a world: t (rows,) [s] and values (rows, 2*nq + nc) that the FMU gave; inputs, as the run applied them; the FMU's variables and the equations' functions with the world's parameters."""
+    """A scene's motion in a world: t (rows,) [s] and values (rows, 2*nq + nc) that the FMU gave.
+
+    inputs, as the run applied them; the FMU's variables and the equations' functions with the
+    world's parameters.
+    """
 
     t: np.ndarray
     values: np.ndarray
@@ -295,17 +414,27 @@ class _Motion:
 
 
 class SceneArena(Arena):
-    """A scene's own FMU, in this process: loaded once, and reset before each world. Where no step of it is near enough, worlds are the reference's."""
+    """A scene's own FMU, in this process: loaded once, and reset before each world.
+
+    Where no step of it is near enough, worlds are the reference's.
+    """
 
     levels = (*FINENESS, REFERENCE)
 
-    def __init__(self, scene: Scene, package: Package, plan: Trajectory, asked: Asked, followed: bool) -> None:
+    def __init__(
+        self, scene: Scene, package: Package, plan: Trajectory, asked: Asked, followed: bool
+    ) -> None:
         """Raises FmuError, TrackingError; TrajectoryError if the plan does not fit the scene."""
         self._kernel = load_kernel(scene)
-        feedback = design_feedback(self._kernel, scene, plan) if plan.has_states and scene.nu else None
+        feedback = (
+            design_feedback(self._kernel, scene, plan) if plan.has_states and scene.nu else None
+        )
         super().__init__(scene, plan, asked, followed, feedback)
         causes = perturbations(scene, plan)
-        self.probes = [self.nominal, *(moved(self.nominal, causes, np.full(len(causes), size)) for size in (-1.0, 1.0))]
+        self.probes = [
+            self.nominal,
+            *(moved(self.nominal, causes, np.full(len(causes), size)) for size in (-1.0, 1.0)),
+        ]
         self._package, every = package, find_variables(package, scene.continuous())
         # Only what is asked is read.
         self._variables = replace(every, lam=(), friction=(), energies={}, powers={})
@@ -313,8 +442,13 @@ class SceneArena(Arena):
 
     @classmethod
     @contextmanager
-    def of(cls, scene: Scene, plan: Trajectory, limits: Mapping[str, float], *, followed: bool = False) -> Iterator[Arena]:
-        """An arena that is closed at the end. limits: what the judge held the plan to, by metric. Raises FmuError, MachineError, TrajectoryError."""
+    def of(
+        cls, scene: Scene, plan: Trajectory, limits: Mapping[str, float], *, followed: bool = False
+    ) -> Iterator[Arena]:
+        """An arena that is closed at the end. limits: what the judge held the plan to, by metric.
+
+        Raises FmuError, MachineError, TrajectoryError.
+        """
         asked = Asked.of(scene, limits)
         with (
             unpacked(read_package(build_fmu(scene, results=False))) as package,
@@ -326,7 +460,10 @@ class SceneArena(Arena):
         inputs = WorldInputs(self.plan, world, feedback)
         # An FMU of ours has every parameter of its scene, in the scene's order.
         parameters = [
-            (reference, value) for (reference, _), value in zip(self._variables.parameters, world.parameters.tolist(), strict=True)
+            (reference, value)
+            for (reference, _), value in zip(
+                self._variables.parameters, world.parameters.tolist(), strict=True
+            )
         ]
         variables = replace(self._variables, parameters=tuple(parameters))
         if fineness == REFERENCE:
@@ -334,18 +471,28 @@ class SceneArena(Arena):
                 run = integrate(model, world.start, inputs, RTOL, EVENT_BUDGET, parts=1)
         else:
             run = self._simulate(variables, world.start, inputs, fineness)
-        values, kernel = np.array(run.outputs).reshape(len(run.t), len(variables.outputs)), self._kernel.with_parameters(world.parameters)
-        motion = _Motion(t=np.array(run.t), values=values, inputs=inputs, variables=variables, kernel=kernel)
+        values, kernel = (
+            np.array(run.outputs).reshape(len(run.t), len(variables.outputs)),
+            self._kernel.with_parameters(world.parameters),
+        )
+        motion = _Motion(
+            t=np.array(run.t), values=values, inputs=inputs, variables=variables, kernel=kernel
+        )
         nodes = values[run.knots]
-        states, gaps = np.split(nodes[inputs.rows[inputs.rows < len(nodes)]], [2 * self.scene.nq], axis=1)
+        states, gaps = np.split(
+            nodes[inputs.rows[inputs.rows < len(nodes)]], [2 * self.scene.nq], axis=1
+        )
         closed = list(values[:, 2 * self.scene.nq :] < 0.0)
         if fineness == REFERENCE:  # its events tell of contacts between rows
             closed = closed[:1]
-            for contact, closes in ((contact, closes) for _, contact, closes in run.events if contact < self.scene.nc):
+            for contact, closes in (
+                (contact, closes) for _, contact, closes in run.events if contact < self.scene.nc
+            ):
                 closed.append(closed[-1].copy())
                 closed[-1][contact] = closes
         return _Ran(
-            outcome=run.outcome, states=states, gaps=gaps, lowest=partial(self._lowest, motion), closed=np.array(closed), commands=inputs.commands
+            outcome=run.outcome, states=states, gaps=gaps, lowest=partial(self._lowest, motion),
+            closed=np.array(closed), commands=inputs.commands
         )  # fmt: skip
 
     def _lowest(self, motion: _Motion, reach: np.ndarray) -> np.ndarray:
@@ -354,7 +501,10 @@ class SceneArena(Arena):
         possible[possible > -reach] = math.inf
         for contact in range(len(lowest) if len(pieces) else 0):
             while possible[place := int(possible[:, contact].argmin()), contact] < lowest[contact]:
-                lowest, possible[place] = np.minimum(lowest, self._within(motion, int(pieces[place]))), math.inf
+                lowest, possible[place] = (
+                    np.minimum(lowest, self._within(motion, int(pieces[place]))),
+                    math.inf,
+                )
         return lowest
 
     def _within(self, motion: _Motion, piece: int) -> np.ndarray:
@@ -367,45 +517,95 @@ class SceneArena(Arena):
         return lowest
 
     def _told(self, motion: _Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Least gaps (nc,) [m] that a motion's rows tell; pieces (n,) between two rows, and how low each may lead (n, nc) [m], infinite where they tell that too."""
+        """Least gaps (nc,) [m] that a motion's rows tell.
+
+        Pieces (n,) between two rows, and how low each may lead (n, nc) [m], infinite where they
+        tell that too.
+        """
         nq, gap = self.scene.nq, motion.values[:, 2 * self.scene.nq :]
         by_contact = np.ascontiguousarray(gap.T)  # five times as fast where rows are many
-        lowest, moves = by_contact.min(axis=1, initial=math.inf), np.abs(np.diff(by_contact)).max(axis=1, initial=0.0)
-        # A contact is touched and left between two rows no further away than twice what its gap changes by between any; as far again shows what presses it.
+        lowest, moves = (
+            by_contact.min(axis=1, initial=math.inf),
+            np.abs(np.diff(by_contact)).max(axis=1, initial=0.0),
+        )
+        # A contact is touched and left between two rows no further away than twice what its gap
+        # changes by between any; as far again shows what presses it.
         close = by_contact < (np.minimum(lowest, 0.0) + 4.0 * moves)[:, None]
         pieces = np.flatnonzero((close[:, :-1] | close[:, 1:]).any(axis=0))
         if not len(pieces):
             return lowest, pieces, np.empty((0, len(lowest)))
-        rows, h = np.concatenate([pieces, pieces + 1]), (motion.t[pieces + 1] - motion.t[pieces])[:, None]
-        rate, gap = -penetration_rates(motion.kernel, motion.values[rows, :nq], motion.values[rows, nq : 2 * nq]), gap[rows]
+        rows, h = (
+            np.concatenate([pieces, pieces + 1]),
+            (motion.t[pieces + 1] - motion.t[pieces])[:, None],
+        )
+        rate, gap = (
+            -penetration_rates(
+                motion.kernel, motion.values[rows, :nq], motion.values[rows, nq : 2 * nq]
+            ),
+            gap[rows],
+        )
         (first, last), (begins, comes) = np.split(gap, 2), rate.reshape(2, len(pieces), -1)
         ends, floor = np.minimum(first, last), np.maximum(-lowest, _SHALLOW * self.asked.depths)
-        # Where the cubic goes no deeper than its ends, and its rates have the mean that the gap changed by, the rows tell all of it.
+        # Where the cubic goes no deeper than its ends, and its rates have the mean that the gap
+        # changed by, the rows tell all of it.
         beyond = ends - np.minimum(first + h * begins / 3.0, last - h * comes / 3.0)
-        told = np.maximum(beyond, np.abs(last - first - h * (begins + comes) / 2.0)) <= _TOLD * floor
+        told = (
+            np.maximum(beyond, np.abs(last - first - h * (begins + comes) / 2.0)) <= _TOLD * floor
+        )
         deep = np.flatnonzero((told & (ends - beyond < np.minimum(lowest, 0.0))).any(axis=1))
         if len(deep):
             pairs = np.column_stack([deep, deep + len(pieces)]).ravel()
             between = lowest_between(motion.t[rows[pairs]], gap[pairs], rate[pairs])[0][::2]
             lowest = np.minimum(lowest, between.min(axis=0, initial=math.inf, where=told[deep]))
-        # Elsewhere it stays above its tangents at both ends, but for what presses the contact on: up to twice as much as anywhere without a contact that turns it back.
-        pressed = 2.0 * np.maximum(((begins - comes) / np.maximum(h, 1e-3 * h.max())).max(axis=0), 0.0) * h
+        # Elsewhere it stays above its tangents at both ends, but for what presses the contact on:
+        # up to twice as much as anywhere without a contact that turns it back.
+        pressed = (
+            2.0
+            * np.maximum(((begins - comes) / np.maximum(h, 1e-3 * h.max())).max(axis=0), 0.0)
+            * h
+        )
         begins, comes = begins - pressed, comes + pressed
-        late = np.clip(np.divide(h * comes - (last - first), comes - begins, out=np.zeros_like(h * comes), where=comes > begins), 0.0, h)
+        late = np.clip(
+            np.divide(
+                h * comes - (last - first),
+                comes - begins,
+                out=np.zeros_like(h * comes),
+                where=comes > begins,
+            ),
+            0.0,
+            h,
+        )
         return lowest, pieces, np.where(told, math.inf, np.minimum(ends, first + begins * late))
 
     def _again(self, motion: _Motion, piece: int, parts: int) -> _Motion:
         """The motion from one row to the next, with rows at the ends of so many parts."""
         (begin, end), inputs, nx = motion.t[piece : piece + 2], motion.inputs, 2 * self.scene.nq
-        t, step = np.linspace(begin, end, parts + 1), int(np.searchsorted(inputs.times, (begin + end) / 2.0)) - 1
-        u = inputs.values[step] + inputs.slopes[step] * ((t[:-1] + t[1:]) / 2.0 - inputs.times[step])[:, None]
+        t, step = (
+            np.linspace(begin, end, parts + 1),
+            int(np.searchsorted(inputs.times, (begin + end) / 2.0)) - 1,
+        )
+        u = (
+            inputs.values[step]
+            + inputs.slopes[step] * ((t[:-1] + t[1:]) / 2.0 - inputs.times[step])[:, None]
+        )
         still = np.zeros((len(t), self.scene.nq))
-        held = HeldInputs(Trajectory(t=t, q=still, v=still, u=u, lam=np.zeros((parts, self.scene.nl))))
+        held = HeldInputs(
+            Trajectory(t=t, q=still, v=still, u=u, lam=np.zeros((parts, self.scene.nl)))
+        )
         run = self._simulate(motion.variables, motion.values[piece, :nx], held, 2)
-        return replace(motion, t=np.array(run.t), values=np.array(run.outputs).reshape(len(run.t), motion.values.shape[1]))
+        return replace(
+            motion,
+            t=np.array(run.t),
+            values=np.array(run.outputs).reshape(len(run.t), motion.values.shape[1]),
+        )
 
-    def _simulate(self, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int) -> Run:
-        """The everyday replay from a start (2*nq,) on the instance that is kept; one that failed is not."""
+    def _simulate(
+        self, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int
+    ) -> Run:
+        """The everyday replay from a start (2*nq,) on the instance that is kept.
+
+        One that failed is not.
+        """
         run = simulate(self._package, variables, start, inputs, fineness, fmu=self._fresh())
         if run.outcome in (ReplayOutcome.FMU_FAILED, ReplayOutcome.FATAL):
             self.close()
@@ -428,8 +628,10 @@ class SceneArena(Arena):
 
 
 # In the place of a fineness: Model Exchange at this relative tolerance.
-_LOOSELY, _LOOSE = 0, 1e-7
-# How near half the smallest step must be: of a method of first order no step comes within a thousandth of the limits.
+_LOOSELY = 0
+_LOOSE = 1e-7
+# How near half the smallest step must be: of a method of first order no step comes within a
+# thousandth of the limits.
 _NEAR = 1e-2
 
 
@@ -442,60 +644,117 @@ class FmuArena(Arena):
         self._foreign, self._child = foreign, IsolatedCalls(wired.limits, f"FMU {package.path}")
         steps, exchange = package.cosimulation, package.exchange is not None and not wired.own_step
         # Uneven steps are not everybody's, and who is judged by its own step takes no other.
-        uneven = steps is not None and not wired.own_step and steps.canHandleVariableCommunicationStepSize
+        uneven = (
+            steps is not None
+            and not wired.own_step
+            and steps.canHandleVariableCommunicationStepSize
+        )
         whole = not uneven and not exchange
         super().__init__(foreign.model, plan, asked, followed, None if whole else _feedback(wired))
         self.nominal = replace(self.nominal, whole=whole)
         # As often as a replay looks at it; but for what is judged by its own step.
         self._longest = math.inf if wired.own_step else plan.duration / LOOKS
         plans = with_rows(plan, self._longest), plan
-        looked_at, job = (foreign_job(foreign, package, one, wired.limits, wired.own_step) for one in plans)
+        looked_at, job = (
+            foreign_job(foreign, package, one, wired.limits, wired.own_step) for one in plans
+        )
         parts = max(job.parts, math.ceil(float(np.diff(plan.t).max()) / self._longest))
         self._job = replace(job, child=self._child, rolls_back=False, parts=parts)
         factor = max(looked_at.fineness) // max(JUDGED)
         steady = JUDGED if foreign.variables.internal_step is None else FINENESS
-        self.levels = OWN_STEP[1:] if wired.own_step else tuple(factor * fineness for fineness in steady) if whole or uneven else ()
+        self.levels = (
+            OWN_STEP[1:]
+            if wired.own_step
+            else tuple(factor * fineness for fineness in steady)
+            if whole or uneven
+            else ()
+        )
         finest = OWN_STEP[0] if wired.own_step else 2 * max(self.levels, default=0)
         self.levels += (_LOOSELY,) if exchange else ()
-        self._exact = {"tolerances": (RTOL,) if exchange else (), "fineness": () if exchange else (finest,)}
+        self._exact = {
+            "tolerances": (RTOL,) if exchange else (),
+            "fineness": () if exchange else (finest,),
+        }
         if not exchange:
-            self.by, self.near = f"with {'a quarter of the' if wired.own_step else 'half the smallest'} step", _NEAR
+            self.by, self.near = (
+                f"with {'a quarter of the' if wired.own_step else 'half the smallest'} step",
+                _NEAR,
+            )
 
     @classmethod
     @contextmanager
-    def of(cls, wired: WiredFmu, limits: Mapping[str, float], *, followed: bool = False) -> Iterator[Arena]:
-        """An arena that is closed at the end. limits: what the judge held the plan to, by metric. Raises FmuError, MachineError, TrajectoryError."""
-        with closing(cls(wired, Asked.of(wired.foreign.model, limits, wired.plan), followed)) as arena:
+    def of(
+        cls, wired: WiredFmu, limits: Mapping[str, float], *, followed: bool = False
+    ) -> Iterator[Arena]:
+        """An arena that is closed at the end. limits: what the judge held the plan to, by metric.
+
+        Raises FmuError, MachineError, TrajectoryError.
+        """
+        with closing(
+            cls(wired, Asked.of(wired.foreign.model, limits, wired.plan), followed)
+        ) as arena:
             yield arena.settle()
 
     def _run(self, world: World, fineness: int, feedback: Feedback | None) -> _Ran:
-        level = {"tolerances": (_LOOSE,), "fineness": ()} if fineness == _LOOSELY else {"tolerances": (), "fineness": (fineness,)}
+        level = (
+            {"tolerances": (_LOOSE,), "fineness": ()}
+            if fineness == _LOOSELY
+            else {"tolerances": (), "fineness": (fineness,)}
+        )
         level = self._exact if fineness == REFERENCE else level
-        world = world if level["tolerances"] else replace(world, longest=self._longest)  # Model Exchange shows parts of a step as it is
-        foreign, inputs, nx = self._foreign, WorldInputs(self.plan, world, feedback), 2 * self.scene.nq
+        world = (
+            world if level["tolerances"] else replace(world, longest=self._longest)
+        )  # Model Exchange shows parts of a step as it is
+        foreign, inputs, nx = (
+            self._foreign,
+            WorldInputs(self.plan, world, feedback),
+            2 * self.scene.nq,
+        )
         try:
             job = replace(self._moved(world), **level)
-            simulated = in_plan_units(foreign, job.run(None if feedback is None else feedback.in_units(*foreign.units)))
+            simulated = in_plan_units(
+                foreign, job.run(None if feedback is None else feedback.in_units(*foreign.units))
+            )
         except FmuError:  # what it does in this world alone is no mistake of the user's
             nothing = np.empty((0, nx + self.scene.nc))
-            return self._told(ReplayOutcome.FMU_FAILED, nothing[:, :nx], nothing[:, nx:], nothing[:, nx:], inputs)
+            return self._told(
+                ReplayOutcome.FMU_FAILED, nothing[:, :nx], nothing[:, nx:], nothing[:, nx:], inputs
+            )
         self.seconds += simulated.seconds_reference + simulated.seconds_everyday
         run = simulated.judged
         found = recorded(foreign.model, foreign.variables, run)
         rows = np.array(run.knots, dtype=int)[inputs.rows[inputs.rows < len(run.knots)]]
-        return self._told(run.outcome, np.hstack([found.q, found.v])[rows], found.gap[rows], found.gap, inputs)
+        return self._told(
+            run.outcome, np.hstack([found.q, found.v])[rows], found.gap[rows], found.gap, inputs
+        )
 
     @staticmethod
-    def _told(outcome: ReplayOutcome, states: np.ndarray, gaps: np.ndarray, every: np.ndarray, inputs: WorldInputs) -> _Ran:
+    def _told(
+        outcome: ReplayOutcome,
+        states: np.ndarray,
+        gaps: np.ndarray,
+        every: np.ndarray,
+        inputs: WorldInputs,
+    ) -> _Ran:
         """every: gaps (points, nc) [m] at all points that the FMU showed."""
         lowest = every.min(axis=0, initial=math.inf)
-        return _Ran(outcome=outcome, states=states, gaps=gaps, lowest=lambda _: lowest, closed=every < 0.0, commands=inputs.commands)
+        return _Ran(
+            outcome=outcome,
+            states=states,
+            gaps=gaps,
+            lowest=lambda _: lowest,
+            closed=every < 0.0,
+            commands=inputs.commands,
+        )
 
     def _moved(self, world: World) -> Job:
         """The job in a world, in the FMU's units; what is as the FMU has it is not set."""
         foreign, nominal = self._foreign, self.nominal
         (scale, offset), (times, plus) = foreign.units
-        parameters, start = dict(foreign.variables.parameters), dict(zip(foreign.variables.start, foreign.start.tolist(), strict=True))
+        parameters, start = (
+            dict(foreign.variables.parameters),
+            dict(zip(foreign.variables.start, foreign.start.tolist(), strict=True)),
+        )
         for place in np.flatnonzero(world.parameters != nominal.parameters):
             parameters[foreign.parameters[place]] = float(world.parameters[place])
         states = (world.start[: len(scale)] - offset) / scale
@@ -503,8 +762,10 @@ class FmuArena(Arena):
             start[(foreign.variables.q + foreign.variables.v)[place]] = float(states[place])
         noise = times * world.noise + plus * (1.0 - world.gain)
         return replace(
-            self._job, start=np.array(list(start.values())), world=replace(world, start=states, noise=noise),
-            variables=replace(self._job.variables, parameters=tuple(parameters.items()), start=tuple(start)),
+            self._job, start=np.array(list(start.values())),
+            world=replace(world, start=states, noise=noise),
+            variables=replace(self._job.variables, parameters=tuple(parameters.items()),
+                              start=tuple(start)),
         )  # fmt: skip
 
     def close(self) -> None:

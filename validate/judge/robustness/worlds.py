@@ -1,11 +1,12 @@
 """The worlds a plan is tried in: what may be otherwise than the scene, or somebody's FMU, says, by how much, and samples of it.
 
-    causes = perturbations(scene, plan)                  # parameters, start, gains of the inputs, noise, delay
-    worlds = draw(causes, samples=1000, seed=0)
-    worlds.world(0, nominal_world(scene, plan))          # one of them
+    causes = perturbations(scene, plan) # parameters, start, gains of the inputs, noise, delay
+    worlds = draw(causes, samples=1000, seed=0) worlds.world(0, nominal_world(scene, plan)) # one of
+    them
 
-Sizes are those of docs/robustness.md: a parameter's own uncertainty, else a twentieth of its value; the start by a hundredth of nominal; each
-input's gain by a fiftieth; noise of a hundredth of an input's range, new in every step; a delay of up to a step. A world is told in these sizes.
+Sizes are those of docs/robustness.md: a parameter's own uncertainty, else a twentieth of its value;
+the start by a hundredth of nominal; each input's gain by a fiftieth; noise of a hundredth of an
+input's range, new in every step; a delay of up to a step. A world is told in these sizes.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ class PerturbationKind(Enum):
 class Perturbation:
     """One number of a world that may be otherwise.
 
-    index: its place among those of its kind; nominal, size: its value in the scene and how far it may be from that [unit]; below, above: how many
+    index: its place among those of its kind; nominal, size: its value in the scene and how far it
+        may be from that [unit]; below, above: how many
     sizes it may be moved down and up at most.
     """
 
@@ -56,42 +58,110 @@ class Perturbation:
 
 
 def perturbations(
-    subject: Subject, plan: Trajectory, asked: Sequence[PerturbationKind | str] = tuple(PerturbationKind)
+    subject: Subject,
+    plan: Trajectory,
+    asked: Sequence[PerturbationKind | str] = tuple(PerturbationKind),
 ) -> tuple[Perturbation, ...]:
-    """What may be otherwise in the worlds of a plan; what has no size (a parameter of value 0 without a stated uncertainty) is left out.
+    """What may be otherwise in the worlds of a plan.
+
+    What has no size (a parameter of value 0 without a stated uncertainty) is left out.
 
     asked: kinds, or names of single ones. Raises TrajectoryError for a name that nothing has.
     """
-    names, kinds, found = [item.value if isinstance(item, PerturbationKind) else item for item in asked], PerturbationKind, []
+    names, kinds, found = (
+        [item.value if isinstance(item, PerturbationKind) else item for item in asked],
+        PerturbationKind,
+        [],
+    )
 
-    def add(kind: PerturbationKind, index: int, name: str, nominal: float, size: float, unit: str, reason: str, *range_of: float) -> None:
+    def add(
+        kind: PerturbationKind,
+        index: int,
+        name: str,
+        nominal: float,
+        size: float,
+        unit: str,
+        reason: str,
+        *range_of: float,
+    ) -> None:
         if size > 0.0 and (kind.value in names or name in names):
             lower, upper = range_of or (-math.inf, math.inf)
             below, above = (nominal - lower) / size, (upper - nominal) / size
             found.append(
                 Perturbation(
-                    kind=kind, name=name, index=index, nominal=nominal, size=size, unit=unit, reason=reason, below=below, above=above
+                    kind=kind,
+                    name=name,
+                    index=index,
+                    nominal=nominal,
+                    size=size,
+                    unit=unit,
+                    reason=reason,
+                    below=below,
+                    above=above,
                 )
             )
 
     for index, item in enumerate(subject.parameters):
         size = size_of(item.value, item.uncertainty)
-        reason = f"{PARAMETER:.0%} of its value" if item.uncertainty is None else item.uncertainty_reason
-        add(kinds.PARAMETERS, index, item.name, item.value, size, item.unit, reason, item.lower, item.upper)
+        reason = (
+            f"{PARAMETER:.0%} of its value" if item.uncertainty is None else item.uncertainty_reason
+        )
+        add(
+            kinds.PARAMETERS,
+            index,
+            item.name,
+            item.value,
+            size,
+            item.unit,
+            reason,
+            item.lower,
+            item.upper,
+        )
     columns = columns_of(subject)  # type: ignore[arg-type] - a foreign model answers what a scene answers
     state = columns["q"] + columns["v"]
     start, sizes = nominal_world(subject, plan).start.tolist(), (START * nominals(subject)).tolist()
     for index in range(len(state)) if isinstance(subject, Scene) else subject.startable:
-        add(kinds.START, index, f"start of {state[index][0]}", start[index], sizes[index], state[index][1], f"{START:.0%} of nominal")
+        add(
+            kinds.START,
+            index,
+            f"start of {state[index][0]}",
+            start[index],
+            sizes[index],
+            state[index][1],
+            f"{START:.0%} of nominal",
+        )
     for index, item in enumerate(subject.inputs):
         add(kinds.GAIN, index, f"gain of {item.name}", 1.0, GAIN, "1", f"{GAIN:.0%}", 0.0, math.inf)
-    lower, upper = np.array([item.lower for item in subject.inputs]), np.array([item.upper for item in subject.inputs])
+    lower, upper = (
+        np.array([item.lower for item in subject.inputs]),
+        np.array([item.upper for item in subject.inputs]),
+    )
     ranges = 2.0 * input_scale(lower, upper, plan.u) if subject.nu else np.zeros(0)
     for index, (item, width) in enumerate(zip(subject.inputs, ranges.tolist(), strict=True)):
         reason = f"{NOISE:.0%} of its range as standard deviation, new in every step"
-        add(kinds.NOISE, index, f"noise of {item.name}", 0.0, NOISE * width, item.unit, reason, 0.0, math.inf)
+        add(
+            kinds.NOISE,
+            index,
+            f"noise of {item.name}",
+            0.0,
+            NOISE * width,
+            item.unit,
+            reason,
+            0.0,
+            math.inf,
+        )
     if subject.nu:
-        add(kinds.DELAY, 0, "delay", 0.0, DELAY * plan.duration / plan.steps, "s", "a step", 0.0, math.inf)
+        add(
+            kinds.DELAY,
+            0,
+            "delay",
+            0.0,
+            DELAY * plan.duration / plan.steps,
+            "s",
+            "a step",
+            0.0,
+            math.inf,
+        )
     _check_all_found(subject, names, found)
     return tuple(found)
 
@@ -103,10 +173,18 @@ def _check_all_found(subject: Subject, names: Sequence[str], found: Sequence[Per
     for name in names:
         if name not in kinds and name not in [item.name for item in found]:
             none = "it is certain, or 0, of which there is no share; state how far it may be from its value ([uncertainty] in a map, Parameter(uncertainty=..) in a scene)."
-            near = did_you_mean(name, known, f"what can be perturbed is {', '.join(known[:12])}{' ..' if len(known) > 12 else '.'}")
-            raise TrajectoryError(f"{subject.name}: {name!r} cannot be perturbed: {none if name in known else near}")
+            near = did_you_mean(
+                name,
+                known,
+                f"what can be perturbed is {', '.join(known[:12])}{' ..' if len(known) > 12 else '.'}",
+            )
+            raise TrajectoryError(
+                f"{subject.name}: {name!r} cannot be perturbed: {none if name in known else near}"
+            )
     if not found:
-        raise TrajectoryError(f"{subject.name}: nothing of it can be perturbed by {', '.join(names)}.")
+        raise TrajectoryError(
+            f"{subject.name}: nothing of it can be perturbed by {', '.join(names)}."
+        )
 
 
 def nominal_world(subject: Subject, plan: Trajectory) -> World:
@@ -119,7 +197,9 @@ def nominal_world(subject: Subject, plan: Trajectory) -> World:
     )
 
 
-def moved(world: World, causes: Sequence[Perturbation], sizes: np.ndarray, noise: np.ndarray | None = None) -> World:
+def moved(
+    world: World, causes: Sequence[Perturbation], sizes: np.ndarray, noise: np.ndarray | None = None
+) -> World:
     """Another world.
 
     Parameters
@@ -133,7 +213,11 @@ def moved(world: World, causes: Sequence[Perturbation], sizes: np.ndarray, noise
     """
     parameters, start, gain = world.parameters.copy(), world.start.copy(), world.gain.copy()
     added, delay = world.noise.copy(), world.delay
-    into = {PerturbationKind.PARAMETERS: parameters, PerturbationKind.START: start, PerturbationKind.GAIN: gain}
+    into = {
+        PerturbationKind.PARAMETERS: parameters,
+        PerturbationKind.START: start,
+        PerturbationKind.GAIN: gain,
+    }
     for cause, size in zip(causes, np.asarray(sizes, dtype=float), strict=True):
         change = cause.size * float(np.clip(size, -cause.below, cause.above))
         if cause.kind is PerturbationKind.DELAY:
@@ -154,7 +238,10 @@ class Draw:
     seed: int
 
     def world(self, number: int, nominal: World, scale: float = 1.0) -> World:
-        """One of the worlds, all its sizes times `scale`; its noise is the same at every scale. Raises IndexError."""
+        """One of the worlds, all its sizes times `scale`; its noise is the same at every scale.
+
+        Raises IndexError.
+        """
         noise = np.random.default_rng([self.seed, number]).standard_normal(nominal.noise.shape)
         return moved(nominal, self.causes, scale * self.points[number], noise)
 
@@ -172,7 +259,11 @@ def draw(causes: Sequence[Perturbation], samples: int, seed: int) -> Draw:
     spread = [item for item in causes if item.kind is not PerturbationKind.NOISE]
     points = np.ones((samples, len(causes)))
     if spread:
-        numbers = qmc.Sobol(len(spread), seed=seed).random_base2(max(0, math.ceil(math.log2(samples))))[:samples]
+        numbers = qmc.Sobol(len(spread), seed=seed).random_base2(
+            max(0, math.ceil(math.log2(samples)))
+        )[:samples]
         both = np.array([item.below > 0.0 for item in spread])
-        points[:, [item.kind is not PerturbationKind.NOISE for item in causes]] = np.where(both, 2.0 * numbers - 1.0, numbers)
+        points[:, [item.kind is not PerturbationKind.NOISE for item in causes]] = np.where(
+            both, 2.0 * numbers - 1.0, numbers
+        )
     return Draw(causes=tuple(causes), points=points, seed=seed)

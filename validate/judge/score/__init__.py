@@ -1,7 +1,8 @@
 """Score: (Scene, Trajectory, Replay) -> metrics, each with unit, limit and reason, the answers to the judge's questions, and a verdict.
 
     score(scene, plan, replay(scene, fmu, plan)).why
-    -> "its contact forces are not those of contact: ...; driven by its inputs the motion ends 0.27 m from the goal, ..."
+    -> "its contact forces are not those of contact: ...; driven by its inputs the motion ends 0.27
+      m from the goal, ..."
 
 The judge knows no method: it sees a plan and what the plan's inputs do.
 """
@@ -27,9 +28,28 @@ from validate.judge.score.cause import ScoredPlan, cause_of, explain
 from validate.judge.score.evidence import Evidence
 from validate.judge.score.measures import MEASURES, halved, times_the_law
 from validate.judge.score.table import FEEDBACK, FOLLOWED, GROWTH, TABLE, Measured, MetricEntry
-from validate.judge.score.verdict import Contradicted, LeavesBounds, Metric, Question, Score, Unmeasured, Verdict, decide, wants_feedback
+from validate.judge.score.verdict import (
+    Contradicted,
+    LeavesBounds,
+    Metric,
+    Question,
+    Score,
+    Unmeasured,
+    Verdict,
+    decide,
+    wants_feedback,
+)
 
-__all__ = ["Metric", "Question", "Score", "Verdict", "check_limits", "metric_names", "score", "wants_feedback"]
+__all__ = [
+    "Metric",
+    "Question",
+    "Score",
+    "Verdict",
+    "check_limits",
+    "metric_names",
+    "score",
+    "wants_feedback",
+]
 
 # What a plan must say for a metric to be asked, in words.
 _NEEDS = {
@@ -54,8 +74,13 @@ _INSTEAD = {
 
 
 def metric_names() -> tuple[str, ...]:
-    """Every metric a scene may set a limit on, in the order of the table; limits on a replay are for the one that is judged."""
-    return tuple(entry.name for entry in TABLE) + tuple(entry.name for entry in FEEDBACK if entry.default is not None)
+    """Every metric a scene may set a limit on, in the order of the table.
+
+    Limits on a replay are for the one that is judged.
+    """
+    return tuple(entry.name for entry in TABLE) + tuple(
+        entry.name for entry in FEEDBACK if entry.default is not None
+    )
 
 
 def check_limits(scene: Subject, file: Path | None = None) -> None:
@@ -67,38 +92,70 @@ def check_limits(scene: Subject, file: Path | None = None) -> None:
                 f"{where}: answer {answer.quantity!r} is measured by {answer.measure!r}, but the measures are {', '.join(MEASURES)}."
             )
     for limit in scene.limits:
-        shown = next((entry for entry in TABLE if entry.name == limit.metric and entry.question is Question.SHOWN), None)
+        shown = next(
+            (
+                entry
+                for entry in TABLE
+                if entry.name == limit.metric and entry.question is Question.SHOWN
+            ),
+            None,
+        )
         if shown is not None:
             raise SceneError(
                 f"{where}: there is a limit on {limit.metric}, which is shown, not judged; {_INSTEAD.get(limit.metric, 'leave it out.')}"
             )
         if limit.metric not in metric_names():
-            hint = did_you_mean(limit.metric, metric_names(), f"the metrics are {', '.join(metric_names())}.")
-            raise SceneError(f"{where}: there is a limit on {limit.metric!r}, which is no metric; {hint}")
+            hint = did_you_mean(
+                limit.metric, metric_names(), f"the metrics are {', '.join(metric_names())}."
+            )
+            raise SceneError(
+                f"{where}: there is a limit on {limit.metric!r}, which is no metric; {hint}"
+            )
 
 
-def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None, other_hold: Replay | None = None) -> Score:
-    """All metrics of a plan, and whether it holds. Without a replay (or one that failed) only a violation can be found.
+def score(
+    scene: Subject,
+    trajectory: Trajectory | None,
+    replay: Replay | None,
+    other_hold: Replay | None = None,
+) -> Score:
+    """All metrics of a plan, and whether it holds.
 
-    other_hold: the replay of the same plan with its inputs held the other way, where that was made because the stated one fails.
-    Raises TrajectoryError if plan, replay and scene do not belong together, SceneError for a limit on a metric that does not exist.
+    Without a replay (or one that failed) only a violation can be found.
+
+    other_hold: the replay of the same plan with its inputs held the other way, where that was made
+        because the stated one fails.
+    Raises TrajectoryError if plan, replay and scene do not belong together, SceneError for a limit
+        on a metric that does not exist.
     """
     check_limits(scene)
     if trajectory is None:
-        return Score(metrics=(), verdict=Verdict.NO_PLAN, why="there is no plan to judge.", names=_NAMES)
+        return Score(
+            metrics=(), verdict=Verdict.NO_PLAN, why="there is no plan to judge.", names=_NAMES
+        )
     trajectory.check_fits(scene)  # type: ignore[arg-type] - a foreign model answers what a scene answers
     if replay is not None:
         _check_belongs(scene, trajectory, replay)
     effort = replay.tracked.effort if replay is not None and replay.tracked is not None else None
     growth = replay.growth if replay is not None else None
-    known = (*TABLE, *(GROWTH if growth is not None else ()), *(FOLLOWED if effort is not None else ()))
+    known = (
+        *TABLE,
+        *(GROWTH if growth is not None else ()),
+        *(FOLLOWED if effort is not None else ()),
+    )
     rows = [entry for entry in known if entry.applies(scene)]
     scored, judged = _scored(scene, trajectory, replay, rows, followed=effort is not None)
     metrics = tuple(scored.metrics.values())
     verdict = _of_what_is_asked(scene, trajectory, scored.verdict, metrics)
-    waived = tuple(f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None)
+    waived = tuple(
+        f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None
+    )
     held = Hold.LINEAR if trajectory.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER
-    by_hold = other_hold is not None and other_hold.ok and _moves_so(scene, replace(trajectory, hold=held), other_hold)
+    by_hold = (
+        other_hold is not None
+        and other_hold.ok
+        and _moves_so(scene, replace(trajectory, hold=held), other_hold)
+    )
     scored = replace(scored, verdict=verdict, waived=waived, other_hold=by_hold)
     if verdict is Verdict.VIOLATES and scored.questions.get(Question.MOTION) == "no":
         by_positions = scored.fails("unexplained_force") and _moves_so(
@@ -106,20 +163,28 @@ def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None, 
         )
         scored = replace(scored, own=_as_declared(scored, rows), other_velocities=by_positions)
     return Score(
-        metrics=metrics, verdict=verdict, why=explain(scored), cause=cause_of(scored), judged=judged, waived=waived,
-        questions=tuple(scored.questions.items()), not_asked=_not_asked(scene, rows, metrics), names=_NAMES,
+        metrics=metrics, verdict=verdict, why=explain(scored), cause=cause_of(scored),
+        judged=judged, waived=waived,
+        questions=tuple(scored.questions.items()), not_asked=_not_asked(scene, rows, metrics),
+        names=_NAMES,
     )  # fmt: skip
 
 
 def _scored(
-    scene: Subject, plan: Trajectory, replay: Replay | None, rows: list[MetricEntry], *, followed: bool
+    scene: Subject,
+    plan: Trajectory,
+    replay: Replay | None,
+    rows: list[MetricEntry],
+    *,
+    followed: bool,
 ) -> tuple[ScoredPlan, Literal["open", "feedback"]]:
     """A plan with the metrics of these rows, and of which replay its answers are. followed: whether there is one with feedback."""
     case = Evidence(scene, plan, replay)
     metrics = {entry.name: _metric(entry, case) for entry in rows}
     verdict, found, judged = decide(tuple(metrics.values()), followed)
     return ScoredPlan(
-        scene=scene, trajectory=plan, replay=replay, metrics=metrics, verdict=verdict, questions=found,
+        scene=scene, trajectory=plan, replay=replay, metrics=metrics, verdict=verdict,
+        questions=found,
         halved=partial(halved, case), times_the_law=partial(times_the_law, case),
     ), judged  # fmt: skip
 
@@ -127,7 +192,11 @@ def _scored(
 def _as_declared(scored: ScoredPlan, rows: list[MetricEntry]) -> ScoredPlan | None:
     """A plan that declares no scheme as one of the scheme that makes its motion, by its own forces or by those of the true law; None where none does."""
     plan = scored.trajectory
-    if plan.scheme is not None or plan.hold is not Hold.ZERO_ORDER or not isinstance(scored.scene, Scene):
+    if (
+        plan.scheme is not None
+        or plan.hold is not Hold.ZERO_ORDER
+        or not isinstance(scored.scene, Scene)
+    ):
         return None
     asked = [entry for entry in rows if entry.name in ("defect", "law_error")]
     for scheme in Scheme:
@@ -138,29 +207,53 @@ def _as_declared(scored: ScoredPlan, rows: list[MetricEntry]) -> ScoredPlan | No
     return None
 
 
-# What asks for anything to be reached: the goal by its limits, unless they are waived, and limits on the cost.
-_ASKING = frozenset(f"{of}{what}" for of in ("", "replay_") for what in ("terminal_position_error", "terminal_velocity_error", "cost"))
+# What asks for anything to be reached: the goal by its limits, unless they are waived, and limits
+# on the cost.
+_ASKING = frozenset(
+    f"{of}{what}"
+    for of in ("", "replay_")
+    for what in ("terminal_position_error", "terminal_velocity_error", "cost")
+)
 
 
-def _of_what_is_asked(scene: Subject, plan: Trajectory, verdict: Verdict, metrics: tuple[Metric, ...]) -> Verdict:
-    """A plan of which nothing is asked has nothing to hold; who claims nothing there is not judged at all."""
+def _of_what_is_asked(
+    scene: Subject, plan: Trajectory, verdict: Verdict, metrics: tuple[Metric, ...]
+) -> Verdict:
+    """A plan of which nothing is asked has nothing to hold.
+
+    Who claims nothing there is not judged at all.
+    """
     if not verdict.is_good or any(metric.is_judged for metric in metrics if metric.name in _ASKING):
         return verdict
-    claims = plan.has_states or (scene.nc > 0 and "lam" not in plan.missing) or (scene.nf > 0 and "friction" not in plan.missing)
+    claims = (
+        plan.has_states
+        or (scene.nc > 0 and "lam" not in plan.missing)
+        or (scene.nf > 0 and "friction" not in plan.missing)
+    )
     return Verdict.CONSISTENT if claims else Verdict.NOT_APPLICABLE
 
 
 def _moves_so(scene: Subject, plan: Trajectory, replay: Replay | None) -> bool:
     """Whether question 4 is answered yes."""
     case = Evidence(scene, plan, replay)
-    of_motion = [entry for entry in TABLE if entry.applies(scene) and entry.question is Question.MOTION]
-    return all(metric.ok is True for metric in (_metric(entry, case) for entry in of_motion) if metric.is_judged)
+    of_motion = [
+        entry for entry in TABLE if entry.applies(scene) and entry.question is Question.MOTION
+    ]
+    return all(
+        metric.ok is True
+        for metric in (_metric(entry, case) for entry in of_motion)
+        if metric.is_judged
+    )
 
 
 def _check_belongs(scene: Subject, trajectory: Trajectory, replay: Replay) -> None:
     if replay.scene != scene.name:
-        raise TrajectoryError(f"replay: it is of scene {replay.scene}, but the plan is judged as one of {scene.name}.")
-    if replay.ok and (len(replay.knots) != len(trajectory.t) or not (replay.t[replay.knots] == trajectory.t).all()):
+        raise TrajectoryError(
+            f"replay: it is of scene {replay.scene}, but the plan is judged as one of {scene.name}."
+        )
+    if replay.ok and (
+        len(replay.knots) != len(trajectory.t) or not (replay.t[replay.knots] == trajectory.t).all()
+    ):
         raise TrajectoryError(
             f"replay: its {len(replay.knots)} nodes are not the {len(trajectory.t)} of the plan; it is the replay of another plan."
         )
@@ -170,10 +263,13 @@ def _why_not_asked(entry: MetricEntry, case: Evidence) -> str:
     """Why a plan is not asked this; empty: it is."""
     plan, scene = case.trajectory, case.scene
     for need in entry.needs:
-        # A scheme can be asked about only with forces; without them the motion is judged as that of a plan that declares none.
+        # A scheme can be asked about only with forces; without them the motion is judged as that of
+        # a plan that declares none.
         absent = {
-            "scheme": plan.scheme is None, "no scheme": plan.scheme is not None, "no defect": plan.scheme is not None and not plan.missing,
-            "pressing": "lam" in plan.missing and isinstance(scene, Scene) and any(item.contact is not None for item in scene.frictions),
+            "scheme": plan.scheme is None, "no scheme": plan.scheme is not None,
+            "no defect": plan.scheme is not None and not plan.missing,
+            "pressing": "lam" in plan.missing and isinstance(scene,
+                Scene) and any(item.contact is not None for item in scene.frictions),
         }.get(need, need in plan.missing)  # fmt: skip
         if (need == "friction" and not scene.nf) or (need == "lam" and not scene.nc):
             absent = False
@@ -182,13 +278,24 @@ def _why_not_asked(entry: MetricEntry, case: Evidence) -> str:
     return ""
 
 
-def _not_asked(scene: Subject, rows: list[MetricEntry], metrics: tuple[Metric, ...]) -> tuple[str, ...]:
+def _not_asked(
+    scene: Subject, rows: list[MetricEntry], metrics: tuple[Metric, ...]
+) -> tuple[str, ...]:
     """A sentence for each group of metrics that could not be asked."""
     found: dict[str, list[str]] = {}
     for entry, metric in zip(rows, metrics, strict=True):
-        if entry.question not in (Question.SHOWN, Question.JUDGE) and metric.value is None and metric.limit is None and metric.reason:
+        if (
+            entry.question not in (Question.SHOWN, Question.JUDGE)
+            and metric.value is None
+            and metric.limit is None
+            and metric.reason
+        ):
             found.setdefault(metric.reason, []).append(metric.name)
-    sentences = [f"{', '.join(names)}: {reason}" for reason, names in found.items() if not reason.startswith(_NEEDS["no scheme"])]
+    sentences = [
+        f"{', '.join(names)}: {reason}"
+        for reason, names in found.items()
+        if not reason.startswith(_NEEDS["no scheme"])
+    ]
     return (*sentences, *getattr(scene, "not_asked", ()))
 
 
@@ -197,40 +304,69 @@ def _worst(
 ) -> tuple[float, float, float, float, str | None]:
     """Value, error, scale, what printing allows and the unit of the component that decides a metric; no unit of a norm over several.
 
-    The largest value where the scene sets a limit; else the one that is largest against its own limit.
+    The largest value where the scene sets a limit; else the one that is largest against its own
+    limit.
     """
     if not isinstance(measured, Measured):
         value, error = measured if isinstance(measured, tuple) else (measured, 0.0)
         measured = Measured(values=value, error=error)
     values = np.atleast_1d(np.asarray(measured.values, dtype=float))
-    parts = [np.broadcast_to(np.asarray(part, dtype=float), values.shape) for part in (measured.error, measured.scales, measured.allowed)]
+    parts = [
+        np.broadcast_to(np.asarray(part, dtype=float), values.shape)
+        for part in (measured.error, measured.scales, measured.allowed)
+    ]
     _, scales, allowed = parts
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.nan_to_num((values - allowed) / scales, nan=-np.inf)
     place = int(np.argmax(values if limited else relative))
     error, scale, allows = (float(part[place]) for part in parts)
     is_norm = len(values) == 1 < len(units)
-    return float(values[place]), error, scale, allows, units[place] if place < len(units) and not is_norm else None
+    return (
+        float(values[place]),
+        error,
+        scale,
+        allows,
+        units[place] if place < len(units) and not is_norm else None,
+    )
 
 
 def _metric(entry: MetricEntry, case: Evidence) -> Metric:
     own = case.scene.limit(entry.limited_by)
-    empty = Metric(name=entry.name, question=entry.question, value=None, unit=entry.unit(case.scene), meaning=entry.meaning)
+    empty = Metric(
+        name=entry.name,
+        question=entry.question,
+        value=None,
+        unit=entry.unit(case.scene),
+        meaning=entry.meaning,
+    )
     if absent := _why_not_asked(entry, case):
         return replace(empty, reason=absent)
     waived = own is not None and own.value is None
-    judged = entry.question is not Question.SHOWN and not waived and (own is not None or entry.default is not None)
+    judged = (
+        entry.question is not Question.SHOWN
+        and not waived
+        and (own is not None or entry.default is not None)
+    )
     # Of a default, how much of what counts as large; of a scene's limit the number itself.
-    stated, reason = (own.value, own.reason) if own is not None and own.value is not None else entry.default or (0.0, "")
+    stated, reason = (
+        (own.value, own.reason)
+        if own is not None and own.value is not None
+        else entry.default or (0.0, "")
+    )
     try:
-        # The plan's own time step may lead out of every bound, past its stability limit: what comes of it is not finite, and is refused below.
+        # The plan's own time step may lead out of every bound, past its stability limit: what comes
+        # of it is not finite, and is refused below.
         with np.errstate(over="ignore", invalid="ignore"):
-            value, error, scale, allowed, unit = _worst(entry.measure(case), entry.units(case.scene), own is not None and not waived)
+            value, error, scale, allowed, unit = _worst(
+                entry.measure(case), entry.units(case.scene), own is not None and not waived
+            )
         if not math.isfinite(value):
             raise LeavesBounds("the metric is too large to be a number.")
     except (Unmeasured, KernelError) as missing:
         beyond, unmeasured = isinstance(missing, LeavesBounds), replace(empty, reason=str(missing))
-        if not judged or not (beyond or isinstance(missing, Contradicted) or _can_be_asked(entry, case)):
+        if not judged or not (
+            beyond or isinstance(missing, Contradicted) or _can_be_asked(entry, case)
+        ):
             return unmeasured
         return replace(unmeasured, limit=stated, ok=False if beyond else None, default=own is None)
     found = replace(empty, value=value, error=error, unit=unit or empty.unit)

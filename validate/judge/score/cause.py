@@ -1,7 +1,8 @@
 """The sentence of a verdict: what decided it, the cause that the metrics show, and what to do.
 
-Causes are told apart by metrics, never by what a method is called: the plan itself misses, inputs beyond bounds, relaxed contact law, coarse grid, unstable
-in the open loop, penetration beyond the model, replay too inexact. What a metric cannot show is not said.
+Causes are told apart by metrics, never by what a method is called: the plan itself misses, inputs
+beyond bounds, relaxed contact law, coarse grid, unstable in the open loop, penetration beyond the
+model, replay too inexact. What a metric cannot show is not said.
 """
 
 from __future__ import annotations
@@ -20,10 +21,22 @@ from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
 from validate.judge.score.measures import IDLE
 from validate.judge.score.table import FEEDBACK, TABLE
-from validate.judge.score.verdict import EFFORT, MARGIN, SHARE, TRACKED, Answer, Metric, Question, Unmeasured, Verdict, is_of_feedback
+from validate.judge.score.verdict import (
+    EFFORT,
+    MARGIN,
+    SHARE,
+    TRACKED,
+    Answer,
+    Metric,
+    Question,
+    Unmeasured,
+    Verdict,
+    is_of_feedback,
+)
 
 _ENTRIES = {entry.name: entry for entry in (*TABLE, *FEEDBACK)}
-# From this growth of an error on, the instability of the motion is worth naming as a cause: a step of a good plan is off by a thousandth of what it moves.
+# From this growth of an error on, the instability of the motion is worth naming as a cause: a step
+# of a good plan is off by a thousandth of what it moves.
 _UNSTABLE = 100.0
 # A step that the order of the scheme predicts is taken a little smaller.
 _SAFETY = 0.8
@@ -44,8 +57,11 @@ _CAUSES = {
 class ScoredPlan:
     """One plan with its metrics and answers.
 
-    other_hold, other_velocities: whether question 4 is answered yes with the inputs held the other way, and with the velocities that the positions take; own: the plan as one of the scheme that makes its motion, where it declares
-    none; halved: the grid errors [m or rad] with the step halved ever again until they are so small, times_the_law: how many times what contact gives the planned
+    other_hold, other_velocities: whether question 4 is answered yes with the inputs held the other
+        way, and with the velocities that the positions take; own: the plan as one of the scheme
+        that makes its motion, where it declares
+    none; halved: the grid errors [m or rad] with the step halved ever again until they are so
+        small, times_the_law: how many times what contact gives the planned
     forces are, (nc,) [-] (validate.judge.score.measures); both raise Unmeasured.
     """
 
@@ -81,20 +97,34 @@ def explain(scored: ScoredPlan) -> str:
         Verdict.HOLDS: _holds,
         Verdict.HOLDS_WITH_FEEDBACK: _holds_with_feedback,
         Verdict.CONSISTENT: _consistent,
-        Verdict.NOT_APPLICABLE: lambda scored: f"inputs alone claim nothing, and {_who_asks(scored)} asks for nothing.",
+        Verdict.NOT_APPLICABLE: lambda scored: (
+            f"inputs alone claim nothing, and {_who_asks(scored)} asks for nothing."
+        ),
     }[scored.verdict](scored)
-    return sentence + (f" Waived: {', '.join(text.partition(':')[0] for text in scored.waived)}." if scored.waived else "")
+    return sentence + (
+        f" Waived: {', '.join(text.partition(':')[0] for text in scored.waived)}."
+        if scored.waived
+        else ""
+    )
 
 
 def cause_of(scored: ScoredPlan) -> str:
     """In one word what `explain` says in a sentence, see `Score.cause`."""
     if scored.verdict is Verdict.UNDECIDED:
-        return next((metric.name for metric in (*_unwell(scored), *_judged(scored, None), *_judged(scored, False))), "")
+        return next(
+            (
+                metric.name
+                for metric in (*_unwell(scored), *_judged(scored, None), *_judged(scored, False))
+            ),
+            "",
+        )
     if scored.verdict is not Verdict.VIOLATES:
         return ""
     first = _above(scored)[0]
     of_motion = first.question is Question.MOTION and first.name not in _NAMED
-    return _cause_of_motion(scored) if of_motion or _is_by_the_grid(first.name, scored) else first.name
+    return (
+        _cause_of_motion(scored) if of_motion or _is_by_the_grid(first.name, scored) else first.name
+    )
 
 
 _IMPULSES = ("ghost_impulse", "missed_impulse")
@@ -110,7 +140,9 @@ def _cause_of_motion(scored: ScoredPlan) -> str:
     unstable = growth is not None and growth >= _UNSTABLE
     if scored.fails("defect"):
         return "defect"
-    if _is_lost_on_its_grid(scored) and not (unstable and scored.questions.get(Question.FORCES) == "yes"):
+    if _is_lost_on_its_grid(scored) and not (
+        unstable and scored.questions.get(Question.FORCES) == "yes"
+    ):
         return "relaxed contact"
     if unstable:
         return "unstable"
@@ -125,7 +157,9 @@ def _is_lost_on_its_grid(scored: ScoredPlan) -> bool:
 
 def _is_by_the_grid(name: str, scored: ScoredPlan) -> bool:
     """Whether contact is elsewhere in the replay although the planned forces are those of contact, on a grid whose error shrinks with its step."""
-    return name in _IMPULSES and scored.questions.get(Question.FORCES) == "yes" and _has_order(scored)
+    return (
+        name in _IMPULSES and scored.questions.get(Question.FORCES) == "yes" and _has_order(scored)
+    )
 
 
 def _has_order(scored: ScoredPlan) -> bool:
@@ -140,19 +174,29 @@ def _above(scored: ScoredPlan) -> list[Metric]:
 
 def _unwell(scored: ScoredPlan) -> list[Metric]:
     return [
-        metric for metric in scored.metrics.values() if metric.question is Question.JUDGE and metric.is_judged and metric.ok is not True
+        metric
+        for metric in scored.metrics.values()
+        if metric.question is Question.JUDGE and metric.is_judged and metric.ok is not True
     ]
 
 
 def _judged(scored: ScoredPlan, ok: bool | None) -> list[Metric]:
     """Judged metrics of the plan and the replay of its inputs alone, in the order of the questions, that are so."""
-    found = [metric for metric in scored.metrics.values() if metric.is_judged and metric.ok is ok and not is_of_feedback(metric.name)]
+    found = [
+        metric
+        for metric in scored.metrics.values()
+        if metric.is_judged and metric.ok is ok and not is_of_feedback(metric.name)
+    ]
     return sorted(found, key=lambda metric: list(Question).index(metric.question))
 
 
 def _of_feedback(scored: ScoredPlan, ok: bool | None) -> list[Metric]:
     """Judged metrics of the replay with feedback, and of that, that are so."""
-    return [metric for metric in scored.metrics.values() if metric.is_judged and metric.ok is ok and is_of_feedback(metric.name)]
+    return [
+        metric
+        for metric in scored.metrics.values()
+        if metric.is_judged and metric.ok is ok and is_of_feedback(metric.name)
+    ]
 
 
 def _violates(scored: ScoredPlan) -> str:
@@ -167,7 +211,11 @@ def _violates(scored: ScoredPlan) -> str:
     if others:
         text += f"; also above their limits: {', '.join(others)}"
     text += "."
-    if scored.questions.get(Question.MOTION) != "yes" and scored.replay is not None and scored.replay.tracked is not None:
+    if (
+        scored.questions.get(Question.MOTION) != "yes"
+        and scored.replay is not None
+        and scored.replay.tracked is not None
+    ):
         missed = _of_feedback(scored, False)
         text += f" With feedback too: {_quote(missed[0])}." if missed else ""
     return text
@@ -176,18 +224,28 @@ def _violates(scored: ScoredPlan) -> str:
 def _undecided(scored: ScoredPlan) -> str:
     unwell = _unwell(scored)
     if unwell:
-        known = f", known to {number(unwell[0].error, unwell[0].unit)}" if unwell[0].ok is None and unwell[0].value is not None else ""
+        known = (
+            f", known to {number(unwell[0].error, unwell[0].unit)}"
+            if unwell[0].ok is None and unwell[0].value is not None
+            else ""
+        )
         return f"the judge is not well, so nothing is said of the plan: {_quote(unwell[0])}{known}."
     unsure = _judged(scored, None)
     if not unsure:
         alone = _judged(scored, False)
         open_with = _of_feedback(scored, None)
         why = f": {_what_is_unknown(open_with[0])}" if open_with else ""
-        return f"{_quote(alone[0])}; whether feedback would help could not be decided{why}." if alone else "no question could be decided."
+        return (
+            f"{_quote(alone[0])}; whether feedback would help could not be decided{why}."
+            if alone
+            else "no question could be decided."
+        )
     first, text = unsure[0], _what_is_unknown(unsure[0])
     others = [metric.name for metric in unsure[1:]]
     text += f"; nor decided: {', '.join(others)}." if others else "."
-    needed = "" if scored.replay is None or first.value is None else scored.replay.error.would_decide
+    needed = (
+        "" if scored.replay is None or first.value is None else scored.replay.error.would_decide
+    )
     return f"{text} What would decide it: {needed}." if needed else text
 
 
@@ -201,8 +259,16 @@ def _what_is_unknown(metric: Metric) -> str:
 
 def _holds(scored: ScoredPlan) -> str:
     judged = _judged(scored, True)
-    closest = max(judged, key=lambda metric: (metric.value or 0.0) / metric.limit if metric.limit else 0.0, default=None)
-    text = "every question asked is answered yes" if isinstance(scored.scene, Scene) else f"holds {_of_what_is_shown(scored)}"
+    closest = max(
+        judged,
+        key=lambda metric: (metric.value or 0.0) / metric.limit if metric.limit else 0.0,
+        default=None,
+    )
+    text = (
+        "every question asked is answered yes"
+        if isinstance(scored.scene, Scene)
+        else f"holds {_of_what_is_shown(scored)}"
+    )
     if closest is None or closest.value is None:
         return f"{text}."
     text += f"; closest to its limit: {_quote(closest)}"
@@ -213,7 +279,11 @@ def _holds(scored: ScoredPlan) -> str:
 
 
 def _of_what_is_shown(scored: ScoredPlan) -> str:
-    asked = [str(question.number) for question, word in scored.questions.items() if question.number and word != "not asked"]
+    asked = [
+        str(question.number)
+        for question, word in scored.questions.items()
+        if question.number and word != "not asked"
+    ]
     return f"for what this FMU shows (question{'s' if len(asked) > 1 else ''} {', '.join(asked)})"
 
 
@@ -233,8 +303,14 @@ def _consistent(scored: ScoredPlan) -> str:
 
 
 def _holds_with_feedback(scored: ScoredPlan) -> str:
-    failing = [metric for metric in (*_judged(scored, False), *_judged(scored, None)) if metric.question is Question.MOTION]
-    text = f"not for the inputs alone: {_quote(failing[0])}" if failing else "not for the inputs alone"
+    failing = [
+        metric
+        for metric in (*_judged(scored, False), *_judged(scored, None))
+        if metric.question is Question.MOTION
+    ]
+    text = (
+        f"not for the inputs alone: {_quote(failing[0])}" if failing else "not for the inputs alone"
+    )
     growth = scored.value("amplification")
     if scored.other_hold:
         text += f" ({_held_the_other_way(scored)})"
@@ -244,37 +320,62 @@ def _holds_with_feedback(scored: ScoredPlan) -> str:
     took = [] if effort is None else [f"{percent(effort)} of the half-range"]
     took += [] if share is None else [f"{percent(share)} of what the plan's own inputs do"]
     text += f"; with LQR feedback, RMS effort {' and '.join(took)}, it holds"
-    end = next((scored.metrics[name] for name in _ENDS if name in scored.metrics and scored.metrics[name].value is not None), None)
+    end = next(
+        (
+            scored.metrics[name]
+            for name in _ENDS
+            if name in scored.metrics and scored.metrics[name].value is not None
+        ),
+        None,
+    )
     return text + ("." if end is None else f": {_quote(end)}.")
 
 
-_ENDS = tuple(f"{TRACKED}{name}" for name in ("replay_terminal_position_error", "replay_terminal_velocity_error", "replay_error"))
+_ENDS = tuple(
+    f"{TRACKED}{name}"
+    for name in ("replay_terminal_position_error", "replay_terminal_velocity_error", "replay_error")
+)
 
 
 def _cause(first: Metric, scored: ScoredPlan) -> str:
     """The cause of what failed first, and the advice."""
-    if (first.name == "start_error" or first.question in (Question.GOAL, Question.FORCES, Question.MOTION)) and _jumps_by_turns(scored):
+    if (
+        first.name == "start_error"
+        or first.question in (Question.GOAL, Question.FORCES, Question.MOTION)
+    ) and _jumps_by_turns(scored):
         return "; its angles are wrapped, where those of a plan run on from the task's start (numpy.unwrap)"
     if first.name == "duration_error" and scored.scene.task.horizon is not None:
         return f" (it lasts {scored.trajectory.duration:.6g} s, the task {scored.scene.task.horizon:.6g} s)"
     if first.question is Question.TASK or first.question is Question.GOAL:
         return ""
-    if first.name in ("physics_scaled", "contact_law_error") and (multiple := _multiple_of_the_law(scored)):
+    if first.name in ("physics_scaled", "contact_law_error") and (
+        multiple := _multiple_of_the_law(scored)
+    ):
         return multiple
     if first.name in _CAUSES:
         return _CAUSES[first.name] + (
-            f", or {few}" if first.name == "contact_law_error" and (few := _few_digits(scored.trajectory)) else ""
+            f", or {few}"
+            if first.name == "contact_law_error" and (few := _few_digits(scored.trajectory))
+            else ""
         )
     if first.name == "max_penetration":
         return _of_depth(scored)
-    if first.name in ("law_error", "discrete_terminal_position_error", "discrete_terminal_velocity_error"):
-        if scored.questions.get(Question.MOTION) == "yes":  # no relaxed law gives the motion that the true one gives
+    if first.name in (
+        "law_error",
+        "discrete_terminal_position_error",
+        "discrete_terminal_velocity_error",
+    ):
+        if (
+            scored.questions.get(Question.MOTION) == "yes"
+        ):  # no relaxed law gives the motion that the true one gives
             return "; its inputs give its motion all the same: if another integrator made it, leave the declaration of the scheme out"
         return _CAUSES["physics_scaled"]
     if first.question is Question.MOTION:
         return _of_motion(first, scored)
     by_the_grid = _is_by_the_grid(first.name, scored)
-    if by_the_grid or (first.name not in _IMPULSES and first.question is Question.POSSIBLE and _has_order(scored)):
+    if by_the_grid or (
+        first.name not in _IMPULSES and first.question is Question.POSSIBLE and _has_order(scored)
+    ):
         grid = scored.metrics["grid_error"]
         text = f": discretisation error {number(grid.value or 0.0, grid.unit)}"
         return f"{text}; the contact forces are correct{_unstable(scored)}" if by_the_grid else text
@@ -286,12 +387,18 @@ def _jumps_by_turns(scored: ScoredPlan) -> bool:
     plan, scene = scored.trajectory, scored.scene
     if not isinstance(scene, Scene) or not plan.has_states:
         return False
-    jumps = np.vstack([plan.start[: scene.nq] - np.array(scene.task.start[: scene.nq]), np.diff(plan.q, axis=0)])
+    jumps = np.vstack(
+        [plan.start[: scene.nq] - np.array(scene.task.start[: scene.nq]), np.diff(plan.q, axis=0)]
+    )
     moved = jumps.copy()
-    moved[1:] -= np.diff(plan.t)[:, None] * (plan.v[:-1] + plan.v[1:]) / 2.0 * ("v" not in plan.missing)
+    moved[1:] -= (
+        np.diff(plan.t)[:, None] * (plan.v[:-1] + plan.v[1:]) / 2.0 * ("v" not in plan.missing)
+    )
     turns = np.round(moved / (2.0 * math.pi)) * [item.unit == "rad" for item in scene.coordinates]
     # It is the angle that jumps, not a velocity of another unit that would have it turn.
-    near = (np.abs(moved - 2.0 * math.pi * turns) < _NEAR_A_TURN) & (np.abs(jumps - 2.0 * math.pi * turns) < math.pi)
+    near = (np.abs(moved - 2.0 * math.pi * turns) < _NEAR_A_TURN) & (
+        np.abs(jumps - 2.0 * math.pi * turns) < math.pi
+    )
     return bool(((turns != 0.0) & near).any())
 
 
@@ -304,15 +411,27 @@ def _multiple_of_the_law(scored: ScoredPlan) -> str:
     if not times.size:
         return ""
     alike = np.ptp(times) <= 0.01 * float(np.abs(times).max())
-    each = [f"{rounded(float(x))} ({item.name})" for x, item in zip(times, scored.scene.contacts, strict=True)]
+    each = [
+        f"{rounded(float(x))} ({item.name})"
+        for x, item in zip(times, scored.scene.contacts, strict=True)
+    ]
     said = rounded(float(times.mean())) if alike else ", ".join(each)
     return f": they are {said} times what the contact law gives, as of another stiffness or another unit"
 
 
 def _few_digits(plan: Trajectory) -> str:
     """Whether the plan's own digits may be the cause: numbers with so few are taken as they stand."""
-    few = next((digits for digits in range(4) if np.allclose(plan.q, np.round(plan.q, digits), rtol=0.0, atol=1e-12)), None)
-    return "" if few is None else f"the plan's own digits: its positions are given to {10.0**-few:g}"
+    few = next(
+        (
+            digits
+            for digits in range(4)
+            if np.allclose(plan.q, np.round(plan.q, digits), rtol=0.0, atol=1e-12)
+        ),
+        None,
+    )
+    return (
+        "" if few is None else f"the plan's own digits: its positions are given to {10.0**-few:g}"
+    )
 
 
 def _of_depth(scored: ScoredPlan) -> str:
@@ -340,7 +459,13 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
     if scored.own is not None and scored.own.trajectory.scheme is not None:
         scheme, own, what = scored.own.trajectory.scheme.value, scored.own, "own motion is that"
         if own.fails("defect"):  # of velocities alone: forces that are wrong were asked before
-            what, own = "positions are those", replace(own, metrics={name: item for name, item in own.metrics.items() if name != "defect"})
+            what, own = (
+                "positions are those",
+                replace(
+                    own,
+                    metrics={name: item for name, item in own.metrics.items() if name != "defect"},
+                ),
+            )
         return f"; the plan's {what} of {scheme} with its steps of {plan.duration / plan.steps:.3g} s{_of_motion(first, own)}"
     unstable = _unstable(scored)
     if plan.scheme is None:
@@ -359,16 +484,30 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
         if cause == "relaxed contact":
             return f": a relaxed contact law ({lost}); {_ADVICE_EXACT}"
         return f": off by {lost}; the contact forces are correct{unstable}"
-    correct = "; the contact forces are correct" if plan.lam.size and "lam" not in plan.missing else ""
+    correct = (
+        "; the contact forces are correct" if plan.lam.size and "lam" not in plan.missing else ""
+    )
     text = f": discretisation error {number(grid.value, grid.unit)}{correct}{unstable}"
-    if any(scored.fails(name) for name in ("physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error")):
+    if any(
+        scored.fails(name)
+        for name in (
+            "physics_scaled",
+            "contact_law_error",
+            "friction_violation",
+            "friction_dissipation_error",
+        )
+    ):
         return f": discretisation error {number(grid.value, grid.unit)}{unstable}"
     return text + _finer(first, grid.value, scored)
 
 
 def _unstable(scored: ScoredPlan) -> str:
     growth = scored.value("amplification")
-    return "" if growth is None or growth < _UNSTABLE else f"; unstable in the open loop (amplification {rounded(growth)})"
+    return (
+        ""
+        if growth is None or growth < _UNSTABLE
+        else f"; unstable in the open loop (amplification {rounded(growth)})"
+    )
 
 
 def _finer(first: Metric, grid: float, scored: ScoredPlan) -> str:
@@ -379,20 +518,35 @@ def _finer(first: Metric, grid: float, scored: ScoredPlan) -> str:
     # A kink of the contact force leaves an error of order two, whatever the scheme.
     first_order = plan.scheme is Scheme.SEMI_IMPLICIT_EULER
     order = 1.0 if first_order else min(2, tableau(plan.scheme).order)
-    step, error, near = plan.duration / plan.steps, grid, _SAFETY * first.limit * min(1.0, grid / max(grid, first.value or 0.0))
+    step, error, near = (
+        plan.duration / plan.steps,
+        grid,
+        _SAFETY * first.limit * min(1.0, grid / max(grid, first.value or 0.0)),
+    )
     # A step that is far too long says little of shorter ones: it is halved first, its inputs held.
     nearer = True
     with suppress(Unmeasured):
         for finer in scored.halved(near):
-            order = max(order, math.log2(error / finer)) if finer <= near and 0.0 < finer < error else order
+            order = (
+                max(order, math.log2(error / finer))
+                if finer <= near and 0.0 < finer < error
+                else order
+            )
             nearer = finer <= max(near, (1.0 - IDLE) * error)
             step, error = step / 2.0, finer
     if not nearer:
         return "; half the step, these inputs held, brings it no nearer"
     if error > 0.0:
         step *= min(2.0 if error <= near else 1.0, (near / error) ** (1.0 / order))
-    smooth = isinstance(scored.scene, Scene) and not scored.scene.nf and not scored.scene.damped and scored.scene.relaxation_index is None
-    other = ", or `collocation`" if first_order and smooth else ""  # which takes neither friction nor damped contacts
+    smooth = (
+        isinstance(scored.scene, Scene)
+        and not scored.scene.nf
+        and not scored.scene.damped
+        and scored.scene.relaxation_index is None
+    )
+    other = (
+        ", or `collocation`" if first_order and smooth else ""
+    )  # which takes neither friction nor damped contacts
     return f". Try h = {step:.2g} s (predicted with these inputs held){other}"
 
 
@@ -401,7 +555,11 @@ def _quote(metric: Metric) -> str:
     name = metric.name.removeprefix(TRACKED)
     if metric.value is None:
         return f"{metric.name}: {metric.reason.rstrip('.')}"
-    value, limit = _told_apart(metric.value, metric.limit or 0.0, None if name in ("unexplained_force", EFFORT, SHARE) else metric.unit)
+    value, limit = _told_apart(
+        metric.value,
+        metric.limit or 0.0,
+        None if name in ("unexplained_force", EFFORT, SHARE) else metric.unit,
+    )
     phrase = _ENTRIES[name].quote(value)
     if name != metric.name:
         phrase = "with feedback " + phrase.replace("driven by its inputs ", "")
@@ -411,7 +569,10 @@ def _quote(metric: Metric) -> str:
 def _told_apart(value: float, limit: float, unit: str | None) -> tuple[str, str]:
     """Both in as many digits as tell them apart; shares where there is no unit."""
     for more in range(_MORE_DIGITS):
-        texts = [percent(of, 2 + more) if unit is None else number(of, unit, 3 + more) for of in (value, limit)]
+        texts = [
+            percent(of, 2 + more) if unit is None else number(of, unit, 3 + more)
+            for of in (value, limit)
+        ]
         if texts[0] != texts[1]:
             break
     return texts[0], texts[1]

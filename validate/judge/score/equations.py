@@ -1,7 +1,7 @@
 """The equations of the score, one function a metric; arrays in, one number out.
 
-Shapes as in Trajectory and Replay: nodes = steps + 1; phi (steps, nc) is the penetration at the *start* of each step, where the plan's lam (steps, nc)
-belongs.
+Shapes as in Trajectory and Replay: nodes = steps + 1; phi (steps, nc) is the penetration at the
+*start* of each step, where the plan's lam (steps, nc) belongs.
 
 `half_unit` tells how finely numbers are printed: what a plan may be off by without being wrong.
 
@@ -33,7 +33,9 @@ def physics(lam: np.ndarray, push: np.ndarray) -> float:
     return float(np.abs(lam * (lam - push)).sum())
 
 
-def physics_scaled(lam: np.ndarray, push: np.ndarray, k: np.ndarray, length: np.ndarray, h: np.ndarray) -> float:
+def physics_scaled(
+    lam: np.ndarray, push: np.ndarray, k: np.ndarray, length: np.ndarray, h: np.ndarray
+) -> float:
     """Complementarity violation, the same on any grid: sum over steps and contacts of h*abs(lam*(lam - push))/(k*L)^2.
 
     Parameters
@@ -76,14 +78,17 @@ def defect(q: np.ndarray, v: np.ndarray, acceleration: np.ndarray, h: np.ndarray
     return np.concatenate([np.abs(positions).max(axis=0), np.abs(velocities).max(axis=0)])
 
 
-def contact_law_error(lam: np.ndarray, law: np.ndarray, least: np.ndarray, most: np.ndarray, h: np.ndarray) -> float:
+def contact_law_error(
+    lam: np.ndarray, law: np.ndarray, least: np.ndarray, most: np.ndarray, h: np.ndarray
+) -> float:
     """Sum over steps and contacts of h times the distance of lam from what the true law gives over the step.
 
     Parameters
     ----------
     lam : (steps, nc) planned contact forces [N].
     law : (nodes, nc) of the true law at the nodes [N].
-    least, most : (steps, nc) of the true law within each step, on the true motion from its start [N].
+    least, most : (steps, nc) of the true law within each step, on the true motion from its start
+        [N].
     h : (steps,) [s].
 
     Returns
@@ -94,7 +99,10 @@ def contact_law_error(lam: np.ndarray, law: np.ndarray, least: np.ndarray, most:
     ------
     ValueError : if the shapes do not fit.
     """
-    low, high = np.minimum(np.minimum(law[:-1], law[1:]), least), np.maximum(np.maximum(law[:-1], law[1:]), most)
+    low, high = (
+        np.minimum(np.minimum(law[:-1], law[1:]), least),
+        np.maximum(np.maximum(law[:-1], law[1:]), most),
+    )
     return float((h[:, None] * np.maximum(np.maximum(lam - high, low - lam), 0.0)).sum())
 
 
@@ -140,7 +148,8 @@ def largest_difference(one: np.ndarray, other: np.ndarray) -> tuple[float, int]:
 def excess_impulse(lam: np.ndarray, other: np.ndarray, h: np.ndarray) -> float:
     """Impulse that one has and the other has not: sum over steps and contacts of h max(lam - other, 0).
 
-    Ghost impulse is that of the plan over the largest of the replay's `force_window`, missed impulse that of its least over the plan.
+    Ghost impulse is that of the plan over the largest of the replay's `force_window`, missed
+    impulse that of its least over the plan.
 
     Parameters
     ----------
@@ -176,7 +185,9 @@ def friction_violation(friction: np.ndarray, limit: np.ndarray) -> float:
     return float(np.maximum(np.abs(friction) - limit, 0.0).max(initial=0.0))
 
 
-def friction_dissipation_error(friction: np.ndarray, least: np.ndarray, most: np.ndarray, slip: np.ndarray) -> np.ndarray:
+def friction_dissipation_error(
+    friction: np.ndarray, least: np.ndarray, most: np.ndarray, slip: np.ndarray
+) -> np.ndarray:
     """Largest abs of mu N abs(s) + f s, with the mu N in its range that makes it smallest: 0 where it sticks or slips against all of mu N.
 
     Parameters
@@ -198,7 +209,9 @@ def friction_dissipation_error(friction: np.ndarray, least: np.ndarray, most: np
     return (off * np.abs(slip)).max(axis=0, initial=0.0)
 
 
-def friction_impulse_error(plan: np.ndarray, step_of: np.ndarray, friction: np.ndarray, duration: np.ndarray) -> float:
+def friction_impulse_error(
+    plan: np.ndarray, step_of: np.ndarray, friction: np.ndarray, duration: np.ndarray
+) -> float:
     """Integral over time of abs(f - f_plan), by the trapezoid rule on the pieces of the replay's grid.
 
     Parameters
@@ -217,10 +230,18 @@ def friction_impulse_error(plan: np.ndarray, step_of: np.ndarray, friction: np.n
     ValueError, IndexError : if the shapes do not fit.
     """
     planned = plan[step_of]
-    return float(((np.abs(friction[:-1] - planned) + np.abs(friction[1:] - planned)) / 2 * duration[:, None]).sum())
+    return float(
+        (
+            (np.abs(friction[:-1] - planned) + np.abs(friction[1:] - planned))
+            / 2
+            * duration[:, None]
+        ).sum()
+    )
 
 
-def energy_residual(energy: np.ndarray, input_work: np.ndarray, dissipated_work: np.ndarray) -> float:
+def energy_residual(
+    energy: np.ndarray, input_work: np.ndarray, dissipated_work: np.ndarray
+) -> float:
     """Largest abs(E - E(0) - W_in + W_dissipated) over time.
 
     Parameters
@@ -240,7 +261,11 @@ def energy_residual(energy: np.ndarray, input_work: np.ndarray, dissipated_work:
 
 
 def energy_turnover(
-    kinetic: np.ndarray, potential: np.ndarray, contact: np.ndarray, input_work: np.ndarray, dissipated_work: np.ndarray
+    kinetic: np.ndarray,
+    potential: np.ndarray,
+    contact: np.ndarray,
+    input_work: np.ndarray,
+    dissipated_work: np.ndarray,
 ) -> float:
     """The largest energy that is there to be turned over: kinetic, in contacts, range of the potential, work in, work dissipated.
 
@@ -257,7 +282,15 @@ def energy_turnover(
     ------
     ValueError : for no rows.
     """
-    return float(max(kinetic.max(), contact.max(), np.ptp(potential), np.abs(input_work).max(), np.abs(dissipated_work).max()))
+    return float(
+        max(
+            kinetic.max(),
+            contact.max(),
+            np.ptp(potential),
+            np.abs(input_work).max(),
+            np.abs(dissipated_work).max(),
+        )
+    )
 
 
 # More digits than these are as good as all.
@@ -266,15 +299,17 @@ _DIGITS = 12
 _FEW = 1e-6
 # Rounding of numbers that were read from text or came of a product.
 _ROUNDING = 1e-13
-# Numbers that would be printed coarser than this share of what counts as large are taken as they stand: 2.5 is 2.5, not something near it.
+# Numbers that would be printed coarser than this share of what counts as large are taken as they
+# stand: 2.5 is 2.5, not something near it.
 _MOST = 5e-4
 
 
 def half_unit(values: np.ndarray, most: float) -> float:
     """Half a unit of the last printed digit of some numbers.
 
-    Decimals are looked for over all numbers of a group (the positions, the forces, ..); where there are more than six, significant digits: small numbers
-    that are printed with a few of those have many decimals.
+    Decimals are looked for over all numbers of a group (the positions, the forces, ..); where there
+    are more than six, significant digits: small numbers that are printed with a few of those have
+    many decimals.
 
     Parameters
     ----------
@@ -283,7 +318,8 @@ def half_unit(values: np.ndarray, most: float) -> float:
 
     Returns
     -------
-    0 where all digits are given, or so few that they are the number: half a unit would be more than 5e-4 of `most`.
+    0 where all digits are given, or so few that they are the number: half a unit would be more than
+        5e-4 of `most`.
     """
     sizes = np.abs(values[values != 0.0])
     if not sizes.size:

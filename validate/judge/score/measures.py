@@ -22,13 +22,16 @@ from validate.judge.score.verdict import Contradicted, LeavesBounds, Unmeasured
 
 DEFECT = 1e-6
 _HALVINGS = 7
-# A halving that moves the motion by less than this share of what is missing does not bring it nearer: after two in a row the rest is not the grid's.
+# A halving that moves the motion by less than this share of what is missing does not bring it
+# nearer: after two in a row the rest is not the grid's.
 IDLE = 0.01
 # Below this share of the largest a force or a gap is nothing.
 _CLEARLY = 1e-2
-# Forces are a multiple of the law's where that leaves this share of what the law itself leaves, or less.
+# Forces are a multiple of the law's where that leaves this share of what the law itself leaves, or
+# less.
 _EXPLAINED = 0.1
-# Where next to nothing moves, energy is measured by this share of what moving at nominal speeds would take.
+# Where next to nothing moves, energy is measured by this share of what moving at nominal speeds
+# would take.
 _AT_REST = 1e-3
 
 
@@ -36,8 +39,9 @@ _AT_REST = 1e-3
 class Measured:
     """What was measured of one metric.
 
-    values (n,): of each component, in the units of its row, or one number; error: by the replay's own error; scales (n,): what counts as large of each
-    component; allowed (n,): what printing may be the cause of, which is added to the limit.
+    values (n,): of each component, in the units of its row, or one number; error: by the replay's
+    own error; scales (n,): what counts as large of each component; allowed (n,): what printing may
+    be the cause of, which is added to the limit.
     """
 
     values: np.ndarray | float
@@ -65,7 +69,9 @@ def start_error(case: Evidence) -> Measured:
     return Measured(
         values=off if said else off[: case.scene.nq],
         scales=scales if said else scales[: case.scene.nq],
-        allowed=np.repeat([case.printing["q"], case.printing["v"]], case.scene.nq) if said else case.printing["q"],
+        allowed=np.repeat([case.printing["q"], case.printing["v"]], case.scene.nq)
+        if said
+        else case.printing["q"],
     )
 
 
@@ -78,15 +84,28 @@ def duration_error(case: Evidence) -> Measured:
 def bound_violation(case: Evidence) -> Measured:
     """How far the plan's inputs leave their bounds, of each input."""
     inputs = case.scene.inputs
-    lower, upper = np.array([item.lower for item in inputs]), np.array([item.upper for item in inputs])
+    lower, upper = (
+        np.array([item.lower for item in inputs]),
+        np.array([item.upper for item in inputs]),
+    )
     plan = case.trajectory
-    applied = np.vstack([plan.u, plan.u_end]) if plan.u_end is not None and plan.hold is Hold.LINEAR else plan.u
-    return Measured(values=eq.outside(applied, lower, upper), scales=_ranges(lower, upper), allowed=case.printing["u"])
+    applied = (
+        np.vstack([plan.u, plan.u_end])
+        if plan.u_end is not None and plan.hold is Hold.LINEAR
+        else plan.u
+    )
+    return Measured(
+        values=eq.outside(applied, lower, upper),
+        scales=_ranges(lower, upper),
+        allowed=case.printing["u"],
+    )
 
 
 def _velocity_bounds(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
     items = case.scene.coordinates
-    return np.array([item.velocity_lower for item in items]), np.array([item.velocity_upper for item in items])
+    return np.array([item.velocity_lower for item in items]), np.array(
+        [item.velocity_upper for item in items]
+    )
 
 
 def velocity_bound_violation(case: Evidence) -> Measured:
@@ -99,7 +118,9 @@ def velocity_bound_violation(case: Evidence) -> Measured:
 def _ranges(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Widths; of one finite bound its size, or 1 where that is 0."""
     width = upper - lower
-    one = np.where(np.isfinite(lower), np.abs(lower), np.where(np.isfinite(upper), np.abs(upper), 1.0))
+    one = np.where(
+        np.isfinite(lower), np.abs(lower), np.where(np.isfinite(upper), np.abs(upper), 1.0)
+    )
     return np.where(np.isfinite(width), width, np.where(one > 0.0, one, 1.0))
 
 
@@ -114,13 +135,17 @@ def terminal_error(case: Evidence) -> float:
 def terminal_position_error(case: Evidence) -> Measured:
     """Euclidean distance of the plan's last positions from the goal."""
     nq = case.scene.nq
-    return Measured(values=distance(case.q[-1], case.goal[:nq]), allowed=case.printing["q"] * np.sqrt(nq))
+    return Measured(
+        values=distance(case.q[-1], case.goal[:nq]), allowed=case.printing["q"] * np.sqrt(nq)
+    )
 
 
 def terminal_velocity_error(case: Evidence) -> Measured:
     """Euclidean distance of the plan's last velocities from the goal."""
     nq = case.scene.nq
-    return Measured(values=distance(case.v[-1], case.goal[nq:]), allowed=case.printing["v"] * np.sqrt(nq))
+    return Measured(
+        values=distance(case.v[-1], case.goal[nq:]), allowed=case.printing["v"] * np.sqrt(nq)
+    )
 
 
 def cost(case: Evidence) -> Measured:
@@ -141,16 +166,28 @@ def physics_scaled(case: Evidence) -> Measured:
     """Complementarity violation, the same on any grid [s]."""
     value = eq.physics_scaled(lam=case.lam, push=case.push, k=case.k, length=case.length, h=case.h)
     p_lam, p_push = case.printing["lam"], case.k * case.printing["q"]
-    rounded = p_lam * (2.0 * np.abs(case.lam) + np.abs(case.push)) + np.abs(case.lam) * p_push + p_lam * (p_lam + p_push)
-    allowed = float((case.h[:, None] * rounded * (case.lam != 0.0) / (case.k * case.length) ** 2).sum())
+    rounded = (
+        p_lam * (2.0 * np.abs(case.lam) + np.abs(case.push))
+        + np.abs(case.lam) * p_push
+        + p_lam * (p_lam + p_push)
+    )
+    allowed = float(
+        (case.h[:, None] * rounded * (case.lam != 0.0) / (case.k * case.length) ** 2).sum()
+    )
     return Measured(values=value, scales=case.trajectory.duration * case.scene.nc, allowed=allowed)
 
 
 def contact_law_error(case: Evidence) -> Measured:
     """Impulse by which planned contact forces lie outside the range of the true law over their step [N s]."""
     within, nc = case.own_steps(case.own_velocities[:-1]), case.scene.nc
-    value = eq.contact_law_error(lam=case.lam, law=case.law, least=within.least[:, :nc], most=within.most[:, :nc], h=case.h)
-    touching = (case.lam != 0.0) | (np.maximum(case.law[:-1], case.law[1:]) > 0.0) | (within.most[:, :nc] > 0.0)
+    value = eq.contact_law_error(
+        lam=case.lam, law=case.law, least=within.least[:, :nc], most=within.most[:, :nc], h=case.h
+    )
+    touching = (
+        (case.lam != 0.0)
+        | (np.maximum(case.law[:-1], case.law[1:]) > 0.0)
+        | (within.most[:, :nc] > 0.0)
+    )
     off = case.printing["lam"] + case.k * case.printing["q"]
     allowed = float((case.h[:, None] * touching * off).sum()) + _grazing(case)
     return Measured(values=value, scales=case.planned_impulse, allowed=allowed)
@@ -159,13 +196,16 @@ def contact_law_error(case: Evidence) -> Measured:
 def times_the_law(case: Evidence) -> np.ndarray:
     """How many times what the contact law gives the planned forces are, (nc,) [-]: 1 of a contact without force.
 
-    Of the start, the end or the mean of each step. Raises Unmeasured where that does not explain them far better than the law itself does.
+    Of the start, the end or the mean of each step. Raises Unmeasured where that does not explain
+    them far better than the law itself does.
     """
     h, lam, least = case.h[:, None], case.lam, np.inf
     times = np.ones(case.scene.nc)
     for law in (case.law[:-1], case.law[1:], 0.5 * (case.law[:-1] + case.law[1:])):
         given = (h * law**2).sum(axis=0)
-        found = np.divide((h * law * lam).sum(axis=0), given, out=np.ones_like(given), where=given > 0.0)
+        found = np.divide(
+            (h * law * lam).sum(axis=0), given, out=np.ones_like(given), where=given > 0.0
+        )
         left, of_law = (float((h * np.abs(lam - other)).sum()) for other in (found * law, law))
         if left <= _EXPLAINED * of_law and left < least:
             times, least = found, left
@@ -176,13 +216,19 @@ def times_the_law(case: Evidence) -> np.ndarray:
 
 def _grazing(case: Evidence) -> float:
     """Impulse of what is only just in touch [N s]: rounding, and no force."""
-    return 1e-9 * float((case.k * case.length).max()) * case.trajectory.duration if isinstance(case.scene, Scene) else 0.0
+    return (
+        1e-9 * float((case.k * case.length).max()) * case.trajectory.duration
+        if isinstance(case.scene, Scene)
+        else 0.0
+    )
 
 
 def force_sign_violation(case: Evidence) -> Measured:
     """Largest planned contact force that pulls [N]."""
     pulls = max(float(-case.lam.min(initial=0.0)), 0.0)
-    return Measured(values=pulls, scales=float(np.abs(case.lam).max(initial=0.0)), allowed=case.printing["lam"])
+    return Measured(
+        values=pulls, scales=float(np.abs(case.lam).max(initial=0.0)), allowed=case.printing["lam"]
+    )
 
 
 def friction_violation(case: Evidence) -> Measured:
@@ -191,7 +237,11 @@ def friction_violation(case: Evidence) -> Measured:
     pressing = np.abs(case.trajectory.lam[:, : case.scene.nc]).max(axis=1, initial=0.0)[:, None]
     mu = np.divide(limit, pressing, out=np.zeros_like(limit), where=pressing > 0.0)
     allowed = case.printing["lam"] * (1.0 + float(mu.max(initial=0.0)))
-    return Measured(values=eq.friction_violation(case.friction, limit), scales=float(limit.max(initial=0.0)), allowed=allowed)
+    return Measured(
+        values=eq.friction_violation(case.friction, limit),
+        scales=float(limit.max(initial=0.0)),
+        allowed=allowed,
+    )
 
 
 def friction_dissipation_error(case: Evidence) -> Measured:
@@ -200,8 +250,12 @@ def friction_dissipation_error(case: Evidence) -> Measured:
     values = eq.friction_dissipation_error(case.friction, least, most, slip)
     nominal = np.array([item.nominal for item in case.scene.frictions])
     largest = most.max(axis=0, initial=0.0)
-    p_slip = 2.0 * (case.printing["v"] + float(np.abs(case.v).max(initial=0.0)) * case.printing["q"])
-    allowed = 2.0 * largest * p_slip + 2.0 * case.printing["lam"] * np.abs(slip).max(axis=0, initial=0.0)
+    p_slip = 2.0 * (
+        case.printing["v"] + float(np.abs(case.v).max(initial=0.0)) * case.printing["q"]
+    )
+    allowed = 2.0 * largest * p_slip + 2.0 * case.printing["lam"] * np.abs(slip).max(
+        axis=0, initial=0.0
+    )
     return Measured(values=values, scales=largest * nominal, allowed=allowed)
 
 
@@ -211,7 +265,12 @@ def friction_dissipation_error(case: Evidence) -> Measured:
 def replay_error(case: Evidence) -> Measured:
     """Largest difference of plan and replay at the plan's nodes, of each position."""
     values = np.abs(case.q - case.replay_q).max(axis=0)
-    return Measured(values=values, error=case.error.position, scales=_nominals(case.scene), allowed=case.printing["q"])
+    return Measured(
+        values=values,
+        error=case.error.position,
+        scales=_nominals(case.scene),
+        allowed=case.printing["q"],
+    )
 
 
 def replay_terminal_error(case: Evidence) -> tuple[float, float]:
@@ -236,11 +295,17 @@ def replay_cost(case: Evidence) -> tuple[float, float]:
     replay = case.replay
     u = case.trajectory.u if replay.applied is None else replay.applied
     case.need("q", "v")
-    own = bool((case.h == case.scene.task.step).all())  # else all rows tell more than those at the plan's nodes
+    own = bool(
+        (case.h == case.scene.task.step).all()
+    )  # else all rows tell more than those at the plan's nodes
     rows, error = replay.knots if own else np.arange(len(replay.t)), case.error.state
     t, q, v = replay.t[rows], replay.q[rows], replay.v[rows]
     value = case.cost_of(t, q, v, u)
-    around = [case.cost_of(t, q + sign * error, v + sign * error, u) for sign in (1.0, -1.0)] if np.isfinite(error) else [np.inf]
+    around = (
+        [case.cost_of(t, q + sign * error, v + sign * error, u) for sign in (1.0, -1.0)]
+        if np.isfinite(error)
+        else [np.inf]
+    )
     return value, max(abs(one - value) for one in around)
 
 
@@ -258,7 +323,9 @@ def grid_order(case: Evidence) -> float:
     """Log2 of what the last halving of the plan's step does to its distance from the replay, its inputs held; halved as `halved` does."""
     error, near = grid_error(case)[0], float(replay_limits(case.scene).min()) / 4.0
     if error <= near:
-        raise Unmeasured("the discretisation error is far below the limit on replay_error, so that nothing need be known of its order.")
+        raise Unmeasured(
+            "the discretisation error is far below the limit on replay_error, so that nothing need be known of its order."
+        )
     order = 0.0
     for finer in halved(case, near):
         order = float(np.log2(error / finer)) if finer > 0.0 else np.inf
@@ -269,7 +336,8 @@ def grid_order(case: Evidence) -> float:
 def halved(case: Evidence, near: float) -> Iterator[float]:
     """The grid error with the plan's step halved once, twice, ... its inputs held [m or rad].
 
-    Until it is at most `near`, two halvings in a row change next to nothing of what is left, or seven times. Raises Unmeasured.
+    Until it is at most `near`, two halvings in a row change next to nothing of what is left, or
+    seven times. Raises Unmeasured.
     """
     before, idle = case.true_motion[0], 0
     for halvings in range(1, _HALVINGS + 1):
@@ -299,7 +367,16 @@ def max_penetration(case: Evidence) -> Measured:
     if not isinstance(case.scene, Scene):
         _check_gaps(case)
         # Between rows a smooth gap is below their chord by an eighth of its second difference.
-        bends = np.abs(np.diff(np.vstack([case.replay_gap[:1], case.replay_gap, case.replay_gap[-1:]]), 2, axis=0)) / 8.0
+        bends = (
+            np.abs(
+                np.diff(
+                    np.vstack([case.replay_gap[:1], case.replay_gap, case.replay_gap[-1:]]),
+                    2,
+                    axis=0,
+                )
+            )
+            / 8.0
+        )
         error += np.take_along_axis(bends, case.replay_gap.argmin(axis=0)[None], 0)[0]
     return Measured(values=depth, error=error, scales=depths)
 
@@ -308,8 +385,12 @@ def _check_gaps(case: Evidence) -> None:
     """Raise Contradicted where a contact of somebody's FMU pushes, but its gap is open most of that time: gaps are negative in contact."""
     if "lam" in case.scene.lacks or "gap" in case.scene.lacks:  # type: ignore[union-attr] - a foreign model has it
         return
-    pieces = np.append(case.duration, 0.0) + np.append(0.0, case.duration)  # twice the time around each row
-    for contact, depth, force, gap in zip(case.scene.contacts, case.scene.depths, case.replay.lam.T, case.replay_gap.T, strict=True):
+    pieces = np.append(case.duration, 0.0) + np.append(
+        0.0, case.duration
+    )  # twice the time around each row
+    for contact, depth, force, gap in zip(
+        case.scene.contacts, case.scene.depths, case.replay.lam.T, case.replay_gap.T, strict=True
+    ):
         pushes = force > _CLEARLY * force.max(initial=0.0)
         opens = pushes & (gap > _CLEARLY * np.abs(gap[pushes]).max(initial=0.0))
         if depth is not None and 2.0 * pieces[opens].sum() > pieces[pushes].sum():
@@ -322,15 +403,23 @@ def _check_gaps(case: Evidence) -> None:
 
 def ghost_impulse(case: Evidence) -> Measured:
     """Planned contact impulse where the replay has none within a step [N s]."""
-    return _of_impulses(case, lambda of: of.force_window[1], lambda most: eq.excess_impulse(case.lam, most, case.h))
+    return _of_impulses(
+        case, lambda of: of.force_window[1], lambda most: eq.excess_impulse(case.lam, most, case.h)
+    )
 
 
 def missed_impulse(case: Evidence) -> Measured:
     """Contact impulse of the replay where the plan has none within a step [N s]."""
-    return _of_impulses(case, lambda of: of.force_window[0], lambda least: eq.excess_impulse(least, case.lam, case.h))
+    return _of_impulses(
+        case,
+        lambda of: of.force_window[0],
+        lambda least: eq.excess_impulse(least, case.lam, case.h),
+    )
 
 
-def _of_impulses(case: Evidence, window: Callable[[Evidence], np.ndarray], excess: Callable[[np.ndarray], float]) -> Measured:
+def _of_impulses(
+    case: Evidence, window: Callable[[Evidence], np.ndarray], excess: Callable[[np.ndarray], float]
+) -> Measured:
     """Measured by the larger of the planned and the replayed contact impulse: a contact between two nodes may be planned with no force at all.
 
     excess: the impulse [N s], by one end of the window of the replay's forces, (steps, nc) [N].
@@ -340,23 +429,45 @@ def _of_impulses(case: Evidence, window: Callable[[Evidence], np.ndarray], exces
     printed = float(case.h.sum()) * case.scene.nc * case.printing["lam"]
     forces, lagging = window(case), case.replay.lagging
     value, error = excess(forces), _impulse_error(case)
-    if lagging is not None:  # both ways by twice what the lag changes, which is right to first order
+    if (
+        lagging is not None
+    ):  # both ways by twice what the lag changes, which is right to first order
         off = 2.0 * np.abs(forces - window(Evidence(case.scene, case.trajectory, lagging)))
-        error += max(abs(excess(np.maximum(moved, 0.0)) - value) for moved in (forces + off, forces - off))
-    return Measured(values=value, error=error, scales=max(case.planned_impulse, replayed), allowed=printed + _grazing(case))
+        error += max(
+            abs(excess(np.maximum(moved, 0.0)) - value) for moved in (forces + off, forces - off)
+        )
+    return Measured(
+        values=value,
+        error=error,
+        scales=max(case.planned_impulse, replayed),
+        allowed=printed + _grazing(case),
+    )
 
 
 def _impulse_error(case: Evidence) -> float:
-    """Each force may be wrong by k times the error of its gap while there is contact; a damped one also by its error in the velocities; but for the lag's."""
-    touching = float((case.duration[:, None] * ((case.replay.lam[:-1] > 0.0) | (case.replay.lam[1:] > 0.0))).sum())
+    """Each force may be wrong by k times the error of its gap while there is contact.
+
+    A damped one also by its error in the velocities; but for the lag's.
+    """
+    touching = float(
+        (
+            case.duration[:, None] * ((case.replay.lam[:-1] > 0.0) | (case.replay.lam[1:] > 0.0))
+        ).sum()
+    )
     if not isinstance(case.scene, Scene):  # its stiffness is what its own forces and gaps say
         # Where a contact begins, a damper's force stands over a depth of nothing.
         pressed = case.replay_gap < np.minimum(_CLEARLY * case.replay_gap.min(axis=0), 0.0)
-        stiffness = np.divide(case.replay.lam, -case.replay_gap, out=np.zeros_like(case.replay.lam), where=pressed).max(initial=0.0)
+        stiffness = np.divide(
+            case.replay.lam, -case.replay_gap, out=np.zeros_like(case.replay.lam), where=pressed
+        ).max(initial=0.0)
         return float(stiffness) * touching * case.error.gap if touching else 0.0
     lag = case.replay.error.lag or Difference(position=0.0, state=0.0, gap=0.0)
     error = float(case.slopes[0].max(initial=0.0)) * touching * (case.error.gap - lag.gap)
-    return error + (float(case.slopes[1].max(initial=0.0)) * touching * (case.error.state - lag.state) if case.scene.damped else 0.0)
+    return error + (
+        float(case.slopes[1].max(initial=0.0)) * touching * (case.error.state - lag.state)
+        if case.scene.damped
+        else 0.0
+    )
 
 
 def replay_velocity_bound_violation(case: Evidence) -> Measured:
@@ -375,23 +486,34 @@ def defect(case: Evidence) -> Measured:
         # Stages are not stored: its forces are taken to be those of the true law there.
         values = case.collocation_defect
         if not np.isfinite(values).all():
-            raise LeavesBounds(f"a step of scheme {case.trajectory.scheme.value} from a node of the plan has no solution.")  # type: ignore[union-attr]
+            raise LeavesBounds(
+                f"a step of scheme {case.trajectory.scheme.value} from a node of the plan has no solution."
+            )  # type: ignore[union-attr]
     else:
         values = eq.defect(q=case.q, v=case.v, acceleration=case.acceleration, h=case.h)
     nominals = _nominals(case.scene)
     position = 2.0 * p_q + h * p_v
     velocity = 2.0 * p_v + h * case.printing_acceleration
-    return Measured(values=values, scales=np.concatenate([nominals, nominals]), allowed=np.repeat([position, velocity], case.scene.nq))
+    return Measured(
+        values=values,
+        scales=np.concatenate([nominals, nominals]),
+        allowed=np.repeat([position, velocity], case.scene.nq),
+    )
 
 
 def _explained(case: Evidence) -> float:
     """What a defect at its limit explains if each step has one and none grows or dies: steps times 1e-6 of the nominal."""
-    return case.trajectory.steps * DEFECT * float(_nominals(case.scene).min()) + case.trajectory.steps * case.printing["q"]
+    return (
+        case.trajectory.steps * DEFECT * float(_nominals(case.scene).min())
+        + case.trajectory.steps * case.printing["q"]
+    )
 
 
 def law_error(case: Evidence) -> Measured:
     """Largest difference of the plan and its own time step under the true contact law [m or rad]."""
-    return Measured(values=eq.largest_difference(case.q, case.true_motion[0])[0], scales=_explained(case))
+    return Measured(
+        values=eq.largest_difference(case.q, case.true_motion[0])[0], scales=_explained(case)
+    )
 
 
 def discrete_terminal_error(case: Evidence) -> float:
@@ -404,7 +526,11 @@ def discrete_terminal(case: Evidence, part: str) -> Measured:
     own, nq = case.scene.limit(f"terminal_{part}_error"), case.scene.nq
     rows = slice(nq) if part == "position" else slice(nq, None)
     allowed = 0.0 if own is None or own.value is None else own.value
-    return Measured(values=distance(case.true_end[rows], case.goal[rows]), scales=_explained(case), allowed=allowed)
+    return Measured(
+        values=distance(case.true_end[rows], case.goal[rows]),
+        scales=_explained(case),
+        allowed=allowed,
+    )
 
 
 # The judge
@@ -424,7 +550,9 @@ def energy_residual(case: Evidence) -> float:
 def energy_residual_relative(case: Evidence) -> float:
     """The same as a share of the energy that is turned over [-]."""
     replay, work = case.replay, _work(case)
-    turned = eq.energy_turnover(replay.kinetic_energy, replay.potential_energy, replay.contact_energy, *work)
+    turned = eq.energy_turnover(
+        replay.kinetic_energy, replay.potential_energy, replay.contact_energy, *work
+    )
     speeds = _nominals(case.scene)[None, :]
     typical = float(case.kernel.energy(replay.q[:1], speeds)[0][0])
     return energy_residual(case) / max(turned, _AT_REST * typical)
@@ -432,11 +560,14 @@ def energy_residual_relative(case: Evidence) -> float:
 
 def friction_impulse_error(case: Evidence) -> float:
     """Integral over time of the difference of planned and replayed friction [N s]."""
-    return eq.friction_impulse_error(case.friction, case.step_of, case.replay.friction, case.duration)
+    return eq.friction_impulse_error(
+        case.friction, case.step_of, case.replay.friction, case.duration
+    )
 
 
-# Closed forms that the scene states (models.scene.parts.Answer.measure): each measure gives a value and how wrong the replay may make it, and speaks of the
-# first contact: the first that closes, and the time until that one opens again.
+# Closed forms that the scene states (models.scene.parts.Answer.measure): each measure gives a value
+# and how wrong the replay may make it, and speaks of the first contact: the first that closes, and
+# the time until that one opens again.
 
 
 def _first_contact(case: Evidence) -> tuple[Event, Event]:
@@ -445,7 +576,14 @@ def _first_contact(case: Evidence) -> tuple[Event, Event]:
     closing = next((event for event in events if event.closes), None)
     if closing is None:
         raise Unmeasured("no contact closes in the replay.")
-    opening = next((event for event in events if not event.closes and event.contact == closing.contact and event.time > closing.time), None)
+    opening = next(
+        (
+            event
+            for event in events
+            if not event.closes and event.contact == closing.contact and event.time > closing.time
+        ),
+        None,
+    )
     if opening is None:
         raise Unmeasured(f"contact {closing.contact} does not open again in the replay.")
     return closing, opening
@@ -459,7 +597,9 @@ def _gap_rate(case: Evidence, event: Event) -> float:
 
 def _rate(case: Evidence, row: int, contact: int) -> float:
     dynamics, replay = derive(case.equations), case.replay
-    return float(dynamics.function(dynamics.gap_jacobian, dynamics.q)(replay.q[row])[contact] @ replay.v[row])
+    return float(
+        dynamics.function(dynamics.gap_jacobian, dynamics.q)(replay.q[row])[contact] @ replay.v[row]
+    )
 
 
 def _closing_time(case: Evidence) -> tuple[float, float]:
@@ -469,7 +609,9 @@ def _closing_time(case: Evidence) -> tuple[float, float]:
 
 def _duration(case: Evidence) -> tuple[float, float]:
     closing, opening = _first_contact(case)
-    return opening.time - closing.time, sum(case.error.gap / abs(_gap_rate(case, event)) for event in (closing, opening))
+    return opening.time - closing.time, sum(
+        case.error.gap / abs(_gap_rate(case, event)) for event in (closing, opening)
+    )
 
 
 def _restitution(case: Evidence) -> tuple[float, float]:
@@ -482,13 +624,21 @@ def _depth(case: Evidence) -> tuple[float, float]:
     t, gap = case.replay.t, case.replay.gap
     deepest, contact = np.unravel_index(int(np.argmin(gap)), gap.shape)
     rows = range(max(0, int(deepest) - 1), min(len(t) - 1, int(deepest) + 1))
-    s = np.linspace(0.0, 1.0, 2001)  # the depth is flat where it is largest: half a step there is 1e-7 of the fall since the row before
+    s = np.linspace(
+        0.0, 1.0, 2001
+    )  # the depth is flat where it is largest: half a step there is 1e-7 of the fall since the row before
     lowest = 0.0
     for row in rows:
         h = t[row + 1] - t[row]
-        ends, rates = gap[row : row + 2, contact], [h * _rate(case, at, int(contact)) for at in (row, row + 1)]
+        ends, rates = (
+            gap[row : row + 2, contact],
+            [h * _rate(case, at, int(contact)) for at in (row, row + 1)],
+        )
         cubic = (
-            (1 + 2 * s) * (1 - s) ** 2 * ends[0] + s * (1 - s) ** 2 * rates[0] + s**2 * (3 - 2 * s) * ends[1] - s**2 * (1 - s) * rates[1]
+            (1 + 2 * s) * (1 - s) ** 2 * ends[0]
+            + s * (1 - s) ** 2 * rates[0]
+            + s**2 * (3 - 2 * s) * ends[1]
+            - s**2 * (1 - s) * rates[1]
         )
         lowest = min(lowest, float(cubic.min()))
     return -lowest, case.error.gap

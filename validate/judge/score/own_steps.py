@@ -1,8 +1,9 @@
 """The true motion over each step of a plan, from the plan's own states and under its inputs: small steps of the compiled kernel, as many as it takes.
 
-A step is cut into 50 parts, and into twice as many until twice as many change its end by less than a thousandth of what the plan's steps turn over: a
-light body in a strong damper, or a hard bounce within one step, needs thousands. Where none are enough, a thousandth of the force that unexplained ones
-are measured by is.
+A step is cut into 50 parts, and into twice as many until twice as many change its end by less than
+a thousandth of what the plan's steps turn over: a light body in a strong damper, or a hard bounce
+within one step, needs thousands. Where none are enough, a thousandth of the force that unexplained
+ones are measured by is.
 """
 
 from __future__ import annotations
@@ -16,14 +17,17 @@ from models.codegen.kernel import Kernel
 from validate.judge.replay.wiring import HeldInputs
 from validate.judge.score.verdict import Unmeasured
 
-_FIRST, _DOUBLINGS = 50, 8
+_FIRST = 50
+_DOUBLINGS = 8
 # What 200 small steps, each of which rounds, may lose of a number of doubles.
 ROUNDED = 100.0 * float(np.finfo(float).eps)
 # Of the largest change of momentum in a step: a hundredth of what unexplained_force allows.
 _SETTLED = 1e-3
-# Newton steps towards a velocity, and what is then missed at most: in nominals, of a shorter step by the square of its share of the longest, as the force
-# that would make up for it is the miss over h^2; no less than the rounding of a position.
-_SHOTS, _MISSED = 20, 1e-10
+# Newton steps towards a velocity, and what is then missed at most: in nominals, of a shorter step
+# by the square of its share of the longest, as the force that would make up for it is the miss over
+# h^2; no less than the rounding of a position.
+_SHOTS = 20
+_MISSED = 1e-10
 
 # Parts of steps in one call of the kernel: 200 MB for three carts.
 _AT_ONCE = 2_000_000
@@ -35,7 +39,8 @@ Size = Callable[[np.ndarray], np.ndarray]
 class OwnSteps:
     """The true motion over each step.
 
-    ends (steps, 2 nq): true states at the ends of the steps; least, most (steps, nl): forces of the true law within them [N].
+    ends (steps, 2 nq): true states at the ends of the steps; least, most (steps, nl): forces of the
+    true law within them [N].
     """
 
     ends: np.ndarray
@@ -47,8 +52,9 @@ class OwnSteps:
 class Departures:
     """The velocities with which the true motion arrives at each next position.
 
-    v (steps, nq): at the starts of the steps; last (nq,): at the end of the last; missed (steps, nq) [m]: by how much it does not arrive;
-    gains (steps,) [1/s]: by how much a position that is off by 1 changes them.
+    v (steps, nq): at the starts of the steps; last (nq,): at the end of the last; missed (steps,
+    nq) [m]: by how much it does not arrive; gains (steps,) [1/s]: by how much a position that is
+    off by 1 changes them.
     """
 
     v: np.ndarray
@@ -71,7 +77,8 @@ class Stepper:
         x : (steps, 2*nq) states at the starts [m or rad], [m/s or rad/s].
         size : (n,) of velocities (n, nq), with their step's mass.
         scale : what that is measured by.
-        force : what a mean force over a step is measured by, in the norm of M^-1 [kg^0.5 m/s^2]: asked where no number of parts settles by `scale`.
+        force : what a mean force over a step is measured by, in the norm of M^-1 [kg^0.5 m/s^2]:
+            asked where no number of parts settles by `scale`.
 
         Raises
         ------
@@ -89,11 +96,14 @@ class Stepper:
                 change[1, steps] = (finer.ends[:, :nq] - ends[steps, :nq]) / self._h[steps, None]
                 off = np.maximum(size(change[0]), size(change[1]))[steps]
             ends[steps], least[steps], most[steps] = finer.ends, finer.least, finer.most
-            open_yet = ~(off <= _SETTLED * scale + lost[steps])  # not a number is not settled either
+            open_yet = ~(
+                off <= _SETTLED * scale + lost[steps]
+            )  # not a number is not settled either
             steps, off = steps[open_yet], off[open_yet]
             if not len(steps):
                 break
-        # A body that rests turns over nothing, and one that bounces in every part is told by no number of them: what counts is the force that is left open.
+        # A body that rests turns over nothing, and one that bounces in every part is told by no
+        # number of them: what counts is the force that is left open.
         steps = steps[~(off <= _SETTLED * force() * self._h[steps])] if len(steps) else steps
         if len(steps):
             raise Unmeasured(
@@ -103,7 +113,10 @@ class Stepper:
         return OwnSteps(ends=ends, least=least, most=most)
 
     def _parts(self, steps: np.ndarray, x: np.ndarray, parts: int) -> OwnSteps:
-        """Of some of the steps, (n,) their places, from states x (n, 2 nq); each in so many parts. Not a number where it leaves every bound."""
+        """Of some of the steps, (n,) their places, from states x (n, 2 nq); each in so many parts.
+
+        Not a number where it leaves every bound.
+        """
         nl, held = self._kernel.scene.nl, self._held
         ends, least, most = np.empty_like(x), np.empty((len(x), nl)), np.empty((len(x), nl))
         for rows in self._alike(steps, parts):
@@ -122,7 +135,9 @@ class Stepper:
             yield from np.array_split(rows, -(-len(rows) * parts // _AT_ONCE))
 
     def departures(self, q: np.ndarray, v0: np.ndarray, nominal: np.ndarray) -> Departures:
-        """The velocities that lead from each position to the next; the first guess is that with which the step before arrived.
+        """The velocities that lead from each position to the next.
+
+        The first guess is that with which the step before arrived.
 
         Parameters
         ----------
@@ -134,9 +149,19 @@ class Stepper:
         ------
         numpy.linalg.LinAlgError : if a Newton matrix has no pseudo-inverse.
         """
-        found, missed, gains, before = np.empty((len(q) - 1, q.shape[1])), np.empty((len(q) - 1, q.shape[1])), np.empty(len(q) - 1), v0
-        enough = _SETTLED * float(np.abs(np.diff(q, axis=0) / self._h[:, None]).max()) + _MISSED * float(nominal.max())
-        near = np.maximum(_MISSED * nominal * (self._h / self._h.max())[:, None] ** 2, ROUNDED * np.abs(q).max(axis=0))
+        found, missed, gains, before = (
+            np.empty((len(q) - 1, q.shape[1])),
+            np.empty((len(q) - 1, q.shape[1])),
+            np.empty(len(q) - 1),
+            v0,
+        )
+        enough = _SETTLED * float(
+            np.abs(np.diff(q, axis=0) / self._h[:, None]).max()
+        ) + _MISSED * float(nominal.max())
+        near = np.maximum(
+            _MISSED * nominal * (self._h / self._h.max())[:, None] ** 2,
+            ROUNDED * np.abs(q).max(axis=0),
+        )
         for step in range(len(found)):
             best = None
             for guess in (before, (q[step + 1] - q[step]) / self._h[step]):
@@ -146,25 +171,41 @@ class Stepper:
                     break
             assert best is not None
             found[step], arrived, missed[step], gains[step] = best
-            # A step too short to tell a velocity goes on with that of the one before, known as well as there.
+            # A step too short to tell a velocity goes on with that of the one before, known as well
+            # as there.
             if step and (found[step] == before).all():
                 gains[step] = min(gains[step], gains[step - 1])
             before = arrived
         return Departures(v=found, last=before, missed=missed, gains=gains)
 
     def _departure(
-        self, step: int, q: np.ndarray, v: np.ndarray, nominal: np.ndarray, near: np.ndarray, enough: float
+        self,
+        step: int,
+        q: np.ndarray,
+        v: np.ndarray,
+        nominal: np.ndarray,
+        near: np.ndarray,
+        enough: float,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """The velocity, that of arrival, what is missed, and the gain, with so many parts that more change the velocity by less than `enough` [m/s]."""
         before, found = np.full(len(v), np.inf), self._newton(step, q, v, nominal, near, _FIRST)
         for doubling in range(2, _DOUBLINGS + 1, 2):
             if np.abs(found[0] - before).max() <= enough:
                 break
-            before, found = found[0], self._newton(step, q, found[0], nominal, near, _FIRST * 2**doubling)
+            before, found = (
+                found[0],
+                self._newton(step, q, found[0], nominal, near, _FIRST * 2**doubling),
+            )
         return found
 
     def _newton(
-        self, step: int, q: np.ndarray, v: np.ndarray, nominal: np.ndarray, near: np.ndarray, parts: int
+        self,
+        step: int,
+        q: np.ndarray,
+        v: np.ndarray,
+        nominal: np.ndarray,
+        near: np.ndarray,
+        parts: int,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """The best of some steps, each halved until it is better: friction that sticks makes corners."""
         nq, h = q.shape[1], self._h[step]
@@ -179,7 +220,12 @@ class Stepper:
                 slope = np.nan_to_num((ends[1:, :nq] - ends[0, :nq]).T / nudge)
                 inverse = np.linalg.pinv(slope, rcond=1e-6)
                 v, move = v + move, inverse @ np.nan_to_num(miss)
-                best = v, ends[0, nq:], np.nan_to_num(miss, nan=np.inf), float(np.abs(inverse).sum(axis=1).max())
+                best = (
+                    v,
+                    ends[0, nq:],
+                    np.nan_to_num(miss, nan=np.inf),
+                    float(np.abs(inverse).sum(axis=1).max()),
+                )
             else:
                 move = move / 2.0
             if (np.abs(best[2]) <= near).all():
@@ -188,11 +234,13 @@ class Stepper:
         return best
 
 
-def force_window(lam: np.ndarray, step_of: np.ndarray, steps: int, mean: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def force_window(
+    lam: np.ndarray, step_of: np.ndarray, steps: int, mean: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Range of a replay's forces from the step before each of the plan's to the one after.
 
-    A planned force may be one of the start of its step, of its end, or a mean, and a contact may open or close a step sooner or later than on the
-    plan's grid.
+    A planned force may be one of the start of its step, of its end, or a mean, and a contact may
+    open or close a step sooner or later than on the plan's grid.
 
     Parameters
     ----------
@@ -209,13 +257,22 @@ def force_window(lam: np.ndarray, step_of: np.ndarray, steps: int, mean: np.ndar
     ------
     ValueError : if a step has no row, or the shapes do not fit.
     """
-    first, last = np.searchsorted(step_of, np.arange(steps)), np.searchsorted(step_of, np.arange(steps), side="right")
-    least = np.array([lam[i : j + 1].min(axis=0) for i, j in zip(first, last, strict=True)]).reshape(steps, lam.shape[1])
-    largest = np.array([lam[i : j + 1].max(axis=0) for i, j in zip(first, last, strict=True)]).reshape(steps, lam.shape[1])
+    first, last = (
+        np.searchsorted(step_of, np.arange(steps)),
+        np.searchsorted(step_of, np.arange(steps), side="right"),
+    )
+    least = np.array(
+        [lam[i : j + 1].min(axis=0) for i, j in zip(first, last, strict=True)]
+    ).reshape(steps, lam.shape[1])
+    largest = np.array(
+        [lam[i : j + 1].max(axis=0) for i, j in zip(first, last, strict=True)]
+    ).reshape(steps, lam.shape[1])
     if mean is not None:
         least, largest = np.minimum(least, mean), np.maximum(largest, mean)
     before, after = [0, *range(steps - 1)], [*range(1, steps), steps - 1]
-    return np.minimum(np.minimum(least[before], least), least[after]), np.maximum(np.maximum(largest[before], largest), largest[after])
+    return np.minimum(np.minimum(least[before], least), least[after]), np.maximum(
+        np.maximum(largest[before], largest), largest[after]
+    )
 
 
 def least_slip(slips: np.ndarray) -> np.ndarray:

@@ -1,10 +1,11 @@
 """The table of metrics: name, the question that it answers, unit, meaning, how it is measured, and the limit where a scene sets none.
 
-Every metric of the score stands here once; those of question `SHOWN` are shown and judge nothing. A scene may set another limit with a reason, or
-waive it; it cannot forget one.
+Every metric of the score stands here once; those of question `SHOWN` are shown and judge nothing. A
+scene may set another limit with a reason, or waive it; it cannot forget one.
 
-Each metric of the replay has a twin for the replay with feedback: `replay_error` and `tracked_replay_error`, `ghost_impulse` and
-`tracked_ghost_impulse`; the same limits hold. The effort is limited too: feedback that does more than correct a plan makes another one, and it is the
+Each metric of the replay has a twin for the replay with feedback: `replay_error` and
+`tracked_replay_error`, `ghost_impulse` and `tracked_ghost_impulse`; the same limits hold. The
+effort is limited too: feedback that does more than correct a plan makes another one, and it is the
 plan that is to hold.
 """
 
@@ -28,11 +29,16 @@ from validate.judge.score.verdict import EFFORT, SHARE, TRACKED, LeavesBounds, Q
 
 @dataclass(frozen=True, kw_only=True)
 class MetricEntry:
-    """One row. measure raises Unmeasured with a reason; units: one of each component that is measured, or those that a norm goes over.
+    """One row. measure raises Unmeasured with a reason.
 
-    quoted: how the sentence of a verdict quotes it, {} being the value with its unit; without it `NAME is {}`.
-    default: the limit where the scene sets none, as a factor of the component's scale, with its reason; None: only a scene's limit judges it.
-    needs: what the plan must say for the metric to be asked, of "q", "v", "lam", "friction", "pressing" (what presses on a friction), "scheme", "no scheme", "no defect"; of_replay:
+    units: one of each component that is measured, or those that a norm goes over.
+
+    quoted: how the sentence of a verdict quotes it, {} being the value with its unit; without it
+        `NAME is {}`.
+    default: the limit where the scene sets none, as a factor of the component's scale, with its
+        reason; None: only a scene's limit judges it.
+    needs: what the plan must say for the metric to be asked, of "q", "v", "lam", "friction",
+        "pressing" (what presses on a friction), "scheme", "no scheme", "no defect"; of_replay:
     whether it is of the replay, and so has a twin where there is a replay with feedback.
     """
 
@@ -102,11 +108,19 @@ def _has_goal(scene: Subject) -> bool:
 
 
 def _goal_positions(scene: Subject) -> tuple[str, ...]:
-    return tuple(unit for unit, value in zip(_positions(scene), scene.task.goal[: scene.nq], strict=True) if value is not None)
+    return tuple(
+        unit
+        for unit, value in zip(_positions(scene), scene.task.goal[: scene.nq], strict=True)
+        if value is not None
+    )
 
 
 def _goal_velocities(scene: Subject) -> tuple[str, ...]:
-    return tuple(unit for unit, value in zip(_velocities(scene), scene.task.goal[scene.nq :], strict=True) if value is not None)
+    return tuple(
+        unit
+        for unit, value in zip(_velocities(scene), scene.task.goal[scene.nq :], strict=True)
+        if value is not None
+    )
 
 
 def _has_goal_position(scene: Subject) -> bool:
@@ -119,210 +133,414 @@ def _has_goal_velocity(scene: Subject) -> bool:
 
 TABLE = (
     MetricEntry(
-        name="start_error", question=Question.TASK, units=_states, measure=measures.start_error, applies=_is_scene, needs=("q",),
-        default=(1e-6, "1e-6 of the nominal, or of the way to the goal where that is shorter: a plan from another start solves another task"),
+        name="start_error",
+        question=Question.TASK,
+        units=_states,
+        measure=measures.start_error,
+        applies=_is_scene,
+        needs=("q",),
+        default=(
+            1e-6,
+            "1e-6 of the nominal, or of the way to the goal where that is shorter: a plan from another start solves another task",
+        ),
         meaning="largest distance of the plan's first state from the task's start",
         quoted="the plan starts {} away from the task's start",
     ),
     MetricEntry(
-        name="duration_error", question=Question.TASK, units=_unit("s"), measure=measures.duration_error,
+        name="duration_error",
+        question=Question.TASK,
+        units=_unit("s"),
+        measure=measures.duration_error,
         applies=lambda scene: scene.task.horizon is not None,
-        default=(0.5, "half a step of the task, of an FMU a thousandth of its duration: a plan that lasts another time solves another task"),
+        default=(
+            0.5,
+            "half a step of the task, of an FMU a thousandth of its duration: a plan that lasts another time solves another task",
+        ),
         meaning="by how much the plan is longer or shorter than the task",
         quoted="the plan and the task differ in duration by {}",
     ),
     MetricEntry(
-        name="bound_violation", question=Question.TASK, units=_inputs, measure=measures.bound_violation,
-        applies=lambda scene: any(np.isfinite((item.lower, item.upper)).any() for item in scene.inputs),
+        name="bound_violation",
+        question=Question.TASK,
+        units=_inputs,
+        measure=measures.bound_violation,
+        applies=lambda scene: any(
+            np.isfinite((item.lower, item.upper)).any() for item in scene.inputs
+        ),
         default=(1e-6, "1e-6 of the range, the solvers' own tolerance: the actuators give no more"),
         meaning="by how much the plan's inputs leave their bounds",
         quoted="the inputs leave their bounds by {}",
     ),
     MetricEntry(
-        name="velocity_bound_violation", question=Question.TASK, units=_velocities, measure=measures.velocity_bound_violation,
-        applies=_has_velocity_bounds, needs=("v",), default=(1e-6, "1e-6 of the range, the solvers' own tolerance"),
+        name="velocity_bound_violation",
+        question=Question.TASK,
+        units=_velocities,
+        measure=measures.velocity_bound_violation,
+        applies=_has_velocity_bounds,
+        needs=("v",),
+        default=(1e-6, "1e-6 of the range, the solvers' own tolerance"),
         meaning="by how much the plan's velocities leave their bounds at the start of a step",
         quoted="the plan's velocities leave their bounds by {}",
     ),
     MetricEntry(
-        name="terminal_position_error", question=Question.GOAL, units=_goal_positions, measure=measures.terminal_position_error, applies=_has_goal_position,
-        needs=("q",), meaning="norm of q_T - q_f in the plan",
+        name="terminal_position_error",
+        question=Question.GOAL,
+        units=_goal_positions,
+        measure=measures.terminal_position_error,
+        applies=_has_goal_position,
+        needs=("q",),
+        meaning="norm of q_T - q_f in the plan",
         quoted="the plan itself ends {} from the goal",
     ),
     MetricEntry(
-        name="terminal_velocity_error", question=Question.GOAL, units=_goal_velocities, measure=measures.terminal_velocity_error, applies=_has_goal_velocity,
-        needs=("v",), meaning="norm of v_T - v_f in the plan",
+        name="terminal_velocity_error",
+        question=Question.GOAL,
+        units=_goal_velocities,
+        measure=measures.terminal_velocity_error,
+        applies=_has_goal_velocity,
+        needs=("v",),
+        meaning="norm of v_T - v_f in the plan",
         quoted="the plan itself ends with {} more or less than the goal's velocity",
     ),
     MetricEntry(
-        name="cost", question=Question.GOAL, units=_unit("1"), measure=measures.cost, applies=_is_scene, needs=("q", "v"),
+        name="cost",
+        question=Question.GOAL,
+        units=_unit("1"),
+        measure=measures.cost,
+        applies=_is_scene,
+        needs=("q", "v"),
         meaning="the task's cost of the plan: sum of the running cost over the task's steps, parts of a step for their part, and the final cost",
         quoted="the plan itself costs {}",
     ),
     MetricEntry(
-        name="contact_law_error", question=Question.FORCES, units=_unit("N s"), measure=measures.contact_law_error,
-        applies=lambda scene: _is_scene(scene) and _has_contacts(scene), needs=("lam", "q", "no scheme"),
-        default=(0.01, "1 % of the planned contact impulse: forces of the start of a step, of its end and means over it all lie in the range"),
+        name="contact_law_error",
+        question=Question.FORCES,
+        units=_unit("N s"),
+        measure=measures.contact_law_error,
+        applies=lambda scene: _is_scene(scene) and _has_contacts(scene),
+        needs=("lam", "q", "no scheme"),
+        default=(
+            0.01,
+            "1 % of the planned contact impulse: forces of the start of a step, of its end and means over it all lie in the range",
+        ),
         meaning="impulse by which the planned contact forces lie outside the range of the true law over their step",
         quoted="its contact forces are not those of its own motion: impulse {} outside what the contact law gives",
     ),
     MetricEntry(
-        name="physics_scaled", question=Question.FORCES, units=_unit("s"), measure=measures.physics_scaled,
-        applies=lambda scene: _is_scene(scene) and _has_contacts(scene), needs=("lam", "q", "scheme"),
-        default=(2e-6, "averaged over plan and contacts a product of 2e-6 (k L)^2: a thousandth of k L where the gap is just closed, less at a distance"),
+        name="physics_scaled",
+        question=Question.FORCES,
+        units=_unit("s"),
+        measure=measures.physics_scaled,
+        applies=lambda scene: _is_scene(scene) and _has_contacts(scene),
+        needs=("lam", "q", "scheme"),
+        default=(
+            2e-6,
+            "averaged over plan and contacts a product of 2e-6 (k L)^2: a thousandth of k L where the gap is just closed, less at a distance",
+        ),
         meaning="sum of h |lam (lam - k phi)| / (k L)^2, with L the nominal penetration of the contact: complementarity violation, the same on any grid",
         quoted="its contact forces are not those of contact: complementarity violation {} (scaled)",
     ),
     MetricEntry(
-        name="force_sign_violation", question=Question.FORCES, units=_unit("N"), measure=measures.force_sign_violation, applies=_has_contacts, needs=("lam",),
-        default=(1e-6, "1e-6 of the largest force: contact does not pull"), meaning="largest planned contact force that pulls",
+        name="force_sign_violation",
+        question=Question.FORCES,
+        units=_unit("N"),
+        measure=measures.force_sign_violation,
+        applies=_has_contacts,
+        needs=("lam",),
+        default=(1e-6, "1e-6 of the largest force: contact does not pull"),
+        meaning="largest planned contact force that pulls",
         quoted="a planned contact force pulls with {}",
     ),
     MetricEntry(
-        name="friction_violation", question=Question.FORCES, units=_unit("N"), measure=measures.friction_violation, applies=_has_friction,
-        needs=("friction", "q", "pressing"), default=(1e-4, "1e-4 of the largest mu N: more is force that friction does not have"),
+        name="friction_violation",
+        question=Question.FORCES,
+        units=_unit("N"),
+        measure=measures.friction_violation,
+        applies=_has_friction,
+        needs=("friction", "q", "pressing"),
+        default=(1e-4, "1e-4 of the largest mu N: more is force that friction does not have"),
         meaning="by how much a planned friction force exceeds mu N, with N what the plan itself presses with",
         quoted="a planned friction force exceeds mu N by {}",
     ),
     MetricEntry(
-        name="friction_dissipation_error", question=Question.FORCES, units=_unit("W"), measure=measures.friction_dissipation_error, applies=_has_friction,
-        needs=("friction", "v", "pressing"), default=(1e-4, "1e-4 of the largest mu N times the nominal slip: more is creep"),
+        name="friction_dissipation_error",
+        question=Question.FORCES,
+        units=_unit("W"),
+        measure=measures.friction_dissipation_error,
+        applies=_has_friction,
+        needs=("friction", "v", "pressing"),
+        default=(1e-4, "1e-4 of the largest mu N times the nominal slip: more is creep"),
         meaning="largest mu N |s| + f s in the plan: slip that is not held back by all of mu N, as in creep",
         quoted="it slips without all of mu N holding it back, by {}",
     ),
     MetricEntry(
-        name="replay_error", question=Question.MOTION, units=_positions, measure=measures.replay_error, needs=("q",), of_replay=True,
-        default=(1e-2, "1e-2 of the nominal"), meaning="largest position difference between plan and replay at the plan's nodes",
+        name="replay_error",
+        question=Question.MOTION,
+        units=_positions,
+        measure=measures.replay_error,
+        needs=("q",),
+        of_replay=True,
+        default=(1e-2, "1e-2 of the nominal"),
+        meaning="largest position difference between plan and replay at the plan's nodes",
         quoted="driven by its inputs the motion departs from the plan by {}",
     ),
     MetricEntry(
-        name="replay_terminal_position_error", question=Question.MOTION, units=_goal_positions, measure=measures.replay_terminal_position_error,
-        applies=_has_goal_position, of_replay=True, meaning="norm of q_T - q_f in the replay",
+        name="replay_terminal_position_error",
+        question=Question.MOTION,
+        units=_goal_positions,
+        measure=measures.replay_terminal_position_error,
+        applies=_has_goal_position,
+        of_replay=True,
+        meaning="norm of q_T - q_f in the replay",
         quoted="driven by its inputs the motion ends {} from the goal",
     ),
     MetricEntry(
-        name="replay_terminal_velocity_error", question=Question.MOTION, units=_goal_velocities, measure=measures.replay_terminal_velocity_error,
-        applies=_has_goal_velocity, of_replay=True, meaning="norm of v_T - v_f in the replay",
+        name="replay_terminal_velocity_error",
+        question=Question.MOTION,
+        units=_goal_velocities,
+        measure=measures.replay_terminal_velocity_error,
+        applies=_has_goal_velocity,
+        of_replay=True,
+        meaning="norm of v_T - v_f in the replay",
         quoted="driven by its inputs the motion ends with {} more or less than the goal's velocity",
     ),
     MetricEntry(
-        name="replay_cost", question=Question.MOTION, units=_unit("1"), measure=measures.replay_cost, applies=_is_scene, of_replay=True,
+        name="replay_cost",
+        question=Question.MOTION,
+        units=_unit("1"),
+        measure=measures.replay_cost,
+        applies=_is_scene,
+        of_replay=True,
         meaning="the task's cost of the replay, at the starts of the task's steps",
         quoted="driven by its inputs the motion costs {}",
     ),
     MetricEntry(
-        name="unexplained_force", question=Question.MOTION, units=_unit("1"), measure=unexplained_force, applies=_is_scene, needs=("q", "no defect"),
-        default=(LIMIT, "10 % of what counts as a large force: as much as a step of a good grid leaves open"),
+        name="unexplained_force",
+        question=Question.MOTION,
+        units=_unit("1"),
+        measure=unexplained_force,
+        applies=_is_scene,
+        needs=("q", "no defect"),
+        default=(
+            LIMIT,
+            "10 % of what counts as a large force: as much as a step of a good grid leaves open",
+        ),
         meaning="largest mean force over a step that inputs and true contact do not explain, from the plan's own states, as a share of what counts as a large one: the largest of contact, at least a tenth of the inputs' range; that range without contact; the largest of the motion without inputs",
         quoted="its own motion needs a force that neither inputs nor contact give, {} of what counts as a large force",
     ),
     MetricEntry(
-        name="max_penetration", question=Question.POSSIBLE, units=_unit("m"), measure=measures.max_penetration,
-        applies=lambda scene: _has_contacts(scene) and any(depth is not None for depth in scene.depths), of_replay=True,
-        default=(1.0, "the depth at which the model of the contact ends"), meaning="deepest penetration in the replay, of the contact that is nearest to the depth at which its model ends",
+        name="max_penetration",
+        question=Question.POSSIBLE,
+        units=_unit("m"),
+        measure=measures.max_penetration,
+        applies=lambda scene: (
+            _has_contacts(scene) and any(depth is not None for depth in scene.depths)
+        ),
+        of_replay=True,
+        default=(1.0, "the depth at which the model of the contact ends"),
+        meaning="deepest penetration in the replay, of the contact that is nearest to the depth at which its model ends",
         quoted="the bodies penetrate by {}",
     ),
     MetricEntry(
-        name="ghost_impulse", question=Question.POSSIBLE, units=_unit("N s"), measure=measures.ghost_impulse, applies=_has_contacts, needs=("lam",),
-        of_replay=True, default=(0.01, "1 % of the contact impulse"),
+        name="ghost_impulse",
+        question=Question.POSSIBLE,
+        units=_unit("N s"),
+        measure=measures.ghost_impulse,
+        applies=_has_contacts,
+        needs=("lam",),
+        of_replay=True,
+        default=(0.01, "1 % of the contact impulse"),
         meaning="impulse of planned contact force that the replay has at no time within a step of it: force at a distance",
         quoted="contact that the replay does not have: impulse {}",
     ),
     MetricEntry(
-        name="missed_impulse", question=Question.POSSIBLE, units=_unit("N s"), measure=measures.missed_impulse, applies=_has_contacts, needs=("lam",),
-        of_replay=True, default=(0.01, "1 % of the contact impulse"),
+        name="missed_impulse",
+        question=Question.POSSIBLE,
+        units=_unit("N s"),
+        measure=measures.missed_impulse,
+        applies=_has_contacts,
+        needs=("lam",),
+        of_replay=True,
+        default=(0.01, "1 % of the contact impulse"),
         meaning="impulse of the replay's contact force beyond what is planned at any time within a step of it",
         quoted="contact that the plan does not have: impulse {}",
     ),
     MetricEntry(
-        name="replay_velocity_bound_violation", question=Question.POSSIBLE, units=_velocities, measure=measures.replay_velocity_bound_violation,
-        applies=_has_velocity_bounds, of_replay=True, default=(1e-2, "1e-2 of the nominal, as the replay may differ from the plan"),
+        name="replay_velocity_bound_violation",
+        question=Question.POSSIBLE,
+        units=_velocities,
+        measure=measures.replay_velocity_bound_violation,
+        applies=_has_velocity_bounds,
+        of_replay=True,
+        default=(1e-2, "1e-2 of the nominal, as the replay may differ from the plan"),
         meaning="by how much the replay's velocities leave their bounds",
         quoted="driven by its inputs the velocities leave their bounds by {}",
     ),
     MetricEntry(
-        name="defect", question=Question.SCHEME, units=_states, measure=measures.defect, applies=_is_scene, needs=("q", "v", "lam", "friction", "scheme"),
-        default=(DEFECT, "1e-6 of the nominal: a plan with a larger residual does not satisfy its declared scheme"),
+        name="defect",
+        question=Question.SCHEME,
+        units=_states,
+        measure=measures.defect,
+        applies=_is_scene,
+        needs=("q", "v", "lam", "friction", "scheme"),
+        default=(
+            DEFECT,
+            "1e-6 of the nominal: a plan with a larger residual does not satisfy its declared scheme",
+        ),
         meaning="largest residual of the plan in its declared scheme, with its own contact forces (a collocation: with those of the true law at its stages)",
         quoted="it does not satisfy its declared scheme (residual {})",
     ),
     MetricEntry(
-        name="law_error", question=Question.SCHEME, units=_positions, measure=measures.law_error, applies=_is_scene, needs=("q", "v", "scheme"),
+        name="law_error",
+        question=Question.SCHEME,
+        units=_positions,
+        measure=measures.law_error,
+        applies=_is_scene,
+        needs=("q", "v", "scheme"),
         default=(10.0, "ten times what a defect of 1e-6 in every step explains"),
         meaning="largest position difference between the plan and its inputs under the true law on the same grid: the contact law's share of replay_error",
         quoted="with exact contact on its own grid the motion departs from the plan by {}",
     ),
     MetricEntry(
-        name="discrete_terminal_position_error", question=Question.SCHEME, units=_goal_positions,
-        measure=lambda case: measures.discrete_terminal(case, "position"), applies=lambda scene: _is_scene(scene) and _has_goal_position(scene),
-        needs=("q", "v", "scheme"), default=(10.0, "what the plan may miss the goal by, and ten times what a defect of 1e-6 in every step explains"),
+        name="discrete_terminal_position_error",
+        question=Question.SCHEME,
+        units=_goal_positions,
+        measure=lambda case: measures.discrete_terminal(case, "position"),
+        applies=lambda scene: _is_scene(scene) and _has_goal_position(scene),
+        needs=("q", "v", "scheme"),
+        default=(
+            10.0,
+            "what the plan may miss the goal by, and ten times what a defect of 1e-6 in every step explains",
+        ),
         meaning="norm of q_T - q_f in the plan's own time step with the true contact law (the paper's stability of gradient descent)",
         quoted="with exact contact on its own grid the motion ends {} from the goal",
     ),
     MetricEntry(
-        name="discrete_terminal_velocity_error", question=Question.SCHEME, units=_goal_velocities,
-        measure=lambda case: measures.discrete_terminal(case, "velocity"), applies=lambda scene: _is_scene(scene) and _has_goal_velocity(scene),
-        needs=("q", "v", "scheme"), default=(10.0, "what the plan may miss the goal by, and ten times what a defect of 1e-6 in every step explains"),
+        name="discrete_terminal_velocity_error",
+        question=Question.SCHEME,
+        units=_goal_velocities,
+        measure=lambda case: measures.discrete_terminal(case, "velocity"),
+        applies=lambda scene: _is_scene(scene) and _has_goal_velocity(scene),
+        needs=("q", "v", "scheme"),
+        default=(
+            10.0,
+            "what the plan may miss the goal by, and ten times what a defect of 1e-6 in every step explains",
+        ),
         meaning="norm of v_T - v_f in the plan's own time step with the true contact law",
         quoted="with exact contact on its own grid the motion ends with {} more or less than the goal's velocity",
     ),
     MetricEntry(
-        name="answer_error", question=Question.JUDGE, units=_unit("1"), measure=measures.answer_error, of_replay=False,
-        applies=lambda scene: any(answer.measure for answer in scene.answers), default=(1.0, "the tolerance of the closed form"),
+        name="answer_error",
+        question=Question.JUDGE,
+        units=_unit("1"),
+        measure=measures.answer_error,
+        of_replay=False,
+        applies=lambda scene: any(answer.measure for answer in scene.answers),
+        default=(1.0, "the tolerance of the closed form"),
         meaning="largest distance of the replay from a closed form of the scene, in units of that answer's tolerance",
         quoted="the replay is {} tolerances off a closed form of the scene",
     ),
     MetricEntry(
-        name="energy_residual_relative", question=Question.JUDGE, units=_unit("1"), measure=measures.energy_residual_relative, applies=_is_scene, of_replay=True,
+        name="energy_residual_relative",
+        question=Question.JUDGE,
+        units=_unit("1"),
+        measure=measures.energy_residual_relative,
+        applies=_is_scene,
+        of_replay=True,
         default=(1e-6, "a replay whose energy does not balance to a millionth is wrong"),
         meaning="energy_residual over the largest energy that is there to be turned over",
         quoted="the replay's energy does not balance by {} of what is turned over",
     ),
     MetricEntry(
-        name="physics", question=Question.SHOWN, units=_unit("N^2"), measure=measures.physics, applies=lambda scene: _is_scene(scene) and _has_contacts(scene),
-        needs=("lam", "q"), meaning="sum over steps and contacts of |lam (lam - k phi)|, k phi with its damping: the paper's physics",
+        name="physics",
+        question=Question.SHOWN,
+        units=_unit("N^2"),
+        measure=measures.physics,
+        applies=lambda scene: _is_scene(scene) and _has_contacts(scene),
+        needs=("lam", "q"),
+        meaning="sum over steps and contacts of |lam (lam - k phi)|, k phi with its damping: the paper's physics",
     ),
     MetricEntry(
-        name="terminal_error", question=Question.SHOWN, units=_states, measure=measures.terminal_error, applies=_has_goal, needs=("q",),
+        name="terminal_error",
+        question=Question.SHOWN,
+        units=_states,
+        measure=measures.terminal_error,
+        applies=_has_goal,
+        needs=("q",),
         meaning="norm of x_T - x_f in the plan, positions and velocities: the paper's stability",
     ),
     MetricEntry(
-        name="discrete_terminal_error", question=Question.SHOWN, units=_states, measure=measures.discrete_terminal_error,
-        applies=lambda scene: _is_scene(scene) and _has_goal(scene), needs=("q", "v"),
+        name="discrete_terminal_error",
+        question=Question.SHOWN,
+        units=_states,
+        measure=measures.discrete_terminal_error,
+        applies=lambda scene: _is_scene(scene) and _has_goal(scene),
+        needs=("q", "v"),
         meaning="norm of x_T - x_f when the plan's inputs run through its own time step with the true contact law",
     ),
     MetricEntry(
-        name="replay_terminal_error", question=Question.SHOWN, units=_states, measure=measures.replay_terminal_error, applies=_has_goal, of_replay=True,
+        name="replay_terminal_error",
+        question=Question.SHOWN,
+        units=_states,
+        measure=measures.replay_terminal_error,
+        applies=_has_goal,
+        of_replay=True,
         meaning="norm of x_T - x_f when the plan's inputs drive the true continuous dynamics",
     ),
     MetricEntry(
-        name="replay_error_time", question=Question.SHOWN, units=_unit("s"), measure=measures.replay_error_time, needs=("q",),
+        name="replay_error_time",
+        question=Question.SHOWN,
+        units=_unit("s"),
+        measure=measures.replay_error_time,
+        needs=("q",),
         meaning="when plan and replay differ most",
     ),
     MetricEntry(
-        name="grid_error", question=Question.SHOWN, units=_positions, measure=measures.grid_error, applies=_is_scene, needs=("q", "v", "scheme"), of_replay=False,
+        name="grid_error",
+        question=Question.SHOWN,
+        units=_positions,
+        measure=measures.grid_error,
+        applies=_is_scene,
+        needs=("q", "v", "scheme"),
+        of_replay=False,
         meaning="largest position difference between the true law on the plan's grid and in continuous time: the discretisation error",
     ),
     MetricEntry(
-        name="grid_order", question=Question.SHOWN, units=_unit("1"), measure=measures.grid_order, applies=_is_scene, needs=("q", "v", "scheme"),
+        name="grid_order",
+        question=Question.SHOWN,
+        units=_unit("1"),
+        measure=measures.grid_order,
+        applies=_is_scene,
+        needs=("q", "v", "scheme"),
         meaning="order with which the discretisation error shrinks as the plan's own grid is refined under its inputs",
     ),
     MetricEntry(
-        name="friction_impulse_error", question=Question.SHOWN, units=_unit("N s"), measure=measures.friction_impulse_error, applies=_has_friction,
-        needs=("friction",), of_replay=True,
+        name="friction_impulse_error",
+        question=Question.SHOWN,
+        units=_unit("N s"),
+        measure=measures.friction_impulse_error,
+        applies=_has_friction,
+        needs=("friction",),
+        of_replay=True,
         meaning="impulse of the difference between planned and replayed friction forces (sticking forces are not unique)",
     ),
     MetricEntry(
-        name="energy_residual", question=Question.JUDGE, units=_unit("J"), measure=measures.energy_residual, applies=_is_scene, of_replay=True,
+        name="energy_residual",
+        question=Question.JUDGE,
+        units=_unit("J"),
+        measure=measures.energy_residual,
+        applies=_is_scene,
+        of_replay=True,
         meaning="self-check of the replay: work in - dissipated - change of energy, largest over time",
         quoted="the replay's energy does not balance by {}",
     ),
-)  # fmt: skip
+)
 
 
 def _twin(entry: MetricEntry) -> MetricEntry:
     return replace(
-        entry, name=f"{TRACKED}{entry.name}", meaning=f"with feedback: {entry.meaning}", of_replay=False,
+        entry, name=f"{TRACKED}{entry.name}", meaning=f"with feedback: {entry.meaning}",
+        of_replay=False,
         measure=lambda case: entry.measure(case.tracked),
     )  # fmt: skip
 
@@ -347,40 +565,67 @@ def _growth(case: Evidence) -> Growth:
     return case.opened.growth
 
 
-# Exact plans whose step is coarse for the contact (h w = 0.9) need an effort of up to 0.23 to be followed through an impact, others some hundredths; plans
-# with force from a distance need 0.65 to 1.1 where that force matters.
+# Exact plans whose step is coarse for the contact (h w = 0.9) need an effort of up to 0.23 to be
+# followed through an impact, others some hundredths; plans with force from a distance need 0.65 to
+# 1.1 where that force matters.
 FEEDBACK = (
     MetricEntry(
-        name=EFFORT, question=Question.MOTION, units=_unit("1"), measure=lambda case: _effort(case).rms_share,
-        applies=lambda scene: any(np.isfinite((item.lower, item.upper)).all() for item in scene.inputs),
-        default=(0.25, "a quarter of what the inputs can give, in the root mean square, corrects a plan; more makes another one"),
+        name=EFFORT,
+        question=Question.MOTION,
+        units=_unit("1"),
+        measure=lambda case: _effort(case).rms_share,
+        applies=lambda scene: any(
+            np.isfinite((item.lower, item.upper)).all() for item in scene.inputs
+        ),
+        default=(
+            0.25,
+            "a quarter of what the inputs can give, in the root mean square, corrects a plan; more makes another one",
+        ),
         meaning="root mean square of what the feedback added to the plan's inputs, as a share of half their range; the largest over the inputs",
         quoted="the RMS effort of the feedback is {} of the half-range of the inputs",
     ),
     MetricEntry(
-        name=SHARE, question=Question.MOTION, units=_unit("1"), measure=_plan_share,
-        default=(0.5, "half of what the plan itself gives, in the root mean square, or half of the motion corrects a plan; more makes another one"),
+        name=SHARE,
+        question=Question.MOTION,
+        units=_unit("1"),
+        measure=_plan_share,
+        default=(
+            0.5,
+            "half of what the plan itself gives, in the root mean square, or half of the motion corrects a plan; more makes another one",
+        ),
         meaning="root mean square of what the feedback added, as a share of that of the plan's own inputs, all inputs in halves of their ranges; or, where that is more, its part of the motion that both make",
         quoted="the RMS effort of the feedback is {} of what the plan's own inputs do",
     ),
     MetricEntry(
-        name="feedback_peak", question=Question.SHOWN, units=_unit("1"), measure=lambda case: _effort(case).peak_share,
+        name="feedback_peak",
+        question=Question.SHOWN,
+        units=_unit("1"),
+        measure=lambda case: _effort(case).peak_share,
         meaning="largest value of what the feedback added, as a share of half the range",
     ),
     MetricEntry(
-        name="feedback_saturated", question=Question.SHOWN, units=_unit("1"), measure=lambda case: _effort(case).saturated,
+        name="feedback_saturated",
+        question=Question.SHOWN,
+        units=_unit("1"),
+        measure=lambda case: _effort(case).saturated,
         meaning="share of the steps in which the feedback stood at a bound",
     ),
-)  # fmt: skip
+)
 # Rows of the replay with feedback, asked where there was one.
 FOLLOWED = (*(_twin(entry) for entry in TABLE if entry.of_replay), *FEEDBACK)
 GROWTH = (
     MetricEntry(
-        name="amplification", question=Question.SHOWN, units=_unit("1"), measure=lambda case: _growth(case).amplification,
+        name="amplification",
+        question=Question.SHOWN,
+        units=_unit("1"),
+        measure=lambda case: _growth(case).amplification,
         meaning="how many times larger an error of the positions may become along the plan in the open loop (nominals as units)",
     ),
     MetricEntry(
-        name="growth_rate", question=Question.SHOWN, units=_unit("1/s"), measure=lambda case: _growth(case).rate,
+        name="growth_rate",
+        question=Question.SHOWN,
+        units=_unit("1/s"),
+        measure=lambda case: _growth(case).rate,
         meaning="rate with which amplification = exp(rate T)",
     ),
-)  # fmt: skip
+)

@@ -1,16 +1,21 @@
 """The mean force a step that a plan's inputs and true contact do not explain, from the plan's own states: needs no scheme and no force column.
 
-From each of the plan's states the true motion is run over one step under the plan's inputs (validate.judge.score.own_steps). What the plan's next
-velocity differs by, dv, takes a mean force M dv/h that nobody gives. Forces along different coordinates are compared in the norm of M^-1, in which a
-contact force lam has the size lam sqrt(J M^-1 J'): so a force that is not there is measured in contact forces of the same effect.
+From each of the plan's states the true motion is run over one step under the plan's inputs
+(validate.judge.score.own_steps). What the plan's next velocity differs by, dv, takes a mean force M
+dv/h that nobody gives. Forces along different coordinates are compared in the norm of M^-1, in
+which a contact force lam has the size lam sqrt(J M^-1 J'): so a force that is not there is measured
+in contact forces of the same effect.
 
-Of a scene without inertia (models.scene.quasi_static) forces are velocities: what its position differs by after the step, dq, takes the mean force D dq/h.
+Of a scene without inertia (models.scene.quasi_static) forces are velocities: what its position
+differs by after the step, dq, takes the mean force D dq/h.
 
-A plan that says both must not move by more or less than its velocities at both ends of the step, or the true motion, allow. Friction forces
-that it claims must move it as the true ones do: within mu N a sticking one is not free, it is what holds. Velocities that it does
-not say follow from its positions, in whichever of two ways explains it better: those with which the true motion arrives at the next position - what
-then jumps at a node is unexplained, and by how much the next position is missed -, or backward differences, which are the velocities of whoever steps
-as semi-implicit Euler does.
+A plan that says both must not move by more or less than its velocities at both ends of the step, or
+the true motion, allow. Friction forces that it claims must move it as the true ones do: within mu N
+a sticking one is not free, it is what holds. Velocities that it does not say follow from its
+positions, in whichever of two ways explains it better: those with which the true motion arrives at
+the next position - what then jumps at a node is unexplained, and by how much the next position is
+missed -, or backward differences, which are the velocities of whoever steps as semi-implicit Euler
+does.
 """
 
 from __future__ import annotations
@@ -28,7 +33,8 @@ from validate.judge.score.verdict import Unmeasured
 
 # What the metric is limited by where a scene sets nothing.
 LIMIT = 0.1
-# Velocities by which a coordinate would move so many times further than it does, over the whole plan, are not those of its positions.
+# Velocities by which a coordinate would move so many times further than it does, over the whole
+# plan, are not those of its positions.
 _OTHERWISE = 10.0
 
 
@@ -39,9 +45,16 @@ def unexplained_force(case: Evidence) -> float:
 
 
 def _forces(case: Evidence, enough: float) -> np.ndarray:
-    """(steps,) sqrt(dv' M dv)/h of each step, less what printing may be the cause of; `enough` explains it."""
+    """(steps,) sqrt(dv' M dv)/h of each step, less what printing may be the cause of.
+
+    `enough` explains it.
+    """
     found = _of_motion(case, enough)
-    if not case.scene.nf or case.trajectory.missing & {"friction", "lam"} or case.trajectory.scheme is not None:
+    if (
+        not case.scene.nf
+        or case.trajectory.missing & {"friction", "lam"}
+        or case.trajectory.scheme is not None
+    ):
         return found
     try:
         return np.maximum(found, _of_friction(case))
@@ -54,24 +67,35 @@ def _forces(case: Evidence, enough: float) -> np.ndarray:
 def _of_friction(case: Evidence) -> np.ndarray:
     """(steps,) the force by which the friction that a plan claims moves it otherwise than the true one: sticking friction is whatever holds, no more.
 
-    Several frictions may share that as they like: what counts is the sum of what they do. The true one of a step is any between its least and most in
-    this step and the next, whose input may set in at the node.
+    Several frictions may share that as they like: what counts is the sum of what they do. The true
+    one of a step is any between its least and most in this step and the next, whose input may set
+    in at the node.
     """
     kernel, plan, nc = case.kernel, case.trajectory, case.scene.nc
     own = case.own_steps(case.own_velocities[:-1])
     least, most = (array[:, nc:] for array in (own.least, own.most))
-    least, most = np.minimum(least, np.vstack([least[1:], least[-1:]])), np.maximum(most, np.vstack([most[1:], most[-1:]]))
+    least, most = (
+        np.minimum(least, np.vstack([least[1:], least[-1:]])),
+        np.maximum(most, np.vstack([most[1:], most[-1:]])),
+    )
     p_lam = case.printing["lam"]
 
     def differs(true: np.ndarray) -> np.ndarray:
-        """(steps,) [N] between the claimed friction and a true one (steps, nf) [N]. Raises KernelError."""
+        """(steps,) [N] between the claimed friction and a true one (steps, nf) [N].
+
+        Raises KernelError.
+        """
         claimed, real = plan.lam.copy(), plan.lam.copy()
         claimed[:, nc:], real[:, nc:] = case.friction, true
         v = case.own_velocities[:-1]
-        change = kernel.acceleration(case.q[:-1], v, plan.u, claimed) - kernel.acceleration(case.q[:-1], v, plan.u, real)
+        change = kernel.acceleration(case.q[:-1], v, plan.u, claimed) - kernel.acceleration(
+            case.q[:-1], v, plan.u, real
+        )
         return sizes(case.masses[:-1], change)
 
-    return np.minimum(differs(np.clip(case.friction, least - p_lam, most + p_lam)), differs((least + most) / 2.0))
+    return np.minimum(
+        differs(np.clip(case.friction, least - p_lam, most + p_lam)), differs((least + most) / 2.0)
+    )
 
 
 def _of_motion(case: Evidence, enough: float) -> np.ndarray:
@@ -106,14 +130,22 @@ def with_velocities(scene: Scene, plan: Trajectory, replayed: Replay) -> Traject
 
 
 def _off(case: Evidence, group: str) -> float:
-    """What printing and rounding may change of the plan's "t", "q" or "v"; in the unit of the group."""
-    return max(case.printing[group], ROUNDED * float(np.abs(getattr(case.trajectory, group)).max(initial=0.0)))
+    """What printing and rounding may change of the plan's "t", "q" or "v".
+
+    In the unit of the group.
+    """
+    return max(
+        case.printing[group],
+        ROUNDED * float(np.abs(getattr(case.trajectory, group)).max(initial=0.0)),
+    )
 
 
 def _by_velocities(case: Evidence, h: np.ndarray, v: np.ndarray, p_v: float) -> np.ndarray:
     """(steps,) with velocities v (nodes, nq) printed to p_v."""
     q, p_q, mass = case.q, _off(case, "q"), case.masses
-    late = 2.0 * _off(case, "t")  # a node that is printed late has moved on by its speed, and its speed by its acceleration
+    late = 2.0 * _off(
+        case, "t"
+    )  # a node that is printed late has moved on by its speed, and its speed by its acceleration
     moved = np.diff(q, axis=0)
     low, high = np.minimum(v[:-1], v[1:]) * h[:, None], np.maximum(v[:-1], v[1:]) * h[:, None]
     beyond = np.maximum(np.maximum(moved - high, low - moved), 0.0)
@@ -129,20 +161,38 @@ def _by_velocities(case: Evidence, h: np.ndarray, v: np.ndarray, p_v: float) -> 
         raise
     arriving_q, arriving = ends[:, : case.scene.nq], ends[:, case.scene.nq :]
     beyond = np.minimum(beyond, np.abs(q[1:] - arriving_q))
-    beyond = np.maximum(beyond - 2.0 * p_q - h[:, None] * p_v - late * np.abs(v[:-1]), 0.0) / h[:, None]
+    beyond = (
+        np.maximum(beyond - 2.0 * p_q - h[:, None] * p_v - late * np.abs(v[:-1]), 0.0) / h[:, None]
+    )
     if case.equations.relaxation_index is not None:
-        return np.maximum(_without_inertia(case, h, v[:-1]), sizes(mass[1:], beyond) / _relaxation_time(case))
+        return np.maximum(
+            _without_inertia(case, h, v[:-1]), sizes(mass[1:], beyond) / _relaxation_time(case)
+        )
     jump = v[1:] - arriving
-    allowed = 2.0 * p_v + h * case.printing_acceleration + late * np.abs((arriving - v[:-1]) / h[:, None]).max(axis=1)
-    return np.maximum(sizes(mass[1:], jump) - allowed * sizes(mass[1:], np.ones(case.scene.nq)), sizes(mass[1:], beyond)).clip(0.0) / h
+    allowed = (
+        2.0 * p_v
+        + h * case.printing_acceleration
+        + late * np.abs((arriving - v[:-1]) / h[:, None]).max(axis=1)
+    )
+    return (
+        np.maximum(
+            sizes(mass[1:], jump) - allowed * sizes(mass[1:], np.ones(case.scene.nq)),
+            sizes(mass[1:], beyond),
+        ).clip(0.0)
+        / h
+    )
 
 
 def _without_inertia(case: Evidence, h: np.ndarray, v: np.ndarray) -> np.ndarray:
     """(steps,) of a scene whose forces are velocities, from velocities v (steps, nq) at the starts: D (moved - moves)/h, with M = tau D."""
     mass = case.masses[1:]
     missed = (case.q[1:] - case.own_steps(v).ends[:, : case.scene.nq]) / h[:, None]
-    allowed = (2.0 * _off(case, "q") + 2.0 * _off(case, "t") * np.abs(v).max(axis=1)) / h + h * case.printing_acceleration
-    return (sizes(mass, missed) - allowed * sizes(mass, np.ones(case.scene.nq))).clip(0.0) / _relaxation_time(case)
+    allowed = (
+        2.0 * _off(case, "q") + 2.0 * _off(case, "t") * np.abs(v).max(axis=1)
+    ) / h + h * case.printing_acceleration
+    return (sizes(mass, missed) - allowed * sizes(mass, np.ones(case.scene.nq))).clip(
+        0.0
+    ) / _relaxation_time(case)
 
 
 def _relaxation_time(case: Evidence) -> float:
@@ -151,8 +201,16 @@ def _relaxation_time(case: Evidence) -> float:
 
 
 def _by_departures(case: Evidence, h: np.ndarray) -> np.ndarray:
-    """(steps,) with the velocities that lead from each position to the next; the first must be the task's."""
-    p_q, mass, departing, gains = _off(case, "q"), case.masses, case.departures.v, case.departures.gains
+    """(steps,) with the velocities that lead from each position to the next.
+
+    The first must be the task's.
+    """
+    p_q, mass, departing, gains = (
+        _off(case, "q"),
+        case.masses,
+        case.departures.v,
+        case.departures.gains,
+    )
     late = 2.0 * _off(case, "t")
     arriving = case.own_steps(departing).ends[:, case.scene.nq :]
     jump = np.vstack([departing[:1] - case.start_velocity, departing[1:] - arriving[:-1]])

@@ -1,19 +1,24 @@
 """From metrics and limits to the answers of the questions, and from those to a verdict.
 
-A metric is below its limit, or above it, only where ten times its error does not reach from its value to the limit,
+A metric is below its limit, or above it, only where ten times its error does not reach from its
+value to the limit,
 
-    value + 10 error <= limit   -> yes          value - 10 error > limit   -> no          otherwise undecided
+    value + 10 error <= limit -> yes value - 10 error > limit -> no otherwise undecided
 
-so that a metric of 1e-9 with an error of 1e-4 is rightly below a limit of 1e-2, and one of 0.0599 with the same error is not judged against 0.06.
-The error is that of the replay; metrics of the plan alone have none, and what is asked of the judge itself is measured with its error once, since that
+so that a metric of 1e-9 with an error of 1e-4 is rightly below a limit of 1e-2, and one of 0.0599
+with the same error is not judged against 0.06. The error is that of the replay; metrics of the plan
+alone have none, and what is asked of the judge itself is measured with its error once, since that
 is what is asked about. A question is answered no where one of its metrics surely is, else undecided
-where one is, else yes. Where the judge is not well nothing that the replay says is sure: questions 4 and 5 are undecided.
+where one is, else yes. Where the judge is not well nothing that the replay says is sure: questions
+4 and 5 are undecided.
 
-The verdict of all: no plan | violates, if an asked question surely fails, even behind an undecided one | undecided | holds. Where question 4 fails or is
-undecided and the plan's own motion is consistent (unexplained_force of a plan without a scheme, defect of one with), limited feedback may help:
-questions 4 and 5 are then asked of the replay with feedback, with the same limits.
+The verdict of all: no plan | violates, if an asked question surely fails, even behind an undecided
+one | undecided | holds. Where question 4 fails or is undecided and the plan's own motion is
+consistent (unexplained_force of a plan without a scheme, defect of one with), limited feedback may
+help: questions 4 and 5 are then asked of the replay with feedback, with the same limits.
 
-What the judge says: metrics, the answers to its questions, and a verdict with the sentence that decided it.
+What the judge says: metrics, the answers to its questions, and a verdict with the sentence that
+decided it.
 """
 
 from __future__ import annotations
@@ -41,9 +46,12 @@ class Contradicted(Unmeasured):
 class Verdict(Enum):
     """What is said of a plan; the value is the word that every table, file and sentence uses.
 
-    `holds`: every question that was asked is answered yes for the inputs alone; `holds with feedback`: not so, but with limited feedback around the
-    plan; `violates`: one surely is not; `undecided`: none surely is not, but one could not be decided; `no plan`: there is nothing to judge;
-    `not applicable`: the method does not apply, or nothing is claimed and nothing asked; `consistent`: nothing is wrong, and the scene asks for nothing.
+    `holds`: every question that was asked is answered yes for the inputs alone; `holds with
+        feedback`: not so, but with limited feedback around the
+    plan; `violates`: one surely is not; `undecided`: none surely is not, but one could not be
+        decided; `no plan`: there is nothing to judge;
+    `not applicable`: the method does not apply, or nothing is claimed and nothing asked;
+        `consistent`: nothing is wrong, and the scene asks for nothing.
     """
 
     HOLDS = "holds"
@@ -61,7 +69,10 @@ class Verdict(Enum):
 
 
 class Question(Enum):
-    """What is asked of a plan, in this order; the value is the question in words. `JUDGE` is asked of the replay, `SHOWN` of nobody."""
+    """What is asked of a plan, in this order; the value is the question in words.
+
+    `JUDGE` is asked of the replay, `SHOWN` of nobody.
+    """
 
     TASK = "Is it a plan of this task?"
     GOAL = "Does it say that it reaches the goal?"
@@ -83,9 +94,12 @@ class Question(Enum):
 class Metric:
     """One metric of the score.
 
-    value: None where it was not asked or could not be measured (`reason` says why); error: how wrong the value may be by the replay's own error (0
-    for what is of the plan alone); limit: with its `reason`, from the scene or the metric's default, None where the metric is not judged;
-    ok: the value against the limit, None where that is undecided or there is no limit; default: whether the limit is the metric's own.
+    value: None where it was not asked or could not be measured (`reason` says why); error: how
+        wrong the value may be by the replay's own error (0
+    for what is of the plan alone); limit: with its `reason`, from the scene or the metric's
+        default, None where the metric is not judged;
+    ok: the value against the limit, None where that is undecided or there is no limit; default:
+        whether the limit is the metric's own.
     """
 
     name: str
@@ -105,9 +119,18 @@ class Metric:
         return self.limit is not None
 
     def held_to(self, limit: float, reason: str, *, default: bool) -> Metric:
-        """The same, judged by a limit; of what is asked of the judge itself the error counts once. Raises TypeError where there is no value."""
+        """The same, judged by a limit; of what is asked of the judge itself the error counts once.
+
+        Raises TypeError where there is no value.
+        """
         margin = 1.0 if self.question is Question.JUDGE else MARGIN
-        return replace(self, limit=limit, reason=reason, ok=compare(self.value, self.error, limit, margin), default=default)  # type: ignore[arg-type]
+        return replace(
+            self,
+            limit=limit,
+            reason=reason,
+            ok=compare(self.value, self.error, limit, margin),
+            default=default,
+        )  # type: ignore[arg-type]
 
 
 Answer: TypeAlias = Literal["yes", "no", "undecided", "not asked"]
@@ -117,11 +140,17 @@ Answer: TypeAlias = Literal["yes", "no", "undecided", "not asked"]
 class Score:
     """All metrics of one plan and the verdict.
 
-    why: the sentence that decided it, with the cause and what to do; cause: the same in one word, empty where nothing is wrong: the name of the metric that
-    failed or is open, or where the inputs do not give the motion one of `defect`, `relaxed contact`, `unstable`, `coarse grid`, `motion`; metrics: of the plan and of the replay of its inputs alone; those of the replay
-    with feedback, where there was one, are called tracked_<name>, and feedback_<..> what it took. judged: "open" or "feedback", of which replay the
-    verdict speaks. waived: limits that the scene waives, with its reasons; not_asked: what was not asked, and why. questions: "yes", "no", "undecided" or "not asked" for each.
-    names: of all metrics there are, whether or not they apply; empty where whoever judged does not say.
+    why: the sentence that decided it, with the cause and what to do; cause: the same in one word,
+        empty where nothing is wrong: the name of the metric that
+    failed or is open, or where the inputs do not give the motion one of `defect`, `relaxed
+        contact`, `unstable`, `coarse grid`, `motion`; metrics: of the plan and of the replay of its
+        inputs alone; those of the replay
+    with feedback, where there was one, are called tracked_<name>, and feedback_<..> what it took.
+        judged: "open" or "feedback", of which replay the
+    verdict speaks. waived: limits that the scene waives, with its reasons; not_asked: what was not
+        asked, and why. questions: "yes", "no", "undecided" or "not asked" for each.
+    names: of all metrics there are, whether or not they apply; empty where whoever judged does not
+        say.
     """
 
     metrics: tuple[Metric, ...]
@@ -139,7 +168,10 @@ class Score:
         return next((metric for metric in self.metrics if metric.name == name), None)
 
     def value(self, name: str) -> float | None:
-        """The value of a metric; None if it was not measured. Raises UnknownNameError for a name that no metric has."""
+        """The value of a metric; None if it was not measured.
+
+        Raises UnknownNameError for a name that no metric has.
+        """
         metric = self.metric(name)
         if metric is None and self.names and name not in self.names:
             hint = did_you_mean(name, self.names, f"there are {', '.join(self.names)}.")
@@ -152,12 +184,17 @@ class Score:
     @property
     def sentence(self) -> str:
         """The verdict and why, in a sentence that begins with its word."""
-        return self.why if self.why.startswith(self.verdict.value) else f"{self.verdict.value}: {self.why}"
+        return (
+            self.why
+            if self.why.startswith(self.verdict.value)
+            else f"{self.verdict.value}: {self.why}"
+        )
 
 
 MARGIN = 10.0
 # What feedback may take of the inputs, see validate.judge.score.table.
-EFFORT, SHARE = "feedback_effort", "feedback_share"
+EFFORT = "feedback_effort"
+SHARE = "feedback_share"
 # Metrics of the replay with feedback are called so.
 TRACKED = "tracked_"
 # Of the replay, and so only as sure as the judge is well.
@@ -169,7 +206,10 @@ _CONSISTENCY = ("unexplained_force", "defect")
 
 
 def compare(value: float, error: float, limit: float, margin: float = MARGIN) -> bool | None:
-    """Whether a value is below its limit; None where its error leaves that open. See the module docstring."""
+    """Whether a value is below its limit; None where its error leaves that open.
+
+    See the module docstring.
+    """
     if value + margin * error <= limit:
         return True
     if value - margin * error > limit:
@@ -188,13 +228,23 @@ def answer(metrics: Iterable[Metric]) -> Answer:
 def answers(metrics: Sequence[Metric], *, with_feedback: bool = False) -> dict[Question, Answer]:
     """Of every question, by metrics of the plan and of the replay of its inputs alone.
 
-    with_feedback: questions 4 and 5 are asked of the replay with feedback instead; what it took belongs to question 4.
+    with_feedback: questions 4 and 5 are asked of the replay with feedback instead; what it took
+        belongs to question 4.
     """
     followed = [metric for metric in metrics if with_feedback and is_of_feedback(metric.name)]
     replaced = {metric.name.removeprefix(TRACKED) for metric in followed}
-    asked = [*followed, *(metric for metric in metrics if not is_of_feedback(metric.name) and metric.name not in replaced)]
+    asked = [
+        *followed,
+        *(
+            metric
+            for metric in metrics
+            if not is_of_feedback(metric.name) and metric.name not in replaced
+        ),
+    ]
     found: dict[Question, Answer] = {
-        question: answer(metric for metric in asked if metric.question is question) for question in Question if question.value
+        question: answer(metric for metric in asked if metric.question is question)
+        for question in Question
+        if question.value
     }
     if found[Question.JUDGE] in ("no", "undecided"):
         for question in _OF_REPLAY:
@@ -211,13 +261,17 @@ def is_of_feedback(name: str) -> bool:
 def wants_feedback(metrics: Sequence[Metric]) -> bool:
     """Whether feedback is to be tried.
 
-    Where question 4 is not answered yes by the inputs alone, the plan's own motion is consistent, and nothing else that feedback cannot mend surely
-    fails.
+    Where question 4 is not answered yes by the inputs alone, the plan's own motion is consistent,
+    and nothing else that feedback cannot mend surely fails.
     """
     found = answers(metrics)
-    if found[Question.MOTION] not in ("no", "undecided") or "no" in [found[question] for question in _NOT_MENDED]:
+    if found[Question.MOTION] not in ("no", "undecided") or "no" in [
+        found[question] for question in _NOT_MENDED
+    ]:
         return False
-    consistency = [metric.ok for metric in metrics if metric.name in _CONSISTENCY and metric.is_judged]
+    consistency = [
+        metric.ok for metric in metrics if metric.name in _CONSISTENCY and metric.is_judged
+    ]
     return bool(consistency) and all(ok is True for ok in consistency)
 
 
@@ -232,15 +286,21 @@ def verdict_of(found: dict[Question, Answer]) -> Verdict:
 
 
 def verdict_with_feedback(alone: Verdict, followed: dict[Question, Answer]) -> Verdict:
-    """Of the answers for the inputs alone and with feedback. An inputs-alone failure that is sure, and feedback that is not, leave it undecided."""
+    """Of the answers for the inputs alone and with feedback.
+
+    An inputs-alone failure that is sure, and feedback that is not, leave it undecided.
+    """
     with_feedback = verdict_of(followed)
     if with_feedback is Verdict.HOLDS:
         return Verdict.HOLDS_WITH_FEEDBACK
-    # Where they differ, one of the two is undecided: what fails for the inputs alone may hold with feedback, or the other way round.
+    # Where they differ, one of the two is undecided: what fails for the inputs alone may hold with
+    # feedback, or the other way round.
     return alone if with_feedback is alone else Verdict.UNDECIDED
 
 
-def decide(metrics: Sequence[Metric], has_feedback: bool) -> tuple[Verdict, dict[Question, Answer], Literal["open", "feedback"]]:
+def decide(
+    metrics: Sequence[Metric], has_feedback: bool
+) -> tuple[Verdict, dict[Question, Answer], Literal["open", "feedback"]]:
     """The verdict, the answers that it stands on, and of which replay they are: with feedback where that was tried, is wanted and helps."""
     alone = answers(metrics)
     verdict = verdict_of(alone)

@@ -1,7 +1,8 @@
 """Stiffness from 1 to 1e8 N/m at a fixed step: a warning before the run past the stability limit, and the right motion with a smaller step.
 
-Three carts at h = 0.01 s: h^2 w^2 + 2 h c < 4 with w^2 = 3k and c = 2 allows k < 13200. How right a step is, is measured on two bodies that meet,
-whose motion is known (validate.truth): the step of all stiffnesses alike, one as fine as the contact needs, and the replay.
+Three carts at h = 0.01 s: h^2 w^2 + 2 h c < 4 with w^2 = 3k and c = 2 allows k < 13200. How right a
+step is, is measured on two bodies that meet, whose motion is known (validate.truth): the step of
+all stiffnesses alike, one as fine as the contact needs, and the replay.
 """
 
 from __future__ import annotations
@@ -13,14 +14,24 @@ import numpy as np
 from models.catalog import load_scene
 from models.scenes import two_body_collision as pair
 from models.stability import step_stability
-from validate.stress.case import Found, StressCase, at_least, at_most, chart, finding, none_of, unlimited
+from validate.stress.case import (
+    Found,
+    StressCase,
+    at_least,
+    at_most,
+    chart,
+    finding,
+    none_of,
+    unlimited,
+)
 from validate.stress.motion import of_truth, rolled, wrong_by
 from validate.truth.problems import contact_rate, stiff
 
 STIFFNESSES = tuple(10.0**power for power in range(9))
 # Points of the plot about the limit.
 SWEPT = 7
-STEP, DAMPING = 0.01, 2.0
+STEP = 0.01
+DAMPING = 2.0
 LIMIT = (4.0 - 2.0 * STEP * DAMPING) / (3.0 * STEP**2)
 # Steps a radian of the contact's oscillation in the fine grid, so that a collision has 150.
 _FINE = 50
@@ -48,9 +59,14 @@ def measure() -> Found:
         errors = [wrong_by(problem, motion) for motion in (plan, exact, told)]
         for found, error in zip((coarse, fine, replays), errors, strict=True):
             found.append(max(error.values()))
-        drift = problem.velocity * h + _RESTITUTION * (h * rate) ** 2 * problem.velocity * problem.duration
+        drift = (
+            problem.velocity * h
+            + _RESTITUTION * (h * rate) ** 2 * problem.velocity * problem.duration
+        )
         shares.append(errors[1]["position at the end"] * problem.position / drift)
-    below, above = (step_stability(base.with_parameters(k=LIMIT * factor)) for factor in (0.9999, 1.0001))
+    below, above = (
+        step_stability(base.with_parameters(k=LIMIT * factor)) for factor in (0.9999, 1.0001)
+    )
     near = np.geomspace(LIMIT / 10, LIMIT * 10, SWEPT)
     swept = [(k, step_stability(base.with_parameters(k=float(k))).radius) for k in near]
     curve = sorted([*zip(STIFFNESSES, radii, strict=True), *swept])
@@ -58,17 +74,34 @@ def measure() -> Found:
         f"The warning comes from k = {LIMIT:.0f} N/m on, before anything runs. At the fixed step a collision is wrong by {coarse[0]:.1e} for k = {STIFFNESSES[0]:g} "
         f"and {coarse[-1]:.0e} for k = {STIFFNESSES[-1]:g}; with {_FINE} steps a radian of the contact by at most {max(fine):.1e}, in the replay {max(replays):.0e}.",
         at_most(
-            "spectral radius at 0.9999 of the limit", below.radius, 1.0 + 1e-6, reason="inside the limit nothing grows but for rounding"
+            "spectral radius at 0.9999 of the limit",
+            below.radius,
+            1.0 + 1e-6,
+            reason="inside the limit nothing grows but for rounding",
         ),
-        at_least("spectral radius at 1.0001 of the limit", above.radius, 1.0 + 1e-4, reason="past it a closed contact grows"),
-        none_of("stiffnesses warned of wrongly or not at all", unwarned, reason=f"exactly those past {LIMIT:.0f} N/m"),
+        at_least(
+            "spectral radius at 1.0001 of the limit",
+            above.radius,
+            1.0 + 1e-4,
+            reason="past it a closed contact grows",
+        ),
+        none_of(
+            "stiffnesses warned of wrongly or not at all",
+            unwarned,
+            reason=f"exactly those past {LIMIT:.0f} N/m",
+        ),
         at_most(
             "error with the smaller step, share of what a first-order step may be wrong by",
             max(shares),
             1.0,
             reason="v h of drift, and a tenth of (h w)^2 of the speed after the collision, over the time that is compared",
         ),
-        at_most("largest error of the replay", max(replays), 1e-7, reason="as of our reference on every problem of the truth suite"),
+        at_most(
+            "largest error of the replay",
+            max(replays),
+            1e-7,
+            reason="as of our reference on every problem of the truth suite",
+        ),
         unlimited(
             "largest error at the fixed step inside the limit",
             max(error for k, error in zip(STIFFNESSES, coarse, strict=True) if k < LIMIT),

@@ -1,8 +1,10 @@
 """Contact creates energy although the step is stable: restitution of one collision over h w, in 100 phases of the first touch within a step.
 
-Two free masses on a linear spring part as fast as they met: restitution 1. The semi-implicit step keeps that only on the average; what a single
-collision gives depends on where within a step it begins. It keeps I = v^2 - h w^2 x v + w^2 x^2 in contact; a touch a share p of a step before the first
-node inside has I = s^2 (1 - (h w)^2 p (1 - p)), and so has the parting: restitution lies between sqrt(1 - (h w)^2/4) and one over that.
+Two free masses on a linear spring part as fast as they met: restitution 1. The semi-implicit step
+keeps that only on the average; what a single collision gives depends on where within a step it
+begins. It keeps I = v^2 - h w^2 x v + w^2 x^2 in contact; a touch a share p of a step before the
+first node inside has I = s^2 (1 - (h w)^2 p (1 - p)), and so has the parting: restitution lies
+between sqrt(1 - (h w)^2/4) and one over that.
 """
 
 from __future__ import annotations
@@ -18,8 +20,8 @@ from validate.stress.case import Found, StressCase, at_most, chart, finding
 from validate.stress.motion import replayed, rolled
 
 PHASES = 100
-# h w -> smallest and largest restitution known, and a unit of their last digit: they come from 100 phases too, but not these (all phases at h w = 1.5
-# together reach from 0.8 to 1.25).
+# h w -> smallest and largest restitution known, and a unit of their last digit: they come from 100
+# phases too, but not these (all phases at h w = 1.5 together reach from 0.8 to 1.25).
 EXPECTED = {0.1: (0.999, 1.001, 1e-3), 0.6: (0.98, 1.02, 1e-2), 1.5: (0.80, 1.24, 1e-2)}
 SWEEP = tuple(np.round(np.linspace(0.05, 1.95, 39), 3))
 
@@ -61,16 +63,32 @@ def measure() -> Found:
     value = math.nan if answer is None else answer
     swept = [_restitutions(kernel, hw) for hw in SWEEP]
     bound = [1.0 / math.sqrt(1.0 - hw**2 / 4.0) for hw in SWEEP]
-    outside = max(max(found.max() / most, 1.0 / (found.min() * most)) for found, most in zip(swept, bound, strict=True))
+    outside = max(
+        max(found.max() / most, 1.0 / (found.min() * most))
+        for found, most in zip(swept, bound, strict=True)
+    )
     worst = _restitutions(kernel, 1.5)
     return finding(
         f"At h w = 1.5, well inside the stability limit of 2, one collision gives between {worst.min():.2f} and {worst.max():.2f} of the speed back; "
         "the replay gives 1.",
         *figures,
-        at_most("restitution - 1 at h w = 1, any phase", exact, 1e-9, reason="six steps are a period there: the collision is exact"),
-        at_most("the replay, in tolerances of the closed forms", value, 1.0, reason="restitution 1, contact time and depth to 1e-9 each"),
         at_most(
-            "largest restitution (or 1/smallest) over the bound 1/sqrt(1 - (h w)^2/4)", outside, 1.0 + 1e-9, reason="see the case's file"
+            "restitution - 1 at h w = 1, any phase",
+            exact,
+            1e-9,
+            reason="six steps are a period there: the collision is exact",
+        ),
+        at_most(
+            "the replay, in tolerances of the closed forms",
+            value,
+            1.0,
+            reason="restitution 1, contact time and depth to 1e-9 each",
+        ),
+        at_most(
+            "largest restitution (or 1/smallest) over the bound 1/sqrt(1 - (h w)^2/4)",
+            outside,
+            1.0 + 1e-9,
+            reason="see the case's file",
         ),
         charts=(
             chart(

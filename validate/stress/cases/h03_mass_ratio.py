@@ -1,9 +1,11 @@
 """Mass ratios from 1e-4 to 1e4: contact time by its closed form and momentum to rounding in the replay of a collision; and what a plan costs.
 
-Planned are the paper's three carts, the middle one `ratio` times as heavy as the others, by softplus collocation and strict complementarity on
-half as many steps. The ends of the range cannot be planned, and are told as such. A middle cart lighter than 1/38 is damped too fast for a step of
-0.02 s, which step_stability says before anything runs; one a thousand times as heavy cannot be moved half a metre in 5 s by inputs of 10 N, which
-the method says. (A hundred times as heavy is so near to what can be moved that the search for an answer takes longer than all the rest.)
+Planned are the paper's three carts, the middle one `ratio` times as heavy as the others, by
+softplus collocation and strict complementarity on half as many steps. The ends of the range cannot
+be planned, and are told as such. A middle cart lighter than 1/38 is damped too fast for a step of
+0.02 s, which step_stability says before anything runs; one a thousand times as heavy cannot be
+moved half a metre in 5 s by inputs of 10 N, which the method says. (A hundred times as heavy is so
+near to what can be moved that the search for an answer takes longer than all the rest.)
 """
 
 from __future__ import annotations
@@ -29,14 +31,18 @@ from validate.truth.problems import mass_ratio
 RATIOS = tuple(10.0**power for power in range(-4, 5))
 # Middle cart to the others.
 PLANNED = (1e-4, 1e-3, 1e-2, 3e-2, 1e-1, 1.0, 1e1, 3e1, 1e3)
-STEP, STEPS = 0.02, 250
+STEP = 0.02
+STEPS = 250
 _CHAIN = (("softplus_dc", SOFTPLUS_EPS), ("strict_lcp", (None,)))
 _ENOUGH = 120.0  # seconds of a stage, which takes about one
 
 
 @dataclass
 class _Planned:
-    """Of the three carts. plans: ratio, cost, replay error [m]; unstable, out_of_reach: ratios that are told to be so; wrong: what is neither."""
+    """Of the three carts. plans: ratio, cost, replay error [m].
+
+    unstable, out_of_reach: ratios that are told to be so; wrong: what is neither.
+    """
 
     limit: float
     plans: list[tuple[float, float, float]] = field(default_factory=list)
@@ -50,7 +56,8 @@ def simulated() -> tuple[np.ndarray, list[str]]:
 
     Returns
     -------
-    found : (4, ratios) of the replays that reached the end: what the contact's length may be wrong by for the end to be where it is, as its share [-];
+    found : (4, ratios) of the replays that reached the end: what the contact's length may be wrong
+        by for the end to be where it is, as its share [-];
         the momentum of the replay, and of the plan [-]; seconds [s]
     wrong : which did not
 
@@ -67,7 +74,9 @@ def simulated() -> tuple[np.ndarray, list[str]]:
             continue
         error = wrong_by(problem, told)
         off = max(error["position at the end"], error["velocity at the end"]) / math.pi
-        found.append((off, error["momentum"], wrong_by(problem, plan)["momentum"], told.seconds_reference))
+        found.append(
+            (off, error["momentum"], wrong_by(problem, plan)["momentum"], told.seconds_reference)
+        )
     return np.array(found).reshape(-1, 4).T, wrong
 
 
@@ -75,10 +84,22 @@ def _carts() -> Scene:
     """Three carts, the mass of the middle one `ratio` times that of the others."""
     base = load_scene("three_cart")
     mass = next(parameter.symbol for parameter in base.parameters if parameter.name == "m")
-    ratio = Parameter(symbol=sp.Symbol("ratio", positive=True), value=1.0, unit="1", lower=1e-6, description="middle mass to the others")
+    ratio = Parameter(
+        symbol=sp.Symbol("ratio", positive=True),
+        value=1.0,
+        unit="1",
+        lower=1e-6,
+        description="middle mass to the others",
+    )
     left, middle, right = (coordinate.velocity for coordinate in base.coordinates)
     energy = mass * (left**2 + ratio.symbol * middle**2 + right**2) / 2
-    scene = replace(base, name="carts_mass_ratio", parameters=(*base.parameters, ratio), kinetic_energy=energy, answers=())
+    scene = replace(
+        base,
+        name="carts_mass_ratio",
+        parameters=(*base.parameters, ratio),
+        kinetic_energy=energy,
+        answers=(),
+    )
     return scene.with_task(step=STEP, steps=STEPS)
 
 
@@ -99,8 +120,11 @@ def planned() -> _Planned:
     """Three carts, planned for at each ratio of the middle mass to the others."""
     base = _carts()
     values = {parameter.name: parameter.value for parameter in base.parameters}
-    # The middle cart on two closed contacts, damped: h^2 2k/m + 2 h c/m < 4. The others, so much heavier, stand still beside it.
-    found = _Planned(limit=(2.0 * STEP**2 * values["k"] + 2.0 * STEP * values["c"]) / (4.0 * values["m"]))
+    # The middle cart on two closed contacts, damped: h^2 2k/m + 2 h c/m < 4. The others, so much
+    # heavier, stand still beside it.
+    found = _Planned(
+        limit=(2.0 * STEP**2 * values["k"] + 2.0 * STEP * values["c"]) / (4.0 * values["m"])
+    )
     for ratio in PLANNED:
         scene = base.with_parameters(ratio=ratio)
         said = step_stability(scene)
@@ -115,8 +139,16 @@ def planned() -> _Planned:
             found.out_of_reach.append(ratio)
             continue
         told = None if plan is None else replayed(scene, plan, like=base)
-        if plan is None or cost is None or solution.outcome is not Outcome.SOLVED or told is None or not told.ok:
-            found.wrong.append(f"{ratio:g}: {solution.outcome.name.lower()}, {told.message if told else solution.message}")
+        if (
+            plan is None
+            or cost is None
+            or solution.outcome is not Outcome.SOLVED
+            or told is None
+            or not told.ok
+        ):
+            found.wrong.append(
+                f"{ratio:g}: {solution.outcome.name.lower()}, {told.message if told else solution.message}"
+            )
             continue
         found.plans.append((ratio, cost, float(np.abs(told.q[told.knots] - plan.q).max())))
     return found
@@ -127,9 +159,16 @@ def measure() -> Found:
     (times, momenta, plan_momenta, seconds), lost = simulated()
     plans, most = planned(), partial(max, default=math.nan)
     ratios, costs, errors = np.array(plans.plans).reshape(-1, 3).T
-    length = next(parameter.value for parameter in load_scene("three_cart").parameters if parameter.name == "d")
+    length = next(
+        parameter.value
+        for parameter in load_scene("three_cart").parameters
+        if parameter.name == "d"
+    )
     shares = costs / costs[:1]
-    unstable, away = (", ".join(f"{ratio:g}" for ratio in ratios) or "none" for ratios in (plans.unstable, plans.out_of_reach))
+    unstable, away = (
+        ", ".join(f"{ratio:g}" for ratio in ratios) or "none"
+        for ratios in (plans.unstable, plans.out_of_reach)
+    )
     beyond = f"Refused before the run, past the step's stability limit: {unstable}; goal out of reach of the inputs: {away}."
     return finding(
         f"Contact times are right to {most(times):.1e}, momentum is kept to {most(momenta):.1e} of what "
@@ -143,7 +182,12 @@ def measure() -> Found:
             reason="half a period of the reduced mass, by where the bodies end; located to rounding of the clock, 1e-13 s of 0.7 ms",
         ),
         at_most("momentum of the replay", most(momenta), 1e-12, reason="contact is an inner force"),
-        at_most("momentum of the plan's time step", most(plan_momenta), 1e-12, reason="contact is an inner force"),
+        at_most(
+            "momentum of the plan's time step",
+            most(plan_momenta),
+            1e-12,
+            reason="contact is an inner force",
+        ),
         none_of(
             "ratios that are neither planned nor told to be beyond the step or the inputs",
             plans.wrong,

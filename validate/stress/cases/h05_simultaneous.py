@@ -1,4 +1,8 @@
-"""Simultaneous impacts: two carts squeeze a third from both sides at once. Symmetric in, symmetric out, in whatever order the contacts are listed (validate.truth has the exact motion)."""
+"""Simultaneous impacts: two carts squeeze a third from both sides at once.
+
+Symmetric in, symmetric out, in whatever order the contacts are listed (validate.truth has the exact
+motion).
+"""
 
 from __future__ import annotations
 
@@ -21,7 +25,9 @@ def measure() -> Found:
     chain = cart_chain(7)
     many = rolled(chain, u=u, step=problem.step)
     plan_error = max(asymmetry(plan.q, plan.v) for plan in (*plans, many))
-    replay_error = max(asymmetry(told.q[told.knots], told.v[told.knots]) if told.ok else np.inf for told in replays)
+    replay_error = max(
+        asymmetry(told.q[told.knots], told.v[told.knots]) if told.ok else np.inf for told in replays
+    )
     one, other = plans
     order = float(max(np.abs(one.q - other.q).max(), np.abs(one.lam - other.lam[:, ::-1]).max()))
     first, second = (at_nodes(told) for told in replays)
@@ -29,15 +35,30 @@ def measure() -> Found:
     squeezed = float(one.lam.max())
     return finding(
         f"Both contacts close at once and reach {squeezed:.2f} N; plan and replay stay symmetric to {max(plan_error, replay_error):.0e}.",
-        at_most("asymmetry of the plan's step", plan_error, 1e-12, reason="rounding of 200 steps of numbers near 3"),
-        at_most("asymmetry of the replay", replay_error, 1e-9, reason="ten times what the replay says of its own error"),
+        at_most(
+            "asymmetry of the plan's step",
+            plan_error,
+            1e-12,
+            reason="rounding of 200 steps of numbers near 3",
+        ),
+        at_most(
+            "asymmetry of the replay",
+            replay_error,
+            1e-9,
+            reason="ten times what the replay says of its own error",
+        ),
         at_most(
             "plan: difference when contacts are listed the other way round",
             order,
             1e-12,
             reason="the sum of forces has no order but in rounding",
         ),
-        at_most("replay: the same difference", replay_order, 1e-9, reason="ten times what the replay says of its own error"),
+        at_most(
+            "replay: the same difference",
+            replay_order,
+            1e-9,
+            reason="ten times what the replay says of its own error",
+        ),
     )
 
 

@@ -1,8 +1,11 @@
-"""Zeno-like bouncing: a mass falls on a damped floor, each bounce a share of the one before. It ends, and so does its replay.
+"""Zeno-like bouncing: a mass falls on a damped floor, each bounce a share of the one before.
 
-With restitution e of each bounce and v the first speed at the floor, the flights take 2 v/g (e + e^2 + ...) together: the time of rest is
-t_1 + (2 v/g) e/(1 - e), but for the contact times themselves. The floor and e are those of the truth suite (validate.truth.problems), the floor stiffer,
-so that gravity does next to nothing within a contact.
+It ends, and so does its replay.
+
+With restitution e of each bounce and v the first speed at the floor, the flights take 2 v/g (e +
+e^2 + ...) together: the time of rest is t_1 + (2 v/g) e/(1 - e), but for the contact times
+themselves. The floor and e are those of the truth suite (validate.truth.problems), the floor
+stiffer, so that gravity does next to nothing within a contact.
 """
 
 from __future__ import annotations
@@ -14,11 +17,23 @@ import numpy as np
 from models.scene.contacts import DampingLaw
 from models.scenes import bouncing_mass as drop
 from validate.judge.replay import ReplayOutcome
-from validate.stress.case import Found, StressCase, at_least, at_most, chart, finding, none_of, unlimited
+from validate.stress.case import (
+    Found,
+    StressCase,
+    at_least,
+    at_most,
+    chart,
+    finding,
+    none_of,
+    unlimited,
+)
 from validate.stress.motion import replayed, rolled
 from validate.truth.problems import damped_floor, restitution
 
-STIFFNESS, RATIO, NODES, STEP = 1e7, 0.2, 180, 0.01
+STIFFNESS = 1e7
+RATIO = 0.2
+NODES = 180
+STEP = 0.01
 # Fewer events than the bounces have, to see the budget told.
 BUDGET = 6
 
@@ -26,13 +41,17 @@ BUDGET = 6
 def measure() -> Found:
     """Measure what `CASE.expected` says."""
     damping = 2.0 * RATIO * math.sqrt(STIFFNESS * drop.MASS)
-    scene = damped_floor(DampingLaw.KELVIN_VOIGT, damping, k=STIFFNESS).with_task(step=STEP, steps=NODES)
+    scene = damped_floor(DampingLaw.KELVIN_VOIGT, damping, k=STIFFNESS).with_task(
+        step=STEP, steps=NODES
+    )
     fine = 20000  # the plan: the step that the stiff floor needs, at the nodes of the replay
     plan = rolled(scene, step=STEP / fine, steps=NODES * fine, every=fine)
     told_replay = replayed(scene, plan)
     e, first = restitution(RATIO), 2.0 * drop.FALL_TIME
     series = drop.FALL_TIME + first * e / (1.0 - e)
-    touches = [event for event in told_replay.events if event.contact == "floor"]  # beside them: when the damped force lets go
+    touches = [
+        event for event in told_replay.events if event.contact == "floor"
+    ]  # beside them: when the damped force lets go
     opened = [event.time for event in touches if not event.closes]
     closed = [event.time for event in touches if event.closes]
     rest = max(opened + closed, default=math.nan)
@@ -42,11 +61,17 @@ def measure() -> Found:
     small = replayed(scene, plan, event_budget=BUDGET)
     wrong = [] if told_replay.ok else [f"the replay does not end: {told_replay.message}"]
     if small.outcome is not ReplayOutcome.EVENT_BUDGET or str(BUDGET) not in small.message:
-        wrong.append(f"a budget of {BUDGET} events is not told: {small.outcome.name.lower()}, {small.message}")
+        wrong.append(
+            f"a budget of {BUDGET} events is not told: {small.outcome.name.lower()}, {small.message}"
+        )
     return finding(
         f"{len(closed)} bounces; at rest after {rest:.4f} s, {contact:.4f} s of it in contact, where the series of flights says {series:.4f} s. With a budget of "
         f"{BUDGET} events: {small.message}",
-        none_of("what does not end, or is not told", wrong, reason="the replay ends, and says so where its budget of events is used up"),
+        none_of(
+            "what does not end, or is not told",
+            wrong,
+            reason="the replay ends, and says so where its budget of events is used up",
+        ),
         at_least("bounces", len(closed), 5, reason="a series, not a single bounce"),
         at_most(
             "first flights: share of the one before, off the restitution",
@@ -68,7 +93,10 @@ def measure() -> Found:
                 y=("time of flight", "s"),
                 series={
                     "replay": (np.arange(1, len(flights) + 1), flights),
-                    "geometric series": (np.arange(1, len(flights) + 1), first * e ** np.arange(1, len(flights) + 1)),
+                    "geometric series": (
+                        np.arange(1, len(flights) + 1),
+                        first * e ** np.arange(1, len(flights) + 1),
+                    ),
                 },
                 log="y",
             ),

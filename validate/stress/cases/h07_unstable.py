@@ -1,7 +1,10 @@
-"""An unstable open loop: the cart-pole over 5 s. An error near upright grows as exp(3.67 t), 9e7 times; so do gradients and whatever a replay starts with.
+"""An unstable open loop: the cart-pole over 5 s.
 
-Measured three ways: by the Jacobians of the compiled steps, by two replays that start 1e-6 rad apart, and by gradient descent, which must say what
-happened to it and not call it solved.
+An error near upright grows as exp(3.67 t), 9e7 times; so do gradients and whatever a replay starts
+with.
+
+Measured three ways: by the Jacobians of the compiled steps, by two replays that start 1e-6 rad
+apart, and by gradient descent, which must say what happened to it and not call it solved.
 """
 
 from __future__ import annotations
@@ -16,10 +19,21 @@ from models.catalog import load_scene
 from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw
 from models.scenes.cart_pole_walls import GROWTH
-from validate.stress.case import Found, StressCase, at_least, at_most, chart, finding, none_of, unlimited
+from validate.stress.case import (
+    Found,
+    StressCase,
+    at_least,
+    at_most,
+    chart,
+    finding,
+    none_of,
+    unlimited,
+)
 from validate.stress.motion import at_nodes, replayed, rolled, solved
 
-SECONDS, NUDGE, ITERATIONS = 5.0, 1e-6, 60
+SECONDS = 5.0
+NUDGE = 1e-6
+ITERATIONS = 60
 # Up to here [rad] the pole is linear: a nudge of 1e-6 gets there in 2.5 s.
 _LINEAR = 1e-2
 
@@ -33,7 +47,10 @@ def measure() -> Found:
     still = np.zeros((steps + 1, 4))
     growth = measure_growth(load_steps(upright), still, np.zeros((steps, 1)), ContactLaw.RELU, None)
     if growth is None:
-        return finding("A step is not finite: nothing can be said of its growth.", unlimited("growth", math.nan))
+        return finding(
+            "A step is not finite: nothing can be said of its growth.",
+            unlimited("growth", math.nan),
+        )
     rate = growth.rate
     nudged = upright.with_task(start=(0.0, NUDGE, 0.0, 0.0))
     one, other = (replayed(item, rolled(item)) for item in (upright, nudged))
@@ -41,11 +58,16 @@ def measure() -> Found:
     t = h * np.arange(len(apart))
     linear = (apart > 10 * NUDGE) & (apart < _LINEAR)
     replay_rate = float(np.polyfit(t[linear], np.log(apart[linear]), 1)[0])
-    solution = solved(scene.with_task(steps=steps), "relu_gd", seconds=10.0, max_iterations=ITERATIONS)
+    solution = solved(
+        scene.with_task(steps=steps), "relu_gd", seconds=10.0, max_iterations=ITERATIONS
+    )
     silent = []
     if solution.outcome is Outcome.SOLVED:
         silent.append("descent calls it solved")
-    if solution.outcome in (Outcome.DIVERGED, Outcome.EVALUATION_ERROR) and solution.trajectory is not None:
+    if (
+        solution.outcome in (Outcome.DIVERGED, Outcome.EVALUATION_ERROR)
+        and solution.trajectory is not None
+    ):
         silent.append("a plan came with a descent that diverged")
     if not growth.sentence():
         silent.append("the growth is not told")
@@ -66,10 +88,21 @@ def measure() -> Found:
             0.02,
             reason="linear up to 0.01 rad, but for what decays at first",
         ),
-        at_least("growth of an error over the horizon", growth.factor, 1e7, reason="exp(3.67/s 5 s) is 9e7"),
-        none_of("what descent kept silent about", silent, reason="it must end in words, not in `solved`"),
+        at_least(
+            "growth of an error over the horizon",
+            growth.factor,
+            1e7,
+            reason="exp(3.67/s 5 s) is 9e7",
+        ),
+        none_of(
+            "what descent kept silent about", silent, reason="it must end in words, not in `solved`"
+        ),
         unlimited("distance of the two replays in the end", float(apart[-1]), "rad"),
-        unlimited("gradient norm where descent began", float(next(iter(solution.history.get("gradient_norm", (math.nan,))))), "1"),
+        unlimited(
+            "gradient norm where descent began",
+            float(next(iter(solution.history.get("gradient_norm", (math.nan,))))),
+            "1",
+        ),
         charts=(
             chart(
                 "Growth of an error of the start",

@@ -1,4 +1,7 @@
-"""Long horizons: three carts over 5000, 20000 and 80000 steps. Time and memory about linear, and the adjoint that of differences."""
+"""Long horizons: three carts over 5000, 20000 and 80000 steps.
+
+Time and memory about linear, and the adjoint that of differences.
+"""
 
 from __future__ import annotations
 
@@ -18,19 +21,25 @@ from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
 from validate.stress.case import Found, StressCase, at_most, chart, finding
 
-LENGTHS, MODEL_LENGTHS = (5000, 20000, 80000), (500, 1000, 2000)
+LENGTHS = (5000, 20000, 80000)
+MODEL_LENGTHS = (500, 1000, 2000)
 # What the growth of time and memory may be above linear: the sorting of sparse rows.
 EXPONENT = 1.15
-# What a step of the longest gradient may cost in steps of the shortest: its arrays are beyond the processor's cache and in memory that the system hands
-# out afresh each time (1.6 to 1.9 measured); work that grew with the square of the steps would make it 16.
+# What a step of the longest gradient may cost in steps of the shortest: its arrays are beyond the
+# processor's cache and in memory that the system hands out afresh each time (1.6 to 1.9 measured);
+# work that grew with the square of the steps would make it 16.
 A_STEP = 3.0
-_REPEATS, _MODEL_REPEATS, _DIFFERENCE = 20, 2, 1e-4
+_REPEATS = 20
+_MODEL_REPEATS = 2
+_DIFFERENCE = 1e-4
 _WEIGHTS = (1.0, 2.0, 3.0)
 
 
 def _squeeze(steps: int) -> np.ndarray:
     """(steps, 2) inputs [N]: both carts press, with a little noise."""
-    return np.tile([3.0, -3.0], (steps, 1)) + np.random.default_rng(8).normal(scale=0.3, size=(steps, 2))
+    return np.tile([3.0, -3.0], (steps, 1)) + np.random.default_rng(8).normal(
+        scale=0.3, size=(steps, 2)
+    )
 
 
 def _gradient_of(kernel: Kernel, steps: int) -> Callable[[], np.ndarray]:
@@ -75,11 +84,18 @@ def measure() -> Found:
     kernel = load_kernel(scene)
     gradients = [_measured(lambda n=n: _gradient_of(kernel, n), _REPEATS) for n in LENGTHS]
     _model(scene, 50)  # what is imported and compiled once does not count
-    models = [_measured(lambda n=n: lambda: _model(scene, n), _MODEL_REPEATS) for n in MODEL_LENGTHS]
+    models = [
+        _measured(lambda n=n: lambda: _model(scene, n), _MODEL_REPEATS) for n in MODEL_LENGTHS
+    ]
     u, u_bar = _squeeze(LENGTHS[1]), _gradient_of(kernel, LENGTHS[1])()
     direction = np.random.default_rng(9).normal(size=u.shape)
     ends = [
-        float(kernel.rollout(np.array(scene.task.start), u + sign * _DIFFERENCE * direction, scene.task.step).q[-1] @ _WEIGHTS)
+        float(
+            kernel.rollout(
+                np.array(scene.task.start), u + sign * _DIFFERENCE * direction, scene.task.step
+            ).q[-1]
+            @ _WEIGHTS
+        )
         for sign in (1.0, -1.0)
     ]
     slope = (ends[0] - ends[1]) / (2.0 * _DIFFERENCE)
@@ -93,14 +109,22 @@ def measure() -> Found:
     return finding(
         f"A gradient over {LENGTHS[-1]} steps takes {gradients[-1][0] * 1e3:.0f} ms and {gradients[-1][1]:.0f} MB; a model of {MODEL_LENGTHS[-1]} steps is built and "
         f"translated in {models[-1][0]:.1f} s and {models[-1][1]:.0f} MB. The adjoint over {LENGTHS[1]} steps is that of differences to {wrong:.0e}.",
-        *(at_most(f"growth exponent of the {name}", value, EXPONENT, reason="about linear") for name, value in growth.items()),
+        *(
+            at_most(f"growth exponent of the {name}", value, EXPONENT, reason="about linear")
+            for name, value in growth.items()
+        ),
         at_most(
             "time a step of the longest gradient over the shortest",
             longest / shortest,
             A_STEP,
             reason="caches and fresh memory; a square would be 16",
         ),
-        at_most("adjoint against differences, T = 20000", wrong, 1e-6, reason="central differences of a smooth end"),
+        at_most(
+            "adjoint against differences, T = 20000",
+            wrong,
+            1e-6,
+            reason="central differences of a smooth end",
+        ),
         charts=(
             chart(
                 "CPU time against the number of steps",
@@ -108,7 +132,10 @@ def measure() -> Found:
                 y=("CPU seconds", "s"),
                 series={
                     "rollout and adjoint": (LENGTHS, [row[0] for row in gradients]),
-                    "softplus model, built and translated": (MODEL_LENGTHS, [row[0] for row in models]),
+                    "softplus model, built and translated": (
+                        MODEL_LENGTHS,
+                        [row[0] for row in models],
+                    ),
                 },
                 log="xy",
             ),

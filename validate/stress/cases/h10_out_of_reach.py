@@ -1,4 +1,7 @@
-"""A goal out of reach: 20 m in 1 s, where the carts make 3. Every direct transcription says `infeasible` within its budget, and marks no plan valid."""
+"""A goal out of reach: 20 m in 1 s, where the carts make 3.
+
+Every direct transcription says `infeasible` within its budget, and marks no plan valid.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,18 @@ from models.catalog import load_scene
 from validate.stress.case import Found, StressCase, at_most, finding, none_of
 from validate.stress.motion import solved
 
-FAR, STEPS, BUDGET = 20.0, 100, 20.0
+FAR = 20.0
+STEPS = 100
+BUDGET = 20.0
 # Method -> eps. One of each kind: smooth, exact, by windows.
 METHODS = {"softplus_dc": 1e-3, "relaxed_lcp": 1e-2, "strict_lcp": None, "mpcc": None}
 
 
 def measure() -> Found:
     """Measure what `CASE.expected` says."""
-    scene = load_scene("three_cart").with_task(goal=(FAR, FAR + 1.0, FAR + 2.0, 0.0, 0.0, 0.0), steps=STEPS)
+    scene = load_scene("three_cart").with_task(
+        goal=(FAR, FAR + 1.0, FAR + 2.0, 0.0, 0.0, 0.0), steps=STEPS
+    )
     wrong, endings, slowest = [], [], 0.0
     for name, eps in METHODS.items():
         begin = time.perf_counter()
@@ -25,7 +32,9 @@ def measure() -> Found:
         endings.append(f"{name}: {solution.outcome.name.lower()}")
         if solution.outcome is not Outcome.INFEASIBLE:
             wrong.append(f"{name} ends as {solution.outcome.name.lower()}: {solution.message}")
-        if solution.outcome is Outcome.SOLVED or (solution.outcome is Outcome.INFEASIBLE and solution.trajectory is not None):
+        if solution.outcome is Outcome.SOLVED or (
+            solution.outcome is Outcome.INFEASIBLE and solution.trajectory is not None
+        ):
             wrong.append(f"{name} hands back a plan")
     return finding(
         f"{', '.join(endings)}; the slowest took {slowest:.1f} s.",

@@ -25,7 +25,9 @@ def measure() -> Found:
         rollout = kernel.rollout(start, np.zeros((STEPS, 2)), h)
         bar = np.ones_like(rollout.q)
         gradients = kernel.adjoint(rollout, np.zeros((STEPS, 2)), bar, bar)
-        if rollout.diverged or not all(np.isfinite(array).all() for array in (rollout.q, rollout.v, rollout.lam, *gradients)):
+        if rollout.diverged or not all(
+            np.isfinite(array).all() for array in (rollout.q, rollout.v, rollout.lam, *gradients)
+        ):
             wrong.append(f"{where}: the plan's step or its gradient is not finite")
             continue
         told = replayed(scene, rolled(scene, start=start, step=h, steps=STEPS))
@@ -38,10 +40,18 @@ def measure() -> Found:
         f"All finite. Discs that overlap are pushed apart to at least {pushed:.2f} m; coincident centres have no direction between them, "
         f"feel no force along any, and stay ({apart.get(0.0, np.nan):.1g} m).",
         none_of("starts that are not finite", wrong, reason="step, gradient and replay"),
-        at_least("distance of the centres after the push, smallest", pushed, 0.4, "m", reason="two radii: they have parted"),
+        at_least(
+            "distance of the centres after the push, smallest",
+            pushed,
+            0.4,
+            "m",
+            reason="two radii: they have parted",
+        ),
     )
 
 
 CASE = StressCase(
-    title="Penetration at the start, coincident centres", expected="A defined normal and finite values.", scenes=("two_discs",)
+    title="Penetration at the start, coincident centres",
+    expected="A defined normal and finite values.",
+    scenes=("two_discs",),
 )

@@ -1,7 +1,7 @@
 """Biactive pairs, force and gap both zero: the certificate reports the stationarity class, not only that the point is feasible.
 
-Three carts at rest that just touch: every pair of the plan is biactive. And the origin of min (x - 1)^2 + (y - 1)^2 on the two axes: C-stationary,
-feasible, and yet there are ways down from it.
+Three carts at rest that just touch: every pair of the plan is biactive. And the origin of min (x -
+1)^2 + (y - 1)^2 on the two axes: C-stationary, feasible, and yet there are ways down from it.
 """
 
 from __future__ import annotations
@@ -38,15 +38,28 @@ def measure() -> Found:
     wrong = []
     if plan.biactive != 2 * STEPS or plan.stationarity is not Stationarity.STRONG or not plan.holds:
         wrong.append(f"resting carts: {plan.sentence}")
-    if not origin.feasible or origin.biactive != 1 or origin.stationarity is not Stationarity.CLARKE or origin.b_stationary is not False:
+    if (
+        not origin.feasible
+        or origin.biactive != 1
+        or origin.stationarity is not Stationarity.CLARKE
+        or origin.b_stationary is not False
+    ):
         wrong.append(f"origin: {origin.sentence}")
     certificate = solved.certificate
-    if not solved.solved or certificate is None or certificate.stationarity is not Stationarity.STRONG:
+    if (
+        not solved.solved
+        or certificate is None
+        or certificate.stationarity is not Stationarity.STRONG
+    ):
         wrong.append(f"from the origin: {solved.message}")
     return finding(
         f"Carts at rest: class {plan.stationarity.letter}, {plan.biactive} of {plan.pairs} pairs biactive. The origin: class {origin.stationarity.letter}, "
         f"feasible but with a descent direction (slope {origin.descent:.1f}); from there the solver goes on to {solved.objective:.3f}.",
-        none_of("classes told wrongly", wrong, reason="S for the carts, C and not B-stationary for the origin, S for the solution"),
+        none_of(
+            "classes told wrongly",
+            wrong,
+            reason="S for the carts, C and not B-stationary for the origin, S for the solution",
+        ),
         at_most(
             "objective the solver reaches from the origin, off 1",
             abs(solved.objective - 1.0),

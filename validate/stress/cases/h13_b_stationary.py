@@ -1,6 +1,7 @@
 """An optimum that is B- but not S-stationary: multipliers grow without bound along every relaxation. The primal answer is kept, the class says so.
 
-min z1 + z2 - z0,   z0 <= 4 z1,   z0 <= 4 z2,   0 <= z1 complements z2 >= 0          (scholtes4 of MacMPEC; solution 0 at the origin)
+min z1 + z2 - z0, z0 <= 4 z1, z0 <= 4 z2, 0 <= z1 complements z2 >= 0 (scholtes4 of MacMPEC;
+solution 0 at the origin)
 """
 
 from __future__ import annotations
@@ -37,16 +38,26 @@ def measure() -> Found:
         wrong.append("no certificate")
     for where, item in (("answer", certificate), ("origin", origin)):
         if item is not None and (
-            item.stationarity is Stationarity.STRONG or item.stationarity is Stationarity.NONE or item.b_stationary is False
+            item.stationarity is Stationarity.STRONG
+            or item.stationarity is Stationarity.NONE
+            or item.b_stationary is False
         ):
             wrong.append(f"{where}: {item.sentence}")
     letter = certificate.stationarity.letter if certificate is not None else "-"
     return finding(
         f"The solver ends as {solved.outcome.name.lower()} at {solved.objective:.1e}, class {letter}"
         f"{'' if certificate is None or certificate.b_stationary is None else ', B-stationary'}; the origin itself: {origin.sentence}.",
-        none_of("what is lost or told wrongly", wrong, reason="the primal answer stays, and its class is neither S nor none"),
+        none_of(
+            "what is lost or told wrongly",
+            wrong,
+            reason="the primal answer stays, and its class is neither S nor none",
+        ),
         at_most("objective, off 0", abs(solved.objective), 1e-6, reason="the known optimum"),
     )
 
 
-CASE = StressCase(title="Optimum that is B- but not S-stationary", expected="The primal answer is kept, and the class says so.", quick=True)
+CASE = StressCase(
+    title="Optimum that is B- but not S-stationary",
+    expected="The primal answer is kept, and the class says so.",
+    quick=True,
+)

@@ -1,7 +1,9 @@
-"""Stick-slip and creep: the truth suite's block on a ramp that asks half of what friction can hold. Dry friction sticks; regularised friction creeps.
+"""Stick-slip and creep: the truth suite's block on a ramp that asks half of what friction can hold.
 
-mu is swept, and the step goes to zero: the creep is a property of the law, not of the grid. Above what friction can hold the block slips at the
-known acceleration.
+Dry friction sticks; regularised friction creeps.
+
+mu is swept, and the step goes to zero: the creep is a property of the law, not of the grid. Above
+what friction can hold the block slips at the known acceleration.
 """
 
 from __future__ import annotations
@@ -17,7 +19,9 @@ from validate.truth.problems import creep, ramp
 
 COEFFICIENTS = (0.05, 0.1, 0.2, 0.4, 0.8)
 STEPS = (0.01, 0.005, 0.0025, 0.00125, 0.000625)
-EPS, SHARE, STEEP = 1e-3, 0.5, 4.0
+EPS = 1e-3
+SHARE = 0.5
+STEEP = 4.0
 
 
 def _slip_speed(mu: float, step: float) -> float:
@@ -27,7 +31,13 @@ def _slip_speed(mu: float, step: float) -> float:
     assert lies is not None
     start = (0.0, -math.log(math.expm1(-b * lies)) / b, 0.0, 0.0)
     steps = round(problem.duration / step)
-    return float(abs(rolled(problem.scene, start=start, step=step, steps=steps, law=ContactLaw.SOFTPLUS, eps=EPS).v[-1, 0]))
+    return float(
+        abs(
+            rolled(
+                problem.scene, start=start, step=step, steps=steps, law=ContactLaw.SOFTPLUS, eps=EPS
+            ).v[-1, 0]
+        )
+    )
 
 
 def measure() -> Found:
@@ -46,9 +56,19 @@ def measure() -> Found:
     return finding(
         f"Regularised friction creeps at {min(creeps):.2e} to {max(creeps):.2e} m/s under half its strength, at every step alike; the exact law and the replay "
         f"stick ({max(sticks):.0e} and {max(replay_slips):.0e} m/s).",
-        at_most("slip of the exact law where it must stick", max(sticks), 1e-12, "m/s", reason="stiction: rounding only"),
         at_most(
-            "slip of the replay where it must stick", max(replay_slips), 1e-9, "m/s", reason="true stiction, to the replay's own error"
+            "slip of the exact law where it must stick",
+            max(sticks),
+            1e-12,
+            "m/s",
+            reason="stiction: rounding only",
+        ),
+        at_most(
+            "slip of the replay where it must stick",
+            max(replay_slips),
+            1e-9,
+            "m/s",
+            reason="true stiction, to the replay's own error",
         ),
         at_least(
             "creep of regularised friction, smallest",
@@ -63,8 +83,18 @@ def measure() -> Found:
             0.01,
             reason="tanh(b s/(2 s0)) is the share of the strength that is asked, s0 = 0.1 m/s; what is left of the start decays",
         ),
-        at_most("creep at h/16 against h/8, relative", settled, 0.02, reason="a property of the law, not of the grid"),
-        at_most("motion above the limit against its closed form, relative", max(slipping), 1e-9, reason="constant forces"),
+        at_most(
+            "creep at h/16 against h/8, relative",
+            settled,
+            0.02,
+            reason="a property of the law, not of the grid",
+        ),
+        at_most(
+            "motion above the limit against its closed form, relative",
+            max(slipping),
+            1e-9,
+            reason="constant forces",
+        ),
         charts=(
             chart(
                 "Creep of regularised friction against its coefficient",

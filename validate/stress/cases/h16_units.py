@@ -1,4 +1,7 @@
-"""Units rescaled: positions in mm, masses in tonnes, stiffness in N/mm. Forces and costs are the same numbers, positions a thousand times as large."""
+"""Units rescaled: positions in mm, masses in tonnes, stiffness in N/mm.
+
+Forces and costs are the same numbers, positions a thousand times as large.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,22 @@ LENGTH = 1e3
 
 
 def _in_millimetres(scene: Scene) -> Scene:
-    """Three carts with q * 1e3: N = tonne mm/s^2, so that forces and inputs keep their numbers; so is the length that relaxed contact is counted in."""
+    """Three carts with q * 1e3: N = tonne mm/s^2, so that forces and inputs keep their numbers.
+
+    So is the length that relaxed contact is counted in.
+    """
     values = {parameter.name: parameter.value for parameter in scene.parameters}
-    scaled = scene.with_parameters(m=values["m"] / LENGTH, c=values["c"] / LENGTH, k=values["k"] / LENGTH, d=values["d"] * LENGTH)
+    scaled = scene.with_parameters(
+        m=values["m"] / LENGTH,
+        c=values["c"] / LENGTH,
+        k=values["k"] / LENGTH,
+        d=values["d"] * LENGTH,
+    )
     goal = [None if value is None else value * LENGTH for value in scene.task.goal]
     scaled = replace(scaled, length=scene.length * LENGTH)
-    return scaled.with_task(start=tuple(value * LENGTH for value in scene.task.start), goal=tuple(goal))
+    return scaled.with_task(
+        start=tuple(value * LENGTH for value in scene.task.start), goal=tuple(goal)
+    )
 
 
 def measure() -> Found:
@@ -29,9 +42,18 @@ def measure() -> Found:
     small = _in_millimetres(metres)
     u = np.random.default_rng(16).uniform(-5.0, 5.0, size=(300, 2)) + np.array([2.0, -2.0])
     plans = [rolled(scene, u=u) for scene in (metres, small)]
-    step = float(max(np.abs(plans[1].q / LENGTH - plans[0].q).max(), np.abs(plans[1].lam - plans[0].lam).max()))
+    step = float(
+        max(
+            np.abs(plans[1].q / LENGTH - plans[0].q).max(),
+            np.abs(plans[1].lam - plans[0].lam).max(),
+        )
+    )
     truths = [replayed(scene, plan) for scene, plan in zip((metres, small), plans, strict=True)]
-    told = float(np.abs(at_nodes(truths[1]) / LENGTH - at_nodes(truths[0])).max()) if all(item.ok for item in truths) else np.inf
+    told = (
+        float(np.abs(at_nodes(truths[1]) / LENGTH - at_nodes(truths[0])).max())
+        if all(item.ok for item in truths)
+        else np.inf
+    )
     solutions = [solved(scene, "mpcc", seconds=20.0, search=False) for scene in (metres, small)]
     costs = [np.inf if solution.cost is None else solution.cost for solution in solutions]
     wrong = [
@@ -41,8 +63,15 @@ def measure() -> Found:
     ]
     return finding(
         f"Cost {costs[0]:.6f} in metres, {costs[1]:.6f} in millimetres; motions differ by {max(step, told):.0e} m.",
-        at_most("plan's step: difference after rescaling", step, 1e-11, reason="rounding of 300 steps"),
-        at_most("replay: difference after rescaling", told, 1e-8, reason="ten times what the replay says of its own error"),
+        at_most(
+            "plan's step: difference after rescaling", step, 1e-11, reason="rounding of 300 steps"
+        ),
+        at_most(
+            "replay: difference after rescaling",
+            told,
+            1e-8,
+            reason="ten times what the replay says of its own error",
+        ),
         none_of("units in which no plan is found", wrong, reason="the same task"),
         at_most(
             "relative difference of the costs",
@@ -54,5 +83,8 @@ def measure() -> Found:
 
 
 CASE = StressCase(
-    title="Units rescaled (q * 1e3, k * 1e-3)", expected="The same answer after rescaling.", scenes=("three_cart",), methods=("mpcc",)
+    title="Units rescaled (q * 1e3, k * 1e-3)",
+    expected="The same answer after rescaling.",
+    scenes=("three_cart",),
+    methods=("mpcc",),
 )

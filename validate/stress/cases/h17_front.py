@@ -1,4 +1,7 @@
-"""Terminal tolerance from 0 to 0.1: the least cost within each, as a front. A larger tolerance is never dearer, and every point ends where it says."""
+"""Terminal tolerance from 0 to 0.1: the least cost within each, as a front.
+
+A larger tolerance is never dearer, and every point ends where it says.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +23,13 @@ TOLERANCES = (0.0, 1e-2, 0.1)
 def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart")
-    best = next(answer.value for answer in scene.answers if answer.quantity.startswith("best known cost"))
+    best = next(
+        answer.value for answer in scene.answers if answer.quantity.startswith("best known cost")
+    )
     kernel, goal = load_kernel(scene), goal_state(scene.task)
-    front = certify_solution(scene, solved(scene, "mpcc_front", seconds=90.0, tolerances=TOLERANCES, search=False)).front
+    front = certify_solution(
+        scene, solved(scene, "mpcc_front", seconds=90.0, tolerances=TOLERANCES, search=False)
+    ).front
     costs, over, wrong = [], [0.0], []
     for point in front:
         plan, cost = point.solution.trajectory, point.solution.cost
@@ -35,7 +42,9 @@ def measure() -> Found:
         over.append(distance(np.concatenate([true.q[-1], true.v[-1]]), goal) - point.tolerance)
         certificate = point.solution.certificate
         if certificate is None or not certificate.feasible:
-            wrong.append(f"{point.tolerance:g}: {'no certificate' if certificate is None else certificate.sentence}")
+            wrong.append(
+                f"{point.tolerance:g}: {'no certificate' if certificate is None else certificate.sentence}"
+            )
     rises = [late - early for early, late in pairwise(costs)]
     return finding(
         f"Cost {costs[0]:.2f} at the goal itself, {costs[-1]:.2f} within {TOLERANCES[-1]:g}.",
@@ -53,14 +62,22 @@ def measure() -> Found:
             reason="a plan within a tolerance is within every larger one",
         ),
         at_most(
-            "end beyond its tolerance, true contact law", max(over), 1e-7, reason="the residual of an exactly solved quadratic program"
+            "end beyond its tolerance, true contact law",
+            max(over),
+            1e-7,
+            reason="the residual of an exactly solved quadratic program",
         ),
         charts=(
             chart(
                 "Least cost within a terminal tolerance",
                 x=("terminal tolerance (0 drawn at 1e-4)", ""),
                 y=("cost", ""),
-                series={"three carts, exact contact": ([max(tolerance, 1e-4) for tolerance in TOLERANCES], costs)},
+                series={
+                    "three carts, exact contact": (
+                        [max(tolerance, 1e-4) for tolerance in TOLERANCES],
+                        costs,
+                    )
+                },
                 log="x",
             ),
         ),

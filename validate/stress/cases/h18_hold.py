@@ -1,8 +1,9 @@
 """Hold convention and grids that do not divide: inputs held or joined by lines, on both sides of the replay alike.
 
-A smooth input is sampled on coarser and finer plans. Held, the replay comes nearer with order 1; joined by lines, with order 2: that is how one sees that
-the replay applies the inputs as the plan says. A plan whose last step is shorter is the same motion as on a grid that divides; a warm
-start on another grid is refused.
+A smooth input is sampled on coarser and finer plans. Held, the replay comes nearer with order 1;
+joined by lines, with order 2: that is how one sees that the replay applies the inputs as the plan
+says. A plan whose last step is shorter is the same motion as on a grid that divides; a warm start
+on another grid is refused.
 """
 
 from __future__ import annotations
@@ -15,10 +16,21 @@ import numpy as np
 from models.catalog import load_scene
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.stress.case import Found, StressCase, at_least, at_most, chart, finding, none_of, refusal
+from validate.stress.case import (
+    Found,
+    StressCase,
+    at_least,
+    at_most,
+    chart,
+    finding,
+    none_of,
+    refusal,
+)
 from validate.stress.motion import replayed, rolled, solved
 
-SECONDS, COUNTS, FINE = 0.8, (10, 20, 40, 80), 640
+SECONDS = 0.8
+COUNTS = (10, 20, 40, 80)
+FINE = 640
 
 
 def _smooth(t: np.ndarray) -> np.ndarray:
@@ -30,7 +42,14 @@ def _held(scene: Scene, t: np.ndarray, u: np.ndarray, hold: Hold) -> Trajectory:
     """A plan of these inputs; a replay takes nothing else from it but the start."""
     start = np.array(scene.task.start)
     state = np.tile(start, (len(t), 1))
-    return Trajectory(t=t, q=state[:, : scene.nq], v=state[:, scene.nq :], u=u, lam=np.zeros((len(t) - 1, scene.nl)), hold=hold)
+    return Trajectory(
+        t=t,
+        q=state[:, : scene.nq],
+        v=state[:, scene.nq :],
+        u=u,
+        lam=np.zeros((len(t) - 1, scene.nl)),
+        hold=hold,
+    )
 
 
 def _end_of(scene: Scene, count: int, hold: Hold) -> np.ndarray:
@@ -46,15 +65,22 @@ def order(errors: list[float]) -> float:
 def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0))
-    # the last step of a linear plan is constant: its effect is one more step of order 1 in an ever shorter step, so of order 2 as well
+    # the last step of a linear plan is constant: its effect is one more step of order 1 in an ever
+    # shorter step, so of order 2 as well
     truth = _end_of(scene, FINE, Hold.LINEAR)
-    errors = {hold: [float(np.abs(_end_of(scene, count, hold) - truth).max()) for count in COUNTS] for hold in Hold}
+    errors = {
+        hold: [float(np.abs(_end_of(scene, count, hold) - truth).max()) for count in COUNTS]
+        for hold in Hold
+    }
     orders = {hold: order(values) for hold, values in errors.items()}
     whole = uniform_grid(0.1, 8)
     odd = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.47, 0.5, 0.6, 0.7, 0.8])
     u = _smooth(whole[:-1])
     parts = u[[0, 1, 2, 3, 4, 4, 5, 6, 7]]
-    one, other = (replayed(scene, _held(scene, t, values, Hold.ZERO_ORDER)) for t, values in ((whole, u), (odd, parts)))
+    one, other = (
+        replayed(scene, _held(scene, t, values, Hold.ZERO_ORDER))
+        for t, values in ((whole, u), (odd, parts))
+    )
     same = float(np.abs(one.end - other.end).max()) if one.ok and other.ok else math.inf
     wrong = []
     other_grid = rolled(scene, step=0.03, steps=166)  # 4.98 s: neither the step nor the horizon
@@ -63,16 +89,38 @@ def measure() -> Found:
         wrong += refusal(f"{name}, a warm start on another grid", ["resample", "steps"], solve)
     return finding(
         f"Order {orders[Hold.ZERO_ORDER]:.2f} with held inputs, {orders[Hold.LINEAR]:.2f} with lines; a grid that does not divide ends within {same:.0e} of one that does.",
-        at_most("order with held inputs, off 1", abs(orders[Hold.ZERO_ORDER] - 1.0), 0.15, reason="inputs wrong by half a step"),
-        at_least("order with lines", orders[Hold.LINEAR], 1.8, reason="inputs wrong by the square of a step"),
-        at_most("a step cut in two parts: difference of the end", same, 1e-9, reason="the same inputs; ten times the replay's own error"),
-        none_of("warm starts on another grid that are not refused", wrong, reason="one grid, or a sentence"),
+        at_most(
+            "order with held inputs, off 1",
+            abs(orders[Hold.ZERO_ORDER] - 1.0),
+            0.15,
+            reason="inputs wrong by half a step",
+        ),
+        at_least(
+            "order with lines",
+            orders[Hold.LINEAR],
+            1.8,
+            reason="inputs wrong by the square of a step",
+        ),
+        at_most(
+            "a step cut in two parts: difference of the end",
+            same,
+            1e-9,
+            reason="the same inputs; ten times the replay's own error",
+        ),
+        none_of(
+            "warm starts on another grid that are not refused",
+            wrong,
+            reason="one grid, or a sentence",
+        ),
         charts=(
             chart(
                 "End of the replay against the number of steps",
                 x=("steps", ""),
                 y=("error of the end", ""),
-                series={hold.value.replace("_", " "): (COUNTS, values) for hold, values in errors.items()},
+                series={
+                    hold.value.replace("_", " "): (COUNTS, values)
+                    for hold, values in errors.items()
+                },
                 log="xy",
             ),
         ),

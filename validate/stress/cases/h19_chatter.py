@@ -1,6 +1,7 @@
 """A chattering plan: both carts are driven to and fro at their bounds, each step the other way, while they press on the middle one.
 
-The replay converges as its step shrinks (the ratio of successive differences is that of its order), or says that it does not resolve the plan.
+The replay converges as its step shrinks (the ratio of successive differences is that of its order),
+or says that it does not resolve the plan.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from validate.stress.case import Found, StressCase, at_least, at_most, finding, 
 from validate.stress.motion import replayed, rolled
 
 NODES = 300
-# Internal steps a plan step: with the default ones (50, 100, 200) the differences are rounding already, and have no ratio.
+# Internal steps a plan step: with the default ones (50, 100, 200) the differences are rounding
+# already, and have no ratio.
 COARSE = (5, 10, 20)
 
 
@@ -23,7 +25,9 @@ def measure() -> Found:
     """Measure what `CASE.expected` says."""
     base = load_scene("three_cart")
     # the carts touch all the while; stiff enough that each reversal is a collision
-    scene = base.with_parameters(k=3000.0).with_task(start=(2.0, 2.51, 3.02, 0.0, 0.0, 0.0), steps=NODES)
+    scene = base.with_parameters(k=3000.0).with_task(
+        start=(2.0, 2.51, 3.02, 0.0, 0.0, 0.0), steps=NODES
+    )
     swing = np.where(np.arange(NODES) % 2 == 0, 10.0, -10.0)[:, None]
     u = np.clip(swing * [1.0, -1.0] + [3.0, -3.0], -10.0, 10.0)
     plan = rolled(scene, u=u)
@@ -33,14 +37,25 @@ def measure() -> Found:
     ratio = math.nan if error.step_ratio is None else error.step_ratio
     converges = result.ok and ratio >= 1.5
     estimate = math.nan if result.error.estimate is None else result.error.estimate.position
-    silent = [] if converges or verdict is Verdict.UNDECIDED else [f"ratio {ratio:.2f} and yet {verdict.value}"]
-    far = error.everyday.position / max(error.step.position, 1e-12) if result.ok and error.everyday and error.step else math.nan
+    silent = (
+        []
+        if converges or verdict is Verdict.UNDECIDED
+        else [f"ratio {ratio:.2f} and yet {verdict.value}"]
+    )
+    far = (
+        error.everyday.position / max(error.step.position, 1e-12)
+        if result.ok and error.everyday and error.step
+        else math.nan
+    )
     return finding(
         f"{len(result.events)} contact events in {NODES} steps; the everyday replay's differences shrink by {ratio:.2f} as its step is halved, and the "
         f"reference knows itself to {estimate:.0e} m.",
         none_of("neither converging nor marked `undecided`", silent, reason="one of the two"),
         at_least(
-            "ratio of the differences when the step is halved", ratio, 1.5, reason="2 for an event within a step, 4 and more where none is"
+            "ratio of the differences when the step is halved",
+            ratio,
+            1.5,
+            reason="2 for an event within a step, 4 and more where none is",
         ),
         at_most(
             "everyday replay against the reference, in its own step differences",

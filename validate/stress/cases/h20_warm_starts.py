@@ -1,4 +1,7 @@
-"""Warm starts that cannot be meant: not a number, another length, another scene. Each is refused in one sentence that names the field."""
+"""Warm starts that cannot be meant: not a number, another length, another scene.
+
+Each is refused in one sentence that names the field.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,14 @@ from models.trajectory import Trajectory
 from validate.stress.case import Found, StressCase, finding, none_of, refusal, unlimited
 from validate.stress.motion import rolled, solved
 
-METHODS = {"softplus_dc": 1e-3, "relaxed_lcp": 1e-2, "strict_lcp": None, "mpcc": None, "softplus_gd": 1e-3, "relu_gd": None}
+METHODS = {
+    "softplus_dc": 1e-3,
+    "relaxed_lcp": 1e-2,
+    "strict_lcp": None,
+    "mpcc": None,
+    "softplus_gd": 1e-3,
+    "relu_gd": None,
+}
 STEPS = 50
 
 
@@ -29,13 +39,27 @@ def measure() -> Found:
     found: list[list[str]] = []
     for field in ("t", "q", "v", "u", "lam"):
         for what, value in (("NaN", np.nan), ("infinity", np.inf)) if field != "t" else ():
-            found.append(refusal(f"{what} in {field}", [f"{field}[3, 0]"], partial(_spoiled, good, field, value)))
+            found.append(
+                refusal(
+                    f"{what} in {field}", [f"{field}[3, 0]"], partial(_spoiled, good, field, value)
+                )
+            )
         short, word = {field: getattr(good, field)[:-1]}, "rows" if field != "t" else "q has shape"
         found.append(refusal(f"too short a {field}", [word], partial(replace, good, **short)))
-    other_length, other_scene = rolled(scene, steps=STEPS + 7), rolled(load_scene("cart_pole_walls"), step=scene.task.step, steps=STEPS)
+    other_length, other_scene = (
+        rolled(scene, steps=STEPS + 7),
+        rolled(load_scene("cart_pole_walls"), step=scene.task.step, steps=STEPS),
+    )
     for name, eps in METHODS.items():
-        for what, word, plan in (("another length", "steps", other_length), ("another scene", "columns", other_scene)):
-            found.append(refusal(f"{name}, {what}", [word], partial(solved, scene, name, eps, plan, seconds=5.0)))
+        for what, word, plan in (
+            ("another length", "steps", other_length),
+            ("another scene", "columns", other_scene),
+        ):
+            found.append(
+                refusal(
+                    f"{name}, {what}", [word], partial(solved, scene, name, eps, plan, seconds=5.0)
+                )
+            )
     wrong = [sentence for sentences in found for sentence in sentences]
     refused = sum(not sentences for sentences in found)
     return finding(

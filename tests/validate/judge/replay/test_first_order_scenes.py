@@ -1,7 +1,8 @@
 """Scenes without inertia: plans are made of v' = D^-1 F, and judged by D v = F in continuous time, whatever their grid.
 
-The first-order model is written here once more by hand (`rates`). Its friction is that which stops the slip, or all of mu N: v is then a continuous
-function of q, and an explicit method of order 8 follows it through sticking, slipping and contact.
+The first-order model is written here once more by hand (`rates`). Its friction is that which stops
+the slip, or all of mu N: v is then a continuous function of q, and an explicit method of order 8
+follows it through sticking, slipping and contact.
 """
 
 import math
@@ -32,7 +33,12 @@ from models.trajectory import Trajectory
 from validate.judge.replay import Replay
 from validate.judge.replay.run import replay
 
-A, B, D, BETA, K, MU = 0.5, 0.25, 10.0, 20.0, 150.0, 0.5
+A = 0.5
+B = 0.25
+D = 10.0
+BETA = 20.0
+K = 150.0
+MU = 0.5
 DRAG = D * np.array([1.0, 1.0, mean_distance(A, B) ** 2, 1.0, 1.0])
 
 
@@ -95,7 +101,11 @@ def rates(q: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, float, float]:
     lam = K * max(-gap, 0.0)
     pushes, rubs = on_the_finger(normal), on_the_finger(np.array([-normal[1], normal[0]]))
     force = np.array([0.0, 0.0, 0.0, *u]) + lam * pushes
-    f = float(np.clip(-(rubs @ (force / DRAG)) / (rubs @ (rubs / DRAG)), -MU * lam, MU * lam)) if lam > 0 else 0.0
+    f = (
+        float(np.clip(-(rubs @ (force / DRAG)) / (rubs @ (rubs / DRAG)), -MU * lam, MU * lam))
+        if lam > 0
+        else 0.0
+    )
     return (force + f * rubs) / DRAG, lam, f
 
 
@@ -104,7 +114,15 @@ def by_hand() -> tuple[np.ndarray, frozenset[str]]:
     """(101, 5) positions under `pushing`, and what happened on the way."""
     q, seen = [np.array(scene().task.start[:5])], set()
     for u in pushing():
-        found = solve_ivp(lambda _, y, u=u: rates(y, u)[0], (0.0, 0.02), q[-1], method="DOP853", rtol=1e-11, atol=1e-13, max_step=2e-3)
+        found = solve_ivp(
+            lambda _, y, u=u: rates(y, u)[0],
+            (0.0, 0.02),
+            q[-1],
+            method="DOP853",
+            rtol=1e-11,
+            atol=1e-13,
+            max_step=2e-3,
+        )
         q.append(found.y[:, -1])
         _, lam, f = rates(q[-1], u)
         seen.add("apart" if lam == 0 else "slips" if abs(f) >= MU * lam * (1 - 1e-9) else "sticks")
@@ -113,7 +131,10 @@ def by_hand() -> tuple[np.ndarray, frozenset[str]]:
 
 @pytest.mark.slow
 def test_plans_are_those_of_a_mass_made_of_the_time_step() -> None:
-    """Kernel, its derivatives and single steps to the last bit, at the task's step and at another; Pyomo's equations to rounding."""
+    """Kernel, its derivatives and single steps to the last bit, at the task's step and at another.
+
+    Pyomo's equations to rounding.
+    """
     u = np.random.default_rng(0).uniform(-5.0, 20.0, size=(100, 2))
     start = np.array(scene().task.start)
     for step in (0.02, 0.005):
@@ -123,7 +144,10 @@ def test_plans_are_those_of_a_mass_made_of_the_time_step() -> None:
             assert runs[0].lam.max() > 1.0
             for name in ("q", "v", "lam"):
                 assert np.array_equal(getattr(runs[0], name), getattr(runs[1], name))
-            gradients = [kernel.adjoint(run, u, run.q, run.v) for kernel, run in zip((before, now), runs, strict=True)]
+            gradients = [
+                kernel.adjoint(run, u, run.q, run.v)
+                for kernel, run in zip((before, now), runs, strict=True)
+            ]
             for one, other in zip(*gradients, strict=True):
                 assert one == pytest.approx(other, rel=1e-12, abs=1e-12 * np.abs(one).max())
         states = np.hstack([runs[0].q[:-1], runs[0].v[:-1]])
@@ -140,7 +164,14 @@ def test_the_pyomo_model_is_that_of_a_mass_made_of_the_time_step() -> None:
         random = np.random.default_rng(3)
         for variable in model.component_data_objects(pyo.Var, descend_into=True):
             variable.set_value(float(random.normal(scale=0.1)), skip_validation=True)
-        values.append([float(pyo.value(row.body)) for row in model.component_data_objects(pyo.Constraint, active=True, descend_into=True)])
+        values.append(
+            [
+                float(pyo.value(row.body))
+                for row in model.component_data_objects(
+                    pyo.Constraint, active=True, descend_into=True
+                )
+            ]
+        )
     assert len(values[0]) > 1000
     assert values[0] == pytest.approx(values[1], rel=1e-12, abs=1e-12)
 
@@ -157,7 +188,9 @@ def test_the_judged_motion_is_that_of_the_first_order_model_within_the_claimed_e
         assert errors[-1] <= 1.1 * found.error.estimate.position
         assert errors[-1] == pytest.approx(found.error.lag.position, rel=0.1)
     assert errors[0] < 3e-4
-    assert errors[1] / errors[0] == pytest.approx(10.0, rel=0.1)  # of first order in the lag, and of nothing else
+    assert errors[1] / errors[0] == pytest.approx(
+        10.0, rel=0.1
+    )  # of first order in the lag, and of nothing else
 
 
 @pytest.mark.slow
@@ -201,7 +234,9 @@ def test_the_fmu_has_the_short_time_as_a_parameter_and_steps_that_are_stable_wit
     assert table["tau"].unit == "s"
     assert table["internal_step"].start == LAG
     assert build_fmu(scene()) == build_fmu(scene().continuous())
-    assert {item.name: item.start for item in variable_table(scene())}["tau"] == 0.02  # of the grid, which no FMU is made of
+    assert {item.name: item.start for item in variable_table(scene())}[
+        "tau"
+    ] == 0.02  # of the grid, which no FMU is made of
 
 
 def test_the_relaxation_time_follows_the_step_and_is_nobody_elses_to_set() -> None:
@@ -214,9 +249,20 @@ def test_the_relaxation_time_follows_the_step_and_is_nobody_elses_to_set() -> No
 
 
 WRONG: dict[str, tuple[Callable[[Scene], Scene], str]] = {
-    "a mass beside the drag": (lambda of: replace(of, kinetic_energy=of.kinetic_energy + of.coordinates[0].velocity ** 2), "vanishes"),
-    "a drag that turns": (lambda of: replace(of, kinetic_energy=of.kinetic_energy * (2 + sp.cos(of.coordinates[2].symbol))), "vanishes"),
-    "a drag that is not that of the energy": (lambda of: replace(of, kinetic_energy=2 * of.kinetic_energy), "must resist with the drag"),
+    "a mass beside the drag": (
+        lambda of: replace(of, kinetic_energy=of.kinetic_energy + of.coordinates[0].velocity ** 2),
+        "vanishes",
+    ),
+    "a drag that turns": (
+        lambda of: replace(
+            of, kinetic_energy=of.kinetic_energy * (2 + sp.cos(of.coordinates[2].symbol))
+        ),
+        "vanishes",
+    ),
+    "a drag that is not that of the energy": (
+        lambda of: replace(of, kinetic_energy=2 * of.kinetic_energy),
+        "must resist with the drag",
+    ),
     "a lag without a time": (lambda of: replace(with_a_mass(0.02), lag=1e-4), "names none"),
     "no symbol": (lambda of: replace(of, relaxation_time=0.02), "must be a SymPy Symbol"),
 }
@@ -232,12 +278,18 @@ def test_a_scene_whose_time_step_would_not_be_the_quasi_static_law_is_refused(na
 def test_errors_grow_as_in_the_first_order_model_on_any_grid() -> None:
     """The derivative of the end by the start over a step of 0.02 s in twenty parts, against finite differences of the motion by hand."""
     q, u = by_hand()[0][40], pushing()[40]
-    matrix, _ = load_kernel(scene().continuous()).end_derivatives(np.concatenate([q, np.zeros(5)]), np.tile(u, (2000, 1)), 1e-5)
+    matrix, _ = load_kernel(scene().continuous()).end_derivatives(
+        np.concatenate([q, np.zeros(5)]), np.tile(u, (2000, 1)), 1e-5
+    )
 
     def end(start: np.ndarray) -> np.ndarray:
-        return solve_ivp(lambda _, y: rates(y, u)[0], (0.0, 0.02), start, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+        return solve_ivp(
+            lambda _, y: rates(y, u)[0], (0.0, 0.02), start, method="DOP853", rtol=1e-12, atol=1e-14
+        ).y[:, -1]
 
-    expected = np.column_stack([(end(q + 1e-6 * row) - end(q - 1e-6 * row)) / 2e-6 for row in np.eye(5)])
+    expected = np.column_stack(
+        [(end(q + 1e-6 * row) - end(q - 1e-6 * row)) / 2e-6 for row in np.eye(5)]
+    )
     assert matrix[:5, :5] == pytest.approx(expected, abs=1e-3)
     assert np.abs(matrix[:, 5:]).max() < 1e-12  # what the velocity was is forgotten
 
@@ -246,4 +298,6 @@ def test_the_stability_of_the_step_is_that_of_the_explicit_quasi_static_one() ->
     """x' = x - h k/d (..) x: the largest step does not depend on the step it is asked at."""
     largest = step_stability(scene()).largest_step
     assert 2.0 / (K / D * (2.0 + (A / mean_distance(A, B)) ** 2)) < largest < math.inf
-    assert step_stability(scene().with_task(step=0.005)).largest_step == pytest.approx(largest, rel=1e-6)
+    assert step_stability(scene().with_task(step=0.005)).largest_step == pytest.approx(
+        largest, rel=1e-6
+    )

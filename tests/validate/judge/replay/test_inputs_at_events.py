@@ -17,7 +17,11 @@ def moved(folder: Path, define: str, t: np.ndarray, force: np.ndarray, hold: str
     plan = write_plan(folder / "plan.csv", plan=still)
     plan.write_text(f"# hold: {hold}\n" + plan.read_text(encoding="utf-8"), encoding="utf-8")
     (folder / "cart.toml").write_text(FULL_MAP, encoding="utf-8")
-    wired = wire_fmu(build_foreign(folder / "cart.fmu", kinds=EXCHANGE, defines=(define,)), plan, map_path=folder / "cart.toml")
+    wired = wire_fmu(
+        build_foreign(folder / "cart.fmu", kinds=EXCHANGE, defines=(define,)),
+        plan,
+        map_path=folder / "cart.toml",
+    )
     found = replay_foreign(wired.foreign, wired.package, wired.plan, limits=wired.limits)
     assert found.ok
     return found
@@ -25,11 +29,16 @@ def moved(folder: Path, define: str, t: np.ndarray, force: np.ndarray, hold: str
 
 @pytest.mark.parametrize("rows", [3, 9])
 def test_a_latch_opens_when_the_line_of_the_input_gets_there(tmp_path: Path, rows: int):
-    """F = 20 t N, held until it is 5 N at 0.25 s; then x - x(0) = (5 s^2/2 + 20 s^3/6)/m with s = t - 0.25 s."""
+    """F = 20 t N, held until it is 5 N at 0.25 s.
+
+    Then x - x(0) = (5 s^2/2 + 20 s^3/6)/m with s = t - 0.25 s.
+    """
     t = np.linspace(0.0, 0.4, rows)
     found = moved(tmp_path, "LATCH=0.005", t, 20.0 * t, "linear")
     s = np.maximum(t - 0.25, 0.0)
-    assert found.q[found.knots, 0] - 0.3 == pytest.approx((2.5 * s**2 + 20.0 * s**3 / 6.0) / MASS, abs=1e-9)
+    assert found.q[found.knots, 0] - 0.3 == pytest.approx(
+        (2.5 * s**2 + 20.0 * s**3 / 6.0) / MASS, abs=1e-9
+    )
     assert found.events[0].time == pytest.approx(0.25, abs=1e-12)
 
 

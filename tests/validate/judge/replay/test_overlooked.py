@@ -12,9 +12,11 @@ from models.trajectory import Trajectory
 from validate.judge.judgement import judge
 from validate.judge.replay.run import replay
 
-SPEED, PLACE = 10.0, 1.091
+SPEED = 10.0
+PLACE = 1.091
 
-# A ball flies through the place of a pane that is far thinner than its way in a time step. In the middle it takes k/2 (w/4)^2 to be there.
+# A ball flies through the place of a pane that is far thinner than its way in a time step. In the
+# middle it takes k/2 (w/4)^2 to be there.
 q, v, u = sp.symbols("q v u", real=True)
 m, w, k, c = sp.symbols("m w k c", positive=True)
 
@@ -27,8 +29,16 @@ PANE = Scene(
     parameters=(
         Parameter(symbol=m, value=1.0, unit="kg", lower=1e-6, description="mass"),
         Parameter(symbol=w, value=4e-4, unit="m", lower=1e-15, description="thickness of the pane"),
-        Parameter(symbol=k, value=1e11, unit="N/m", lower=1e-6, description="stiffness of the pane"),
-        Parameter(symbol=c, value=1.091, unit="m", lower=0.0, description="where the middle of the pane is"),
+        Parameter(
+            symbol=k, value=1e11, unit="N/m", lower=1e-6, description="stiffness of the pane"
+        ),
+        Parameter(
+            symbol=c,
+            value=1.091,
+            unit="m",
+            lower=0.0,
+            description="where the middle of the pane is",
+        ),
     ),
     kinetic_energy=m * v**2 / 2,
     potential_energy=sp.Integer(0),
@@ -53,7 +63,12 @@ PANE = Scene(
 def through(scene: Scene, **declared: object) -> Trajectory:
     """The ball flies on as if there were no pane."""
     t = scene.task.step * np.arange(scene.task.steps + 1)
-    arrays = {"q": SPEED * t[:, None], "v": np.full((len(t), 1), SPEED), "u": np.zeros((len(t) - 1, 1)), "lam": np.zeros((len(t) - 1, 1))}
+    arrays = {
+        "q": SPEED * t[:, None],
+        "v": np.full((len(t), 1), SPEED),
+        "u": np.zeros((len(t) - 1, 1)),
+        "lam": np.zeros((len(t) - 1, 1)),
+    }
     return Trajectory(t=t, **arrays, **declared)  # type: ignore[arg-type]
 
 
@@ -65,7 +80,9 @@ def test_a_pane_thinner_than_a_step_sends_the_ball_back(missing: frozenset[str])
     assert found.verdict.value == "violates"
     assert [event.closes for event in found.replay.events] == [True, False]
     # Elastic: the same speed back, from where the pane begins; within it, it is for microseconds.
-    assert found.replay.end == pytest.approx([2.0 * (PLACE - 2e-4) - SPEED * scene.task.horizon, -SPEED], abs=2e-4)
+    assert found.replay.end == pytest.approx(
+        [2.0 * (PLACE - 2e-4) - SPEED * scene.task.horizon, -SPEED], abs=2e-4
+    )
     assert found.replay.error.estimate.state < 1e-4
 
 
@@ -91,10 +108,16 @@ def test_a_pane_that_no_step_can_see_leaves_the_plan_undecided():
 def test_the_least_value_of_a_cubic_between_two_rows():
     """Of two cubics or parabolas at once, drawn at random and such as rest at a row, against ten thousand points of each."""
     random, s, h = np.random.default_rng(4), np.linspace(0.0, 1.0, 10_001), 0.25
-    drawn = [[np.polynomial.Polynomial(random.normal(size=degree + 1)) for _ in range(2)] for degree in (3, 2, 1, 0) * 10]
+    drawn = [
+        [np.polynomial.Polynomial(random.normal(size=degree + 1)) for _ in range(2)]
+        for degree in (3, 2, 1, 0) * 10
+    ]
     rests = [np.polynomial.Polynomial([1.0, 0.0, sign * -3.0, sign * 2.5]) for sign in (1.0, -1.0)]
     for pair in (*drawn, rests, [of(np.polynomial.Polynomial([1.0, -1.0])) for of in rests]):
-        gap, rate = (np.column_stack([of(s[[0, -1]]) for of in part]) for part in (pair, [of.deriv() for of in pair]))
+        gap, rate = (
+            np.column_stack([of(s[[0, -1]]) for of in part])
+            for part in (pair, [of.deriv() for of in pair])
+        )
         lowest, place = lowest_between(np.array([1.0, 1.0 + h]), gap, rate / h)
         for column, polynomial in enumerate(pair):
             assert lowest[0, column] == pytest.approx(polynomial(s).min(), abs=1e-7)

@@ -41,7 +41,14 @@ def pushed(name: str, hold: Hold = Hold.ZERO_ORDER, steps: int = STEPS) -> Traje
     start = np.array(scene.task.start)
     start[scene.nq] += 3.0
     rollout = load_kernel(scene).rollout(start, u, scene.task.step)
-    return Trajectory(t=uniform_grid(scene.task.step, steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, hold=hold)
+    return Trajectory(
+        t=uniform_grid(scene.task.step, steps),
+        q=rollout.q,
+        v=rollout.v,
+        u=u,
+        lam=rollout.lam,
+        hold=hold,
+    )
 
 
 def same(one: Run, other: Run) -> None:
@@ -55,7 +62,14 @@ def same(one: Run, other: Run) -> None:
             assert left == right, item.name
 
 
-def reference(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, *, compiled: bool = True) -> Run:
+def reference(
+    package: Package,
+    variables: Variables,
+    start: np.ndarray,
+    inputs: HeldInputs,
+    *,
+    compiled: bool = True,
+) -> Run:
     with closing(python_loops.PythonModel(package, variables)) as model:
         return (exchange if compiled else python_loops).integrate(model, start, inputs, 1e-10, 1000)
 
@@ -84,7 +98,10 @@ def carts(version: str) -> Iterator[tuple[Package, Variables]]:
 @pytest.mark.parametrize("hold", list(Hold))
 def test_cvode_in_c_gives_the_bits_of_cvode_in_python(carts: tuple[Package, Variables], hold: Hold):
     plan = pushed("three_cart", hold)
-    runs = [reference(*carts, plan.start, HeldInputs(plan), compiled=compiled) for compiled in (True, False)]
+    runs = [
+        reference(*carts, plan.start, HeldInputs(plan), compiled=compiled)
+        for compiled in (True, False)
+    ]
     assert runs[0].outcome is ReplayOutcome.OK
     assert len(runs[0].events) >= 2  # it has to come back to Python and to go on
     same(*runs)
@@ -95,30 +112,47 @@ def test_cvode_in_c_with_feedback(version: str):
     feedback = tracked("cart_pole_walls", plan)
     with unpacked(read_package(build_fmu(scene, version=version))) as package:
         variables = find_variables(package, scene)
-        runs = [reference(package, variables, plan.start, HeldInputs(plan, feedback), compiled=compiled) for compiled in (True, False)]
+        runs = [
+            reference(package, variables, plan.start, HeldInputs(plan, feedback), compiled=compiled)
+            for compiled in (True, False)
+        ]
     assert len(runs[0].applied) == STEPS
     same(*runs)
 
 
 @pytest.mark.parametrize("rolls_back", [False, True])
 @pytest.mark.parametrize("hold", list(Hold))
-def test_stepping_in_c_gives_the_bits_of_stepping_in_python(carts: tuple[Package, Variables], hold: Hold, rolls_back: bool):
+def test_stepping_in_c_gives_the_bits_of_stepping_in_python(
+    carts: tuple[Package, Variables], hold: Hold, rolls_back: bool
+):
     plan = pushed("three_cart", hold)
     for inputs in (lambda: HeldInputs(plan), lambda: HeldInputs(plan, tracked("three_cart", plan))):
-        runs = [simulate(*carts, plan.start, inputs(), 20, rolls_back=rolls_back, compiled=compiled) for compiled in (True, False)]
+        runs = [
+            simulate(*carts, plan.start, inputs(), 20, rolls_back=rolls_back, compiled=compiled)
+            for compiled in (True, False)
+        ]
         assert runs[0].outcome is ReplayOutcome.OK
         assert len(runs[0].local) == STEPS * rolls_back
         same(*runs)
 
 
 FOREIGN = Variables(
-    q=(10,), v=(11,), u=(20,), lam=(30,), gap=(31,), energies={}, powers={}, zero=frozenset(), parameters=((40, 2.0),), start=(10, 11), internal_step=None
+    q=(10,), v=(11,), u=(20,), lam=(30,), gap=(31,), energies={}, powers={}, zero=frozenset(),
+    parameters=((40, 2.0),), start=(10, 11), internal_step=None
 )  # fmt: skip
 
 
 def foreign_inputs(steps: int = 40) -> HeldInputs:
     empty = np.zeros((steps + 1, 1))
-    return HeldInputs(Trajectory(t=uniform_grid(0.01, steps), q=empty, v=empty, u=np.full((steps, 1), 0.004), lam=np.zeros((steps, 1))))
+    return HeldInputs(
+        Trajectory(
+            t=uniform_grid(0.01, steps),
+            q=empty,
+            v=empty,
+            u=np.full((steps, 1), 0.004),
+            lam=np.zeros((steps, 1)),
+        )
+    )
 
 
 @pytest.mark.parametrize("mode", ["good", "nan", "fatal"])
@@ -126,10 +160,20 @@ def test_somebody_elses_fmu_and_how_it_goes_wrong(tmp_path: Path, mode: str):
     start = np.array([300.0, 2000.0])
     with unpacked(read_package(build_foreign(tmp_path / "cart.fmu", mode))) as package:
         pairs = [
-            [reference(package, FOREIGN, start, foreign_inputs(), compiled=compiled) for compiled in (True, False)],
-            [simulate(package, FOREIGN, start, foreign_inputs(), 100, compiled=compiled) for compiled in (True, False)],
+            [
+                reference(package, FOREIGN, start, foreign_inputs(), compiled=compiled)
+                for compiled in (True, False)
+            ],
+            [
+                simulate(package, FOREIGN, start, foreign_inputs(), 100, compiled=compiled)
+                for compiled in (True, False)
+            ],
         ]
-    expected = {"good": ReplayOutcome.OK, "nan": ReplayOutcome.NOT_A_NUMBER, "fatal": ReplayOutcome.FATAL}[mode]
+    expected = {
+        "good": ReplayOutcome.OK,
+        "nan": ReplayOutcome.NOT_A_NUMBER,
+        "fatal": ReplayOutcome.FATAL,
+    }[mode]
     assert [run.outcome for pair in pairs for run in pair] == [expected] * 4
     for pair in pairs:
         same(*pair)
@@ -138,12 +182,17 @@ def test_somebody_elses_fmu_and_how_it_goes_wrong(tmp_path: Path, mode: str):
 def test_a_step_that_leaves_every_bound_ends_both_loops_alike(carts: tuple[Package, Variables]):
     plan = pushed("three_cart", steps=5)
     wild = Trajectory(t=1e6 * plan.t, q=plan.q, v=plan.v, u=plan.u, lam=plan.lam)
-    runs = [simulate(*carts, plan.start, HeldInputs(wild), 20, compiled=compiled) for compiled in (True, False)]
+    runs = [
+        simulate(*carts, plan.start, HeldInputs(wild), 20, compiled=compiled)
+        for compiled in (True, False)
+    ]
     assert runs[0].outcome in (ReplayOutcome.DIVERGED, ReplayOutcome.NOT_A_NUMBER)
     same(*runs)
 
 
-def test_without_a_compiler_a_replay_is_refused(carts: tuple[Package, Variables], monkeypatch: pytest.MonkeyPatch):
+def test_without_a_compiler_a_replay_is_refused(
+    carts: tuple[Package, Variables], monkeypatch: pytest.MonkeyPatch
+):
     plan = pushed("three_cart", steps=10)
 
     def none() -> None:
@@ -163,7 +212,9 @@ def test_without_a_compiler_a_replay_is_refused(carts: tuple[Package, Variables]
 @pytest.mark.parametrize("function", ["fmi2GetDerivatives", "fmi2DoStep"])
 def test_a_binary_that_lacks_a_function_is_refused(tmp_path: Path, function: str):
     """Before any loop is begun: FMPy wants all functions of the interface."""
-    with unpacked(read_package(build_foreign(tmp_path / "cart.fmu", defines=(f"{function}=another",)))) as package:
+    with unpacked(
+        read_package(build_foreign(tmp_path / "cart.fmu", defines=(f"{function}=another",)))
+    ) as package:
         run = reference if function == "fmi2GetDerivatives" else lambda *given: simulate(*given, 20)
         with pytest.raises(FmuError, match=f"missing in the binary .*{function}"):
             run(package, FOREIGN, np.zeros(2), foreign_inputs())
@@ -195,7 +246,8 @@ def instance_of(major: int = 2) -> Any:
 
     refused: list[Any] = []
     return SimpleNamespace(
-        major=major, fmu=SimpleNamespace(component=77, address=address), asked=addresses, refuse=lambda *given: refused.append(given),
+        major=major, fmu=SimpleNamespace(component=77, address=address), asked=addresses,
+        refuse=lambda *given: refused.append(given),
         refused=refused,
     )  # fmt: skip
 
@@ -205,18 +257,31 @@ def test_an_fmu_is_described_by_its_counts_addresses_and_the_calls_that_are_need
     instance = instance_of(major)
     inputs, outputs, rates = References([3]), References([4, 5]), References([6, 7, 8])
     found = loops.describe(
-        instance, ["SetTime", "NewDiscreteStates", "GetReal"], inputs=inputs, outputs=outputs, rates=rates, states=9, indicators=10
+        instance,
+        ["SetTime", "NewDiscreteStates", "GetReal"],
+        inputs=inputs,
+        outputs=outputs,
+        rates=rates,
+        states=9,
+        indicators=10,
     )
-    assert (found.component, found.three, found.states, found.indicators, found.inputs, found.outputs, found.rates) == (
+    assert (found.component, found.three, found.states, found.indicators, found.inputs,
+            found.outputs, found.rates) == (
         77, major == 3, 9, 10, 1, 2, 3,
     )  # fmt: skip
     assert (found.input_references, found.output_references, found.rate_references) == tuple(
         ctypes.addressof(item.array) for item in (inputs, outputs, rates)
     )
     assert instance.asked == (
-        ["GetReal", "SetTime", "NewDiscreteStates"] if major == 2 else ["GetFloat64", "SetTime", "UpdateDiscreteStates"]
+        ["GetReal", "SetTime", "NewDiscreteStates"]
+        if major == 2
+        else ["GetFloat64", "SetTime", "UpdateDiscreteStates"]
     )
-    assert {place: call for place, call in enumerate(found.call) if call} == {0: 1001, 2: 1002, 9: 1003}
+    assert {place: call for place, call in enumerate(found.call) if call} == {
+        0: 1001,
+        2: 1002,
+        9: 1003,
+    }
     without = loops.describe(instance, [], inputs=inputs, outputs=outputs)
     assert (without.rates, without.states, without.indicators) == (0, 0, 0)
     found.fault_call, found.fault_status = 9, 3
@@ -243,12 +308,24 @@ class Loops:
 
 
 def stepped(
-    reason: Any, done: int, monkeypatch: pytest.MonkeyPatch, *, rolls_back: bool = False, feedback: Any = None, fault: int = 0
+    reason: Any,
+    done: int,
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    rolls_back: bool = False,
+    feedback: Any = None,
+    fault: int = 0,
 ) -> tuple[Run, Loops, Any]:
     """Three steps of half a second of an FMU with three outputs."""
     states = np.zeros((4, 1))
-    plan = Trajectory(t=0.5 * np.arange(4), q=states, v=states, u=np.ones((3, 1)), lam=np.zeros((3, 0)))
-    answering, run, forgotten = Loops(reason, done), Run(knots=[0], t=[0.0], outputs=[np.array([1.0, 2.0, 3.0])]), []
+    plan = Trajectory(
+        t=0.5 * np.arange(4), q=states, v=states, u=np.ones((3, 1)), lam=np.zeros((3, 0))
+    )
+    answering, run, forgotten = (
+        Loops(reason, done),
+        Run(knots=[0], t=[0.0], outputs=[np.array([1.0, 2.0, 3.0])]),
+        [],
+    )
     instance = instance_of()
     instance.forget = lambda place: forgotten.append(place.value)
     monkeypatch.setattr(loops, "load", lambda: answering)
@@ -256,7 +333,8 @@ def stepped(
     described.fault_status = fault
     monkeypatch.setattr(loops, "describe", lambda *given, **named: described)
     stepping = everyday.Stepping(
-        fmu=instance, given=References([3]), outputs=References([4, 5, 6]), inputs=HeldInputs(plan, feedback), parts=1, slopes=False, states=2, rolls_back=rolls_back,
+        fmu=instance, given=References([3]), outputs=References([4, 5, 6]),
+        inputs=HeldInputs(plan, feedback), parts=1, slopes=False, states=2, rolls_back=rolls_back,
         own_step_of=References([]), own_step=0.1,
     )  # fmt: skip
     try:
@@ -268,38 +346,73 @@ def stepped(
 
 def test_all_steps_are_recorded_where_they_are_made(monkeypatch: pytest.MonkeyPatch):
     run, answering, _ = stepped(everyday.Reason.DONE, 3, monkeypatch)
-    assert (run.t, run.knots, run.local, answering.calls) == ([0.0, 0.5, 1.0, 1.5], [0, 1, 2, 3], [], [(0, 3)])
-    assert [row.tolist() for row in run.outputs[1:]] == [[13.0, 14.0, 15.0], [16.0, 17.0, 18.0], [19.0, 20.0, 21.0]]
+    assert (run.t, run.knots, run.local, answering.calls) == (
+        [0.0, 0.5, 1.0, 1.5],
+        [0, 1, 2, 3],
+        [],
+        [(0, 3)],
+    )
+    assert [row.tolist() for row in run.outputs[1:]] == [
+        [13.0, 14.0, 15.0],
+        [16.0, 17.0, 18.0],
+        [19.0, 20.0, 21.0],
+    ]
     rolled, _, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, rolls_back=True)
-    assert [row.tolist() for row in rolled.local] == [[50.0, 51.0, 52.0], [53.0, 54.0, 55.0], [56.0, 57.0, 58.0]]
+    assert [row.tolist() for row in rolled.local] == [
+        [50.0, 51.0, 52.0],
+        [53.0, 54.0, 55.0],
+        [56.0, 57.0, 58.0],
+    ]
     assert stepped.forgotten == [99]  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
     ("reason", "outcome", "local"),
-    [(everyday.Reason.OUTPUT_NOT_FINITE, ReplayOutcome.NOT_A_NUMBER, 2), (everyday.Reason.OUT_OF_BOUNDS, ReplayOutcome.DIVERGED, 2), (everyday.Reason.CALL_REFUSED, ReplayOutcome.OK, 1)],
+    [(everyday.Reason.OUTPUT_NOT_FINITE, ReplayOutcome.NOT_A_NUMBER, 2),
+     (everyday.Reason.OUT_OF_BOUNDS, ReplayOutcome.DIVERGED, 2),
+     (everyday.Reason.CALL_REFUSED, ReplayOutcome.OK, 1)],
 )  # fmt: skip
-def test_what_ends_a_loop_ends_the_run_at_the_step_that_it_was_in(reason, outcome, local, monkeypatch):
+def test_what_ends_a_loop_ends_the_run_at_the_step_that_it_was_in(
+    reason, outcome, local, monkeypatch
+):
     run, _, instance = stepped(reason, 1, monkeypatch, rolls_back=True)
     assert (run.t, run.knots, run.outcome, len(run.local)) == ([0.0, 0.5], [0, 1], outcome, local)
     assert ("t = 1 s" in run.message) is (outcome is not ReplayOutcome.OK)
     assert bool(instance.refused) is (reason is everyday.Reason.CALL_REFUSED)
 
 
-def test_a_loop_is_told_its_bounds_and_within_which_share_a_state_is_restored(monkeypatch: pytest.MonkeyPatch):
-    """Two of the outputs are states; nothing may be beyond 1e9; what is restored is the same within 1e-9 of its size."""
+def test_a_loop_is_told_its_bounds_and_within_which_share_a_state_is_restored(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """Two of the outputs are states; nothing may be beyond 1e9.
+
+    What is restored is the same within 1e-9 of its size.
+    """
     for rolls_back in (True, False):
         _, answering, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, rolls_back=rolls_back)
         told = {
             name: answering.told[name]
-            for name in ("bounded", "bound", "same", "rolls_back", "linear", "gives_slopes", "parts", "own_step_count", "own_step")
+            for name in (
+                "bounded",
+                "bound",
+                "same",
+                "rolls_back",
+                "linear",
+                "gives_slopes",
+                "parts",
+                "own_step_count",
+                "own_step",
+            )
         }
         assert told == {
-            "bounded": 2, "bound": 1e9, "same": 1e-9, "rolls_back": rolls_back, "linear": 0, "gives_slopes": 0, "parts": 1, "own_step_count": 0, "own_step": 0.1,
+            "bounded": 2, "bound": 1e9, "same": 1e-9, "rolls_back": rolls_back, "linear": 0,
+            "gives_slopes": 0, "parts": 1, "own_step_count": 0, "own_step": 0.1,
         }  # fmt: skip
 
 
-def test_what_no_fmu_may_do_is_raised_and_nothing_is_freed_after_a_fatal_status(monkeypatch: pytest.MonkeyPatch):
+def test_what_no_fmu_may_do_is_raised_and_nothing_is_freed_after_a_fatal_status(
+    monkeypatch: pytest.MonkeyPatch,
+):
     with pytest.raises(Misbehaviour, match=r"returned early at 0\.3 s.*not allowed"):
         stepped(everyday.Reason.EARLY_RETURN, 1, monkeypatch)
     with pytest.raises(everyday.RollbackError):
@@ -308,9 +421,12 @@ def test_what_no_fmu_may_do_is_raised_and_nothing_is_freed_after_a_fatal_status(
     assert stepped.forgotten == []  # type: ignore[attr-defined]
 
 
-def test_with_feedback_each_step_is_asked_for_with_the_state_before_it(monkeypatch: pytest.MonkeyPatch):
+def test_with_feedback_each_step_is_asked_for_with_the_state_before_it(
+    monkeypatch: pytest.MonkeyPatch,
+):
     law = Feedback(
-        gains=np.ones((3, 1, 2)), reference=np.zeros((4, 2)), u=np.ones((3, 1)), lower=np.array([-100.0]), upper=np.array([100.0]),
+        gains=np.ones((3, 1, 2)), reference=np.zeros((4, 2)), u=np.ones((3, 1)),
+        lower=np.array([-100.0]), upper=np.array([100.0]),
         scale=np.array([1.0]), loop=np.zeros((3, 2, 2)), push=np.zeros((3, 2, 1)),
     )  # fmt: skip
     run, answering, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, feedback=law)
@@ -323,9 +439,12 @@ def test_with_feedback_each_step_is_asked_for_with_the_state_before_it(monkeypat
 @pytest.mark.parametrize(
     ("linear", "interpolates", "internal", "fineness", "rolls_back", "parts", "slopes"),
     [
-        (False, False, None, 200, False, 4, False), (False, False, None, 49, False, 1, False), (False, False, 9, 200, False, 1, False), (True, True, None, 200, False, 4, True),
-        (True, False, None, 200, False, 200, False), (True, False, 9, 200, False, 200, False), (False, False, None, 150, True, 4, False), (False, False, None, 50, True, 2, False),
-        (False, False, 9, 200, True, 1, False), (False, True, None, 200, False, 4, False), (True, "by FMI 3.0", None, 200, False, 200, False),
+        (False, False, None, 200, False, 4, False), (False, False, None, 49, False, 1, False),
+        (False, False, 9, 200, False, 1, False), (True, True, None, 200, False, 4, True),
+        (True, False, None, 200, False, 200, False), (True, False, 9, 200, False, 200, False),
+        (False, False, None, 150, True, 4, False), (False, False, None, 50, True, 2, False),
+        (False, False, 9, 200, True, 1, False), (False, True, None, 200, False, 4, False),
+        (True, "by FMI 3.0", None, 200, False, 200, False),
     ],
 )  # fmt: skip
 def test_a_step_is_cut_as_its_fineness_and_its_inputs_need(
@@ -334,24 +453,40 @@ def test_a_step_is_cut_as_its_fineness_and_its_inputs_need(
     found: list[Any] = []
     log: list[Any] = []
     instance = SimpleNamespace(
-        choose=lambda choices: log.append(choices), initialise=lambda *given: log.append((given[0], given[1], given[2].array[:], given[3].tolist())),
+        choose=lambda choices: log.append(choices),
+        initialise=lambda *given: log.append((given[0], given[1], given[2].array[:],
+                                              given[3].tolist())),
         unload=lambda: log.append("unload"), read=lambda references: np.array([1.0, 2.0]),
     )  # fmt: skip
-    monkeypatch.setattr(everyday, "load_instance", lambda package, kind: instance if kind == "CS" else None)
+    monkeypatch.setattr(
+        everyday, "load_instance", lambda package, kind: instance if kind == "CS" else None
+    )
     monkeypatch.setattr(everyday, "step_through", lambda stepping, run: found.append(stepping))
     states = np.zeros((3, 1))
     plan = Trajectory(
-        t=np.array([0.5, 1.0, 2.0]), q=states, v=states, u=np.array([[3.0], [4.0]]), lam=np.zeros((2, 0)),
+        t=np.array([0.5, 1.0, 2.0]), q=states, v=states, u=np.array([[3.0], [4.0]]),
+        lam=np.zeros((2, 0)),
         hold=Hold.LINEAR if linear else Hold.ZERO_ORDER,
     )  # fmt: skip
-    variables = Variables(q=(1,), v=(2,), u=(5,), lam=(), gap=(), energies={}, powers={}, zero=frozenset(), parameters=((6, 0.5),), start=(7,), internal_step=internal, choices=((8, 1),))  # fmt: skip
+    variables = Variables(q=(1,), v=(2,), u=(5,), lam=(), gap=(), energies={}, powers={},
+                          zero=frozenset(), parameters=((6, 0.5),), start=(7,),
+                          internal_step=internal, choices=((8, 1),))  # fmt: skip
     package: Any = SimpleNamespace(
-        is_three=interpolates == "by FMI 3.0", cosimulation=SimpleNamespace(canInterpolateInputs=bool(interpolates))
+        is_three=interpolates == "by FMI 3.0",
+        cosimulation=SimpleNamespace(canInterpolateInputs=bool(interpolates)),
     )
-    run = everyday.simulate(package, variables, np.array([9.0]), HeldInputs(plan), fineness, rolls_back=rolls_back)
+    run = everyday.simulate(
+        package, variables, np.array([9.0]), HeldInputs(plan), fineness, rolls_back=rolls_back
+    )
     (stepping,) = found
     own = 0.5 / fineness
-    assert (stepping.parts, stepping.slopes, stepping.states, stepping.rolls_back, stepping.own_step) == (parts, slopes, 2, rolls_back, own)
+    assert (
+        stepping.parts,
+        stepping.slopes,
+        stepping.states,
+        stepping.rolls_back,
+        stepping.own_step,
+    ) == (parts, slopes, 2, rolls_back, own)
     assert (
         stepping.own_step_of.array[:], stepping.given.array[:], stepping.outputs.array[:],
     ) == ([] if internal is None else [internal], [5], [1, 2])  # fmt: skip
@@ -362,11 +497,18 @@ def test_a_step_is_cut_as_its_fineness_and_its_inputs_need(
 
 @pytest.mark.parametrize(
     ("values", "outcome"),
-    [([np.nan, 1.0], ReplayOutcome.NOT_A_NUMBER), ([1.0, -2e9], ReplayOutcome.DIVERGED), ([1.0, 1e9], ReplayOutcome.OK)],
+    [
+        ([np.nan, 1.0], ReplayOutcome.NOT_A_NUMBER),
+        ([1.0, -2e9], ReplayOutcome.DIVERGED),
+        ([1.0, 1e9], ReplayOutcome.OK),
+    ],
 )
-def test_a_first_row_that_is_no_number_or_out_of_bounds_ends_the_run(values: list[float], outcome: ReplayOutcome):
+def test_a_first_row_that_is_no_number_or_out_of_bounds_ends_the_run(
+    values: list[float], outcome: ReplayOutcome
+):
     stepping: Any = SimpleNamespace(
-        inputs=SimpleNamespace(times=np.array([0.5, 1.0])), fmu=SimpleNamespace(read=lambda outputs: np.array([*values, 1e12])), outputs=None,
+        inputs=SimpleNamespace(times=np.array([0.5, 1.0])),
+        fmu=SimpleNamespace(read=lambda outputs: np.array([*values, 1e12])), outputs=None,
         states=2,
     )  # fmt: skip
     run = Run()

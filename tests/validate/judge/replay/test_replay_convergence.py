@@ -26,15 +26,21 @@ def fmu() -> Path:
     return build_fmu(load_scene("three_cart"))
 
 
-def replayed(fmu: Path, t: np.ndarray, u: np.ndarray, hold: Hold, start: tuple[float, ...], **options) -> Replay:
+def replayed(
+    fmu: Path, t: np.ndarray, u: np.ndarray, hold: Hold, start: tuple[float, ...], **options
+) -> Replay:
     scene = load_scene("three_cart").with_task(steps=len(u), start=start)
     q, v = np.tile(start[:3], (len(t), 1)), np.tile(start[3:], (len(t), 1))
-    return replay(scene, fmu, Trajectory(t=t, q=q, v=v, u=u, lam=np.zeros((len(u), 2)), hold=hold), **options)
+    return replay(
+        scene, fmu, Trajectory(t=t, q=q, v=v, u=u, lam=np.zeros((len(u), 2)), hold=hold), **options
+    )
 
 
 def bang_bang(steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Grid and inputs (steps, 2) that go from one bound to the other at every step."""
-    return 0.01 * np.arange(steps + 1), FORCE * np.where(np.arange(steps) % 2 == 0, 1.0, -1.0)[:, None] * np.array([[1.0, -1.0]])
+    return 0.01 * np.arange(steps + 1), FORCE * np.where(np.arange(steps) % 2 == 0, 1.0, -1.0)[
+        :, None
+    ] * np.array([[1.0, -1.0]])
 
 
 def test_bang_bang_without_contact_is_exact(fmu: Path):
@@ -58,23 +64,46 @@ def test_bang_bang_through_contacts_has_the_richardson_ratio_of_its_order(fmu: P
 def test_contacts_shorter_than_the_steps_are_looked_at_more_closely(fmu: Path, tmp_path: Path):
     """Without Model Exchange nothing but the gaps and their rates tells that there was contact between two nodes."""
     only = edited(fmu, tmp_path / "cs.fmu", without("ModelExchange"))
-    scene, (t, u) = load_scene("three_cart").with_parameters(k=1e6).with_task(steps=100, start=COLLIDING), bang_bang(100)
-    plan = Trajectory(t=t, q=np.tile(COLLIDING[:3], (101, 1)), v=np.tile(COLLIDING[3:], (101, 1)), u=u, lam=np.zeros((100, 2)))
+    scene, (t, u) = (
+        load_scene("three_cart").with_parameters(k=1e6).with_task(steps=100, start=COLLIDING),
+        bang_bang(100),
+    )
+    plan = Trajectory(
+        t=t,
+        q=np.tile(COLLIDING[:3], (101, 1)),
+        v=np.tile(COLLIDING[3:], (101, 1)),
+        u=u,
+        lam=np.zeros((100, 2)),
+    )
     result, reference = replay(scene, only, plan, fineness=(1, 2, 4)), replay(scene, fmu, plan)
     assert len(reference.events) > 0
-    assert np.abs(result.q[result.knots] - reference.q[reference.knots]).max() < 3.0 * result.error.estimate.position < 1e-2
+    assert (
+        np.abs(result.q[result.knots] - reference.q[reference.knots]).max()
+        < 3.0 * result.error.estimate.position
+        < 1e-2
+    )
 
 
 def test_where_co_simulation_is_too_coarse_for_a_stiff_contact_it_is_made_finer_and_its_distance_is_no_error():
     """A gram on 1e8 N/m is in contact for a fifth of a step of Co-Simulation: two halvings pass it by in the same way, and are half a metre wrong."""
-    scene = load_scene("bouncing_mass").with_parameters(m=1e-3, k=1e8).with_task(steps=90, step=0.01)
+    scene = (
+        load_scene("bouncing_mass").with_parameters(m=1e-3, k=1e8).with_task(steps=90, step=0.01)
+    )
     t = 0.01 * np.arange(91)
-    plan = Trajectory(t=t, q=np.full((91, 1), 0.5), v=np.zeros((91, 1)), u=np.zeros((90, 0)), lam=np.zeros((90, 1)))
+    plan = Trajectory(
+        t=t,
+        q=np.full((91, 1), 0.5),
+        v=np.zeros((91, 1)),
+        u=np.zeros((90, 0)),
+        lam=np.zeros((90, 1)),
+    )
     result = replay(scene, build_fmu(scene, results=False), plan)
     fall, omega, sag = np.sqrt(2.0 * 0.5 / 9.81), np.sqrt(1e11), 9.81e-11
     touches = 2.0 * (np.pi - np.arctan2(9.81 * fall / omega, sag)) / omega
     since = 0.9 - fall - touches  # it leaves as fast as it came
-    assert result.q[-1, 0] == pytest.approx(9.81 * since * (fall - since / 2.0), abs=result.error.estimate.position)
+    assert result.q[-1, 0] == pytest.approx(
+        9.81 * since * (fall - since / 2.0), abs=result.error.estimate.position
+    )
     assert result.error.estimate == result.error.tolerance
     assert result.error.estimate.position < 1e-8
 
@@ -98,9 +127,13 @@ def exact(fmu: Path) -> np.ndarray:
 
 @pytest.mark.parametrize(("hold", "order"), [(Hold.ZERO_ORDER, 1), (Hold.LINEAR, 2)])
 @pytest.mark.parametrize("kind", ["reference", "everyday"])
-def test_order_of_the_hold_on_grids_that_divide_nothing(hold: Hold, order: int, kind: str, fmu: Path, exact: np.ndarray, tmp_path: Path):
+def test_order_of_the_hold_on_grids_that_divide_nothing(
+    hold: Hold, order: int, kind: str, fmu: Path, exact: np.ndarray, tmp_path: Path
+):
     """As the plan's grid is refined, the motion goes to that of the smooth input with the order of the hold: 1 held, 2 as lines."""
-    file = fmu if kind == "reference" else edited(fmu, tmp_path / "cs.fmu", without("ModelExchange"))
+    file = (
+        fmu if kind == "reference" else edited(fmu, tmp_path / "cs.fmu", without("ModelExchange"))
+    )
     counts = (24, 48, 96)
     errors = [np.abs(_end(file, uneven(steps), hold) - exact).max() for steps in counts]
     slope = -np.polyfit(np.log(counts), np.log(errors), 1)[0]

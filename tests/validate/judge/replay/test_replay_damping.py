@@ -22,7 +22,10 @@ from validate.judge.score import Metric, Verdict, score
 from validate.tasks.scene_record import scene_record
 
 SCENE = load_scene("damped_collision")
-M1, M2, MU, K = 1.0, 3.0, 0.75, 2000.0
+M1 = 1.0
+M2 = 3.0
+MU = 0.75
+K = 2000.0
 V1, V2 = SCENE.task.start[2:]
 DIGITS = 1e-8
 
@@ -31,7 +34,8 @@ def free_motion(scene: Scene) -> Trajectory:
     task = scene.task
     motion = load_kernel(scene).rollout(np.array(task.start), np.zeros((task.steps, 0)), task.step)
     return Trajectory(
-        t=uniform_grid(task.step, task.steps), q=motion.q, v=motion.v, u=np.zeros((task.steps, 0)), lam=motion.lam,
+        t=uniform_grid(task.step, task.steps), q=motion.q, v=motion.v, u=np.zeros((task.steps, 0)),
+        lam=motion.lam,
         scheme=Scheme.SEMI_IMPLICIT_EULER,
     )  # fmt: skip
 
@@ -48,7 +52,10 @@ def values(metrics: Iterable[Metric]) -> dict[str, float]:
 
 
 def kelvin_voigt(z: float) -> float:
-    """Restitution exp(-2 a / tan a), cos a = z; the same formula with an imaginary a where the swing is overdamped."""
+    """Restitution exp(-2 a / tan a), cos a = z.
+
+    The same formula with an imaginary a where the swing is overdamped.
+    """
     a = cmath.acos(z)
     return cmath.exp(-2.0 * a / cmath.tan(a)).real
 
@@ -63,12 +70,18 @@ def test_kelvin_voigt_without_adhesion_has_its_exact_restitution(z: float):
     scene = SCENE.with_parameters(c=2.0 * z * math.sqrt(K * MU)).with_task(steps=600)
     motion = replayed(scene)
     mean, e = (M1 * V1 + M2 * V2) / (M1 + M2), kelvin_voigt(z)
-    assert motion.v[-1] == pytest.approx([mean - MU * e * (V1 - V2) / M1, mean + MU * e * (V1 - V2) / M2], abs=DIGITS)
-    assert abs(e - math.exp(-math.pi * z / math.sqrt(abs(1.0 - z * z)))) > 1e-4  # not that of a contact that pulls
+    assert motion.v[-1] == pytest.approx(
+        [mean - MU * e * (V1 - V2) / M1, mean + MU * e * (V1 - V2) / M2], abs=DIGITS
+    )
+    assert (
+        abs(e - math.exp(-math.pi * z / math.sqrt(abs(1.0 - z * z)))) > 1e-4
+    )  # not that of a contact that pulls
     released = [event for event in motion.events if event.contact == "pressing_pair"]
     opened = [event for event in motion.events if event.contact == "pair" and not event.closes]
     assert len(released) == len(opened) == 1
-    assert opened[0].time - released[0].time == pytest.approx(2.0 * z / math.sqrt(K / MU), abs=DIGITS)  # released before it opens
+    assert opened[0].time - released[0].time == pytest.approx(
+        2.0 * z / math.sqrt(K / MU), abs=DIGITS
+    )  # released before it opens
     assert motion.lam[:, 0].min() >= -1e-9
 
 
@@ -103,7 +116,9 @@ def test_forces_without_their_damping_are_found():
     plan = free_motion(SCENE)
     kernel = load_kernel(SCENE)
     springs = kernel.stiffness() * np.maximum(kernel.penetration(plan.q[:-1]), 0.0)
-    wrong = Trajectory(t=plan.t, q=plan.q, v=plan.v, u=plan.u, lam=springs, scheme=Scheme.SEMI_IMPLICIT_EULER)
+    wrong = Trajectory(
+        t=plan.t, q=plan.q, v=plan.v, u=plan.u, lam=springs, scheme=Scheme.SEMI_IMPLICIT_EULER
+    )
     found = values(score(SCENE, wrong, None).metrics)
     assert found["physics"] > 1e3
     assert found["defect"] > 1e-2

@@ -22,7 +22,9 @@ def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("library", ["numpy", "pandas", "casadi"])
-def test_a_snippet_writes_a_plan_that_is_replayed(library: str, fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_snippet_writes_a_plan_that_is_replayed(
+    library: str, fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     if importlib.util.find_spec(library) is None:
         pytest.skip(f"{library} is not installed")
     monkeypatch.chdir(tmp_path)

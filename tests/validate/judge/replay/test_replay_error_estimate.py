@@ -25,14 +25,21 @@ from validate.judge.replay.error_estimate import (
 )
 from validate.judge.replay.job import Job, Simulated
 from validate.judge.replay.result import Run
-from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignModel, ForeignTask
+from validate.judge.replay.subject import (
+    ForeignContact,
+    ForeignCoordinate,
+    ForeignModel,
+    ForeignTask,
+)
 from validate.judge.replay.wiring import ENERGIES, Variables
 
 SIGNS = pytest.mark.parametrize("sign", [1.0, -1.0])
 
 
 def still(nodes: int = 4, contacts: int = 3) -> Any:
-    return SimpleNamespace(q=np.full((nodes, 2), 2.0), v=np.zeros((nodes, 2)), gap=np.ones((nodes, contacts)))
+    return SimpleNamespace(
+        q=np.full((nodes, 2), 2.0), v=np.zeros((nodes, 2)), gap=np.ones((nodes, contacts))
+    )
 
 
 @SIGNS
@@ -43,12 +50,16 @@ def test_a_difference_is_the_largest_of_one_coordinate_one_node_and_one_gap(sign
     other.v[1, 0] -= sign * 0.4
     other.q[2, 0] += sign * 0.35
     other.gap[3, 2] -= sign * 0.07
-    expected = Difference(position=pytest.approx(0.35), state=pytest.approx(0.5), gap=pytest.approx(0.07))
+    expected = Difference(
+        position=pytest.approx(0.35), state=pytest.approx(0.5), gap=pytest.approx(0.07)
+    )
     assert difference(one, other) == expected
     assert difference(other, one) == expected
     assert difference(one, one) == Difference(position=0.0, state=0.0, gap=0.0)
     assert difference(None, other) is difference(one, None) is None
-    assert difference(still(contacts=0), still(contacts=0)) == Difference(position=0.0, state=0.0, gap=0.0)
+    assert difference(still(contacts=0), still(contacts=0)) == Difference(
+        position=0.0, state=0.0, gap=0.0
+    )
 
 
 @SIGNS
@@ -75,28 +86,44 @@ def test_local_errors_are_summed_over_the_steps(sign: float):
     ends.gap[0, 1] -= sign * 0.01
     ends.gap[1, 1] += sign * 0.02
     alone = local_errors(fine, ends, TIMES, carried=False, heeds=True)
-    assert alone == Difference(position=pytest.approx(0.3), state=pytest.approx(math.hypot(0.3, 0.04)), gap=pytest.approx(0.03))
-    # The second step ends at 2.5 s, half a second before the end: 0.02 of the other coordinate; two bodies may both come nearer by that.
+    assert alone == Difference(
+        position=pytest.approx(0.3),
+        state=pytest.approx(math.hypot(0.3, 0.04)),
+        gap=pytest.approx(0.03),
+    )
+    # The second step ends at 2.5 s, half a second before the end: 0.02 of the other coordinate; two
+    # bodies may both come nearer by that.
     carried = local_errors(fine, ends, TIMES, carried=True, heeds=True)
     assert carried == Difference(
-        position=pytest.approx(0.3), state=pytest.approx(math.hypot(0.3, 0.02, 0.04)), gap=pytest.approx(0.03 + 2 * 0.02)
+        position=pytest.approx(0.3),
+        state=pytest.approx(math.hypot(0.3, 0.02, 0.04)),
+        gap=pytest.approx(0.03 + 2 * 0.02),
     )
     ends.v[0, 0] += sign * 0.4  # an error of the first step goes on for 1.5 s
-    assert local_errors(fine, ends, TIMES, carried=True, heeds=True).position == pytest.approx(0.3 + 0.6)  # type: ignore[union-attr]
+    assert local_errors(fine, ends, TIMES, carried=True, heeds=True).position == pytest.approx(
+        0.3 + 0.6
+    )  # type: ignore[union-attr]
 
 
 def test_local_errors_of_a_run_that_heeds_no_step_are_not_known():
     fine, ends = still(), still(nodes=3)
     assert local_errors(fine, ends, TIMES, carried=True, heeds=False) is None
-    assert local_errors(fine, ends, TIMES, carried=True, heeds=True) == Difference(position=0.0, state=0.0, gap=0.0)
+    assert local_errors(fine, ends, TIMES, carried=True, heeds=True) == Difference(
+        position=0.0, state=0.0, gap=0.0
+    )
     ends.q[1, 0] += 1e-9
-    assert local_errors(fine, ends, TIMES, carried=False, heeds=False).position == pytest.approx(1e-9, rel=1e-3)  # type: ignore[union-attr]
+    assert local_errors(fine, ends, TIMES, carried=False, heeds=False).position == pytest.approx(
+        1e-9, rel=1e-3
+    )  # type: ignore[union-attr]
     assert local_errors(None, ends, TIMES, carried=True, heeds=True) is None
     assert local_errors(fine, None, TIMES, carried=True, heeds=True) is None
 
 
 def test_the_larger_of_two_is_taken_entry_by_entry():
-    one, other = Difference(position=1.0, state=5.0, gap=2.0), Difference(position=3.0, state=4.0, gap=6.0)
+    one, other = (
+        Difference(position=1.0, state=5.0, gap=2.0),
+        Difference(position=3.0, state=4.0, gap=6.0),
+    )
     assert larger(one, other) == larger(other, one) == Difference(position=3.0, state=5.0, gap=6.0)
     assert larger(one, None) is larger(None, one) is one
     assert larger(None, None) is None
@@ -116,14 +143,23 @@ def test_the_ratio_of_two_halvings_is_not_one_of_roundings():
 @pytest.mark.parametrize(
     ("halvings", "heeds", "tells"),
     [
-        ((3e-3, 2e-3), False, True), ((2.9e-3, 2e-3), False, False), ((2.9e-3, 2e-3), True, False), ((1e-9, 0.9e-11), False, True),
-        ((1e-3, 0.0), False, False), ((1e-3, 0.0), True, True), ((None, 1e-3), False, True), ((None, 1e-11), False, False),
-        ((2.9e-3, 1e-5), False, True), ((3.1e-3, 1e-5), False, False), ((3.1e-3, 1e-5), True, True), ((1e-10, 5e-11), False, False),
+        ((3e-3, 2e-3), False, True), ((2.9e-3, 2e-3), False, False), ((2.9e-3, 2e-3), True, False),
+        ((1e-9, 0.9e-11), False, True),
+        ((1e-3, 0.0), False, False), ((1e-3, 0.0), True, True), ((None, 1e-3), False, True),
+        ((None, 1e-11), False, False),
+        ((2.9e-3, 1e-5), False, True), ((3.1e-3, 1e-5), False, False), ((3.1e-3, 1e-5), True, True),
+        ((1e-10, 5e-11), False, False),
     ],
 )  # fmt: skip
-def test_halving_tells_where_it_changes_something_and_ever_less(halvings: tuple[float | None, float], heeds: bool, tells: bool):
-    """Each halving changes two thirds of what the last one did at most. Where nobody knows whether the step is heeded, no change says nothing, and so does
-    one that vanishes at once, or rounding."""
+def test_halving_tells_where_it_changes_something_and_ever_less(
+    halvings: tuple[float | None, float], heeds: bool, tells: bool
+):
+    """Each halving changes two thirds of what the last one did at most.
+
+    Where nobody knows whether the step is heeded, no change says nothing, and so does
+
+    one that vanishes at once, or rounding.
+    """
     (before, after), first, coarse, fine = halvings, still(), still(), still()
     coarse.q = fine.q + after
     first.q = coarse.q + (before or 0.0) * (1.0 + 1e-9)
@@ -133,13 +169,25 @@ def test_halving_tells_where_it_changes_something_and_ever_less(halvings: tuple[
 def test_the_estimate_is_the_tolerance_difference_where_the_everyday_replay_agrees():
     error = estimate(tolerance=of(1e-9), step=of(1e-6), everyday=of(1.2e-6), has_reference=True)
     assert error.estimate == of(1e-9)
-    assert (error.tolerance, error.step, error.everyday, error.step_source) == (of(1e-9), of(1e-6), of(1.2e-6), "second run")
+    assert (error.tolerance, error.step, error.everyday, error.step_source) == (
+        of(1e-9),
+        of(1e-6),
+        of(1.2e-6),
+        "second run",
+    )
 
 
 def test_an_everyday_replay_that_disagrees_beyond_its_own_error_becomes_the_estimate():
-    """Both tolerances may share a mistake (an event that neither saw); an independent method shows it. Three times its own error still explains it."""
-    assert estimate(tolerance=of(1e-3), step=of(1e-2), everyday=of(3.29e-2), has_reference=True).estimate == of(1e-3)
-    assert estimate(tolerance=of(1e-3), step=of(1e-2), everyday=of(3.31e-2), has_reference=True).estimate == of(3.31e-2)
+    """Both tolerances may share a mistake (an event that neither saw).
+
+    An independent method shows it. Three times its own error still explains it.
+    """
+    assert estimate(
+        tolerance=of(1e-3), step=of(1e-2), everyday=of(3.29e-2), has_reference=True
+    ).estimate == of(1e-3)
+    assert estimate(
+        tolerance=of(1e-3), step=of(1e-2), everyday=of(3.31e-2), has_reference=True
+    ).estimate == of(3.31e-2)
     # Entry by entry: only the state is off by more than is explained.
     mixed = Difference(position=2e-2, state=0.5, gap=4e-2)
     found = estimate(tolerance=of(1e-3), step=of(1e-2), everyday=mixed, has_reference=True).estimate
@@ -147,52 +195,89 @@ def test_an_everyday_replay_that_disagrees_beyond_its_own_error_becomes_the_esti
 
 
 def test_the_estimate_where_a_run_did_not_get_to_the_end():
-    assert estimate(tolerance=of(1e-9), step=None, everyday=None, has_reference=True).estimate == of(1e-9)
-    assert estimate(tolerance=None, step=of(1e-6), everyday=None, has_reference=False).estimate == of(1e-6)
-    assert estimate(tolerance=None, step=of(1e-6), everyday=None, has_reference=True).estimate is None
-    assert estimate(tolerance=None, step=of(1e-6), everyday=of(1e-5), has_reference=True).estimate == of(1e-5), (
-        "the looser reference is missing"
+    assert estimate(
+        tolerance=of(1e-9), step=None, everyday=None, has_reference=True
+    ).estimate == of(1e-9)
+    assert estimate(
+        tolerance=None, step=of(1e-6), everyday=None, has_reference=False
+    ).estimate == of(1e-6)
+    assert (
+        estimate(tolerance=None, step=of(1e-6), everyday=None, has_reference=True).estimate is None
     )
-    assert estimate(tolerance=None, step=of(1e-4), everyday=of(1e-5), has_reference=True).estimate == of(1e-4)
+    assert estimate(
+        tolerance=None, step=of(1e-6), everyday=of(1e-5), has_reference=True
+    ).estimate == of(1e-5), "the looser reference is missing"
+    assert estimate(
+        tolerance=None, step=of(1e-4), everyday=of(1e-5), has_reference=True
+    ).estimate == of(1e-4)
     assert estimate(tolerance=None, step=None, everyday=None, has_reference=True).estimate is None
 
 
 def test_without_a_reference_the_larger_of_second_run_and_rollback_counts():
-    found = estimate(tolerance=None, step=of(1e-6), everyday=None, rollback=of(2e-6), ratio=2.5, has_reference=False)
-    assert (found.estimate, found.step_source, found.step_ratio) == (of(2e-6), "second run and rollback", 2.5)
+    found = estimate(
+        tolerance=None,
+        step=of(1e-6),
+        everyday=None,
+        rollback=of(2e-6),
+        ratio=2.5,
+        has_reference=False,
+    )
+    assert (found.estimate, found.step_source, found.step_ratio) == (
+        of(2e-6),
+        "second run and rollback",
+        2.5,
+    )
     slow = estimate(tolerance=None, step=of(1e-6), everyday=None, ratio=1.5, has_reference=False)
     assert (slow.step, slow.estimate.position) == (of(1e-6), pytest.approx(2e-6)), (
         "two thirds, four ninths, ... of the last difference are still to come"
     )
-    found = estimate(tolerance=None, step=None, everyday=None, rollback=of(2e-6), has_reference=False)
+    found = estimate(
+        tolerance=None, step=None, everyday=None, rollback=of(2e-6), has_reference=False
+    )
     assert (found.estimate, found.step_source) == (of(2e-6), "rollback")
-    assert estimate(tolerance=None, step=None, everyday=None, has_reference=False).step_source == "none"
+    assert (
+        estimate(tolerance=None, step=None, everyday=None, has_reference=False).step_source
+        == "none"
+    )
 
 
 def test_a_stated_accuracy_counts_where_it_is_stated_and_larger():
     endless = math.inf
     stated = Difference(position=1e-3, state=1e-8, gap=endless)
-    found = estimate(tolerance=None, step=of(1e-5), everyday=None, stated=stated, has_reference=False)
+    found = estimate(
+        tolerance=None, step=of(1e-5), everyday=None, stated=stated, has_reference=False
+    )
     assert found.estimate == Difference(position=1e-3, state=1e-4, gap=2e-5)
     assert found.step_source == "second run, stated"
     alone = estimate(tolerance=None, step=None, everyday=None, stated=stated, has_reference=False)
     assert (alone.estimate, alone.step_source) == (stated, "stated")
     assert not unsaid(alone.would_decide, "state [accuracy] gap")
-    judged = estimate(tolerance=of(1e-9), step=None, everyday=None, stated=stated, has_reference=True)
+    judged = estimate(
+        tolerance=of(1e-9), step=None, everyday=None, stated=stated, has_reference=True
+    )
     assert judged.estimate == of(1e-9), "with a reference it is measured"
     apart = {"tolerance": of(1e-9), "step": of(1e-5), "everyday": of(1e-3), "has_reference": True}
-    assert estimate(**apart, stated=Difference(position=4e-4, state=1.0, gap=endless)).estimate == Difference(
-        position=1e-9, state=1e-8, gap=2e-3
-    ), "an accuracy stated of Co-Simulation explains how far it is from Model Exchange"
+    assert estimate(
+        **apart, stated=Difference(position=4e-4, state=1.0, gap=endless)
+    ).estimate == Difference(position=1e-9, state=1e-8, gap=2e-3), (
+        "an accuracy stated of Co-Simulation explains how far it is from Model Exchange"
+    )
 
 
 # Contacts that were stepped over
 
 
-def stepped_over(gap: Any, rate: Any, t: Any = (0.0, 0.5, 1.5), lag: float | None = None) -> float | None:
-    """What a replay of two contacts makes of its gaps; rates are those of gaps; lag: of a scene without inertia."""
+def stepped_over(
+    gap: Any, rate: Any, t: Any = (0.0, 0.5, 1.5), lag: float | None = None
+) -> float | None:
+    """What a replay of two contacts makes of its gaps; rates are those of gaps.
+
+    lag: of a scene without inertia.
+    """
     rows, kernel = len(t), SimpleNamespace(scene=SimpleNamespace(lag=lag))
-    replayed: Any = SimpleNamespace(t=np.array(t), gap=np.array(gap), q=np.zeros((rows, 1)), v=np.zeros((rows, 1)))
+    replayed: Any = SimpleNamespace(
+        t=np.array(t), gap=np.array(gap), q=np.zeros((rows, 1)), v=np.zeros((rows, 1))
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "penetration_rates", lambda kernel, q, v: -np.array(rate))
         return overlooked(kernel, replayed)  # type: ignore[arg-type]
@@ -201,17 +286,33 @@ def stepped_over(gap: Any, rate: Any, t: Any = (0.0, 0.5, 1.5), lag: float | Non
 @pytest.mark.parametrize(
     ("gap", "rate", "inert", "lagging"),
     [
-        ((0.01, 0.26), (-1.0, 0.5), True, None),  # opens at 0.5 m/s throughout: the rate from before does not go on
-        ((0.1, 0.1), (5.0, 0.88), False, 2.0 * math.sqrt(0.02 / 3.52) / 8),  # a parabola, 0.01 m deep, whatever the rate was before
+        (
+            (0.01, 0.26),
+            (-1.0, 0.5),
+            True,
+            None,
+        ),  # opens at 0.5 m/s throughout: the rate from before does not go on
+        (
+            (0.1, 0.1),
+            (5.0, 0.88),
+            False,
+            2.0 * math.sqrt(0.02 / 3.52) / 8,
+        ),  # a parabola, 0.01 m deep, whatever the rate was before
     ],
 )
-def test_without_inertia_a_gap_has_the_rate_that_it_leaves_a_row_with(gap: Any, rate: Any, inert: bool, lagging: float | None):
+def test_without_inertia_a_gap_has_the_rate_that_it_leaves_a_row_with(
+    gap: Any, rate: Any, inert: bool, lagging: float | None
+):
     gaps, rates = (np.tile([[value] for value in pair], 2) for pair in (gap, rate))
     assert (stepped_over(gaps, rates, (0.0, 0.5)) is not None) is inert
-    assert stepped_over(gaps, rates, (0.0, 0.5), lag=1e-5) == (None if lagging is None else pytest.approx(lagging))
+    assert stepped_over(gaps, rates, (0.0, 0.5), lag=1e-5) == (
+        None if lagging is None else pytest.approx(lagging)
+    )
 
 
-def parabola(lowest: float, bend: float, place: float, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def parabola(
+    lowest: float, bend: float, place: float, t: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     return lowest + bend / 2 * (t - place) ** 2, bend * (t - place)
 
 
@@ -228,14 +329,22 @@ def test_a_contact_between_two_rows_asks_for_an_eighth_of_what_it_lasts():
 @pytest.mark.parametrize(
     ("gap", "rate", "until", "is_one"),
     [
-        ((0.99, 0.99), (-4.0, 4.0), 1.0, True), ((-1e-9, 0.99), (-4.0, 4.0), 1.0, False), ((0.99, -1e-9), (-4.0, 4.0), 1.0, False),
-        ((0.99, 0.99), (1e-9, 4.0), 1.0, False), ((0.99, 0.99), (-4.0, -1e-9), 1.0, False), ((1.01, 1.01), (-4.0, 4.0), 1.0, False),
+        ((0.99, 0.99), (-4.0, 4.0), 1.0, True), ((-1e-9, 0.99), (-4.0, 4.0), 1.0, False),
+        ((0.99, -1e-9), (-4.0, 4.0), 1.0, False),
+        ((0.99, 0.99), (1e-9, 4.0), 1.0, False), ((0.99, 0.99), (-4.0, -1e-9), 1.0, False),
+        ((1.01, 1.01), (-4.0, 4.0), 1.0, False),
         ((0.99, 0.99), (-4.0, 4.0), 0.0, False),
     ],
-    ids=["it is", "touches at the first row", "touches at the last row", "leaves", "comes", "does not reach", "no time"],
+    ids=["it is", "touches at the first row", "touches at the last row", "leaves", "comes",
+         "does not reach", "no time"],
 )  # fmt: skip
-def test_what_is_a_contact_between_two_rows(gap: tuple[float, ...], rate: tuple[float, ...], until: float, is_one: bool):
-    assert (stepped_over(*([[value] for value in pair] for pair in (gap, rate)), (0.0, until)) is not None) is is_one
+def test_what_is_a_contact_between_two_rows(
+    gap: tuple[float, ...], rate: tuple[float, ...], until: float, is_one: bool
+):
+    assert (
+        stepped_over(*([[value] for value in pair] for pair in (gap, rate)), (0.0, until))
+        is not None
+    ) is is_one
 
 
 # A job made finer
@@ -244,9 +353,16 @@ def test_what_is_a_contact_between_two_rows(gap: tuple[float, ...], rate: tuple[
 def job_of(t: Any, **more: Any) -> Job:
     """A job whose plan has such nodes."""
     given: dict[str, Any] = {
-        "package": "package", "variables": "variables", "plan": SimpleNamespace(t=np.array(t)), "start": "start", "limits": "limits",
+        "package": "package", "variables": "variables", "plan": SimpleNamespace(t=np.array(t)),
+        "start": "start", "limits": "limits",
     }  # fmt: skip
-    return Job(**(given | {"tolerances": (1e-11, 1e-13), "fineness": (50, 100, 200), "event_budget": 7} | more))
+    return Job(
+        **(
+            given
+            | {"tolerances": (1e-11, 1e-13), "fineness": (50, 100, 200), "event_budget": 7}
+            | more
+        )
+    )
 
 
 def task_of(step: float) -> Any:
@@ -254,7 +370,10 @@ def task_of(step: float) -> Any:
 
 
 def test_nothing_is_seen_less_often_than_on_the_tasks_own_grid():
-    """Steps of 0.3 and 0.1 s: the longest is three of the task's 0.1 s, or two of 0.2; the shortest, but at least a tenth of the mean, counts for the rest."""
+    """Steps of 0.3 and 0.1 s: the longest is three of the task's 0.1 s, or two of 0.2.
+
+    The shortest, but at least a tenth of the mean, counts for the rest.
+    """
     job = job_of([0.0, 0.3, 0.4])
     found = with_steps_of(task_of(0.1), job)
     assert (found.parts, found.fineness) == (job.parts * 3, (50, 100, 200))
@@ -263,13 +382,17 @@ def test_nothing_is_seen_less_often_than_on_the_tasks_own_grid():
     assert vars(with_steps_of(task_of(0.5), job)) == vars(job)
     assert with_steps_of(task_of(1e-6), job).parts == 3000
     even = job_of([0.0, 0.1])
-    assert vars(with_steps_of(task_of(0.1 * (1 - 5e-7)), even)) == vars(even), "rounding makes no step longer"
+    assert vars(with_steps_of(task_of(0.1 * (1 - 5e-7)), even)) == vars(even), (
+        "rounding makes no step longer"
+    )
 
 
 def test_a_longest_step_holds_in_every_simulation():
     job = job_of([0.0, 0.5, 1.0])
     found = with_max_step(job, 0.004)
-    assert (found.max_step, found.fineness) == (0.004, (150, 300, 600)), "half a second in 50 parts is 2.5 times too much"
+    assert (found.max_step, found.fineness) == (0.004, (150, 300, 600)), (
+        "half a second in 50 parts is 2.5 times too much"
+    )
     assert with_max_step(job, 0.02).fineness == job.fineness  # type: ignore[union-attr]
     assert with_max_step(replace(job, fineness=()), 0.2).fineness == ()  # type: ignore[union-attr]
     assert with_max_step(job, 1.01e-6) is not None
@@ -277,10 +400,15 @@ def test_a_longest_step_holds_in_every_simulation():
 
 
 def test_without_inertia_the_everyday_replay_is_fine_enough_for_its_lag():
-    """Steps of 0.5 s with a lag of 1 ms: 250 parts of twice the lag, which are five times 50; two of the three runs will do."""
+    """Steps of 0.5 s with a lag of 1 ms: 250 parts of twice the lag, which are five times 50.
+
+    Two of the three runs will do.
+    """
 
     def found(lag: float | None, **more: Any) -> tuple[int, ...]:
-        return module.fine_enough(SimpleNamespace(lag=lag), job_of([0.0, 0.5, 1.0], **more)).fineness  # type: ignore[arg-type]
+        return module.fine_enough(
+            SimpleNamespace(lag=lag), job_of([0.0, 0.5, 1.0], **more)
+        ).fineness  # type: ignore[arg-type]
 
     assert found(0.001) == (250, 500)
     assert found(0.0009) == (300, 600)
@@ -298,42 +426,71 @@ def lagged(outcome: ReplayOutcome, method: str, known: Difference | None) -> tup
     asked: list[Any] = []
 
     def simulate(job: Job, feedback: Any) -> Any:
-        asked.append((job.package, job.variables, job.start, job.tolerances, job.fineness, job.limits, feedback))
+        asked.append(
+            (
+                job.package,
+                job.variables,
+                job.start,
+                job.tolerances,
+                job.fineness,
+                job.limits,
+                feedback,
+            )
+        )
         run = Run(
-            t=[0.0, 1.0], outputs=[np.array([1.0, 0.0, 5.0]), np.array([2.25, 0.0, 5.0])], knots=[0, 1], outcome=outcome, message="cut"
+            t=[0.0, 1.0],
+            outputs=[np.array([1.0, 0.0, 5.0]), np.array([2.25, 0.0, 5.0])],
+            knots=[0, 1],
+            outcome=outcome,
+            message="cut",
         )
         none: tuple[Run, ...] = ()
         return Simulated(
-            reference=(Run(), run) if method == "reference" else none, everyday=(Run(), run) if method == "everyday" else none,
+            reference=(Run(), run) if method == "reference" else none,
+            everyday=(Run(), run) if method == "everyday" else none,
             refusal=None, seconds_reference=0.0, seconds_everyday=0.0,
         )  # fmt: skip
 
     twice = Variables(
-        q=(1,), v=(2,), u=(), lam=(), gap=(3,), energies={}, powers={}, zero=frozenset(ENERGIES), parameters=(),
+        q=(1,), v=(2,), u=(), lam=(), gap=(3,), energies={}, powers={}, zero=frozenset(ENERGIES),
+        parameters=(),
         start=(), internal_step=None,
     )  # fmt: skip
     replayed = Replay(
-        scene="s", outcome=ReplayOutcome.OK, message="so far.", method=method, t=np.array([0.0, 0.5, 1.0]), q=np.array([[1.0], [9.0], [2.0]]),
-        v=np.zeros((3, 1)), lam=np.zeros((3, 1)), gap=np.full((3, 1), 5.0), friction=np.zeros((3, 0)), knots=np.array([0, 2]),
-        kinetic_energy=np.zeros(3), potential_energy=np.zeros(3), contact_energy=np.zeros(3), input_work=None, dissipated_work=None, contact_impulse=None,
-        events=(), event_budget=7, error=ReplayError(estimate=known), seconds_reference=0.0, seconds_everyday=0.0, fmu="",
+        scene="s", outcome=ReplayOutcome.OK, message="so far.", method=method,
+        t=np.array([0.0, 0.5, 1.0]), q=np.array([[1.0], [9.0], [2.0]]),
+        v=np.zeros((3, 1)), lam=np.zeros((3, 1)), gap=np.full((3, 1), 5.0),
+        friction=np.zeros((3, 0)), knots=np.array([0, 2]),
+        kinetic_energy=np.zeros(3), potential_energy=np.zeros(3), contact_energy=np.zeros(3),
+        input_work=None, dissipated_work=None, contact_impulse=None,
+        events=(), event_budget=7, error=ReplayError(estimate=known), seconds_reference=0.0,
+        seconds_everyday=0.0, fmu="",
     )  # fmt: skip
     model = ForeignModel(
-        name="s", coordinates=(ForeignCoordinate(name="x", velocity_name="v"),), inputs=(), contacts=(ForeignContact(name="c", force_name="l", gap_name="g"),),
+        name="s", coordinates=(ForeignCoordinate(name="x", velocity_name="v"),), inputs=(),
+        contacts=(ForeignContact(name="c", force_name="l", gap_name="g"),),
         task=ForeignTask(start=(None, None), goal=(None, None), step=0.1),
     )  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Job, "run", simulate)
-        patch.setattr(module, "twice_the_lag", lambda package, scene: twice if (package, scene) == ("package", model) else None)
+        patch.setattr(
+            module,
+            "twice_the_lag",
+            lambda package, scene: twice if (package, scene) == ("package", model) else None,
+        )
         found = module.with_lag_error(model, job_of([0.0, 1.0]), "feedback", replayed)  # type: ignore[arg-type]
     assert asked[0][:3] == ("package", twice, "start")
     assert asked[0][5:] == ("limits", "feedback")
     return found, asked[0][3:5]
 
 
-@pytest.mark.parametrize(("method", "asked"), [("reference", ((1e-11,), ())), ("everyday", ((), (200,)))])
+@pytest.mark.parametrize(
+    ("method", "asked"), [("reference", ((1e-11,), ())), ("everyday", ((), (200,)))]
+)
 def test_the_error_of_the_lag_is_added_to_the_replays_own(method: str, asked: Any):
-    found, simulated = lagged(ReplayOutcome.OK, method, Difference(position=0.5, state=1.0, gap=2.0))
+    found, simulated = lagged(
+        ReplayOutcome.OK, method, Difference(position=0.5, state=1.0, gap=2.0)
+    )
     assert tuple(simulated) == asked
     assert found.error.lag == Difference(position=0.25, state=0.25, gap=0.0)
     assert found.error.estimate == Difference(position=0.75, state=1.25, gap=2.0)
@@ -355,7 +512,11 @@ def test_twice_the_lag_is_another_parameter_of_the_fmu(monkeypatch: pytest.Monke
     """None where the FMU does not know it: then nothing differs."""
     scene: Any = SimpleNamespace(lag=0.25, continuous=lambda lag: SimpleNamespace(lag=lag))
     for knows in (True, False):
-        monkeypatch.setattr(module, "find_variables", lambda package, scene, knows=knows: (package, scene.lag if knows else 0))
+        monkeypatch.setattr(
+            module,
+            "find_variables",
+            lambda package, scene, knows=knows: (package, scene.lag if knows else 0),
+        )
         assert module.twice_the_lag("package", scene) == (("package", 0.5) if knows else None)  # type: ignore[arg-type,comparison-overlap]
 
 
@@ -367,4 +528,6 @@ def test_local_errors_without_as_many_velocities_as_positions_are_not_carried():
         run.v = run.v[:, :1]
     ends.v[0, 0] += 0.4
     found = local_errors(fine, ends, TIMES, carried=True, heeds=True)
-    assert found == Difference(position=pytest.approx(0.1), state=pytest.approx(math.hypot(0.1, 0.4)), gap=0.0)
+    assert found == Difference(
+        position=pytest.approx(0.1), state=pytest.approx(math.hypot(0.1, 0.4)), gap=0.0
+    )

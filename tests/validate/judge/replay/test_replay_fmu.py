@@ -16,7 +16,8 @@ from tests.validate.judge.replay.test_tracking_gains import poised
 from validate.judge.replay import Replay
 from validate.judge.replay.run import replay
 
-# Absolute error of a reference replay [m, m/s]: the looser tolerance is 1e-11 relative a step, over some thousand steps.
+# Absolute error of a reference replay [m, m/s]: the looser tolerance is 1e-11 relative a step, over
+# some thousand steps.
 REFERENCE = 1e-9
 
 
@@ -25,13 +26,21 @@ def passive(scene: Scene) -> Trajectory:
     steps, nq = scene.task.steps, scene.nq
     state = np.tile(np.array(scene.task.start), (steps + 1, 1))
     grid = uniform_grid(scene.task.step, steps)
-    return Trajectory(t=grid, q=state[:, :nq], v=state[:, nq:], u=np.zeros((steps, scene.nu)), lam=np.zeros((steps, scene.nc)))
+    return Trajectory(
+        t=grid,
+        q=state[:, :nq],
+        v=state[:, nq:],
+        u=np.zeros((steps, scene.nu)),
+        lam=np.zeros((steps, scene.nc)),
+    )
 
 
 def driven(scene: Scene, u: np.ndarray) -> Trajectory:
     """The scene's own time step under inputs u (steps, nu): a plan that is consistent with the true contact law."""
     rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step)
-    return Trajectory(t=uniform_grid(scene.task.step, len(u)), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    return Trajectory(
+        t=uniform_grid(scene.task.step, len(u)), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam
+    )
 
 
 def pushes(steps: int = 500) -> np.ndarray:
@@ -45,7 +54,8 @@ def mass_on_a_line() -> Scene:
     q, v, u, m = *sp.symbols("q v u", real=True), sp.Symbol("m", positive=True)
     return Scene(
         name="mass_on_a_line", title="One driven mass", source="made up for this test",
-        coordinates=(Coordinate(symbol=q, velocity=v, unit="m"),), inputs=(Input(symbol=u, unit="N"),),
+        coordinates=(Coordinate(symbol=q, velocity=v, unit="m"),),
+        inputs=(Input(symbol=u, unit="N"),),
         parameters=(Parameter(symbol=m, value=2.0, unit="kg", lower=1e-6),),
         kinetic_energy=m * v**2 / 2, potential_energy=sp.Integer(0), forces=(u,), contacts=(),
         task=Task(start=(0.0, 0.0), goal=(1.0, 0.0), running_cost=u**2, step=0.2, steps=6),
@@ -72,12 +82,17 @@ def test_a_dropped_mass_meets_the_floor_as_the_closed_form_says():
     assert (closing.contact, closing.closes, opening.closes) == ("floor", True, False)
     assert closing.time == pytest.approx(answers["time of the first contact [s]"], abs=REFERENCE)
     assert opening.time - closing.time == pytest.approx(answers["contact time [s]"], abs=REFERENCE)
-    # The deepest point lies between two recorded points; the parabola through the three deepest finds it.
+    # The deepest point lies between two recorded points; the parabola through the three deepest
+    # finds it.
     i = int(result.gap[:, 0].argmin())
     parabola = np.polyfit(result.t[i - 1 : i + 2] - result.t[i], -result.gap[i - 1 : i + 2, 0], 2)
-    assert parabola[2] - parabola[1] ** 2 / (4 * parabola[0]) == pytest.approx(answers["largest depth [m]"], rel=1e-6)
+    assert parabola[2] - parabola[1] ** 2 / (4 * parabola[0]) == pytest.approx(
+        answers["largest depth [m]"], rel=1e-6
+    )
     flight = result.t < closing.time
-    assert result.q[flight, 0] == pytest.approx(scene.task.start[0] - 9.81 * result.t[flight] ** 2 / 2, abs=REFERENCE)
+    assert result.q[flight, 0] == pytest.approx(
+        scene.task.start[0] - 9.81 * result.t[flight] ** 2 / 2, abs=REFERENCE
+    )
     assert result.energy == pytest.approx(result.energy[0], rel=1e-9)
 
 
@@ -87,11 +102,17 @@ def test_a_collision_keeps_momentum_and_energy_and_swaps_speeds():
     result = replay(scene, build_fmu(scene), passive(scene))
     assert result.ok, result.message
     assert [event.closes for event in result.events] == [True, False]
-    assert result.events[1].time - result.events[0].time == pytest.approx(answers["contact time [s]"], abs=REFERENCE)
-    after = [answers[f"velocity of the {which} disc afterwards [m/s]"] for which in ("left", "right")]
+    assert result.events[1].time - result.events[0].time == pytest.approx(
+        answers["contact time [s]"], abs=REFERENCE
+    )
+    after = [
+        answers[f"velocity of the {which} disc afterwards [m/s]"] for which in ("left", "right")
+    ]
     assert result.v[-1] == pytest.approx(np.array(after), abs=REFERENCE)
     assert result.v @ np.array([1.0, 3.0]) == pytest.approx(-1.0, abs=REFERENCE)
-    assert result.contact_impulse[-1, 0] == pytest.approx(scene.task.start[2] - after[0], abs=REFERENCE)
+    assert result.contact_impulse[-1, 0] == pytest.approx(
+        scene.task.start[2] - after[0], abs=REFERENCE
+    )
 
 
 def test_three_carts_replay_to_1e_8_by_two_tolerances(carts_replay: Replay):
@@ -99,7 +120,9 @@ def test_three_carts_replay_to_1e_8_by_two_tolerances(carts_replay: Replay):
     error = carts_replay.error
     assert error.estimate == error.tolerance
     assert 0 < error.tolerance.position <= 1e-8
-    assert error.everyday.position <= error.tolerance.position  # an independent integrator agrees with the tighter run
+    assert (
+        error.everyday.position <= error.tolerance.position
+    )  # an independent integrator agrees with the tighter run
     assert len(carts_replay.events) >= 3
 
 

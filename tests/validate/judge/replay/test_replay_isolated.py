@@ -9,7 +9,15 @@ import time
 from pathlib import Path
 
 import pytest
-from foreign_fmu import COSIMULATION, EXCHANGE, FULL_MAP, build_foreign, foreign_plan, left, write_plan
+from foreign_fmu import (
+    COSIMULATION,
+    EXCHANGE,
+    FULL_MAP,
+    build_foreign,
+    foreign_plan,
+    left,
+    write_plan,
+)
 
 from validate.execution.isolated import Limits
 from validate.judge.judgement import wire_fmu
@@ -39,7 +47,12 @@ def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
 
 def run(folder: Path, fmu: Path, limits: Limits | None = None) -> Replay:
-    wired = wire_fmu(fmu, folder / "plan.csv", map_path=folder / "map.toml", limits=limits or Limits(seconds=60.0, memory=2 * 1024**3))
+    wired = wire_fmu(
+        fmu,
+        folder / "plan.csv",
+        map_path=folder / "map.toml",
+        limits=limits or Limits(seconds=60.0, memory=2 * 1024**3),
+    )
     return replay_foreign(wired.foreign, wired.package, wired.plan, limits=wired.limits)
 
 
@@ -61,15 +74,23 @@ def test_a_good_one_follows_the_closed_form(good: Replay):
 @pytest.mark.parametrize(
     ("mode", "kinds", "outcome", "words"),
     [
-        ("hang", EXCHANGE, ReplayOutcome.TIME_LIMIT, "time limit of 2 s"), ("segfault", COSIMULATION, ReplayOutcome.CRASHED, "SIGSEGV"),
-        ("exit", EXCHANGE, ReplayOutcome.NO_RESULT, "exit code 0"), ("abort", EXCHANGE, ReplayOutcome.ABORTED, "SIGABRT"),
+        ("hang", EXCHANGE, ReplayOutcome.TIME_LIMIT, "time limit of 2 s"),
+        ("segfault", COSIMULATION, ReplayOutcome.CRASHED, "SIGSEGV"),
+        ("exit", EXCHANGE, ReplayOutcome.NO_RESULT, "exit code 0"),
+        ("abort", EXCHANGE, ReplayOutcome.ABORTED, "SIGABRT"),
         ("nan", COSIMULATION, ReplayOutcome.NOT_A_NUMBER, "not a finite number"),
-        ("memory", EXCHANGE, ReplayOutcome.MEMORY_LIMIT, "memory limit of 1 GiB"), ("fatal", COSIMULATION, ReplayOutcome.FATAL, "status 4 (fatal)"),
-        ("kills_parent", EXCHANGE, ReplayOutcome.CRASHED, "SIGKILL"), ("kills_group", COSIMULATION, ReplayOutcome.CRASHED, "SIGKILL"),
-        ("overflow", EXCHANGE, ReplayOutcome.CRASHED, "SIGSEGV"), ("trap", COSIMULATION, ReplayOutcome.CRASHED, "SIGFPE"),
-        ("stops", COSIMULATION, ReplayOutcome.TIME_LIMIT, "time limit of 2 s"), ("alarm", EXCHANGE, ReplayOutcome.CRASHED, "SIGALRM"),
-        ("fills", COSIMULATION, ReplayOutcome.ABORTED, "SIGABRT"), ("leaves_at_once", EXCHANGE, ReplayOutcome.NO_RESULT, "exit code 0"),
-        ("killed", EXCHANGE, ReplayOutcome.CRASHED, "SIGKILL"), ("descriptors", COSIMULATION, ReplayOutcome.NO_RESULT, "exit code 1"),
+        ("memory", EXCHANGE, ReplayOutcome.MEMORY_LIMIT, "memory limit of 1 GiB"),
+        ("fatal", COSIMULATION, ReplayOutcome.FATAL, "status 4 (fatal)"),
+        ("kills_parent", EXCHANGE, ReplayOutcome.CRASHED, "SIGKILL"),
+        ("kills_group", COSIMULATION, ReplayOutcome.CRASHED, "SIGKILL"),
+        ("overflow", EXCHANGE, ReplayOutcome.CRASHED, "SIGSEGV"),
+        ("trap", COSIMULATION, ReplayOutcome.CRASHED, "SIGFPE"),
+        ("stops", COSIMULATION, ReplayOutcome.TIME_LIMIT, "time limit of 2 s"),
+        ("alarm", EXCHANGE, ReplayOutcome.CRASHED, "SIGALRM"),
+        ("fills", COSIMULATION, ReplayOutcome.ABORTED, "SIGABRT"),
+        ("leaves_at_once", EXCHANGE, ReplayOutcome.NO_RESULT, "exit code 0"),
+        ("killed", EXCHANGE, ReplayOutcome.CRASHED, "SIGKILL"),
+        ("descriptors", COSIMULATION, ReplayOutcome.NO_RESULT, "exit code 1"),
     ],
 )  # fmt: skip
 def test_each_misbehaviour_has_its_own_outcome(folder, place, good, mode, kinds, outcome, words):
@@ -80,7 +101,9 @@ def test_each_misbehaviour_has_its_own_outcome(folder, place, good, mode, kinds,
     assert left(place) == []
 
 
-def test_garbage_on_its_output_and_a_forked_child_spoil_nothing(folder: Path, place: Path, good: Replay):
+def test_garbage_on_its_output_and_a_forked_child_spoil_nothing(
+    folder: Path, place: Path, good: Replay
+):
     garbage = run(folder, build_foreign(folder / "garbage.fmu", "garbage"))
     assert garbage.q.tobytes() == good.q.tobytes()
     forking = run(folder, build_foreign(folder / "fork.fmu", "fork"))
@@ -95,9 +118,12 @@ def test_garbage_on_its_output_and_a_forked_child_spoil_nothing(folder: Path, pl
 @pytest.mark.parametrize(
     ("mode", "words"),
     [
-        ("chdir", "the working folder is /,"), ("closes", "file descriptor 0 is closed"), ("signals", "the handler of SIGHUP"),
-        ("environment", "is gone"), ("rounding", "rounding of numbers is upward"), ("mask", "the mask of new files is 777"),
-        ("file", "'left.txt' is new or changed"), ("daemon", "behind, which we ended"), ("shell", "behind, which we ended"),
+        ("chdir", "the working folder is /,"), ("closes", "file descriptor 0 is closed"),
+        ("signals", "the handler of SIGHUP"),
+        ("environment", "is gone"), ("rounding", "rounding of numbers is upward"),
+        ("mask", "the mask of new files is 777"),
+        ("file", "'left.txt' is new or changed"), ("daemon", "behind, which we ended"),
+        ("shell", "behind, which we ended"),
         ("garbage", "The FMU prints: '{"),
     ],
 )  # fmt: skip
@@ -111,9 +137,12 @@ def test_nothing_is_left_when_the_command_is_killed(folder: Path, place: Path):
     """kill -9 of `python -m validate replay` while the FMU hangs, with a process of its own left behind."""
     hanging = build_foreign(folder / "hang.fmu", "hang")
     command = [
-        sys.executable, "-m", "validate", "replay", str(folder / "plan.csv"), "--fmu", str(hanging), "--map", str(folder / "map.toml"),
+        sys.executable, "-m", "validate", "replay", str(folder / "plan.csv"), "--fmu", str(hanging),
+        "--map", str(folder / "map.toml"),
     ]  # fmt: skip
-    process = subprocess.Popen(command, cwd=ROOT, env={**os.environ, "TMPDIR": str(place)}, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        command, cwd=ROOT, env={**os.environ, "TMPDIR": str(place)}, stdout=subprocess.DEVNULL
+    )
     deadline = time.monotonic() + 300
     while not any(name.isdigit() for name in left(place)):
         assert process.poll() is None

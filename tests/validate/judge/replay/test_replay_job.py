@@ -16,30 +16,46 @@ from validate.execution.isolated import Ending, Limits, unpacked_from
 from validate.fmi.archive import FmuError
 from validate.judge.replay import ReplayOutcome
 from validate.judge.replay import job as module
-from validate.judge.replay.everyday import RollbackError, base_step, everyday_refusal, offers_rollback, require_some_method
+from validate.judge.replay.everyday import (
+    RollbackError,
+    base_step,
+    everyday_refusal,
+    offers_rollback,
+    require_some_method,
+)
 from validate.judge.replay.job import Job, Simulations
 from validate.judge.replay.result import Run
 from validate.judge.replay.tracking import tracking_refusal
 from validate.judge.replay.wiring import Feedback, HeldInputs, Variables
 
-VARIABLES = Variables(q=(1,), v=(2,), u=(5,), lam=(3,), gap=(4,), energies={}, powers={"input_power": 6, "dissipated_power": 7}, zero=frozenset(),
+VARIABLES = Variables(q=(1,), v=(2,), u=(5,), lam=(3,), gap=(4,), energies={},
+                      powers={"input_power": 6, "dissipated_power": 7}, zero=frozenset(),
                       parameters=(), start=(1, 2), internal_step=None)  # fmt: skip
-PLAN = Trajectory(t=np.array([0.0, 0.5, 1.0]), q=np.zeros((3, 1)), v=np.zeros((3, 1)), u=np.array([[1.0], [2.0]]), lam=np.zeros((2, 1)),
+PLAN = Trajectory(t=np.array([0.0, 0.5, 1.0]), q=np.zeros((3, 1)), v=np.zeros((3, 1)),
+                  u=np.array([[1.0], [2.0]]), lam=np.zeros((2, 1)),
                   hold=Hold.LINEAR, u_end=np.array([3.0]))  # fmt: skip
 START = np.array([8.0, 9.0])
 NO_FMU: Any = SimpleNamespace(exchange=True, digest="sha")
-JOB = Job(package=NO_FMU, variables=VARIABLES, plan=PLAN, start=START, limits=None, tolerances=(1e-11, 1e-13), fineness=(50, 100), event_budget=7, parts=4, max_step=0.25)  # fmt: skip
+JOB = Job(package=NO_FMU, variables=VARIABLES, plan=PLAN, start=START, limits=None,
+          tolerances=(1e-11, 1e-13), fineness=(50, 100), event_budget=7, parts=4, max_step=0.25)  # fmt: skip
 
 
-def package(*, exchange: bool = True, cosimulation: bool = True, once: bool = False, saves: bool = True) -> Any:
+def package(
+    *, exchange: bool = True, cosimulation: bool = True, once: bool = False, saves: bool = True
+) -> Any:
     def interface(there: bool) -> Any:
-        return SimpleNamespace(canBeInstantiatedOnlyOncePerProcess=once, canGetAndSetFMUstate=saves, canHandleVariableCommunicationStepSize=True) if there else None  # fmt: skip
+        return SimpleNamespace(canBeInstantiatedOnlyOncePerProcess=once, canGetAndSetFMUstate=saves,
+                               canHandleVariableCommunicationStepSize=True) if there else None  # fmt: skip
 
-    return SimpleNamespace(path=Path("some.fmu"), exchange=interface(exchange), cosimulation=interface(cosimulation))
+    return SimpleNamespace(
+        path=Path("some.fmu"), exchange=interface(exchange), cosimulation=interface(cosimulation)
+    )
 
 
 def ended(ending: Ending, **more: Any) -> Any:
-    return SimpleNamespace(**({"ending": ending, "ok": ending is Ending.OK, "sentence": f"it was {ending.name}.", "cpu": 2.5, "strays": 0, "value": None, "output": "", "arrays": None} | more))  # fmt: skip
+    return SimpleNamespace(**({"ending": ending, "ok": ending is Ending.OK,
+                               "sentence": f"it was {ending.name}.", "cpu": 2.5, "strays": 0,
+                               "value": None, "output": "", "arrays": None} | more))  # fmt: skip
 
 
 def told(kinds: list[str], refusal: str | None = None, note: str = "", strays: int = 0) -> Any:
@@ -48,7 +64,12 @@ def told(kinds: list[str], refusal: str | None = None, note: str = "", strays: i
     arrays: dict[str, np.ndarray] = {}
     for number, kind in enumerate(kinds):
         value["runs"].append(
-            {"kind": kind, "outcome": "DIVERGED" if number else "OK", "message": f"run {number}", "events": [[0.5, 1.0, 1]]}
+            {
+                "kind": kind,
+                "outcome": "DIVERGED" if number else "OK",
+                "message": f"run {number}",
+                "events": [[0.5, 1.0, 1]],
+            }
         )
         for place, name in enumerate(("t", "outputs", "accumulated", "knots", "applied", "local")):
             arrays[f"{number}_{name}"] = np.array([10.0 * number + place])
@@ -56,13 +77,19 @@ def told(kinds: list[str], refusal: str | None = None, note: str = "", strays: i
 
 
 def asked(
-    monkeypatch: pytest.MonkeyPatch, answers: list[Any], fmu: Any, feedback: Feedback | None = None, **more: Any
+    monkeypatch: pytest.MonkeyPatch,
+    answers: list[Any],
+    fmu: Any,
+    feedback: Feedback | None = None,
+    **more: Any,
 ) -> tuple[Any, list[Any]]:
     """What comes of a job whose children end so, and what each was asked: (function, request, job, feedback, limits, what); more: what else the job is."""
     requests: list[Any] = []
     rest = iter(answers)
 
-    def isolated(function: str, request: Any, *, arrays: Any, limits: Any, what: str, ours: bool) -> Any:
+    def isolated(
+        function: str, request: Any, *, arrays: Any, limits: Any, what: str, ours: bool
+    ) -> Any:
         assert ours is bool(more.get("ours"))
         requests.append((function, dict(request), *unpacked_from(arrays), limits, what))
         return next(rest)
@@ -74,41 +101,84 @@ def asked(
 
 def test_a_child_is_asked_for_all_of_a_job(monkeypatch: pytest.MonkeyPatch):
     found, requests = asked(
-        monkeypatch, [told(["reference", "everyday"], "refused", "noted")], package(), limits=Limits(seconds=3.0), ours=True
+        monkeypatch,
+        [told(["reference", "everyday"], "refused", "noted")],
+        package(),
+        limits=Limits(seconds=3.0),
+        ours=True,
     )
     ((function, request, job, feedback, limits, what),) = requests
-    assert (function, limits.seconds, what, feedback) == ("validate.judge.replay.job:simulate", 3.0, "FMU some.fmu", None)
+    assert (function, limits.seconds, what, feedback) == (
+        "validate.judge.replay.job:simulate",
+        3.0,
+        "FMU some.fmu",
+        None,
+    )
     assert request == {"path": str(Path("some.fmu").resolve()), "loops": "loops.so", "kept": False}
     assert type(job) is Simulations, "the child has its own FMU, and no limits of its own to set"
-    names = ("variables", "tolerances", "fineness", "event_budget", "parts", "max_step", "rolls_back", "world")
-    assert [getattr(job, name) for name in names] == [VARIABLES, (1e-11, 1e-13), (50, 100), 7, 4, 0.25, True, None]
-    sent, given = ([one.t, one.u, start, one.u_end] for one, start in ((job.plan, job.start), (PLAN, START)))
+    names = (
+        "variables",
+        "tolerances",
+        "fineness",
+        "event_budget",
+        "parts",
+        "max_step",
+        "rolls_back",
+        "world",
+    )
+    assert [getattr(job, name) for name in names] == [
+        VARIABLES,
+        (1e-11, 1e-13),
+        (50, 100),
+        7,
+        4,
+        0.25,
+        True,
+        None,
+    ]
+    sent, given = (
+        [one.t, one.u, start, one.u_end] for one, start in ((job.plan, job.start), (PLAN, START))
+    )
     assert [array.tolist() for array in sent] == [array.tolist() for array in given]
     assert job.plan.hold is Hold.LINEAR
     ((reference,), (everyday,)) = found.reference, found.everyday
-    assert (reference.t, reference.outputs, reference.accumulated, reference.knots, reference.applied, reference.local) == ([0.0], [1.0], [2.0], [3.0], [4.0], [5.0])  # fmt: skip
+    assert (reference.t, reference.outputs, reference.accumulated, reference.knots,
+            reference.applied, reference.local) == ([0.0], [1.0], [2.0], [3.0], [4.0], [5.0])  # fmt: skip
     assert (reference.outcome, everyday.outcome) == (ReplayOutcome.OK, ReplayOutcome.DIVERGED)
     assert (everyday.message, everyday.t) == ("run 1", [10.0])
     assert reference.events == [(0.5, 1, True)]
-    assert (found.refusal, found.seconds_reference, found.seconds_everyday, found.note) == ("refused", 0.25, 0.5, "noted")
+    assert (found.refusal, found.seconds_reference, found.seconds_everyday, found.note) == (
+        "refused",
+        0.25,
+        0.5,
+        "noted",
+    )
 
 
 def test_a_child_is_given_the_feedback_and_an_endless_step(monkeypatch: pytest.MonkeyPatch):
     feedback = Feedback(
-        gains=np.zeros(1), reference=np.ones(1), u=np.ones(2), lower=np.ones(3), upper=np.ones(4), scale=np.ones(5), loop=np.ones(6), push=np.ones(7)
+        gains=np.zeros(1), reference=np.ones(1), u=np.ones(2), lower=np.ones(3), upper=np.ones(4),
+        scale=np.ones(5), loop=np.ones(6), push=np.ones(7)
     )  # fmt: skip
     constant = replace(PLAN, hold=Hold.ZERO_ORDER, u_end=None)
-    _, requests = asked(monkeypatch, [told([])], package(), feedback, plan=constant, max_step=math.inf)
+    _, requests = asked(
+        monkeypatch, [told([])], package(), feedback, plan=constant, max_step=math.inf
+    )
     job, law = requests[0][2:4]
     assert (job.max_step, job.plan.hold, job.plan.u_end) == (math.inf, Hold.ZERO_ORDER, None)
-    assert [array.tolist() for array in vars(law).values()] == [array.tolist() for array in vars(feedback).values()]
+    assert [array.tolist() for array in vars(law).values()] == [
+        array.tolist() for array in vars(feedback).values()
+    ]
 
 
 @pytest.mark.parametrize(("exchange", "cosimulation"), [(True, True), (True, False), (False, True)])
-def test_one_instance_a_process_takes_a_process_a_run(exchange: bool, cosimulation: bool, monkeypatch: pytest.MonkeyPatch):
+def test_one_instance_a_process_takes_a_process_a_run(
+    exchange: bool, cosimulation: bool, monkeypatch: pytest.MonkeyPatch
+):
     fmu = package(exchange=exchange, cosimulation=cosimulation, once=True)
     answers = [
-        told(["reference"], note="a"), told(["reference"], "no first", "b"), told(["everyday"], "no second", "a"), told(["everyday"], note="c"),
+        told(["reference"], note="a"), told(["reference"], "no first", "b"),
+        told(["everyday"], "no second", "a"), told(["everyday"], note="c"),
     ]  # fmt: skip
     chosen = (answers[:2] if exchange else []) + (answers[2:] if cosimulation else [])
     found, requests = asked(monkeypatch, chosen, fmu)
@@ -119,42 +189,68 @@ def test_one_instance_a_process_takes_a_process_a_run(exchange: bool, cosimulati
     assert (found.seconds_reference, found.seconds_everyday) == (0.25 * len(runs), 0.5 * len(runs))
     assert found.refusal == ("no first" if exchange else "no second" if cosimulation else None)
     assert found.note == " ".join(
-        (["a", "b"] if exchange else []) + (["c"] if exchange and cosimulation else ["a", "c"] if cosimulation else [])
+        (["a", "b"] if exchange else [])
+        + (["c"] if exchange and cosimulation else ["a", "c"] if cosimulation else [])
     )
 
 
 @pytest.mark.parametrize(
     ("ending", "outcome"),
     [
-        (Ending.TIME_LIMIT, ReplayOutcome.TIME_LIMIT), (Ending.MEMORY_LIMIT, ReplayOutcome.MEMORY_LIMIT), (Ending.SIGNAL, ReplayOutcome.CRASHED),
+        (Ending.TIME_LIMIT, ReplayOutcome.TIME_LIMIT),
+        (Ending.MEMORY_LIMIT, ReplayOutcome.MEMORY_LIMIT), (Ending.SIGNAL, ReplayOutcome.CRASHED),
         (Ending.ABORT, ReplayOutcome.ABORTED), (Ending.NO_RESULT, ReplayOutcome.NO_RESULT),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("exchange", [True, False])
 def test_what_ended_a_child_is_the_outcome_of_its_one_run(ending, outcome, exchange, monkeypatch):
     found, requests = asked(monkeypatch, [ended(ending)], package(exchange=exchange, saves=False))
-    runs, others = (found.reference, found.everyday) if exchange else (found.everyday, found.reference)
-    assert ([(run.outcome, run.message) for run in runs], others) == ([(outcome, f"it was {ending.name}.")], ())
-    assert (found.refusal, found.seconds_reference, found.seconds_everyday, found.note, len(requests)) == (None, 2.5, 0.0, "", 1)
+    runs, others = (
+        (found.reference, found.everyday) if exchange else (found.everyday, found.reference)
+    )
+    assert ([(run.outcome, run.message) for run in runs], others) == (
+        [(outcome, f"it was {ending.name}.")],
+        (),
+    )
+    assert (
+        found.refusal,
+        found.seconds_reference,
+        found.seconds_everyday,
+        found.note,
+        len(requests),
+    ) == (None, 2.5, 0.0, "", 1)
     without, _ = asked(monkeypatch, [ended(ending)], package(saves=False), tolerances=())
     assert (len(without.reference), len(without.everyday)) == (0, 1)
 
 
-@pytest.mark.parametrize("ending", [Ending.SIGNAL, Ending.ABORT, Ending.NO_RESULT, Ending.TIME_LIMIT, Ending.MEMORY_LIMIT])
+@pytest.mark.parametrize(
+    "ending",
+    [Ending.SIGNAL, Ending.ABORT, Ending.NO_RESULT, Ending.TIME_LIMIT, Ending.MEMORY_LIMIT],
+)
 @pytest.mark.parametrize("survives", [True, False])
-def test_what_does_not_survive_its_saved_state_runs_once_more_without(ending: Ending, survives: bool, monkeypatch: pytest.MonkeyPatch):
+def test_what_does_not_survive_its_saved_state_runs_once_more_without(
+    ending: Ending, survives: bool, monkeypatch: pytest.MonkeyPatch
+):
     again = told(["reference"], note="own", strays=1) if survives else ended(Ending.ABORT)
     retried = ending not in (Ending.TIME_LIMIT, Ending.MEMORY_LIMIT)
     found, requests = asked(monkeypatch, [ended(ending), again], package())
     assert [job.rolls_back for _, _, job, *_ in requests] == ([True, False] if retried else [True])
     if retried and survives:
-        assert not unsaid(found.note, f"own No step was rolled back … did not survive it: it was {ending.name}. … 1 process behind")
+        assert not unsaid(
+            found.note,
+            f"own No step was rolled back … did not survive it: it was {ending.name}. … 1 process behind",
+        )
     else:
         assert found.reference[0].message == f"it was {ending.name}.", "the first end is told"
 
 
-@pytest.mark.parametrize(("strays", "words"), [(1, "The FMU left 1 process behind"), (3, "The FMU left 3 processes behind"), (0, "")])
-def test_what_an_fmu_leaves_behind_is_said(strays: int, words: str, monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize(
+    ("strays", "words"),
+    [(1, "The FMU left 1 process behind"), (3, "The FMU left 3 processes behind"), (0, "")],
+)
+def test_what_an_fmu_leaves_behind_is_said(
+    strays: int, words: str, monkeypatch: pytest.MonkeyPatch
+):
     found, _ = asked(monkeypatch, [told([], strays=strays)], package())
     assert not unsaid(found.note, words)
     assert bool(found.note) is bool(words)
@@ -170,11 +266,16 @@ def test_mistakes_of_the_machine_and_of_others_are_raised(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("first", "note", "rolled"),
     [
-        (Run(), "", True), (Run(outcome=ReplayOutcome.FMU_FAILED, message="it said no."), "No step was rolled back: it said no.", False),
-        (RollbackError(), "No step was rolled back: … not the one it saved.", False), (Run(outcome=ReplayOutcome.DIVERGED, message="gone"), "", True),
+        (Run(), "", True),
+        (Run(outcome=ReplayOutcome.FMU_FAILED, message="it said no."),
+         "No step was rolled back: it said no.", False),
+        (RollbackError(), "No step was rolled back: … not the one it saved.", False),
+        (Run(outcome=ReplayOutcome.DIVERGED, message="gone"), "", True),
     ],
 )  # fmt: skip
-def test_a_rollback_that_fails_is_left_out_and_said(first: Any, note: str, rolled: bool, monkeypatch: pytest.MonkeyPatch):
+def test_a_rollback_that_fails_is_left_out_and_said(
+    first: Any, note: str, rolled: bool, monkeypatch: pytest.MonkeyPatch
+):
     calls: list[bool] = []
     plain = Run(message="plain")
 
@@ -186,10 +287,16 @@ def test_a_rollback_that_fails_is_left_out_and_said(first: Any, note: str, rolle
 
     monkeypatch.setattr(module, "simulate_everyday", simulate)
     run, said = module._rolled_back("package", "variables", "start", "inputs", 200)  # type: ignore[arg-type]
-    assert (run is (first if rolled else plain), bool(said), calls) == (True, bool(note), [True] if rolled else [True, False])
+    assert (run is (first if rolled else plain), bool(said), calls) == (
+        True,
+        bool(note),
+        [True] if rolled else [True, False],
+    )
     assert not unsaid(said, note)
     plain.outcome = ReplayOutcome.DIVERGED
-    assert module._rolled_back("package", "variables", "start", "inputs", 200)[1] == "", "a run that fails anyway needs no such note"  # type: ignore[arg-type]
+    assert module._rolled_back("package", "variables", "start", "inputs", 200)[1] == "", (
+        "a run that fails anyway needs no such note"
+    )  # type: ignore[arg-type]
 
 
 # What an interface must offer
@@ -198,43 +305,69 @@ def test_a_rollback_that_fails_is_left_out_and_said(first: Any, note: str, rolle
 @pytest.mark.parametrize(
     ("saves", "variable", "internal", "variability", "offered"),
     [
-        (True, True, None, "", True), (True, False, None, "", False), (False, True, None, "", False), (True, False, 7, "tunable", True),
+        (True, True, None, "", True), (True, False, None, "", False),
+        (False, True, None, "", False), (True, False, 7, "tunable", True),
         (True, True, 7, "fixed", False), (False, True, 7, "tunable", False),
     ],
 )  # fmt: skip
-def test_rollback_is_offered_where_a_state_is_saved_and_half_a_step_is_taken(saves, variable, internal, variability, offered):
-    interface = SimpleNamespace(canGetAndSetFMUstate=saves, canHandleVariableCommunicationStepSize=variable)
-    items = [SimpleNamespace(valueReference=3, variability="tunable"), SimpleNamespace(valueReference=7, variability=variability)]
-    fmu: Any = SimpleNamespace(cosimulation=interface, description=SimpleNamespace(modelVariables=items))
+def test_rollback_is_offered_where_a_state_is_saved_and_half_a_step_is_taken(
+    saves, variable, internal, variability, offered
+):
+    interface = SimpleNamespace(
+        canGetAndSetFMUstate=saves, canHandleVariableCommunicationStepSize=variable
+    )
+    items = [
+        SimpleNamespace(valueReference=3, variability="tunable"),
+        SimpleNamespace(valueReference=7, variability=variability),
+    ]
+    fmu: Any = SimpleNamespace(
+        cosimulation=interface, description=SimpleNamespace(modelVariables=items)
+    )
     assert offers_rollback(fmu, replace(VARIABLES, internal_step=internal)) is offered
     assert not offers_rollback(SimpleNamespace(cosimulation=None), VARIABLES)  # type: ignore[arg-type]
 
 
 def test_an_everyday_replay_is_refused_where_steps_must_be_equal():
     even, uneven = HeldInputs(PLAN), HeldInputs(replace(PLAN, t=np.array([0.0, 0.5, 1.1])))
-    takes, equal = (SimpleNamespace(cosimulation=SimpleNamespace(canHandleVariableCommunicationStepSize=takes)) for takes in (True, False))
-    assert [everyday_refusal(fmu, inputs) is None for fmu in (takes, equal) for inputs in (even, uneven)] == [True, True, True, False]  # type: ignore[arg-type]
+    takes, equal = (
+        SimpleNamespace(cosimulation=SimpleNamespace(canHandleVariableCommunicationStepSize=takes))
+        for takes in (True, False)
+    )
+    assert [
+        everyday_refusal(fmu, inputs) is None for fmu in (takes, equal) for inputs in (even, uneven)
+    ] == [True, True, True, False]  # type: ignore[arg-type]
     assert "differ in length" in str(everyday_refusal(equal, uneven))  # type: ignore[arg-type]
     rounded = HeldInputs(replace(PLAN, t=np.array([0.0, 0.5, 1.0 + 2e-10])))
     assert everyday_refusal(equal, rounded) is None  # type: ignore[arg-type]
-    assert everyday_refusal(SimpleNamespace(cosimulation=None), even) == "the FMU offers no Co-Simulation"  # type: ignore[arg-type]
+    assert (
+        everyday_refusal(SimpleNamespace(cosimulation=None), even)
+        == "the FMU offers no Co-Simulation"
+    )  # type: ignore[arg-type]
     require_some_method(package(), "no")
     require_some_method(package(exchange=False), None)
     with pytest.raises(FmuError, match=r"some\.fmu: it offers no Model Exchange, and no; .*cannot"):
         require_some_method(package(exchange=False), "no")
 
 
-@pytest.mark.parametrize(("times", "expected"), [([0.0, 0.5, 1.5], 0.5), ([0.0, 1e-6, 2.0], 0.1), ([0.0, 1.5, 2.0], 0.5)])
+@pytest.mark.parametrize(
+    ("times", "expected"), [([0.0, 0.5, 1.5], 0.5), ([0.0, 1e-6, 2.0], 0.1), ([0.0, 1.5, 2.0], 0.5)]
+)
 def test_a_step_of_a_microsecond_is_not_the_measure_of_all(times: list[float], expected: float):
     assert base_step(np.array(times)) == pytest.approx(expected)
 
 
 def described(states: list[int], *, three: bool = False, **claims: str) -> Any:
     derivatives = [
-        SimpleNamespace(variable=SimpleNamespace(derivative=SimpleNamespace(valueReference=item, name=f"state {item}"))) for item in states
+        SimpleNamespace(
+            variable=SimpleNamespace(
+                derivative=SimpleNamespace(valueReference=item, name=f"state {item}")
+            )
+        )
+        for item in states
     ]
     return SimpleNamespace(
-        exchange="there", is_three=three, can=lambda kind, ability: kind == "ModelExchange" and ability in claims,
+        exchange="there", is_three=three, can=lambda kind,
+        ability: kind == "ModelExchange" and ability in claims,
         description=SimpleNamespace(derivatives=derivatives),
     )  # fmt: skip
 
@@ -242,16 +375,37 @@ def described(states: list[int], *, three: bool = False, **claims: str) -> Any:
 def test_feedback_needs_derivatives_of_states_that_are_the_positions_and_velocities():
     whole = described([2, 1], providesDirectionalDerivative="true")
     assert tracking_refusal(whole, VARIABLES) is None
-    assert tracking_refusal(described([2, 1], three=True, providesDirectionalDerivatives="true"), VARIABLES) is None
+    assert (
+        tracking_refusal(
+            described([2, 1], three=True, providesDirectionalDerivatives="true"), VARIABLES
+        )
+        is None
+    )
     for fmu, variables, words in (
         (SimpleNamespace(exchange=None), VARIABLES, "no Model Exchange"),
-        (described([2, 1], three=True, providesDirectionalDerivative="true"), VARIABLES, "no directional derivatives"),
+        (
+            described([2, 1], three=True, providesDirectionalDerivative="true"),
+            VARIABLES,
+            "no directional derivatives",
+        ),
         (described([2, 1]), VARIABLES, "no directional derivatives"),
         (whole, replace(VARIABLES, u=()), "no inputs"),
-        (described([2, 9, 8], providesDirectionalDerivative="true"), VARIABLES, "its state state 9 is none of"),
+        (
+            described([2, 9, 8], providesDirectionalDerivative="true"),
+            VARIABLES,
+            "its state state 9 is none of",
+        ),
         (described([2], providesDirectionalDerivative="true"), VARIABLES, "one for one"),
-        (described([2, 1], providesDirectionalDerivative="true"), replace(VARIABLES, v=(1,)), "its state state 2 is none"),
-        (described([1, 1], providesDirectionalDerivative="true"), replace(VARIABLES, v=(1,)), "one for one"),
+        (
+            described([2, 1], providesDirectionalDerivative="true"),
+            replace(VARIABLES, v=(1,)),
+            "its state state 2 is none",
+        ),
+        (
+            described([1, 1], providesDirectionalDerivative="true"),
+            replace(VARIABLES, v=(1,)),
+            "one for one",
+        ),
     ):
         assert not unsaid(str(tracking_refusal(fmu, variables)), words)
 

@@ -15,7 +15,15 @@ from models.plan_table import PlanTable
 from models.trajectory import Trajectory
 from tests.validate.judge.replay.test_replay_map import refusal
 from validate.fmi.description import read_package
-from validate.judge.replay.map_schema import Dimensions, MapError, Named, by_equal_names, hint, may_be_rate, read_map
+from validate.judge.replay.map_schema import (
+    Dimensions,
+    MapError,
+    Named,
+    by_equal_names,
+    hint,
+    may_be_rate,
+    read_map,
+)
 from validate.judge.replay.mapping import wire
 from validate.judge.replay.result import Difference
 from validate.judge.replay.subject import Foreign
@@ -79,17 +87,30 @@ ROWS = f"{HEAD}\n0,1,2,3,4,5,6,7,8\n1,11,12,13,14,15,16,17,18\n3,,,23,24,25,26,,
 
 @pytest.fixture
 def whole(tmp_path: Path) -> Callable[..., tuple[Foreign, Trajectory]]:
-    """The cart with more variables, wired, or an FMU that is described otherwise; nothing of it runs."""
-    text = DESCRIPTION.format(kinds=EXCHANGE + COSIMULATION).replace("  </ModelVariables>", MORE + "  </ModelVariables>")
+    """The cart with more variables, wired, or an FMU that is described otherwise.
 
-    def call(given: str = WHOLE, plan: str = ROWS, described: str = text) -> tuple[Foreign, Trajectory]:
+    Nothing of it runs.
+    """
+    text = DESCRIPTION.format(kinds=EXCHANGE + COSIMULATION).replace(
+        "  </ModelVariables>", MORE + "  </ModelVariables>"
+    )
+
+    def call(
+        given: str = WHOLE, plan: str = ROWS, described: str = text
+    ) -> tuple[Foreign, Trajectory]:
         with zipfile.ZipFile(tmp_path / "whole.fmu", "w") as archive:
             archive.writestr("modelDescription.xml", described)
             for platform in ("linux64", "x86_64-linux"):
                 archive.writestr(f"binaries/{platform}/cart.so", b"")
         (tmp_path / "map.toml").write_text(given, encoding="utf-8")
         (tmp_path / "plan.csv").write_text(plan, encoding="utf-8")
-        return wire(read_package(tmp_path / "whole.fmu"), PlanTable(tmp_path / "plan.csv"), read_map(tmp_path / "map.toml"), None, "map")
+        return wire(
+            read_package(tmp_path / "whole.fmu"),
+            PlanTable(tmp_path / "plan.csv"),
+            read_map(tmp_path / "map.toml"),
+            None,
+            "map",
+        )
 
     return call
 
@@ -97,18 +118,34 @@ def whole(tmp_path: Path) -> Callable[..., tuple[Foreign, Trajectory]]:
 def test_each_number_of_a_map_stands_in_its_place(whole):
     foreign, plan = whole()
     variables = foreign.variables
-    assert (variables.q, variables.v, variables.lam, variables.gap, variables.u) == ((10, 50), (11, 51), (30, 54), (31, 55), (20, 52))
+    assert (variables.q, variables.v, variables.lam, variables.gap, variables.u) == (
+        (10, 50),
+        (11, 51),
+        (30, 54),
+        (31, 55),
+        (20, 52),
+    )
     assert foreign.scale.tolist() == [0.001, -3.0, 0.002, 5.0, 11.0, 15.0, 13.0, 17.0]
     assert foreign.offset.tolist() == [7.0, 0.25, 9.0, -1.0, 12.0, 16.0, 14.0, 18.0]
-    assert (foreign.input_scale.tolist(), foreign.input_offset.tolist()) == ([-0.001, 2.0], [0.5, 1.0])
+    assert (foreign.input_scale.tolist(), foreign.input_offset.tolist()) == (
+        [-0.001, 2.0],
+        [0.5, 1.0],
+    )
     assert (variables.parameters, variables.internal_step) == (((57, 2.5),), 56)
-    # Of [start]: a number, and the first row of a column; the arm starts where the plan does, (4 - 0.25)/-3; its rate cannot be set.
-    assert dict(zip(variables.start, foreign.start, strict=True)) == {10: 300.0, 11: 5.0, 50: pytest.approx(-1.25)}
+    # Of [start]: a number, and the first row of a column; the arm starts where the plan does, (4 -
+    # 0.25)/-3; its rate cannot be set.
+    assert dict(zip(variables.start, foreign.start, strict=True)) == {
+        10: 300.0,
+        11: 5.0,
+        50: pytest.approx(-1.25),
+    }
     model = foreign.model
-    assert [(item.name, item.velocity_name, item.unit, item.velocity_unit, item.nominal) for item in model.coordinates] == [
+    assert [(item.name, item.velocity_name, item.unit, item.velocity_unit,
+             item.nominal) for item in model.coordinates] == [
         ("x", "v_x", "m", "m/s", 0.001), ("a", "turning", "deg", "deg/s", 12.0),
     ]  # fmt: skip
-    # drive.force is in -1 .. 1: 500 - 1000 * (-1, 1) in the plan's unit; the torque at most (8 - 1)/2.
+    # drive.force is in -1 .. 1: 500 - 1000 * (-1, 1) in the plan's unit; the torque at most (8 -
+    # 1)/2.
     assert [(item.name, item.unit, item.lower, item.upper) for item in model.inputs] == [
         ("F", "N", -100.0, 1500.0),
         ("M", "1", -math.inf, 3.5),
@@ -116,26 +153,49 @@ def test_each_number_of_a_map_stands_in_its_place(whole):
     assert [(item.name, item.force_name, item.gap_name, item.depth) for item in model.contacts] == [
         ("stop", "lam_stop", "gap_stop", 0.5), ("wall", "pressed", "gap_wall", None),
     ]  # fmt: skip
-    assert (model.name, model.task.goal, model.task.horizon, model.task.step) == ("whole", (1.25, None, None, 2.25), 3.0, 3.0 / 500)
+    assert (model.name, model.task.goal, model.task.horizon, model.task.step) == (
+        "whole",
+        (1.25, None, None, 2.25),
+        3.0,
+        3.0 / 500,
+    )
     assert model.task.start == (pytest.approx(0.001 * 300 + 7.0), None, None, None)
     assert [(item.metric, item.value, item.reason) for item in model.limits] == [
-        ("replay_terminal_position_error", 0.1, "near"), ("replay_terminal_velocity_error", 0.2, "set in the map"), ("terminal_velocity_error", 0.3, "own"),
+        ("replay_terminal_position_error", 0.1, "near"),
+        ("replay_terminal_velocity_error", 0.2, "set in the map"),
+        ("terminal_velocity_error", 0.3, "own"),
         ("terminal_position_error", 0.1, "near"),
     ]  # fmt: skip
     assert dict(model.lacks) == {}
-    assert model.accuracy == Difference(position=0.125, state=pytest.approx(math.sqrt(2.0) * math.hypot(0.125, 0.25)), gap=0.5)
-    assert model.notes == ("Inputs of the FMU that the plan does not drive keep their start values: idle.",)
-    assert [sentence.partition(":")[0] + sentence.partition(":")[2][:30] for sentence in model.not_asked[:-1]] == [
-        "start_error the map's [start] gives no nu", "bound_violation input M has no lower bound, n", "max_penetration contact wall has no depth in ",
-    ]  # fmt: skip
-    assert (plan.t.tolist(), plan.u.tolist(), plan.missing) == ([0.0, 1.0, 3.0], [[1.0, 2.0], [11.0, 12.0]], set())
+    assert model.accuracy == Difference(
+        position=0.125, state=pytest.approx(math.sqrt(2.0) * math.hypot(0.125, 0.25)), gap=0.5
+    )
+    assert model.notes == (
+        "Inputs of the FMU that the plan does not drive keep their start values: idle.",
+    )
+    assert [
+        sentence.partition(":")[0] + sentence.partition(":")[2][:30]
+        for sentence in model.not_asked[:-1]
+    ] == [
+        "start_error the map's [start] gives no nu",
+        "bound_violation input M has no lower bound, n",
+        "max_penetration contact wall has no depth in ",
+    ]
+    assert (plan.t.tolist(), plan.u.tolist(), plan.missing) == (
+        [0.0, 1.0, 3.0],
+        [[1.0, 2.0], [11.0, 12.0]],
+        set(),
+    )
     assert plan.q.tolist() == [[3.0, 4.0], [13.0, 14.0], [23.0, 24.0]]
     assert plan.v.tolist() == [[6.0, 5.0], [16.0, 15.0], [26.0, 25.0]]
     assert plan.lam.tolist() == [[7.0, 8.0], [17.0, 18.0]]
 
 
 def test_what_a_map_leaves_out_is_left_out_of_all(whole):
-    """One velocity, one gap and one force missing: the others are not read either; without a duration the task's step is the plan's shortest."""
+    """One velocity, one gap and one force missing: the others are not read either.
+
+    Without a duration the task's step is the plan's shortest.
+    """
     without = WHOLE.replace("[task]\nduration = 3.0\n", "")
     for line in (
         'x = { variable = "body.vel"',
@@ -146,29 +206,47 @@ def test_what_a_map_leaves_out_is_left_out_of_all(whole):
         "internal_step",
     ):
         without = "\n".join(row for row in without.splitlines() if not row.startswith(line))
-    plan = ROWS.replace(",v_x,lam_stop,pressed", "").replace(",6,7,8", "").replace(",16,17,18", "").replace(",26,,", "")
+    plan = (
+        ROWS.replace(",v_x,lam_stop,pressed", "")
+        .replace(",6,7,8", "")
+        .replace(",16,17,18", "")
+        .replace(",26,,", "")
+    )
     foreign, trajectory = whole(without.replace("turning = 2.25", ""), plan)
     variables, model = foreign.variables, foreign.model
     assert (variables.q, variables.v, variables.lam, variables.gap) == ((10, 50), (), (), ())
     assert foreign.scale.tolist() == [0.001, -3.0]
     assert set(model.lacks) == {"v", "gap", "lam"}
     assert (model.task.horizon, model.task.step) == (None, 0.006)
-    assert (model.coordinates[0].velocity_name, model.coordinates[0].velocity_unit) == ("v_x", "1/s")
-    assert (trajectory.missing, trajectory.v.tolist(), trajectory.lam.tolist()) == ({"v", "lam"}, [[0.0, 0.0]] * 3, [[0.0, 0.0]] * 2)
+    assert (model.coordinates[0].velocity_name, model.coordinates[0].velocity_unit) == (
+        "v_x",
+        "1/s",
+    )
+    assert (trajectory.missing, trajectory.v.tolist(), trajectory.lam.tolist()) == (
+        {"v", "lam"},
+        [[0.0, 0.0]] * 3,
+        [[0.0, 0.0]] * 2,
+    )
     told = "\n".join(model.not_asked)
     assert not unsaid(
-        told, "duration_error: the map gives no", "contact stop has no gap in the map", "ghost_impulse, missed_impulse: not every contact",
+        told, "duration_error: the map gives no", "contact stop has no gap in the map",
+        "ghost_impulse, missed_impulse: not every contact",
     )  # fmt: skip
     assert "no [goal]" not in told
     assert "replay_error: the map names" not in told
 
 
-@pytest.mark.parametrize("line", ['force = { variable = "wall.push"', 'gap = { variable = "wall.gap"'])
+@pytest.mark.parametrize(
+    "line", ['force = { variable = "wall.push"', 'gap = { variable = "wall.gap"']
+)
 def test_one_force_or_one_gap_that_is_missing_leaves_impulses_out(whole, line: str):
     given = "\n".join(row for row in WHOLE.splitlines() if not row.startswith(line))
     plan = "\n".join(",".join(row.split(",")[:-2]) for row in ROWS.splitlines()) + "\n"
     foreign, _ = whole(given, plan)
-    assert any(sentence.startswith("ghost_impulse, missed_impulse: not every contact") for sentence in foreign.model.not_asked)
+    assert any(
+        sentence.startswith("ghost_impulse, missed_impulse: not every contact")
+        for sentence in foreign.model.not_asked
+    )
     assert set(foreign.model.lacks) == {"lam" if "force" in line else "gap"}
     assert len(foreign.variables.outputs) == 6
 
@@ -183,26 +261,77 @@ def test_one_force_or_one_gap_that_is_missing_leaves_impulses_out(whole, line: s
         (WHOLE.replace("[velocities]\na =", "[velocities]\nb ="), "velocities.b: … no position"),
         (WHOLE.replace("gain = 2.5", "gain = 3.5"), "parameters.gain: 3.5 … at most 3"),
         (WHOLE.replace("gain = 2.5", "gain = -2.5"), "parameters.gain: -2.5 … at least -2"),
-        (WHOLE.replace("gain = 2.5", "arm = 2.5"), "parameters.arm: … no parameter of the FMU, but output"),
-        (WHOLE.replace('"body.vel" = "turning"', '"wall.gap" = 1'), "start.wall.gap: … no start value"),
-        (WHOLE.replace('"body.vel" = "turning"', '"body.vel" = "turnin"'), "start.body.vel: … the column 'turnin' is missing … (near it: turning)"),
+        (
+            WHOLE.replace("gain = 2.5", "arm = 2.5"),
+            "parameters.arm: … no parameter of the FMU, but output",
+        ),
+        (
+            WHOLE.replace('"body.vel" = "turning"', '"wall.gap" = 1'),
+            "start.wall.gap: … no start value",
+        ),
+        (
+            WHOLE.replace('"body.vel" = "turning"', '"body.vel" = "turnin"'),
+            "start.body.vel: … the column 'turnin' is missing … (near it: turning)",
+        ),
         (WHOLE.replace("turning = 2.25", "v_a = 2.25"), "goal.v_a: … no position or velocity"),
-        (WHOLE.replace("turning = 2.25", "zzzz = 2.25"), "of that name; there are x, a, turning, v_x"),
+        (
+            WHOLE.replace("turning = 2.25", "zzzz = 2.25"),
+            "of that name; there are x, a, turning, v_x",
+        ),
         (WHOLE.replace("scale = 2.0, offset = 1.0", "scale = 0.0"), "inputs.M: scale is 0"),
-        (WHOLE.replace("lower = -100.0", "lower = -501.0"), "inputs.F.lower: -501 … own bound, which is -500"),
-        (WHOLE.replace("lower = -100.0", "upper = 1501.0"), "inputs.F.upper: 1501 … own bound, which is 1500"),
-        (WHOLE.replace('force = { variable = "wall.push", scale = 15.0, offset = 16.0 }\ngap = { variable = "wall.gap", scale = 17.0, offset = 18.0 }\n', ""), "contacts.wall: … neither force nor gap"),
-        (WHOLE.replace("gain = 2.5", "gain = 2.5\nbody = 1"), "parameters.body: the FMU has no variable 'body'"),
-        (WHOLE.replace("time = \"time\"", 'time = "time"\nhold = "spline"'), "plan.hold"),
-        (WHOLE.replace("depth = 0.5", "dept = 0.5"), "contacts.stop.dept: … no such key; did you mean depth?"),
-        (WHOLE.replace("unit = \"N\"", "units = \"N\""), "inputs.F.units: … no such key; did you mean unit?"),
-        (WHOLE.replace("[parameters]", "[parameter]"), "parameter: … no such key; did you mean parameters?"),
-        (WHOLE.replace("duration = 3.0", "xyz = 3.0"), "task.xyz: … no such key; there is duration"),
-        (WHOLE.replace("force = { variable = \"stop.push\",", "force = { variable = \"stop.push\", lower = 1.0,"), "contacts.stop.force.lower: … no such key; … variable, scale, offset, unit"),
-        (WHOLE.replace('column = "turning"', 'colum = "turning"'), "velocities.a.colum: … no such key; did you mean column?"),
-        (WHOLE.replace('value = 0.1, reason = "near"', 'value = 0.1, reasn = "near"'), "limits.replay_terminal_position_error.reasn: … no such key; did you mean reason?"),
+        (
+            WHOLE.replace("lower = -100.0", "lower = -501.0"),
+            "inputs.F.lower: -501 … own bound, which is -500",
+        ),
+        (
+            WHOLE.replace("lower = -100.0", "upper = 1501.0"),
+            "inputs.F.upper: 1501 … own bound, which is 1500",
+        ),
+        (
+            WHOLE.replace(
+                'force = { variable = "wall.push", scale = 15.0, offset = 16.0 }\ngap = { variable = "wall.gap", scale = 17.0, offset = 18.0 }\n',
+                "",
+            ),
+            "contacts.wall: … neither force nor gap",
+        ),
+        (
+            WHOLE.replace("gain = 2.5", "gain = 2.5\nbody = 1"),
+            "parameters.body: the FMU has no variable 'body'",
+        ),
+        (WHOLE.replace('time = "time"', 'time = "time"\nhold = "spline"'), "plan.hold"),
+        (
+            WHOLE.replace("depth = 0.5", "dept = 0.5"),
+            "contacts.stop.dept: … no such key; did you mean depth?",
+        ),
+        (
+            WHOLE.replace('unit = "N"', 'units = "N"'),
+            "inputs.F.units: … no such key; did you mean unit?",
+        ),
+        (
+            WHOLE.replace("[parameters]", "[parameter]"),
+            "parameter: … no such key; did you mean parameters?",
+        ),
+        (
+            WHOLE.replace("duration = 3.0", "xyz = 3.0"),
+            "task.xyz: … no such key; there is duration",
+        ),
+        (
+            WHOLE.replace(
+                'force = { variable = "stop.push",',
+                'force = { variable = "stop.push", lower = 1.0,',
+            ),
+            "contacts.stop.force.lower: … no such key; … variable, scale, offset, unit",
+        ),
+        (
+            WHOLE.replace('column = "turning"', 'colum = "turning"'),
+            "velocities.a.colum: … no such key; did you mean column?",
+        ),
+        (
+            WHOLE.replace('value = 0.1, reason = "near"', 'value = 0.1, reasn = "near"'),
+            "limits.replay_terminal_position_error.reasn: … no such key; did you mean reason?",
+        ),
     ],
-)  # fmt: skip
+)
 def test_each_mistake_in_a_whole_map_names_its_place(whole, text: str, words: str):
     assert not unsaid(refusal(lambda: whole(text)), words)
 
@@ -224,11 +353,16 @@ _KINDS_MAP = '[inputs]\nF = { variable = "F" }\n[positions]\nx = { variable = "x
         (_KINDS_MAP.replace('"F"', '"brake"'), "inputs.F: 'brake' is of type Boolean, but"),
         (_KINDS_MAP.replace('"F"', '"u"'), "inputs.F: 'u' is an array of Float64, but"),
         (_KINDS_MAP.replace('"F"', '"u[1]"'), "inputs.F: 'u[1]' is an entry of the array 'u', but"),
-        (f"{_KINDS_MAP}[parameters]\nteeth = 11\n", "parameters.teeth: 'teeth' is of type Int32, but"),
+        (
+            f"{_KINDS_MAP}[parameters]\nteeth = 11\n",
+            "parameters.teeth: 'teeth' is of type Int32, but",
+        ),
         (f"{_KINDS_MAP}[start]\nbrake = 1\n", "start.brake: 'brake' is of type Boolean, but"),
     ],
 )
-def test_a_variable_of_another_kind_is_refused_with_what_a_map_takes_and_what_to_do(whole, text: str, words: str):
+def test_a_variable_of_another_kind_is_refused_with_what_a_map_takes_and_what_to_do(
+    whole, text: str, words: str
+):
     told = refusal(lambda: whole(text, "t,F,x\n0,1,0\n1,,0\n", _KINDS))
     assert not unsaid(
         told,
@@ -239,18 +373,28 @@ def test_a_variable_of_another_kind_is_refused_with_what_a_map_takes_and_what_to
 
 def test_inputs_of_other_kinds_are_named_that_keep_their_start_values(whole):
     foreign, _ = whole(_KINDS_MAP, "t,F,x\n0,1,0\n1,,0\n", _KINDS)
-    assert foreign.model.notes == ("Inputs of the FMU that the plan does not drive keep their start values: gear, brake, u.",)
+    assert foreign.model.notes == (
+        "Inputs of the FMU that the plan does not drive keep their start values: gear, brake, u.",
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (WHOLE.replace("lower = -100.0", "lower = -500.000001"), "inputs.F.lower: -500 lies beyond"),
-        (WHOLE.replace("lower = -100.0", "lower = 2.0, upper = 2.0"), "inputs.F: lower is 2 … below upper, 2"),
-        (WHOLE.replace("lower = -100.0", "upper = -500.0"), "inputs.F: … lower bound is -500 … upper bound -500"),
-        (WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = -0.2"), "limits.replay_terminal_velocity_error.value: … but must be at least 0"),
-        (WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = true"), "limits.replay_terminal_velocity_error: "),
-        (WHOLE.replace("gain = 2.5", "gain = nan"), "parameters.gain: it is nan, but must be a finite number"),
+        (WHOLE.replace("lower = -100.0", "lower = -500.000001"),
+         "inputs.F.lower: -500 lies beyond"),
+        (WHOLE.replace("lower = -100.0", "lower = 2.0, upper = 2.0"),
+         "inputs.F: lower is 2 … below upper, 2"),
+        (WHOLE.replace("lower = -100.0", "upper = -500.0"),
+         "inputs.F: … lower bound is -500 … upper bound -500"),
+        (WHOLE.replace("replay_terminal_velocity_error = 0.2",
+                       "replay_terminal_velocity_error = -0.2"),
+                       "limits.replay_terminal_velocity_error.value: … but must be at least 0"),
+        (WHOLE.replace("replay_terminal_velocity_error = 0.2",
+                       "replay_terminal_velocity_error = true"),
+                       "limits.replay_terminal_velocity_error: "),
+        (WHOLE.replace("gain = 2.5", "gain = nan"),
+         "parameters.gain: it is nan, but must be a finite number"),
         (WHOLE.replace('"torque"', '""'), "inputs.M.variable: … but must be a name"),
         (WHOLE.replace("x = 1.25", 'x = "1.25"'), "goal.x: it is … but must be a number"),
     ],
@@ -267,7 +411,9 @@ def test_a_bound_on_one_side_is_on_the_other_where_the_scale_is_negative(whole):
 
 def test_a_limit_of_nothing_and_a_limit_by_its_number_are_limits(whole):
     foreign, _ = whole(
-        WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = 0").replace("scale = 2.0, offset = 1.0", "scale = 2"),
+        WHOLE.replace("replay_terminal_velocity_error = 0.2",
+                      "replay_terminal_velocity_error = 0").replace("scale = 2.0, offset = 1.0",
+                      "scale = 2"),
     )  # fmt: skip
     limit = foreign.model.limit("replay_terminal_velocity_error")
     assert (limit.value, foreign.input_scale.tolist()) == (0.0, [-0.001, 2.0])
@@ -275,14 +421,19 @@ def test_a_limit_of_nothing_and_a_limit_by_its_number_are_limits(whole):
 
 def test_a_bound_may_be_the_fmus_own_but_for_rounding(whole):
     foreign, _ = whole(WHOLE.replace("lower = -100.0", "lower = -500.0000004, upper = 1500.000001"))
-    assert (foreign.model.inputs[0].lower, foreign.model.inputs[0].upper) == (-500.0000004, 1500.000001)
+    assert (foreign.model.inputs[0].lower, foreign.model.inputs[0].upper) == (
+        -500.0000004,
+        1500.000001,
+    )
 
 
 @pytest.mark.parametrize(
     ("plan", "words"),
     [
-        (ROWS.replace(",M,", ",m,"), "the column 'M' is missing"), (ROWS.replace("pressed", "presed"), "'presed' … (near it: pressed)"),
-        (ROWS.replace("time,", "time [ms],"), "time"), (ROWS.replace("F,", "F [kN],"), "inputs.F: … 'F' is in 'kN' … 'N'"),
+        (ROWS.replace(",M,", ",m,"), "the column 'M' is missing"),
+        (ROWS.replace("pressed", "presed"), "'presed' … (near it: pressed)"),
+        (ROWS.replace("time,", "time [ms],"), "time"),
+        (ROWS.replace("F,", "F [kN],"), "inputs.F: … 'F' is in 'kN' … 'N'"),
     ],
 )  # fmt: skip
 def test_each_mistake_in_the_columns_of_a_plan_is_named(whole, plan: str, words: str):
@@ -291,12 +442,20 @@ def test_each_mistake_in_the_columns_of_a_plan_is_named(whole, plan: str, words:
 
 def test_a_unit_of_the_plan_against_that_of_the_fmu_needs_a_scale(whole):
     plain = '[inputs]\nF = "drive.force"\n[positions]\nx = "body.pos"\n'
-    assert not unsaid(refusal(lambda: whole(plain, "t,F,x [m]\n0,1,0\n1,1,0\n")), "in 'm', but 'body.pos' is in 'mm'; give a scale")
-    for given in ('{ variable = "body.pos", scale = 0.001 }', '{ variable = "body.pos", offset = 1.0 }'):
+    assert not unsaid(
+        refusal(lambda: whole(plain, "t,F,x [m]\n0,1,0\n1,1,0\n")),
+        "in 'm', but 'body.pos' is in 'mm'; give a scale",
+    )
+    for given in (
+        '{ variable = "body.pos", scale = 0.001 }',
+        '{ variable = "body.pos", offset = 1.0 }',
+    ):
         foreign, _ = whole(plain.replace('"body.pos"', given), "t,F,x [m]\n0,1,0\n1,1,0\n")
         assert foreign.model.coordinates[0].unit == "m"
     foreign, _ = whole(plain, "t,F,x\n0,1,0\n1,1,0\n")
-    assert (foreign.model.coordinates[0].unit, foreign.model.inputs[0].unit) == ("mm", "kN"), "without a scale it is the FMU's own"
+    assert (foreign.model.coordinates[0].unit, foreign.model.inputs[0].unit) == ("mm", "kN"), (
+        "without a scale it is the FMU's own"
+    )
 
 
 # Without a map
@@ -304,7 +463,9 @@ def test_a_unit_of_the_plan_against_that_of_the_fmu_needs_a_scale(whole):
 
 def variables(*items: tuple[str, str, str] | tuple[str, str, str, Any]) -> Any:
     """The FMU's variables: (name, causality, unit), and of what a rate is the derivative."""
-    found = [SimpleNamespace(name=name, causality=causality, unit=unit, type="Real", derivative=SimpleNamespace(name=of[0]) if of else None) for name, causality, unit, *of in items]  # fmt: skip
+    found = [SimpleNamespace(name=name, causality=causality, unit=unit, type="Real",
+                             derivative=SimpleNamespace(name=of[0]) if of else None) for name,
+                             causality, unit, *of in items]  # fmt: skip
     return Named(SimpleNamespace(description=SimpleNamespace(modelVariables=found)))  # type: ignore[arg-type]
 
 
@@ -312,15 +473,25 @@ def equal(named: Any, columns: str) -> Any:
     return by_equal_names(named, SimpleNamespace(names=columns.split(","), where="plan p"))  # type: ignore[arg-type]
 
 
-FMU = (("u", "input", "N"), ("x", "output", "m"), ("y", "output", "m"), ("vx", "output", "m/s", "x"), ("w", "output", "rad/s"), ("lam_a", "output", "N"),
+FMU = (("u", "input", "N"), ("x", "output", "m"), ("y", "output", "m"),
+       ("vx", "output", "m/s", "x"), ("w", "output", "rad/s"), ("lam_a", "output", "N"),
        ("lam_b", "output", "N"), ("gap_b", "output", "m"))  # fmt: skip
 
 
 def test_columns_are_what_the_variables_of_their_names_are():
     found = equal(variables(*FMU), "t,u,y,x,w,vx,lam_a,lam_b")
-    assert ({name: item.variable for name, item in found.inputs.items()}, list(found.positions)) == ({"u": "u"}, ["y", "x"])
-    assert {name: (item.variable, item.column) for name, item in found.velocities.items()} == {"y": ("w", "w"), "x": ("vx", "vx")}
-    assert {name: (item.force.variable, item.gap.variable if item.gap else None) for name, item in found.contacts.items()} == {
+    assert (
+        {name: item.variable for name, item in found.inputs.items()},
+        list(found.positions),
+    ) == ({"u": "u"}, ["y", "x"])
+    assert {name: (item.variable, item.column) for name, item in found.velocities.items()} == {
+        "y": ("w", "w"),
+        "x": ("vx", "vx"),
+    }
+    assert {
+        name: (item.force.variable, item.gap.variable if item.gap else None)
+        for name, item in found.contacts.items()
+    } == {
         "a": ("lam_a", None),
         "b": ("lam_b", "gap_b"),
     }
@@ -334,10 +505,24 @@ def test_rates_without_as_many_positions_are_positions():
 
 @pytest.mark.parametrize("rate", ["v_x", "der(x)"])
 def test_a_rate_belongs_to_the_position_that_its_name_says(rate: str):
-    named = variables(("x", "output", "m"), ("y", "output", "m"), (rate, "output", "m/s"), ("other", "output", "m/s"))
-    assert {name: item.variable for name, item in equal(named, f"t,x,y,other,{rate}").velocities.items()} == {"x": rate, "y": "other"}
-    both = variables(("x", "output", "m"), ("y", "output", "m"), ("v_x", "output", "m/s"), ("der(x)", "output", "m/s"))
-    assert {name: item.variable for name, item in equal(both, "t,x,y,v_x,der(x)").velocities.items()} == {"x": "v_x", "y": "der(x)"}
+    named = variables(
+        ("x", "output", "m"),
+        ("y", "output", "m"),
+        (rate, "output", "m/s"),
+        ("other", "output", "m/s"),
+    )
+    assert {
+        name: item.variable for name, item in equal(named, f"t,x,y,other,{rate}").velocities.items()
+    } == {"x": rate, "y": "other"}
+    both = variables(
+        ("x", "output", "m"),
+        ("y", "output", "m"),
+        ("v_x", "output", "m/s"),
+        ("der(x)", "output", "m/s"),
+    )
+    assert {
+        name: item.variable for name, item in equal(both, "t,x,y,v_x,der(x)").velocities.items()
+    } == {"x": "v_x", "y": "der(x)"}
 
 
 def test_names_that_nothing_shares_are_said():
@@ -363,7 +548,8 @@ def test_a_hint_among_many_names_is_that_among_few():
 
 @pytest.mark.parametrize(
     ("position", "velocity", "may"),
-    [("m", "m/s", True), ("m", "m", False), ("rad", "rad/s", True), ("1", "m/s", True), ("m", "1", True), ("m/s", "m/s2", True), ("m s", "m", True), ("m", "kg m/s", False),
+    [("m", "m/s", True), ("m", "m", False), ("rad", "rad/s", True), ("1", "m/s", True),
+     ("m", "1", True), ("m/s", "m/s2", True), ("m s", "m", True), ("m", "kg m/s", False),
      ("furlong", "m/s", True), ("m", "furlong", True)],
 )  # fmt: skip
 def test_a_velocity_is_in_its_positions_unit_per_second(position: str, velocity: str, may: bool):
@@ -371,21 +557,33 @@ def test_a_velocity_is_in_its_positions_unit_per_second(position: str, velocity:
 
 
 def unit_of(name: str, **exponents: int) -> Any:
-    return SimpleNamespace(name=name, baseUnit=SimpleNamespace(**(dict.fromkeys(("kg", "m", "s", "A", "K", "mol", "cd"), 0) | exponents)))
+    return SimpleNamespace(
+        name=name,
+        baseUnit=SimpleNamespace(
+            **(dict.fromkeys(("kg", "m", "s", "A", "K", "mol", "cd"), 0) | exponents)
+        ),
+    )
 
 
 @pytest.mark.parametrize(
     ("unit", "what", "contradicts"),
     [
-        ("inch", "position", False), ("inch", "gap", False), ("inch", "velocity", True), ("inch", "force", True), ("pound", "position", True), ("volt", "position", False),
-        ("turn", "position", False), ("m", "position", False), ("kg", "position", True), ("furlong", "position", False), ("", "position", False), (None, "gap", False),
-        ("knot", "velocity", False), ("hertz", "velocity", False), ("moment", "force", False), ("bare", "position", False), ("warm", "gap", False),
+        ("inch", "position", False), ("inch", "gap", False), ("inch", "velocity", True),
+        ("inch", "force", True), ("pound", "position", True), ("volt", "position", False),
+        ("turn", "position", False), ("m", "position", False), ("kg", "position", True),
+        ("furlong", "position", False), ("", "position", False), (None, "gap", False),
+        ("knot", "velocity", False), ("hertz", "velocity", False), ("moment", "force", False),
+        ("bare", "position", False), ("warm", "gap", False),
     ],
 )  # fmt: skip
-def test_a_unit_contradicts_a_quantity_where_no_scale_leads_to_it(unit: str | None, what: str, contradicts: bool):
+def test_a_unit_contradicts_a_quantity_where_no_scale_leads_to_it(
+    unit: str | None, what: str, contradicts: bool
+):
     defined = [
-        unit_of("inch", m=1), unit_of("pound", kg=1), unit_of("volt", kg=1, m=2, s=-3, A=-1), unit_of("turn"), unit_of("knot", m=1, s=-1), unit_of("hertz", s=-1),
-        unit_of("moment", kg=1, m=2, s=-2), SimpleNamespace(name="bare", baseUnit=None), unit_of("warm", K=1),
+        unit_of("inch", m=1), unit_of("pound", kg=1), unit_of("volt", kg=1, m=2, s=-3, A=-1),
+        unit_of("turn"), unit_of("knot", m=1, s=-1), unit_of("hertz", s=-1),
+        unit_of("moment", kg=1, m=2, s=-2), SimpleNamespace(name="bare", baseUnit=None),
+        unit_of("warm", K=1),
     ]  # fmt: skip
     of_fmu = Dimensions(SimpleNamespace(unitDefinitions=defined))
     assert of_fmu.contradicts(unit, what, True) is contradicts

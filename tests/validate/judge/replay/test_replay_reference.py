@@ -20,7 +20,8 @@ from validate.judge.replay.result import ReplayOutcome, Run
 from validate.judge.replay.wiring import HeldInputs
 
 RTOL = 1e-12
-Force, Gap = Callable[[float, float, float, bool], float], Callable[[float], float]
+Force = Callable[[float, float, float, bool], float]
+Gap = Callable[[float], float]
 
 
 class Point:
@@ -30,7 +31,13 @@ class Point:
     outputs = 2
     next_event = math.inf
 
-    def __init__(self, force: Force, gap: Gap | None = None, bounce: float | None = None, wants_steps: bool = False) -> None:
+    def __init__(
+        self,
+        force: Force,
+        gap: Gap | None = None,
+        bounce: float | None = None,
+        wants_steps: bool = False,
+    ) -> None:
         self.force, self.gap, self.bounce, self.wants_steps = force, gap, bounce, wants_steps
         self.indicators = 0 if gap is None else 1
         self.nominal = np.ones(2)
@@ -82,17 +89,30 @@ def doubles(address: int, count: int) -> ctypes.Array[ctypes.c_double]:
 class PointInC:
     """A Point in the clothes of a Model Exchange FMU of FMI 2.0: functions with addresses, for the loop in C. Value references: q 0, v 1, power 2, u 3."""
 
-    states, major, fatal, component = 2, 2, False, 1
+    states = 2
+    major = 2
+    fatal = False
+    component = 1
 
     def __init__(self, point: Point) -> None:
         self.point, self.instance, self.fmu = point, self, self
-        self.next_event, self.nominal, self.wants_steps = point.next_event, point.nominal, point.wants_steps
-        self.indicators, self.accumulated, self.outputs = point.indicators, point.accumulated, point.outputs
+        self.next_event, self.nominal, self.wants_steps = (
+            point.next_event,
+            point.nominal,
+            point.wants_steps,
+        )
+        self.indicators, self.accumulated, self.outputs = (
+            point.indicators,
+            point.accumulated,
+            point.outputs,
+        )
         self.references = References([2]), References([0, 1]), References([3])
         self.start, self.read, self.event = point.start, point.read, point.event
         self._time, self._y = 0.0, np.zeros(3)
         self._functions = {
-            name: ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, *types)(lambda *given, call=call: call(*given) or 0)
+            name: ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, *types)(
+                lambda *given, call=call: call(*given) or 0
+            )
             for name, (call, *types) in self._calls().items()
         }
 
@@ -113,7 +133,9 @@ class PointInC:
 
         def get_real(_: int, references: int, n: int, values: int) -> None:
             known = [*self._y[:2], self._rates()[2]]
-            doubles(values, n)[:] = [known[reference] for reference in (ctypes.c_uint * n).from_address(references)]
+            doubles(values, n)[:] = [
+                known[reference] for reference in (ctypes.c_uint * n).from_address(references)
+            ]
 
         def set_real(_: int, references: int, n: int, values: int) -> None:
             self.point.set_inputs(doubles(values, n)[:])
@@ -125,13 +147,18 @@ class PointInC:
             event[0] = self.point.step_completed(self._time, self._y)
 
         def new_discrete_states(_: int, info: int) -> None:
-            self.point.event(self._time, self._y, np.array([self.point.u]))  # inputs jumped; events of gaps come by `event`
+            self.point.event(
+                self._time, self._y, np.array([self.point.u])
+            )  # inputs jumped; events of gaps come by `event`
 
         flag = ctypes.POINTER(ctypes.c_int)
         return {
-            "SetTime": (set_time, ctypes.c_double), "SetContinuousStates": (set_states, *_STATES), "GetContinuousStates": (lambda *_: 0, *_STATES),
-            "GetDerivatives": (get_derivatives, *_STATES), "GetReal": (get_real, *_VALUES), "SetReal": (set_real, *_VALUES),
-            "GetEventIndicators": (get_indicators, *_STATES), "CompletedIntegratorStep": (completed, ctypes.c_int, flag, flag),
+            "SetTime": (set_time, ctypes.c_double), "SetContinuousStates": (set_states, *_STATES),
+            "GetContinuousStates": (lambda *_: 0, *_STATES),
+            "GetDerivatives": (get_derivatives, *_STATES), "GetReal": (get_real, *_VALUES),
+            "SetReal": (set_real, *_VALUES),
+            "GetEventIndicators": (get_indicators, *_STATES),
+            "CompletedIntegratorStep": (completed, ctypes.c_int, flag, flag),
             "EnterEventMode": (lambda _: 0,), "EnterContinuousTimeMode": (lambda _: 0,),
             "NewDiscreteStates": (new_discrete_states, ctypes.c_void_p),
         }  # fmt: skip
@@ -156,7 +183,16 @@ def plan(u: Sequence[float], step: float, hold: Hold = Hold.ZERO_ORDER) -> HeldI
     steps = len(u)
     zeros = np.zeros((steps + 1, 1))
     grid = uniform_grid(step, steps)
-    return HeldInputs(Trajectory(t=grid, q=zeros, v=zeros, u=np.array(u, dtype=float)[:, None], lam=np.zeros((steps, 0)), hold=hold))
+    return HeldInputs(
+        Trajectory(
+            t=grid,
+            q=zeros,
+            v=zeros,
+            u=np.array(u, dtype=float)[:, None],
+            lam=np.zeros((steps, 0)),
+            hold=hold,
+        )
+    )
 
 
 def free(q: float, v: float, u: float, closed: bool) -> float:
@@ -168,7 +204,11 @@ def test_held_inputs_give_the_exact_parabolas(integrate: Integrate):
     run = integrate(Point(free), np.zeros(2), plan(u, 0.25), RTOL, 10)
     q = v = work = 0.0
     for value, knot in zip(u, run.knots[1:], strict=True):
-        q, v, work = q + 0.25 * v + value * 0.25**2 / 2, v + 0.25 * value, work + value * (0.25 * v + value * 0.25**2 / 2)
+        q, v, work = (
+            q + 0.25 * v + value * 0.25**2 / 2,
+            v + 0.25 * value,
+            work + value * (0.25 * v + value * 0.25**2 / 2),
+        )
         assert run.outputs[knot] == pytest.approx([q, v], abs=1e-12)
         assert run.accumulated[knot][0] == pytest.approx(work, abs=1e-12)
 
@@ -176,14 +216,18 @@ def test_held_inputs_give_the_exact_parabolas(integrate: Integrate):
 def test_ramped_inputs_are_applied_within_the_step(integrate: Integrate):
     """u = t on [0, 1]: q = t^3/6 at every recorded point. The last step of the plan is held."""
     steps = 6
-    run = integrate(Point(free), np.zeros(2), plan(uniform_grid(0.2, steps - 1), 0.2, Hold.LINEAR), RTOL, 10)
+    run = integrate(
+        Point(free), np.zeros(2), plan(uniform_grid(0.2, steps - 1), 0.2, Hold.LINEAR), RTOL, 10
+    )
     assert len(run.t) == steps * PARTS + 1
     for t, (q, v) in zip(run.t, run.outputs, strict=True):
         if t <= 1.0:
             assert q == pytest.approx(t**3 / 6, abs=1e-12)
             assert v == pytest.approx(t**2 / 2, abs=1e-12)
     held = integrate(Point(free), np.zeros(2), plan(uniform_grid(0.2, steps - 1), 0.2), RTOL, 10)
-    assert abs(held.outputs[-1][0] - run.outputs[-1][0]) > 1e-2  # the hold convention makes a difference that a test can see
+    assert (
+        abs(held.outputs[-1][0] - run.outputs[-1][0]) > 1e-2
+    )  # the hold convention makes a difference that a test can see
 
 
 def test_a_ramp_that_turns_restarts_the_integrator_where_it_turns(integrate: Integrate):
@@ -206,7 +250,9 @@ def test_a_bounce_on_a_spring_is_timed_to_the_closed_form(integrate: Integrate):
     rate, speed = math.sqrt(stiffness / mass), math.sqrt(2 * gravity * drop)
     fall = speed / gravity
     contact = (2 * math.pi - 2 * math.atan2(speed / rate, mass * gravity / stiffness)) / rate
-    model = Point(lambda q, v, u, closed: -gravity - (stiffness * q if closed else 0.0), gap=lambda q: q)
+    model = Point(
+        lambda q, v, u, closed: -gravity - (stiffness * q if closed else 0.0), gap=lambda q: q
+    )
     run = integrate(model, np.array([drop, 0.0]), plan([0.0] * 70, 0.01), RTOL, 10)
     assert [closes for _, _, closes in run.events] == [True, False]
     assert [time for time, _, _ in run.events] == pytest.approx([fall, fall + contact], abs=1e-10)
@@ -226,30 +272,54 @@ def test_events_are_points_of_the_grid_and_knots_stay_the_plan(integrate: Integr
 def test_a_bouncing_ball_that_comes_to_rest_ends_with_its_event_budget(integrate: Integrate):
     """Zeno: restitution 1/2 from 1 m at 10 m/s^2 rests after sqrt(0.2)*3 = 1.34 s, after infinitely many events."""
     run = integrate(
-        Point(lambda q, v, u, closed: -10.0, gap=lambda q: q, bounce=0.5), np.array([1.0, 0.0]), plan([0.0] * 200, 0.01), RTOL, 12
+        Point(lambda q, v, u, closed: -10.0, gap=lambda q: q, bounce=0.5),
+        np.array([1.0, 0.0]),
+        plan([0.0] * 200, 0.01),
+        RTOL,
+        12,
     )
     assert run.outcome is ReplayOutcome.EVENT_BUDGET
     assert "12" in run.message
     first = math.sqrt(0.2)
-    assert [time for time, _, _ in run.events[:3]] == pytest.approx([first, 2 * first, 2.5 * first], abs=1e-9)
+    assert [time for time, _, _ in run.events[:3]] == pytest.approx(
+        [first, 2 * first, 2.5 * first], abs=1e-9
+    )
     assert run.t[-1] < 3 * first
 
 
 def test_a_state_that_runs_away_is_an_outcome(integrate: Integrate):
-    run = integrate(Point(lambda q, v, u, closed: v * v), np.array([0.0, 1.0]), plan([0.0] * 200, 0.01), RTOL, 10)
+    run = integrate(
+        Point(lambda q, v, u, closed: v * v),
+        np.array([0.0, 1.0]),
+        plan([0.0] * 200, 0.01),
+        RTOL,
+        10,
+    )
     assert run.outcome in (ReplayOutcome.DIVERGED, ReplayOutcome.INTEGRATION_FAILED)
     assert 0.9 < run.t[-1] < 1.0  # v = 1/(1 - t)
     assert np.isfinite(np.array(run.outputs)).all()
 
 
 def test_exponential_growth_stops_at_the_bound(integrate: Integrate):
-    run = integrate(Point(lambda q, v, u, closed: 400.0 * q), np.array([1.0, 20.0]), plan([0.0] * 300, 0.01), RTOL, 10)
+    run = integrate(
+        Point(lambda q, v, u, closed: 400.0 * q),
+        np.array([1.0, 20.0]),
+        plan([0.0] * 300, 0.01),
+        RTOL,
+        10,
+    )
     assert run.outcome is ReplayOutcome.DIVERGED
     assert run.t[-1] == pytest.approx(math.log(1e9) / 20, abs=0.1)
 
 
 def test_a_rate_that_is_no_number_is_an_outcome(integrate: Integrate):
-    run = integrate(Point(lambda q, v, u, closed: math.nan if q > 0.5 else 1.0), np.zeros(2), plan([0.0] * 200, 0.01), RTOL, 10)
+    run = integrate(
+        Point(lambda q, v, u, closed: math.nan if q > 0.5 else 1.0),
+        np.zeros(2),
+        plan([0.0] * 200, 0.01),
+        RTOL,
+        10,
+    )
     assert run.outcome is ReplayOutcome.NOT_A_NUMBER
     assert "finite" in run.message
     assert np.isfinite(np.array(run.outputs)).all()
@@ -260,7 +330,10 @@ def test_a_model_that_wants_to_know_its_steps_is_told_and_moves_the_same(integra
         return -10.0 - (1e3 * q if closed else 0.0)
 
     told, untold = Point(spring, gap=lambda q: q, wants_steps=True), Point(spring, gap=lambda q: q)
-    runs = [integrate(model, np.array([0.2, 0.0]), plan([0.0] * 40, 0.01), RTOL, 10) for model in (told, untold)]
+    runs = [
+        integrate(model, np.array([0.2, 0.0]), plan([0.0] * 40, 0.01), RTOL, 10)
+        for model in (told, untold)
+    ]
     assert told.steps >= 120
     assert untold.steps == 0
     assert runs[0].outputs[-1] == pytest.approx(runs[1].outputs[-1], abs=1e-9)

@@ -46,7 +46,10 @@ def test_the_run_that_rolls_back_is_the_plain_one(version: str):
 
 @pytest.mark.parametrize("name", ["bouncing_mass", "two_body_collision"])
 def test_local_errors_lie_between_the_errors_of_the_two_steps(tmp_path: Path, name: str):
-    """Judged is the finer run; the sum is of the coarser one's local errors. Alone, carried on by the velocities, it exceeds even the coarser's."""
+    """Judged is the finer run; the sum is of the coarser one's local errors.
+
+    Alone, carried on by the velocities, it exceeds even the coarser's.
+    """
     scene, plan = falling(name)
     path = edited(build_fmu(scene), tmp_path / "cs.fmu", without("ModelExchange"))
     true = replay(scene, build_fmu(scene), plan, fineness=(2,))
@@ -60,7 +63,9 @@ def test_local_errors_lie_between_the_errors_of_the_two_steps(tmp_path: Path, na
     assert true.method == "reference"
     assert len(true.events) == 2
     assert both.error.step_source == "second run and rollback"
-    assert both.error.estimate.position == max(both.error.step.position, both.error.rollback.position)
+    assert both.error.estimate.position == max(
+        both.error.step.position, both.error.rollback.position
+    )
     assert 2 * error_of(both) < both.error.rollback.position < error_of(coarse)
     assert alone.error.step_source == "rollback"
     assert error_of(coarse) < alone.error.estimate.position < 20 * error_of(coarse)
@@ -72,8 +77,12 @@ def test_beside_a_reference_it_is_told_and_changes_nothing():
     assert error.step_source == "second run and rollback"
     assert error.rollback is not None
     assert error.estimate == error.everyday or error.estimate == error.tolerance
-    # Once every difference is rounding, that is told as well: it is the FMU's own step that is halved.
-    assert replay(scene, build_fmu(scene), plan, fineness=(100, 200)).error.step_source == "second run and rollback"
+    # Once every difference is rounding, that is told as well: it is the FMU's own step that is
+    # halved.
+    assert (
+        replay(scene, build_fmu(scene), plan, fineness=(100, 200)).error.step_source
+        == "second run and rollback"
+    )
 
 
 def foreign_replay(folder: Path, kinds: str, *defines: str) -> Replay:
@@ -90,20 +99,28 @@ def error_against_closed_form(result: Replay) -> float:
 def test_a_foreign_fmu_that_heeds_its_step(tmp_path: Path):
     result = foreign_replay(tmp_path, CS, "SAVES=1", "WHOLE_STEPS")
     error = result.error
-    assert (result.outcome, result.message.count("rolled back"), error.step_source) == (ReplayOutcome.OK, 0, "second run and rollback")
+    assert (result.outcome, result.message.count("rolled back"), error.step_source) == (
+        ReplayOutcome.OK,
+        0,
+        "second run and rollback",
+    )
     assert error_against_closed_form(result) < error.estimate.position
     assert error.estimate.position >= error.rollback.position > 0.0
 
 
 @pytest.mark.parametrize("fineness", [(50, 100, 200), (200,)])
-def test_a_foreign_fmu_that_ignores_its_step_has_no_estimate(tmp_path: Path, fineness: tuple[int, ...], monkeypatch: pytest.MonkeyPatch):
+def test_a_foreign_fmu_that_ignores_its_step_has_no_estimate(
+    tmp_path: Path, fineness: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setattr(run_module, "FINENESS", fineness)
     error = foreign_replay(tmp_path, CS, "SAVES=1", "OWN_GRID=1e-3").error
     assert (error.estimate, error.rollback, error.step_source) == (None, None, "none")
 
 
 @pytest.mark.parametrize("saves", ["SAVES=0", "SAVES=1"])
-def test_a_foreign_fmu_with_a_longest_step_of_its_own_is_called_until_halving_tells(tmp_path: Path, saves: str):
+def test_a_foreign_fmu_with_a_longest_step_of_its_own_is_called_until_halving_tells(
+    tmp_path: Path, saves: str
+):
     """It divides every call into steps of at most 2e-5 s: two runs with calls above that make the same steps, near enough, whatever these are worth."""
     result = foreign_replay(tmp_path, CS, saves)
     assert result.error.step_ratio > 1.5
@@ -112,9 +129,16 @@ def test_a_foreign_fmu_with_a_longest_step_of_its_own_is_called_until_halving_te
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("saves", "words"), [("SAVES=0", "fmi2GetFMUstate failed"), ("SAVES=2", "not the one it saved"), ("SAVES=3", "SIGSEGV")]
+    ("saves", "words"),
+    [
+        ("SAVES=0", "fmi2GetFMUstate failed"),
+        ("SAVES=2", "not the one it saved"),
+        ("SAVES=3", "SIGSEGV"),
+    ],
 )
-def test_a_state_that_cannot_be_saved_costs_the_rollback_alone(tmp_path: Path, saves: str, words: str):
+def test_a_state_that_cannot_be_saved_costs_the_rollback_alone(
+    tmp_path: Path, saves: str, words: str
+):
     result = foreign_replay(tmp_path, CS, saves, "WHOLE_STEPS")
     assert result.outcome is ReplayOutcome.OK
     assert "No step was rolled back" in result.message
@@ -129,7 +153,10 @@ def test_one_instance_a_process_is_enough(tmp_path: Path, kinds: str):
     """Every run gets a process of its own; without that claim the second instance is refused."""
     result = foreign_replay(tmp_path, kinds, "SAVES=1", "WHOLE_STEPS", "ONCE")
     error, exchange = result.error, "ModelExchange" in kinds
-    assert (result.outcome, result.method) == (ReplayOutcome.OK, "reference" if exchange else "everyday")
+    assert (result.outcome, result.method) == (
+        ReplayOutcome.OK,
+        "reference" if exchange else "everyday",
+    )
     assert (error.tolerance is not None) == exchange
     assert error.step_source == ("none" if kinds == ONCE_EXCHANGE else "second run and rollback")
     node_error = np.abs(result.q[result.knots, 0] - foreign_plan()[:, 1]).max()

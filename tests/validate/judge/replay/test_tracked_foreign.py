@@ -13,7 +13,8 @@ from validate.judge.judgement import wire_fmu
 from validate.judge.replay.run import replay_foreign
 from validate.judge.replay.tracking import TrackingError, linearised
 
-STEPS, H = 50, 0.05
+STEPS = 50
+H = 0.05
 # Degrees and newton metres to what the FMU has: so that every scale and offset counts.
 MAP = """
 [inputs]
@@ -36,11 +37,18 @@ def fmu(request: pytest.FixtureRequest) -> Path:
 def test_a_stranger_is_caught_in_its_own_units(fmu: Path, tmp_path: Path):
     """The plan says: upright from the second node on; it starts 0.1 rad away."""
     degrees = 57.29577951308232
-    rows = [f"{H * node!r},{3.0 + (0.1 * degrees if node == 0 else 0.0)!r},0.0,0.5" for node in range(STEPS + 1)]
-    (tmp_path / "plan.csv").write_text("t,angle,speed,torque\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    rows = [
+        f"{H * node!r},{3.0 + (0.1 * degrees if node == 0 else 0.0)!r},0.0,0.5"
+        for node in range(STEPS + 1)
+    ]
+    (tmp_path / "plan.csv").write_text(
+        "t,angle,speed,torque\n" + "\n".join(rows) + "\n", encoding="utf-8"
+    )
     (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
     wired = wire_fmu(fmu, tmp_path / "plan.csv", map_path=tmp_path / "map.toml")
-    found = replay_foreign(wired.foreign, wired.package, wired.plan, limits=wired.limits, track=True)
+    found = replay_foreign(
+        wired.foreign, wired.package, wired.plan, limits=wired.limits, track=True
+    )
     tracked = found.tracked
     # theta'' = 10 theta + u with u = -0.5 torque + 0.25, in radians; 0.5 is the torque that holds.
     whole = expm(H * np.array([[0.0, 1.0, 0.0], [10.0, 0.0, 1.0], [0.0, 0.0, 0.0]]))
@@ -63,10 +71,22 @@ def test_a_stranger_is_caught_in_its_own_units(fmu: Path, tmp_path: Path):
 def test_an_fmu_is_linearised_as_it_is(fmu: Path, tmp_path: Path):
     """Exactly, for a linear FMU; with the wall's spring where the plan touches it."""
     states = np.array([[0.0, 0.5], [0.05, 0.5], [0.2, 0.1], [0.25, 0.0]])
-    rows = [f"{H * node!r},{angle!r},{speed!r},0.0" for node, (angle, speed) in enumerate(states.tolist())]
-    (tmp_path / "plan.csv").write_text("t,theta,omega,u\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    rows = [
+        f"{H * node!r},{angle!r},{speed!r},0.0"
+        for node, (angle, speed) in enumerate(states.tolist())
+    ]
+    (tmp_path / "plan.csv").write_text(
+        "t,theta,omega,u\n" + "\n".join(rows) + "\n", encoding="utf-8"
+    )
     wired = wire_fmu(fmu, tmp_path / "plan.csv")
-    A, B = linearised(wired.package, wired.foreign.variables, wired.plan, wired.foreign.start, states, wired.limits)
+    A, B = linearised(
+        wired.package,
+        wired.foreign.variables,
+        wired.plan,
+        wired.foreign.start,
+        states,
+        wired.limits,
+    )
     for step, stiffness in enumerate((0.0, 50.0, 100.0)):  # the second step touches at its end only
         whole = expm(H * np.array([[0.0, 1.0, 0.0], [10.0 - stiffness, 0.0, 1.0], [0.0, 0.0, 0.0]]))
         assert A[step] == pytest.approx(whole[:2, :2], abs=1e-12)
@@ -75,6 +95,10 @@ def test_an_fmu_is_linearised_as_it_is(fmu: Path, tmp_path: Path):
 
 def test_an_fmu_without_derivatives_is_refused_in_a_sentence(tmp_path: Path):
     (tmp_path / "map.toml").write_text(FULL_MAP, encoding="utf-8")
-    wired = wire_fmu(build_foreign(tmp_path / "cart.fmu"), write_plan(tmp_path / "plan.csv"), map_path=tmp_path / "map.toml")
+    wired = wire_fmu(
+        build_foreign(tmp_path / "cart.fmu"),
+        write_plan(tmp_path / "plan.csv"),
+        map_path=tmp_path / "map.toml",
+    )
     with pytest.raises(TrackingError, match="it provides no directional derivatives"):
         wired.judge(feedback=True)

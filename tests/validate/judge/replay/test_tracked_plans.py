@@ -29,7 +29,10 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def plans(scene: Scene) -> dict[str, Trajectory]:
-    """cheat: force from a distance; exact: what strict complementarity makes of its last tightening."""
+    """cheat: force from a distance.
+
+    exact: what strict complementarity makes of its last tightening.
+    """
     found: dict[str, Trajectory] = {}
     plan = None
     with load_method("softplus_dc").open(scene, {}) as session:
@@ -47,20 +50,30 @@ def test_an_exact_plan_is_followed_where_alone_it_falls(scene: Scene, plans: dic
     assert (told.verdict, told.judged) == (Verdict.HOLDS_WITH_FEEDBACK, "feedback"), told.why
     assert not unsaid(told.why, "not for the inputs alone: … the motion ends")
     assert "unstable in the open loop (amplification 1" in told.why
-    assert abs(exact.growth.rate - 3.67) < math.log(2.0) / 2.0  # of the upright pole, within a factor of two over its two seconds
-    assert (told.value("replay_terminal_velocity_error") or 0.0) > 0.2 > (told.value("tracked_replay_terminal_velocity_error") or 1.0)
+    assert (
+        abs(exact.growth.rate - 3.67) < math.log(2.0) / 2.0
+    )  # of the upright pole, within a factor of two over its two seconds
+    assert (
+        (told.value("replay_terminal_velocity_error") or 0.0)
+        > 0.2
+        > (told.value("tracked_replay_terminal_velocity_error") or 1.0)
+    )
     assert (told.value("feedback_effort") or 1.0) < 0.25
     assert (told.value("feedback_share") or 1.0) < 0.5
     assert (told.value("tracked_energy_residual") or 1.0) < 1e-9
     planned = scene.task.step * plans["exact"].lam.sum()
-    assert exact.tracked.contact_impulse[-1].sum() == pytest.approx(planned, rel=0.1)  # by the wall, as planned
+    assert exact.tracked.contact_impulse[-1].sum() == pytest.approx(
+        planned, rel=0.1
+    )  # by the wall, as planned
     assert planned > 0.5
     assert np.abs(exact.tracked.applied).max() <= 4.0  # type: ignore[arg-type] - of a type that was checked or made so above
 
 
 @pytest.mark.parametrize("tells", [True, False])
 @pytest.mark.parametrize("declares", [True, False])
-def test_feedback_does_not_save_a_plan_whose_walls_push_from_a_distance(scene, plans, tells, declares):
+def test_feedback_does_not_save_a_plan_whose_walls_push_from_a_distance(
+    scene, plans, tells, declares
+):
     """With its forces in the plan, and with a plan that keeps them to itself, its scheme too: feedback is not even tried, and would not help."""
     plan = plans["cheat"]
     plan = plan if tells else replace(plan, lam=0.0 * plan.lam, missing=frozenset({"lam"}))
@@ -68,13 +81,17 @@ def test_feedback_does_not_save_a_plan_whose_walls_push_from_a_distance(scene, p
     told = judge(scene, plan)
     assert told.verdict is Verdict.VIOLATES
     assert told.replay.tracked is None
-    named = {(True, True): "physics_scaled", (True, False): "contact_law_error"}.get((tells, declares), "unexplained_force")
+    named = {(True, True): "physics_scaled", (True, False): "contact_law_error"}.get(
+        (tells, declares), "unexplained_force"
+    )
     assert told.score.metric(named).ok is False
     forced = score(scene, plan, replay(scene, build_fmu(scene), plan, track=True))
     assert (forced.verdict, forced.judged) == (Verdict.VIOLATES, "open")
 
 
-def test_a_scene_without_inputs_cannot_be_tracked(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_scene_without_inputs_cannot_be_tracked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     (tmp_path / "plan.csv").write_text("t,q,v\n0,1,0\n0.01,1,0\n", encoding="utf-8")
     code = run(["replay", str(tmp_path / "plan.csv"), "--scene", "bouncing_mass", "--track"])
     _, err = capsys.readouterr()

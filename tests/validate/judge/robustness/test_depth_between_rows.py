@@ -14,7 +14,8 @@ from validate.judge.robustness.robustness import _failures
 from validate.judge.robustness.trials import SceneArena
 from validate.judge.robustness.worlds import draw, moved, nominal_world, perturbations
 
-STEP, STEPS = 0.01, 60
+STEP = 0.01
+STEPS = 60
 LIMITS = {"replay_cost": 1e5}
 
 
@@ -28,12 +29,16 @@ def ball(stiffness: float) -> Scene:
         parameters=(
             Parameter(symbol=m, value=1e-3, unit="kg", lower=1e-6, description="its mass"),
             Parameter(symbol=g, value=9.81, unit="m/s^2", lower=0.0, description="gravity"),
-            Parameter(symbol=k, value=stiffness, unit="N/m", lower=1e-6, description="of the floor"),
+            Parameter(symbol=k, value=stiffness, unit="N/m", lower=1e-6,
+                      description="of the floor"),
         ),
         kinetic_energy=m * vz**2 / 2, potential_energy=m * g * z, forces=(u,),
-        contacts=(Contact(name="floor", bodies=("ball", "floor"), penetration=-z, stiffness=k, depth=1e-4, depth_reason="paint", nominal=1e-5, description="ball on floor"),),
+        contacts=(Contact(name="floor", bodies=("ball", "floor"), penetration=-z, stiffness=k,
+                          depth=1e-4, depth_reason="paint", nominal=1e-5,
+                          description="ball on floor"),),
         task=Task(start=(0.2, 0.0), goal=(None, None), running_cost=u**2, step=STEP, steps=STEPS),
-        limits=(Limit(metric="cost", value=1e5, reason="none"), Limit(metric="replay_cost", value=1e5, reason="none")),
+        limits=(Limit(metric="cost", value=1e5, reason="none"),
+                Limit(metric="replay_cost", value=1e5, reason="none")),
     )  # fmt: skip
 
 
@@ -41,7 +46,12 @@ def falling(u: np.ndarray) -> Trajectory:
     """A plan of inputs alone, (steps,) [N]."""
     still = np.zeros((STEPS + 1, 1))
     return Trajectory(
-        t=STEP * np.arange(STEPS + 1), q=still + 0.2, v=still, u=u[:, None], lam=still[1:], missing=frozenset({"q", "v", "lam"})
+        t=STEP * np.arange(STEPS + 1),
+        q=still + 0.2,
+        v=still,
+        u=u[:, None],
+        lam=still[1:],
+        missing=frozenset({"q", "v", "lam"}),
     )
 
 
@@ -62,20 +72,27 @@ def deepest(world: World, switch: float, lifts: tuple[float, float]) -> float:
     return max(first, bounced(replace(world, start=np.array(state)), switch, lifts[1])[0])
 
 
-# With the first floor a contact lasts 0.1 ms, a hundredth of a step; with the other three steps, and no row of it comes within 1 % of the deepest.
+# With the first floor a contact lasts 0.1 ms, a hundredth of a step; with the other three steps,
+# and no row of it comes within 1 % of the deepest.
 @pytest.mark.parametrize("stiffness", [1e6, 12.0])
 @pytest.mark.parametrize("lifts", [(-0.002, -0.002), (0.002, -0.006)])
-def test_the_depth_of_a_world_is_that_of_the_closed_form(stiffness: float, lifts: tuple[float, float]):
+def test_the_depth_of_a_world_is_that_of_the_closed_form(
+    stiffness: float, lifts: tuple[float, float]
+):
     scene, switch = ball(stiffness), 30
     plan = falling(np.where(np.arange(STEPS) < switch, *lifts))
     limit = deepest(nominal_world(scene, plan), switch * STEP, lifts)
-    scene = replace(scene, contacts=(replace(scene.contacts[0], depth=limit, nominal=limit / 10.0),))
+    scene = replace(
+        scene, contacts=(replace(scene.contacts[0], depth=limit, nominal=limit / 10.0),)
+    )
     worlds, shares = draw(perturbations(scene, plan, ["parameters", "start", "gain"]), 16, 3), []
     with SceneArena.of(scene, plan, LIMITS) as arena:
         for number in range(16):
             world = worlds.world(number, arena.nominal)
             shares.append(deepest(world, switch * STEP, lifts) / limit)
-            assert arena.trial(world).shares["max_penetration"] == pytest.approx(shares[-1], abs=1e-3)
+            assert arena.trial(world).shares["max_penetration"] == pytest.approx(
+                shares[-1], abs=1e-3
+            )
             exact = arena.checked(world)
             assert exact.shares["max_penetration"] == pytest.approx(shares[-1], rel=1e-4)
             assert exact.lowest == pytest.approx([-shares[-1] * limit], rel=1e-4)
@@ -94,16 +111,26 @@ def test_whether_contacts_keep_their_order_is_told_of_those_between_rows_too():
     """The plan ends 6 ms before a second bounce of 0.1 ms: where it fails by more than its height there, it has bounced."""
     scene, plan = ball(1e6), falling(np.zeros(STEPS))
     ends = bounced(nominal_world(scene, plan), STEP * STEPS, 0.0)[1]
-    limits = [Limit(metric=f"{of}terminal_position_error", value=0.012, reason="more than it is high") for of in ("", "replay_")]
+    limits = [
+        Limit(metric=f"{of}terminal_position_error", value=0.012, reason="more than it is high")
+        for of in ("", "replay_")
+    ]
     task = replace(scene.task, goal=(ends, None))
-    scene = replace(scene, contacts=(replace(scene.contacts[0], depth=1.0),), task=task, limits=tuple(limits))
+    scene = replace(
+        scene, contacts=(replace(scene.contacts[0], depth=1.0),), task=task, limits=tuple(limits)
+    )
     told = []
     with SceneArena.of(scene, plan, {"replay_terminal_position_error": 0.012}) as arena:
         for cause in perturbations(scene, plan, ["g", "start of z", "start of vz"]):
             for failure in _failures(arena, cause):
-                worlds = [moved(arena.nominal, [cause], np.array([way * (failure.sizes or 0.0)])) for way in (-1.0, 0.0, 1.0)]
+                worlds = [
+                    moved(arena.nominal, [cause], np.array([way * (failure.sizes or 0.0)]))
+                    for way in (-1.0, 0.0, 1.0)
+                ]
                 counts = [bounces(world) for world in worlds]
-                assert [len(arena.checked(world).modes) for world in worlds] == [2 * count + 1 for count in counts]
+                assert [len(arena.checked(world).modes) for world in worlds] == [
+                    2 * count + 1 for count in counts
+                ]
                 assert failure.same_modes is (len(set(counts)) == 1)
                 told.append(failure.same_modes)
     assert set(told) == {True, False}

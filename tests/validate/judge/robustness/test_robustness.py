@@ -28,7 +28,13 @@ RESTING = {"t": 0.01 * np.arange(501), "u1": np.zeros(500), "u3": np.zeros(500)}
 
 @pytest.mark.parametrize(
     ("arrived", "samples", "low", "high"),
-    [(45, 50, 0.78640, 0.95652), (5, 50, 0.04348, 0.21360), (50, 50, 0.92865, 1.0), (0, 50, 0.0, 0.07135), (0, 0, 0.0, 1.0)],
+    [
+        (45, 50, 0.78640, 0.95652),
+        (5, 50, 0.04348, 0.21360),
+        (50, 50, 0.92865, 1.0),
+        (0, 50, 0.0, 0.07135),
+        (0, 0, 0.0, 1.0),
+    ],
 )
 def test_the_interval_is_wilsons(arrived: int, samples: int, low: float, high: float):
     share = Share(arrived=arrived, samples=samples)
@@ -36,7 +42,10 @@ def test_the_interval_is_wilsons(arrived: int, samples: int, low: float, high: f
     assert share.share == (arrived / samples if samples else 0.0)
 
 
-@pytest.mark.parametrize(("at", "largest"), [(0.001, 64.0), (0.03, 64.0), (0.7, 64.0), (3.0, 64.0), (63.9, 64.0), (0.5, 0.6)])
+@pytest.mark.parametrize(
+    ("at", "largest"),
+    [(0.001, 64.0), (0.03, 64.0), (0.7, 64.0), (3.0, 64.0), (63.9, 64.0), (0.5, 0.6)],
+)
 def test_the_first_failure_is_found_to_a_hundredth(at: float, largest: float):
     assert first_failure(lambda size: size / at, largest) == pytest.approx(at, rel=0.01)
 
@@ -46,9 +55,9 @@ def test_what_never_fails_and_what_fails_before_are_told():
     assert first_failure(lambda size: asked.append(size) or 1.0, 5.0) is None
     assert max(asked) == 5.0
     assert first_failure(lambda size: 1.1, 5.0) == 0.0
-    assert first_failure(lambda size: 0.9 if size < 1.0 or size > 2.0 else 1.1, 64.0) == pytest.approx(1.0, rel=0.01), (
-        "the first, not the last"
-    )
+    assert first_failure(
+        lambda size: 0.9 if size < 1.0 or size > 2.0 else 1.1, 64.0
+    ) == pytest.approx(1.0, rel=0.01), "the first, not the last"
 
 
 @pytest.fixture(scope="module")
@@ -58,19 +67,31 @@ def found(judged: Judgement) -> Robustness:
 
 @pytest.mark.slow
 def test_what_is_measured_is_the_same_again_and_another_for_another_seed(judged: Judgement):
-    first, again, other = (robustness(SCENE, judged.plan, samples=10, seed=seed, kinds=["gain", "noise"]) for seed in (0, 0, 1))
-    records = [RobustnessRecord.model_validate(item).model_copy(update={"seconds": 0.0}) for item in (first, again, other)]
+    first, again, other = (
+        robustness(SCENE, judged.plan, samples=10, seed=seed, kinds=["gain", "noise"])
+        for seed in (0, 0, 1)
+    )
+    records = [
+        RobustnessRecord.model_validate(item).model_copy(update={"seconds": 0.0})
+        for item in (first, again, other)
+    ]
     assert records[0] == records[1]
     assert first.alone.tried == again.alone.tried
     assert (np.array(first.alone.tried) != np.array(other.alone.tried)).all()
-    assert records[0].failures == records[2].failures, "one perturbation by itself is no matter of luck"
+    assert records[0].failures == records[2].failures, (
+        "one perturbation by itself is no matter of luck"
+    )
 
 
 @pytest.mark.slow
 def test_three_carts_take_least_of_damping(judged: Judgement, found: Robustness):
     assert found.complete
     assert (found.alone.share.samples, found.feedback.share.samples) == (32, 10)
-    assert found.alone.share.arrived == int((np.array(found.alone.tried) <= 1.0).sum()) == 32 - sum(found.alone.fails_by.values())
+    assert (
+        found.alone.share.arrived
+        == int((np.array(found.alone.tried) <= 1.0).sum())
+        == 32 - sum(found.alone.fails_by.values())
+    )
     assert found.feedback.share.share > found.alone.share.share
     for way in found.ways:
         assert (way.checked.count, way.checked.differ) == (10, ())
@@ -80,26 +101,46 @@ def test_three_carts_take_least_of_damping(judged: Judgement, found: Robustness)
         assert way.curve.half is not None
         assert shares[way.curve.scales.index(1.0)] == way.share.share
     weakest = found.weakest
-    assert (weakest.cause.name, weakest.direction, weakest.by) == ("c", -1, "replay_terminal_position_error")
+    assert (weakest.cause.name, weakest.direction, weakest.by) == (
+        "c",
+        -1,
+        "replay_terminal_position_error",
+    )
     with SceneArena.of(SCENE, judged.plan, asked_limits(judged.score)) as arena:
         for item in found.failures:
             if item.sizes is not None:
                 for share, arrives in ((0.98, True), (1.02, False)):
-                    trial = arena.checked(moved(arena.nominal, [item.cause], np.array([item.direction * share * item.sizes])))
+                    trial = arena.checked(
+                        moved(
+                            arena.nominal,
+                            [item.cause],
+                            np.array([item.direction * share * item.sizes]),
+                        )
+                    )
                     assert trial.arrives is arrives, (item.cause.name, item.direction)
     by_name = {(item.cause.name, item.direction): item for item in found.failures}
     assert len(by_name) == 2 * 12 + 1, "noise has no direction, a delay has one"
-    for direction in (-1, 1):  # the right cart is pushed by itself, and its end is a straight line in its input's gain
+    for direction in (
+        -1,
+        1,
+    ):  # the right cart is pushed by itself, and its end is a straight line in its input's gain
         alone = by_name["gain of u3", direction]
         assert alone.predicted == pytest.approx(alone.sizes, rel=0.1)
         assert alone.same_modes
-    # What the slopes predict says of itself that it is right: curvatures change little of it, and contacts stay in their order, moved either way.
+    # What the slopes predict says of itself that it is right: curvatures change little of it, and
+    # contacts stay in their order, moved either way.
     foretold = [
-        item for item in RobustnessRecord.model_validate(found).failures if item.same_modes and None not in (item.predicted, item.curved)
+        item
+        for item in RobustnessRecord.model_validate(found).failures
+        if item.same_modes and None not in (item.predicted, item.curved)
     ]
     trusted = [item for item in foretold if abs(item.predicted - item.curved) <= SAME * item.curved]  # type: ignore[operator] - both are there
     assert len(trusted) >= 2
-    assert [item.words for item in trusted if item.sizes is not None and abs(item.predicted - item.sizes) > 0.1 * item.sizes] == []  # type: ignore[operator]
+    assert [
+        item.words
+        for item in trusted
+        if item.sizes is not None and abs(item.predicted - item.sizes) > 0.1 * item.sizes
+    ] == []  # type: ignore[operator]
     assert not by_name["d", 1].same_modes, "moved the other way as far, the carts do not meet"
 
 
@@ -121,7 +162,9 @@ def test_what_was_tried_before_ctrl_c_is_kept(judged: Judgement):
     def at_once(text: str) -> None:
         raise KeyboardInterrupt
 
-    nothing = RobustnessRecord.model_validate(robustness(SCENE, judged.plan, samples=10, tell=at_once))
+    nothing = RobustnessRecord.model_validate(
+        robustness(SCENE, judged.plan, samples=10, tell=at_once)
+    )
     assert "no world was tried" in nothing.summary
 
 
@@ -156,7 +199,13 @@ def test_a_plan_that_does_not_hold_is_measured_anyway():
         (2.0, 2.15, 2.2, True, "2.15, the same within 10%"),
         (2.0, 2.25, 2.6, True, "2.25; the response bends, by its curvature to 2.6"),
         (2.0, 2.25, None, True, "2.25; the response bends"),
-        (2.0, 1.7, 1.7, False, "1.7; contacts close in another order by then, moved one way or the other"),
+        (
+            2.0,
+            1.7,
+            1.7,
+            False,
+            "1.7; contacts close in another order by then, moved one way or the other",
+        ),
         (2.0, None, None, True, "it predicts none"),
         (None, 3.0, None, True, "3, not found"),
         (None, None, None, True, "none either"),
@@ -168,7 +217,8 @@ def test_first_order_is_held_against_what_was_found(
     cause = perturbations(SCENE, resting())[1]
     amount = None if sizes is None else -0.1 * sizes
     said = FailureRecord(
-        cause=cause, direction=-1, sizes=sizes, amount=amount, tried=64.0, by="", predicted=predicted, curved=curved, same_modes=same  # type: ignore[arg-type]
+        cause=cause, direction=-1, sizes=sizes, amount=amount, tried=64.0, by="",
+        predicted=predicted, curved=curved, same_modes=same  # type: ignore[arg-type]
     )  # fmt: skip
     assert said.compared == words
     if sizes is not None:
@@ -178,24 +228,50 @@ def test_first_order_is_held_against_what_was_found(
 @pytest.mark.slow
 def test_the_command_tells_it_in_text_json_csv_and_a_page(judged: Judgement, tmp_path: Path):
     write_csv(tmp_path / "plan.csv", judged.plan, SCENE)
-    given = [str(tmp_path / "plan.csv"), "--scene", "three_cart", "--samples", "12", "--perturb", "parameters"]
+    given = [
+        str(tmp_path / "plan.csv"),
+        "--scene",
+        "three_cart",
+        "--samples",
+        "12",
+        "--perturb",
+        "parameters",
+    ]
     page, rows = tmp_path / "out" / "page.html", tmp_path / "worlds.csv"
-    told = CliRunner().invoke(command, [*given, "--json", "--html", str(page), "--csv", str(rows)], standalone_mode=False)
+    told = CliRunner().invoke(
+        command, [*given, "--json", "--html", str(page), "--csv", str(rows)], standalone_mode=False
+    )
     assert told.return_value == 0, told.output
     record = RobustnessRecord.model_validate_json(told.stdout)
     assert [item.name for item in record.causes] == ["m", "c", "k", "d"]
     assert json.loads(told.stdout)["ways"][0]["share"]["samples"] == 12
     table = list(csv.DictReader(io.StringIO(rows.read_text())))
     assert len(table) == 12
-    assert sum(float(row["share of limit, inputs alone"]) <= 1.0 for row in table) == record.ways[0].share.arrived
+    assert (
+        sum(float(row["share of limit, inputs alone"]) <= 1.0 for row in table)
+        == record.ways[0].share.arrived
+    )
     text = page.read_text()
-    assert not unsaid(text, "How much plan.csv can take on three_cart", record.ways[0].share.words, "data-player", "World 2")
+    assert not unsaid(
+        text,
+        "How much plan.csv can take on three_cart",
+        record.ways[0].share.words,
+        "data-player",
+        "World 2",
+    )
     plain = CliRunner().invoke(command, given, standalone_mode=False)
-    assert not unsaid(plain.stdout, record.ways[0].share.words, "it takes least of: c", "10 worlds tried by the reference")
+    assert not unsaid(
+        plain.stdout,
+        record.ways[0].share.words,
+        "it takes least of: c",
+        "10 worlds tried by the reference",
+    )
 
 
 @pytest.mark.parametrize(
-    ("arguments", "parts"), [(["plan.csv"], ["--scene"]), (["nothing x mpcc", "--in", "nowhere"], ["nowhere"]), (["no.csv", "--scene", "three_cart"], ["no.csv"])]
+    ("arguments", "parts"),
+    [(["plan.csv"], ["--scene"]), (["nothing x mpcc", "--in", "nowhere"], ["nowhere"]),
+     (["no.csv", "--scene", "three_cart"], ["no.csv"])]
 )  # fmt: skip
 def test_a_plan_that_is_not_there_is_named(arguments: list[str], parts: list[str]):
     told = CliRunner().invoke(command, arguments, standalone_mode=False)

@@ -24,23 +24,32 @@ def test_a_plan_is_tried_in_the_same_worlds_as_by_itself(judged: Judgement):
     found = survey(SCENE, judged.plan, limits, False)
     worlds = draw(perturbations(SCENE, judged.plan), 256, 0)
     with SceneArena.of(SCENE, judged.plan, limits) as arena:
-        arrived = [arena.trial(worlds.world(number, arena.nominal)).arrives for number in range(256)]
+        arrived = [
+            arena.trial(worlds.world(number, arena.nominal)).arrives for number in range(256)
+        ]
         cause = next(item for item in worlds.causes if item.name == found.weakest)
         for share, arrives in ((0.98, True), (1.02, False)):
-            trial = arena.trial(moved(arena.nominal, [cause], np.array([share * found.amount / cause.size])))
+            trial = arena.trial(
+                moved(arena.nominal, [cause], np.array([share * found.amount / cause.size]))
+            )
             assert trial.arrives is arrives
         assert trial.fails_by == found.by
     assert (found.alone.samples, found.alone.arrived) == (256, sum(arrived))
     assert found.feedback.samples == 64
     assert (found.checked, found.differ) == (20, 0)
     along_all = robustness(SCENE, judged.plan, samples=10, kinds=["parameters"]).weakest
-    assert (found.weakest, found.sizes) == (along_all.cause.name, pytest.approx(along_all.sizes, rel=0.02))
+    assert (found.weakest, found.sizes) == (
+        along_all.cause.name,
+        pytest.approx(along_all.sizes, rel=0.02),
+    )
     record = SurveyRecord.model_validate(found, from_attributes=True)
     assert (record.alone.arrived, record.weakest, record.message) == (sum(arrived), "c", "")  # type: ignore[union-attr]
 
 
 @pytest.mark.slow
-def test_what_is_dear_is_tried_in_fewer_worlds_and_without_states_without_feedback(judged: Judgement):
+def test_what_is_dear_is_tried_in_fewer_worlds_and_without_states_without_feedback(
+    judged: Judgement,
+):
     plan = judged.plan
     fine = np.linspace(0.0, plan.duration, 40 * plan.steps + 1)
     still, missing = np.tile(plan.q[:1], (len(fine), 1)), frozenset({"q", "v", "lam", "friction"})

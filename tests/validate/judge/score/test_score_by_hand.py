@@ -1,7 +1,7 @@
 """Every metric of the score by exact numbers worked out by hand, once more in a mirror, and once more in other units.
 
-A body of two coordinates of different units and sizes rests far from its contacts: every metric is zero. Then one thing is off at a time, by a number
-that can be followed by hand, on either side.
+A body of two coordinates of different units and sizes rests far from its contacts: every metric is
+zero. Then one thing is off at a time, by a number that can be followed by hand, on either side.
 """
 
 import math
@@ -23,9 +23,12 @@ from validate.judge.score import measures, score
 from validate.judge.score.evidence import Evidence
 from validate.judge.score.verdict import Metric
 
-STEPS, H = 4, 0.125
-NODES, ROWS = STEPS + 1, 2 * STEPS + 1
-M, J = 2.0, 0.5
+STEPS = 4
+H = 0.125
+NODES = STEPS + 1
+ROWS = 2 * STEPS + 1
+M = 2.0
+J = 0.5
 SIDES = pytest.mark.parametrize("side", [1.0, -1.0], ids=["as it is", "in a mirror"])
 
 
@@ -44,9 +47,18 @@ class Sizes:
     def of(self, unit: str) -> float:
         """How much larger a number with this unit is here."""
         work = self.force * self.length
-        powers = {"m": self.length, "s": self.time, "N": self.force, "J": work, "W": work / self.time, "N^2": self.force**2}
+        powers = {
+            "m": self.length,
+            "s": self.time,
+            "N": self.force,
+            "J": work,
+            "W": work / self.time,
+            "N^2": self.force**2,
+        }
         over, _, under = unit.partition("/")
-        return math.prod(powers.get(name, 1.0) for name in over.split()) / math.prod(powers.get(name, 1.0) for name in under.split())
+        return math.prod(powers.get(name, 1.0) for name in over.split()) / math.prod(
+            powers.get(name, 1.0) for name in under.split()
+        )
 
 
 AS_IT_IS = Sizes()
@@ -60,29 +72,38 @@ def scene_of(side: float, sizes: Sizes = AS_IT_IS) -> Scene:
     force, torque = bounds if side > 0 else [(-high, -low) for low, high in bounds]
     speed = [value * L / T for value in ((-2.0, 1.5) if side > 0 else (-1.5, 2.0))]
     return Scene(
-        name="by_hand", title="A body on a floor with an arm against a stop", source="worked out by hand",
+        name="by_hand", title="A body on a floor with an arm against a stop",
+        source="worked out by hand",
         coordinates=(
-            Coordinate(symbol=x, velocity=v, unit="m", nominal=0.5 * L, velocity_lower=speed[0], velocity_upper=speed[1]),
+            Coordinate(symbol=x, velocity=v, unit="m", nominal=0.5 * L, velocity_lower=speed[0],
+                       velocity_upper=speed[1]),
             Coordinate(symbol=a, velocity=w, unit="rad", nominal=2.0),
         ),
-        inputs=(Input(symbol=f, unit="N", lower=force[0], upper=force[1]), Input(symbol=m, unit="N m", lower=torque[0], upper=torque[1])),
-        parameters=(), kinetic_energy=sizes.mass * (M * v**2 + J * L**2 * w**2) / 2, potential_energy=sp.Integer(0), forces=(f, m),
+        inputs=(Input(symbol=f, unit="N", lower=force[0], upper=force[1]),
+                Input(symbol=m, unit="N m", lower=torque[0], upper=torque[1])),
+        parameters=(), kinetic_energy=sizes.mass * (M * v**2 + J * L**2 * w**2) / 2,
+        potential_energy=sp.Integer(0), forces=(f, m),
         contacts=(
             Contact(
-                name="floor", bodies=("body", "floor"), penetration=-side * x, stiffness=100.0 * F / L, nominal=0.05 * L, depth=0.4 * L,
+                name="floor", bodies=("body", "floor"), penetration=-side * x,
+                stiffness=100.0 * F / L, nominal=0.05 * L, depth=0.4 * L,
                 depth_reason="its thickness",
             ),
             Contact(
-                name="stop", bodies=("arm", "stop"), penetration=L * (side * a - 1.0) / 2, stiffness=40.0 * F / L, nominal=0.1 * L, depth=0.2 * L,
+                name="stop", bodies=("arm", "stop"), penetration=L * (side * a - 1.0) / 2,
+                stiffness=40.0 * F / L, nominal=0.1 * L, depth=0.2 * L,
                 depth_reason="its thickness",
             ),
         ),
-        frictions=(Friction(name="rub", slip=L * w / 4, coefficient=sp.Rational(3, 10), contact="floor", nominal=0.2 * L / T),),
+        frictions=(Friction(name="rub", slip=L * w / 4, coefficient=sp.Rational(3, 10),
+                            contact="floor", nominal=0.2 * L / T),),
         task=Task(
-            start=(side * L, side * 0.4, 0.0, 0.0), goal=(side * L, side * 0.4, 0.0, 0.0), running_cost=f**2 + 3 * m**2 + x**2,
+            start=(side * L, side * 0.4, 0.0, 0.0), goal=(side * L, side * 0.4, 0.0, 0.0),
+            running_cost=f**2 + 3 * m**2 + x**2,
             final_cost=7 * a**2 + v**2, step=H * T, steps=STEPS,
         ),
-        limits=goal_limits(position=0.01, velocity=0.02, reason="a hundredth, and twice that a second"),
+        limits=goal_limits(position=0.01, velocity=0.02,
+                           reason="a hundredth, and twice that a second"),
     )  # fmt: skip
 
 
@@ -97,22 +118,34 @@ class Case:
         self.side, self.sizes, self.scene = side, sizes, scene_of(side, sizes)
         L, T = sizes.length, sizes.time
         self.plan: dict[str, Any] = {
-            "t": uniform_grid(H * T, STEPS), "q": still(NODES, side, L), "v": np.zeros((NODES, 2)), "u": np.zeros((STEPS, 2)),
+            "t": uniform_grid(H * T, STEPS), "q": still(NODES, side, L), "v": np.zeros((NODES, 2)),
+            "u": np.zeros((STEPS, 2)),
             "lam": np.zeros((STEPS, 3)), "scheme": Scheme.SEMI_IMPLICIT_EULER,
         }  # fmt: skip
         gap = np.tile([1.0 * L, 0.3 * L], (ROWS, 1))
         nothing = np.zeros(ROWS)
         self.replay: dict[str, Any] = {
-            "scene": "by_hand", "outcome": ReplayOutcome.OK, "message": "", "method": "reference", "t": uniform_grid(H * T / 2, 2 * STEPS),
-            "q": still(ROWS, side, L), "v": np.zeros((ROWS, 2)), "lam": np.zeros((ROWS, 2)), "gap": gap, "friction": np.zeros((ROWS, 1)),
-            "knots": np.arange(0, ROWS, 2), "kinetic_energy": nothing.copy(), "potential_energy": nothing.copy(), "contact_energy": nothing.copy(),
-            "input_work": nothing.copy(), "dissipated_work": nothing.copy(), "contact_impulse": np.zeros((ROWS, 2)), "events": (),
-            "event_budget": 100, "error": ReplayError(estimate=Difference(position=0.0, state=0.0, gap=0.0)), "seconds_reference": 0.0,
+            "scene": "by_hand", "outcome": ReplayOutcome.OK, "message": "", "method": "reference",
+            "t": uniform_grid(H * T / 2, 2 * STEPS),
+            "q": still(ROWS, side, L), "v": np.zeros((ROWS, 2)), "lam": np.zeros((ROWS, 2)),
+            "gap": gap, "friction": np.zeros((ROWS, 1)),
+            "knots": np.arange(0, ROWS, 2), "kinetic_energy": nothing.copy(),
+            "potential_energy": nothing.copy(), "contact_energy": nothing.copy(),
+            "input_work": nothing.copy(), "dissipated_work": nothing.copy(),
+            "contact_impulse": np.zeros((ROWS, 2)), "events": (),
+            "event_budget": 100,
+            "error": ReplayError(estimate=Difference(position=0.0, state=0.0, gap=0.0)),
+            "seconds_reference": 0.0,
             "seconds_everyday": 0.0, "fmu": "none",
         }  # fmt: skip
 
     def replayed(self) -> Replay:
-        return Replay(**{key: value.copy() if isinstance(value, np.ndarray) else value for key, value in self.replay.items()})
+        return Replay(
+            **{
+                key: value.copy() if isinstance(value, np.ndarray) else value
+                for key, value in self.replay.items()
+            }
+        )
 
     def evidence(self, **known: Any) -> Evidence:
         """What is measured from, with some of it given instead of computed."""
@@ -132,17 +165,24 @@ def test_at_rest_every_metric_is_nothing():
     found = score(case.scene, Trajectory(**case.plan), Replay(**case.replay))
     costs = {metric.name: metric.value for metric in found.metrics if "cost" in metric.name}
     assert costs == pytest.approx({"cost": 4.0 + 7 * 0.16, "replay_cost": 4.0 + 7 * 0.16})
-    rest = {metric.name: metric.value for metric in found.metrics if "cost" not in metric.name and metric.value is not None}
+    rest = {
+        metric.name: metric.value
+        for metric in found.metrics
+        if "cost" not in metric.name and metric.value is not None
+    }
     assert len(rest) > 20
     assert rest == pytest.approx(dict.fromkeys(rest, 0.0), abs=1e-15)
 
 
-# What is off, by how much it is found to be, in which unit, and the limit that this is held against.
+# What is off, by how much it is found to be, in which unit, and the limit that this is held
+# against.
 Change = Callable[[Case], None]
 FOUND: list[tuple[str, str, float, str, float | None, Change]] = []
 
 
-def off(what: str, name: str, value: float, unit: str, limit: float | None = None) -> Callable[[Change], Change]:
+def off(
+    what: str, name: str, value: float, unit: str, limit: float | None = None
+) -> Callable[[Change], Change]:
     def noted(change: Change) -> Change:
         FOUND.append((what, name, value, unit, limit, change))
         return change
@@ -151,10 +191,12 @@ def off(what: str, name: str, value: float, unit: str, limit: float | None = Non
 
 
 # What changes its sign in a mirror: of the forces of the plan only friction, in their last column.
-_MIRRORED, FRICTION = ("q", "v", "u", "friction"), 2
+_MIRRORED = ("q", "v", "u", "friction")
+FRICTION = 2
 # The unit of each array, or of its columns.
 _UNITS = {
-    "t": "s", "q": ("m", "rad"), "v": ("m/s", "rad/s"), "u": ("N", "N m"), "lam": "N", "gap": "m", "friction": "N", "contact_impulse": "N s",
+    "t": "s", "q": ("m", "rad"), "v": ("m/s", "rad/s"), "u": ("N", "N m"), "lam": "N", "gap": "m",
+    "friction": "N", "contact_impulse": "N s",
     "kinetic_energy": "J", "contact_energy": "J", "input_work": "J", "dissipated_work": "J",
 }  # fmt: skip
 
@@ -166,7 +208,9 @@ def put(group: str, place: Any, value: float | np.ndarray) -> Change:
         of_replay, _, name = group.rpartition(".")
         turns = name in _MIRRORED or (group == "lam" and place[1] == FRICTION)
         unit = _UNITS[name] if isinstance(_UNITS[name], str) else _UNITS[name][place[1]]
-        (case.replay if of_replay else case.plan)[name][place] += value * case.sizes.of(unit) * (case.side if turns else 1.0)
+        (case.replay if of_replay else case.plan)[name][place] += (
+            value * case.sizes.of(unit) * (case.side if turns else 1.0)
+        )
 
     return change
 
@@ -184,9 +228,12 @@ def undeclared(case: Case) -> None:
 
 
 for sign in (1.0, -1.0):
-    # 0.3 of 2 rad is less than 0.2 of 0.5 m; the task asks for no way, so the nominals are the scale.
+    # 0.3 of 2 rad is less than 0.2 of 0.5 m; the task asks for no way, so the nominals are the
+    # scale.
     off("start, angle", "start_error", 0.3, "rad", 2e-6)(put("q", (0, 1), sign * 0.3))
-    off("start, both", "start_error", 0.2, "m", 0.5e-6)(both(put("q", (0, 0), sign * 0.2), put("q", (0, 1), 0.3)))
+    off("start, both", "start_error", 0.2, "m", 0.5e-6)(
+        both(put("q", (0, 0), sign * 0.2), put("q", (0, 1), 0.3))
+    )
     off("start, speed", "start_error", 0.7, "rad/s", 2e-6)(put("v", (0, 1), sign * 0.7))
     off("end, position", "terminal_position_error", 0.5, "m, rad", 0.01)(
         both(put("q", (-1, 0), sign * 0.3), put("q", (-1, 1), -sign * 0.4))
@@ -194,26 +241,46 @@ for sign in (1.0, -1.0):
     off("end, velocity", "terminal_velocity_error", 1.3, "m/s, rad/s", 0.02)(
         both(put("v", (-1, 0), sign * 0.5), put("v", (-1, 1), sign * 1.2))
     )
-    off("end, both", "terminal_error", 1.3, "m, rad, m/s, rad/s")(both(put("q", (-1, 1), sign * 0.5), put("v", (-1, 0), sign * 1.2)))
+    off("end, both", "terminal_error", 1.3, "m, rad, m/s, rad/s")(
+        both(put("q", (-1, 1), sign * 0.5), put("v", (-1, 0), sign * 1.2))
+    )
     # f^2 + 3 m^2 of one step each, and the rest of before; v^2 of the last node.
     off("cost", "cost", 4.0 + 7 * 0.16 + 4.0 + 3 * 0.04 + 0.25, "1")(
-        both(put("u", (1, 0), sign * 2.0), put("u", (3, 1), -sign * 0.2), put("v", (-1, 0), sign * 0.5))
+        both(
+            put("u", (1, 0), sign * 2.0),
+            put("u", (3, 1), -sign * 0.2),
+            put("v", (-1, 0), sign * 0.5),
+        )
     )
-    # Of x and v only: the applied inputs are the plan's. 1.2^2 or 0.8^2 in place of 1 at the second node.
+    # Of x and v only: the applied inputs are the plan's. 1.2^2 or 0.8^2 in place of 1 at the second
+    # node.
     off("replayed cost", "replay_cost", 3.0 + (1 + sign * 0.2) ** 2 + 7 * 0.16 + 0.36, "1")(
         both(put("replay.q", (2, 0), sign * 0.2), put("replay.v", (-1, 0), sign * 0.6))
     )
     off("inputs", "bound_violation", 0.5, "N", 8e-6)(put("u", (2, 0), 5.5 if sign > 0 else -3.5))
     # A quarter N m of 1.5 N m is more than one N of 8 N.
     off("inputs, both", "bound_violation", 0.25, "N m", 1.5e-6)(
-        both(put("u", (0, 0), 6.0 if sign > 0 else -4.0), put("u", (3, 1), 0.75 if sign > 0 else -1.25))
+        both(
+            put("u", (0, 0), 6.0 if sign > 0 else -4.0),
+            put("u", (3, 1), 0.75 if sign > 0 else -1.25),
+        )
     )
-    off("speed", "velocity_bound_violation", 0.25, "m/s", 3.5e-6)(put("v", (3, 0), 1.75 if sign > 0 else -2.25))
-    off("speed at the end", "velocity_bound_violation", 0.0, "m/s", 3.5e-6)(put("v", (4, 0), 1.75 if sign > 0 else -2.25))
-    off("replayed speed", "replay_velocity_bound_violation", 0.25, "m/s", 0.5e-2)(put("replay.v", (5, 0), 1.75 if sign > 0 else -2.25))
+    off("speed", "velocity_bound_violation", 0.25, "m/s", 3.5e-6)(
+        put("v", (3, 0), 1.75 if sign > 0 else -2.25)
+    )
+    off("speed at the end", "velocity_bound_violation", 0.0, "m/s", 3.5e-6)(
+        put("v", (4, 0), 1.75 if sign > 0 else -2.25)
+    )
+    off("replayed speed", "replay_velocity_bound_violation", 0.25, "m/s", 0.5e-2)(
+        put("replay.v", (5, 0), 1.75 if sign > 0 else -2.25)
+    )
     # 0.5 of 2 rad is more than 0.1 of 0.5 m.
-    off("motion", "replay_error", 0.5, "rad", 2e-2)(both(put("replay.q", (4, 1), sign * 0.5), put("replay.q", (6, 0), sign * 0.1)))
-    off("motion between nodes", "replay_error", 0.0, "m", 0.5e-2)(put("replay.q", (3, 1), sign * 0.5))
+    off("motion", "replay_error", 0.5, "rad", 2e-2)(
+        both(put("replay.q", (4, 1), sign * 0.5), put("replay.q", (6, 0), sign * 0.1))
+    )
+    off("motion between nodes", "replay_error", 0.0, "m", 0.5e-2)(
+        put("replay.q", (3, 1), sign * 0.5)
+    )
     off("when", "replay_error_time", 3 * H, "s")(put("replay.q", (6, 0), sign * 0.1))
     off("replayed end", "replay_terminal_position_error", 0.5, "m, rad")(
         both(put("replay.q", (-1, 0), -sign * 0.3), put("replay.q", (-1, 1), sign * 0.4))
@@ -229,48 +296,82 @@ for sign in (1.0, -1.0):
     off("step, position", "defect", 0.04, "m", 0.5e-6)(put("q", (2, 0), sign * 0.04))
     # What is far: 3 N for one step give v 3 h / M, and x 3 h^2 / M a step after it.
     off("law", "law_error", 3 * 3 * H**2 / M, "m, rad")(put("u", (1, 0), sign * 3.0))
-    off("own end", "discrete_terminal_error", math.hypot(3 * 3 * H**2 / M, 3 * H / M), "m, rad, m/s, rad/s")(put("u", (1, 0), sign * 3.0))
-    off("own end, position", "discrete_terminal_position_error", 3 * 0.4 * H**2 / J, "m, rad")(put("u", (1, 1), sign * 0.4))
-    off("own end, velocity", "discrete_terminal_velocity_error", 0.4 * H / J, "m/s, rad/s")(put("u", (1, 1), sign * 0.4))
+    off(
+        "own end",
+        "discrete_terminal_error",
+        math.hypot(3 * 3 * H**2 / M, 3 * H / M),
+        "m, rad, m/s, rad/s",
+    )(put("u", (1, 0), sign * 3.0))
+    off("own end, position", "discrete_terminal_position_error", 3 * 0.4 * H**2 / J, "m, rad")(
+        put("u", (1, 1), sign * 0.4)
+    )
+    off("own end, velocity", "discrete_terminal_velocity_error", 0.4 * H / J, "m/s, rad/s")(
+        put("u", (1, 1), sign * 0.4)
+    )
     off("grid", "grid_error", 0.2, "m, rad")(put("replay.q", (6, 1), sign * 0.2))
     off("friction beyond its cone", "friction_violation", 0.7, "N", 1e-4 * 0.3 * 2.0)(
         both(put("lam", (1, 0), 2.0), put("lam", (1, FRICTION), sign * 1.3))
     )
     # 0.6 N are due against a slip of 0.8 / 4 m/s; 0.1 N are there, or 0.1 N push on.
-    off("friction that holds too little", "friction_dissipation_error", (0.6 - sign * 0.1) * 0.2, "W", 1e-4 * 0.6 * 0.2)(
-        both(put("lam", (1, 0), 2.0), put("lam", (1, FRICTION), -sign * 0.1), put("v", (2, 1), 0.8))
+    off(
+        "friction that holds too little",
+        "friction_dissipation_error",
+        (0.6 - sign * 0.1) * 0.2,
+        "W",
+        1e-4 * 0.6 * 0.2,
+    )(both(put("lam", (1, 0), 2.0), put("lam", (1, FRICTION), -sign * 0.1), put("v", (2, 1), 0.8)))
+    off("friction of the replay", "friction_impulse_error", 0.9 * H, "N s")(
+        put("lam", (2, FRICTION), sign * 0.9)
     )
-    off("friction of the replay", "friction_impulse_error", 0.9 * H, "N s")(put("lam", (2, FRICTION), sign * 0.9))
     # Over the two pieces around a row, as a trapezoid.
-    off("friction of the plan", "friction_impulse_error", 0.5 * H / 2, "N s")(put("replay.friction", (3, 0), sign * 0.5))
+    off("friction of the plan", "friction_impulse_error", 0.5 * H / 2, "N s")(
+        put("replay.friction", (3, 0), sign * 0.5)
+    )
     off("energy", "energy_residual", 0.25, "J")(put("replay.kinetic_energy", 5, sign * 0.25))
     off("energy, work", "energy_residual", 0.5, "J")(put("replay.input_work", 5, sign * 0.5))
     off("energy, losses", "energy_residual", 0.5, "J")(put("replay.dissipated_work", 5, sign * 0.5))
     off("energy, contact", "energy_residual", 0.5, "J")(put("replay.contact_energy", 5, sign * 0.5))
-    off("duration", "duration_error", 0.02, "s", H / 2)(both(put("t", 4, sign * 0.02), put("replay.t", 8, sign * 0.02)))
+    off("duration", "duration_error", 0.02, "s", H / 2)(
+        both(put("t", 4, sign * 0.02), put("replay.t", 8, sign * 0.02))
+    )
 
 # What has one sign only.
 off("force at a distance", "physics", 2.0 * (2.0 + 100 * 1.0), "N^2")(put("lam", (1, 0), 2.0))
 off("force at a distance", "physics", 2.0 * (2.0 + 40 * 0.3), "N^2")(put("lam", (1, 1), 2.0))
-off("force at a distance", "physics_scaled", H * 204.0 / 5.0**2, "s", 2e-6 * 0.5 * 2)(put("lam", (1, 0), 2.0))
+off("force at a distance", "physics_scaled", H * 204.0 / 5.0**2, "s", 2e-6 * 0.5 * 2)(
+    put("lam", (1, 0), 2.0)
+)
 off("force at a distance", "physics_scaled", H * 28.0 / 4.0**2, "s")(put("lam", (1, 1), 2.0))
-off("force at a distance", "contact_law_error", 2.0 * H, "N s")(both(put("lam", (1, 0), 2.0), undeclared))
+off("force at a distance", "contact_law_error", 2.0 * H, "N s")(
+    both(put("lam", (1, 0), 2.0), undeclared)
+)
 off("force at a distance", "ghost_impulse", 2.0 * H + 3.0 * H, "N s", 0.01 * 5.0 * H)(
     both(put("lam", (1, 0), 2.0), put("lam", (3, 1), 3.0))
 )
-# What the replay has while the plan does not counts for nothing, what both have is taken off: 2 N, of which 0.5 N are there.
+# What the replay has while the plan does not counts for nothing, what both have is taken off: 2 N,
+# of which 0.5 N are there.
 off("more force than there is", "ghost_impulse", 1.5 * H, "N s")(
-    both(put("lam", (1, 0), 2.0), put("replay.lam", (slice(None), 0), 0.5), put("replay.lam", (slice(None), 1), 4.0))
+    both(
+        put("lam", (1, 0), 2.0),
+        put("replay.lam", (slice(None), 0), 0.5),
+        put("replay.lam", (slice(None), 1), 4.0),
+    )
 )
 off("less force than there is", "missed_impulse", 3.5 * 4 * H, "N s")(
     both(
-        put("lam", (slice(None), 1), 0.5), put("lam", (slice(None), 0), 2.0), put("replay.lam", (slice(None), 1), 4.0),
+        put("lam", (slice(None), 1), 0.5), put("lam", (slice(None), 0), 2.0),
+        put("replay.lam", (slice(None), 1), 4.0),
         put("replay.contact_impulse", (slice(None), 1), 4.0 * H / 2 * np.arange(ROWS)),
     )
 )  # fmt: skip
-off("force that pulls", "force_sign_violation", 0.5, "N", 2e-6)(both(put("lam", (1, 1), -0.5), put("lam", (2, 0), 2.0)))
+off("force that pulls", "force_sign_violation", 0.5, "N", 2e-6)(
+    both(put("lam", (1, 1), -0.5), put("lam", (2, 0), 2.0))
+)
 off("force not planned", "missed_impulse", 4.0 * 4 * H, "N s", 0.01 * 4.0 * 4 * H)(
-    both(put("replay.lam", (slice(None), 1), 4.0), put("replay.contact_impulse", (slice(None), 1), 4.0 * H / 2 * np.arange(ROWS)))
+    both(
+        put("replay.lam", (slice(None), 1), 4.0),
+        put("replay.contact_impulse", (slice(None), 1), 4.0 * H / 2 * np.arange(ROWS)),
+    )
 )
 off("energy, of what is there", "energy_residual_relative", 0.5 / 2.0, "1", 1e-6)(
     both(put("replay.kinetic_energy", slice(None), 2.0), put("replay.contact_energy", 4, 0.5))
@@ -278,7 +379,11 @@ off("energy, of what is there", "energy_residual_relative", 0.5 / 2.0, "1", 1e-6
 
 
 @SIDES
-@pytest.mark.parametrize(("what", "name", "value", "unit", "limit", "change"), FOUND, ids=[f"{n} of {w}" for w, n, *_ in FOUND])
+@pytest.mark.parametrize(
+    ("what", "name", "value", "unit", "limit", "change"),
+    FOUND,
+    ids=[f"{n} of {w}" for w, n, *_ in FOUND],
+)
 def test_what_is_off_is_found_by_exactly_that(what, name, value, unit, limit, change, side):
     case = Case(side)
     change(case)
@@ -286,31 +391,45 @@ def test_what_is_off_is_found_by_exactly_that(what, name, value, unit, limit, ch
     assert found.value == pytest.approx(value, rel=1e-9, abs=1e-12), what
     assert found.unit == unit
     if limit is not None:
-        assert found.limit == pytest.approx(limit, rel=1e-6), "but for the rounding of what is only just in touch"
+        assert found.limit == pytest.approx(limit, rel=1e-6), (
+            "but for the rounding of what is only just in touch"
+        )
         assert found.ok is (value < limit)
 
 
 # Of one unit; a cost adds what it likes.
 SCALED = [item for item in FOUND if "," not in item[3] and "cost" not in item[1]]
-# What counts as a large velocity is the nominal of its position in a second, whatever the task's time is.
+# What counts as a large velocity is the nominal of its position in a second, whatever the task's
+# time is.
 PER_SECOND = ("start_error", "replay_velocity_bound_violation", "defect")
 # No round numbers: these would look printed.
 OTHERS = (
-    Sizes(length=math.pi), Sizes(mass=math.e), Sizes(time=math.sqrt(50.0)), Sizes(length=0.1 * math.e, mass=0.05 * math.pi, time=math.sqrt(3.0)),
+    Sizes(length=math.pi), Sizes(mass=math.e), Sizes(time=math.sqrt(50.0)),
+    Sizes(length=0.1 * math.e, mass=0.05 * math.pi, time=math.sqrt(3.0)),
 )  # fmt: skip
 
 
 @pytest.mark.parametrize("sizes", OTHERS, ids=["length", "mass", "time", "all"])
-@pytest.mark.parametrize(("what", "name", "value", "unit", "limit", "change"), SCALED, ids=[f"{n} of {w}" for w, n, *_ in SCALED])
-def test_in_other_units_it_is_the_same(what: str, name: str, value: float, unit: str, limit: float | None, change: Change, sizes: Sizes):
+@pytest.mark.parametrize(
+    ("what", "name", "value", "unit", "limit", "change"),
+    SCALED,
+    ids=[f"{n} of {w}" for w, n, *_ in SCALED],
+)
+def test_in_other_units_it_is_the_same(
+    what: str, name: str, value: float, unit: str, limit: float | None, change: Change, sizes: Sizes
+):
     """A number in N s grows as a newton second does, and its limit with it: nothing is held against a number of another dimension."""
     case = Case(1.0, sizes)
     change(case)
     found = case.metric(name)
-    assert found.value == pytest.approx(value * sizes.of(unit), rel=1e-9, abs=1e-12 * sizes.of(unit)), what
+    assert found.value == pytest.approx(
+        value * sizes.of(unit), rel=1e-9, abs=1e-12 * sizes.of(unit)
+    ), what
     if limit is not None and value > 0.0:
         seconds = sizes.time if name in PER_SECOND and unit.endswith("/s") else 1.0
-        assert found.limit == pytest.approx(limit * sizes.of(unit) * seconds, rel=1e-5), "but for the last digits of what is given"
+        assert found.limit == pytest.approx(limit * sizes.of(unit) * seconds, rel=1e-5), (
+            "but for the last digits of what is given"
+        )
 
 
 @SIDES
@@ -327,7 +446,10 @@ def test_the_deepest_penetration_is_that_against_its_depth(side: float):
 
 @SIDES
 def test_the_replays_own_error_is_that_of_each_metric(side: float):
-    """Positions, states and gaps have errors of their own; of two positions the norm is off by at most sqrt(2) times one."""
+    """Positions, states and gaps have errors of their own.
+
+    Of two positions the norm is off by at most sqrt(2) times one.
+    """
     case = Case(side)
     case.replay["error"] = ReplayError(estimate=Difference(position=1e-3, state=2e-2, gap=3e-3))
     case.replay["lam"][1:3, 0] = 5.0
@@ -383,13 +505,20 @@ PUSHES = both(put("lam", (1, 0), 2.0), put("lam", (3, 1), 3.0))
         (
             "physics_scaled",
             PUSHES,
-            H * (0.05 * (4 + 100) + 2 * 1.0 + 0.05 * 1.05) / 5.0**2 + H * (0.05 * (6 + 12) + 3 * 0.4 + 0.05 * 0.45) / 4.0**2,
+            H * (0.05 * (4 + 100) + 2 * 1.0 + 0.05 * 1.05) / 5.0**2
+            + H * (0.05 * (6 + 12) + 3 * 0.4 + 0.05 * 0.45) / 4.0**2,
             2 * 0.5,
         ),
-        # Where a force is planned, where the body is in touch at one end of a step, and where it bounces between them: two steps of the floor, one of the stop.
+        # Where a force is planned, where the body is in touch at one end of a step, and where it
+        # bounces between them: two steps of the floor, one of the stop.
         (
             "contact_law_error",
-            both(put("lam", (0, 1), 3.0), put("q", (-1, 0), -1.1), put("v", (1, 0), -20.0), undeclared),
+            both(
+                put("lam", (0, 1), 3.0),
+                put("q", (-1, 0), -1.1),
+                put("v", (1, 0), -20.0),
+                undeclared,
+            ),
             H * (2 * (0.05 + 1.0) + (0.05 + 0.4)) + GRAZING,
             3.0 * H,
         ),
@@ -404,18 +533,26 @@ PUSHES = both(put("lam", (1, 0), 2.0), put("lam", (3, 1), 3.0))
         ),
         ("replay_error", both(), 0.01, [0.5, 2.0]),
         ("ghost_impulse", PUSHES, 0.5 * 2 * 0.05 + GRAZING, 5.0 * H),
-        # Two contacts of 4 and 6 N: trapezoids of one row, of which the first is at the end of the replay.
+        # Two contacts of 4 and 6 N: trapezoids of one row, of which the first is at the end of the
+        # replay.
         (
             "missed_impulse",
             both(put("replay.lam", (-1, 0), 4.0), put("replay.lam", (3, 1), 6.0)),
             0.5 * 2 * 0.05 + GRAZING,
             4.0 * H / 4 + 6.0 * H / 2,
         ),
-        ("defect", both(), [*2 * (2 * 0.01 + H * 0.02,), *2 * (2 * 0.02 + H * 0.7,)], [0.5, 2.0, 0.5, 2.0]),
+        (
+            "defect",
+            both(),
+            [*2 * (2 * 0.01 + H * 0.02,), *2 * (2 * 0.02 + H * 0.7,)],
+            [0.5, 2.0, 0.5, 2.0],
+        ),
         ("law_error", both(), 0.0, STEPS * (1e-6 * 0.5 + 0.01)),
     ],
 )
-def test_what_was_printed_excuses_what_it_may_be_the_cause_of(name: str, change: Change, allowed: Any, scales: Any):
+def test_what_was_printed_excuses_what_it_may_be_the_cause_of(
+    name: str, change: Change, allowed: Any, scales: Any
+):
     case = Case(1.0)
     change(case)
     found = getattr(measures, name)(case.evidence(printing=PRINTED, printing_acceleration=0.7))
@@ -460,4 +597,6 @@ def test_energy_of_a_body_at_rest_is_measured_by_what_moving_would_take():
     for name in ("input_work", "dissipated_work"):
         blind = Case(1.0)
         blind.replay[name] = None
-        assert "no outputs input_power and dissipated_power" in blind.metric("energy_residual").reason
+        assert (
+            "no outputs input_power and dissipated_power" in blind.metric("energy_residual").reason
+        )

@@ -15,16 +15,23 @@ from validate.judge.score.equations import half_unit
 from validate.judge.score.own_steps import force_window
 from validate.judge.score.verdict import Unmeasured
 
-# A contact that closes within the second of three steps of 0.1 s and is deepest at the end: the law's force at the four nodes.
+# A contact that closes within the second of three steps of 0.1 s and is deepest at the end: the
+# law's force at the four nodes.
 LAW = np.array([[0.0], [0.0], [6.0], [10.0]])
 H = np.full(3, 0.1)
 
 
-# What it is within each step: nothing but a bounce between the first two nodes, which they do not see.
-LEAST, MOST = np.minimum(LAW[:-1], LAW[1:]), np.array([[3.0], [6.0], [11.0]])
+# What it is within each step: nothing but a bounce between the first two nodes, which they do not
+# see.
+LEAST = np.minimum(LAW[:-1], LAW[1:])
+MOST = np.array([[3.0], [6.0], [11.0]])
 
 
-@pytest.mark.parametrize("forces", [LAW[:-1], LAW[1:], (LAW[:-1] + LAW[1:]) / 2.0, MOST], ids=["start", "end", "mean", "between"])
+@pytest.mark.parametrize(
+    "forces",
+    [LAW[:-1], LAW[1:], (LAW[:-1] + LAW[1:]) / 2.0, MOST],
+    ids=["start", "end", "mean", "between"],
+)
 def test_forces_of_the_start_the_end_or_a_mean_of_a_step_are_those_of_contact(forces: np.ndarray):
     assert eq.contact_law_error(forces, LAW, LEAST, MOST, H) == 0.0
 
@@ -37,9 +44,13 @@ def test_forces_of_another_motion_are_counted_to_the_newton_second():
     planned = np.zeros((8, 1))
     planned[1:3] = 4.0
     planned[6:] = far[6:-1]
-    assert eq.contact_law_error(planned, far, least, most, np.full(8, 0.1)) == pytest.approx(0.1 * 2 * 4.0)
+    assert eq.contact_law_error(planned, far, least, most, np.full(8, 0.1)) == pytest.approx(
+        0.1 * 2 * 4.0
+    )
     mirrored = -LAW[1:]
-    assert eq.contact_law_error(mirrored, LAW, LEAST, MOST, H) == pytest.approx(0.1 * (0.0 + 6.0 + (10.0 + 6.0)))
+    assert eq.contact_law_error(mirrored, LAW, LEAST, MOST, H) == pytest.approx(
+        0.1 * (0.0 + 6.0 + (10.0 + 6.0))
+    )
 
 
 def window(lam: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
@@ -51,7 +62,15 @@ def test_a_window_reaches_one_step_to_either_side():
     lam = np.array([0.0, 0.0, 0.0, 8.0, 0.0, 0.0, 0.0, 0.0])[:, None]
     least, largest = window(lam, 7)
     assert not least.any()
-    assert largest[:, 0].tolist() == [0.0, 8.0, 8.0, 8.0, 8.0, 0.0, 0.0]  # the node ends step 2 and begins step 3
+    assert largest[:, 0].tolist() == [
+        0.0,
+        8.0,
+        8.0,
+        8.0,
+        8.0,
+        0.0,
+        0.0,
+    ]  # the node ends step 2 and begins step 3
 
 
 def test_a_contact_that_closes_a_step_sooner_is_neither_ghost_nor_missed():
@@ -62,7 +81,9 @@ def test_a_contact_that_closes_a_step_sooner_is_neither_ghost_nor_missed():
         assert eq.excess_impulse(planned, largest, h) == 0.0
         assert eq.excess_impulse(least, planned, h) == 0.0
     sooner = np.repeat([0.0, 6.0], [2, 8])[:, None]
-    assert eq.excess_impulse(sooner, largest, h) == pytest.approx(0.1 * 6.0)  # step 2; step 3 reaches the force at the end of step 4
+    assert eq.excess_impulse(sooner, largest, h) == pytest.approx(
+        0.1 * 6.0
+    )  # step 2; step 3 reaches the force at the end of step 4
     later = np.repeat([0.0, 6.0], [9, 1])[:, None]
     assert eq.excess_impulse(least, later, h) == pytest.approx(0.1 * 6.0 * 3)
 
@@ -81,17 +102,26 @@ MOTION = np.random.default_rng(4).normal(size=(50, 3)) * np.array([1.0, 3.0, 20.
 
 @pytest.mark.parametrize("decimals", [3, 4, 6])
 def test_printed_decimals_are_found(decimals: int):
-    printed = np.array([float(f"{value:.{decimals}f}") for value in MOTION.ravel()]).reshape(MOTION.shape)
+    printed = np.array([float(f"{value:.{decimals}f}") for value in MOTION.ravel()]).reshape(
+        MOTION.shape
+    )
     assert half_unit(printed, most=1e4) == pytest.approx(0.5 * 10.0**-decimals)
     assert np.abs(printed - MOTION).max() <= half_unit(printed, most=1e4)
 
 
 @pytest.mark.parametrize("digits", [4, 7])
 def test_printed_digits_are_found(digits: int):
-    """%.4g of a motion that begins small: so many decimals that they are none that anybody chose; the largest number has the coarsest unit, and counts."""
+    """%.4g of a motion that begins small: so many decimals that they are none that anybody chose.
+
+    The largest number has the coarsest unit, and counts.
+    """
     motion = np.vstack([1e-5 * MOTION[:1], MOTION])
-    printed = np.array([float(f"{value:.{digits}g}") for value in motion.ravel()]).reshape(motion.shape)
-    assert half_unit(printed, most=1e4) == pytest.approx(0.5 * 10.0 ** (2 - digits))  # the largest is some ten
+    printed = np.array([float(f"{value:.{digits}g}") for value in motion.ravel()]).reshape(
+        motion.shape
+    )
+    assert half_unit(printed, most=1e4) == pytest.approx(
+        0.5 * 10.0 ** (2 - digits)
+    )  # the largest is some ten
     assert np.abs(printed - motion).max() <= half_unit(printed, most=1e4)
 
 
@@ -103,8 +133,12 @@ def test_few_decimals_are_decimals_though_the_largest_number_is_round():
 def test_all_digits_excuse_nothing_and_neither_do_round_numbers():
     assert half_unit(MOTION, most=1.0) == 0.0
     assert half_unit(np.zeros((5, 2)), most=1.0) == 0.0
-    assert half_unit(np.round(MOTION), most=1.0) == 0.0  # whole numbers are taken as they stand: half a metre is no rounding
-    assert half_unit(np.round(MOTION), most=1000.0) == pytest.approx(0.5)  # but it is where kilometres count
+    assert (
+        half_unit(np.round(MOTION), most=1.0) == 0.0
+    )  # whole numbers are taken as they stand: half a metre is no rounding
+    assert half_unit(np.round(MOTION), most=1000.0) == pytest.approx(
+        0.5
+    )  # but it is where kilometres count
     assert half_unit(np.round(MOTION), most=999.0) == 0.0
     assert half_unit(0.01 * np.arange(500.0)[:, None] ** 2 / 3.0, most=1.0) == 0.0
 
@@ -114,7 +148,8 @@ def test_the_energy_turned_over_is_the_largest_of_five(place: int):
     """Of the potential only its range counts, of works their size, of the others what is there."""
     small = [np.array([0.0, 0.1, 0.05])] * 5
     large = [
-        np.array([1.0, 2.0, 0.0]), np.array([10.0, 12.0, 11.0]), np.array([0.5, 2.0, 2.0]), np.array([0.0, -2.0, 1.0]), np.array([0.0, -2.0, 1.0]),
+        np.array([1.0, 2.0, 0.0]), np.array([10.0, 12.0, 11.0]), np.array([0.5, 2.0, 2.0]),
+        np.array([0.0, -2.0, 1.0]), np.array([0.0, -2.0, 1.0]),
     ]  # fmt: skip
     parts = [large[index] if index == place else small[index] for index in range(5)]
     assert eq.energy_turnover(*parts) == 2.0
@@ -122,12 +157,23 @@ def test_the_energy_turned_over_is_the_largest_of_five(place: int):
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_friction_dissipates_all_of_its_range_or_sticks(side: float):
-    """Two frictions over three steps; mu N between 1 and 2 N; 1 N against the slip of 0.5 m/s is within, 0.5 N too little, 3 N too much, 0.25 N along too little by 1.25."""
+    """Two frictions over three steps; mu N between 1 and 2 N.
+
+    1 N against the slip of 0.5 m/s is within, 0.5 N too little, 3 N too much, 0.25 N along too
+    little by 1.25.
+    """
     least, most = np.full((3, 2), 1.0), np.full((3, 2), 2.0)
     slip = side * np.array([[0.5, 0.0], [-0.5, 2.0], [0.5, 0.25]])
     second = [5.0, -1.25, -3.0]
-    for first, expected in (((-1.0, 1.0, -1.0), 0.0), ((-0.5, 1.0, -1.5), 0.25), ((-3.0, 1.0, -1.0), 0.5), ((0.25, 1.0, -1.0), 0.625)):
-        found = eq.friction_dissipation_error(side * np.column_stack([first, second]), least, most, slip)
+    for first, expected in (
+        ((-1.0, 1.0, -1.0), 0.0),
+        ((-0.5, 1.0, -1.5), 0.25),
+        ((-3.0, 1.0, -1.0), 0.5),
+        ((0.25, 1.0, -1.0), 0.625),
+    ):
+        found = eq.friction_dissipation_error(
+            side * np.column_stack([first, second]), least, most, slip
+        )
         assert found == pytest.approx([expected, 0.25])
 
 
@@ -146,19 +192,27 @@ def contacts_of_carts(events: list[tuple[float, str, bool]], **rows: np.ndarray)
     v = np.array([[7.0, 1.0, 2.0]] * 6)
     v[2], v[4] = (7.0, 1.0, -1.0), (7.0, -0.5, 1.0)
     replay = {"t": 0.1 * np.arange(6), "q": np.zeros((6, 3)), "v": v} | rows
-    told = tuple(Event(time=time, contact=contact, closes=closes) for time, contact, closes in events)
+    told = tuple(
+        Event(time=time, contact=contact, closes=closes) for time, contact, closes in events
+    )
     error = Difference(position=1.0, state=0.02, gap=0.01)
-    return SimpleNamespace(scene=scene, equations=scene, error=error, replay=SimpleNamespace(events=told, **replay))
+    return SimpleNamespace(
+        scene=scene, equations=scene, error=error, replay=SimpleNamespace(events=told, **replay)
+    )
 
 
 EVENTS = [
-    (0.1, "right", False), (0.2, "right", True), (0.25, "left", True), (0.3, "left", False), (0.4, "right", False), (0.5, "right", True),
+    (0.1, "right", False), (0.2, "right", True), (0.25, "left", True), (0.3, "left", False),
+    (0.4, "right", False), (0.5, "right", True),
 ]  # fmt: skip
 
 
 def test_the_first_contact_is_measured_from_where_it_closes_to_where_the_same_one_opens():
     case = contacts_of_carts(EVENTS)
-    measured = {name: measures.MEASURES[name](case) for name in ("closing time", "contact time", "restitution")}
+    measured = {
+        name: measures.MEASURES[name](case)
+        for name in ("closing time", "contact time", "restitution")
+    }
     # Its gap closes at 2 m/s and opens at 1.5 m/s.
     assert measured["closing time"] == pytest.approx((0.2, 0.01 / 2))
     assert measured["contact time"] == pytest.approx((0.2, 0.01 / 2 + 0.01 / 1.5))
@@ -170,7 +224,11 @@ def test_the_first_contact_is_measured_from_where_it_closes_to_where_the_same_on
 
 
 @pytest.mark.parametrize("contact", [0, 1])
-@pytest.mark.parametrize("deepest", [0.02, 0.17, 0.28, 0.485], ids=["at the first row", "before a row", "behind a row", "at the last row"])
+@pytest.mark.parametrize(
+    "deepest",
+    [0.02, 0.17, 0.28, 0.485],
+    ids=["at the first row", "before a row", "behind a row", "at the last row"],
+)
 def test_a_depth_is_found_between_the_rows(contact: int, deepest: float):
     """A parabola, 0.1 m deep: a cubic with the same ends is the same."""
     t = 0.1 * np.arange(6)
@@ -190,7 +248,10 @@ def test_an_answer_is_off_by_so_many_of_its_own_tolerances():
     case = contacts_of_carts(EVENTS)
     case.scene = SimpleNamespace(
         contacts=case.scene.contacts,
-        answers=[SimpleNamespace(measure=measure, value=value, tolerance=tolerance) for measure, value, tolerance in answers],
+        answers=[
+            SimpleNamespace(measure=measure, value=value, tolerance=tolerance)
+            for measure, value, tolerance in answers
+        ],
     )
     assert measures.answer_error(case) == pytest.approx((3.0, 0.5))
     case.scene.answers[1].tolerance = 0.005
@@ -202,6 +263,10 @@ def test_a_depth_is_looked_for_within_the_replay_alone():
     t = 0.1 * np.arange(6)
     gap, v = np.full((6, 2), 0.3), np.zeros((6, 3))
     gap[:, 1], v[:, 2] = 0.4 - t, -1.0
-    assert measures.MEASURES["depth"](contacts_of_carts([], gap=gap, v=v)) == pytest.approx((0.1, 0.01), abs=1e-12)
+    assert measures.MEASURES["depth"](contacts_of_carts([], gap=gap, v=v)) == pytest.approx(
+        (0.1, 0.01), abs=1e-12
+    )
     gap[:, 1], v[:, 2] = t - 0.1, 1.0
-    assert measures.MEASURES["depth"](contacts_of_carts([], gap=gap, v=v)) == pytest.approx((0.1, 0.01), abs=1e-12)
+    assert measures.MEASURES["depth"](contacts_of_carts([], gap=gap, v=v)) == pytest.approx(
+        (0.1, 0.01), abs=1e-12
+    )

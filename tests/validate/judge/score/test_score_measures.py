@@ -20,21 +20,35 @@ def test_a_start_without_velocities_is_one_of_positions():
 
     def case(missing: frozenset[str], relaxation: int | None) -> Any:
         return SimpleNamespace(
-            scene=SimpleNamespace(nq=1, coordinates=[SimpleNamespace(nominal=0.5)], task=SimpleNamespace(start=(1.0, 2.0))),
-            equations=SimpleNamespace(task=SimpleNamespace(start=(1.0, 2.0), goal=(1.0, 2.25)), relaxation_index=relaxation),
-            trajectory=SimpleNamespace(missing=missing, start=np.array([0.9, 2.3])), printing={"q": 0.01, "v": 0.02},
+            scene=SimpleNamespace(nq=1, coordinates=[SimpleNamespace(nominal=0.5)],
+                                  task=SimpleNamespace(start=(1.0, 2.0))),
+            equations=SimpleNamespace(task=SimpleNamespace(start=(1.0, 2.0), goal=(1.0, 2.25)),
+                                      relaxation_index=relaxation),
+            trajectory=SimpleNamespace(missing=missing, start=np.array([0.9, 2.3])),
+            printing={"q": 0.01, "v": 0.02},
         )  # fmt: skip
 
     whole = measures.start_error(case(frozenset(), None))
-    assert (whole.values.tolist(), whole.scales.tolist(), whole.allowed.tolist()) == (pytest.approx([0.1, 0.3]), [0.5, 0.25], [0.01, 0.02])
+    assert (whole.values.tolist(), whole.scales.tolist(), whole.allowed.tolist()) == (
+        pytest.approx([0.1, 0.3]),
+        [0.5, 0.25],
+        [0.01, 0.02],
+    )
     for given in ((frozenset({"v"}), None), (frozenset(), 0)):
         found = measures.start_error(case(*given))
-        assert (found.values.tolist(), found.scales.tolist(), found.allowed) == (pytest.approx([0.1]), [0.5], 0.01)
+        assert (found.values.tolist(), found.scales.tolist(), found.allowed) == (
+            pytest.approx([0.1]),
+            [0.5],
+            0.01,
+        )
 
 
 def test_a_range_with_one_end_or_none_is_as_large_as_what_is_given():
     inf = math.inf
-    lower, upper = np.array([-2.0, -inf, -3.0, -inf, 0.0, -inf]), np.array([3.0, -4.0, inf, inf, inf, 0.0])
+    lower, upper = (
+        np.array([-2.0, -inf, -3.0, -inf, 0.0, -inf]),
+        np.array([3.0, -4.0, inf, inf, inf, 0.0]),
+    )
     assert measures._ranges(lower, upper).tolist() == [5.0, 4.0, 3.0, 1.0, 1.0, 1.0]
 
 
@@ -43,7 +57,11 @@ def foreign(lam: Any, gap: Any, **more: Any) -> Any:
     contacts = [SimpleNamespace(name="left"), SimpleNamespace(name="right")]
     scene = SimpleNamespace(lacks={}, contacts=contacts, depths=(0.1, 0.1))
     return SimpleNamespace(
-        scene=scene, replay=SimpleNamespace(lam=np.array(lam)), replay_gap=np.array(gap), duration=np.array([1.0, 2.0, 3.0, 4.0]), **more
+        scene=scene,
+        replay=SimpleNamespace(lam=np.array(lam)),
+        replay_gap=np.array(gap),
+        duration=np.array([1.0, 2.0, 3.0, 4.0]),
+        **more,
     )
 
 
@@ -53,17 +71,31 @@ def test_the_stiffness_of_somebodys_fmu_is_what_its_forces_and_gaps_say():
     assert measures._impulse_error(foreign(lam, gap, error=error)) == 0.0
     lam[1, 0], lam[2, 1], gap[1:3] = 6.0, 8.0, [[-0.02, 0.1], [-0.05, -0.1]]
     # 6 N at 0.02 m are 300 N/m, 8 N at 0.1 m are 80; they touch for 1 + 2 s and for 2 + 3 s.
-    assert measures._impulse_error(foreign(lam, gap, error=error)) == pytest.approx(300.0 * 8.0 * 0.01)
-    lam[1, 1], gap[1, 1] = 5e4, -0.00099  # of a damper, where a contact begins that goes a hundred times as deep: it touches for 1 s more
-    assert measures._impulse_error(foreign(lam, gap, error=error)) == pytest.approx(300.0 * 9.0 * 0.01)
+    assert measures._impulse_error(foreign(lam, gap, error=error)) == pytest.approx(
+        300.0 * 8.0 * 0.01
+    )
+    lam[1, 1], gap[1, 1] = (
+        5e4,
+        -0.00099,
+    )  # of a damper, where a contact begins that goes a hundred times as deep: it touches for 1 s more
+    assert measures._impulse_error(foreign(lam, gap, error=error)) == pytest.approx(
+        300.0 * 9.0 * 0.01
+    )
     gap[1, 1] = -0.00101
-    assert measures._impulse_error(foreign(lam, gap, error=error)) == pytest.approx(5e4 / 0.00101 * 9.0 * 0.01)
-    assert measures._impulse_error(foreign(lam, np.abs(gap), error=error)) == 0.0, "a force over an open gap says nothing of stiffness"
+    assert measures._impulse_error(foreign(lam, gap, error=error)) == pytest.approx(
+        5e4 / 0.00101 * 9.0 * 0.01
+    )
+    assert measures._impulse_error(foreign(lam, np.abs(gap), error=error)) == 0.0, (
+        "a force over an open gap says nothing of stiffness"
+    )
 
 
 @pytest.mark.parametrize("contact", [0, 1])
 def test_a_contact_that_pushes_while_its_gap_is_open_has_a_map_that_is_wrong(contact: int):
-    """Rows stand for 1, 3, 5, 7 and 4 s (twice what lies around them). It pushes at all but the fourth, a little being nothing: 13 s."""
+    """Rows stand for 1, 3, 5, 7 and 4 s (twice what lies around them).
+
+    It pushes at all but the fourth, a little being nothing: 13 s.
+    """
     lam, gap = np.zeros((5, 2)), np.full((5, 2), -0.2)
     lam[:, contact] = 10.0, 10.0, 10.0, 0.09, 10.0
     gap[:, contact] = -1.0, 0.5, 0.6, 0.9, 0.009
@@ -85,7 +117,9 @@ def test_a_contact_that_pushes_while_its_gap_is_open_has_a_map_that_is_wrong(con
     measures._check_gaps(foreign(lam, gap))
 
 
-def refined(errors: list[float], limit: float | None = 0.4, waived: bool = False) -> tuple[float, list[int]]:
+def refined(
+    errors: list[float], limit: float | None = 0.4, waived: bool = False
+) -> tuple[float, list[int]]:
     """The order of discretisation errors that each halving leaves, and the parts that were asked for; the replay stands still."""
     asked: list[int] = []
 
@@ -94,13 +128,20 @@ def refined(errors: list[float], limit: float | None = 0.4, waived: bool = False
         return np.array([[0.0, 0.0], [0.0, errors[len(asked)]]])
 
     case: Any = SimpleNamespace(
-        true_motion=(np.array([[0.0, 0.0], [errors[0], 0.0]]), None), replay_q=np.zeros((2, 2)), error=SimpleNamespace(position=0.0),
+        true_motion=(np.array([[0.0, 0.0], [errors[0], 0.0]]), None),
+        replay_q=np.zeros((2, 2)),
+        error=SimpleNamespace(position=0.0),
         scene=SimpleNamespace(
-            limit=lambda name: SimpleNamespace(value=None if waived else limit) if name == "replay_error" and (limit or waived) else None,
-            nq=2, coordinates=[SimpleNamespace(nominal=0.5), SimpleNamespace(nominal=2.0)],
+            limit=lambda name: (
+                SimpleNamespace(value=None if waived else limit)
+                if name == "replay_error" and (limit or waived)
+                else None
+            ),
+            nq=2,
+            coordinates=[SimpleNamespace(nominal=0.5), SimpleNamespace(nominal=2.0)],
         ),
         own_motion=lambda parts: (motion(parts), None),
-    )  # fmt: skip
+    )
     return measures.grid_order(case), asked
 
 
@@ -110,8 +151,14 @@ def test_the_order_of_a_grid_is_that_of_its_last_halving():
     assert refined([0.8, 0.101, 0.0505]) == (pytest.approx(1.0), [2, 4])
     assert refined([0.8, 0.1]) == (pytest.approx(3.0), [2])
     assert refined([0.8, 0.0]) == (7, [2])
-    assert refined([1.0, 1.5] * 4) == (pytest.approx(math.log2(1 / 1.5)), [2, 4, 8, 16, 32, 64, 128])
-    for idle, parts in ((1.003, [2, 4, 8]), (1.011, [2, 4, 8, 16, 32, 64, 128])):  # a hundredth of the 0.9 that are missing
+    assert refined([1.0, 1.5] * 4) == (
+        pytest.approx(math.log2(1 / 1.5)),
+        [2, 4, 8, 16, 32, 64, 128],
+    )
+    for idle, parts in (
+        (1.003, [2, 4, 8]),
+        (1.011, [2, 4, 8, 16, 32, 64, 128]),
+    ):  # a hundredth of the 0.9 that are missing
         assert refined([1.0, *[idle, 1.0] * 4][:8])[1] == parts
     with pytest.raises(Unmeasured, match="far below the limit"):
         refined([0.1])
@@ -123,7 +170,9 @@ def test_the_order_of_a_grid_is_that_of_its_last_halving():
 
 @pytest.mark.parametrize("own", [True, False])
 @pytest.mark.parametrize("applied", [None, np.array([[7.0], [8.0]])])
-def test_a_replay_costs_what_its_rows_cost_and_is_as_wrong_as_they_are(own: bool, applied: np.ndarray | None):
+def test_a_replay_costs_what_its_rows_cost_and_is_as_wrong_as_they_are(
+    own: bool, applied: np.ndarray | None
+):
     """On another grid all its rows tell more than those at the nodes."""
     asked: list[tuple[Any, ...]] = []
 
@@ -137,14 +186,19 @@ def test_a_replay_costs_what_its_rows_cost_and_is_as_wrong_as_they_are(own: bool
     )  # fmt: skip
     plan_u = np.array([[5.0], [6.0]])
     case: Any = SimpleNamespace(
-        replay=replay, trajectory=SimpleNamespace(u=plan_u), need=lambda *parts: asked.append(parts), cost_of=cost_of,
-        h=np.array([0.25, 0.25 if own else 0.3]), scene=SimpleNamespace(task=SimpleNamespace(step=0.25)), error=SimpleNamespace(state=0.125),
+        replay=replay, trajectory=SimpleNamespace(u=plan_u),
+        need=lambda *parts: asked.append(parts), cost_of=cost_of,
+        h=np.array([0.25, 0.25 if own else 0.3]),
+        scene=SimpleNamespace(task=SimpleNamespace(step=0.25)), error=SimpleNamespace(state=0.125),
     )  # fmt: skip
     rows = replay.knots if own else [0, 1, 2, 3]
     q, v = replay.q[rows], replay.v[rows]
     value, error = measures.replay_cost(case)
     assert value == pytest.approx((q**2).sum() - 3 * v.sum())
-    more, less = (sign * 2 * 0.125 * q.sum() + len(rows) * (0.125**2 - sign * 3 * 0.125) for sign in (1.0, -1.0))
+    more, less = (
+        sign * 2 * 0.125 * q.sum() + len(rows) * (0.125**2 - sign * 3 * 0.125)
+        for sign in (1.0, -1.0)
+    )
     assert error == pytest.approx(max(abs(more), abs(less)))
     assert asked[0] == ("q", "v")
     assert asked[1] == (replay.t[rows].tolist(), plan_u if applied is None else applied)
@@ -155,25 +209,46 @@ def test_a_replay_costs_what_its_rows_cost_and_is_as_wrong_as_they_are(own: bool
 def test_the_end_on_its_own_grid_may_miss_what_the_plan_may():
     def case(limit: Any) -> Any:
         scene = SimpleNamespace(
-            limit=lambda name: limit if name == "terminal_velocity_error" else None, coordinates=[SimpleNamespace(nominal=0.5)], nq=1
+            limit=lambda name: limit if name == "terminal_velocity_error" else None,
+            coordinates=[SimpleNamespace(nominal=0.5)],
+            nq=1,
         )
         end, goal = np.array([5.0, 1.0]), np.array([0.5, 0.25])
-        return SimpleNamespace(scene=scene, trajectory=SimpleNamespace(steps=4), printing={"q": 0.01}, true_end=end, goal=goal)
+        return SimpleNamespace(
+            scene=scene,
+            trajectory=SimpleNamespace(steps=4),
+            printing={"q": 0.01},
+            true_end=end,
+            goal=goal,
+        )
 
-    for limit, allowed in ((None, 0.0), (SimpleNamespace(value=None), 0.0), (SimpleNamespace(value=0.3), 0.3)):
+    for limit, allowed in (
+        (None, 0.0),
+        (SimpleNamespace(value=None), 0.0),
+        (SimpleNamespace(value=0.3), 0.3),
+    ):
         found = measures.discrete_terminal(case(limit), "velocity")
-        assert (found.values, found.allowed, found.scales) == (0.75, allowed, pytest.approx(4 * (1e-6 * 0.5 + 0.01)))
+        assert (found.values, found.allowed, found.scales) == (
+            0.75,
+            allowed,
+            pytest.approx(4 * (1e-6 * 0.5 + 0.01)),
+        )
     assert measures.discrete_terminal(case(None), "position").values == 4.5
 
 
 def test_a_collocation_plan_without_a_solution_has_left_its_scheme():
     finite = np.array([0.1, 0.2])
     case: Any = SimpleNamespace(
-        printing=PRINTED, h=np.array([0.1, 0.2]), trajectory=SimpleNamespace(scheme=Scheme.RADAU_IIA_2), collocation_defect=finite,
-        scene=SimpleNamespace(nq=1, coordinates=[SimpleNamespace(nominal=0.5)]), printing_acceleration=0.7,
+        printing=PRINTED, h=np.array([0.1, 0.2]),
+        trajectory=SimpleNamespace(scheme=Scheme.RADAU_IIA_2), collocation_defect=finite,
+        scene=SimpleNamespace(nq=1, coordinates=[SimpleNamespace(nominal=0.5)]),
+        printing_acceleration=0.7,
     )  # fmt: skip
     found = measures.defect(case)
-    assert (found.values.tolist(), found.allowed.tolist()) == ([0.1, 0.2], pytest.approx([0.02 + 0.2 * 0.02, 0.04 + 0.2 * 0.7]))
+    assert (found.values.tolist(), found.allowed.tolist()) == (
+        [0.1, 0.2],
+        pytest.approx([0.02 + 0.2 * 0.02, 0.04 + 0.2 * 0.7]),
+    )
     case.collocation_defect = np.array([0.1, np.inf])
     with pytest.raises(LeavesBounds, match=f"scheme {Scheme.RADAU_IIA_2.value}"):
         measures.defect(case)

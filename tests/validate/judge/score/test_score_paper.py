@@ -28,7 +28,9 @@ def plans(scene: Scene) -> dict[str, Trajectory]:
     made: dict[str, Trajectory] = {}
     plan = None
     for eps, iterations in ((1e-3, 15), (1e-5, 14), (1e-7, 11)):
-        plan = made[f"softplus_gd {eps:g}"] = solve(scene, "softplus_gd", eps, plan, iterations=iterations).trajectory
+        plan = made[f"softplus_gd {eps:g}"] = solve(
+            scene, "softplus_gd", eps, plan, iterations=iterations
+        ).trajectory
     made["relu_gd warm"] = solve(scene, "relu_gd", None, plan, iterations=10).trajectory
     made["relu_gd cold"] = solve(scene, "relu_gd", iterations=200).trajectory
     plan = None
@@ -41,24 +43,40 @@ def plans(scene: Scene) -> dict[str, Trajectory]:
 @pytest.fixture(scope="module")
 def scores(scene: Scene, plans: dict[str, Trajectory]) -> dict[str, Score]:
     fmu = build_fmu(scene)
-    # The softplus descents violate by contact physics alone; leaving their replays out saves seconds.
-    return {name: score(scene, plan, None if name.startswith("softplus_gd") else replay(scene, fmu, plan)) for name, plan in plans.items()}
+    # The softplus descents violate by contact physics alone; leaving their replays out saves
+    # seconds.
+    return {
+        name: score(
+            scene, plan, None if name.startswith("softplus_gd") else replay(scene, fmu, plan)
+        )
+        for name, plan in plans.items()
+    }
 
 
 @pytest.mark.parametrize(
     ("name", "physics", "miss"),
-    [("softplus_dc 0.001", 2445.90, 0.449), ("softplus_dc 1e-05", 625.14, 0.265), ("softplus_dc 1e-07", 239.53, 0.119)],
+    [
+        ("softplus_dc 0.001", 2445.90, 0.449),
+        ("softplus_dc 1e-05", 625.14, 0.265),
+        ("softplus_dc 1e-07", 239.53, 0.119),
+    ],
 )
-def test_softplus_collocation_rows(scores: dict[str, Score], name: str, physics: float, miss: float):
+def test_softplus_collocation_rows(
+    scores: dict[str, Score], name: str, physics: float, miss: float
+):
     result = scores[name]
     assert result.value("physics") == pytest.approx(physics, rel=1e-3)
     assert result.value("terminal_error") == pytest.approx(0.0, abs=1e-6)
-    # Measured: the paper's successor numbers 0.449 / 0.265 / 0.119 are norms over positions *and* velocities.
+    # Measured: the paper's successor numbers 0.449 / 0.265 / 0.119 are norms over positions *and*
+    # velocities.
     assert result.value("discrete_terminal_error") == pytest.approx(miss, abs=5e-4)
     assert result.verdict is Verdict.VIOLATES
     answers = dict(result.questions)
     assert answers[Question.GOAL] == "yes", "on paper it arrives"
-    assert {answers[question] for question in (Question.FORCES, Question.MOTION, Question.POSSIBLE, Question.SCHEME)} == {"no"}
+    assert {
+        answers[question]
+        for question in (Question.FORCES, Question.MOTION, Question.POSSIBLE, Question.SCHEME)
+    } == {"no"}
     assert not unsaid(result.why, "contact forces are not those of contact")
     assert "a relaxed contact law; tighten eps" in result.why
     assert not unsaid(result.why, "departs from the plan by")
@@ -67,7 +85,8 @@ def test_softplus_collocation_rows(scores: dict[str, Score], name: str, physics:
 @pytest.mark.parametrize(
     ("name", "stability", "holds"),
     [
-        ("softplus_gd 0.001", 0.411, False), ("softplus_gd 1e-05", 0.273, False), ("softplus_gd 1e-07", 0.196, False), ("relu_gd warm", 0.047, True),
+        ("softplus_gd 0.001", 0.411, False), ("softplus_gd 1e-05", 0.273, False),
+        ("softplus_gd 1e-07", 0.196, False), ("relu_gd warm", 0.047, True),
         ("relu_gd cold", 0.040, True),
     ],
 )  # fmt: skip
@@ -90,7 +109,9 @@ def test_plans_under_the_true_law_have_no_physics_error_at_all(scores: dict[str,
     assert 1e-3 < (result.value("grid_error") or 0) < 8e-3
 
 
-def test_an_exact_plan_holds_and_misses_the_continuous_goal_by_the_grid_alone(scores: dict[str, Score]):
+def test_an_exact_plan_holds_and_misses_the_continuous_goal_by_the_grid_alone(
+    scores: dict[str, Score],
+):
     result = scores["exact"]
     assert result.verdict is Verdict.HOLDS, result.why
     assert result.value("terminal_error") == pytest.approx(0.0, abs=1e-8)
@@ -99,7 +120,10 @@ def test_an_exact_plan_holds_and_misses_the_continuous_goal_by_the_grid_alone(sc
 
 
 def test_ghost_impulse_tells_soft_plans_from_true_ones(scores: dict[str, Score]):
-    """At a distance a soft plan has 1.5, 0.8 and 0.4 N s of some 1.5 in all; a true one what the grid moves within a step."""
+    """At a distance a soft plan has 1.5, 0.8 and 0.4 N s of some 1.5 in all.
+
+    A true one what the grid moves within a step.
+    """
     expected = {"softplus_dc 0.001": 1.534, "softplus_dc 1e-05": 0.771, "softplus_dc 1e-07": 0.428}
     for name, result in scores.items():
         if name.startswith("softplus_gd"):
@@ -109,18 +133,28 @@ def test_ghost_impulse_tells_soft_plans_from_true_ones(scores: dict[str, Score])
         assert ghost.value == pytest.approx(expected.get(name, 0.0), rel=1e-2, abs=3e-3)
 
 
-def test_every_metric_is_measured_and_every_limit_has_a_reason(scene: Scene, scores: dict[str, Score]):
+def test_every_metric_is_measured_and_every_limit_has_a_reason(
+    scene: Scene, scores: dict[str, Score]
+):
     result = scores["exact"]
-    expected = [*(entry.name for entry in TABLE if entry.applies(scene)), "amplification", "growth_rate"]
+    expected = [
+        *(entry.name for entry in TABLE if entry.applies(scene)),
+        "amplification",
+        "growth_rate",
+    ]
     assert sorted(metric.name for metric in result.metrics) == sorted(expected)
-    of_others = {entry.name for entry in TABLE if {"no scheme", "no defect"} & {*entry.needs}}  # of plans that declare no scheme
+    of_others = {
+        entry.name for entry in TABLE if {"no scheme", "no defect"} & {*entry.needs}
+    }  # of plans that declare no scheme
     for metric in result.metrics:
         if metric.name != "grid_order":  # of plans whose discretisation error is worth a question
             assert (metric.value is None) is (metric.name in of_others), metric
         assert (metric.limit is None) or metric.reason
 
 
-def test_the_same_plans_undeclared_are_judged_by_their_motion_alone(scene: Scene, plans: dict[str, Trajectory], scores: dict[str, Score]):
+def test_the_same_plans_undeclared_are_judged_by_their_motion_alone(
+    scene: Scene, plans: dict[str, Trajectory], scores: dict[str, Score]
+):
     """Who leaves out the declaration is not asked for a defect, but no relaxed plan gets through, and no exact one is lost."""
     fmu = build_fmu(scene)
     for name in ("softplus_dc 0.001", "softplus_dc 1e-07", "exact"):

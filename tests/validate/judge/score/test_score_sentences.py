@@ -15,7 +15,16 @@ from models.contact_law import ContactLaw
 from models.scene import Limit, Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory
-from tests.validate.judge.score.test_score_verdict import BELOW, GRID, MISS, SCENE, STRAY, metric, metric_of_growth, told
+from tests.validate.judge.score.test_score_verdict import (
+    BELOW,
+    GRID,
+    MISS,
+    SCENE,
+    STRAY,
+    metric,
+    metric_of_growth,
+    told,
+)
 from validate.judge.judgement import judge
 from validate.judge.score import Metric, Question, Verdict, cause, score
 from validate.judge.score.verdict import EFFORT, Unmeasured
@@ -30,7 +39,9 @@ def test_feedback_that_fails_too_says_by_what():
     assert "With feedback" not in told(MISS, effort, replay=None)
     assert "With feedback" not in told(MISS, effort, replay=SimpleNamespace(tracked=None, ok=True))
     fine = metric("start_error", False, value=0.1, limit=1e-6)
-    assert "With feedback" not in told(fine, BELOW, effort, replay=tracked), "the inputs alone give the motion"
+    assert "With feedback" not in told(fine, BELOW, effort, replay=tracked), (
+        "the inputs alone give the motion"
+    )
 
 
 def test_a_depth_is_blamed_on_the_contact_that_is_nearest_to_its_own_end():
@@ -40,11 +51,15 @@ def test_a_depth_is_blamed_on_the_contact_that_is_nearest_to_its_own_end():
     left, right = SCENE.contacts
     for replay_gap, contact in ((gap, right), (gap[:, ::-1], left)):
         why = told(deep, replay=SimpleNamespace(ok=True, gap=replay_gap, tracked=None))
-        assert not unsaid(why, f"contact {contact.name} ({contact.bodies[0]} and {contact.bodies[1]}) ends, ")
+        assert not unsaid(
+            why, f"contact {contact.name} ({contact.bodies[0]} and {contact.bodies[1]}) ends, "
+        )
         assert contact.depth_reason in why
     for replayed in (None, SimpleNamespace(ok=False, gap=gap, tracked=None)):
         assert "beyond the depth" not in told(deep, replay=replayed)
-    assert "beyond the depth" not in told(deep, replay=SimpleNamespace(ok=True, gap=gap, tracked=None), scene=SimpleNamespace())
+    assert "beyond the depth" not in told(
+        deep, replay=SimpleNamespace(ok=True, gap=gap, tracked=None), scene=SimpleNamespace()
+    )
 
 
 @pytest.mark.parametrize(
@@ -71,19 +86,33 @@ def test_each_metric_that_fails_first_has_its_cause(first: Metric, says: str):
         ("replay_cost", "1", 1668.87, 1900.0, "costs 1.67e+03, limit 1.9e+03."),
         ("max_penetration", "m", 5.00001e-07, 5e-07, "by 5.00001e-07 m, limit 5e-07 m."),
         ("max_penetration", "m", 0.5 + 1e-12, 0.5, "by 0.5 m, limit 0.5 m."),
-        ("unexplained_force", "1", 0.1004, 0.1, "10.04 % of what counts as a large force, limit 10 %."),
+        (
+            "unexplained_force",
+            "1",
+            0.1004,
+            0.1,
+            "10.04 % of what counts as a large force, limit 10 %.",
+        ),
         (EFFORT, "1", 12.34, 12.3, "is 1234 % of the half-range of the inputs, limit 1230 %."),
     ],
 )
-def test_a_number_and_its_limit_have_the_digits_that_tell_them_apart(name: str, unit: str, value: float, limit: float, says: str):
-    assert cause._quote(metric(name, False, value=value, limit=limit, unit=unit)).endswith(says.rstrip("."))
+def test_a_number_and_its_limit_have_the_digits_that_tell_them_apart(
+    name: str, unit: str, value: float, limit: float, says: str
+):
+    assert cause._quote(metric(name, False, value=value, limit=limit, unit=unit)).endswith(
+        says.rstrip(".")
+    )
 
 
 def test_digits_that_are_few_may_be_why_forces_are_not_those_of_the_motion():
-    few, many = (SimpleNamespace(q=np.array([[0.25, 2.0], [0.31, last]])) for last in (2.5, 2.50041))
+    few, many = (
+        SimpleNamespace(q=np.array([[0.25, 2.0], [0.31, last]])) for last in (2.5, 2.50041)
+    )
     assert cause._few_digits(few) == "the plan's own digits: its positions are given to 0.01"
     assert cause._few_digits(many) == ""
-    assert ", or forces of another motion, or the plan's own digits: its" in told(metric("contact_law_error", False, unit="N s"))
+    assert ", or forces of another motion, or the plan's own digits: its" in told(
+        metric("contact_law_error", False, unit="N s")
+    )
     assert "; it may be the plan's own digits: its positions are given to" in told(
         metric("unexplained_force", False, value=0.42, limit=0.1), scheme=None
     )
@@ -92,7 +121,11 @@ def test_digits_that_are_few_may_be_why_forces_are_not_those_of_the_motion():
 
 def test_a_law_that_the_motion_contradicts_is_not_blamed():
     same = "; its inputs give its motion all the same: if another integrator made it"
-    for name in ("law_error", "discrete_terminal_position_error", "discrete_terminal_velocity_error"):
+    for name in (
+        "law_error",
+        "discrete_terminal_position_error",
+        "discrete_terminal_velocity_error",
+    ):
         assert not unsaid(told(metric(name, False), BELOW), same)
 
 
@@ -101,11 +134,20 @@ def test_a_motion_that_is_impossible_is_blamed_on_the_grid_where_that_has_an_ord
     missed = metric("missed_impulse", False, unit="N s")
     order = metric("grid_order", None, value=1.0, limit=None, unit="1")
     exact = {"questions": {Question.FORCES: "yes"}}
-    assert ": discretisation error 0.079 m; the contact forces are correct." in told(missed, GRID, order, **exact)
-    assert not unsaid(told(missed, GRID, order, metric_of_growth(100.0), **exact), "correct; unstable … (amplification 100)")
-    assert "discretisation" not in told(missed, GRID, order, questions={Question.FORCES: "not asked"})
+    assert ": discretisation error 0.079 m; the contact forces are correct." in told(
+        missed, GRID, order, **exact
+    )
+    assert not unsaid(
+        told(missed, GRID, order, metric_of_growth(100.0), **exact),
+        "correct; unstable … (amplification 100)",
+    )
+    assert "discretisation" not in told(
+        missed, GRID, order, questions={Question.FORCES: "not asked"}
+    )
     faster = metric("replay_velocity_bound_violation", False, unit="m/s")
-    assert told(faster, GRID, order).endswith(": discretisation error 0.079 m."), "whatever is said of forces"
+    assert told(faster, GRID, order).endswith(": discretisation error 0.079 m."), (
+        "whatever is said of forces"
+    )
     ghost = metric("ghost_impulse", False, unit="N s")
     assert told(ghost).endswith("limit 0.06 N s: force at a distance.")
     assert "force at a distance" not in told(ghost, GRID, order, **exact)
@@ -116,13 +158,18 @@ def test_a_motion_that_is_impossible_is_blamed_on_the_grid_where_that_has_an_ord
         (GRID, metric("grid_order", None, value=None, limit=None)),
     ):
         assert "discretisation" not in told(missed, *others, **exact)
-    assert "discretisation" not in told(metric("friction_violation", False, unit="N"), GRID, order, **exact)
+    assert "discretisation" not in told(
+        metric("friction_violation", False, unit="N"), GRID, order, **exact
+    )
 
 
 def test_what_is_lost_on_its_own_grid_is_unstable_where_errors_grow_and_the_planned_forces_are_those_of_contact():
     lost = (STRAY, GRID, metric("law_error", None, value=4.0, limit=None), metric_of_growth(1e6))
     why = told(*lost, questions={Question.FORCES: "yes"})
-    assert not unsaid(why, ": off by 4 m on its own grid already; the contact forces are correct; unstable … (amplification 1e+06).")
+    assert not unsaid(
+        why,
+        ": off by 4 m on its own grid already; the contact forces are correct; unstable … (amplification 1e+06).",
+    )
     assert not unsaid(told(*lost), ": a relaxed contact law (4 m on its own grid already)")
 
 
@@ -137,10 +184,16 @@ STEP = SCENE.task.step
             f"forces are correct. Try h = {0.8 * 0.06 / 0.08 * STEP:.2g} s … or `collocation`.",
         ),
         # A second order takes the root; beside a larger grid error that one counts.
-        ({"scheme": Scheme.RADAU_IIA_2}, f"Try h = {(0.8 * 0.06 / 0.08) ** 0.5 * STEP:.2g} s (predicted"),
+        (
+            {"scheme": Scheme.RADAU_IIA_2},
+            f"Try h = {(0.8 * 0.06 / 0.08) ** 0.5 * STEP:.2g} s (predicted",
+        ),
         ({"grid": 0.16}, f"Try h = {0.8 * 0.06 / 0.16 * STEP:.2g} s"),
         ({"grid": 0.0}, "the contact forces are correct."),
-        ({"value": 0.0601, "limit": 0.06, "grid": 1e-3}, f"Try h = {0.8 * 0.06 / 0.0601 * STEP:.2g} s"),
+        (
+            {"value": 0.0601, "limit": 0.06, "grid": 1e-3},
+            f"Try h = {0.8 * 0.06 / 0.0601 * STEP:.2g} s",
+        ),
         ({"limit": 0.0}, "the contact forces are correct."),
         ({"law": 0.0799}, "discretisation error 0.08 m"),
         ({"law": 0.0801}, "relaxed contact law (0.0801 m"),
@@ -149,8 +202,15 @@ STEP = SCENE.task.step
     ],
 )
 def test_what_a_grid_is_blamed_for_and_which_would_do(changes: dict[str, Any], says: str):
-    given = {"value": 0.08, "limit": 0.06, "grid": 0.08, "scheme": Scheme.SEMI_IMPLICIT_EULER} | changes
-    first = metric("replay_terminal_position_error", False, value=given["value"], limit=given["limit"])
+    given = {
+        "value": 0.08,
+        "limit": 0.06,
+        "grid": 0.08,
+        "scheme": Scheme.SEMI_IMPLICIT_EULER,
+    } | changes
+    first = metric(
+        "replay_terminal_position_error", False, value=given["value"], limit=given["limit"]
+    )
     metrics = [first, metric("grid_error", None, value=given["grid"], limit=None)]
     metrics += [metric("law_error", None, value=given["law"], limit=None)] if "law" in given else []
     metrics += [metric_of_growth(given["growth"])] if "growth" in given else []
@@ -160,35 +220,65 @@ def test_what_a_grid_is_blamed_for_and_which_would_do(changes: dict[str, Any], s
 @pytest.mark.parametrize(
     ("errors", "factor"),
     [
-        ((0.5, 0.5, 0.04), (0.048 / 0.04) ** (1.0 / np.log2(0.5 / 0.04)) / 8),  # far too long at first: only the last halving says how it shrinks
-        ((0.25, 0.125, 0.0625, 0.03125), 0.048 / 0.5), ((0.6, 0.3), 0.048 / 0.3 / 4), ((0.048,), 0.5),
+        (
+            (0.5, 0.5, 0.04),
+            (0.048 / 0.04) ** (1.0 / np.log2(0.5 / 0.04)) / 8,
+        ),  # far too long at first: only the last halving says how it shrinks
+        ((0.25, 0.125, 0.0625, 0.03125), 0.048 / 0.5),
+        ((0.6, 0.3), 0.048 / 0.3 / 4),
+        ((0.048,), 0.5),
         ((0.4, 0.0), 0.25),
     ],
-)  # fmt: skip
-def test_a_step_that_is_far_too_long_is_halved_before_its_order_is_trusted(errors: tuple[float, ...], factor: float):
+)
+def test_a_step_that_is_far_too_long_is_halved_before_its_order_is_trusted(
+    errors: tuple[float, ...], factor: float
+):
     def halved(near: float) -> Iterator[float]:
         assert near == pytest.approx(0.048)
         yield from errors
         raise Unmeasured("it diverges.")
 
     first = metric("replay_error", False, value=0.4, limit=0.06)
-    why = told(first, metric("grid_error", None, value=0.5, limit=None), scheme=Scheme.SEMI_IMPLICIT_EULER, halved=halved)
+    why = told(
+        first,
+        metric("grid_error", None, value=0.5, limit=None),
+        scheme=Scheme.SEMI_IMPLICIT_EULER,
+        halved=halved,
+    )
     assert not unsaid(why, f"Try h = {factor * STEP:.2g} s")
 
 
 @pytest.mark.parametrize(
     ("errors", "helps"),
-    [((0.5, 0.5), False), ((0.5, 0.496), False), ((0.5, 0.494), True), ((0.5, 0.0481), True), ((0.5, 0.6), False), ((0.047, 0.047), True)],
+    [
+        ((0.5, 0.5), False),
+        ((0.5, 0.496), False),
+        ((0.5, 0.494), True),
+        ((0.5, 0.0481), True),
+        ((0.5, 0.6), False),
+        ((0.047, 0.047), True),
+    ],
 )
-def test_no_step_is_named_where_shorter_ones_bring_it_no_nearer(errors: tuple[float, ...], helps: bool):
+def test_no_step_is_named_where_shorter_ones_bring_it_no_nearer(
+    errors: tuple[float, ...], helps: bool
+):
     first = metric("replay_error", False, value=0.4, limit=0.06)
     why = told(
-        first, metric("grid_error", None, value=0.5, limit=None), scheme=Scheme.SEMI_IMPLICIT_EULER, halved=lambda near: iter(errors)
+        first,
+        metric("grid_error", None, value=0.5, limit=None),
+        scheme=Scheme.SEMI_IMPLICIT_EULER,
+        halved=lambda near: iter(errors),
     )
-    assert ("Try h = " in why, "half the step, these inputs held, brings it no nearer" in why) == (helps, not helps)
+    assert ("Try h = " in why, "half the step, these inputs held, brings it no nearer" in why) == (
+        helps,
+        not helps,
+    )
 
 
-@pytest.mark.parametrize("name", ["physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error"])
+@pytest.mark.parametrize(
+    "name",
+    ["physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error"],
+)
 def test_contact_forces_that_fail_are_not_called_correct(name: str):
     why = told(MISS, GRID, metric(name, False), metric_of_growth(500.0), questions={})
     assert "driven by" in why
@@ -200,79 +290,156 @@ def test_a_grid_that_nobody_knows_leaves_instability_or_nothing():
     unknown = metric("grid_error", None, value=None, limit=None)
     for others in ((), (unknown,)):
         assert told(STRAY, *others).endswith("limit 0.06 m.")
-        assert "; unstable in the open loop (amplification 500)." in told(STRAY, *others, metric_of_growth(500.0))
+        assert "; unstable in the open loop (amplification 500)." in told(
+            STRAY, *others, metric_of_growth(500.0)
+        )
     broken = told(STRAY, GRID, metric("defect", False, value=2e-3, limit=1e-6, unit="m"))
-    assert not unsaid(broken, "limit 0.06 m: … not satisfy its declared scheme (residual 0.002 m), limit 1e-06 m")
+    assert not unsaid(
+        broken, "limit 0.06 m: … not satisfy its declared scheme (residual 0.002 m), limit 1e-06 m"
+    )
 
 
 def test_undecided_for_the_last_reasons():
     alone = told(MISS, verdict=Verdict.UNDECIDED)
-    assert not unsaid(alone, "ends 0.27 m from the goal, limit 0.06 m; whether feedback … not be decided.")
-    blurred = told(MISS, metric("tracked_missed_impulse", None, value=0.04, limit=0.05, unit="N s", error=0.012), verdict=Verdict.UNDECIDED)
-    assert not unsaid(blurred, "could not be decided: with feedback … 0.04 N s … limit 0.05 N s, but … own error of 0.012 N s")
+    assert not unsaid(
+        alone, "ends 0.27 m from the goal, limit 0.06 m; whether feedback … not be decided."
+    )
+    blurred = told(
+        MISS,
+        metric("tracked_missed_impulse", None, value=0.04, limit=0.05, unit="N s", error=0.012),
+        verdict=Verdict.UNDECIDED,
+    )
+    assert not unsaid(
+        blurred,
+        "could not be decided: with feedback … 0.04 N s … limit 0.05 N s, but … own error of 0.012 N s",
+    )
     assert told(verdict=Verdict.UNDECIDED) == "no question could be decided."
     unsure = metric("energy_residual_relative", None, value=1.5, limit=1.0, unit="1", error=0.25)
     assert told(unsure, verdict=Verdict.UNDECIDED).endswith("limit 1, known to 0.25.")
-    unknown = metric("energy_residual_relative", None, value=None, limit=1.0, unit="1", reason="unseen.")
-    assert not unsaid(told(unknown, verdict=Verdict.UNDECIDED), "the judge is not well … energy_residual_relative: unseen.")
+    unknown = metric(
+        "energy_residual_relative", None, value=None, limit=1.0, unit="1", reason="unseen."
+    )
+    assert not unsaid(
+        told(unknown, verdict=Verdict.UNDECIDED),
+        "the judge is not well … energy_residual_relative: unseen.",
+    )
     blurred = metric("replay_error", None, value=0.0599, error=1e-4)
     decided = SimpleNamespace(error=SimpleNamespace(would_decide="a better FMU"), tracked=None)
-    assert told(blurred, verdict=Verdict.UNDECIDED, replay=decided).endswith("What would decide it: a better FMU.")
-    assert "What would decide it" not in told(metric("replay_error", None, value=None), verdict=Verdict.UNDECIDED, replay=decided)
+    assert told(blurred, verdict=Verdict.UNDECIDED, replay=decided).endswith(
+        "What would decide it: a better FMU."
+    )
+    assert "What would decide it" not in told(
+        metric("replay_error", None, value=None), verdict=Verdict.UNDECIDED, replay=decided
+    )
 
 
 def test_what_an_fmu_shows_is_said_by_the_numbers_of_its_questions():
-    asked = {Question.TASK: "yes", Question.MOTION: "yes", Question.GOAL: "not asked", Question.JUDGE: "yes"}
+    asked = {
+        Question.TASK: "yes",
+        Question.MOTION: "yes",
+        Question.GOAL: "not asked",
+        Question.JUDGE: "yes",
+    }
     fmu: Any = SimpleNamespace(task=SimpleNamespace(has_goal=False))
     assert told(BELOW, scene=fmu, verdict=Verdict.HOLDS, questions=asked).startswith(
         "holds for what this FMU shows (questions 1, 4); closest"
     )
     one = {Question.TASK: "yes"}
-    assert told(scene=fmu, verdict=Verdict.HOLDS, questions=one) == "holds for what this FMU shows (question 1)."
-    assert not unsaid(
-        told(scene=fmu, verdict=Verdict.CONSISTENT, questions=one), "consistent for what this FMU shows (question 1); … give it a [goal]"
+    assert (
+        told(scene=fmu, verdict=Verdict.HOLDS, questions=one)
+        == "holds for what this FMU shows (question 1)."
     )
-    assert not unsaid(told(verdict=Verdict.CONSISTENT, questions=one), "consistent; … asks for nothing: no limit on its goal")
-    assert not unsaid(told(scene=fmu, verdict=Verdict.NOT_APPLICABLE), "inputs alone claim nothing, … asks for nothing.")
+    assert not unsaid(
+        told(scene=fmu, verdict=Verdict.CONSISTENT, questions=one),
+        "consistent for what this FMU shows (question 1); … give it a [goal]",
+    )
+    assert not unsaid(
+        told(verdict=Verdict.CONSISTENT, questions=one),
+        "consistent; … asks for nothing: no limit on its goal",
+    )
+    assert not unsaid(
+        told(scene=fmu, verdict=Verdict.NOT_APPLICABLE),
+        "inputs alone claim nothing, … asks for nothing.",
+    )
 
 
 def test_only_what_holds_by_a_replay_names_its_grid_and_a_limit_of_nothing_is_no_measure():
     near = metric("defect", True, value=9e-7, limit=1e-6)
-    assert "discretisation" not in told(near, metric("replay_error", True, value=0.01), GRID, verdict=Verdict.HOLDS)
+    assert "discretisation" not in told(
+        near, metric("replay_error", True, value=0.01), GRID, verdict=Verdict.HOLDS
+    )
     nothing = metric("start_error", True, value=0.0, limit=0.0)
     assert not unsaid(
-        told(nothing, metric("replay_error", True, value=0.01), verdict=Verdict.HOLDS), "closest to its limit: driven by its inputs"
+        told(nothing, metric("replay_error", True, value=0.01), verdict=Verdict.HOLDS),
+        "closest to its limit: driven by its inputs",
     )
 
 
 def test_with_feedback_the_end_is_quoted_and_what_it_took():
-    bare = told(metric("replay_error", None), metric(EFFORT, True, value=0.125, limit=0.25, unit="1"), verdict=Verdict.HOLDS_WITH_FEEDBACK)
-    assert not unsaid(bare, "not for the inputs alone: … by 0.07 m, limit 0.06 m; with LQR feedback, RMS effort 12 % … it holds.")
-    assert "unstable" not in told(MISS, metric_of_growth(100.0), verdict=Verdict.HOLDS_WITH_FEEDBACK)
+    bare = told(
+        metric("replay_error", None),
+        metric(EFFORT, True, value=0.125, limit=0.25, unit="1"),
+        verdict=Verdict.HOLDS_WITH_FEEDBACK,
+    )
+    assert not unsaid(
+        bare,
+        "not for the inputs alone: … by 0.07 m, limit 0.06 m; with LQR feedback, RMS effort 12 % … it holds.",
+    )
+    assert "unstable" not in told(
+        MISS, metric_of_growth(100.0), verdict=Verdict.HOLDS_WITH_FEEDBACK
+    )
     tracked = metric("tracked_replay_error", True, value=0.01)
-    assert not unsaid(told(tracked, verdict=Verdict.HOLDS_WITH_FEEDBACK), "it holds: with feedback … by 0.01 m, limit 0.06 m.")
+    assert not unsaid(
+        told(tracked, verdict=Verdict.HOLDS_WITH_FEEDBACK),
+        "it holds: with feedback … by 0.01 m, limit 0.06 m.",
+    )
 
 
 @pytest.mark.parametrize(
-    ("value", "said"), [(0.0, "0 %"), (0.1234, "12 %"), (9.99, "1e+03 %"), (10.0, "1000 %"), (123.4, "12000 %"), (-20.0, "-2000 %")]
+    ("value", "said"),
+    [
+        (0.0, "0 %"),
+        (0.1234, "12 %"),
+        (9.99, "1e+03 %"),
+        (10.0, "1000 %"),
+        (123.4, "12000 %"),
+        (-20.0, "-2000 %"),
+    ],
 )
 def test_percents(value: float, said: str):
     assert cause.percent(value) == said
 
 
 @pytest.mark.parametrize(
-    ("value", "said"), [(0.344, "0.34"), (9.96, "10"), (5649.0, "5600"), (994_000.0, "990000"), (1e6, "1e+06"), (3.0, "3")]
+    ("value", "said"),
+    [
+        (0.344, "0.34"),
+        (9.96, "10"),
+        (5649.0, "5600"),
+        (994_000.0, "990000"),
+        (1e6, "1e+06"),
+        (3.0, "3"),
+    ],
 )
 def test_rounded_numbers(value: float, said: str):
     assert cause.rounded(value) == said
 
 
-def _pushed(law: ContactLaw = ContactLaw.RELU, eps: float | None = None, **parameters: float) -> Trajectory:
+def _pushed(
+    law: ContactLaw = ContactLaw.RELU, eps: float | None = None, **parameters: float
+) -> Trajectory:
     """The outer carts of three_cart pushed against the middle one, by the law of a scene with these parameters."""
     scene = SCENE.with_parameters(**parameters)
     u = np.tile([6.0, -4.0], (500, 1))
     rolled = load_kernel(scene).rollout(np.array(scene.task.start), u, 0.01, law=law, eps=eps)
-    return Trajectory(t=0.01 * np.arange(501), q=rolled.q, v=rolled.v, u=u, lam=rolled.lam, scheme=Scheme.SEMI_IMPLICIT_EULER)
+    return Trajectory(
+        t=0.01 * np.arange(501),
+        q=rolled.q,
+        v=rolled.v,
+        u=u,
+        lam=rolled.lam,
+        scheme=Scheme.SEMI_IMPLICIT_EULER,
+    )
 
 
 def _without_goal(scene: Scene) -> Scene:
@@ -281,7 +448,10 @@ def _without_goal(scene: Scene) -> Scene:
         for of in ("", "replay_")
         for what in ("position", "velocity")
     )
-    return replace(scene, limits=(*(limit for limit in scene.limits if "terminal_" not in limit.metric), *waived))
+    return replace(
+        scene,
+        limits=(*(limit for limit in scene.limits if "terminal_" not in limit.metric), *waived),
+    )
 
 
 def test_forces_of_another_stiffness_or_unit_are_not_called_relaxed():
@@ -289,12 +459,24 @@ def test_forces_of_another_stiffness_or_unit_are_not_called_relaxed():
     left, right = (item.name for item in SCENE.contacts)
     exact, stiff, soft = _pushed(), _pushed(k=300.0), _pushed(k=3.0)
     one = replace(exact, lam=exact.lam * [1.0, 7.0])
-    for plan, times in ((stiff, "10"), (soft, "0.1"), (replace(exact, lam=1e-3 * exact.lam), "0.001"), (one, f"1 ({left}), 7 ({right})")):
+    for plan, times in (
+        (stiff, "10"),
+        (soft, "0.1"),
+        (replace(exact, lam=1e-3 * exact.lam), "0.001"),
+        (one, f"1 ({left}), 7 ({right})"),
+    ):
         for scheme in (Scheme.SEMI_IMPLICIT_EULER, None):
             why = score(scene, replace(plan, scheme=scheme), None).why
-            assert not unsaid(why, f": they are {times} times what the contact law gives, as of another stiffness or another unit"), why
+            assert not unsaid(
+                why,
+                f": they are {times} times what the contact law gives, as of another stiffness or another unit",
+            ), why
             assert "relaxed" not in why
-    for relaxed in (_pushed(ContactLaw.SOFTPLUS, 1e-3), _pushed(ContactLaw.SOFTPLUS, 1e-3, k=300.0), replace(exact, lam=exact.lam + 0.5)):
+    for relaxed in (
+        _pushed(ContactLaw.SOFTPLUS, 1e-3),
+        _pushed(ContactLaw.SOFTPLUS, 1e-3, k=300.0),
+        replace(exact, lam=exact.lam + 0.5),
+    ):
         assert not unsaid(score(scene, relaxed, None).why, ": a relaxed contact law; tighten eps")
 
 
@@ -304,7 +486,10 @@ def test_velocities_of_another_motion_are_told_from_a_force_that_nobody_gives():
     late = np.vstack([plan.v[:1], plan.v[:-1]])
     for v in (0.5 * plan.v, 0.0 * plan.v, late):
         why = judge(scene, replace(plan, v=v)).score.why
-        assert not unsaid(why, "its own motion needs a force … with the velocities that its positions take it does not: its own are"), why
+        assert not unsaid(
+            why,
+            "its own motion needs a force … with the velocities that its positions take it does not: its own are",
+        ), why
     kicked = plan.q + 0.002 * (np.arange(501)[:, None] == 250)
     why = judge(scene, replace(plan, q=kicked)).score.why
     assert "its own motion needs a force" in why
@@ -322,7 +507,10 @@ def test_angles_that_are_wrapped_are_told():
     for wrapped in (plan.q + turn, plan.q - 2.0 * turn, plan.q + after):
         for missing in (frozenset[str](), frozenset({"v", "lam"})):
             why = judge(scene, replace(plan, q=wrapped, missing=missing)).score.why
-            assert "its angles are wrapped, where those of a plan run on from the task's start (numpy.unwrap)" in why, why
+            assert (
+                "its angles are wrapped, where those of a plan run on from the task's start (numpy.unwrap)"
+                in why
+            ), why
     for right in (
         plan,
         replace(plan, u=-plan.u),

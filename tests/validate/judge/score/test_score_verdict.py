@@ -14,9 +14,20 @@ from models.trajectory import Trajectory, uniform_grid
 from validate.judge.score import Metric, Question, Verdict, metric_names
 from validate.judge.score.cause import ScoredPlan, cause_of, explain
 from validate.judge.score.table import FEEDBACK, TABLE
-from validate.judge.score.verdict import EFFORT, SHARE, answers, compare, verdict_of, verdict_with_feedback, wants_feedback
+from validate.judge.score.verdict import (
+    EFFORT,
+    SHARE,
+    answers,
+    compare,
+    verdict_of,
+    verdict_with_feedback,
+    wants_feedback,
+)
 
-QUESTION = {entry.name: entry.question for entry in TABLE} | {EFFORT: Question.MOTION, SHARE: Question.MOTION}
+QUESTION = {entry.name: entry.question for entry in TABLE} | {
+    EFFORT: Question.MOTION,
+    SHARE: Question.MOTION,
+}
 
 
 @pytest.mark.parametrize(
@@ -37,13 +48,24 @@ QUESTION = {entry.name: entry.question for entry in TABLE} | {EFFORT: Question.M
         (0.0, 0.0, 0.0, True),
     ],
 )
-def test_a_metric_is_judged_only_ten_errors_away_from_its_limit(value: float, error: float, limit: float, expected: bool | None):
+def test_a_metric_is_judged_only_ten_errors_away_from_its_limit(
+    value: float, error: float, limit: float, expected: bool | None
+):
     assert compare(value, error, limit) is expected
 
 
-def metric(name: str, ok: bool | None, value: float | None = 0.07, limit: float | None = 0.06, unit: str = "m", **more: object) -> Metric:
+def metric(
+    name: str,
+    ok: bool | None,
+    value: float | None = 0.07,
+    limit: float | None = 0.06,
+    unit: str = "m",
+    **more: object,
+) -> Metric:
     question = QUESTION[name.removeprefix("tracked_")]
-    return Metric(name=name, question=question, value=value, unit=unit, meaning="", ok=ok, limit=limit, **more)
+    return Metric(
+        name=name, question=question, value=value, unit=unit, meaning="", ok=ok, limit=limit, **more
+    )
 
 
 def test_limits_are_those_of_metrics_that_have_one_with_its_reason():
@@ -51,10 +73,13 @@ def test_limits_are_those_of_metrics_that_have_one_with_its_reason():
     assert set(metric_names()) == {*(entry.name for entry in TABLE), EFFORT, SHARE}
 
 
-ABOVE, BELOW = metric("replay_terminal_position_error", False), metric("replay_error", True)
-OPEN, START = metric("max_penetration", None), metric("start_error", True)
+ABOVE = metric("replay_terminal_position_error", False)
+BELOW = metric("replay_error", True)
+OPEN = metric("max_penetration", None)
+START = metric("start_error", True)
 SHOWN = metric("physics", None, limit=None)
-UNWELL, WELL = metric("answer_error", False, unit="1"), metric("answer_error", True, unit="1")
+UNWELL = metric("answer_error", False, unit="1")
+WELL = metric("answer_error", True, unit="1")
 
 
 @pytest.mark.parametrize(
@@ -70,8 +95,14 @@ UNWELL, WELL = metric("answer_error", False, unit="1"), metric("answer_error", T
         ((BELOW, OPEN), Verdict.UNDECIDED),
         ((BELOW, UNWELL), Verdict.UNDECIDED),  # it accuses the judge, never the plan
         ((BELOW, metric("answer_error", None)), Verdict.UNDECIDED),
-        ((ABOVE, UNWELL), Verdict.UNDECIDED),  # what a judge who is not well says of the motion is not sure
-        ((metric("start_error", False), UNWELL), Verdict.VIOLATES),  # but what the plan says of itself is
+        (
+            (ABOVE, UNWELL),
+            Verdict.UNDECIDED,
+        ),  # what a judge who is not well says of the motion is not sure
+        (
+            (metric("start_error", False), UNWELL),
+            Verdict.VIOLATES,
+        ),  # but what the plan says of itself is
         ((metric("defect", False), UNWELL), Verdict.VIOLATES),
     ],
 )
@@ -81,7 +112,10 @@ def test_truth_table(metrics: tuple[Metric, ...], verdict: Verdict):
 
 
 def test_good_verdicts():
-    assert {verdict for verdict in Verdict if verdict.is_good} == {Verdict.HOLDS, Verdict.HOLDS_WITH_FEEDBACK}
+    assert {verdict for verdict in Verdict if verdict.is_good} == {
+        Verdict.HOLDS,
+        Verdict.HOLDS_WITH_FEEDBACK,
+    }
 
 
 def test_a_question_is_as_good_as_its_worst_metric():
@@ -93,7 +127,8 @@ def test_a_question_is_as_good_as_its_worst_metric():
     assert Question.SHOWN not in found
 
 
-CONSISTENT, DECLARED = metric("unexplained_force", True, unit="1"), metric("defect", True)
+CONSISTENT = metric("unexplained_force", True, unit="1")
+DECLARED = metric("defect", True)
 
 
 @pytest.mark.parametrize(
@@ -108,19 +143,31 @@ CONSISTENT, DECLARED = metric("unexplained_force", True, unit="1"), metric("defe
         ((START, ABOVE, metric("defect", False)), False),
         ((START, ABOVE, metric("defect", None)), False),
         ((metric("start_error", False), ABOVE, CONSISTENT), False),  # feedback mends no start,
-        ((metric("terminal_position_error", False), ABOVE, CONSISTENT), False),  # no plan that does not arrive,
+        (
+            (metric("terminal_position_error", False), ABOVE, CONSISTENT),
+            False,
+        ),  # no plan that does not arrive,
         ((metric("contact_law_error", False), ABOVE, CONSISTENT), False),  # no invented force,
         ((metric("law_error", False), ABOVE, DECLARED), False),  # no relaxed law
     ],
 )
-def test_feedback_is_tried_where_the_motion_is_missed_and_nothing_else_is_wrong(metrics: tuple[Metric, ...], wanted: bool):
+def test_feedback_is_tried_where_the_motion_is_missed_and_nothing_else_is_wrong(
+    metrics: tuple[Metric, ...], wanted: bool
+):
     assert wants_feedback(metrics) is wanted
-    assert wants_feedback((*metrics, metric_of_growth(1e12))) is wanted, "no threshold of instability changes the judge"
+    assert wants_feedback((*metrics, metric_of_growth(1e12))) is wanted, (
+        "no threshold of instability changes the judge"
+    )
 
 
 def followed(**ok: bool | None) -> tuple[Metric, ...]:
     """A plan whose inputs alone surely miss the goal, and what feedback makes of it."""
-    kept = {"tracked_replay_terminal_position_error": True, "tracked_replay_error": True, EFFORT: True, SHARE: True} | ok
+    kept = {
+        "tracked_replay_terminal_position_error": True,
+        "tracked_replay_error": True,
+        EFFORT: True,
+        SHARE: True,
+    } | ok
     return (START, ABOVE, BELOW, CONSISTENT, *(metric(name, value) for name, value in kept.items()))
 
 
@@ -131,12 +178,20 @@ def followed(**ok: bool | None) -> tuple[Metric, ...]:
         (followed(tracked_replay_error=False), Verdict.VIOLATES),
         (followed(**{EFFORT: False}), Verdict.VIOLATES),  # it makes another plan
         (followed(**{SHARE: False}), Verdict.VIOLATES),
-        (followed(tracked_max_penetration=False), Verdict.VIOLATES),  # question 5 is asked of it too
+        (
+            followed(tracked_max_penetration=False),
+            Verdict.VIOLATES,
+        ),  # question 5 is asked of it too
         (followed(tracked_replay_error=None), Verdict.UNDECIDED),
-        (followed(tracked_energy_residual_relative=False), Verdict.UNDECIDED),  # its judge is not well
+        (
+            followed(tracked_energy_residual_relative=False),
+            Verdict.UNDECIDED,
+        ),  # its judge is not well
     ],
 )
-def test_questions_four_and_five_are_asked_of_the_replay_with_feedback(metrics: tuple[Metric, ...], verdict: Verdict):
+def test_questions_four_and_five_are_asked_of_the_replay_with_feedback(
+    metrics: tuple[Metric, ...], verdict: Verdict
+):
     assert verdict_of(answers(metrics)) is Verdict.VIOLATES, "for the inputs alone nothing changes"
     assert verdict_of(answers(metrics, with_feedback=True)) is verdict
 
@@ -154,20 +209,36 @@ def test_questions_four_and_five_are_asked_of_the_replay_with_feedback(metrics: 
 )
 def test_the_verdict_of_both(alone: Verdict, with_feedback: Verdict, verdict: Verdict):
     sample = {Verdict.HOLDS: "yes", Verdict.VIOLATES: "no", Verdict.UNDECIDED: "undecided"}
-    found = dict.fromkeys((question for question in Question if question.value), "yes") | {Question.MOTION: sample[with_feedback]}
+    found = dict.fromkeys((question for question in Question if question.value), "yes") | {
+        Question.MOTION: sample[with_feedback]
+    }
     assert verdict_with_feedback(alone, found) is verdict
 
 
 SCENE = load_scene("three_cart")
 
 
-def scored(*metrics: Metric, scheme: Scheme | None = Scheme.SEMI_IMPLICIT_EULER, **more: Any) -> ScoredPlan:
+def scored(
+    *metrics: Metric, scheme: Scheme | None = Scheme.SEMI_IMPLICIT_EULER, **more: Any
+) -> ScoredPlan:
     """A plan that stands still and violates by these; more: of other fields."""
     steps = SCENE.task.steps
     states, forces = np.zeros((steps + 1, 3)), np.zeros((steps, 2))
-    plan = Trajectory(t=uniform_grid(SCENE.task.step, steps), q=states, v=states, u=forces, lam=forces, scheme=scheme)
+    plan = Trajectory(
+        t=uniform_grid(SCENE.task.step, steps),
+        q=states,
+        v=states,
+        u=forces,
+        lam=forces,
+        scheme=scheme,
+    )
     found = {item.name: item for item in metrics}
-    fields = {"scene": SCENE, "replay": None, "verdict": Verdict.VIOLATES, "questions": answers(metrics)} | more
+    fields = {
+        "scene": SCENE,
+        "replay": None,
+        "verdict": Verdict.VIOLATES,
+        "questions": answers(metrics),
+    } | more
     return ScoredPlan(trajectory=plan, metrics=found, **fields)
 
 
@@ -182,7 +253,11 @@ TRUE = metric("physics_scaled", True, value=0.0, limit=1e-5, unit="s")
 
 
 def test_a_relaxed_law_is_named_before_what_follows_from_it():
-    why = told(metric("physics_scaled", False, value=0.7, limit=1e-5, unit="s"), MISS, metric("ghost_impulse", False, 3.1, 0.1, "N s"))
+    why = told(
+        metric("physics_scaled", False, value=0.7, limit=1e-5, unit="s"),
+        MISS,
+        metric("ghost_impulse", False, 3.1, 0.1, "N s"),
+    )
     assert not unsaid(
         why,
         "not those of contact: … 0.7 s (scaled), limit 1e-05 s: a relaxed … tighten eps, … (`strict`, `mpcc`); … 0.27 m … 0.06 m; … ghost_impulse.",
@@ -192,9 +267,12 @@ def test_a_relaxed_law_is_named_before_what_follows_from_it():
 @pytest.mark.parametrize(
     ("first", "says"),
     [
-        (metric("start_error", False, value=0.1, limit=1e-6), "the plan starts 0.1 m … limit 1e-06 m; driven by"),
-        (metric("bound_violation", False, value=47.0, limit=1e-6, unit="N"), "the inputs leave their bounds by 47 N, limit 1e-06 N; driven by"),
-        (metric("terminal_position_error", False, value=0.5, limit=0.05), "the plan itself ends 0.5 m … limit 0.05 m; also above"),
+        (metric("start_error", False, value=0.1, limit=1e-6),
+         "the plan starts 0.1 m … limit 1e-06 m; driven by"),
+        (metric("bound_violation", False, value=47.0, limit=1e-6, unit="N"),
+         "the inputs leave their bounds by 47 N, limit 1e-06 N; driven by"),
+        (metric("terminal_position_error", False, value=0.5, limit=0.05),
+         "the plan itself ends 0.5 m … limit 0.05 m; also above"),
     ],
 )  # fmt: skip
 def test_the_first_question_that_fails_speaks_first(first: Metric, says: str):
@@ -207,7 +285,10 @@ def test_what_declares_no_scheme_hears_nothing_of_grids():
     assert not unsaid(why, "neither inputs nor contact give, 40 %")
     assert "grid" not in why
     assert "time step" not in why
-    assert not unsaid(told(hidden, scheme=None), "neither inputs nor contact give, 40 % … limit 10 %; it may be the plan's own digits")
+    assert not unsaid(
+        told(hidden, scheme=None),
+        "neither inputs nor contact give, 40 % … limit 10 %; it may be the plan's own digits",
+    )
     unstable = told(STRAY, metric_of_growth(549.0), scheme=None)
     assert not unsaid(unstable, "departs … by 0.2 m, limit 0.06 m; unstable … (amplification 550).")
 
@@ -217,12 +298,20 @@ def metric_of_growth(value: float) -> Metric:
 
 
 def test_the_cause_of_what_is_undecided_is_what_is_open():
-    assert cause_of(scored(metric("replay_error", None, 0.0599), verdict=Verdict.UNDECIDED)) == "replay_error"
-    assert cause_of(scored(metric("replay_error", None, 0.0599), UNWELL, verdict=Verdict.UNDECIDED)) == UNWELL.name
+    assert (
+        cause_of(scored(metric("replay_error", None, 0.0599), verdict=Verdict.UNDECIDED))
+        == "replay_error"
+    )
+    assert (
+        cause_of(scored(metric("replay_error", None, 0.0599), UNWELL, verdict=Verdict.UNDECIDED))
+        == UNWELL.name
+    )
 
 
 def test_the_other_hold_is_named_where_it_passes():
-    assert not unsaid(told(STRAY, scheme=None, other_hold=True), "held the other way … declare `# hold: linear`.")
+    assert not unsaid(
+        told(STRAY, scheme=None, other_hold=True), "held the other way … declare `# hold: linear`."
+    )
 
 
 def test_what_is_undecided_says_why():
@@ -231,7 +320,10 @@ def test_what_is_undecided_says_why():
     assert not unsaid(why, "replay_error … not be measured: … not replayed.")
     blurred = metric("replay_error", None, value=0.0599, error=1e-4)
     why = told(blurred, OPEN, verdict=Verdict.UNDECIDED)
-    assert not unsaid(why, "by 0.0599 m, limit 0.06 m, but … own error of 0.0001 m is not 10 times below the distance between them")
+    assert not unsaid(
+        why,
+        "by 0.0599 m, limit 0.06 m, but … own error of 0.0001 m is not 10 times below the distance between them",
+    )
     assert "nor decided: max_penetration" in why
     endless = metric("replay_error", None, value=0.01, error=math.inf)
     assert "the replay has no error estimate" in told(endless, verdict=Verdict.UNDECIDED)
@@ -256,8 +348,17 @@ def test_what_holds_with_feedback_says_what_the_inputs_alone_do_and_what_it_took
     assert not unsaid(why, "not for the inputs alone: … ends 0.07 m … limit 0.06 m, unstable")
     assert not unsaid(why, "RMS effort 7 % … and 7 % of what the plan's own inputs do")
     assert "it holds: with feedback" in why
-    why = told(*followed(), metric_of_growth(1005.0), verdict=Verdict.HOLDS_WITH_FEEDBACK, scheme=None, other_hold=True)
-    assert not unsaid(why, "limit 0.06 m (with its inputs held the other way it does not: declare `# hold: linear`); with LQR feedback")
+    why = told(
+        *followed(),
+        metric_of_growth(1005.0),
+        verdict=Verdict.HOLDS_WITH_FEEDBACK,
+        scheme=None,
+        other_hold=True,
+    )
+    assert not unsaid(
+        why,
+        "limit 0.06 m (with its inputs held the other way it does not: declare `# hold: linear`); with LQR feedback",
+    )
 
 
 def test_what_is_waived_stands_in_every_sentence():
