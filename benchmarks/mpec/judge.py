@@ -54,9 +54,9 @@ def random_start(seed: int) -> dict[str, np.ndarray]:
 
 
 def judged(plan: dict[str, np.ndarray]) -> dict[str, float]:
-    """cost.
+    """Recompute the figures of a plan.
 
-    residual: the largest violation of time step, start, goal, bounds, signs, and min(lam, lam - k
+    cost; residual: the largest violation of time step, start, goal, bounds, signs, and min(lam, lam - k
     phi); physics: the paper's (10);
 
     miss: how far from the goal the inputs alone lead, through the true law.

@@ -409,9 +409,9 @@ class BandedKKT:
     def factor(
         self, closed: np.ndarray, held: np.ndarray, touching: np.ndarray, *, softness: float = 0.0
     ) -> bool:
-        """Factorise.
+        """Factorise the KKT matrix; return False if the matrix is singular.
 
-        False where the matrix is singular: the goal cannot be steered to, or conditions contradict
+        A singular matrix means that the goal is not controllable, or that conditions contradict
         each other.
 
         Parameters

@@ -62,9 +62,9 @@ def constraint_step_end(x_next: Any, x_now: Any, gained: Any) -> Any:
 
 
 def constraint_contact_softplus(lam: Any, phi: Any, k: Any, b: Any) -> Any:
-    """lam[t] = (k / b) log(1 + exp(b phi(q[t])))   [N],   b = |ln eps| / L   (paper, eq.
+    """lam[t] = (k / b) log(1 + exp(b phi(q[t])))   [N],   b = |ln eps| / L.
 
-    5, sign corrected).
+    Paper, eq. 5, sign corrected.
     """
     return lam == (k / b) * pyo.log(1 + pyo.exp(b * phi))
 

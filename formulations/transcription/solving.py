@@ -454,9 +454,9 @@ class PlanSolver(CompiledModel):
         share: float = 1.0,
         release_at: float | None = None,
     ) -> IpoptResult:
-        """Solve.
+        """Solve the stage.
 
-        Where that leads nowhere, find out whether the goal can be reached at all, and go on from a
+        If the solve makes no progress, find out whether the goal can be reached at all, and go on from a
         plan that reaches it.
 
         from_plan: Ipopt's options where it goes on from a plan; sharpest: as in `StageRules`;

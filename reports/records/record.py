@@ -559,10 +559,9 @@ class RunRecord(Model):
 
 
 class ViolationPoint(Model):
-    """Fig.
+    """Worst-case violation D of a relaxation at eps (Fig. 2 of the paper) [N^2].
 
-    2 of the paper: worst-case violation D = max over phi of lam*(lam - k*phi) of a relaxation at
-    eps [N^2].
+    D = max over phi of lam*(lam - k*phi).
     """
 
     law: str  # "softplus" or "relaxed_lcp"

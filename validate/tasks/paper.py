@@ -1,6 +1,4 @@
-"""Fig.
-
-2 of the paper: the worst-case violation D of complementarity that a relaxation permits at eps.
+"""Fig. 2 of the paper: the worst-case violation D of complementarity of a relaxation at eps.
 
     D = max over phi of lam * (lam - k * phi)            [N^2]
 
