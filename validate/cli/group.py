@@ -34,7 +34,6 @@ _COMMANDS = {
     "list": "Scenes, pipelines and methods.",
     "show": "One run of a campaign: its stages, verdict, questions, metrics, options, log and the command that runs it again.",
     "report": "Rebuild results.csv and report.html of a campaign from its records.",
-    "compare": "What differs between two campaigns, regressions first.",
     "replay": "Replay and score anybody's plan, on a scene or on anybody's FMU.",
     "robust": "How much a plan can take: the share of perturbed worlds in which it still arrives.",
     "truth": "What is true of contact, and what our FMU and other simulators make of it.",

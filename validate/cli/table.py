@@ -12,7 +12,7 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import IO, TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import click
@@ -119,14 +119,13 @@ def table(
     right: Sequence[str] = (),
     *,
     drop: Sequence[str] = (),
-    colours: Mapping[str, str | None] = _VERDICTS,
 ) -> str:
     """A table that fits the terminal.
 
     titles, rows: text, all rows as long as `titles`; right: titles of columns that are aligned to
         the right, and never broken; drop: titles of the
-    columns that are left out, in this order, where there is no room; colours: of cells with these
-        words. The others break between words.
+    columns that are left out, in this order, where there is no room. The others break between
+        words.
     """
     rows = [[one_line(cell) for cell in row] for row in rows]
     places, width, left_out = list(range(len(titles))), terminal_width(), []
@@ -170,7 +169,7 @@ def table(
                 _padded(
                     part[number] if number < len(part) else "",
                     widths[place],
-                    colours.get(cells[place]),
+                    _VERDICTS.get(cells[place]),
                     titles[place] in right,
                 )
                 for part, place in zip(parts, places, strict=True)

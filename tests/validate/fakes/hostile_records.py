@@ -1,11 +1,10 @@
-"""A campaign's folder with spoilt records and files, and all that reads one: load, results, `report`, `show`, resume, `plan`, --lf, `compare`, shared stages; spoilt results of a planner, a compiler, a cell, an isolated call; and what reads them."""
+"""A campaign's folder with spoilt records and files, and all that reads one: load, results, `report`, `show`, resume, `plan`, --lf, shared stages; spoilt results of a planner, a compiler, a cell, an isolated call; and what reads them."""
 
 import hashlib
 import json
 import random
 import shutil
 import struct
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ import numpy as np
 from hostile_mutations import spoilt_bytes, spoilt_json, spoilt_text
 
 from models.errors import TouchstoneError
-from reports.records.load import ReportError
 
 KEY = "a" * 64
 
@@ -231,18 +229,6 @@ def read_answer(path: Path) -> None:
 _PLAN = b"no plan, and not read: no stage says that it has one"
 
 
-def _each(*reads: Callable[[], object]) -> None:
-    """All are tried. Raises the last refusal where there was one."""
-    refused: list[Exception] = []
-    for read in reads:
-        try:
-            read()
-        except (TouchstoneError, ReportError) as error:
-            refused.append(error)
-    if refused:
-        raise refused[-1]
-
-
 def spoilt_folder(rng: random.Random, folder: Path) -> Path:
     """As spoilt_campaign.
 
@@ -289,8 +275,6 @@ def _entry() -> Any:
 
 
 def resume(path: Path) -> None:
-    from reports.records.load import load
-    from validate.cli.compare import compare
     from validate.plan.runs import CampaignSettings, only_last_failed, reasons, with_stored
     from validate.store.store import Store
     from validate.store.stored import earlier_schema, found_campaign
@@ -302,22 +286,7 @@ def resume(path: Path) -> None:
     store.damaged_file(KEY)
     earlier_schema(path)
     found_campaign(path)
-    good = path.with_name("good")
-    if not good.exists():
-        spare = spoilt_campaign(_Unspoilt(), path.with_name("spare"))
-        shutil.move(spare, good)
-    _each(
-        lambda: only_last_failed(found, store),
-        lambda: compare(load(good), load(path)),
-        lambda: compare(load(path), load(good)),
-    )
-
-
-class _Unspoilt(random.Random):
-    """Decides against every mutation."""
-
-    def random(self) -> float:
-        return 1.0
+    only_last_failed(found, store)
 
 
 def spoilt_stored_leg(rng: random.Random, folder: Path) -> Path:
