@@ -1,15 +1,12 @@
-"""The golden campaign: what a full campaign found, without its seconds, as small committed data.
+"""The golden campaign: results of full campaigns of one commit, frozen with their spread.
 
-And what a change of the code moved.
+    python -m validate all --out runs/one; python -m validate all --out runs/two
+    python -m benchmarks golden freeze runs/one runs/two      # writes benchmarks/golden.csv
+    python -m benchmarks golden compare runs/all              # what is worse than every frozen run
+    python -m benchmarks golden equal runs/one runs/two       # bit for bit: after moves and renames
 
-    python -m validate all --out runs/golden; python -m benchmarks golden compare runs/golden
-    --exit-code $? python -m benchmarks golden freeze runs/golden --exit-code 0 # writes
-    benchmarks/golden.csv python -m benchmarks golden table # of it, the table of docs/results.md
-
-A row is a stage of a run, or a check (stress case, FMU check): outcome, verdict, iterations, the
-certificate's letter, the hash of the FMU, the main figures to nine digits, and `bits`, a hash of
-every number of the record at full precision. Two rows of equal bits are equal; of the others the
-figures say by how much they differ.
+A row is one stage of a run, or one check (stress case, FMU check). A cell holds the value of each
+frozen campaign, separated by `|`, or one value if all agree to six digits.
 """
 
 from __future__ import annotations
@@ -18,13 +15,14 @@ import csv
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
 from benchmarks.options import campaign_argument
-from formulations.pipelines import PIPELINES
+from formulations.pipelines import PIPELINES, pipeline_names
 from reports.paper import SCENE
 from reports.records.check_record import CheckRecord
 from reports.records.load import load
@@ -33,220 +31,323 @@ from reports.rule import failures
 from validate.tasks.paper import table_rows
 
 GOLDEN = Path(__file__).with_suffix(".csv")
-KEY = ("scene", "pipeline", "part", "stage")
-WORDS = ("method", "eps", "outcome", "verdict", "judged", "iterations", "letter", "fmu")
+KEY = ("scene", "pipeline", "stage")
+WORDS = ("outcome", "verdict", "iterations")
 FIGURES = (
-    "cost", "terminal_error", "replay_terminal_error", "discrete_terminal_error", "replay_error",
-    "physics_scaled", "defect", "law_error", "unexplained_force",
-    "max_penetration", "feedback_share",
-)  # fmt: skip
-COLUMNS = (*KEY, *WORDS, *FIGURES, "bits")
-# Figures that differ by less, relative to the larger and beyond the floor, differ by rounding.
-SAME = 1e-6
+    "cost",
+    "terminal_error",
+    "discrete_terminal_error",
+    "replay_terminal_error",
+    "replay_error",
+    "physics_scaled",
+)
+COLUMNS: tuple[str, ...] = (*KEY, *WORDS, *FIGURES)
+SEPARATOR = "|"
+# Verdicts from worst to best. Other words ("not applicable", "consistent") have no order.
+LADDER = ("no plan", "violates", "undecided", "holds with feedback", "holds")
+# Largest increase of the cost of a solved exact stage beyond the spread, as a fraction of the cost.
+COST_INCREASE = 0.01
+# Two costs print the same two decimals, as the paper's Table I does, if they differ by less.
+PRINTED = 0.01
+# Figures below this are zero up to rounding.
 FLOOR = 1e-9
-# From worst to best; other words are no steps of the ladder.
-LADDER = ("no plan", "undecided", "violates", "holds with feedback", "holds")
 
 Row = dict[str, str]
 
 
-def bits(record: StageRecord | CheckRecord) -> str:
-    """A hash of all that a record says but its seconds, how it fares in perturbed worlds, where it was made, and which of two equal stages ran first."""
-    left_out = {
-        "shared_from": True, "seconds": True, "survey": True, "starts": {"__all__": {"seconds"}},
-        "replay": {"seconds_reference", "seconds_everyday"},
-        "wall_seconds": True, "cpu_seconds": True, "provenance": True, "log_tail": True,
-        "key": True,
-        "fmu": {"export_seconds": True, "check_seconds": True, "rows": {"__all__": {"seconds"}}},
-    }  # fmt: skip
-    known = {name: what for name, what in left_out.items() if name in type(record).model_fields}
-    told = record.model_dump(mode="json", exclude=known)
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
-
-
 def rows(folder: Path) -> Iterator[Row]:
-    """One row for each stage and check of a campaign, in the order of their names."""
+    """Yield one row per stage and per check of a campaign, ordered by name."""
     stored = load(folder)
     if stored.unreadable or stored.missing:
         raise click.UsageError(
-            f"{folder}: the campaign is not whole ({len(stored.unreadable)} unreadable and {len(stored.missing)} missing records); end it first."
+            f"{folder}: the campaign is incomplete ({len(stored.unreadable)} unreadable and "
+            f"{len(stored.missing)} missing records). Run the same command again to finish it."
         )
-    runs = [part for parts in stored.parts for part in parts]
-    for run in sorted(runs, key=lambda run: (run.scene.name, run.pipeline, run.part)):
-        for stage in run.stages:
-            yield _stage(run, stage)
-        if not run.stages:
-            yield _row(run, stage="0", outcome=run.outcome, verdict=run.verdict)
-    for item in sorted(stored.checks, key=lambda item: (item.kind, item.name, item.scene or "")):
-        digest = item.fmu.sha256[:16] if item.fmu is not None else ""
-        verdict = "passed" if item.passed else "failed"
-        words = dict.fromkeys(COLUMNS, "") | {
-            "scene": item.scene or item.name,
-            "pipeline": f"{item.kind}: {item.name}",
-            "outcome": item.outcome,
-        }
-        yield words | {
-            "part": "1",
-            "stage": "0",
-            "verdict": verdict,
-            "fmu": digest,
-            "bits": bits(item),
-        }
+    for run in sorted(stored.runs, key=lambda run: (run.scene.name, run.pipeline)):
+        yield from _stages(run)
+    for check in sorted(stored.checks, key=lambda item: (item.kind, item.name, item.scene or "")):
+        yield _row(
+            scene=check.scene or check.name,
+            pipeline=f"{check.kind}: {check.name}",
+            stage="check",
+            outcome=check.outcome,
+            verdict="passed" if check.passed else "failed",
+        )
 
 
-def _row(run: RunRecord, **words: str) -> Row:
-    return (
-        dict.fromkeys(COLUMNS, "")
-        | {"scene": run.scene.name, "pipeline": run.pipeline, "part": str(run.part)}
-        | words
-    )
+def _row(**cells: str) -> Row:
+    return dict.fromkeys(COLUMNS, "") | cells
 
 
-def _stage(run: RunRecord, stage: StageRecord) -> Row:
-    replay, certificate = stage.replay, stage.certificate
-    figures = {
-        name: metric.value for name in FIGURES if (metric := stage.metric(name)) is not None
-    } | {"cost": stage.cost}
-    return _row(
-        run,
-        stage=str(stage.index + 1),
-        method=stage.method,
-        eps="" if stage.eps is None else f"{stage.eps:g}",
-        outcome=stage.outcome,
-        verdict=stage.verdict,
-        judged="" if replay is None else replay.judged,
-        iterations=str(stage.iterations),
-        letter="" if certificate is None else certificate.letter,
-        fmu="" if replay is None else replay.fmu[:16],
-        bits=bits(stage),
-        **{name: f"{value:.9g}" for name, value in figures.items() if value is not None},
-    )
+def _stages(run: RunRecord) -> Iterator[Row]:
+    names: Counter[str] = Counter()
+    for stage in run.stages:
+        name = stage.method if stage.eps is None else f"{stage.method} {stage.eps:g}"
+        names[name] += 1
+        if names[name] > 1:
+            name = f"{name} #{names[name]}"
+        metrics = {item: stage.metric(item) for item in FIGURES}
+        figures = {item: metric.value for item, metric in metrics.items() if metric is not None}
+        figures["cost"] = stage.cost
+        yield _row(
+            scene=run.scene.name,
+            pipeline=run.pipeline,
+            stage=name,
+            outcome=stage.outcome,
+            verdict=stage.verdict,
+            iterations=str(stage.iterations),
+            **{item: f"{value:.6g}" for item, value in figures.items() if value is not None},
+        )
+    if not run.stages:
+        yield _row(
+            scene=run.scene.name,
+            pipeline=run.pipeline,
+            stage="none",
+            outcome=run.outcome,
+            verdict=run.verdict,
+        )
 
 
-def differences(before: Row, after: Row) -> dict[str, tuple[str, str]]:
-    """Words that differ, and figures that differ by more than rounding: name -> before, after."""
+def key_of(row: Row) -> tuple[str, ...]:
+    """Return the values of the columns that identify a row."""
+    return tuple(row[name] for name in KEY)
+
+
+def merged(campaigns: Sequence[Iterable[Row]]) -> list[Row]:
+    """Return one row per key, with the values of all campaigns in each cell."""
+    cells: dict[tuple[str, ...], dict[str, list[str]]] = {}
+    for campaign in campaigns:
+        for row in campaign:
+            columns = cells.setdefault(key_of(row), {name: [] for name in (*WORDS, *FIGURES)})
+            for name, values in columns.items():
+                values += row[name].split(SEPARATOR)
+    return [
+        dict(zip(KEY, key, strict=True))
+        | {name: SEPARATOR.join(dict.fromkeys(values)) for name, values in columns.items()}
+        for key, columns in cells.items()
+    ]
+
+
+def frozen() -> list[Row]:
+    """Return the committed rows."""
+    with GOLDEN.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def write(found: Iterable[Row]) -> None:
+    """Write rows to benchmarks/golden.csv."""
+    with GOLDEN.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(found)
+
+
+def _numbers(row: Row, name: str) -> list[float]:
+    return [float(value) for value in row[name].split(SEPARATOR) if value]
+
+
+def _paper_costs() -> dict[tuple[str, ...], float]:
+    """Return the paper's cost for each (scene, pipeline, stage) of Table I."""
     return {
-        name: (before[name], after[name])
-        for name in (*WORDS, *FIGURES)
-        if before[name] != after[name] and not _rounded(name, before[name], after[name])
+        (SCENE, pipeline.name, " ".join((row.methods[-1], *_eps(row.eps)))): row.numbers["cost"]
+        for pipeline in PIPELINES
+        for row in table_rows(pipeline.name)
     }
 
 
-def _rounded(name: str, before: str, after: str) -> bool:
-    if name not in FIGURES or not before or not after:
-        return False
-    return abs(float(before) - float(after)) <= max(
-        FLOOR, SAME * max(abs(float(before)), abs(float(after)))
-    )
+def _eps(eps: float | None) -> tuple[str, ...]:
+    return () if eps is None else (f"{eps:g}",)
 
 
-def worse(before: Row, after: Row) -> bool:
-    """A worse verdict, a plan of the same verdict that costs more, or a check that fails now."""
-    if before["verdict"] != after["verdict"]:
-        if after["verdict"] == "failed":
-            return True
-        on_ladder = before["verdict"] in LADDER and after["verdict"] in LADDER
-        return on_ladder and LADDER.index(after["verdict"]) < LADDER.index(before["verdict"])
-    if after["verdict"] not in HOLD or not before["cost"] or not after["cost"]:
-        return False
-    return float(after["cost"]) > float(before["cost"]) and not _rounded(
-        "cost", before["cost"], after["cost"]
-    )
+def verdict_faults(before: Row, after: Row) -> list[str]:
+    """Return a phrase if the verdict of a run is worse than in every frozen campaign.
+
+    before, after: rows of the last stages. A better verdict is no fault.
+    """
+    verdicts, verdict = before["verdict"].split(SEPARATOR), after["verdict"]
+    if verdict in verdicts:
+        return []
+    ranks = [LADDER.index(item) for item in verdicts if item in LADDER]
+    if ranks and verdict in LADDER and LADDER.index(verdict) >= min(ranks):
+        return []
+    return [f"verdict {before['verdict']} -> {verdict}"]
 
 
-def frozen() -> tuple[list[Row], str]:
-    """The committed rows, and the exit code of the campaign that they are of."""
-    with GOLDEN.open(encoding="utf-8", newline="") as file:
-        code = file.readline().removeprefix("# exit code ").strip()
-        return list(csv.DictReader(file)), code
+def cost_faults(before: Row, after: Row, printed: float | None = None) -> list[str]:
+    """Return a phrase if a solved exact stage costs more, or Table I is not reproduced any more.
+
+    printed: the paper's cost of the stage, None if the paper has none.
+    """
+    costs, cost = _numbers(before, "cost"), _numbers(after, "cost")
+    if not costs or not cost:
+        return []
+    if printed is not None:
+        reproduced = any(abs(value - printed) < PRINTED for value in costs)
+        if reproduced and abs(cost[0] - printed) >= PRINTED:
+            return [f"Table I: cost {printed:.2f} -> {after['cost']}"]
+    relaxed = any(" " in row["stage"].split(" #")[0] for row in (before, after))
+    solved = "solved" in before["outcome"] and set(before["verdict"].split(SEPARATOR)) & set(HOLD)
+    if relaxed or not solved or cost[0] <= max(costs) * (1.0 + COST_INCREASE):
+        return []
+    return [f"cost {before['cost']} -> {after['cost']}"]
+
+
+def moved(before: Row, after: Row) -> list[str]:
+    """Return the words and figures that lie outside the spread of the frozen campaigns."""
+    found = [
+        f"{name} {before[name]} -> {after[name]}"
+        for name in ("outcome", "verdict")
+        if after[name] not in before[name].split(SEPARATOR)
+    ]
+    for name in ("iterations", *FIGURES):
+        values, value = _numbers(before, name), _numbers(after, name)
+        if not values or not value:
+            if bool(values) != bool(value):
+                found.append(f"{name} {before[name] or '-'} -> {after[name] or '-'}")
+            continue
+        slack = FLOOR + COST_INCREASE * max(map(abs, values))
+        if not min(values) - slack <= value[0] <= max(values) + slack:
+            found.append(f"{name} {before[name]} -> {after[name]}")
+    return found
+
+
+def compared(before: Sequence[Row], after: Sequence[Row]) -> Iterator[tuple[str, str]]:
+    """Yield (word, line) for each run and row: worse, missing, left, new, moved or kept.
+
+    `missing` is a run whose pipeline still exists in the code; `left` is a run, stage or check
+    that the code does not have any more.
+    """
+    old, new = ({key_of(row): row for row in campaign} for campaign in (before, after))
+    old_lasts, new_lasts = ({key[:2]: key for key in rows} for rows in (old, new))
+    printed = _paper_costs()
+    for pair, key in old_lasts.items():
+        name = " | ".join(pair)
+        if pair in new_lasts:
+            last = new[new_lasts[pair]]
+            wrong = verdict_faults(old[key], last)
+            wrong += cost_faults(old[key], last) if last["stage"] != old[key]["stage"] else []
+            if wrong:
+                yield "worse", f"{name}: {', '.join(wrong)}"
+        elif pair[1] in pipeline_names():
+            yield "missing", name
+    for key in dict.fromkeys((*old, *new)):
+        name = " | ".join(key)
+        if key not in old or key not in new:
+            yield ("new" if key in new else "left"), name
+        elif wrong := cost_faults(old[key], new[key], printed.get(key)):
+            yield "worse", f"{name}: {', '.join(wrong)}"
+        else:
+            words = moved(old[key], new[key])
+            yield ("moved" if words else "kept"), f"{name}: {', '.join(words)}"
+
+
+def bits(record: StageRecord | CheckRecord) -> str:
+    """Return a hash of every number of a record except seconds, places and worlds."""
+    left_out: dict[str, Any] = {
+        "shared_from": True,
+        "seconds": True,
+        "survey": True,
+        "starts": {"__all__": {"seconds"}},
+        "replay": {"seconds_reference", "seconds_everyday"},
+        "wall_seconds": True,
+        "cpu_seconds": True,
+        "provenance": True,
+        "log_tail": True,
+        "key": True,
+        "fmu": {"export_seconds": True, "check_seconds": True, "rows": {"__all__": {"seconds"}}},
+    }
+    known = {name: what for name, what in left_out.items() if name in type(record).model_fields}
+    content = record.model_dump(mode="json", exclude=known)
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _bits(folder: Path) -> dict[str, str]:
+    stored = load(folder)
+    stages = {
+        f"{run.scene.name} | {run.pipeline} | {stage.index + 1}": bits(stage)
+        for run in stored.runs
+        for stage in run.stages
+    }
+    return stages | {
+        f"{item.kind}: {item.name}, {item.scene}": bits(item) for item in stored.checks
+    }
 
 
 @click.group()
 def command() -> None:
-    """Freeze a campaign, or compare one with what is frozen."""
+    """Freeze campaigns, or compare a campaign with the frozen ones."""
+
+
+_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
 @command.command()
-@campaign_argument
-@click.option(
-    "--exit-code", type=int, required=True, help="What the campaign's command ended with."
-)
-def freeze(folder: Path, exit_code: int) -> None:
-    """Write the campaign's rows to benchmarks/golden.csv."""
-    found = list(rows(folder))
-    with GOLDEN.open("w", encoding="utf-8", newline="") as file:
-        file.write(f"# exit code {exit_code}\n")
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows([row[column] for column in COLUMNS] for row in found)
+@click.argument("folders", nargs=-1, required=True, type=_FOLDER)
+@click.option("--keep", is_flag=True, help="Add to the committed values instead of replacing them.")
+def freeze(folders: tuple[Path, ...], keep: bool) -> None:
+    """Write the results of the campaigns in FOLDERS, with their spread, to golden.csv."""
+    campaigns: list[Iterable[Row]] = [list(rows(folder)) for folder in folders]
+    found = merged([frozen(), *campaigns] if keep else campaigns)
+    write(found)
     click.echo(f"{len(found)} rows in {GOLDEN}")
 
 
 @command.command()
 @campaign_argument
-@click.option(
-    "--exit-code", type=int, help="What the campaign's command ended with, to be compared too."
-)
-@click.option("--bits", "strict", is_flag=True, help="Fail where any number differs at all.")
-def compare(folder: Path, exit_code: int | None, strict: bool) -> int:
-    """What the campaign in FOLDER found otherwise.
-
-    Exit code 1 where something is worse or gone (--bits: where anything differs).
-    """
-    kept, code = frozen()
-    before = {tuple(row[name] for name in KEY): row for row in kept}
-    after = {tuple(row[name] for name in KEY): row for row in rows(folder)}
-    told: Counter[str] = Counter()
-    for key in sorted(before.keys() | after.keys()):
-        where = " | ".join(key)
-        if key not in after or key not in before:
-            word = "gone" if key in before else "new"
-            told[word] += 1
-            click.echo(f"{word:7s} {where}")
-        elif before[key]["bits"] != after[key]["bits"]:
-            found = differences(before[key], after[key])
-            word = "worse" if worse(before[key], after[key]) else "moved" if found else "rounded"
-            told[word] += 1
-            if found:
-                click.echo(
-                    f"{word:7s} {where}: "
-                    + ", ".join(f"{name} {was} -> {now}" for name, (was, now) in found.items())
-                )
-        else:
-            told["equal"] += 1
-    if exit_code is not None and str(exit_code) != code:
-        told["worse"] += 1
-        click.echo(f"worse   the campaign ended with exit code {exit_code}, {code} before")
-    for sentence in failures(load(folder).runs, load(folder).checks):
+def compare(folder: Path) -> int:
+    """Print what differs from the frozen campaigns. Exit code 1 if anything is worse or missing."""
+    counts: Counter[str] = Counter()
+    for word, line in compared(frozen(), list(rows(folder))):
+        counts[word] += 1
+        if word != "kept":
+            click.echo(f"{word:8s}{line}")
+    stored = load(folder)
+    for sentence in failures(stored.runs, stored.checks):
+        counts["failure"] += 1
         click.echo(f"failure {sentence}")
-    click.echo(", ".join(f"{count} {word}" for word, count in told.most_common()))
-    return 1 if told["worse"] or told["gone"] or (strict and set(told) != {"equal"}) else 0
+    click.echo(", ".join(f"{count} {word}" for word, count in counts.most_common()))
+    return 1 if counts["worse"] or counts["missing"] or counts["failure"] else 0
+
+
+@command.command()
+@click.argument("first", type=_FOLDER)
+@click.argument("second", type=_FOLDER)
+def equal(first: Path, second: Path) -> int:
+    """Print the stages and checks that differ in any number, seconds excepted; exit code 1 then."""
+    before, after = _bits(first), _bits(second)
+    differing = [
+        key for key in sorted(before.keys() | after.keys()) if before.get(key) != after.get(key)
+    ]
+    for key in differing:
+        click.echo(key)
+    click.echo(f"{len(differing)} of {len(before.keys() | after.keys())} differ")
+    return 1 if differing else 0
 
 
 @command.command()
 def table() -> None:
-    """Print what is frozen of the paper's scene as the table of docs/results.md."""
+    """Print the frozen results of the paper's scene as the table of docs/results.md."""
     click.echo(results_table(), nl=False)
 
 
 def results_table() -> str:
-    """The stages of Table I, and how each of our pipelines ends, as a Markdown table.
+    """Return the stages of Table I and the last stage of each other pipeline as Markdown.
 
-    A stage that pipelines share once.
+    A stage that several pipelines share is printed once. Of several frozen campaigns the first
+    value is printed.
     """
     lines = [
         "| pipeline | stage | eps | cost | paper | error: plan | own grid | replay | verdict |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
-    kept = [
-        row for row in frozen()[0] if (row["scene"], row["part"]) == (SCENE, "1") and row["cost"]
-    ]
+    firsts = [{name: row[name].split(SEPARATOR)[0] for name in COLUMNS} for row in frozen()]
+    kept = [row for row in firsts if row["scene"] == SCENE and row["cost"]]
     seen: set[tuple[str, ...]] = set()
     for pipeline in PIPELINES:
         stages = [row for row in kept if row["pipeline"] == pipeline.name]
         paper = [f"{row.numbers['cost']:.2f}" for row in table_rows(pipeline.name)]
         for place, row in enumerate(stages):
-            stage = tuple(row[name] for name in ("method", "eps", "cost"))
+            stage = (row["stage"], row["cost"])
             if stage in seen or (not paper and row is not stages[-1]):
                 continue
             seen.add(stage)
@@ -254,7 +355,8 @@ def results_table() -> str:
                 f"{float(row[name]):.2g}" if float(row[name]) > FLOOR else "0"
                 for name in ("terminal_error", "discrete_terminal_error", "replay_terminal_error")
             )
+            method, _, eps = row["stage"].split(" #")[0].partition(" ")
             costs = (f"{float(row['cost']):.2f}", paper[place] if paper else "")
-            cells = (pipeline.name, row["method"], row["eps"], *costs, *errors, row["verdict"])
+            cells = (pipeline.name, method, eps, *costs, *errors, row["verdict"])
             lines.append(f"| {' | '.join(cells)} |".replace("|  |", "| |"))
     return "\n".join(lines) + "\n"
