@@ -1,4 +1,4 @@
-"""The planter of defects: what it writes is one mistake on one line, the same for a seed, and it leaves every file as it was."""
+"""Planted defects: each is one mistake on one line, a seed repeats them, and no file is changed."""
 
 import ast
 import subprocess
@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.planted import PYTEST, ROOMS, ROOT, Defect, candidates, drawn, replaced, tried
+from tests.defects import Mistake, mistakes_in, replaced
+from tests.planted import PYTEST, ROOMS, ROOT, Defect, drawn, tried
 
 TEXT = '''"""A docstring of 2 - 1."""
 
@@ -20,11 +21,23 @@ def f(a: int = 3, *, b: float) -> list[int]:
 '''
 
 
-def written(line: int) -> set[tuple[str, str]]:
-    """(kind, the line with the mistake)"""
+C_TEXT = """/* 1 + 2 */
+#define TWICE(x) (2 * (x))
+static double f(const double *x, int n)
+{
+    double s = 0.0; // 3 - 1
+    for (int i = 0; i < n && !x[i]; i++) s += fmax(x[i] - 1.5e-3, 0);
+    if (!s) return *x == 1 ? x2(s) : g("a + b");
+    return s;
+}
+"""
+
+
+def written(line: int, text: str = TEXT, name: str = "x.py") -> set[tuple[str, str]]:
+    """Return (kind, the line with the mistake)."""
     return {
-        (kind, replaced(TEXT, place, text).splitlines()[line - 1].strip())
-        for kind, place, text in candidates(TEXT)[line]
+        (mistake.kind, replaced(text, mistake).splitlines()[line - 1].strip())
+        for mistake in mistakes_in(name, text).get(line, [])
     }
 
 
@@ -35,8 +48,8 @@ def alike(some: list[str], others: list[str]) -> int:
     )
 
 
-def test_mistakes_of_every_kind_are_written_where_they_belong():
-    assert 1 not in candidates(TEXT), "a docstring computes nothing"
+def test_python_mistakes_of_every_kind():
+    assert not written(1), "a docstring computes nothing"
     assert written(3) == {("constant", "def f(a: int = 6, *, b: float) -> list[int]:")}, (
         "annotations compute nothing"
     )
@@ -57,11 +70,35 @@ def test_mistakes_of_every_kind_are_written_where_they_belong():
     assert any(kind == "extreme" and "min(" in line for kind, line in last)
 
 
+def test_c_mistakes_of_every_kind():
+    for line in (1, 2, 3, 4, 8, 9):
+        assert not written(line, C_TEXT, "x.c"), "comments, macros and declarations stay"
+    assert written(5, C_TEXT, "x.c") == {("constant", "double s = 1.0; // 3 - 1")}
+    loop = "for (int i = 0; i < n && !x[i]; i++) s += fmax(x[i] - 1.5e-3, 0);"
+    assert written(6, C_TEXT, "x.c") == {
+        ("constant", loop.replace("i = 0", "i = 1")),
+        ("comparison", loop.replace("i < n", "i <= n")),
+        ("condition", loop.replace("&&", "||")),
+        ("sign", loop.replace("+=", "-=")),
+        ("extreme", loop.replace("fmax", "fmin")),
+        ("sign", loop.replace("] - ", "] + ")),
+        ("constant", loop.replace("1.5e-3", "0.003")),
+        ("constant", loop.replace(", 0)", ", 1)")),
+    }
+    branch = 'if (!s) return *x == 1 ? x2(s) : g("a + b");'
+    assert written(7, C_TEXT, "x.c") == {
+        ("condition", branch.replace("!s", "s")),
+        ("comparison", branch.replace("==", "!=")),
+        ("constant", branch.replace("== 1", "== 2")),
+    }
+
+
 @pytest.mark.slow
-def test_a_mistake_is_on_one_line_and_can_be_read():
-    for defect in islice(drawn(list(ROOMS), seed=5), 60):
+def test_drawn_defect_changes_one_line():
+    for defect in islice(drawn(list(ROOMS), seed=5), 100):
         sound = (ROOT / defect.path).read_text(encoding="utf-8")
-        ast.parse(defect.source)
+        if defect.path.endswith(".py"):
+            ast.parse(defect.source)
         before, after = sound.splitlines(), defect.source.splitlines()
         begin = alike(before, after)
         end = alike(before[begin:][::-1], after[begin:][::-1])
@@ -85,6 +122,9 @@ def test_every_room_has_files_and_tests():
     for room, (files, tests) in ROOMS.items():
         for patterns in (files, tests):
             assert any(True for pattern in patterns for _ in ROOT.glob(pattern)), room
+
+
+CHANGE = Mistake("constant", 1, 4, 5, "1", "2")
 
 
 @pytest.fixture
@@ -114,7 +154,7 @@ def test_what_fails_is_named_what_does_not_import_is_drawn_again_and_the_file_is
         "    if X == 3:\n        os.abort()\n    assert X == y\n",
         encoding="utf-8",
     )
-    found = tried(Defect("own", "own.py", 1, "constant", "1", "2", source), own)
+    found = tried(Defect("own", "own.py", CHANGE, source), own)
     assert (None if found is None else found.found_by) == says
     assert (own / "own.py").read_text(encoding="utf-8") == "X = 1\n"
 
@@ -125,7 +165,7 @@ def test_a_test_that_fails_anyway_ends_the_draw(own: Path):
         "from own import X\n\ndef test_x():\n    assert X == 3\n", encoding="utf-8"
     )
     with pytest.raises(SystemExit, match="fails without any defect too"):
-        tried(Defect("own", "own.py", 1, "constant", "1", "2", "X = 2\n"), own)
+        tried(Defect("own", "own.py", CHANGE, "X = 2\n"), own)
 
 
 def test_the_tests_start_as_a_draw_starts_them():
