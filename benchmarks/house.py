@@ -1,7 +1,10 @@
-"""`house`: how large and how tangled the code is, in numbers that a change can be held against.
+"""`house`: size and structure of the code, as numbers to compare before and after a change.
 
-Counted is what git tracks. A circle is a set of modules that import each other, annotations and
-imports inside functions counted.
+    python -m benchmarks house            # this checkout
+    python -m benchmarks house OTHER      # beside another checkout, for example an older commit
+
+Only files that git tracks are counted. Python is formatted at 100 columns, so that lines compare.
+A circle is a set of modules that import each other, in annotations and functions too.
 """
 
 from __future__ import annotations
@@ -12,7 +15,8 @@ import re
 import subprocess
 import tokenize
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -22,8 +26,8 @@ from benchmarks import ROOT
 from validate.cli.table import table
 
 ROOMS = ("models", "formulations", "validate", "reports")
-SUFFIXES = (".py", ".c", ".h", ".j2", ".js", ".css", ".html")
-# Folders of which each file is one of a kind: as many as there are.
+PRODUCT = (*ROOMS, "touchstone.py", "touchstone_command.py")
+# Folders with one file per scene, method, command or page: their size is no sign of disorder.
 CATALOGS = frozenset(
     {
         "models/scenes",
@@ -34,9 +38,18 @@ CATALOGS = frozenset(
         "reports/templates",
     }
 )
-# Where one run begins: what is reachable from here a reader may come to.
+# The module in which one run begins.
 RUN = "validate.tasks.path"
-_QUIET = frozenset(
+# Numeric literals that need no name.
+USUAL = frozenset({0, 1, 2, 3, 10, 100, -1, 0.5})
+LANGUAGES = {
+    "C": (".c", ".h"),
+    "JavaScript": (".js",),
+    "CSS": (".css",),
+    "template": (".j2", ".html"),
+    "TOML": (".toml",),
+}
+_NO_CODE = frozenset(
     {
         tokenize.COMMENT,
         tokenize.NL,
@@ -46,48 +59,145 @@ _QUIET = frozenset(
         tokenize.ENDMARKER,
     }
 )
+_C_COMMENT = re.compile(r"/\*.*?\*/|(?<!:)//[^\n]*|<!--.*?-->|\{#.*?#\}", re.DOTALL)
 _SHAPE = re.compile(r"\([\w*+ -]+(, ?[\w*+ -]+)*,?\)")
 _UNIT = re.compile(r"\[[\w^/ .,-]+\]")
 _ERRORS = re.compile(r"[Rr]aises")
+_SENTENCE = re.compile(r"(?:^|(?<=[.!?:;])\s+|\n\s*\n\s*)(?=\w)")
+_HEADLESS = re.compile(r"(What|Of|So many|Where|That|Which|Who|Whatever|Whoever)\b")
+_DIALECT = re.compile(
+    r"\b(tells?|told|says?|said|asks?|asked|somebody|anybody|nobody|whoever|others)\b",
+    re.IGNORECASE,
+)
 
 
-def _tracked() -> list[str]:
+@dataclass(frozen=True)
+class Tree:
+    """The tracked text files of a checkout, and the syntax trees of its product modules."""
+
+    texts: dict[str, str]
+    modules: dict[str, ast.Module]
+
+    def product(self, suffixes: tuple[str, ...]) -> list[str]:
+        """Return the texts of the product files with these suffixes."""
+        return [
+            text
+            for name, text in self.texts.items()
+            if name.split("/")[0] in PRODUCT and name.endswith(suffixes)
+        ]
+
+
+def read(root: Path) -> Tree:
+    """Read the tracked files of a checkout."""
     listed = subprocess.run(
-        ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True
-    ).stdout.splitlines()
-    return [name for name in listed if name.endswith(SUFFIXES) and (ROOT / name).is_file()]
+        ["git", "ls-files"], cwd=root, capture_output=True, text=True, check=True
+    )
+    texts = {}
+    for name in listed.stdout.splitlines():
+        if (root / name).is_file():
+            texts[name] = (root / name).read_text(encoding="utf-8", errors="replace")
+    modules = {
+        name.removesuffix(".py").removesuffix("/__init__").replace("/", "."): ast.parse(text)
+        for name, text in texts.items()
+        if name.endswith(".py") and name.split("/")[0] in PRODUCT
+    }
+    return Tree(texts, modules)
 
 
-def _documented(
-    tree: ast.AST,
-) -> Iterator[ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef]:
+def _docstrings(tree: ast.AST) -> Iterator[ast.Expr]:
     for node in ast.walk(tree):
         if (
             isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
             and ast.get_docstring(node) is not None
         ):
-            yield node
+            statement = node.body[0]
+            assert isinstance(statement, ast.Expr)
+            yield statement
 
 
 def code_lines(text: str) -> int:
-    """Lines with code on them: no blank ones, comments or docstrings."""
-    told = {
+    """Return the number of Python lines with code: no blank lines, comments or docstrings."""
+    docstrings = {
         line
-        for node in _documented(ast.parse(text))
-        for line in range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1)
+        for node in _docstrings(ast.parse(text))
+        for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
     }
-    tokens = (
-        token
+    lines = {
+        line
         for token in tokenize.generate_tokens(io.StringIO(text).readline)
-        if token.type not in _QUIET
+        if token.type not in _NO_CODE
+        for line in range(token.start[0], token.end[0] + 1)
+    }
+    return len(lines - docstrings)
+
+
+def _other_lines(texts: Iterable[str]) -> int:
+    """Return the number of lines that are neither blank nor comments, in other languages."""
+    return sum(
+        bool(line.strip()) for text in texts for line in _C_COMMENT.sub("", text).splitlines()
     )
-    return len(
-        {line for token in tokens for line in range(token.start[0], token.end[0] + 1)} - told
+
+
+def constants(tree: ast.Module) -> int:
+    """Return the number of module-level names whose value contains a numeric literal."""
+    count = 0
+    for node in tree.body:
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = sum(isinstance(part, ast.Name) for item in targets for part in ast.walk(item))
+            count += names if any(map(_is_number, ast.walk(node.value))) else 0
+    return count
+
+
+def _is_number(node: ast.AST) -> bool:
+    return isinstance(node, ast.Constant) and type(node.value) in (int, float)
+
+
+def unusual(tree: ast.AST) -> int:
+    """Return the number of numeric literals that are not in USUAL."""
+    return sum(
+        isinstance(node, ast.Constant)
+        and type(node.value) in (int, float)
+        and node.value not in USUAL
+        for node in ast.walk(tree)
     )
+
+
+def prose(text: str) -> list[str]:
+    """Return the docstrings of a module and its blocks of comments."""
+    found = []
+    for node in _docstrings(ast.parse(text)):
+        assert isinstance(node.value, ast.Constant)
+        found.append(str(node.value.value))
+    block: list[str] = []
+    last = 0
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type != tokenize.COMMENT:
+            continue
+        if block and token.start[0] != last + 1:
+            found.append(" ".join(block))
+            block = []
+        block.append(token.string.lstrip("# "))
+        last = token.start[0]
+    return [*found, " ".join(block)] if block else found
+
+
+def _prose_figures(texts: list[str]) -> dict[str, int]:
+    blocks = [block for text in texts for block in prose(text)]
+    sentences = [part for block in blocks for part in _SENTENCE.split(block.strip()) if part]
+    return {
+        "words of docstrings and comments": sum(len(block.split()) for block in blocks),
+        "sentences with a headless opening": sum(
+            _HEADLESS.match(part) is not None for part in sentences
+        ),
+        "tell, say, ask, somebody and the like": sum(
+            len(_DIALECT.findall(block)) for block in blocks
+        ),
+    }
 
 
 def _imports(tree: ast.AST, modules: frozenset[str]) -> Iterator[tuple[str, bool]]:
-    """Modules of ours that a tree imports, and whether inside a function."""
+    """Yield the modules that a tree imports, and whether inside a function."""
     inside = {
         id(part)
         for node in ast.walk(tree)
@@ -104,77 +214,114 @@ def _imports(tree: ast.AST, modules: frozenset[str]) -> Iterator[tuple[str, bool
                 yield name.name, id(node) in inside
 
 
-def measure() -> dict[str, str]:
-    """Each figure by what it is of."""
-    files = _tracked()
-    ours = [name for name in files if name.split("/")[0] in ROOMS]
-    texts = {
-        name: (ROOT / name).read_text(encoding="utf-8") for name in files if name.endswith(".py")
-    }
-    trees = {
-        name.removesuffix(".py").removesuffix("/__init__").replace("/", "."): ast.parse(texts[name])
-        for name in ours
-        if name in texts
-    }
-    modules = frozenset(trees)
-    found = {
-        module: [pair for pair in _imports(tree, modules) if pair[0] in modules]
-        for module, tree in trees.items()
-    }
-    graph = nx.DiGraph(
-        [
-            (module, other)
-            for module, pairs in found.items()
-            for other, _ in pairs
-            if other != module
-        ]
-    )
-    folders = Counter(Path(name).parent.as_posix() for name in ours)
-    largest, most = max(
-        ((folder, count) for folder, count in folders.items() if folder not in CATALOGS),
-        key=lambda item: item[1],
-    )
-    homes: defaultdict[str, set[str]] = defaultdict(set)
-    for module, tree in trees.items():
-        for node in ast.walk(tree):
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                homes[node.name].add(module)
-    arrays = [
+def _arrays(trees: Iterable[ast.Module]) -> list[str]:
+    """Return the docstrings of public functions that take or return arrays."""
+    return [
         ast.get_docstring(node) or ""
-        for tree in trees.values()
+        for tree in trees
         for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef)
         and not node.name.startswith("_")
         and "ndarray" in ast.unparse(node.args) + ast.unparse(node.returns or node.args)
     ]
+
+
+def sizes(tree: Tree) -> dict[str, int]:
+    """Return how much there is: lines, files, constants, words."""
+    python = tree.product((".py",))
+    lines = {
+        "product: Python code lines": sum(map(code_lines, python)),
+        **{
+            f"product: {language} lines": _other_lines(tree.product(suffixes))
+            for language, suffixes in LANGUAGES.items()
+        },
+    }
+    for folder in ("tests", "benchmarks"):
+        lines[f"{folder}: Python code lines"] = sum(
+            code_lines(text)
+            for name, text in tree.texts.items()
+            if name.startswith(f"{folder}/") and name.endswith(".py")
+        )
+    docs = [name for name in tree.texts if name.startswith("docs/") and name.endswith(".md")]
+    return lines | {
+        "product files": sum(name.split("/")[0] in PRODUCT for name in tree.texts),
+        "tracked files": len(tree.texts),
+        "names of numeric constants": sum(map(constants, tree.modules.values())),
+        "unusual numeric literals": sum(map(unusual, tree.modules.values())),
+        **_prose_figures(python),
+        "kB of docs and README": sum(
+            len(tree.texts[name].encode()) for name in (*docs, "README.md") if name in tree.texts
+        )
+        // 1000,
+        "kB of CHANGELOG": len(tree.texts.get("CHANGELOG.md", "").encode()) // 1000,
+    }
+
+
+def structure(tree: Tree) -> dict[str, str]:
+    """Return how the modules of the product hang together."""
+    rooms = {
+        module: parsed
+        for module, parsed in tree.modules.items()
+        if module.partition(".")[0] in ROOMS
+    }
+    imports = {
+        module: {pair for pair in _imports(parsed, frozenset(rooms)) if pair[0] in rooms}
+        for module, parsed in rooms.items()
+    }
+    graph = nx.DiGraph(
+        [
+            (module, other)
+            for module, pairs in imports.items()
+            for other, _ in pairs
+            if other != module
+        ]
+    )
+    folders = Counter(
+        Path(name).parent.as_posix()
+        for name in tree.texts
+        if name.split("/")[0] in ROOMS and not name.endswith("py.typed")
+    )
+    largest = max(folders.keys() - CATALOGS, key=lambda folder: folders[folder])
+    homes: defaultdict[str, set[str]] = defaultdict(set)
+    for module, parsed in rooms.items():
+        for node in ast.walk(parsed):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes[node.name].add(module)
+    arrays = _arrays(rooms.values())
     circles = [part for part in nx.strongly_connected_components(graph) if len(part) > 1]
     return {
-        "Python code lines of the four rooms": str(
-            sum(code_lines(texts[name]) for name in ours if name in texts)
-        ),
-        "files of the four rooms": str(len(ours)),
         "loose Python files in validate/": str(
-            sum(name.count("/") == 1 for name in ours if name.startswith("validate/"))
+            sum(re.fullmatch(r"validate/[^/]+\.py", name) is not None for name in tree.texts)
         ),
-        "largest folder but the catalogs": f"{most} ({largest})",
-        "modules of ours that a run may reach": str(len(nx.descendants(graph, RUN)) + 1),
+        "largest folder except catalogs": f"{folders[largest]} ({largest})",
+        "modules that a run may reach": str(len(nx.descendants(graph, RUN)) + 1),
         "circles (modules in them)": f"{len(circles)} ({sum(map(len, circles))})",
-        "imports of ours inside functions": str(
-            sum(hidden for pairs in found.values() for _, hidden in set(pairs))
+        "imports of our modules inside functions": str(
+            sum(hidden for pairs in imports.values() for _, hidden in pairs)
         ),
         "class names with two meanings": str(sum(len(places) > 1 for places in homes.values())),
-        "public functions of arrays whose docstring gives shape, unit, errors": ", ".join(
-            f"{100 * sum(bool(pattern.search(text)) for text in arrays) / len(arrays):.0f} %"
+        "public functions of arrays: docstring with shape, unit, errors": ", ".join(
+            f"{100 * sum(bool(pattern.search(text)) for text in arrays) / max(1, len(arrays)):.0f} %"
             for pattern in (_SHAPE, _UNIT, _ERRORS)
-        ),
-        "Python lines of the tests": str(
-            sum(texts[name].count("\n") for name in texts if name.startswith("tests/"))
         ),
     }
 
 
+def measure(root: Path = ROOT) -> dict[str, str]:
+    """Return each figure of a checkout by its name."""
+    tree = read(root)
+    return {name: str(value) for name, value in sizes(tree).items()} | structure(tree)
+
+
 @click.command()
-def command() -> int:
-    """How large and how tangled the code is."""
-    click.echo(table(["", "now"], [list(item) for item in measure().items()]))
+@click.argument("other", required=False, type=click.Path(exists=True, path_type=Path))
+def command(other: Path | None) -> int:
+    """Print the size and structure of the code, beside those of the checkout OTHER."""
+    now = measure()
+    if other is None:
+        click.echo(table(["", "now"], [list(item) for item in now.items()]))
+        return 0
+    before = measure(other)
+    rows = [[name, before[name], value] for name, value in now.items()]
+    click.echo(table(["", str(other), "now"], rows))
     return 0

@@ -1,4 +1,4 @@
-"""`python -m benchmarks house` counts what it says."""
+"""`python -m benchmarks house` counts lines, constants, words and imports."""
 
 import subprocess
 from pathlib import Path
@@ -7,53 +7,101 @@ import pytest
 
 from benchmarks import house
 
+PATH = """import numpy as np
+
+from validate import loose
+
+
+class One: ...
+
+
+def f(x: np.ndarray) -> np.ndarray:
+    \"\"\"x (n, nq) [m]. Raises ValueError.\"\"\"
+    loose.run()
+    return x
+
+
+def g(x: np.ndarray) -> None:
+    pass
+"""
+ONE = """from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from models.two import Two
+
+LIMIT = 7.5  # What a limit is. It tells nobody.
+NAMES = {"a": 4}
+NONE = None
+
+
+class One:
+    \"\"\"A
+    class.\"\"\"
+
+    two: "Two"
+"""
 FILES = {
     "models/__init__.py": '"""Nothing."""\n',
-    "models/one.py": '"""One."""\n\nfrom typing import TYPE_CHECKING\n\nif TYPE_CHECKING:\n    from models.two import Two\n\n\nclass One:\n    """A\n    class."""\n\n    two: "Two"\n',
+    "models/one.py": ONE,
     "models/two.py": "from models.one import One  # a comment\n\n\nclass Two(One): ...\n",
-    "validate/loose.py": "def run() -> None:\n    from models import one\n\n    one.One()\n",
-    "validate/tasks/path.py": (
-        'import numpy as np\n\nfrom validate import loose\n\n\nclass One: ...\n\n\ndef f(x: np.ndarray) -> np.ndarray:\n    """x (n, nq) [m]. Raises ValueError."""\n'
-        "    loose.run()\n    return x\n\n\ndef g(x: np.ndarray) -> None:\n    pass\n"
-    ),
-    "reports/page.html": "<p>\n",
+    "models/shell.c": "/* a\n   comment */\nint x; // y\n\n",
+    "validate/loose.py": "def run() -> None:\n    from models import one\n\n    one.One(8)\n",
+    "validate/tasks/path.py": PATH,
+    "reports/page.html": "<p>\n<!-- a\ncomment -->\n",
     "tests/test_x.py": "x = 1\n\n",
+    "docs/page.md": "a" * 2000,
     "untracked.py": "x = 1\n",
 }
 
 
 @pytest.fixture
-def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def tree(tmp_path: Path) -> house.Tree:
     for name, text in FILES.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text, encoding="utf-8")
     subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)
-    subprocess.run(
-        ["git", "add", "models", "validate", "reports", "tests"], cwd=tmp_path, check=True
-    )
-    monkeypatch.setattr(house, "ROOT", tmp_path)
-    return tmp_path
+    tracked = sorted({name.split("/")[0] for name in FILES} - {"untracked.py"})
+    subprocess.run(["git", "add", *tracked], cwd=tmp_path, check=True)
+    return house.read(tmp_path)
 
 
-def test_what_is_counted(tree: Path):
-    assert list(house.measure().values()) == [
-        "18",  # 0 + 5 + 2 + 3 + 8
-        "6",
+def test_house_sizes(tree: house.Tree):
+    assert house.sizes(tree) == {
+        "product: Python code lines": 8 + 2 + 3 + 8,
+        "product: C lines": 1,
+        "product: JavaScript lines": 0,
+        "product: CSS lines": 0,
+        "product: template lines": 1,
+        "product: TOML lines": 0,
+        "tests: Python code lines": 1,
+        "benchmarks: Python code lines": 0,
+        "product files": 7,
+        "tracked files": 9,
+        "names of numeric constants": 2,
+        "unusual numeric literals": 3,
+        "words of docstrings and comments": 1 + 2 + 7 + 2 + 6,
+        "sentences with a headless opening": 1,
+        "tell, say, ask, somebody and the like": 2,
+        "kB of docs and README": 2,
+        "kB of CHANGELOG": 0,
+    }
+
+
+def test_house_structure(tree: house.Tree):
+    assert list(house.structure(tree).values()) == [
         "1",
-        "3 (models)",
-        "4",  # run, loose, one, two
+        "4 (models)",
+        "4",  # path, loose, one, two
         "1 (2)",  # one and two, by an annotation
         "1",
         "1",
         "50 %, 50 %, 50 %",
-        "2",
     ]
 
 
-def test_code_is_what_is_no_comment_docstring_or_blank_line():
-    assert (
-        house.code_lines(
-            '"""A\nmodule."""\n\n# a comment\nx = """a\ntext"""\n\n\ndef f():\n    """Told."""\n    return (\n        x\n    )\n'
-        )
-        == 6
+def test_code_lines_without_comments_and_docstrings():
+    text = (
+        '"""A\nmodule."""\n\n# a comment\nx = """a\ntext"""\n\n\n'
+        'def f():\n    """Docstring."""\n    return (\n        x\n    )\n'
     )
+    assert house.code_lines(text) == 6
