@@ -37,7 +37,7 @@ MOST_RATIO = 100.0
 RATIO_MATTERS_FROM = 32 * 1024**2
 _ROOT = "fmiModelDescription"
 # Interfaces of FMI, by what is short for them.
-INTERFACES = {"ME": "ModelExchange", "CS": "CoSimulation", "SE": "ScheduledExecution"}
+INTERFACES = {"ME": "ModelExchange", "CS": "CoSimulation"}
 
 
 class HasDoctype(Exception):  # noqa: N818 - it ends the reading
@@ -93,8 +93,8 @@ _MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 _ENDINGS = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 
 
-# Those that are not about what is inside; others are zip, description, version, kind, scheduled,
-# identifier and binary.
+# Checks of the archive's entries. Other checks are zip, description, version, kind, identifier and
+# binary.
 ARCHIVE_CHECKS = ("size", "ratio", "entries", "names", "links", "duplicates", "encryption", "xml")
 
 
@@ -345,17 +345,8 @@ class _ArchiveCheck:
                 "version", f"it says FMI version {version!r}; 2.0 and 3.0 can be run."
             )
             return
-        only_scheduled = self._kinds.pop("ScheduledExecution", None) is not None
         if not self._kinds:
-            also = (
-                ", only Scheduled Execution, which needs a scheduler of its own"
-                if only_scheduled
-                else ""
-            )
-            yield self._problem(
-                "scheduled" if only_scheduled else "kind",
-                f"it offers neither Model Exchange nor Co-Simulation{also}.",
-            )
+            yield self._problem("kind", "it offers neither Model Exchange nor Co-Simulation.")
             return
         for wrong in wrong_identifiers(
             interface.get("modelIdentifier") for interface in self._kinds.values()

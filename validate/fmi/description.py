@@ -59,15 +59,8 @@ class Package(FmuArchive):
 
 
 def interface_of(description: Any, kind: str) -> Any:
-    """FMPy's description of an interface: "ME", "CS" or "SE", Scheduled Execution.
-
-    None where the FMU does not offer it.
-    """
-    return {
-        "ME": description.modelExchange,
-        "CS": description.coSimulation,
-        "SE": getattr(description, "scheduledExecution", None),
-    }[kind]
+    """Return FMPy's description of an interface, "ME" or "CS"; None if the FMU does not offer it."""
+    return {"ME": description.modelExchange, "CS": description.coSimulation}[kind]
 
 
 @contextmanager
@@ -119,7 +112,7 @@ def unfit(description: Any) -> list[str]:
     Of two elements of one interface FMPy takes the last, the archive the first; of a value
     reference C takes the last 32 bits, another variable's.
     """
-    offered = (interface_of(description, kind) for kind in ("ME", "CS", "SE"))
+    offered = (interface_of(description, kind) for kind in ("ME", "CS"))
     wrong = wrong_identifiers(
         interface.modelIdentifier for interface in offered if interface is not None
     )

@@ -271,45 +271,16 @@ class FMU3Stepping(_Fmi3, fmi3.FMU3Slave):
     leave = fmi3.FMU3Slave.enterStepMode
 
 
-class FMU3Scheduling(_Fmi3, fmi3._FMU3):
-    """FMI 3.0, Scheduled Execution: FMPy has its functions, and no class."""
-
-    def instantiate(
-        self,
-        logMessage: Callable[..., None],
-        clockUpdate: Callable[..., None],
-        locks: Sequence[Callable[[], None]],
-    ) -> None:
-        """clockUpdate: the FMU wants its clocks looked at.
-
-        locks: called before and after what must not be interrupted.
-        """
-        self._callbacks = (  # held as long as C may call them
-            fmi3.fmi3LogMessageCallback(logMessage), fmi3.fmi3ClockUpdateCallback(clockUpdate),
-            fmi3.fmi3LockPreemptionCallback(locks[0]), fmi3.fmi3UnlockPreemptionCallback(locks[1]),
-        )  # fmt: skip
-        resources = os.path.join(self.unzipDirectory, "resources", "")
-        self.component = self.fmi3InstantiateScheduledExecution(
-            self.instanceName.encode(),
-            self.guid.encode(),
-            resources.encode(),
-            False,
-            False,
-            None,
-            *self._callbacks,
-        )
-        if not self.component:
-            raise RuntimeError("no instance")
-
-
 CLASSES: dict[tuple[int, str], Any] = {
-    (2, "ME"): FMU2Exchange, (2, "CS"): FMU2Stepping, (3, "ME"): FMU3Exchange,
-    (3, "CS"): FMU3Stepping, (3, "SE"): FMU3Scheduling,
-}  # fmt: skip
+    (2, "ME"): FMU2Exchange,
+    (2, "CS"): FMU2Stepping,
+    (3, "ME"): FMU3Exchange,
+    (3, "CS"): FMU3Stepping,
+}
 
 
 class Instance:
-    """One instance of an unpacked FMU; kind: "ME", "CS" or "SE".
+    """One instance of an unpacked FMU; kind: "ME" or "CS".
 
     time: to which it was brought [s]; next_event: the time event it told of, infinite without;
         said: what it logged last.
@@ -503,9 +474,6 @@ class Instance:
         self.fmu.enterEventMode()
         return self.settle()
 
-    def before_update(self) -> None:
-        """What else is to be done in each round of an event iteration."""
-
     def content(self) -> None:
         """What else is to be done at its end, before Event Mode is left."""
 
@@ -513,7 +481,6 @@ class Instance:
         """Event updates until the FMU is content, then Continuous-Time or Step Mode: whether states changed. Raises Misbehaviour if that does not end, TerminationRequested."""
         changed = False
         for _ in range(EVENT_ROUNDS):
-            self.before_update()
             again, ends, _, states_changed, defined, following = self.fmu.update()
             changed = changed or states_changed
             if ends:

@@ -53,7 +53,6 @@ class Scope(Enum):
     EACH = ("ME", "CS")
     EXCHANGE = ("ME",)
     COSIMULATION = ("CS",)
-    SCHEDULED = ("SE",)
 
 
 class Finding(NamedTuple):
@@ -87,7 +86,7 @@ class Failed(Exception):  # noqa: N818 - a finding about the FMU, not an error o
 class Check:
     """One check: its name in the table, and the function that finds out, whose docstring, one sentence, is what it claims of a sound FMU.
 
-    run(subject) for Scope.FILE, run(subject, type) with type "ME", "CS" or "SE" otherwise; clauses:
+    run(subject) for Scope.FILE, run(subject, type) with type "ME" or "CS" otherwise; clauses:
     the sections of FMI 2.0.4 and 3.0.2 that demand it, empty where none does; needs: the ability
     that the type must claim, by its names in FMI 2.0 and 3.0, empty in a version that has none.
     """

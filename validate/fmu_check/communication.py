@@ -145,14 +145,13 @@ _STILL = 100
 _OFF = 0.05
 _OFTEN = 0.25
 _UPDATE = "providesIntermediateUpdate"
-# An FMU that may return early from a step, and says so.
-MIGHT_RETURN = "mightReturnEarlyFromDoStep"
+_MIGHT_RETURN = "mightReturnEarlyFromDoStep"
 
 
-class EventStepping(CheckedInstance):
-    """An instance whose steps have event mode, where it is Co-Simulation.
+class _Eventful(CheckedInstance):
+    """A Co-Simulation instance with event mode, which updates once more at the end of each event.
 
-    events, early: how many it had, and how often it returned early.
+    events, early: number of events and of early returns.
     """
 
     events = early = 0
@@ -160,22 +159,24 @@ class EventStepping(CheckedInstance):
     def __init__(self, subject: Subject, kind: str, *, early: bool) -> None:
         """early: whether it may return early."""
         super().__init__(
-            subject,
-            kind,
-            options={"eventModeUsed": True, "earlyReturnAllowed": early} if kind == "CS" else None,
+            subject, kind, options={"eventModeUsed": True, "earlyReturnAllowed": early}
         )
 
-    def make_step(self, step: int) -> None:
-        """One communication step, through all events in it.
+    def run(self, steps: int) -> np.ndarray:
+        """From its beginning, (steps + 1, observed) [unit of each variable].
 
-        Raises Misbehaviour where an answer of fmi3DoStep cannot be right.
+        Raises as `motion.run`.
         """
-        self.step_to(self.subject.time(step + 1))
+        self.begin().settle()
+        return run(self, 0, steps)
 
-    def step_to(self, goal: float) -> None:
-        """Steps to a time [s]. Raises Misbehaviour where an answer cannot be right."""
+    def make_step(self, step: int) -> None:
+        """Make one communication step, through all events in it.
+
+        Raises Misbehaviour if an answer of fmi3DoStep cannot be right.
+        """
         subject, t, still = self.subject, self.time, 0
-        near = _SAME * subject.step
+        goal, near = subject.time(step + 1), _SAME * subject.step
         while goal - t > near:
             target = min(goal, max(self.next_event, t + near))
             asked, _, early, reached = self.do_step(t, target - t)
@@ -203,18 +204,6 @@ class EventStepping(CheckedInstance):
             if asked or t >= self.next_event - near:
                 self.events += 1
                 self.event()
-
-
-class _Eventful(EventStepping):
-    """An instance with event mode, whose every event is tried once more."""
-
-    def run(self, steps: int) -> np.ndarray:
-        """From its beginning, (steps + 1, observed) [unit of each variable].
-
-        Raises as `motion.run`.
-        """
-        self.begin().settle()
-        return run(self, 0, steps)
 
     def content(self) -> None:
         """Once more without effect."""
@@ -264,7 +253,7 @@ def event_mode(subject: Subject, kind: str) -> Finding:
     """
     steps = subject.long_steps(kind)
     plain = fresh_run(subject, kind, steps)
-    with _Eventful(subject, kind, early=subject.can(kind, MIGHT_RETURN)) as instance:
+    with _Eventful(subject, kind, early=subject.can(kind, _MIGHT_RETURN)) as instance:
         rows = instance.run(steps)
         events = instance.events
         _require_same_way(
@@ -283,13 +272,13 @@ def event_mode(subject: Subject, kind: str) -> Finding:
 def early_return(subject: Subject, kind: str) -> Finding:
     """Only where it is allowed, at the time that is told, and where it is asked for."""
     might, asked = (
-        subject.can(kind, name) for name in (MIGHT_RETURN, "canReturnEarlyAfterIntermediateUpdate")
+        subject.can(kind, name) for name in (_MIGHT_RETURN, "canReturnEarlyAfterIntermediateUpdate")
     )
     if subject.major < 3:
         return not_offered("FMI 2.0 has none.")
     if not (might or asked):
         return not_offered(
-            f"neither {MIGHT_RETURN} nor canReturnEarlyAfterIntermediateUpdate is true."
+            f"neither {_MIGHT_RETURN} nor canReturnEarlyAfterIntermediateUpdate is true."
         )
     said = []
     if subject.can(kind, "hasEventMode"):
@@ -297,7 +286,7 @@ def early_return(subject: Subject, kind: str) -> Finding:
             with _Eventful(subject, kind, early=may) as instance:
                 instance.run(subject.long_steps(kind))
         if instance.early and not might:  # where it may not, that is no answer
-            return failed(f"it returned early, though {MIGHT_RETURN} is false.")
+            return failed(f"it returned early, though {_MIGHT_RETURN} is false.")
         said.append(f"{instance.early} times at events")
     if asked and subject.can(kind, _UPDATE):
         offered = _returns_where_asked(subject, kind)

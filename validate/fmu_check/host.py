@@ -27,7 +27,6 @@ from validate.fmi.archive import ARCHIVE_CHECKS, ArchiveError, FmuError, check_a
 from validate.fmi.description import read_description
 from validate.fmi.instance import Lacking, Misbehaviour, TerminationRequested
 from validate.fmu_check import (
-    clocks,
     communication,
     derivatives,
     exchange,
@@ -66,7 +65,7 @@ BEHAVIOUR: tuple[Check, ...] = (
     states.token, states.restores, states.serialises,
     exchange.arrays, exchange.nominals, exchange.indicators, exchange.told,
     derivatives.directional, derivatives.adjoint, derivatives.dependencies, derivatives.rates,
-    exchange.agree, clocks.ticking, clocks.activated, reference.stored, *importers.CHECKS,
+    exchange.agree, reference.stored, *importers.CHECKS,
 )  # fmt: skip
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
 # Those that are run only where they are asked for; and those without which others cannot be.
@@ -95,14 +94,13 @@ def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, An
     with contextlib.suppress(ValueError, KeyError):  # told by the first check that looks at it
         subject.prepare()
     table.major = subject.major
-    types = [*subject.types, *(["SE"] if subject.interface("SE") is not None else [])]
     for item in (*READING, *BEHAVIOUR):
         for kind in item.scope.value:
-            if kind in ("", *types):
+            if kind in ("", *subject.types):
                 table.of_description(item, kind, subject)
     return {
         "version": description.fmiVersion,
-        "types": types,
+        "types": subject.types,
         "lacking": table.lacking or not table.ran,
     }
 
@@ -259,7 +257,7 @@ def check_fmu(
             told(row)
 
     try:
-        archive = check_archive(path, but_for=("binary", "duplicates", "scheduled", "identifier"))
+        archive = check_archive(path, but_for=("binary", "duplicates", "identifier"))
     except ArchiveError as error:
         if error.check not in ARCHIVE_CHECKS:
             raise

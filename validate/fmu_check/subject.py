@@ -59,7 +59,7 @@ DEFAULT_TOLERANCE = 1e-4
 class FmuVariable:
     """A variable of the FMU that has a number: `size` entries, start as numbers (or None).
 
-    It may be read and set only while one of `clocks` ticks, if it has any.
+    clocked: FMI 3.0 lets it be read and set only while a clock ticks, so the checks leave it out.
     """
 
     name: str
@@ -74,7 +74,7 @@ class FmuVariable:
     upper: float
     nominal: float | None
     unit: str | None
-    clocks: tuple[int, ...] = ()
+    clocked: bool = False
 
     @property
     def is_float(self) -> bool:
@@ -310,7 +310,7 @@ class Subject:
     @cached_property
     def outputs(self) -> Block:
         """Outputs, as the ModelStructure lists them, but for clocked ones."""
-        return Block(item for item in self.of(self.description.outputs) if not item.clocks)
+        return Block(item for item in self.of(self.description.outputs) if not item.clocked)
 
     @cached_property
     def observed(self) -> Block:
@@ -320,7 +320,7 @@ class Subject:
                 {
                     (item.reference, item.type): item
                     for item in reversed(self.variables)
-                    if not item.clocks
+                    if not item.clocked
                 }.values()
             )[::-1]
         )
@@ -488,7 +488,7 @@ def _variable(item: Any) -> FmuVariable | None:
         size=size, start=start, lower=number("min", -math.inf), upper=number("max", math.inf),
         nominal=number("nominal"),
         unit=item.unit or getattr(item.declaredType, "unit", None),
-        clocks=tuple(int(clock.valueReference) for clock in item.clocks or ()),
+        clocked=bool(item.clocks),
     )  # fmt: skip
 
 

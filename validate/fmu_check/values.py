@@ -50,7 +50,7 @@ _ELSEWHERE_SECONDS = 5.0
 @check("variables can be read", Scope.EACH, clauses=("2.1.7", "2.2.7.2"))
 def readable(subject: Subject, kind: str) -> Finding:
     """After initialisation each variable's value reference is accepted, but for clocked ones."""
-    variables = [item for item in subject.variables if not item.clocks]
+    variables = [item for item in subject.variables if not item.clocked]
     with CheckedInstance(subject, kind).begin() as instance:
         problems = [
             f"{item.name} (value reference {item.reference}, {item.type}) is refused{instance.quote()}"
@@ -138,7 +138,7 @@ def _movable(item: FmuVariable) -> bool:
     changes = (
         item.variability != "constant"
         and item.causality != "structuralParameter"
-        and not item.clocks
+        and not item.clocked
     )
     return changes and (item.is_float or (item.type == "Boolean" and item.causality == "input"))
 

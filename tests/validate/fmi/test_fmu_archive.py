@@ -418,22 +418,14 @@ def test_a_check_may_be_let_pass(tmp_path: Path):
         check_archive(path, but_for=("kind",))
 
 
-def test_only_interfaces_with_a_binary_are_offered_and_scheduled_execution_is_none(tmp_path: Path):
-    both = GOOD.replace(
-        "<CoSimulation",
-        '<ModelExchange modelIdentifier="other"/><ScheduledExecution modelIdentifier="m"/><CoSimulation',
-    )
+def test_interfaces_without_a_binary_are_not_offered(tmp_path: Path):
+    both = GOOD.replace("<CoSimulation", '<ModelExchange modelIdentifier="other"/><CoSimulation')
     path = write(
         tmp_path / "m.fmu",
         {DESCRIPTION: both, LIBRARY: b"x", "binaries/win64/m.dll": b"x", "binaries/": ""},
     )
     found = check_archive(path)
     assert found.kinds == {"CoSimulation": {"modelIdentifier": "m"}}
-    alone = GOOD.replace("CoSimulation", "ScheduledExecution")
-    with pytest.raises(
-        ArchiveError, match="Co-Simulation, only Scheduled Execution, which needs a scheduler"
-    ):
-        check_archive(write(path, {DESCRIPTION: alone, LIBRARY: b"x"}))
     with pytest.raises(ArchiveError, match=r"nor Co-Simulation\.$"):
         check_archive(
             write(
@@ -444,7 +436,7 @@ def test_only_interfaces_with_a_binary_are_offered_and_scheduled_execution_is_no
                 },
             )
         )
-    assert set(interfaces(both.encode())) == {"ModelExchange", "ScheduledExecution", "CoSimulation"}
+    assert set(interfaces(both.encode())) == {"ModelExchange", "CoSimulation"}
 
 
 def test_other_texts_may_be_anything_that_is_no_doctype(tmp_path: Path):

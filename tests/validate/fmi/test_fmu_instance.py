@@ -554,7 +554,6 @@ def test_an_ability_is_claimed_by_the_interface_that_says_so(said: str | None):
     )
     assert package.can("CoSimulation", "can") is (said in ("true", "1"))
     assert not package.can("ModelExchange", "can")
-    assert not package.can("ScheduledExecution", "can")
     assert (package.is_three, package.exchange, package.cosimulation) == (True, "me", "cs")
     package = replace(package, kinds={}, version="2.0")
     assert (package.is_three, package.exchange, package.cosimulation) == (False, None, None)

@@ -1,5 +1,6 @@
 """No false alarms: on our own FMUs, and on models of other kinds - events that change states, time events, no states, a fixed solver step."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -52,3 +53,42 @@ def test_no_alarm_on_other_models(model: Foreign, tmp_path: Path):
             assert any(row.status is status and words in row.sentence for row in rows), [
                 row.sentence for row in rows
             ]
+
+
+# An output that may be read only while its clock ticks, which needs a scheduler.
+_CLOCKED = (
+    (
+        "modelDescription.xml",
+        "  <ModelVariables>\n",
+        """  <ModelVariables>
+    <Clock name="beat" valueReference="901" causality="input" intervalVariability="triggered"/>
+    <Int32 name="sum" valueReference="905" causality="output" variability="discrete" initial="calculated" clocks="901"/>
+""",
+    ),
+    (
+        "modelDescription.xml",
+        "  <ModelStructure>\n",
+        '  <ModelStructure>\n    <Output valueReference="905"/>\n',
+    ),
+    (
+        "sources/fmi3_absent.h",
+        "NO_VARIABLES(Int32)\n",
+        """fmi3Status fmi3GetInt32(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, fmi3Int32 values[], size_t nValues)
+{
+    (void)vr, (void)nvr, (void)nValues;
+    values[0] = 0;
+    return ((Instance *)instance)->model.phase == PHASE_INITIALIZATION ? fmi3OK : fmi3Error;
+}
+fmi3Status fmi3SetInt32(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, const fmi3Int32 values[], size_t nValues)
+{
+    (void)instance, (void)vr, (void)nvr, (void)values, (void)nValues;
+    return fmi3Error;
+}
+""",
+    ),
+)
+
+
+@pytest.mark.slow
+def test_clocked_variables_raise_no_alarm(defective: Callable[..., Path]):
+    assert not _alarms(check_fmu(defective(_CLOCKED, "3.0")))
