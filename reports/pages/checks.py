@@ -12,12 +12,9 @@ from typing import NamedTuple
 from reports.pages.section import Report, Section
 from reports.plots import Axis, Key, Plot
 from reports.records.check_record import (
-    IMPORTER,
     AxisRecord,
     ChartRecord,
     CheckRecord,
-    CheckRow,
-    by_importer,
 )
 from reports.records.record import MetricRecord
 from reports.wording import Sign, capital, count, listing, number, spaced
@@ -36,20 +33,6 @@ class FmuView(NamedTuple):
     version: str
     anchor: str
     ended: str
-
-    @property
-    def importers(self) -> dict[str, dict[str, CheckRow]]:
-        """What other people's importers made of it."""
-        return by_importer(self.record.fmu.rows) if self.record.fmu else {}
-
-    @property
-    def rows(self) -> list[CheckRow]:
-        """All other checks."""
-        return (
-            [row for row in self.record.fmu.rows if not row.name.startswith(IMPORTER)]
-            if self.record.fmu
-            else []
-        )
 
 
 def fmus(report: Report) -> Section | None:

@@ -23,9 +23,6 @@ from reports.records.record import (
     RunRecord,
 )
 
-# How the names of checks by other people's importers begin.
-IMPORTER = "importer "
-
 
 class AxisRecord(Model):
     """An axis of a chart; log: whether it is logarithmic."""
@@ -95,15 +92,6 @@ class FmuRecord(Model):
     def failed(self) -> tuple[CheckRow, ...]:
         """The checks that the FMU failed."""
         return tuple(row for row in self.rows if row.status == "failed")
-
-
-def by_importer(rows: Iterable[Any]) -> dict[str, dict[str, Any]]:
-    """The rows of other people's importers: importer -> type of FMI ("ME", "CS", "" for the file) -> row, whatever has a name and a type."""
-    found: dict[str, dict[str, Any]] = {}
-    for row in rows:
-        if row.name.startswith(IMPORTER):
-            found.setdefault(row.name.removeprefix(IMPORTER), {})[row.type] = row
-    return found
 
 
 class CheckRecord(Model):

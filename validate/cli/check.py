@@ -19,7 +19,6 @@ from xml.etree import ElementTree
 
 import click
 
-from reports.records.check_record import IMPORTER, by_importer
 from validate.cli.options import FiniteRange, write, written_to
 from validate.cli.table import one_line, say, wide_option
 from validate.fmu_check import CheckReport, FmuCheckRow, Status, check_fmu
@@ -31,7 +30,7 @@ _EPILOG = """\b
 Examples:
   python -m validate check model.fmu
   python -m validate check model.fmu --only "set state restores"
-  python -m validate check model.fmu --html check.html --importers
+  python -m validate check model.fmu --html check.html
   python -m validate check build/*.fmu --junit check.xml --sarif check.sarif
   python -m validate check model.fmu --waive "runs repeat=it draws random numbers"
 
@@ -66,11 +65,6 @@ _SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-", "advice": "!", "
     show_default=True,
     metavar="SECONDS",
     help="For each check.",
-)
-@click.option(
-    "--importers",
-    is_flag=True,
-    help="Also by other people's importers, each in a process of its own, their numbers against ours: FMPy, fmuloader, libcosimpy, CasADi, fmutool, as far as they are installed (extra [fmu-check]).",
 )
 @click.option(
     "--json",
@@ -108,7 +102,6 @@ def command(
     files: tuple[Path, ...],
     names: tuple[str, ...],
     time_limit: float,
-    importers: bool,
     as_json: bool,
     html_file: Path | None,
     junit_file: Path | None,
@@ -140,7 +133,6 @@ def command(
             seconds=time_limit,
             waived=waived,
             told=tell,
-            importers=importers,
         )
         after = os.times()
         cpu = sum(after[:4]) - sum(before[:4])
@@ -344,14 +336,10 @@ def markdown(reports: Sequence[CheckReport], command: str) -> str:
     for report in reports:
         digest = hashlib.sha256(Path(report.path).read_bytes()).hexdigest()
         about = f"FMI {report.version}, {' and '.join(report.types)}. " if report.types else ""
-        rows = sorted(
-            (row for row in report.rows if not row.name.startswith(IMPORTER)),
-            key=lambda row: order.index(row.status),
-        )
+        rows = sorted(report.rows, key=lambda row: order.index(row.status))
         cells = [[_status(row), *map(_cell, (row.title, row.sentence, row.clause))] for row in rows]
         table = ["| outcome | check | what was found | clause |", "|---|---|---|---|"]
         table += [f"| {' | '.join(row)} |" for row in cells]
-        table += _importers(report)
         parts += [
             f"## {_cell(Path(report.path).name)}",
             "",
@@ -362,22 +350,6 @@ def markdown(reports: Sequence[CheckReport], command: str) -> str:
         ]
     origin = f"touchstone {version('touchstone-contact')}, {platform.system()} {platform.machine()}, against FMI 2.0.4 and 3.0.2"
     return "\n".join([*parts, f"Checked by `{one_line(command)}` ({origin}).", ""])
-
-
-def _importers(report: CheckReport) -> list[str]:
-    """A table importer x interface; nothing where none was asked."""
-    table = []
-    for importer, cells in by_importer(report.rows).items():
-        told = [
-            f"{cells[kind].status.value}: {cells[kind].sentence}" if kind in cells else "-"
-            for kind in ("ME", "CS", "")
-        ]
-        table.append(f"| {' | '.join(map(_cell, [importer, *told]))} |")
-    return (
-        ["", "| importer | Model Exchange | Co-Simulation | file |", "|---|---|---|---|", *table]
-        if table
-        else []
-    )
 
 
 def _status(row: FmuCheckRow) -> str:

@@ -31,7 +31,6 @@ from validate.fmu_check import (
     derivatives,
     exchange,
     files,
-    importers,
     reference,
     states,
     values,
@@ -65,20 +64,19 @@ BEHAVIOUR: tuple[Check, ...] = (
     states.token, states.restores, states.serialises,
     exchange.arrays, exchange.nominals, exchange.indicators, exchange.told,
     derivatives.directional, derivatives.adjoint, derivatives.dependencies, derivatives.rates,
-    exchange.agree, reference.stored, *importers.CHECKS,
+    exchange.agree, reference.stored,
 )  # fmt: skip
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
-# Those that are run only where they are asked for; and those without which others cannot be.
-_BY_OTHERS = tuple(item.name for item in importers.CHECKS)
+# Checks on which others depend.
 _ALWAYS = (FIRST.name, files.compiled.name)
 
 
 def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, Any]:
     """See the module docstring."""
-    if set(request["names"]) >= set(NAMES) - set(
-        _BY_OTHERS
-    ):  # a few of them may need no integrator, which may be missing
-        cvode.functions()  # 7 ms, once, before anything is forked
+    if set(request["names"]) >= set(NAMES):
+        # Loads the integrator once, before anything is forked (7 ms). A few named checks may run
+        # without it, and it may be missing.
+        cvode.functions()
     table = _Table(request)
     path, folder = Path(request["path"]), Path(request["folder"])
     for item, place in zip(STATIC, (path, folder), strict=True):
@@ -221,13 +219,11 @@ def check_fmu(
     seconds: float = CHECK_SECONDS,
     waived: Mapping[str, str] | None = None,
     told: Callable[[FmuCheckRow], None] | None = None,
-    importers: bool = False,
 ) -> CheckReport:
     """All checks of an FMU file, or those named.
 
-    importers: also by other people's importers, where no names are given; seconds: of the clock,
-        for each check; waived: the reason why a failure of the check of this name is right; told:
-        called with each row as soon as it is there.
+    seconds: of the clock, for each check; waived: the reason why a failure of the check of this
+        name is right; told: called with each row as soon as it is there.
     Raises ArchiveError if the file is no FMU of version 2.0 or 3.0, MachineError if this machine
         cannot, UnknownNameError for a name.
     """
@@ -238,13 +234,7 @@ def check_fmu(
             raise UnknownNameError(
                 f"there is no check {name!r}; {did_you_mean(name, NAMES, there)}"
             )
-    asked = (
-        (*names, *_ALWAYS)
-        if names is not None
-        else NAMES
-        if importers
-        else [name for name in NAMES if name not in _BY_OTHERS]
-    )
+    asked = NAMES if names is None else (*names, *_ALWAYS)
     rows: list[FmuCheckRow] = []
 
     def take(row: FmuCheckRow) -> None:

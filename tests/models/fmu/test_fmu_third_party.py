@@ -91,9 +91,9 @@ def child(code, *arguments):
 
 
 def asked(importer, **job):
-    """What an importer answers, as the check has it run."""
+    """Return the answer of an importer that runs in a child process."""
     done = run_isolated(
-        "validate.fmu_check.importers:run_importer",
+        "tests.models.fmu.importers:run_importer",
         {"importer": importer, **job},
         limits=Limits(seconds=60.0, memory=2**32),
     )
