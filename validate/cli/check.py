@@ -1,20 +1,15 @@
 """`check`: whether FMUs do what they say.
 
-On the terminal as it is found, and as other tools read it: JSON, a page, JUnit XML, SARIF and
-Markdown.
+On the terminal as it is found, and as other tools read it: JSON, a page and JUnit XML.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
-import platform
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeAlias
-from urllib.parse import quote
 from xml.etree import ElementTree
 
 import click
@@ -31,7 +26,7 @@ Examples:
   python -m validate check model.fmu
   python -m validate check model.fmu --only "set state restores"
   python -m validate check model.fmu --html check.html
-  python -m validate check build/*.fmu --junit check.xml --sarif check.sarif
+  python -m validate check build/*.fmu --junit check.xml
   python -m validate check model.fmu --waive "runs repeat=it draws random numbers"
 
 Exit codes: 0 nothing failed that is not waived; 1 something did; 2 a file is no FMU of
@@ -79,15 +74,6 @@ _SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-", "advice": "!", "
     "FILE.xml",
     "JUnit XML, for CI: a test suite an FMU, a test case a check",
 )
-@written_to(
-    "--sarif",
-    "sarif_file",
-    "FILE.sarif",
-    "SARIF, for code scanning: what failed, what was waived, and advice",
-)
-@written_to(
-    "--markdown", "markdown_file", "FILE.md", "Markdown, to be pasted into an issue or a README"
-)
 @click.option(
     "--waive",
     "waivers",
@@ -105,8 +91,6 @@ def command(
     as_json: bool,
     html_file: Path | None,
     junit_file: Path | None,
-    sarif_file: Path | None,
-    markdown_file: Path | None,
     waivers: tuple[str, ...],
 ) -> int:
     """Check any FMU (FMI 2.0 or 3.0, Model Exchange and Co-Simulation), its files and how its code behaves.
@@ -148,8 +132,6 @@ def command(
         click.echo(json.dumps(found if len(found) > 1 else found[0], indent=1, allow_nan=False))
     write(html_file, lambda: _page(checked, arguments))
     write(junit_file, lambda: junit([(report, spent) for report, spent, _ in checked]))
-    write(sarif_file, lambda: sarif(reports))
-    write(markdown_file, lambda: markdown(reports, command_line(arguments)))
     return max((report.exit_code for report in reports), key=(0, 3, 1).index)
 
 
@@ -212,12 +194,6 @@ def _page(checked: Sequence[Checked], arguments: tuple[str, ...]) -> str:
     return render_checks(records)
 
 
-# Levels of SARIF by severity, and what its results are about: what passed or is not offered is no
-# result.
-_LEVELS = {"error": "error", "behaviour": "warning", "advice": "note"}
-_TOLD = (Status.FAILED, Status.WAIVED, Status.ADVICE)
-
-
 def data(report: CheckReport) -> dict[str, Any]:
     """The report as JSON holds it."""
     told = ("type", "claim", "status", "severity", "clause", "sentence", "seconds")
@@ -277,91 +253,3 @@ def junit(reports: Sequence[tuple[CheckReport, float]]) -> bytes:
                 ).text = f"Advice: {one_line(row.sentence)}"
     ElementTree.indent(suites)
     return ElementTree.tostring(suites, encoding="utf-8", xml_declaration=True)
-
-
-def sarif(reports: Sequence[CheckReport]) -> str:
-    """SARIF 2.1.0 (OASIS): a rule a check, a result for each that failed, was waived, or gave advice."""
-    told = [(report, row) for report in reports for row in report.rows if row.status in _TOLD]
-    rules = {
-        _identity(row): {
-            "id": _identity(row),
-            "name": row.name,
-            "shortDescription": {"text": f"A sound FMU: {row.claim}." if row.claim else row.name},
-            "defaultConfiguration": {"level": _LEVELS[row.severity]},
-            "properties": {"clause": row.clause},
-        }
-        for _, row in told
-    }
-    driver = {
-        "name": "touchstone check",
-        "version": version("touchstone-contact"),
-        "rules": list(rules.values()),
-    }
-    run = {"tool": {"driver": driver}, "results": [_result(report, row) for report, row in told]}
-    schema = "https://json.schemastore.org/sarif-2.1.0.json"
-    return json.dumps({"$schema": schema, "version": "2.1.0", "runs": [run]}, indent=1)
-
-
-def _result(report: CheckReport, row: FmuCheckRow) -> dict[str, Any]:
-    clause = f" [{row.clause}]" if row.clause else ""
-    where = {"physicalLocation": {"artifactLocation": {"uri": quote(Path(report.path).as_posix())}}}
-    message = {"text": f"{row.title}: {one_line(row.sentence)}{clause}"}
-    result = {
-        "ruleId": _identity(row),
-        "level": _LEVELS[row.severity],
-        "message": message,
-        "locations": [where],
-    }
-    if row.status is Status.WAIVED:
-        result["suppressions"] = [{"kind": "external", "justification": one_line(row.sentence)}]
-    return result
-
-
-def _identity(row: FmuCheckRow) -> str:
-    """The check's name as a rule is named: letters, digits and hyphens."""
-    return "-".join(
-        "".join(letter if letter.isalnum() else " " for letter in row.name.replace("'", ""))
-        .lower()
-        .split()
-    )
-
-
-def markdown(reports: Sequence[CheckReport], command: str) -> str:
-    """A table an FMU, what failed first.
-
-    With the file's SHA-256 and what it was checked by, so that it can be cited.
-    """
-    order = (Status.FAILED, Status.WAIVED, Status.ADVICE, Status.PASSED, Status.NOT_OFFERED)
-    parts = []
-    for report in reports:
-        digest = hashlib.sha256(Path(report.path).read_bytes()).hexdigest()
-        about = f"FMI {report.version}, {' and '.join(report.types)}. " if report.types else ""
-        rows = sorted(report.rows, key=lambda row: order.index(row.status))
-        cells = [[_status(row), *map(_cell, (row.title, row.sentence, row.clause))] for row in rows]
-        table = ["| outcome | check | what was found | clause |", "|---|---|---|---|"]
-        table += [f"| {' | '.join(row)} |" for row in cells]
-        parts += [
-            f"## {_cell(Path(report.path).name)}",
-            "",
-            f"{about}{report.counts}. SHA-256 `{digest}`.",
-            "",
-            *table,
-            "",
-        ]
-    origin = f"touchstone {version('touchstone-contact')}, {platform.system()} {platform.machine()}, against FMI 2.0.4 and 3.0.2"
-    return "\n".join([*parts, f"Checked by `{one_line(command)}` ({origin}).", ""])
-
-
-def _status(row: FmuCheckRow) -> str:
-    return (
-        f"**{row.status.value}** ({row.severity})"
-        if row.status is Status.FAILED
-        else row.status.value
-    )
-
-
-def _cell(text: str) -> str:
-    """Text from anywhere in a cell of Markdown: nothing in it is a mark."""
-    return "".join(
-        f"\\{letter}" if letter in "\\`*_{}[]<>|#!" else letter for letter in one_line(text)
-    )

@@ -481,7 +481,7 @@ def test_a_campaign_ends_with_findings_and_failures_by_cause(cli, tmp_path):
         ("replay", "plan.csv", "--scene", "three_cart", "--html", "plan.csv"),
         ("robust", "plan.csv", "--scene", "three_cart", "--csv", "plan.csv"),
         ("check", "model.fmu", "--junit", "model.fmu"),
-        ("check", "model.fmu", "--sarif", "one.xml", "--junit", "one.xml"),
+        ("check", "model.fmu", "--html", "one.xml", "--junit", "one.xml"),
     ],
 )  # fmt: skip
 def test_no_command_begins_that_would_write_over_what_it_reads_or_writes_besides(
