@@ -1,7 +1,8 @@
 """CPU seconds of the commands that one waits for, of all their processes, with everything cached that can be.
 
-    python -m benchmarks commands python -m benchmarks commands --beside ../before # another
-    checkout, in turns: what a change was worth on a busy machine
+    python -m benchmarks commands
+    # another checkout, in turns: what a change was worth on a busy machine
+    python -m benchmarks commands --beside ../before
 
 Each checkout first makes what its commands are about: a campaign of one run, that run's plan as
 CSV, the scene's FMU. Every command has run once before it is measured, so that bytecode is kept,

@@ -1,7 +1,8 @@
 """What every benchmark measures with: CPU seconds, memory, the slope of a growth, and children that are measured by themselves.
 
     found = sample("module:name", Size(3, 500), folder, seconds=600.0, what="the replay")
-    found.cpu_s, found.memory_mib answer, seconds = least(lambda: solve(problem), repetitions=3)
+        found.cpu_s, found.memory_mib
+    answer, seconds = least(lambda: solve(problem), repetitions=3)
 
 `sample` runs `measure` in a child process of one thread: prepare, then the clock.
 """

@@ -7,10 +7,12 @@ every grid approximates one problem; collocation minimises its quadrature. Scene
 planned by semi-implicit Euler alone, by softplus collocation and then `strict_lcp`: neither of the
 others knows friction.
 
-    replay error largest position difference between plan and replay at the plan's nodes [m, rad],
-    by the reference replay plan error the same between the plan and the finest plan of the highest
-    order: how far from the optimum of the continuous problem switch error the bound that
-    `collocation` gives for what opening and closing contacts cost [m/s, rad/s]
+    replay error   largest position difference between plan and replay at the plan's nodes [m, rad],
+                   by the reference replay
+    plan error     the same between the plan and the finest plan of the highest order: how far from
+                   the optimum of the continuous problem
+    switch error   the bound that `collocation` gives for what opening and closing contacts cost
+                   [m/s, rad/s]
 
 CPU seconds are those of opening and solving in this process, the least of the repeats (as many as 5
 s allow); compiling the scene is not in them. The order is the slope of log(replay error) over

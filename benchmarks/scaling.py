@@ -3,11 +3,13 @@
 Each stage of each size is a child of its own (benchmarks.measure) that has imported everything
 before the clock starts:
 
-    softplus_dc softplus collocation at eps = 1e-3 from a cold start: build, translate, solve
-    mpec_step one step of the relaxed complementarity from the softplus plan, eps = 1e-2: build,
-    translate, solve mpcc exact contact from a cold start: homotopy, modes, landing (no window
-    search) gd_iteration one loss and its gradient through the compiled rollout and adjoint replay
-    the everyday replay and the reference replay of the inputs, as `validate all` does
+    softplus_dc    softplus collocation at eps = 1e-3 from a cold start: build, translate, solve
+    mpec_step      one step of the relaxed complementarity from the softplus plan, eps = 1e-2:
+                   build, translate, solve
+    mpcc           exact contact from a cold start: homotopy, modes, landing (no window search)
+    gd_iteration   one loss and its gradient through the compiled rollout and adjoint
+    replay         the everyday replay and the reference replay of the inputs, as `validate all`
+                   does
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Microseconds of one gradient iteration on three carts over 500 steps, layer by layer, beside the loop of plain PyTorch operations.
 
-kernel compiled rollout + adjoint, called from Python rollout `rollout`, the loss of its tensors,
-and backward iteration the whole iteration of `descend`: that, history, stopping rule, step,
-projection plain the peer's iteration: 500 steps in PyTorch operations and plain SGD, as the paper's
-authors ran it
+kernel      compiled rollout + adjoint, called from Python
+rollout     `rollout`, the loss of its tensors, and backward
+iteration   the whole iteration of `descend`: that, history, stopping rule, step, projection
+plain       the peer's iteration: 500 steps in PyTorch operations and plain SGD, as the paper's
+            authors ran it
 
 CPU time, all layers in turn in each repetition; smallest and median over repetitions, and the
 median of the ratios of each repetition.

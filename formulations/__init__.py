@@ -1,9 +1,10 @@
 """How a plan is found: methods, the pipelines that chain them, and the Pyomo models they are built from.
 
-    from formulations import build_model, ContactFormulation model = build_model("three_cart",
-    ContactFormulation.SOFTPLUS, eps=1e-3) # a plain pyomo ConcreteModel
-    pyomo.environ.SolverFactory("touchstone_ipopt").solve(model) # or any other solver; "mpec_ipopt"
-    for complementarity
+    from formulations import build_model, ContactFormulation
+    # a plain pyomo ConcreteModel
+    model = build_model("three_cart", ContactFormulation.SOFTPLUS, eps=1e-3)
+    # or any other solver; "mpec_ipopt" for complementarity
+    pyomo.environ.SolverFactory("touchstone_ipopt").solve(model)
 
 Importing this package registers both solvers with both of Pyomo's factories, and imports neither
 Pyomo, which comes when a model is built, nor PyTorch: the names are registered as soon as somebody

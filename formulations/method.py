@@ -21,8 +21,7 @@ take.
 
     @dataclass(frozen=True, kw_only=True)
     class GlobalOptions(Options):
-        seconds: float = option(200.0, "time after which the best bound is reported", unit="s",
-            lower=1e-3, upper=1e7)
+        seconds: float = option(200.0, "time after which the best bound is reported", unit="s", lower=1e-3, upper=1e7)
 
 A value is kept as it was given, a whole number also where any number will do: keys of stored
 results are made from it.

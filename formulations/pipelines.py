@@ -9,8 +9,9 @@ A name is `warm starter + finisher`; the first eight are the rows of the paper's
 are ours. Nothing heavy is imported until a method is loaded, and Pyomo and PyTorch not before one
 is opened.
 
-    stages = solve_stages(load_scene("three_cart"), find_pipeline("softplus_dc+strict"),
-    time_limit=60.0) # in this process, without judging stages[-1].trajectory
+    # in this process, without judging
+    stages = solve_stages(load_scene("three_cart"), find_pipeline("softplus_dc+strict"), time_limit=60.0)
+    stages[-1].trajectory
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """A collocation step with the true contact law, in numpy: what a plan that was made of such steps is judged by.
 
-    q_next, v_next = advance(kernel, Scheme.RADAU_IIA_2, q, v, u, h) # (n, nq) each: n steps at once
-    q, v, made = rollout(kernel, Scheme.RADAU_IIA_2, start, u, h) # one after the other
+    # (n, nq) each: n steps at once
+    q_next, v_next = advance(kernel, Scheme.RADAU_IIA_2, q, v, u, h)
+    q, v, made = rollout(kernel, Scheme.RADAU_IIA_2, start, u, h)           # one after the other
 
 The accelerations a_i of the stages solve a_i = M^-1 (tau + J' lam)(Q_i, V_i, u) with V = v + h A a
 and Q = q + h c v + h^2 A^2 a; Newton's method, its Jacobian by differences, which at a kink takes
@@ -189,8 +190,7 @@ def defect(kernel: Kernel, plan: Trajectory) -> np.ndarray:
     Returns
     -------
     np.ndarray
-        Largest misses (2*nq,): positions [m, rad], velocities [m/s, rad/s]; infinite where a step
-        has no solution.
+        Largest misses (2*nq,): positions [m, rad], velocities [m/s, rad/s]; infinite where a step has no solution.
 
     Raises
     ------

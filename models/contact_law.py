@@ -1,8 +1,8 @@
 """The contact laws lam(phi) that plans and simulations use.
 
 ReLU, the true law:   lam = k * max(phi, 0)                                    (paper, eq. 3)
-softplus, relaxed: lam = (k / b) * log(1 + exp(b * phi)), b = |ln eps| / L (paper, eq. 5, sign
-    corrected)
+softplus, relaxed:    lam = (k / b) * log(1 + exp(b * phi)),  b = |ln eps| / L (paper, eq. 5, sign
+                      corrected)
 
 L is the length that the scene's eps is counted in, 1 m unless the scene says otherwise: eps = 1e-3
 then reaches as far beside 0.1 m as it does beside 1 m.

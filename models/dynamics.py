@@ -1,13 +1,14 @@
 """Scene -> equations of motion, and what the scene does *not* need.
 
-    M(q) dv/dt = tau(q, v, u) + J(q)' lam + S(q)' f lam_i = k_i * max(phi_i(q), 0), |f_j| <= mu_j
-    N_j (lam of a damped contact: models.scene.contacts)
+    M(q) dv/dt = tau(q, v, u) + J(q)' lam + S(q)' f   lam_i = k_i * max(phi_i(q), 0),
+        |f_j| <= mu_j N_j
+    (lam of a damped contact: models.scene.contacts)
 
 derived by computer algebra from the kinetic energy T, the potential energy V and the generalised
 forces Q (Lagrange):
 
-    M = d2T/dv2, tau = Q - dV/dq + dT/dq - (d2T/dv dq) v, J = -d phi/dq (Jacobian of the gap) S = d
-    s/dv (s: slip speed of a friction, linear in v), N_j: the force of a contact, or given
+    M = d2T/dv2,   tau = Q - dV/dq + dT/dq - (d2T/dv dq) v,   J = -d phi/dq   (Jacobian of the gap)
+    S = d s/dv (s: slip speed of a friction, linear in v),    N_j: the force of a contact, or given
 
 Every back end (Pyomo, PyTorch, C, FMU, the equations of the report) starts from the `Dynamics`
 returned by `derive`.
@@ -142,8 +143,7 @@ class Dynamics:
         Returns
         -------
         Callable
-            Arrays (len(group),) to an array shaped like the matrix, in SI units [SI]; for tests and
-            probes, not for inner loops.
+            Arrays (len(group),) to an array shaped like the matrix, in SI units [SI]; for tests and probes, not for inner loops.
 
         Raises
         ------

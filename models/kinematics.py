@@ -1,7 +1,8 @@
 """Where a scene's bodies are drawn and how far its contacts are apart, at given positions: what files of plans and replays hold for those who know no scene.
 
-pose_columns(scene, q, "node") # x, y and angle of every shape; gap_columns(scene, q, "node") # the
-gap of every contact goal_poses(scene) # where the goal puts every shape
+# x, y and angle of every shape;    gap_columns(scene, q, "node")      # the gap of every contact
+pose_columns(scene, q, "node")
+goal_poses(scene)                   # where the goal puts every shape
 """
 
 from __future__ import annotations
@@ -32,8 +33,7 @@ def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
     Returns
     -------
     list[Column]
-        Three columns a shape (n,); of what never changes one value, along a dimension of its own:
-        more than half of them.
+        Three columns a shape (n,); of what never changes one value, along a dimension of its own: more than half of them.
 
     Raises
     ------

@@ -1,9 +1,10 @@
 """Modules that a scene's file imports from beside it, and the digest of a file with all it imported that anybody may change.
 
-    with loading(path): # `import parts` finds parts.py beside the file, whatever the folder one
-    works in
-        spec.loader.exec_module(module) loaded_sources() # digest of the file and of the modules of
-        somebody's own that are imported by now
+    # `import parts` finds parts.py beside the file, whatever the folder one works in
+    with loading(path):
+        spec.loader.exec_module(module)
+        # digest of the file and of the modules of somebody's own that are imported by now
+        loaded_sources()
 
 Modules from beside it are read as they are, never from kept bytecode, and forgotten afterwards: two
 files in two folders may each have a `parts.py`.

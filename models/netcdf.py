@@ -1,7 +1,7 @@
 """Named columns with units in a NetCDF-4 file: what plans and replays are stored as.
 
-    write_columns(path, [Column(name="q1", dimension="node", values=q1, unit="m")], {"scene":
-    "three_cart"}) columns, attributes = read_columns(path)
+    write_columns(path, [Column(name="q1", dimension="node", values=q1, unit="m")], {"scene": "three_cart"})
+    columns, attributes = read_columns(path)
 
 A file is written beside its place, flushed to disk and renamed, so that a reader never sees half of
 it.

@@ -1,12 +1,12 @@
 """The time steps a plan may be made of, with one input held over each: semi-implicit Euler, and collocation by Butcher tableaus.
 
-    SEMI_IMPLICIT_EULER v' = v + h a(q, v, u, lam(q)), q' = q + h v' order 1, the paper's
-    IMPLICIT_MIDPOINT Gauss-Legendre, one stage: c = 1/2 order 2, keeps quadratic energies
-    RADAU_IIA_2, _3 Radau IIA, c = 1/3, 1 or c = (4 -+ sqrt 6)/10, 1 order 3 and 5, stiffly
-    accurate, L-stable
+    SEMI_IMPLICIT_EULER   v' = v + h a(q, v, u, lam(q)),  q' = q + h v'   order 1, the paper's
+    IMPLICIT_MIDPOINT   Gauss-Legendre, one stage: c = 1/2   order 2, keeps quadratic energies
+    RADAU_IIA_2, _3   Radau IIA, c = 1/3, 1 or c = (4 -+ sqrt 6)/10, 1
+        order 3 and 5, stiffly accurate, L-stable
 
-    X_i = x + h sum_j a_ij f(X_j, u), x' = x + h sum_i b_i f(X_i, u), a_ij = integral of the
-    Lagrange polynomial l_j from 0 to c_i
+    X_i = x + h sum_j a_ij f(X_j, u),   x' = x + h sum_i b_i f(X_i, u),
+        a_ij = integral of the Lagrange polynomial l_j from 0 to c_i
 
 These orders hold where the right-hand side is smooth. The force of a contact, k max(phi, 0), has a
 kink where it opens or closes; the step in which that happens misses the velocity by at most

@@ -1,17 +1,18 @@
 """A plan: what a method found, or what a user brings.
 
-    t (nodes,) time [s], increasing, nodes = steps + 1 q, v (nodes, nq) generalised positions [m,
-    rad] and velocities u (steps, nu) inputs, held over each step as `hold` says lam (steps, nl)
-    contact forces, behind them friction forces [N], one a step. Of a plan that declares a scheme a
-    contact force belongs to the
-                        *start* of the step, lam[i] to phi(q[i]), and a friction force to the slip
-                          at its end; of any other it may be the force at
+    t    (nodes,)       time [s], increasing, nodes = steps + 1
+    q, v (nodes, nq)    generalised positions [m, rad] and velocities
+    u    (steps, nu)    inputs, held over each step as `hold` says
+    lam  (steps, nl)
+        contact forces, behind them friction forces [N], one a step. Of a plan that declares a scheme a contact force belongs to the
+                        *start* of the step, lam[i] to phi(q[i]), and a friction force to the slip at its end; of any other it may be the force at
                         the start of the step, at its end, or its mean over the step
-    scheme the time step it is made of (models.schemes), or None: its author names none, and is not
-    asked about one missing what its author did not say, of "q", "v", "lam" (contact forces) and
-    "friction"; the arrays then hold stand-ins (see `read_csv`) u_end (nu,) the input at the last
-    node, which a linear hold heads for in the last step (and no other hold uses); None: not said,
-    constant
+    scheme              the time step it is made of (models.schemes), or None: its author names
+                        none, and is not asked about one
+    missing             what its author did not say, of "q", "v", "lam" (contact forces) and
+                        "friction"; the arrays then hold stand-ins (see `read_csv`)
+    u_end (nu,)         the input at the last node, which a linear hold heads for in the last step
+                        (and no other hold uses); None: not said, constant
 
 CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... lam_left ...`); the
     last row has no u and lam. Lines
@@ -220,8 +221,7 @@ class Trajectory:
         Parameters
         ----------
         scale, offset
-            (nu,) each; the scale in units of the FMU per unit of the scene [-], the offset in those
-            of the FMU.
+            (nu,) each; the scale in units of the FMU per unit of the scene [-], the offset in those of the FMU.
 
         Returns
         -------
@@ -281,14 +281,12 @@ class Trajectory:
         Parameters
         ----------
         motion
-            What the plan is drawn beside: its replay, or anything else with t (n,) [s], q, v, lam
-            and friction (n, ..); the plan is dotted then.
+            What the plan is drawn beside: its replay, or anything else with t (n,) [s], q, v, lam and friction (n, ..); the plan is dotted then.
 
         Returns
         -------
         np.ndarray
-            (panels,) matplotlib Axes [s, and the unit of each quantity];
-            `axes[0].figure.savefig(..)` writes them.
+            (panels,) matplotlib Axes [s, and the unit of each quantity]; `axes[0].figure.savefig(..)` writes them.
 
         Raises
         ------

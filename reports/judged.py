@@ -2,9 +2,12 @@
 
 Where its motions end; why a plan has its verdict.
 
-questions_of(stage)[3].metrics[0].name, .alone.value, .followed.value -> "replay_error", 0.6, 0.004
-deciding(stage).name, cause_of(run).advice -> "replay_terminal_position_error", "Take a smaller time
-step, or collocation." by_cause(runs) -> each cause once, with its runs, the most frequent first
+questions_of(stage)[3].metrics[0].name, .alone.value, .followed.value  ->
+    "replay_error", 0.6, 0.004
+deciding(stage).name, cause_of(run).advice   ->  "replay_terminal_position_error", "Take a smaller
+                                             time step, or collocation."
+by_cause(runs)                               ->  each cause once, with its runs, the most frequent
+                                             first
 
 The judge tells causes apart (`StageRecord.cause`); here they have their words. A record's own
 sentence (`StageRecord.why`) has the numbers.

@@ -216,8 +216,7 @@ def packed(series: Sequence[tuple[Array, Array]], x: Axis, y: Axis) -> str:
     -------
     text : base64 of a zlib stream of 64 bit integers, a byte of each after the other. First the
         number of series, then of each the count and the
-        exponent of x (count 0: those of the series before) and the same of y, then the second
-        differences of all columns.
+        exponent of x (count 0: those of the series before) and the same of y, then the second differences of all columns.
     """
     heads, steps = [len(series)], []
     before = np.zeros(0)

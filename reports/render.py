@@ -1,8 +1,8 @@
 """Writes the report of a campaign: pages that ask nothing of any network, and lead to each other by relative links.
 
-    write_report(Path("runs/all")) -> runs/all/report.html, and in runs/all/pages a page for each
-    scene, each run and each thing that is worth one write_single(Path("runs/all")) ->
-    runs/all/single.html, which holds all of it
+    write_report(Path("runs/all"))  ->  runs/all/report.html, and in runs/all/pages a page for each
+                                    scene, each run and each thing that is worth one
+    write_single(Path("runs/all"))  ->  runs/all/single.html, which holds all of it
 
 Pages are pure functions of what is stored in the folder: no clock, no machine, no solver. A strict
 Content-Security-Policy allows exactly the style and the script that are inside a page, by their

@@ -1,7 +1,7 @@
 """Motions of a stage, read from the NetCDF files beside its record and thinned for plots: columns by name, phases of contact, a value between two times.
 
-    motion = read_motion(Path("runs/all/runs/<key>"), run, stage); motion.plan.columns["q1"],
-    motion.replay.poses["left"]
+    motion = read_motion(Path("runs/all/runs/<key>"), run, stage);
+        motion.plan.columns["q1"], motion.replay.poses["left"]
 
 A column is as long as the times or shorter (quantities of steps: one less). What a file lacks, or
 holds as something else than finite numbers, is missing here, and is shown as missing.

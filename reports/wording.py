@@ -1,6 +1,6 @@
 """How values are said: numbers with the digits a reader needs, a word and a symbol for each verdict, a dash with a reason for what is missing.
 
-number(0.00024419) -> "2.442×10⁻⁴" cost(46415.2) -> "46 415.20" number(None) -> "–"
+number(0.00024419)  ->  "2.442×10⁻⁴"   cost(46415.2)  ->  "46 415.20"   number(None)  ->  "–"
 """
 
 from __future__ import annotations

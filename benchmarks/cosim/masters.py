@@ -1,17 +1,19 @@
 """Masters for coupled FMUs, as small as they can be: what the common ways of coupling do with a stiff contact.
 
-    system.begin(start, u) motion = jacobi(system, h=1e-3, steps=500) (steps + 1, 2 nq) positions
-    and velocities at t = n h
+    system.begin(start, u)
+    motion = jacobi(system, h=1e-3, steps=500)
+        (steps + 1, 2 nq) positions and velocities at t = n h
 
 All parts meet at t = n h only. Between two meetings the bodies see a force that somebody chose for
 them, and the masters differ in nothing but this choice. lam(q_n) is the force at the positions of
 t_n:
 
-    jacobi all step at once with what all gave at the end of the step before: the force is
-    lam(q_{n-1}), one step and a half late contact_first the contacts step first (Gauss-Seidel):
-    lam(q_n), half a step late extrapolated contacts first; the force runs on as a line through
-    lam(q_{n-1}) and lam(q_n) iterated steps are taken back (set FMU state) and repeated until the
-    force is the line from lam(q_n) to lam(q_{n+1})
+    jacobi          all step at once with what all gave at the end of the step before: the force is
+                    lam(q_{n-1}), one step and a half late
+    contact_first   the contacts step first (Gauss-Seidel): lam(q_n), half a step late
+    extrapolated    contacts first; the force runs on as a line through lam(q_{n-1}) and lam(q_n)
+    iterated        steps are taken back (set FMU state) and repeated until the force is the line
+                    from lam(q_n) to lam(q_{n+1})
 
 A force that is tau late does the work of a negative damper k tau: it *adds* energy. Half a period
 pi/omega of contact multiplies the energy of the relative motion by about exp(pi omega tau).

@@ -1,8 +1,9 @@
 """Random small MPECs of many kinds, with the branches of every condition written down beside it.
 
-    drawn_mpec() a hypothesis strategy: numbers of two decimals, and a wrong answer is shrunk to a
-    small problem random_mpec(seed) the same construction from numpy's generator, for the benchmark
-    and one of each kind: hypothesis stops at the first wrong answer and
+    drawn_mpec()         a hypothesis strategy: numbers of two decimals, and a wrong answer is
+                         shrunk to a small problem
+    random_mpec(seed)    the same construction from numpy's generator, for the benchmark and one of
+                         each kind: hypothesis stops at the first wrong answer and
                          repeats no problem by its number, while the benchmark counts the answers of
                          thousands, with data of all digits
 

@@ -1,7 +1,8 @@
 """The global optimum of an MPEC with linear rows and a convex quadratic objective: a tree of convex programs, each with fewer pairs left to decide.
 
-    found = prove(model) # None if the model is not of that kind found.bound, found.complete # no
-    point of the model has a lower objective (higher, where it is maximised)
+    found = prove(model)            # None if the model is not of that kind
+    # no point of the model has a lower objective (higher, where it is maximised)
+    found.bound, found.complete
 
 It shares no code with `mpec_ipopt`: rows by Pyomo's standard form, programs by Clarabel, bounds
 from their dual objectives.

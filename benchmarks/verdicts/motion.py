@@ -1,7 +1,8 @@
 """The motion that inputs give in a scene, by an integration that shares no code with the judge: no kernel, no FMU, no `models.dynamics`.
 
-    truth = Motion(load_scene("three_cart")) path = truth.run(t, u) # inputs held over each step;
-    path.q, path.v at t, path.lam_mean, path.depth ..
+    truth = Motion(load_scene("three_cart"))
+    # inputs held over each step; path.q, path.v at t, path.lam_mean, path.depth ..
+    path = truth.run(t, u)
 
 The equations (`equations`) are integrated by SciPy's DOP853 at rtol 1e-11, from one event to the
 next: an input jumps, a contact closes or opens, a slip begins, stops or turns. Between events

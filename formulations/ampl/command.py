@@ -1,8 +1,9 @@
 """`touchstone-mpec STUB -AMPL [name=value ..]`: the MPEC solver as AMPL calls its solvers.
 
-    touchstone-mpec bard1 reads bard1.nl, prints how it ended touchstone-mpec bard1 -AMPL
-    strategy=scholtes writes bard1.sol instead, for AMPL, JuMP (AmplNLWriter) or Pyomo
-    (`SolverFactory("asl:touchstone-mpec")`) touchstone-mpec -= names the options
+    touchstone-mpec bard1                        reads bard1.nl, prints how it ended
+    touchstone-mpec bard1 -AMPL strategy=scholtes
+        writes bard1.sol instead, for AMPL, JuMP (AmplNLWriter) or Pyomo (`SolverFactory("asl:touchstone-mpec")`)
+    touchstone-mpec -=                           names the options
 
 Options also come from the environment: `touchstone_mpec_options='strategy=scholtes max_iter=500'`;
 those of the command line count last.

@@ -1,10 +1,13 @@
 """A `.nl` file as a Pyomo model: text and binary of either byte order, with complementarity rows, common expressions, suffixes and ranges.
 
-    model = read_nl("bard1.nl") model.x # variables, by the names of bard1.col if that file is
-    there, else by number from 0 model.row, model.pair # constraints and complementarities, by the
-    names of bard1.row, else by number; a row is in one of the two model.objective # by number; one
-    is active model.defined # common expressions, by number model.dual, .. # start values of duals,
-    and the file's suffixes
+    model = read_nl("bard1.nl")
+    model.x  # variables, by the names of bard1.col if that file is there, else by number from 0
+    # constraints and complementarities, by the names of bard1.row, else by number; a row is in one
+    # of the two
+    model.row, model.pair
+    model.objective         # by number; one is active
+    model.defined           # common expressions, by number
+    model.dual, ..          # start values of duals, and the file's suffixes
 
 The format is D. M. Gay's, "Writing .nl Files" (2005). A row `5 k i` says that its body complements
 variable i - 1: k = 1: `0 <= body _|_ x >= lower`; k = 2: `0 >= body _|_ x <= upper`; k = 3: `body

@@ -8,8 +8,8 @@ adjoint of the time step (Levenberg and Marquardt: a Newton step where that work
 miss of 1e-9; a shorter one, along which contacts may begin and end, from further off). Inputs on a
 bound are not pushed across it.
 
-    answer = continue_to_goal(problem, closed, stride, is_over) # closed: the modes of a rollout,
-    whatever it ends at
+    # closed: the modes of a rollout, whatever it ends at
+    answer = continue_to_goal(problem, closed, stride, is_over)
 
 The modes of a rollout always have a plan if the goal need not be met. Its cost is sum_t cost +
 |z[T] - goal|^2 / (2 softness); mode sequences are searched for less of it, the softness falls,

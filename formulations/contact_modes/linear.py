@@ -7,16 +7,16 @@ z = (q, v) moves by z[t+1] = A z[t] + B u[t] + c + E lam[t], and lam_i = k_i phi
 i is closed. The running cost is 1/2 x' H x + g' x + constant with x = (q, v, u). With the contact
 modes fixed, what is left of the planning problem is a convex quadratic program.
 
-    kkt = BandedKKT(linear) kkt.factor(closed, held, touching) # which contacts push, which inputs
-    lie on a bound, where phi = 0 is imposed point = kkt.point(kkt.solve(kkt.right_side(closed,
-    held, bound, touching)))
+    kkt = BandedKKT(linear)
+    # which contacts push, which inputs lie on a bound, where phi = 0 is imposed
+    kkt.factor(closed, held, touching)
+    point = kkt.point(kkt.solve(kkt.right_side(closed, held, bound, touching)))
 
 Unknowns, time by time: y[t] (multipliers of the time step), u[t], z[t+1], mu[t+1] (multipliers of
 phi = 0 where that is imposed), and w, the multipliers of the goal, last. All that a change of modes
 or active bounds does is change numbers in the band: its shape is settled once. Lagrangian:
 
-    L = sum_t cost(z[t], u[t]) + y[t]' (A[t] z[t] + B u[t] + c[t] - z[t+1]) + mu[t]' (P z[t] + p) +
-    w' (z[T] - goal)
+    L = sum_t cost(z[t], u[t]) + y[t]' (A[t] z[t] + B u[t] + c[t] - z[t+1]) + mu[t]' (P z[t] + p) + w' (z[T] - goal)
 
 The banded LU with row pivoting is compiled C, milliseconds for a plan of some hundred steps, always
 one thread. LAPACK's gbtrf and gbtrs do the same through SciPy. Measured on three_cart x mpcc_front

@@ -1,10 +1,12 @@
 """The planning problem of a linear scene with its contact modes fixed: a convex quadratic program, solved to rounding.
 
-    problem = ModesProblem(linear) answer = problem.solve(closed) # closed (steps, nc): True where
-    lam = k phi, False where lam = 0 answer.u, answer.cost, answer.point.z
+    problem = ModesProblem(linear)
+    # closed (steps, nc): True where lam = k phi, False where lam = 0
+    answer = problem.solve(closed)
+    answer.u, answer.cost, answer.point.z
 
-    minimise sum_t cost subject to the time step, lower <= u <= upper, phi >= 0 where closed, phi <=
-    0 where open,
+    minimise sum_t cost   subject to   the time step,  lower <= u <= upper,  phi >= 0 where closed,
+        phi <= 0 where open,
                                        |z[T] - goal| <= ball   (ball = 0: z[T] = goal)
 
 A dual active-set method names the active conditions; where it finds too many of them an
@@ -17,8 +19,9 @@ and s_H per newton (L = ... - s_G G - s_H H). Where one of G and H is positive i
 zero and the other may have any sign. Where both are zero (a biactive pair: the bodies touch without
 pressing) the signs decide:
 
-    S both >= 0: no mode of these pairs is cheaper to first order M both > 0, or one of them zero C
-    the product is >= 0 A one of them >= 0 W neither
+    S  both >= 0: no mode of these pairs is cheaper to first order   M
+        both > 0, or one of them zero
+    C  the product is >= 0      A  one of them >= 0      W  neither
 
 The cheapest end state within a ball around the goal: with e = z[T] - goal the optimal cost is a
 convex quadratic of e,

@@ -3,8 +3,9 @@
 A mode sequence says for each contact in which intervals of steps it is closed. An interval (first,
 stop) is a run of steps first <= t < stop.
 
-    sequence = mode_sequence(closed) # closed (steps, nc) shift(0, 0, first=-2).apply(sequence,
-    steps) # the contact closes two steps earlier; None where that is not possible
+    sequence = mode_sequence(closed)                                      # closed (steps, nc)
+    # the contact closes two steps earlier; None where that is not possible
+    shift(0, 0, first=-2).apply(sequence, steps)
 
 Where a pair touches and its multiplier has the wrong sign, the other mode is cheaper to first
 order: such pairs are switched before anything is tried. Then intervals that are not needed are

@@ -2,13 +2,14 @@
 
     from formulations.ipopt import Start, compile_model, load, solve
 
-    problem = compile_model(model) # any smooth ConcreteModel or Block; ModelRefusedError says what
-    is not result = solve(problem, options={"tol": 1e-9}) # IpoptResult; the model is untouched
-    load(problem, result) # writes the variables
+    # any smooth ConcreteModel or Block; ModelRefusedError says what is not
+    problem = compile_model(model)
+    result = solve(problem, options={"tol": 1e-9})    # IpoptResult; the model is untouched
+    load(problem, result)                             # writes the variables
 
-    model.b.value = 14.0 # a mutable Param, a fixed variable's value, a bound problem.refresh() #
-    read again; StructureChangedError if more than numbers changed again = solve(problem,
-    warm_start=Start(x=result.x, lagrange=result.lagrange, zl=result.zl, zu=result.zu))
+    model.b.value = 14.0  # a mutable Param, a fixed variable's value, a bound
+    problem.refresh()  # read again; StructureChangedError if more than numbers changed
+    again = solve(problem, warm_start=Start(x=result.x, lagrange=result.lagrange, zl=result.zl, zu=result.zu))
 
 `result.outcome` is an `Outcome`, judged by `result.residuals` (unscaled, computed here, not by
 Ipopt). Multipliers are in Ipopt's signs, L = f + lagrange' g - zl' x + zu' x, for the minimised

@@ -243,9 +243,8 @@ class IpoptProblem:
         Raises
         ------
         StructureChangedError
-            if the structure is no longer the compiled one (a variable fixed or unfixed, a
-            constraint or the objective added, removed, rewritten or (de)activated, a named
-            expression rewritten): then compile again
+            if the structure is no longer the compiled one (a variable fixed or unfixed, a constraint or the objective added, removed, rewritten or
+            (de)activated, a named expression rewritten): then compile again
         MissingValueError
             where a Param, a fixed variable or a bound has no value
         """
@@ -543,8 +542,7 @@ def compile_model(model: Any) -> IpoptProblem:
     Raises
     ------
     ModelRefusedError
-        for what Ipopt cannot treat (integer variables, untransformed Complementarity, abs of a
-        variable, ..)
+        for what Ipopt cannot treat (integer variables, untransformed Complementarity, abs of a variable, ..)
     MissingValueError
         where a Param or a fixed variable has no value
     """

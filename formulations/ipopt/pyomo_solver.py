@@ -31,10 +31,11 @@ registered here:
 `ContribSolver` is such a solver by Pyomo's second interface: results as an object, solutions loaded
 when asked for, errors unless the answer is optimal.
 
-    from pyomo.contrib.solver.common.factory import SolverFactory # the names are those of the first
-    interface results = SolverFactory("mpec_ipopt").solve(model, time_limit=60,
-    solver_options={"strategy": "scholtes"}, load_solutions=False) results.termination_condition,
-    results.solution_status, results.incumbent_objective results.solution_loader.load_vars()
+    # the names are those of the first interface
+    from pyomo.contrib.solver.common.factory import SolverFactory
+    results = SolverFactory("mpec_ipopt").solve(model, time_limit=60, solver_options={"strategy": "scholtes"}, load_solutions=False)
+    results.termination_condition, results.solution_status, results.incumbent_objective
+    results.solution_loader.load_vars()
 """
 
 from __future__ import annotations

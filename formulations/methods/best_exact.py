@@ -1,9 +1,11 @@
 """Exact contact on every scene, from a cold start: several ways are gone, and the cheapest plan is kept.
 
-    contacts that are open or closed: mpcc, which searches their modes; it has a plan -> done else
-    four ways: relaxed_lcp walked down from eps = 0.9, and from 1e-2 -> strict_lcp
-                                       softplus_dc walked down from eps = 1e-3 -> strict_lcp
-                                       softplus_multiple_shooting, eps = 1e-3 .. 1e-48 -> strict_lcp
+    contacts that are open or closed:  mpcc, which searches their modes; it has a plan -> done
+    else four ways:                    relaxed_lcp walked down from eps = 0.9, and from 1e-2 ->
+                                       strict_lcp
+                                       softplus_dc walked down from eps = 1e-3   -> strict_lcp
+                                       softplus_multiple_shooting, eps = 1e-3 .. 1e-48
+                                           -> strict_lcp
 
 A walk chooses its own eps (`transcription.homotopy`). No way is the best one: exact cost by the
 first to the fourth, transport 0.704, 0.916, 0.701 and 1.84, two_finger_lift 59.410, 59.399, 77.2

@@ -1,12 +1,13 @@
 """MPECs written with pyomo.mpec: solved by relaxation, polished to exact complementarity, and certified.
 
-import formulations # registers SolverFactory("mpec_ipopt")
-pyo.SolverFactory("mpec_ipopt").solve(model) # any model with Complementarity components
+import formulations                                          # registers SolverFactory("mpec_ipopt")
+pyo.SolverFactory("mpec_ipopt").solve(model)  # any model with Complementarity components
 
-from formulations.mpec import MpecSettings, certify, load, solve_mpec result = solve_mpec(model,
-MpecSettings(strategy="scholtes")) # the model is only read load(result) certify(model).sentence #
-of any point, whoever computed it certify_plan(scene, trajectory).sentence # of a scene's plan, in
-the scene's strict model
+from formulations.mpec import MpecSettings, certify, load, solve_mpec
+result = solve_mpec(model, MpecSettings(strategy="scholtes"))    # the model is only read
+load(result)
+certify(model).sentence                                      # of any point, whoever computed it
+certify_plan(scene, trajectory).sentence  # of a scene's plan, in the scene's strict model
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Absolute values, minima and maxima of variables, written as complementarities in a copy of the model.
 
-    e = p - n, 0 <= p complementary to n >= 0: |e| = p + n, max(a, b) = b + p with e = a - b, min(a,
-    b) = a - p
+    e = p - n,  0 <= p  complementary to  n >= 0:   |e| = p + n,   max(a, b) = b + p with e = a - b,
+        min(a, b) = a - p
 
 p is the positive part of e and n its negative part, so that the copy has the same points with the
 same objective; where e is not 0 at the answer the pair is decided there and the answer is that of a

@@ -1,7 +1,7 @@
 """A shadow of the user's model, in which every complementarity is a pair of variables.
 
-    0 <= v, 0 <= w, v w = 0 v: Pyomo's own variable of the pair (v == first); w: the user's variable
-    where it is one, else a slack
+    0 <= v,  0 <= w,  v w = 0   v: Pyomo's own variable of the pair (v == first);
+        w: the user's variable where it is one, else a slack
 
 The shadow is a ConcreteModel of its own whose rows are the user's (by reference) and whose pairs
     went through Pyomo's own

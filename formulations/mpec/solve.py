@@ -5,10 +5,13 @@ load(result)                                      # writes the variables
 
 The same behind Pyomo's own solver interface:
 
-    import formulations solver = pyo.SolverFactory("mpec_ipopt") solver.options["strategy"] =
-    "scholtes" # its own options; others go to Ipopt results = solver.solve(model)
-    pyo.assert_optimal_termination(results) # B-stationary, certified by residuals recomputed from
-    the model solver.last_result.certificate.sentence
+    import formulations
+    solver = pyo.SolverFactory("mpec_ipopt")
+    solver.options["strategy"] = "scholtes"           # its own options; others go to Ipopt
+    results = solver.solve(model)
+    # B-stationary, certified by residuals recomputed from the model
+    pyo.assert_optimal_termination(results)
+    solver.last_result.certificate.sentence
 
 The model keeps its components as they were (nothing is transformed in place); values, and the
 suffixes `dual`, `ipopt_zL_out`, `ipopt_zU_out` where the model imports them, are loaded.

@@ -1,7 +1,7 @@
 """Multiple shooting: the states at the nodes are unknowns beside the inputs, and what a step misses the next node by is a gap to be closed.
 
-solver running and final cost with first and second derivatives, the goal as an augmented
-Lagrangian; the linear-quadratic subproblem (riccati.c: backward sweep with
+solver     running and final cost with first and second derivatives, the goal as an augmented
+           Lagrangian; the linear-quadratic subproblem (riccati.c: backward sweep with
            bounds on the inputs, forward sweep), steps, merit function and line search
 method     the methods, opened on a scene
 

@@ -1,6 +1,6 @@
 """How deep and how far apart a contact can be at each step: the big-M of the mixed-integer program, valid by construction.
 
-    bounds = pair_bounds(scene, linear, ceiling=13.63) # of all plans that cost at most the ceiling
+    bounds = pair_bounds(scene, linear, ceiling=13.63)  # of all plans that cost at most the ceiling
 
 Three sources, each valid for every exact plan that costs at most the ceiling (infinite: for every
     exact plan):
@@ -37,7 +37,7 @@ Clarabel.
 
 Each pair's graph lam = k max(phi, 0), l <= phi <= h, is replaced by its convex hull, a triangle:
 
-    lam >= 0, lam >= k phi, lam <= k h+ (phi - l-) / (h+ - l-), l- = min(l, 0), h+ = max(h, 0)
+    lam >= 0,   lam >= k phi,   lam <= k h+ (phi - l-) / (h+ - l-),   l- = min(l, 0), h+ = max(h, 0)
 
 so that every exact plan whose penetrations keep their bounds is one of the relaxation, and a pair
     with l = 0 or h = 0 is exact. Unknowns by

@@ -17,7 +17,7 @@ binary variable a pair.
     model = build_miqp(scene, bounds)
     pyo.SolverFactory("scip_direct").solve(model)          # or Gurobi, or whatever Pyomo knows
 
-    lam <= k h+ b, lam - k phi <= -k l- (1 - b), lam >= 0, lam - k phi >= 0, b in {0, 1}
+    lam <= k h+ b,   lam - k phi <= -k l- (1 - b),   lam >= 0,   lam - k phi >= 0,   b in {0, 1}
 
 on top of the plain model of `build_model` (same names). `mpec.simple_disjunction` and a big-M
 transformation make two binaries a pair and one M for all; `python -m benchmarks proof

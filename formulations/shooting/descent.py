@@ -1,23 +1,23 @@
 """Gradient descent: on a loss of the inputs, by the gradients of PyTorch, projected on their bounds.
 
-    found = descend(Objective(load_kernel(scene), law=ContactLaw.RELU), u0,
-    DescentOptions(learning_rate=500.0, iterations=15), time_limit=60.0)
+    found = descend(Objective(load_kernel(scene), law=ContactLaw.RELU), u0, DescentOptions(learning_rate=500.0, iterations=15), time_limit=60.0)
 
 The step is `u <- clip(u - learning_rate * gradient, lower, upper)`. The paper's descent ignores the
 bounds and its plans stay inside them: there the projection changes nothing, not even a bit.
 `projected_descent` is the loop alone, for many plans at once, on any device:
 
-    u = torch.randn(64, 500, 2, device="cuda", requires_grad=True) for _, loss in zip(range(100),
-    projected_descent(lambda u: loss_of(rollout(kernel, u), u), u, 500.0, lower, upper)): ...
+    u = torch.randn(64, 500, 2, device="cuda", requires_grad=True)
+    for _, loss in zip(range(100), projected_descent(lambda u: loss_of(rollout(kernel, u), u), u, 500.0, lower, upper)): ...
 
 When to stop is judged by the losses alone, whatever their scale and whatever the learning rate,
 over the last quarter of the iterations (at least 50). That span grows with the iterations because a
 learning rate ten times smaller needs ten times the iterations for the same way: one of fixed length
 would call a slow descent finished.
 
-    settled the best loss fell by less than `tolerance` (relative) over the span, or is down to
-    rounding runaway the loss stayed above twice its best over half the span: it climbs instead of
-    descending
+    settled      the best loss fell by less than `tolerance` (relative) over the span, or is down to
+                 rounding
+    runaway      the loss stayed above twice its best over half the span: it climbs instead of
+                 descending
 
 Why a descent ends where it ends, in numbers and then in words.
 

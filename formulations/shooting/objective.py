@@ -6,7 +6,7 @@ The paper prints no loss; terminal_weight = 1, input_weight = 5e-6 and the mean 
 and velocities reproduce its rows.
 
     objective = Objective(load_kernel(scene), law=ContactLaw.SOFTPLUS, eps=1e-3)
-    objective(u).backward() # u (steps, nu), a tensor that requires a gradient
+    objective(u).backward()  # u (steps, nu), a tensor that requires a gradient
 
 A loss of one's own is any function of a rollout (RolloutTensors) and its inputs that returns one
 number for each plan:
@@ -19,8 +19,7 @@ number for each plan:
 The loss may be averaged over random inputs: contact that only some samples make still has a
 gradient then.
 
-    objective = Objective(kernel, law=ContactLaw.RELU, noise=noise(scene, 1.0, unbounded=1.0,
-    samples=16, pieces=5, seed=0))
+    objective = Objective(kernel, law=ContactLaw.RELU, noise=noise(scene, 1.0, unbounded=1.0, samples=16, pieces=5, seed=0))
 
 F(u) = mean over i of loss(u + w_i), with rollouts through the true contact law and first-order
 gradients, averaged ("bundled": Suh, Pang, Tedrake, Bundled Gradients through Contact via Randomized

@@ -13,8 +13,8 @@ of the outputs may be built on top. Decisions:
   gradients flow back to a float32 tensor, and says in the caller's code where precision changes.
 - Tensors on another device (CUDA) never visit the CPU: the same time step is then a loop of PyTorch
   operations on that device, in the tensors'
-  own float type (formulations/shooting/reference.py). One plan is a thousand times slower so;
-  thousands at once are what it is for. Scenes with friction are refused there.
+  own float type (formulations/shooting/reference.py). One plan is a thousand times slower so; thousands at once are what it is for. Scenes with friction
+  are refused there.
 - First derivatives only on the CPU; `create_graph=True` followed by a second backward raises
   ShootingError.
 - At a penetration of exactly zero the ReLU has slope 0, as in `torch.relu`.

@@ -1,8 +1,9 @@
 """Inputs for several worlds at once: L-BFGS on the true contact law, whose loss counts how far the same inputs end from the goal where numbers are otherwise.
 
-    loss = cost + weight * C * mean over worlds of (sqrt(1 + m) - 1) + the goal of the scene itself,
-    met by multipliers m = |position error|^2 / limit^2 + |velocity error|^2 / limit^2, at the end
-    of a world; C: what the first inputs cost, in size
+    loss = cost + weight * C * mean over worlds of (sqrt(1 + m) - 1)  +
+        the goal of the scene itself, met by multipliers
+    m    = |position error|^2 / limit^2 + |velocity error|^2 / limit^2, at the end of a world; C:
+         what the first inputs cost, in size
 
 A world that misses by far counts by its distance, not by its square: it is lost, and the plan is
 not bent for it. On `transport`, whose friction no inputs undo, the square leaves feedback 67 % of

@@ -3,9 +3,10 @@
 And how a plan gets into it and out.
 
     model = build_model("three_cart", contact=ContactFormulation.SOFTPLUS, eps=1e-3)
-    model.parameter_scene["k"] = 300.0 # no rebuilding model.own =
-    pyo.Constraint(expr=model.variable_q[250, "q2"] >= 3.2) load_plan(model, plan) # a Trajectory as
-    first guess plan = read_plan(model) # the model's values as a Trajectory
+    model.parameter_scene["k"] = 300.0                               # no rebuilding
+    model.own = pyo.Constraint(expr=model.variable_q[250, "q2"] >= 3.2)
+    load_plan(model, plan)                                           # a Trajectory as first guess
+    plan = read_plan(model)  # the model's values as a Trajectory
 
 What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
 
@@ -111,9 +112,10 @@ def build_model(
     >>> import pyomo.environ as pyo
     >>> from formulations import ContactFormulation, build_model, set_relaxation
     >>> model = build_model("three_cart", contact=ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=50, step=0.1)
-    >>> model.parameter_scene["k"] = 300.0                                    # stiffer contact, no rebuilding
-    >>> model.own = pyo.Constraint(expr=model.variable_q[25, "q2"] <= 3.2)    # a constraint of one's own
-    >>> set_relaxation(model, 1e-4)                                                  # the bound moves, the model stays
+    >>> model.parameter_scene["k"] = 300.0  # stiffer contact, no rebuilding
+    # a constraint of one's own
+    >>> model.own = pyo.Constraint(expr=model.variable_q[25, "q2"] <= 3.2)
+    >>> set_relaxation(model, 1e-4)  # the bound moves, the model stays
     >>> pyo.value(model.mpec_bound)
     0.0001
     """

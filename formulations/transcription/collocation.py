@@ -1,7 +1,6 @@
 """Collocation in a plan's model: the scene's own equations at the stages of each step, one input held over all of them.
 
-    model = build_model("three_cart", contact=ContactFormulation.SOFTPLUS, eps=1e-5, steps=100,
-    step=0.05, scheme=Scheme.RADAU_IIA_2)
+    model = build_model("three_cart", contact=ContactFormulation.SOFTPLUS, eps=1e-5, steps=100, step=0.05, scheme=Scheme.RADAU_IIA_2)
 
 Beside the nodes of `build` a block then has, i in 1..s (`set_stages`; of Radau IIA the last stage
 is the next node and has no variable of its own):

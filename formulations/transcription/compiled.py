@@ -4,8 +4,9 @@ And how large it is, counted on paper beside what Ipopt is given.
 
 T steps, g of the 2 nq components of the end given:
 
-    unknowns 2 nq (T+1) + nu T + nc T + nf T states, inputs, contact and friction forces equations 2
-    nq + g + 2 nq T + nc T + nf T start, end, time steps, one law a contact and friction
+    unknowns      2 nq (T+1) + nu T + nc T + nf T       states, inputs, contact and friction forces
+    equations   2 nq + g + 2 nq T + nc T + nf T
+        start, end, time steps, one law a contact and friction
 
 Complementarity adds to each contact and step its separation force and that force's definition; to
 each friction and step two slip speeds, two reserves, and the four equations that tie them to the

@@ -4,9 +4,10 @@ Its forces belong to the slip speed at the end of the step, s = S(q[t]) v[t+1]: 
 stick.
 
     variable_friction[t, name]       the friction force f [N]
-    regularised (softplus): f = -mu N tanh(|ln eps| s / (2 nominal)), a logistic function of the
-        slip
-    complementarity: s = s_forward - s_backward, 0 <= s_forward complements mu N + f >= 0,
+    regularised (softplus):          f = -mu N tanh(|ln eps| s / (2 nominal)), a logistic function
+                                     of the slip
+    complementarity:                 s = s_forward - s_backward,  0 <= s_forward  complements  mu N
+                                     + f >= 0,
                                                                   0 <= s_backward complements mu N -
                                                                   f >= 0
 
@@ -26,12 +27,15 @@ How a plan's model writes contact, and how it is tightened without building the 
 Damped contacts in a plan's model. Their rates of penetration r are those at the start of the step,
 as their penetrations are.
 
-    variable_lam[t, name] the contact force: 0 <= lam complements lam - push >= 0, so lam =
-    max(push, 0) variable_spring[t, name] sigma = k max(phi, 0) [N] variable_touch[t, name] w,
-    Kelvin-Voigt only: 1 where phi > 0, 0 where phi < 0, and between where it touches
+    variable_lam[t, name]            the contact force: 0 <= lam  complements  lam - push >= 0, so
+                                     lam = max(push, 0)
+    variable_spring[t, name]         sigma = k max(phi, 0) [N]
+    variable_touch[t, name]          w, Kelvin-Voigt only: 1 where phi > 0, 0 where phi < 0, and
+                                     between where it touches
 
-    Hunt-Crossley push = sigma (1 + d r) 0 <= sigma complements sigma - k phi >= 0 Kelvin-Voigt push
-    = sigma + c w r 0 <= sigma complements 1 - w >= 0, 0 <= w complements sigma - k phi >= 0
+    Hunt-Crossley    push = sigma (1 + d r)       0 <= sigma  complements  sigma - k phi >= 0
+    Kelvin-Voigt   push = sigma + c w r   0 <= sigma  complements  1 - w >= 0,   0 <= w  complements
+        sigma - k phi >= 0
 
 The force of Kelvin-Voigt jumps where it touches, so no formulation without a switch is exact: k phi
 + c r may be positive before anything touches. What the two pairs of the switch say: where sigma >
@@ -253,8 +257,7 @@ def hold_modes(block: Any, closed: np.ndarray) -> None:
     block : a relaxed block
     closed : (steps, nc + 2 nf + springs + switches) [-]: True where a contact is closed (lam = k
         phi; else lam = 0); then, for each friction, where it may
-        slip forward against f = -mu N (else it does not), and where backward; then whether each
-        damped contact touches, for its spring and its switch
+        slip forward against f = -mu N (else it does not), and where backward; then whether each damped contact touches, for its spring and its switch
 
     Raises
     ------

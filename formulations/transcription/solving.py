@@ -1,9 +1,9 @@
 """The model of one scene under one contact law: built once, loaded with a start, solved, its plan read and checked.
 
-    solver = PlanSolver(scene, ContactFormulation.SOFTPLUS, options, clock) budget =
-    solver.begin(1e-3, None, time_limit) # the model holds the first guess result =
-    solver.solve_at(1e-3, None, budget, rules, options, from_plan) solution = solver.solution(name,
-    budget, result, residuals_of, plan_limits=.., promises=..)
+    solver = PlanSolver(scene, ContactFormulation.SOFTPLUS, options, clock)
+    budget = solver.begin(1e-3, None, time_limit)  # the model holds the first guess
+    result = solver.solve_at(1e-3, None, budget, rules, options, from_plan)
+    solution = solver.solution(name, budget, result, residuals_of, plan_limits=.., promises=..)
 
 A solve that leads nowhere is stopped, and what comes nearest to the goal is asked for (`nearest`)
 before it is tried once more.
@@ -16,8 +16,8 @@ How near to its goal a scene comes at all, and how a solve that loses its goal i
 
 `nearest` is asked where Ipopt finds no plan, before the word `infeasible` is used:
 
-    minimise sum over the state of ((x_T - goal) / nominal)^2 subject to start, time step, contact
-    and input bounds
+    minimise  sum over the state of ((x_T - goal) / nominal)^2
+        subject to start, time step, contact and input bounds
 
 Every input within its bounds is a feasible point of this problem, so it needs no restoration, on
 which Ipopt can spend its whole time limit where complementarity meets a goal out of reach (three
@@ -32,8 +32,8 @@ be driven past each other, the first steps do that, the contact no longer answer
 the multipliers of the goal grow without bound: two fingers that lift a disc had none below 1e10
 after 90 iterations, and no plan after 3000. The same model with the goal as a penalty,
 
-    cost + w sum over the state of ((x_T - goal) / nominal)^2, w the cost of the first guess, at
-    least 1, and heavier as needed
+    cost + w sum over the state of ((x_T - goal) / nominal)^2,
+        w the cost of the first guess, at least 1, and heavier as needed
 
 keeps them near the size of the cost, and takes 42 iterations; from its plan the goal itself takes
 17. What Ipopt calls infeasible from the first guess is begun again in the same way: on the cart and

@@ -5,11 +5,12 @@ The argument vectors of the generated C, and a scene's equations written in thei
 Derivatives of a column of expressions by the chain rule over what its entries share, as definitions
 to be evaluated in order.
 
-    definitions, df = push_forward(f, [x]) # df = (df/dx) dx, forward: one tangent for each shared
-    subexpression definitions, columns = pull_back(f, w, [x]) # (df/dx)' w, backward: one adjoint
-    for each shared subexpression forward_function("void name", (x, p, tangent(x)), "df", f, [x]) #
-    the same as C functions backward_function("void name", (x, p, w), f, w, [x]) # this one adds to
-    x_bar
+    # df = (df/dx) dx, forward: one tangent for each shared subexpression
+    definitions, df = push_forward(f, [x])
+    # (df/dx)' w, backward: one adjoint for each shared subexpression
+    definitions, columns = pull_back(f, w, [x])
+    forward_function("void name", (x, p, tangent(x)), "df", f, [x])       # the same as C functions
+    backward_function("void name", (x, p, w), f, w, [x])                  # this one adds to x_bar
 
 Differentiated whole, an expression whose parts are shared many times is written out once for each
 of them: minutes of computer algebra for a box pushed by a finger, and thousands of operations that

@@ -18,8 +18,8 @@ none, so that they are the same, byte for byte, as if there were no damping at a
 How much arithmetic the equations cost (`step_operations`) is counted in that C, function by
 function:
 
-    count_operations(emit_model(scene))["scene_acceleration"] # Counter({"add": 6, "multiply": 6,
-    "divide": 1})
+    # Counter({"add": 6, "multiply": 6, "divide": 1})
+    count_operations(emit_model(scene))["scene_acceleration"]
 
 A sign is not counted (it becomes a subtraction or goes into a constant), nor is arithmetic among
 numbers, which the compiler does. A power written as a product counts its multiplications.

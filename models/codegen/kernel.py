@@ -1,9 +1,10 @@
 """The compiled time step of a scene and its adjoint, as numpy functions.
 
-    kernel = load_kernel(scene) rollout = kernel.rollout(scene.task.start, u, step=0.01) # true
-    (ReLU) contact rollout = kernel.rollout(start, u, step=0.01, law=ContactLaw.SOFTPLUS, eps=1e-3)
-    u_bar, start_bar = kernel.adjoint(rollout, u, q_bar=..., v_bar=...) # gradient of any loss of q,
-    v, lam
+    kernel = load_kernel(scene)
+    rollout = kernel.rollout(scene.task.start, u, step=0.01)  # true (ReLU) contact
+    rollout = kernel.rollout(start, u, step=0.01, law=ContactLaw.SOFTPLUS, eps=1e-3)
+    # gradient of any loss of q, v, lam
+    u_bar, start_bar = kernel.adjoint(rollout, u, q_bar=..., v_bar=...)
 
 Semi-implicit Euler with the paper's indices: lam[t] = L(phi(q[t])), v[t+1] = v[t] + h a[t], q[t+1]
 = q[t] + h v[t+1]; friction forces belong to the slip at the end of the step (friction.h) and stand
@@ -442,8 +443,7 @@ class Kernel:
         u
             Its inputs (steps, nu) [N, N m].
         q_bar, v_bar
-            Derivatives (steps+1, nq) by positions and velocities [1/m, s/m and so on, per unit of
-            the loss].
+            Derivatives (steps+1, nq) by positions and velocities [1/m, s/m and so on, per unit of the loss].
         lam_bar
             Derivatives (steps, nc+nf) by forces [1/N].
         cost_bar

@@ -1,8 +1,10 @@
 """The time steps of a scene one by one: linearised at states of their own, or run one after the other with feedback.
 
-    steps = load_steps(scene) steps.linearise(x, u, step=0.01) # x (n, 2*nq), u (n, nu) -> next,
-    lam, A (n, 2*nq, 2*nq), B (n, 2*nq, nu) steps.follow(start, x_plan, u_plan, gain, step=0.01) # u
-    = clip(u_plan + gain (x - x_plan), lower, upper)
+    steps = load_steps(scene)
+    # x (n, 2*nq), u (n, nu) -> next, lam, A (n, 2*nq, 2*nq), B (n, 2*nq, nu)
+    steps.linearise(x, u, step=0.01)
+    # u = clip(u_plan + gain (x - x_plan), lower, upper)
+    steps.follow(start, x_plan, u_plan, gain, step=0.01)
 
 The steps are those of models.codegen.kernel, bit for bit; the derivatives come from its adjoint.
 State x = (q, v), positions first.

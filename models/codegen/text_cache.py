@@ -1,7 +1,8 @@
 """Generated text, cached between processes: deriving and printing the equations of a large scene takes seconds, reading them back none.
 
-cached_text(scene, "scene_model.h", lambda: emit_model(scene)) cached_text(scene, "reference.csv",
-lambda: motion_as_text(scene), whole=True) # of the values and the task, too
+cached_text(scene, "scene_model.h", lambda: emit_model(scene))
+# of the values and the task, too
+cached_text(scene, "reference.csv", lambda: motion_as_text(scene), whole=True)
 """
 
 from __future__ import annotations

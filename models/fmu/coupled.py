@@ -1,10 +1,12 @@
 """A scene as several coupled FMUs: one for each body, one for each contact, and how they are connected (SSP).
 
-    parts = split(load_scene("three_cart")) [body.name for body in parts.bodies] three_cart_q1,
-    three_cart_q2, three_cart_q3: each a Scene [part.name for part in parts.contacts]
-    three_cart_left, three_cart_right path = build_part(parts.contacts[0]) the FMU of a part path =
-    build_ssp(scene) all FMUs and how they are connected in one .ssp (System Structure and
-    Parameterization 1.0)
+    parts = split(load_scene("three_cart"))
+    [body.name for body in parts.bodies]        three_cart_q1, three_cart_q2, three_cart_q3: each a
+                                                Scene
+    [part.name for part in parts.contacts]      three_cart_left, three_cart_right
+    path = build_part(parts.contacts[0])        the FMU of a part
+    path = build_ssp(scene)                     all FMUs and how they are connected in one .ssp
+                                                (System Structure and Parameterization 1.0)
 
 This is how systems are split every day - the contact in a model of its own - and what that costs is
 measured by `python -m benchmarks cosim`.

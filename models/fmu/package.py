@@ -1,7 +1,7 @@
 """Scene -> FMU file: the sources are put together, compiled, packed and cached by content.
 
-    build_fmu(scene) -> .../a1b2....three_cart.fmu build_fmu(scene, version="3.0",
-    platforms=("x86_64-linux", "win64"))
+    build_fmu(scene)   ->  .../a1b2....three_cart.fmu
+    build_fmu(scene, version="3.0", platforms=("x86_64-linux", "win64"))
 
 Equal scenes give equal bytes wherever and whenever they are built: fixed time stamps, sorted names,
 no path of this machine inside.

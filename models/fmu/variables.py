@@ -1,7 +1,8 @@
 """The variables of a scene's FMU: one table, from which C, XML and the documentation are written.
 
-variable_names(scene).q ("q1", "q2", "q3") variable_table(scene) every variable with unit, start,
-range; its position is its value reference
+variable_names(scene).q          ("q1", "q2", "q3")
+variable_table(scene)            every variable with unit, start, range; its position is its value
+                                 reference
 
 What a variable of an FMU can be, and what FMI calls it.
 """

@@ -7,8 +7,8 @@ step is a choice of whoever plans, the physics is not.
 
     STEP, DAMPING = 0.02, 10.0
     .. Parameter(symbol=m, value=STEP * DAMPING, unit="kg") .. Task(step=STEP, ..)        # refused
-    STEP = 0.1 * math.sqrt(MASS / STIFFNESS) # fine: the step follows the physics
-    STEP = HORIZON / STEPS .. value=LENGTH / HORIZON # fine: the duration is what the task asks
+    STEP = 0.1 * math.sqrt(MASS / STIFFNESS)  # fine: the step follows the physics
+    STEP = HORIZON / STEPS  ..  value=LENGTH / HORIZON  # fine: the duration is what the task asks
 
 Read off the file's text: the names that hold the step, and what is computed of them. Values are not
 compared: m = 0.02 kg beside a damping of 2 N s/m and a step of 0.01 s is honest chance. So what

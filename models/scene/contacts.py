@@ -1,11 +1,12 @@
 """Contacts and dry friction of a scene.
 
-    Contact(name="left", bodies=("left", "middle"), penetration=d - (q2 - q1), stiffness=k, depth=d,
-    depth_reason="the carts' length") Contact(name="pad", .., damping=c) # Kelvin-Voigt, c [N s/m]
-    Contact(name="ball", .., damping=d, damping_law=DampingLaw.HUNT_CROSSLEY) # d [s/m]
-    Friction(name="left", slip=v1 - v2, coefficient=mu, contact="left") # pressed by the force of
-    the contact "left" Friction(name="belt", slip=v_cargo - v_cart, coefficient=mu, normal_force=m *
-    g) # pressed by a given force
+    Contact(name="left", bodies=("left", "middle"), penetration=d - (q2 - q1), stiffness=k, depth=d, depth_reason="the carts' length")
+    Contact(name="pad", .., damping=c)  # Kelvin-Voigt, c [N s/m]
+    Contact(name="ball", .., damping=d, damping_law=DampingLaw.HUNT_CROSSLEY)   # d [s/m]
+    # pressed by the force of the contact "left"
+    Friction(name="left", slip=v1 - v2, coefficient=mu, contact="left")
+    # pressed by a given force
+    Friction(name="belt", slip=v_cargo - v_cart, coefficient=mu, normal_force=m * g)
 
 Friction is that of the plane: one tangential direction, Coulomb's law. With the slip speed s = S(q)
 v and the pressing force N >= 0 the friction force f acts as the generalised force S' f and obeys

@@ -1,7 +1,8 @@
 """Whether the units of a scene fit together: energies in J, forces in J per unit of their coordinate, penetrations in m ..
 
-    dimension_problem(scene) # "kinetic_energy: m*v**2/2 is in kg m^3/s^4, but an energy must be in
-    J; is the unit of parameter m ('N') right? 'kg' would be."
+    # "kinetic_energy: m*v**2/2 is in kg m^3/s^4, but an energy must be in J; is the unit of
+    # parameter m ('N') right? 'kg' would be."
+    dimension_problem(scene)
 
 Units are declared of parameters, inputs and coordinates. Numbers have none, and often hide one, as
 variables of "a mass of 1 kg" do; so nobody who leaves units out is accused:

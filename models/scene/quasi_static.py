@@ -2,18 +2,16 @@
 
 They are written with a mass all the same.
 
-    Scene(..., relaxation_time=tau, kinetic_energy=tau * (d * v_x**2 + ..) / 2, forces=(-d * v_x,
-    ..))
+    Scene(..., relaxation_time=tau, kinetic_energy=tau * (d * v_x**2 + ..) / 2, forces=(-d * v_x, ..))
 
 Everything here steps M dv/dt = F - D v. With M = tau D that is tau dv/dt = D^-1 F - v, and tau is
 no parameter of the scene but a number of whoever uses it:
 
-on a grid tau = h. Semi-implicit Euler, v' = v + h/tau (D^-1 F - v), is then v' = D^-1 F exactly:
-the explicit Euler step of the first-order model.
-                The compiled step takes it from the step it is told (Kernel.parameters_of), be that
-                the task's or a fiftieth of it.
-in the judge tau = LAG, as short as an integrator bears: what is judged depends on no grid. tau (v'
-- v0) + q' - q0 is the integral of D^-1 F, so
+on a grid       tau = h. Semi-implicit Euler, v' = v + h/tau (D^-1 F - v), is then v' = D^-1 F
+                exactly: the explicit Euler step of the first-order model.
+                The compiled step takes it from the step it is told (Kernel.parameters_of), be that the task's or a fiftieth of it.
+in the judge    tau = LAG, as short as an integrator bears: what is judged depends on no grid. tau
+                (v' - v0) + q' - q0 is the integral of D^-1 F, so
                 that the lag moves the motion by tau times the speed, as if its forces were asked
                 tau earlier: an error of first order in tau, which each replay measures with 2 tau
                 beside it.

@@ -6,8 +6,7 @@
         coordinates=(Coordinate(name="q", symbol=q, velocity=v, unit="m"),),
         kinetic_energy=m * v**2 / 2,
         potential_energy=m * g * q,
-        contacts=(Contact(name="floor", bodies=("mass", "floor"), penetration=-q, stiffness=k,
-            depth=0.5, depth_reason="the floor's springs are pressed flat"),),
+        contacts=(Contact(name="floor", bodies=("mass", "floor"), penetration=-q, stiffness=k, depth=0.5, depth_reason="the floor's springs are pressed flat"),),
         ...
     )
 

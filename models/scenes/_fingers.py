@@ -17,8 +17,8 @@ with the same small BLUR as in `two_discs`: even coincident centres have a defin
 The surfaces meet on the line of centres at the shares R : w/2 of d, so that the friction forces,
 equal and opposite at one point, keep the angular momentum however deep the contact is:
 
-    slip = t . (v_disc - v_tip) - d (R omega_disc + w/2 omega_tip)/(R + w/2), t: the line of
-    centres, turned left
+    slip = t . (v_disc - v_tip) - d (R omega_disc + w/2 omega_tip)/(R + w/2),
+        t: the line of centres, turned left
 
 that is, velocity of the disc's surface relative to the tip's, along t. It depends on the position:
 on the direction t.

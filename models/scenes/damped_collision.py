@@ -4,9 +4,10 @@ Disc against disc, Kelvin-Voigt without adhesion, lam = max(k phi + c phi', 0). 
 mass mu = m1 m2/(m1 + m2), w = sqrt(k/mu), z = c/(2 sqrt(k mu)) = cos(a) and the closing speed s,
 phi = s/(w sin a) exp(-z w t) sin(w t sin a), so that
 
-    largest compression s/w exp(-a/tan a) (phi' = 0 at w t sin a = a) restitution e = exp(-2 a/tan
-    a) (lam = -mu phi'' = 0 at w t sin a = 2 a: released, still compressed) contact time 2 a/(w sin
-    a) + 2 z/w (from there the discs part at the speed e s)
+    largest compression  s/w exp(-a/tan a)                             (phi' = 0 at w t sin a = a)
+    restitution   e = exp(-2 a/tan a)
+        (lam = -mu phi'' = 0 at w t sin a = 2 a: released, still compressed)
+    contact time   2 a/(w sin a) + 2 z/w   (from there the discs part at the speed e s)
 
 A force that could pull would act until phi = 0, with the restitution exp(-pi/tan a): 0.54 instead
 of 0.58 here.

@@ -1,7 +1,8 @@
 """One disc is thrown at another, which then glides on and has to pass close by the goal when the time is over: elastic, without friction.
 
-    two_discs() # starts (-1, -2) and (-1, -1) two_discs(wall=True) # starts (0.25, -0.3) and (-0.5,
-    0.6), a wall at y = 1: off the wall, to the goal
+    two_discs()                                          # starts (-1, -2) and (-1, -1)
+    # starts (0.25, -0.3) and (-0.5, 0.6), a wall at y = 1: off the wall, to the goal
+    two_discs(wall=True)
 
 The cost is |q2(T)|^2 + 0.01 int |u|^2 dt, with nothing asked of the end; disc 1 starts at rest and
 must be at the right place of the rim of disc 2 with the right speed. As k grows the soft contact

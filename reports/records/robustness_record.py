@@ -1,6 +1,7 @@
 """RobustnessRecord: how much a plan can take, as `validate robust` writes it (docs/robustness.md).
 
-record = RobustnessRecord.model_validate(found, from_attributes=True) # of validate.judge.robustness
+# of validate.judge.robustness
+record = RobustnessRecord.model_validate(found, from_attributes=True)
 """
 
 from __future__ import annotations

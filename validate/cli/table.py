@@ -1,8 +1,9 @@
 """Plain text tables and sentences that fit a terminal, and numbers as short as they can be read.
 
-print(table(["scene", "cost", "why"], rows, ("cost",), drop=("cost",))) # `why` breaks between
-words; `cost` goes where there is no room print_metrics([(4, "replay_error", metric, None)],
-followed=False, tracked=False) # what `replay` prints of a plan just judged, `show` of a run
+# `why` breaks between words; `cost` goes where there is no room
+print(table(["scene", "cost", "why"], rows, ("cost",), drop=("cost",)))
+# what `replay` prints of a plan just judged, `show` of a run
+print_metrics([(4, "replay_error", metric, None)], followed=False, tracked=False)
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """The engine that runs tasks on the workers of a Dask cluster: one of this machine's processes, or one that stands somewhere.
 
-    with open_dask("", 2, context, 100) as engine: ... # two worker processes here, which end with
-    the campaign with open_dask("tcp://10.0.0.1:8786", None, context, 100) as engine: ... # or the
-    path of a scheduler file, FILE.json
+    # two worker processes here, which end with the campaign
+    with open_dask("", 2, context, 100) as engine: ...
+    # or the path of a scheduler file, FILE.json
+    with open_dask("tcp://10.0.0.1:8786", None, context, 100) as engine: ...
 
 A task whose worker is lost is run again by Dask's scheduler, as often as its `allowed-failures`
 says (3 times); then it has crashed. The scheduler also counts against a task that it only waited on

@@ -155,8 +155,7 @@ def run_isolated(
     what
         The subject of the sentence that says how it ended.
     ours
-        Whether all that runs there is ours: it may then be a fork of this process
-        (validate.execution.process).
+        Whether all that runs there is ours: it may then be a fork of this process (validate.execution.process).
 
     Returns
     -------

@@ -1,8 +1,10 @@
 """A child process under a supervisor (validate.execution.supervisor): started, watched, and ended with everything it started. Tasks and isolated FMUs use the same.
 
-child = Child("validate.execution.child:main", folder, output=folder / "log.txt") # calls
-main(folder) there while not child.wait(0.05): ... ended = child.end() # how, what it cost; no
-process of it is left child.close() # and no folder
+# calls main(folder) there
+child = Child("validate.execution.child:main", folder, output=folder / "log.txt")
+while not child.wait(0.05): ...
+ended = child.end()                 # how, what it cost; no process of it is left
+child.close()                       # and no folder
 
 Every child process is given one thread for every library, no hash randomisation, and temporary
 files in its own folder. What must not be cut short by Ctrl-C: it is held back for a moment, and

@@ -1,8 +1,8 @@
 """The supervisor of a child: a process between the child and us, which starts it, ends all that it started, and says how it ended.
 
-    python -P -m validate.execution.supervisor 5 # 5: the socket over which it is told what to run
-    python -P -m validate.execution.supervisor 5 numpy .. # imports these, then forks a supervisor
-    for each socket that it is sent
+    python -P -m validate.execution.supervisor 5  # 5: the socket over which it is told what to run
+    # imports these, then forks a supervisor for each socket that it is sent
+    python -P -m validate.execution.supervisor 5 numpy ..
 
 Linux makes it the parent of whatever its child leaves behind, in whatever session and with whatever
 environment, so that nothing gets away. When its socket closes, we have ended, in whatever way: then

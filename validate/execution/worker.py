@@ -1,7 +1,7 @@
 """One child process a task: started, watched, ended, and its end put into words.
 
-    record = Worker(task, provenance, store).run(wanted=lambda: True) # a record whatever happened,
-    already stored
+    # a record whatever happened, already stored
+    record = Worker(task, provenance, store).run(wanted=lambda: True)
 
 The child runs in a session of its own, with its output in log.txt and nothing but its result file
 believed: a process that exits with 0 and leaves no record has crashed; one that left a whole record

@@ -1,8 +1,10 @@
 """CVODE, the integrator of SUNDIALS 7, called by the addresses of its functions in the libraries that scikit-sundae brings.
 
-    solver = Cvode(ADAMS, y, rates=.., data=.., rtol=1e-9, absolute=.., min_step=0.0, max_step=0.1,
-    max_steps=1000) solver.renew(0.0) # from y at t = 0 on solver.advance(0.5, 1.0, one_step=False)
-    # to t = 0.5, never beyond 1: a flag; solver.time, solver.y, solver.roots solver.close()
+    solver = Cvode(ADAMS, y, rates=.., data=.., rtol=1e-9, absolute=.., min_step=0.0, max_step=0.1, max_steps=1000)
+    solver.renew(0.0)                                # from y at t = 0 on
+    # to t = 0.5, never beyond 1: a flag; solver.time, solver.y, solver.roots
+    solver.advance(0.5, 1.0, one_step=False)
+    solver.close()
 
 scikit-sundae itself is not imported: that imports SciPy, and took 0.45 s of every check of an FMU.
 A solver is what its CVODE(..) makes, call by call.

@@ -1,8 +1,9 @@
 """Files of reference solutions: tables of numbers over time, settings, and the manifest of LS-REF by which an FMU carries them.
 
-    table = read_table("model_ref.csv", text) # Table(times, {name: (rows, entries)}) settings =
-    read_settings("model_ref.opt", text) found = stored_results(folder, path) # results in the
-    LS-REF folder of an unpacked FMU, and beside the FMU
+    table = read_table("model_ref.csv", text)     # Table(times, {name: (rows, entries)})
+    settings = read_settings("model_ref.opt", text)
+    # results in the LS-REF folder of an unpacked FMU, and beside the FMU
+    found = stored_results(folder, path)
 
 LS-REF is the FMI project's layered standard for files related to an FMU (1.0.0-alpha.1);
 `*_ref.csv`, `*_ref.opt`, `*_in.csv` and `*_cc.csv` are how the FMI cross-check named them. Beside

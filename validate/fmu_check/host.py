@@ -1,7 +1,6 @@
 """check_fmu(): the file is checked, unpacked, and checked by the table of checks in an isolated child (validate.execution.isolated).
 
-    run_checks({"path": ..., "folder": ..., "told": ..., "names": [...], "seconds": 60}, {}) -> what
-    the rows are about
+    run_checks({"path": ..., "folder": ..., "told": ..., "names": [...], "seconds": 60}, {}) -> what the rows are about
 
 is what the child runs: each check in a fork of its own. It appends each row to the file `told`, as
 a line of JSON, when the check has ended.

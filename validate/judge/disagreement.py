@@ -2,8 +2,8 @@
 
 The same of a problem with an exact answer and of a plan.
 
-    kind, sentence = why("mujoco", drives, errors, wrong) # errors: of its motions by these drives,
-    the coarsest first; wrong: of one more motion
+    # errors: of its motions by these drives, the coarsest first; wrong: of one more motion
+    kind, sentence = why("mujoco", drives, errors, wrong)
 
 In this order: its step made shorter, its own softness of friction changed, the motion's own
 instability, all contacts stiffened.

@@ -2,8 +2,9 @@
 
 By measurement.
 
-    rows = elsewhere(judgement, ("fmu_everyday", "mujoco")) # judgement: of the plan on its scene,
-    by our reference rows[1].verdict, rows[1].kind, rows[1].sentence
+    # judgement: of the plan on its scene, by our reference
+    rows = elsewhere(judgement, ("fmu_everyday", "mujoco"))
+    rows[1].verdict, rows[1].kind, rows[1].sentence
 
 Every engine gets the plan's inputs from its start, at three steps or tolerances, each a quarter of
 the one before, and what it makes of them is scored as our own replay is, with the difference of the

@@ -2,10 +2,10 @@
 
     from validate.judge.judgement import judge
 
-    verdict = judge("three_cart", "plan.csv") # a scene by name, file or object; a plan as CSV,
-    NetCDF, arrays by name, DataFrame or Solution print(verdict) # holds: every question asked is
-    answered yes; closest to its limit: .. verdict.holds, verdict.score.value("replay_error"),
-    verdict.replay.t
+    # a scene by name, file or object; a plan as CSV, NetCDF, arrays by name, DataFrame or Solution
+    verdict = judge("three_cart", "plan.csv")
+    print(verdict)  # holds: every question asked is answered yes; closest to its limit: ..
+    verdict.holds, verdict.score.value("replay_error"), verdict.replay.t
 
 The inputs alone are replayed first. Where they do not give the motion (question 4) and the plan's
 own motion is consistent, a second replay follows it with limited feedback; where a plan that
@@ -83,8 +83,7 @@ def judge(
     ----------
     scene : Scene, or its name, or the path of its file
     plan : Trajectory | Solution | mapping or DataFrame of columns | path of a CSV or NetCDF file
-        Columns are `t` (nodes,), then the scene's names; what is absent is not claimed
-        (docs/replay.md).
+        Columns are `t` (nodes,), then the scene's names; what is absent is not claimed (docs/replay.md).
     hold : "zero" or "linear" (or a Hold), the inputs within a step; scheme : the time step it is
     made of, by name (or a Scheme). Of columns and CSV only, where they do not say so. feedback :
     replay with feedback too, whether or not the verdict needs it. limits : run the FMU in a child

@@ -1,8 +1,8 @@
 """What an engine is told, what it gives back, and how it is called: in a child with limits, so that a crash, a hang or a missing package is a row.
 
-    name in engine_names(); describe_engine("mujoco").title # nothing of it is imported answer =
-    run_engine("mujoco", scene, drives) # one motion a drive, or a sentence answer.motions[0].q,
-    answer.motions[0].seconds, answer.why
+    name in engine_names(); describe_engine("mujoco").title            # nothing of it is imported
+    answer = run_engine("mujoco", scene, drives)  # one motion a drive, or a sentence
+    answer.motions[0].q, answer.motions[0].seconds, answer.why
 
 An engine is a file in `engines` (found by its name), which defines `ENGINE` and `simulate`. It
 steps a scene from the scene's own parameters; what it cannot express it says by CannotExpressError.
@@ -275,8 +275,8 @@ def stepped(
     drive
         What is to be done.
     advance
-        Under inputs (nu,) [N, N m] that change by so much a second (nu,) makes so many steps of so
-        many seconds [s], and gives positions and velocities (nq,) [m, rad, m/s, rad/s].
+        Under inputs (nu,) [N, N m] that change by so much a second (nu,) makes so many steps of so many seconds [s], and gives positions and velocities
+        (nq,) [m, rad, m/s, rad/s].
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Plausibility warnings: what is possible in a scene, but probably a mistake; they stop nothing.
 
-scene_doubts(scene) # ("scene own: contact wall is 0.4 deep at the start, 8 times its nominal 0.05;
-...",)
+# ("scene own: contact wall is 0.4 deep at the start, 8 times its nominal 0.05; ...",)
+scene_doubts(scene)
 """
 
 from __future__ import annotations

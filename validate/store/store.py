@@ -2,9 +2,11 @@
 
 No lock, nothing half-written.
 
-    DIR/runs/<key>/record.json, trajectory.nc, replay.nc, log.txt, task.json, files.json
-    DIR/runs/.partial-* being written DIR/legs/<key>/ what they are made of (validate.tasks.leg)
-    DIR/surveys/<key>.json how their plans fare in perturbed worlds (validate.tasks.path)
+    DIR/runs/<key>/record.json, trajectory.nc, replay.nc, log.txt, task.json, files.json   DIR/runs/.partial-*
+        being written
+    DIR/legs/<key>/                        what they are made of (validate.tasks.leg)
+    DIR/surveys/<key>.json                 how their plans fare in perturbed worlds
+                                           (validate.tasks.path)
 
 Whatever kills a campaign, a folder under its key is whole. Two campaigns may write into the same
 DIR.

@@ -1,9 +1,9 @@
 """Plans and replays as the stress cases need them: a scene's own compiled step, or a method, for the plan, its FMU for the replay.
 
-plan = rolled(scene, start=..., u=..., step=..., steps=...) # a Trajectory by the compiled step
-motion = replayed(scene, plan) # a Replay by the scene's FMU plan, motion = of_truth(problem) #
-both, of a problem of the truth suite solution = solved(scene, "mpcc", seconds=20.0) # what a method
-makes of it
+plan = rolled(scene, start=..., u=..., step=..., steps=...)  # a Trajectory by the compiled step
+motion = replayed(scene, plan)                                      # a Replay by the scene's FMU
+plan, motion = of_truth(problem)  # both, of a problem of the truth suite
+solution = solved(scene, "mpcc", seconds=20.0)                      # what a method makes of it
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 It is the unit of work of a campaign - keyed by its content, run once, stored once.
 
-    DIR/legs/<key>/leg.json, trajectory_<n>.nc, replay_<n>.nc, tracked_<n>.nc n from 1: its stages
+    DIR/legs/<key>/leg.json, trajectory_<n>.nc, replay_<n>.nc, tracked_<n>.nc   n from 1: its stages
 
 A run (scene x pipeline) is a path of legs, each of which starts from the plan of the one before it.
 The key of a leg is of all that decides it: the scene, what is asked of every stage up to its end,

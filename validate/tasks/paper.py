@@ -9,8 +9,8 @@ eps, and the worst is searched for over that set; it is eps.
 
 The paper's Table I beside ours: which of its rows belongs to which stage of which pipeline.
 
-    paper_row("three_cart", "softplus_dc+strict", 0) # {"cost": 197.86, "stability": 0.0, "physics":
-    2445.98, "time": 11.64}
+    # {"cost": 197.86, "stability": 0.0, "physics": 2445.98, "time": 11.64}
+    paper_row("three_cart", "softplus_dc+strict", 0)
 
 The numbers stand once, in `reports.paper`. The rows of a warm starter stand once in the paper and
 belong to both pipelines that begin with it. A pipeline of ours has no row there, even where it

@@ -1,8 +1,9 @@
 """A run as a worker makes it: the legs of its path, one after the other, each taken from the store, or solved, judged, certified and stored.
 
-    record = run_path(task, provenance, folder, profile) # in a child process of its own:
-    validate.execution.child record = unfinished_run(task, loaded, provenance, child, folder) # by
-    its worker, where the child left no record
+    # in a child process of its own: validate.execution.child
+    record = run_path(task, provenance, folder, profile)
+    # by its worker, where the child left no record
+    record = unfinished_run(task, loaded, provenance, child, folder)
 
 A leg lies in the folder of the run as soon as it is judged. So a run that ends before its end keeps
 the legs it has, whatever ended it. Beside the record the folder holds `trajectory.nc` and

@@ -2,8 +2,9 @@
 
 Ours by default, anybody's by a dotted name.
 
-    python -m validate all --plugin my_method # defines METHOD, and where that has eps or needs
-    company PIPELINE python -m validate all --plugin my_package.my_module:PLUGIN
+    # defines METHOD, and where that has eps or needs company PIPELINE
+    python -m validate all --plugin my_method
+    python -m validate all --plugin my_package.my_module:PLUGIN
 
 A module that defines `METHOD` is a method file like ours: its method is found and its pipeline runs
 before ours. `PLUGIN` is a `Plugin`, for whoever replaces more; what it does not replace stays ours.

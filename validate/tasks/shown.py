@@ -1,7 +1,7 @@
 """What is shown of one plan: in a notebook, and as the page that `replay --html` writes, which is that of a run in the report.
 
-    plan = SolvedPlan.of(solution, scene, "softplus_dc+strict") # a Solution that knows its scene
-    verdict = JudgedPlan.of(judgement, "plan.csv") # a Judgement that knows what its plan is called
+    plan = SolvedPlan.of(solution, scene, "softplus_dc+strict")  # a Solution that knows its scene
+    verdict = JudgedPlan.of(judgement, "plan.csv")  # a Judgement that knows what its plan is called
     verdict.page("python -m validate replay plan.csv --scene three_cart")
 
 This stands above the judge, which knows neither methods nor reports; `touchstone` hands these out

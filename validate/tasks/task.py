@@ -9,8 +9,7 @@ What a worker does with a run: validate.tasks.path; with a check: validate.tasks
 A campaign file may ask for a scene with some of its numbers changed; it has a name of its own, and
 is a scene like any other: its text, numbers included, is part of the key of its tasks.
 
-    varied(load_scene("three_cart"), Variant(name="three_cart_k_300", parameters={"k": 300.0},
-    goal={"q1": 2.6, "v1": None}))
+    varied(load_scene("three_cart"), Variant(name="three_cart_k_300", parameters={"k": 300.0}, goal={"q1": 2.6, "v1": None}))
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Phenomena of contact with exact answers, as problems for any engine: a scene, a start, a duration, four steps, and what is true at the end.
 
-    problem = problems()[0] problem.name, problem.phenomenon, problem.scene, problem.plan,
-    problem.parts # what an engine is asked problem.end(), problem.energy(), problem.asks # what is
-    right
+    problem = problems()[0]
+    # what an engine is asked
+    problem.name, problem.phenomenon, problem.scene, problem.plan, problem.parts
+    problem.end(), problem.energy(), problem.asks  # what is right
 
 Scenes are those of the bank, with other parameters, another start or a damped floor; the ramp and
 the belt are written here. An answer is a closed form (of the scene's file, or here) or, where there

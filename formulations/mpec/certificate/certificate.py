@@ -1,7 +1,9 @@
 """What can be said of the point that a Pyomo model's variables hold, whoever computed it.
 
-certificate = certify(model) certificate.holds # feasible, complementary, and no direction goes down
-to first order certificate.stationarity.letter # S, M, C, A, W or - print(certificate.sentence)
+certificate = certify(model)
+certificate.holds  # feasible, complementary, and no direction goes down to first order
+certificate.stationarity.letter       # S, M, C, A, W or -
+print(certificate.sentence)
 
 Beside residuals and class it says whether the constraints would still hold if the complementarity
 held exactly:

@@ -15,7 +15,8 @@ where they are wrong, others may still be right.
 Yes: multipliers y. No: a vector p with p' gradient > tolerance |p|_1 that all conditions allow (-p
     points down, and no y makes up for it):
 
-    |p|_1 |gradient - A y|_max >= p' (gradient - A y) >= p' gradient - across |y|_1        across: by how much p breaks a condition, at most
+    |p|_1 |gradient - A y|_max >= p' (gradient - A y) >= p' gradient - across |y|_1
+        across: by how much p breaks a condition, at most
 
 The projection of the gradient gives both. Where the largest component of its rest is above the
 tolerance and its p proves nothing yet, components are weighed by what was left of them (Lawson's

@@ -2,8 +2,8 @@
 
 The strongest class of stationarity that its multipliers show, and whether a direction goes down.
 
-    gradient f = sum y gradient g + z + sum nu gradient G + sum mu gradient H, nu = 0 where G > 0,
-    mu = 0 where H > 0
+    gradient f = sum y gradient g + z + sum nu gradient G + sum mu gradient H,
+        nu = 0 where G > 0, mu = 0 where H > 0
 
 On biactive pairs (G = 0 = H): S: nu, mu >= 0; M: nu, mu > 0 or nu mu = 0; C: nu mu >= 0; A: nu >= 0
 or mu >= 0; W: any.

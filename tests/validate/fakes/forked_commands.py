@@ -1,8 +1,8 @@
 """Commands of ours, each in a fork of a process that has imported what commands import: that takes longer than most of them.
 
 with forked_commands(environment) as run:
-    done = run(["-m", "validate", "list"], environment) # as subprocess.run([sys.executable, "-m",
-    "validate", "list"], ..) would
+    # as subprocess.run([sys.executable, "-m", "validate", "list"], ..) would
+    done = run(["-m", "validate", "list"], environment)
 """
 
 import gc

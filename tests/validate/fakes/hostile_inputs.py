@@ -1,7 +1,7 @@
 """Hostile files for every reader, by random mutation of good ones, and what each reader does with them.
 
-    outcome = tried(READERS["plan CSV"], random, folder) # "read", "refused", or the traceback;
-    "hang" after HANG seconds of CPU
+    # "read", "refused", or the traceback; "hang" after HANG seconds of CPU
+    outcome = tried(READERS["plan CSV"], random, folder)
 
 A reader may read a file or refuse it by one of our own errors; anything else is a fault. In the
 tests `random` is hypothesis's `randoms()`, which shrinks a fault to the fewest and plainest

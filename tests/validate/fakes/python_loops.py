@@ -1,8 +1,9 @@
 """The loops of a replay in Python, one call of FMI at a time: what the compiled ones must do, call by call and bit for bit.
 
-integrate(PythonModel(package, variables), ...) # CVODE through scikit-sundae; of any
-ContinuousModel simulate(package, variables, ...) # validate.judge.replay.everyday.simulate with
-this loop in place of that of loops.c
+# CVODE through scikit-sundae; of any ContinuousModel
+integrate(PythonModel(package, variables), ...)
+# validate.judge.replay.everyday.simulate with this loop in place of that of loops.c
+simulate(package, variables, ...)
 """
 
 import math

@@ -1,8 +1,9 @@
 """Messages are tested by what they must say - what, where, the number, the advice -, not by whole sentences.
 
-assert not unsaid(done.stderr, "'mm'", "inputs.F: … 'm' is expected") # what fails names the part
-that is missing with pytest.raises(MapError, match=saying("inputs.F: … give a scale")): # " … "
-stands for whatever is said in between
+# what fails names the part that is missing
+assert not unsaid(done.stderr, "'mm'", "inputs.F: … 'm' is expected")
+# " … " stands for whatever is said in between
+with pytest.raises(MapError, match=saying("inputs.F: … give a scale")):
 """
 
 import re

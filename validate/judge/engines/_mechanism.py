@@ -1,9 +1,10 @@
 """A scene as other simulators can be told it: bodies on joints, forces, and contacts between balls and planes, with numbers for coefficients.
 
-    mechanism = mechanism_of(scene) # raises CannotExpressError, in a sentence, for a scene that is
-    no such thing mechanism.bodies # the bodies as the worldbody of an MJCF text: joints have the
-    names of coordinates mechanism.touches[0].pads # the ball and the plane, or the two balls, that
-    meet
+    # raises CannotExpressError, in a sentence, for a scene that is no such thing
+    mechanism = mechanism_of(scene)
+    # the bodies as the worldbody of an MJCF text: joints have the names of coordinates
+    mechanism.bodies
+    mechanism.touches[0].pads                # the ball and the plane, or the two balls, that meet
 
 Every number is derived from the scene's own energies, forces and contacts; nothing is typed twice.
 Each coordinate is a body that slides, or one of the axes of a body: a disc has two, and so has what

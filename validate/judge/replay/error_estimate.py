@@ -234,8 +234,7 @@ def local_errors(
     times : (nodes,) [s].
     carried : an error of velocity goes on as one of position until the end, dq/dt = v. That
         overstates (bouncing_mass: 12 times the error of the
-        coarser run, three_cart 4 times), the sum alone understates (0.4 to 0.6 times): forces turn
-        an error of velocity round.
+        coarser run, three_cart 4 times), the sum alone understates (0.4 to 0.6 times): forces turn an error of velocity round.
     heeds : whether the FMU is known to obey its step.
 
     Returns

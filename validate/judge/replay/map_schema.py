@@ -2,8 +2,9 @@
 
 or, where none is given, by equal names.
 
-    [positions] x = "cart.s" # column of the plan = variable of the FMU y = { variable =
-    "cart2.s_mm", scale = 0.001 } # plan's value = scale * FMU's + offset
+    [positions]
+    x = "cart.s"  # column of the plan = variable of the FMU
+    y = { variable = "cart2.s_mm", scale = 0.001 }           # plan's value = scale * FMU's + offset
 
 Every mistake is reported with its path, all in one sentence. See docs/replay.md for all sections.
 

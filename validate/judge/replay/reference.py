@@ -1,7 +1,6 @@
 """The reference integrator: CVODE over a Model Exchange FMU, stopped at every gap event and at every jump of the inputs.
 
-    run = integrate(ExchangeModel(package, variables), start, inputs, rtol=1e-13,
-    event_budget=10_000)
+    run = integrate(ExchangeModel(package, variables), start, inputs, rtol=1e-13, event_budget=10_000)
 
 Between two such points the right-hand side is smooth, so the integrator's order and its error
 control hold; across one they would not. Adams' method (orders 1 to 12) needs half the evaluations

@@ -2,8 +2,8 @@
 
 And how much errors grow without it.
 
-    u_t = sat(u_plan_t + K_t (x_plan_t - x(t))) at the nodes; between them the correction is held,
-    as a robot's computer does
+    u_t = sat(u_plan_t + K_t (x_plan_t - x(t)))
+        at the nodes; between them the correction is held, as a robot's computer does
 
 K_t, t = T-1 .. 0, is the discrete Riccati recursion (Anderson and Moore, Optimal Control: Linear
 Quadratic Methods, 1990, section 2.4)

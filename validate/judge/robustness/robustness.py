@@ -1,8 +1,9 @@
 """How much a plan can take: in what share of perturbed worlds it arrives, and which perturbation it takes least of.
 
-    found = robustness("three_cart", "plan.csv", samples=1000) found.alone.share,
-    found.alone.interval, found.weakest survey(scene, plan, limits, False).weakest # in short, as a
-    campaign asks it of every plan that holds
+    found = robustness("three_cart", "plan.csv", samples=1000)
+    found.alone.share, found.alone.interval, found.weakest
+    # in short, as a campaign asks it of every plan that holds
+    survey(scene, plan, limits, False).weakest
 
 Inputs alone and with feedback apart. Worlds come from validate.judge.robustness.worlds, trials from
 validate.judge.robustness.trials; a sample is tried once more by the reference, and what differs is

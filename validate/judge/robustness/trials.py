@@ -1,8 +1,9 @@
 """A plan tried in one world: the everyday replay there, and whether it arrives - near enough to the goal, no contact deeper than its model reaches.
 
     with SceneArena.of(scene, plan, limits) as arena:
-        arena.trial(world).ratio # the largest of what is asked, as a share of its limit: up to 1 it
-        arrives arena.checked(world).ratio # the same by the reference
+        # the largest of what is asked, as a share of its limit: up to 1 it arrives
+        arena.trial(world).ratio
+        arena.checked(world).ratio       # the same by the reference
 
 The FMU's step is the coarsest whose motion in the model's own world ends where the reference's
 does; of a scene in two perturbed worlds too, and where none does, worlds are the reference's. A

@@ -1,8 +1,8 @@
 """The worlds a plan is tried in: what may be otherwise than the scene, or somebody's FMU, says, by how much, and samples of it.
 
-    causes = perturbations(scene, plan) # parameters, start, gains of the inputs, noise, delay
-    worlds = draw(causes, samples=1000, seed=0) worlds.world(0, nominal_world(scene, plan)) # one of
-    them
+    causes = perturbations(scene, plan)  # parameters, start, gains of the inputs, noise, delay
+    worlds = draw(causes, samples=1000, seed=0)
+    worlds.world(0, nominal_world(scene, plan))          # one of them
 
 Sizes are those of docs/robustness.md: a parameter's own uncertainty, else a twentieth of its value;
 the start by a hundredth of nominal; each input's gain by a fiftieth; noise of a hundredth of an

@@ -1,8 +1,7 @@
 """Score: (Scene, Trajectory, Replay) -> metrics, each with unit, limit and reason, the answers to the judge's questions, and a verdict.
 
     score(scene, plan, replay(scene, fmu, plan)).why
-    -> "its contact forces are not those of contact: ...; driven by its inputs the motion ends 0.27
-      m from the goal, ..."
+    -> "its contact forces are not those of contact: ...; driven by its inputs the motion ends 0.27 m from the goal, ..."
 
 The judge knows no method: it sees a plan and what the plan's inputs do.
 """

@@ -3,7 +3,7 @@
 A metric is below its limit, or above it, only where ten times its error does not reach from its
 value to the limit,
 
-    value + 10 error <= limit -> yes value - 10 error > limit -> no otherwise undecided
+    value + 10 error <= limit   -> yes   value - 10 error > limit   -> no   otherwise undecided
 
 so that a metric of 1e-9 with an error of 1e-4 is rightly below a limit of 1e-2, and one of 0.0599
 with the same error is not judged against 0.06. The error is that of the replay; metrics of the plan

@@ -1,7 +1,7 @@
 """An optimum that is B- but not S-stationary: multipliers grow without bound along every relaxation. The primal answer is kept, the class says so.
 
-min z1 + z2 - z0, z0 <= 4 z1, z0 <= 4 z2, 0 <= z1 complements z2 >= 0 (scholtes4 of MacMPEC;
-solution 0 at the origin)
+min z1 + z2 - z0,   z0 <= 4 z1,   z0 <= 4 z2,   0 <= z1 complements z2 >= 0
+    (scholtes4 of MacMPEC; solution 0 at the origin)
 """
 
 from __future__ import annotations
