@@ -1,8 +1,7 @@
-"""Numbers that a campaign swept - parameters, starts, goals, grids, options, eps - and how every metric goes with them; seeds as a spread.
+"""Numbers that a campaign swept - parameters, starts, goals, grids, options, eps - and how every metric goes with them.
 
 Three carts at k = 30, 60, 120 N/m by one pipeline are three runs that differ in one number: each
-metric is drawn against it. Runs that differ in the seed of their method alone are one point: the
-median, with a bar from the least to the largest.
+metric is drawn against it.
 
 Of a scene, Figs. 4-6 of the paper: how the plans of a relaxation change while eps is tightened, and
 how the metrics go with eps.
@@ -12,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import attrgetter
-from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +23,6 @@ from reports.rows import Row
 from reports.traces import Trace
 from reports.wording import capital, count, error, listing, number, small, spaced, with_unit
 
-SEED = "seed"
 # Metrics that are drawn at once; the others are folded.
 _FIRST = ("replay_error", "replay_terminal_position_error", "replay_terminal_velocity_error")
 _MARKERS = ("circle", "square", "diamond", "triangle")
@@ -59,14 +56,13 @@ class Mark(NamedTuple):
 class SweptRun(NamedTuple):
     """A run at its values of what was swept. curve: the other values and the pipeline, in words.
 
-    x: of the axis; seed: of its method, if it draws.
+    x: of the axis.
     """
 
     run: RunRecord
     link: str
     curve: str
     x: float
-    seed: float | None
 
 
 class Sweep(NamedTuple):
@@ -161,8 +157,7 @@ def _numbers(run: RunRecord) -> dict[Quantity, float]:
             if isinstance(value, (int, float)) and _is_number(value)
         }
         found |= {
-            Quantity(SEED if name == SEED else f"{stage.method} {spaced(name)}"): value
-            for name, value in numbers.items()
+            Quantity(f"{stage.method} {spaced(name)}"): value for name, value in numbers.items()
         }
         if stage.eps:
             found[Quantity(f"ε of stage {stage.index + 1}")] = stage.eps
@@ -170,25 +165,17 @@ def _numbers(run: RunRecord) -> dict[Quantity, float]:
 
 
 def _sweep(report: Report, runs: Sequence[RunRecord], anchor: str) -> Sweep | None:
-    """The sweep of runs that differ in a few numbers.
-
-    Along the one with most values, seeds apart.
-    """
+    """Return the sweep of runs that differ in a few numbers, along the number with most values."""
     values = [_numbers(run) for run in runs]
     common = [quantity for quantity in values[0] if all(quantity in other for other in values)]
     varied = [quantity for quantity in common if len({numbers[quantity] for numbers in values}) > 1]
-    drawn = [quantity for quantity in varied if quantity.name != SEED]
-    if not varied or len(drawn) > _MOST:
+    if not 0 < len(varied) <= _MOST:
         return None
-    axis = max(
-        drawn,
-        key=lambda quantity: len({numbers[quantity] for numbers in values}),
-        default=Quantity(SEED),
-    )
+    axis = max(varied, key=lambda quantity: len({numbers[quantity] for numbers in values}))
     # What goes with the axis, value for value, is told by it: steps and their length, of one
     # horizon.
     along = {numbers[axis] for numbers in values}
-    others = [quantity for quantity in drawn if quantity != axis]
+    others = [quantity for quantity in varied if quantity != axis]
     beside = [
         quantity
         for quantity in others
@@ -197,25 +184,21 @@ def _sweep(report: Report, runs: Sequence[RunRecord], anchor: str) -> Sweep | No
     # An option of many values is swept by pipelines that are named after it; of two, they are two
     # pipelines.
     of_method = axis.name.partition(" ")[0] in {stage.method for stage in runs[0].stages}
-    option = len(drawn) == 1 and of_method and len(along) > _PAIR
-    several = len({_pipeline(run) for run in runs}) > 1 and not option
+    option = len(varied) == 1 and of_method and len(along) > _PAIR
+    several = len({run.pipeline for run in runs}) > 1 and not option
     swept = []
     for run, numbers in zip(runs, values, strict=True):
         told = [
             f"{quantity.name} = {with_unit(number(numbers[quantity]), quantity.unit)}"
             for quantity in beside
         ]
-        curve = ", ".join([_pipeline(run), *told] if several else told) or (
-            run.stages[-1].method if option else _pipeline(run)
+        curve = ", ".join([run.pipeline, *told] if several else told) or (
+            run.stages[-1].method if option else run.pipeline
         )
-        seed = next(
-            (value for quantity, value in numbers.items() if quantity.name == SEED != axis.name),
-            None,
-        )
-        swept.append(SweptRun(run, report.link(run), curve, numbers[axis], seed))
+        swept.append(SweptRun(run, report.link(run), curve, numbers[axis]))
     swept.sort(key=lambda item: (item.curve, item.x))
     if not any(
-        len({(item.x, item.seed) for item in swept if item.curve == curve}) > 1
+        len({item.x for item in swept if item.curve == curve}) > 1
         for curve in {item.curve for item in swept}
     ):
         return None  # other pipelines, not one with other numbers
@@ -242,12 +225,6 @@ def _sweep(report: Report, runs: Sequence[RunRecord], anchor: str) -> Sweep | No
         _conclusion(axis, swept)
         + (" Grids differ: compare integral costs, not sums over steps." if several_grids else ""),
     )
-
-
-def _pipeline(run: RunRecord) -> str:
-    """The pipeline without the seed that a campaign's file gave it."""
-    head, word, tail = run.pipeline.rpartition(f" {SEED} ")
-    return head if word and tail.isdigit() else run.pipeline
 
 
 def _name(names: Sequence[str], axis: Quantity) -> str:
@@ -303,8 +280,7 @@ def _plot(
     for item in swept:
         found = value(item.run)
         if found is not None:
-            seed = "" if item.seed is None else f", seed {item.seed:g}"
-            where = f"{item.run.pipeline} on {item.run.scene.name}: {axis.name} {with_unit(number(item.x), axis.unit)}{seed}"
+            where = f"{item.run.pipeline} on {item.run.scene.name}: {axis.name} {with_unit(number(item.x), axis.unit)}"
             tip = f"{where}, {name} {with_unit(number(found, 4), unit)}, {item.run.verdict}"
             marks.append(Mark(item.curve, item.x, found, tip, item.link, item.run.verdict in HOLD))
     return draw_against(axis, name, unit, marks, styles)
@@ -330,19 +306,16 @@ def keys_of(styles: Mapping[str, Style]) -> list[Key]:
 def draw_against(
     axis: Quantity, name: str, unit: str, marks: Sequence[Mark], styles: Mapping[str, Style]
 ) -> Plot | None:
-    """A metric against a swept number: a line through the medians of each curve, a bar over its marks at one place.
+    """Draw a metric against a swept number, a line for each curve.
 
     Returns
     -------
-    plot : Plot, or None where the metric is the same everywhere, or there are no two places but for
-        seeds
+    plot : Plot, or None if the metric or the swept number is the same for all marks
     """
     if len({mark.y for mark in marks}) < 2 or len({mark.x for mark in marks}) < 2:
         return None
     xs, ys = [mark.x for mark in marks], [mark.y for mark in marks]
-    across = Axis.fitted(
-        axis.name, axis.unit, xs, log=is_wide(xs) and axis.name != SEED, margin=0.06
-    )
+    across = Axis.fitted(axis.name, axis.unit, xs, log=is_wide(xs), margin=0.06)
     plot = Plot(
         f"{capital(name)} against {axis.name}",
         across,
@@ -350,18 +323,11 @@ def draw_against(
     )
     said = []
     for curve, (style, _) in styles.items():
-        mine: dict[float, list[float]] = {}
-        for mark in marks:
-            if mark.curve == curve:
-                mine.setdefault(mark.x, []).append(mark.y)
-        for x, values in mine.items():
-            if len(values) > 1:
-                plot.line(f"{curve}, spread", f"{style} soft", [x, x], [min(values), max(values)])
-        if axis.name != SEED and mine:
-            plot.line(curve, style, sorted(mine), [median(mine[x]) for x in sorted(mine)])
+        mine = sorted((mark.x, mark.y) for mark in marks if mark.curve == curve)
         if mine:
-            ends = [median(mine[x]) for x in (min(mine), max(mine))]
-            said.append(f"{curve}: {number(ends[0], 3)} to {with_unit(number(ends[1], 3), unit)}")
+            plot.line(curve, style, [x for x, _ in mine], [y for _, y in mine])
+            first, last = mine[0][1], mine[-1][1]
+            said.append(f"{curve}: {number(first, 3)} to {with_unit(number(last, 3), unit)}")
     for mark in marks:
         style, marker = styles[mark.curve]
         plot.point(
@@ -373,29 +339,18 @@ def draw_against(
 
 def _conclusion(axis: Quantity, swept: Sequence[SweptRun]) -> str:
     """At which values plans hold."""
-    if axis.name == SEED:
-        held = sum(item.run.verdict in HOLD for item in swept)
-        return f"{held} of {count(len(swept), SEED)} {'holds' if held == 1 else 'hold'}."
     said = []
     for curve in dict.fromkeys(item.curve for item in swept):
-        at: dict[float, list[bool]] = {}
-        for item in swept:
-            if item.curve == curve:
-                at.setdefault(item.x, []).append(item.run.verdict in HOLD)
-        told = [_at(x, axis.unit, held) for x, held in at.items() if any(held)]
+        held = dict.fromkeys(
+            item.x for item in swept if item.curve == curve and item.run.verdict in HOLD
+        )
+        values = [with_unit(number(x), axis.unit) for x in held]
         said.append(
-            f"{curve} holds at {axis.name} = {listing(told)}"
-            if told
+            f"{curve} holds at {axis.name} = {listing(values)}"
+            if values
             else f"{curve} holds at no value of {axis.name}"
         )
     return f"{'; '.join(said)}."
-
-
-def _at(x: float, unit: str, held: Sequence[bool]) -> str:
-    """`0.1 rad (2 of 3 seeds)`."""
-    return with_unit(number(x), unit) + (
-        "" if len(held) == 1 else f" ({sum(held)} of {len(held)} seeds)"
-    )
 
 
 # Metrics that are drawn against eps.

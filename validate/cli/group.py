@@ -30,7 +30,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _COMMANDS = {
     "all": "Run every scene by every pipeline, replay and score each plan, write the report.",
     "plan": "What `all` would run, what is stored already, and why the rest is not.",
-    "run": "Run a campaign of your own: scenes, changes, sweeps, pipelines and seeds from a TOML file.",
+    "run": "Run a campaign of your own: scenes, changes, sweeps and pipelines from a TOML file.",
     "list": "Scenes, pipelines and methods.",
     "show": "One run of a campaign: its stages, verdict, questions, metrics, options, log and the command that runs it again.",
     "report": "Rebuild results.csv and report.html of a campaign from its records.",

@@ -57,7 +57,7 @@ def command(
     as_table: bool,
     **options: Any,
 ) -> int:
-    """Run a campaign of your own: scenes by name or file, with changed and swept numbers, pipelines, eps schedules and seeds."""
+    """Run a campaign of your own: scenes by name or file, with changed and swept numbers, pipelines and eps schedules."""
     if schema:
         data = {
             "$schema": "https://json-schema.org/draft/2020-12/schema",

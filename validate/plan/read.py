@@ -4,9 +4,8 @@ Every mistake of a file is reported at once, with its place.
 
 run_campaign(read_campaign(Path("stiffness.toml"), out=out), narrator)
 
-Pipelines: ours by name, its own as they are spelt out, each once a seed where it draws at random.
-    Scenes: loaded, changed and named, one for each
-combination of swept values.
+Pipelines: ours by name, its own as they are spelt out. Scenes: loaded, changed and named, one for
+each combination of swept values.
 """
 
 from __future__ import annotations
@@ -222,8 +221,7 @@ def _chosen_pipelines(
             mistakes.append(f"pipelines[{place}]: {name!r} stands there twice")
     if mistakes:
         return (), mistakes
-    picked = [own.get(name) or known[name] for name in names]
-    return (tuple(picked), []) if not file.seeds else _seeded(picked, file.seeds, load_method)
+    return tuple(own.get(name) or known[name] for name in names), []
 
 
 def _name_mistakes(name: str, known: Mapping[str, Pipeline]) -> Iterator[str]:
@@ -281,43 +279,6 @@ def _leg(entry: LegEntry) -> Leg:
         schedule=tuple(entry.eps) or (None,),
         options=dict(entry.options),
         stage_options=tuple(dict(options) for options in entry.stage_options),
-    )
-
-
-def _seeded(
-    pipelines: Sequence[Pipeline], seeds: Sequence[int], load_method: Callable[[str], Method]
-) -> tuple[tuple[Pipeline, ...], list[str]]:
-    if not pipelines:
-        return (), ["seeds: name the pipelines that are to be run with them (pipelines = [...])"]
-    if len(set(seeds)) < len(seeds):
-        return (), ["seeds: one of them stands there twice"]
-    found: list[Pipeline] = []
-    mistakes: list[str] = []
-    for pipeline in pipelines:
-        draws = {
-            leg.method for leg in pipeline.legs if hasattr(load_method(leg.method).options, "seed")
-        }
-        for name in sorted(draws):
-            for place, seed in enumerate(seeds):
-                mistakes += _refused(
-                    f"seeds[{place}]", load_method(name).read_options, {"seed": seed}
-                )
-        found += [_with_seed(pipeline, draws, seed) for seed in seeds] if draws else [pipeline]
-    if len(found) == len(pipelines) and not mistakes and found == list(pipelines):
-        mistakes.append("seeds: none of these pipelines draws at random; leave them out")
-    return tuple(found), mistakes
-
-
-def _with_seed(pipeline: Pipeline, draws: set[str], seed: int) -> Pipeline:
-    legs = tuple(
-        replace(leg, options={**leg.options, "seed": seed}) if leg.method in draws else leg
-        for leg in pipeline.legs
-    )
-    return replace(
-        pipeline,
-        name=f"{pipeline.name} seed {seed}",
-        title=f"{pipeline.title}; seed {seed}",
-        legs=legs,
     )
 
 

@@ -182,11 +182,6 @@ class CampaignFile(_Strict):
     pipeline: dict[str, PipelineEntry] = Field(
         default={}, description="Pipelines of one's own, by name."
     )
-    seeds: list[Annotated[int, Field(ge=0)]] = Field(
-        default=[],
-        max_length=1000,
-        description="Each pipeline that draws at random is run once for each of them.",
-    )
     time_limit: float = Field(
         default=240.0, gt=0.0, description="Seconds for each run, all its stages and replays."
     )
@@ -210,7 +205,7 @@ def resolved_text(
     }
     lines = [
         f"# {' '.join(name.split())}, with everything filled in",
-        *_lines(head | ({"seeds": file.seeds} if file.seeds else {})),
+        *_lines(head),
     ]
     for reference in scenes:
         lines += ["", "[[scenes]]", *_lines(_scene(reference))]

@@ -33,15 +33,14 @@ def test_curves_of_a_sweep():
     plot = draw_against(K, "some error", "m", marks, styles)
     assert plot is not None
     assert drawn(plot).lines == {
-        "a, spread": ("c0 soft", [(2.0, 5.0), (2.0, 9.0)]), "a": ("c0", [(1.0, 3.0), (2.0, 6.0)]),
-        "b": ("c1", [(1.0, 4.0)]),
+        "a": ("c0", [(1.0, 3.0), (2.0, 5.0), (2.0, 6.0), (2.0, 9.0)]), "b": ("c1", [(1.0, 4.0)]),
     }  # fmt: skip
     assert drawn(plot).marks[:3] == [
         back.Mark("c0 full", "circle", "first", "to a", (2.0, 5.0)),
         back.Mark("c0", "circle", "second", "", (1.0, 3.0)),
         back.Mark("c1 full", "square", "third", "", (1.0, 4.0)),
     ]  # fmt: skip
-    assert plot.words == "a: 3 to 6 m; b: 4 to 4 m. Filled: the plan holds."
+    assert plot.words == "a: 3 to 9 m; b: 4 to 4 m. Filled: the plan holds."
     assert (plot.title, plot.x.quantity, plot.x.unit, plot.y.quantity, plot.y.unit) == (
         "Some error against k", "k", "N/m", "some error", "m",
     )  # fmt: skip
@@ -64,10 +63,6 @@ def test_wide_ranges_are_logarithmic_and_one_place_or_value_is_no_curve(
     marks = [Mark("a", x, y, "", "", True) for x, y in zip(xs, ys, strict=True)]
     plot = draw_against(K, "cost", "", marks, styles_of(["a"]))
     assert (plot and (plot.x.log, plot.y.log)) == logs
-    seeds = draw_against(Quantity("seed"), "cost", "", marks, styles_of(["a"]))
-    assert (seeds and seeds.x.log) in (False, None)
-    if seeds is not None:
-        assert drawn(seeds).lines == {}
 
 
 def test_styles_and_keys():
@@ -122,9 +117,9 @@ def test_every_metric_of_a_sweep_is_drawn_in_its_unit():
     )
     assert not unsaid(section.said, "1 sweep: k on hill")
     (sweep,) = section.values["sweeps"]
-    assert [(item.run.key, item.link, item.curve, item.x, item.seed) for item in sweep.runs] == [
-        ("a-1", "pages/a-1.html", "a", 1.0, None), ("a-2", "pages/a-2.html", "a", 2.0, None),
-        ("a-4", "pages/a-4.html", "a", 4.0, None),
+    assert [(item.run.key, item.link, item.curve, item.x) for item in sweep.runs] == [
+        ("a-1", "pages/a-1.html", "a", 1.0), ("a-2", "pages/a-2.html", "a", 2.0),
+        ("a-4", "pages/a-4.html", "a", 4.0),
     ]  # fmt: skip
     assert sweep.words == "a holds at k = 2 N/m and 4 N/m."
     cost, error, position, velocity, cpu = sweep.first
@@ -425,35 +420,6 @@ def marks(plot) -> list[tuple[float, float]]:
             r'<circle cx="([\d.]+)" cy="([\d.]+)"', str(plot.markup(hidden=False))
         )
     ]
-
-
-def test_seeds_are_a_spread_about_their_median(factory):
-    where = scene(factory, "bank")
-    runs = [
-        run(factory, f"draws seed {seed}", where, cost, seed=seed)
-        for seed, cost in enumerate((480.0, 500.0, 610.0))
-    ]
-    far = [
-        run(
-            factory,
-            f"draws seed {seed}",
-            scene(factory, "bank_k_60", k=60.0),
-            cost,
-            "holds" if seed else "violates",
-            seed=seed,
-        )
-        for seed, cost in enumerate((700.0, 710.0, 720.0))
-    ]
-    (sweep,) = found(*runs, *far)
-    assert sweep.axis.name == "k"
-    assert {item.curve for item in sweep.runs} == {"draws"}
-    assert not unsaid(sweep.words, "k = 30 N/m (3 of 3 seeds) and 60 N/m (2 of 3 seeds).")
-    cost = sweep.first[0]
-    assert cost.words.startswith("draws: 5 to 7.1"), "medians times 0.01 s"
-    drawn = str(cost.markup(hidden=False))
-    assert drawn.count("draws, spread") == 2
-    (alone,) = found(*runs)
-    assert (alone.axis.name, alone.words) == ("seed", "3 of 3 seeds hold.")
 
 
 def test_two_swept_numbers_are_curves_over_the_one_with_more_values(factory):

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 from wording import unsaid
 
-from formulations.pipelines import find_pipeline, stage_plan
 from models.catalog import load_scene
 from validate.plan.read import GIVEN, RESOLVED, ConfigError, read_campaign
 from validate.plan.runs import CampaignSettings, select
@@ -19,7 +18,6 @@ WRONG = """
 titel = "x"
 time_limit = -3
 pipelines = ["strct", "mine", "strict", "strict"]
-seeds = [1.5]
 [[scenes]]
 scene = "three_kart"
 [[scenes]]
@@ -44,7 +42,6 @@ stage_options = [{}, {}]
 TOLD = {
     "titel": "did you mean title?", "time_limit": "it is -3, but must be above 0",
     "pipelines[0]": "did you mean strict?", "pipelines[3]": "stands there twice",
-    "seeds[0]": "it is 1.5, but must be a whole number",
     "scenes[0].scene": "did you mean three_cart?", "scenes[1].parameters.kk": "did you mean k?",
     "scenes[1].parameters.d": "-1 m lies outside its range",
     "scenes[1].parameters.c[0]": "it is 'a', but must be a number",
@@ -116,8 +113,6 @@ def test_on_the_command_line_each_is_a_line_and_the_exit_code_is_2(cli, tmp_path
             'scenes = [{ scene = "three_cart", parameters = { k = true } }]',
             "it is True, but must be a number",
         ),
-        ('scenes = ["three_cart"]\nseeds = [1]', "name the pipelines"),
-        ('scenes = ["three_cart"]\nseeds = [1]\npipelines = ["strict"]', "draws at random"),
         (
             'scenes = ["three_cart"]\n[pipeline.strict]\nlegs = [{ method = "strict_lcp" }]',
             "it is a pipeline of ours",
@@ -228,22 +223,6 @@ def test_what_is_not_changed_has_the_key_that_all_gives_it(tmp_path):
     }
 
 
-def test_a_pipeline_that_draws_runs_once_a_seed(tmp_path):
-    campaign = read(
-        tmp_path,
-        'scenes = ["three_cart"]\npipelines = ["strict", "randomised_smoothing"]\nseeds = [3, 5]',
-    )
-    names = [pipeline.name for pipeline in campaign.pipelines]
-    assert names == ["strict", "randomised_smoothing seed 3", "randomised_smoothing seed 5"]
-    assert [
-        options["seed"]
-        for leg, _, options in stage_plan(campaign.pipelines[2])
-        if leg.method == "randomised_smoothing"
-    ] == [5, 5, 5]
-    assert len(set(keys(campaign).values())) == 3
-    assert "seed" not in find_pipeline("randomised_smoothing").legs[0].options
-
-
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_the_resolved_file_gives_the_same_cells(path: Path, tmp_path):
     campaign = read_campaign(path)
@@ -304,7 +283,6 @@ def test_what_is_stored_is_used_again_and_what_is_changed_is_not(cli, tmp_path):
     [
         ("stiffness", "=three_cart_k_120_steps_250"),
         ("schedules", '="in one leap"'),
-        ("seeds", "0p1 and seed and 2"),
     ],
 )
 def test_a_cell_of_each_example_runs(cli, tmp_path, name, words):

@@ -30,7 +30,7 @@ SCENE = {
 }  # fmt: skip
 CAMPAIGN = {
     "title": "t", "scenes": [SCENE], "pipelines": ["own"],
-    "pipeline": {"own": {"title": "t", "legs": [LEG]}}, "seeds": [], "time_limit": 5.0,
+    "pipeline": {"own": {"title": "t", "legs": [LEG]}}, "time_limit": 5.0,
     "checks": False,
 }  # fmt: skip
 SIGNAL = {"variable": "a", "scale": 1.0, "offset": 0.0, "unit": "N"}
