@@ -27,7 +27,7 @@ from models.fmu import build_fmu
 from models.scene import Scene
 from models.scene.goal import distance, goal_state, miss
 from models.scene.parts import goal_limits
-from models.trajectory import Trajectory
+from models.trajectory import Trajectory, uniform_grid
 from validate.judge.judgement import judge
 from validate.judge.score import score
 
@@ -177,16 +177,30 @@ def test_it_starts_from_the_plan_of_any_other(name: str) -> None:
         ), other
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ALL)
-def test_it_refuses_a_plan_that_does_not_fit(name: str) -> None:
-    scene = scene_for(name)
-    plan = first(name, scene).trajectory
-    shorter = Trajectory(
-        t=plan.t[:-1], q=plan.q[:-1], v=plan.v[:-1], u=plan.u[:-1], lam=plan.lam[:-1]
+def resting(scene: Scene) -> Trajectory:
+    """A plan of the scene's shape, with zeros in it."""
+    steps = scene.task.steps
+    return Trajectory(
+        t=uniform_grid(scene.task.step, steps),
+        q=np.zeros((steps + 1, scene.nq)),
+        v=np.zeros((steps + 1, scene.nq)),
+        u=np.zeros((steps, scene.nu)),
+        lam=np.zeros((steps, scene.nl)),
     )
-    with pytest.raises(TrajectoryError, match="steps"):
-        solved(load_method(name), scene, shorter)
+
+
+@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("other", ["length", "scene"])
+def test_it_refuses_a_plan_that_does_not_fit(name: str, other: str) -> None:
+    scene = scene_for(name)
+    task = scene.task
+    if other == "length":
+        plan, word = resting(scene.with_task(steps=task.steps - 1)), "steps"
+    else:
+        elsewhere = load_scene("cart_pole_walls").with_task(step=task.step, steps=task.steps)
+        plan, word = resting(elsewhere), "columns"
+    with pytest.raises(TrajectoryError, match=word):
+        solved(load_method(name), scene, plan)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -394,6 +394,17 @@ def test_shapes_are_checked(plan: Trajectory, changes: dict, word: str):
         replace(plan, **changes)
 
 
+@pytest.mark.parametrize("field", ["t", "q", "v", "u", "lam"])
+def test_a_value_not_finite_or_a_field_too_short_is_refused_by_name(plan: Trajectory, field: str):
+    for value in (np.nan, np.inf):
+        spoiled = np.array(getattr(plan, field))
+        spoiled[3] = value
+        with pytest.raises(TrajectoryError, match=rf"{field}\[3(, 0)?\] is {value}"):
+            replace(plan, **{field: spoiled})
+    with pytest.raises(TrajectoryError, match="q has shape" if field == "t" else f"{field} has"):
+        replace(plan, **{field: getattr(plan, field)[:-1]})
+
+
 def test_hold_and_scheme_may_be_text(plan: Trajectory):
     assert replace(plan, scheme="radau_iia_2").scheme is Scheme.RADAU_IIA_2
     assert replace(plan, hold="linear").hold is Hold.LINEAR

@@ -1,5 +1,6 @@
 """The compiled functions and their derivatives, of damped contacts too: against the scene's own SymPy equations, evaluated by numpy, the rollout against a loop over them, finite differences, and physics."""
 
+import math
 from functools import cache
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from example_scenes import example_scene
 
 from models.catalog import load_scene
 from models.codegen.kernel import Kernel, KernelError, Rollout, load_kernel
-from models.contact_law import ContactLaw, contact_force
+from models.contact_law import ContactLaw, RelaxationError, contact_force
 from models.dynamics import derive
 from models.scene import Scene
 from tests.models.test_scene_bank import points
@@ -66,6 +67,40 @@ def test_contact_force_is_the_law_of_the_penetration_even_far_away(
     )
     expected = contact_force(kernel.penetration(q), kernel.stiffness(), law, eps)
     assert kernel.contact_force(q, law, eps) == pytest.approx(expected, rel=1e-13, abs=1e-300)
+
+
+# At eps = 1e-300 the sharpness is 691, so that exp(b phi) of 1e4 m would be e^(6.9e6).
+DEPTHS = np.array([-1e4, -10.0, -1.0, -1e-3, 0.0, 1e-3, 1.0, 10.0, 1e4])
+
+
+def left_contact_at(depths: np.ndarray) -> np.ndarray:
+    """Positions of the three carts with these depths of the left contact, phi = d - (q2 - q1)."""
+    return np.column_stack([depths - 0.5, np.zeros_like(depths), np.full_like(depths, 2e4)])
+
+
+@pytest.mark.parametrize("eps", [1e-300, 1e-16, 1e-3, 0.999])
+def test_softplus_with_extreme_eps_is_finite(eps: float):
+    """Forces over 20 km of depth, a rollout and its adjoint."""
+    kernel = kernel_of("three_cart")
+    force = kernel.contact_force(left_contact_at(DEPTHS), ContactLaw.SOFTPLUS, eps)[:, 0]
+    assert force == pytest.approx(
+        contact_force(DEPTHS, 30.0, ContactLaw.SOFTPLUS, eps), rel=1e-13, abs=1e-43
+    )
+    assert (force >= 0.0).all()
+    assert (np.diff(force) >= 0.0).all()
+    u = np.tile([5.0, -5.0], (200, 1))
+    plan = kernel.rollout(np.array(kernel.scene.task.start), u, 0.01, ContactLaw.SOFTPLUS, eps)
+    assert not plan.diverged
+    for gradient in kernel.adjoint(
+        plan, np.zeros((200, 2)), np.ones_like(plan.q), np.ones_like(plan.v)
+    ):
+        assert np.isfinite(gradient).all()
+
+
+@pytest.mark.parametrize("eps", [1.0, 1.5, 0.0, -1e-3, math.nan, math.inf])
+def test_softplus_with_meaningless_eps_is_refused(eps: float):
+    with pytest.raises(RelaxationError, match="eps"):
+        kernel_of("three_cart").contact_force(left_contact_at(DEPTHS), ContactLaw.SOFTPLUS, eps)
 
 
 @pytest.mark.parametrize("name", NAMES)

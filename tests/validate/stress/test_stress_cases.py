@@ -104,7 +104,7 @@ def test_a_case_says_what_it_depends_on(name: str):
 
 
 def test_all_rows_are_there_once_and_offered_to_a_campaign():
-    assert [int(name[1:3]) for name in NAMES] == list(range(1, 22))
+    assert [int(name[1:3]) for name in NAMES] == sorted({*range(1, 22)} - {13, 15, 20})
     offered = checks(())
     assert [item.name for item in offered] == [heading(name) for name in NAMES]
     assert 0 < sum(item.quick for item in offered) < len(offered)
@@ -176,7 +176,7 @@ def test_a_refusal_is_one_sentence_that_names_what_is_wrong(act, wrong: str | No
 @pytest.fixture(scope="module")
 def campaign(cli, tmp_path_factory):
     out = tmp_path_factory.mktemp("hard")
-    return out, cli("all", "-k", "h13 or h12", "--out", str(out))
+    return out, cli("all", "-k", "h04 or h12", "--out", str(out))
 
 
 @pytest.mark.slow
@@ -185,7 +185,7 @@ def test_the_cases_are_run_and_pass(campaign):
     assert done.returncode == 0, done.stderr
     assert "stress case: 2 of 2 checks passed" in done.stdout
     records = [json.loads(path.read_text()) for path in out.glob("runs/*/record.json")]
-    assert sorted(record["name"][:2] for record in records) == ["12", "13"]
+    assert sorted(record["name"][:2] for record in records) == ["04", "12"]
     assert all(record["passed"] and record["figures"] for record in records)
 
 
@@ -200,14 +200,14 @@ def test_the_report_has_their_rows(campaign):
 @pytest.mark.slow
 def test_they_are_used_again(campaign, cli):
     out, _ = campaign
-    again = cli("all", "-k", "h13 or h12", "--out", str(out))
+    again = cli("all", "-k", "h04 or h12", "--out", str(out))
     assert again.returncode == 0
     assert "2 stored, 0 to run" in again.stderr
 
 
 @pytest.mark.slow
 def test_a_quick_campaign_says_that_it_leaves_cases_out(campaign, cli):
-    done = cli("all", "--quick", "-k", "h13 or h03", "--out", str(campaign[0]))
+    done = cli("all", "--quick", "-k", "h12 or h03", "--out", str(campaign[0]))
     assert "left out by --quick: stress case: 03 Mass ratio 1e-4 .. 1e4" in done.stdout
 
 

@@ -13,7 +13,7 @@ from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
-from models.trajectory import Hold, Trajectory
+from models.trajectory import Hold
 from validate.stress import motion
 from validate.stress.cases import (
     h01_stiffness,
@@ -28,14 +28,11 @@ from validate.stress.cases import (
     h10_out_of_reach,
     h11_overlap,
     h12_biactive,
-    h13_b_stationary,
     h14_creep,
-    h15_softplus_eps,
     h16_units,
     h17_front,
     h18_hold,
     h19_chatter,
-    h20_warm_starts,
     h21_float32,
 )
 
@@ -134,13 +131,14 @@ def test_coincident_centres_without_a_direction(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", [h12_biactive, h13_b_stationary])
-def test_a_certificate_that_finds_all_points_strongly_stationary(monkeypatch, case):
-    certify = case.certify
+def test_a_certificate_that_finds_all_points_strongly_stationary(monkeypatch):
+    certify = h12_biactive.certify
     monkeypatch.setattr(
-        case, "certify", lambda *a, **o: replace(certify(*a, **o), stationarity=Stationarity.STRONG)
+        h12_biactive,
+        "certify",
+        lambda *a, **o: replace(certify(*a, **o), stationarity=Stationarity.STRONG),
     )
-    assert broken(case.measure())
+    assert broken(h12_biactive.measure())
 
 
 @pytest.mark.slow
@@ -154,24 +152,6 @@ def test_stiction_that_creeps(monkeypatch):
         lambda scene, **given: rolled(scene, **{**given, "law": ContactLaw.SOFTPLUS, "eps": 1e-3}),
     )
     assert "must stick" in broken(h14_creep.measure())
-
-
-def test_an_eps_above_one_that_is_taken(monkeypatch):
-    monkeypatch.setattr(
-        "models.codegen.kernel.sharpness",
-        lambda eps, length: abs(math.log(abs(eps))) / length if eps else 1.0 / length,
-    )
-    finding = h15_softplus_eps.measure()
-    assert "accepted nonsense inputs" in broken(finding)
-    assert "1.5 for the compiled law is taken" in next(
-        figure.meaning for figure in finding.figures if figure.ok is False
-    )
-
-
-def test_a_plan_that_takes_anything(monkeypatch):
-    monkeypatch.setattr(h20_warm_starts, "METHODS", {})
-    monkeypatch.setattr(Trajectory, "__post_init__", lambda self: None)
-    assert "refused" in broken(h20_warm_starts.measure())
 
 
 def changed(monkeypatch, case, change):
