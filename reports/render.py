@@ -36,7 +36,6 @@ from reports import wording
 from reports.pages import (
     campaign,
     checks,
-    errata,
     overview,
     pareto,
     robustness,
@@ -45,6 +44,7 @@ from reports.pages import (
     simulators,
     sweeps,
     table1,
+    violation,
 )
 from reports.pages.section import PAGES, REPORT, Report, Section, run_page, scene_page
 from reports.records.check_record import CheckRecord
@@ -65,6 +65,7 @@ _OF_SCENE = (
     pareto.ends,
     pareto.within_tolerance,
     sweeps.tightening,
+    violation.build,
     scene.model,
 )
 # The other pages by the names of their files, which the first section of each has for its anchor.
@@ -75,7 +76,6 @@ _OTHERS = {
     "sweeps": (sweeps.build,),
     "stress-cases": (checks.stress_cases,),
     "fmus": (checks.fmus,),
-    "errata": (errata.build, errata.violation),
     "time-spent": (campaign.time_spent,),
     "provenance": (campaign.provenance,),
 }

@@ -218,7 +218,7 @@ def _physics(rows: list[Row]) -> list[str]:
     nonzero = [row for row in descended if row.metric("physics") != 0]
     if not nonzero:
         return [
-            "The physics of every plan of ReLU gradient descent is exactly 0, as it must be when force and penetration have the same time index (erratum 5)."
+            "The physics of every plan of ReLU gradient descent is exactly 0, as it must be when force and penetration have the same time index."
         ]
     parts = [f"{row.label}: {error(row.metric('physics'))}" for row in nonzero]
     return [

@@ -564,7 +564,6 @@ def test_no_page_complains_asks_or_scrolls_sideways(chromium, pages, width):
         "report",
         "runs",
         "simulators",
-        "errata",
         "provenance",
         "scene-three_cart",
     }

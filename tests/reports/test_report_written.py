@@ -59,7 +59,6 @@ def test_every_link_leads_to_an_anchor_of_a_page(full_folder):
         "report",
         "runs",
         "simulators",
-        "errata",
         "provenance",
         "scene-three_cart",
         "strict-0123456789abcdef",

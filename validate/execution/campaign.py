@@ -28,6 +28,7 @@ from models.scene.text import scene_text
 from models.stability import step_stability
 from reports.findings import three_findings
 from reports.pages.section import PAGES, REPORT
+from reports.paper import SCENE
 from reports.records.check_record import CheckRecord, divided
 from reports.records.load import collected
 from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, TimeStepRecord
@@ -230,10 +231,9 @@ def _campaign(
         )
         named = {item.scene for item in steps}
         steps = (*(item for item in earlier.time_steps if item.scene not in named), *steps)
-    if (
-        not violation
-    ):  # what relaxations do to contact physics, on the first scene that has contacts
-        violation = next((measure(scene) for scene in scenes_of(entries).values() if scene.nc), ())
+    papers = scenes_of(entries).get(SCENE)
+    if papers is not None and not violation:
+        violation = measure(papers)
     return CampaignRecord(
         title=title,
         command=command,

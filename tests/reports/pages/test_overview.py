@@ -36,7 +36,7 @@ def test_each_page_is_told_in_a_sentence_with_its_figure(folder):
         re.findall(r'<dt><a href="pages/([\w-]+)\.html">[^<]*</a></dt><dd>(.*?)</dd>', index)
     )
     assert list(told) == [name for name in _OTHERS if name in told], "in the order of the table"
-    assert told.keys() >= {"runs", "errata", "time-spent", "provenance"}
+    assert told.keys() >= {"runs", "time-spent", "provenance"}
     assert not unsaid(told["runs"], "3 runs … 2 of which hold")
     assert "replaying (75 %)" in told["time-spent"]
     assert "none of 3 runs come from elsewhere" in told["provenance"]

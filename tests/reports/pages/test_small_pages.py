@@ -1,11 +1,11 @@
-"""Pages of one table or one sentence: errata, FMUs, provenance, starts, sizes, seconds, the index, a scene's time step."""
+"""Pages of one table or one sentence: FMUs, provenance, starts, sizes, seconds, the index, a scene's time step."""
 
 import re
 
 import pytest
 from wording import unsaid
 
-from reports.pages import campaign, checks, errata, overview, scene, section
+from reports.pages import campaign, checks, overview, scene, section
 from reports.pages import run as one_run
 from reports.pages.section import Report
 from reports.records.check_record import CheckRecord
@@ -16,12 +16,11 @@ from reports.records.record import (
     SizeRecord,
     StartRecord,
     TimeStepRecord,
-    ViolationPoint,
 )
 from reports.render import Templates
 from tests.reports import record_factory as factory
-from tests.reports.drawn import Mark, drawn
-from tests.reports.record_factory import judged, ran
+from tests.reports.drawn import drawn
+from tests.reports.record_factory import ran
 
 
 def report(
@@ -110,59 +109,6 @@ def test_no_start_or_none_that_was_solved():
         [],
         2,
     )
-
-
-def points() -> tuple[ViolationPoint, ...]:
-    told = [
-        ("softplus", 1.0, 9.0, 0.0), ("softplus", 0.1, 4.0, 2.0), ("softplus", 0.01, 1.0, 1.25),
-        ("relaxed_lcp", 0.01, 0.011, 0.01),
-        ("other", 0.5, 0.25, 0.5), ("softplus", 0.0, 1.0, 1.0),
-    ]  # fmt: skip
-    return tuple(
-        ViolationPoint(law=law, eps=eps, measured=measured, closed_form=form)
-        for law, eps, measured, form in told
-    )
-
-
-def test_the_worst_violation_is_drawn_against_eps():
-    found = errata.violation(report(violation=points()))
-    plot = found.values["plot"]
-    assert drawn(plot).lines == {
-        "softplus, closed form": ("c0 soft", [(0.01, 1.25), (0.1, 2.0), (1.0, 1e-200)]),
-        "relaxed LCP, closed form": ("c1 soft", [(0.01, 0.01)]),
-        "other, closed form": ("c2 soft", [(0.5, 0.5)]),
-    }  # fmt: skip
-    assert drawn(plot).marks == [
-        Mark("c0", "circle", "softplus, ε = 10⁻²: D = 1 N²", "", (0.01, 1.0)),
-        Mark("c0", "circle", "softplus, ε = 10⁻¹: D = 4 N²", "", (0.1, 4.0)),
-        Mark("c0", "circle", "softplus, ε = 1: D = 9 N²", "", (1.0, 9.0)),
-        Mark("c1", "square", "relaxed LCP, ε = 10⁻²: D = 0.011 N²", "", (0.01, 0.011)),
-        Mark("c2", "diamond", "other, ε = 0.5: D = 0.25 N²", "", (0.5, 0.25)),
-    ]  # fmt: skip
-    assert found.values["worst"] == [
-        ("softplus", 3, 9.0),
-        ("relaxed LCP", 1, pytest.approx(0.1)),
-        ("other", 1, pytest.approx(0.5)),
-    ]
-    assert [(name, formula, len(mine)) for name, formula, mine in found.values["laws"]] == [
-        ("softplus", "D = (k L ln 2 / ln ε)²", 3), ("relaxed LCP", "D = ε", 1),
-        ("other", "closed form", 1),
-    ]  # fmt: skip
-    assert plot.words.startswith(
-        "softplus: D falls from 9.0 N² at ε = 1 to 1.0 N² at ε = 10⁻². relaxed LCP: D falls from 0.011 N² at ε = 10⁻² to 0.011"
-    )
-    assert found.values["force"] == pytest.approx(2.0**0.5 * 2.302585093 / 0.6931471806), (
-        "at eps = 0.1, the first that is not 1"
-    )
-    assert [(key.style, key.marker) for key in plot.keys][:2] == [("c0 soft", ""), ("c0", "circle")]
-    assert (plot.x.log, plot.y.log, plot.width, plot.height, plot.x.quantity, plot.y.quantity,
-            plot.y.unit) == (
-        True, True, 720, 360, "ε", "worst violation D", "N²",
-    )  # fmt: skip
-    assert ("c0", "softplus: D = (k L ln 2 / ln ε)²") in drawn(plot).tags
-    assert errata.violation(report()) is None
-    assert errata.violation(report(violation=points()[-1:])) is None
-    assert errata.violation(report(violation=points()[3:4])).values["force"] is None
 
 
 def profiled(name: str, wall: float, **phases: float) -> RunRecord:
@@ -383,63 +329,6 @@ def test_what_was_known_of_a_time_step(changes: dict, said: str):
     assert not unsaid(found, said)
     assert bool(said) == bool(found)
     assert scene.time_step(report(), "bank") == ""
-
-
-def warm(name: str, own: float, before: float | None, total: float) -> RunRecord:
-    run = factory.run(name, "softplus_dc", "strict_lcp")
-    *first, last = run.stages
-    first = [
-        stage.model_copy(update={"paper": {"time": before} if before is not None else {}})
-        for stage in first
-    ]
-    last = last.model_copy(
-        update={
-            "paper": {"time": own},
-            "options": {"of": name},
-            "seconds": last.seconds.model_copy(update={"stage": 0.25, "total": total}),
-        }
-    )
-    return run.model_copy(
-        update={
-            "pipeline": name,
-            "key": name,
-            "stages": (
-                *(stage.model_copy(update={"options": {"of": name}}) for stage in first),
-                last,
-            ),
-        }
-    )
-
-
-def test_the_most_flattered_row_is_the_one_whose_clock_leaves_most_out():
-    found = errata.build(
-        report(
-            warm("a", 10.0, 5.0, 4.0),
-            warm("b", 1.0, 2.0, 5.0),
-            warm("c", 2.0, None, 6.0),
-            warm("d", 3.0, 2.0, 7.0),
-        )
-    )
-    assert not unsaid(
-        found.values["clock"],
-        "strict_lcp after softplus_dc: 1.00 s as printed, 7.00 s … here 0.25 s and 5.00 s.",
-    )
-    assert errata.build(report(warm("c", 2.0, None, 6.0))).values["clock"] == ""
-    assert errata.build(report(ran("one", of=factory.scene("hill")))) is None
-
-
-def test_what_the_records_show_of_the_errata():
-    told = report(ran("relu_gd", judged("physics", 0.0), paper={"cost": 1.0}), violation=points())
-    values = errata.build(told).values
-    assert not unsaid(values["closed_form"], "3 values of ε: … 1.0.")
-    assert values["physics"] == "Here it is exactly 0 of relu_gd."
-    odd = report(
-        ran("relu_gd", judged("physics", 0.5), paper={"cost": 1.0}),
-        ran("other", judged("physics", 0.25)),
-    )
-    assert errata.build(odd).values["physics"] == "Here: 0.5 of relu_gd."
-    assert errata.build(odd).values["closed_form"] == ""
-    assert errata.build(report(ran("other", paper={"cost": 1.0}))).values["physics"] == ""
 
 
 DIGEST = "0123456789abcdef" * 4

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from wording import unsaid
 
-from reports.pages import errata, sweeps, table1
+from reports.pages import sweeps, table1
 from reports.pages.section import Report
 from reports.paper import SCENE, TABLE_1, TIGHTENING_FIGURES
 from reports.records.load import Stored
@@ -372,7 +372,7 @@ def test_a_scene_of_ones_own_that_is_called_as_the_papers_has_no_table_1():
     """The paper's numbers stand beside the stages on the catalog's scene alone."""
     own = report(ran("a"))
     assert own.scenes[0].name == SCENE
-    assert (table1.build(own), errata.build(own)) == (None, None)
+    assert table1.build(own) is None
     section = table1.of_scene(replace(own, single=True), own.scenes[0])
     assert (section.title, section.values["beside"], section.values["lacks"]) == (
         "All methods on three_cart",

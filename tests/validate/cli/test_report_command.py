@@ -66,7 +66,6 @@ def test_pages_or_one_file(folder: Path):
             "scene-three_cart.html",
             "runs.html",
             "robustness.html",
-            "errata.html",
             "time-spent.html",
             "provenance.html",
         ),
