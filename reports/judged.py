@@ -332,12 +332,7 @@ def by_cause(runs: Iterable[RunRecord]) -> list[tuple[Cause, list[RunRecord]]]:
 
 # Options of a campaign that say where its scenes and methods come from and how long they have; and
 # others that take a word.
-_KEPT = (
-    "--scene",
-    "--plugin",
-    "--tools",
-    "--time-limit",
-)  # --tools: in records from before it was called --plugin
+_KEPT = ("--scene", "--plugin", "--time-limit")
 _WITH_A_WORD = (*_KEPT, "-k", "-j", "--jobs", "--out", "--retry", "--engine")
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import InitVar, dataclass
+from dataclasses import dataclass
 
 import sympy as sp
 
@@ -41,16 +41,11 @@ class Limit:
         (validate.judge.score.table), which takes a reason too.
     """
 
-    metric: str = ""
+    metric: str
     value: float | None
     reason: str
-    figure: InitVar[str | None] = None  # what `metric` was called up to version 0.1
 
-    def __post_init__(self, figure: str | None) -> None:
-        if figure is not None:
-            raise SceneError(
-                f"limit on {figure}: figure= is now called metric=; write Limit(metric={figure!r}, value=.., reason=..)."
-            )
+    def __post_init__(self) -> None:
         check_text("limit: metric", self.metric)
         check_text(f"limit on {self.metric}: reason", self.reason, empty=self.value is not None)
         if self.value is None:

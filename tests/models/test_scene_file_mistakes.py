@@ -205,12 +205,7 @@ MISTAKES = {
         'value=None, reason=""',
         ["limit on defect: reason", "words"],
     ),
-    "a limit of old": (
-        'metric="defect"',
-        'figure="defect"',
-        ["figure= is now called metric=; write Limit(metric='defect', value=.., reason=..)."],
-    ),
-    "a contact of old": (
+    "a contact without bodies and depth": (
         'bodies=("mass", "wall"), penetration=x - 1, stiffness=k, depth=0.2, depth_reason="a spring"',
         "penetration=x - 1, stiffness=k",
         [

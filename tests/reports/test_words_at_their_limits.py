@@ -428,8 +428,8 @@ def test_metrics_that_belong_to_no_question_are_shown_last():
             "python -m validate all --scene a.py --scene=b --time-limit 60 mine.toml",
         ),
         (
-            "python -m validate run mine.toml --jobs 3 --retry all --plugin p --tools t",
-            "python -m validate run mine.toml --plugin p --tools t",
+            "python -m validate run mine.toml --jobs 3 --retry all --plugin p",
+            "python -m validate run mine.toml --plugin p",
         ),
         ("python -m validate report x", None),
         ("python -m other all x", None),

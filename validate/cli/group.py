@@ -42,7 +42,6 @@ _COMMANDS = {
     "reference": "Simulate any FMU with error bars, as a reference for others.",
     "doctor": "Try what this machine can do, and say how to mend what it cannot.",
 }
-_RENAMED = {"--tools": "--plugin"}
 _EPILOG = """\b
 Examples:
   python -m validate all --quick
@@ -224,8 +223,6 @@ def _say(sentence: str, code: int) -> int:
 
 
 def _sentence(error: click.ClickException) -> str:
-    if isinstance(error, click.NoSuchOption) and error.option_name in _RENAMED:
-        return f"{error.option_name} is called {_RENAMED[error.option_name]} now."
     text = error.format_message()
     if (
         isinstance(error, click.UsageError)

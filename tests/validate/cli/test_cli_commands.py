@@ -142,7 +142,6 @@ def test_a_command_imports_what_it_needs(cli_environment, tmp_path, arguments, s
         (("all", *FAKES, "--lf", "--out", "nowhere/at_all"), "no campaign in this folder"),
         (("all", "--retry", "-1"), "-1 is not in the range"),
         (("all", "--quik"), "Did you mean '--quick'?"),
-        (("all", "--tools", "campaign_fakes:PLUGIN"), "--tools is called --plugin now."),
         (("all", "-j", "0"), "0 is not in the range x>=1"),
         (("all", "-j", "two"), "'two' is not a valid integer"),
         (("all", "--time-limit", "-1"), "not in the range x>0"),
