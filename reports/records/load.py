@@ -7,6 +7,8 @@ stored = load(Path("runs/all"));  stored.campaign, stored.runs, stored.unreadabl
 
 from __future__ import annotations
 
+import contextlib
+import json
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -27,6 +29,7 @@ from reports.records.record import (
 )
 from reports.wording import clean
 
+CAMPAIGN = "campaign.json"
 # A record holds numbers: 64 MB is ten times the largest thinkable one, and what is larger is not a
 # record.
 LARGEST_BYTES = 64 * 1024 * 1024
@@ -45,8 +48,6 @@ def record_files(folder: Path) -> list[Path]:
     )
     return [path / "record.json" for path in folders]
 
-
-_ANOTHER_SCHEMA = f"it is of another version's record schema (this one reads {SCHEMA_VERSION}), which holds other things; run it again."
 
 _Record = TypeVar("_Record", bound=BaseModel)
 
@@ -97,15 +98,17 @@ class Stored:
 def load(folder: Path) -> Stored:
     """Everything readable in the folder, in the campaign's order.
 
-    Raises ReportError if there is no such folder.
+    Raises ReportError if there is no such folder, or another version of touchstone wrote it.
     """
     if not folder.is_dir():
         raise ReportError(
             f"{folder}: there is no such folder; give the folder of a campaign (it holds campaign.json and runs/)."
         )
+    if sentence := other_version(folder):
+        raise ReportError(sentence)
     unreadable: list[Unreadable] = []
     campaign = read_record(
-        folder / "campaign.json", folder, CampaignRecord.model_validate_json, unreadable
+        folder / CAMPAIGN, folder, CampaignRecord.model_validate_json, unreadable
     )
     simulators = None
     if (folder / SIMULATORS).exists():
@@ -136,27 +139,30 @@ def load(folder: Path) -> Stored:
         )
     keys = list(dict.fromkeys(campaign.keys))
     runs, checks = divided(found[key] for key in keys if key in found)
-    # What another version left here is of another campaign: this one lists what it has run itself.
-    named = {f"runs/{key}/record.json" for key in keys}
-    earlier = [
-        item
-        for item in unreadable
-        if item.sentence == _ANOTHER_SCHEMA
-        and item.path.startswith("runs/")
-        and item.path not in named
-    ]
-    unreadable = [item for item in unreadable if item not in earlier]
     broken = {Path(item.path).parent.name for item in unreadable}
     return Stored(
         campaign=campaign,
         runs=collected(runs),
         unreadable=tuple(unreadable),
         missing=tuple(clean(key) for key in keys if key not in found and clean(key) not in broken),
-        foreign=len(set(found) - set(keys)) + len(earlier),
+        foreign=len(set(found) - set(keys)),
         checks=checks,
         parts=grouped(runs),
         simulators=simulators,
     )
+
+
+def other_version(folder: Path) -> str:
+    """Return why a folder is refused if another version of touchstone recorded its campaign, else nothing."""
+    content = None
+    with contextlib.suppress(OSError, ValueError, RecursionError, ReportError):
+        content = json.loads(_text(folder / CAMPAIGN))
+    if (
+        not isinstance(content, dict)
+        or content.get("schema_version", SCHEMA_VERSION) == SCHEMA_VERSION
+    ):
+        return ""
+    return f"{folder}: this store was written by another version of touchstone; use another --out folder or delete it."
 
 
 def read_record(
@@ -196,8 +202,6 @@ def _validation_sentence(problem: ValidationError) -> str:
     place = ".".join(str(part) for part in first["loc"])[:120]
     if first["type"] == "json_invalid":
         return f"it is not complete JSON ({first['msg']}); the file was cut short or edited: run it again."
-    if first["loc"][-1:] == ("schema_version",):
-        return _ANOTHER_SCHEMA
     where = f"at {place}: " if place else ""
     others = f", and {more} more" if more else ""
     return f"it does not follow record schema {SCHEMA_VERSION} ({where}{first['msg']}{others}); written by another version, or edited: run it again."

@@ -88,9 +88,8 @@ def stage_files(index: int, stages: int) -> dict[str, str]:
     return {what: f"{what}{ending}.nc" for what in _FILES}
 
 
-# 5: a stage says the cause of its verdict, and a task's folder holds task.json; records of earlier
-# versions lack both, and are refused.
-SCHEMA_VERSION = 5
+# Increment it with every change of a stored field: a store of another version is refused.
+SCHEMA_VERSION = 6
 
 Verdict = Literal[
     "holds",
@@ -131,7 +130,7 @@ class ContactRecord(QuantityRecord):
     has none, as a joint, is not drawn.
     """
 
-    bodies: tuple[str, str] = ("", "")  # earlier records do not tell
+    bodies: tuple[str, str] = ("", "")
 
 
 class ShapeRecord(Model):
@@ -508,7 +507,7 @@ class ProvenanceRecord(Model):
 class RunRecord(Model):
     """One run: a scene by a pipeline."""
 
-    schema_version: Literal[5] = SCHEMA_VERSION
+    schema_version: Literal[6] = SCHEMA_VERSION
     key: str
     scene: SceneRecord
     pipeline: str
@@ -592,7 +591,7 @@ class TimeStepRecord(Model):
 class CampaignRecord(Model):
     """What belongs to the campaign as a whole; stored as DIR/campaign.json."""
 
-    schema_version: Literal[5] = SCHEMA_VERSION
+    schema_version: Literal[6] = SCHEMA_VERSION
     title: str
     command: str
     started: str

@@ -132,7 +132,6 @@ class RobustnessRecord(FoundRecord):
     worlds whose motion is drawn, by number and largest share of a limit.
     """
 
-    schema_version: int = 1
     scene: str
     verdict: _Word
     seed: int

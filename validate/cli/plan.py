@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import click
 
+from reports.records.load import other_version
 from validate.cli.options import CHOOSING, OUT, PRINTING, SELECTING
 from validate.cli.table import in_words, print_table, say, short, warn
 from validate.execution.process import usable_cores
@@ -22,7 +23,7 @@ from validate.plan.runs import (
 )
 from validate.plan.warnings import warnings_of
 from validate.store.store import Store
-from validate.store.stored import earlier_schema
+from validate.store.stored import CampaignError
 from validate.tasks.task import RunTask
 
 _EPILOG = """\b
@@ -53,8 +54,8 @@ def tell_plan(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> i
     entries, left_out = select(settings)
     scenes = scenes_of(entries)
     warn(warnings_of(scenes.values(), steps=True))
-    if sentence := earlier_schema(settings.out):
-        warn([sentence])
+    if sentence := other_version(settings.out):
+        raise CampaignError(sentence)
     store = Store(settings.out)
     entries = with_stored(entries, store, settings)
     groups = [

@@ -30,7 +30,7 @@ from reports.findings import three_findings
 from reports.pages.section import PAGES, REPORT
 from reports.paper import SCENE
 from reports.records.check_record import CheckRecord, divided
-from reports.records.load import collected
+from reports.records.load import CAMPAIGN, collected
 from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, TimeStepRecord
 from reports.rule import fails, failures, findings
 from validate.execution.dask import DaskEngine, open_dask
@@ -43,10 +43,8 @@ from validate.store.provenance import gather
 from validate.store.results import TABLES, write_tables
 from validate.store.store import Store
 from validate.store.stored import (
-    CAMPAIGN,
     campaign_of,
     check_folder,
-    earlier_schema,
     found_campaign,
     identity,
     same_campaign,
@@ -112,7 +110,7 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
     provenance = gather(settings.command)
     selected, scenes = [entry.task.key for entry in entries], scenes_of(entries)
     named = {identity(task_to_json(entry.task)): entry.task.key for entry in entries}
-    before, other_schema = found_campaign(settings.out), earlier_schema(settings.out)
+    before = found_campaign(settings.out)
     # The keys of the folder's campaign from now on, in order.
     keys = (
         with_others(store, before, named)
@@ -165,7 +163,7 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
     unstable = [
         item.warning for item in campaign.time_steps if item.warning and item.scene in scenes
     ]
-    for sentence in (*filter(None, [other_schema]), *unstable, *warnings_of(scenes.values())):
+    for sentence in (*unstable, *warnings_of(scenes.values())):
         narrator.warns(sentence)
     try:
         with closing(

@@ -14,11 +14,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from models.errors import TouchstoneError
-from reports.records.record import SCHEMA_VERSION, CampaignRecord
-from validate.store.disk import read_json
+from reports.records.load import CAMPAIGN, other_version
+from reports.records.record import CampaignRecord
 from validate.store.store import RECORD, Store
 
-CAMPAIGN = "campaign.json"
 # What a campaign that ran nothing leaves as it was: the report says when its results were made.
 _OF_THE_CALL = ("command", "started", "provenance")
 
@@ -28,7 +27,12 @@ class CampaignError(TouchstoneError):
 
 
 def check_folder(folder: Path, names: Iterable[str]) -> None:
-    """Raise CampaignError where a folder that holds no campaign has files of the names that a campaign writes: somebody else's."""
+    """Raise CampaignError if another version wrote the folder, or if it has files of these names and no campaign.
+
+    names: of the files that a campaign writes.
+    """
+    if sentence := other_version(folder):
+        raise CampaignError(sentence)
     if (folder / CAMPAIGN).exists() or any(folder.glob(f"runs/*/{RECORD}")):
         return
     taken = [name for name in names if (folder / name).exists()]
@@ -90,13 +94,11 @@ def campaign_of(folder: Path) -> CampaignRecord:
             f"{folder}: there is no campaign in this folder ({CAMPAIGN} cannot be read); run one with --out {folder}."
         ) from error
     except ValidationError as error:
-        if sentence := earlier_schema(folder):
-            raise CampaignError(
-                f"{sentence.partition(': ')[0]}; run the campaign again."
-            ) from error
-        raise CampaignError(
-            f"{path}: it is damaged, or of another version ({error.error_count()} fields do not fit); run the campaign again."
-        ) from error
+        sentence = (
+            other_version(folder)
+            or f"{path}: it is damaged ({error.error_count()} fields do not fit); run the campaign again."
+        )
+        raise CampaignError(sentence) from error
 
 
 def found_campaign(folder: Path) -> CampaignRecord | None:
@@ -123,25 +125,6 @@ def with_others(
         if mine is not None:
             place = keys.index(mine) + 1
     return tuple(keys)
-
-
-def earlier_schema(folder: Path) -> str:
-    """Why nothing of a folder is used again whose campaign was recorded by another version.
-
-    Empty where there is none, or it is of this one.
-    """
-    content = read_json(folder / CAMPAIGN)
-    version = (
-        content.get("schema_version", SCHEMA_VERSION)
-        if isinstance(content, dict)
-        else SCHEMA_VERSION
-    )
-    if version == SCHEMA_VERSION:
-        return ""
-    return (
-        f"{folder} holds the records of schema {version!s:.20}, which hold other things than those of schema {SCHEMA_VERSION}: "
-        "none of them is used, and what is selected is run again."
-    )
 
 
 def same_campaign(one: CampaignRecord, other: CampaignRecord) -> bool:

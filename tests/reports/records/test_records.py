@@ -26,6 +26,7 @@ from reports.records.load import (
     grouped,
     load,
     optima,
+    other_version,
     record_files,
 )
 from reports.records.record import (
@@ -227,8 +228,8 @@ def sentence_of(tmp_path: Path, text: str | None) -> str:
     [
         (None, ["not there", "run the campaign again"]),
         ("{", ["not complete JSON", "run it again"]),
-        ("{}", ["record schema 5", "at check.key: Field required", "and 8 more"]),
-        ("1", ["record schema 5", "Input should be"]),
+        ("{}", [f"record schema {SCHEMA_VERSION}", "at check.key: Field required", "and 8 more"]),
+        ("1", [f"record schema {SCHEMA_VERSION}", "Input should be"]),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_record_is_said(tmp_path: Path, text: str | None, parts: list[str]):
@@ -313,30 +314,36 @@ def test_no_folder_is_one_sentence(tmp_path):
         load(tmp_path / "nowhere")
 
 
-def test_records_of_an_earlier_schema_are_refused_in_one_sentence(factory, tmp_path):
-    """Those that the campaign lists are named, those that it does not are another campaign's."""
-    good, old, older = factory.runs()[:3]
-    folder = factory.store(tmp_path / "all", [good, old, older], factory.campaign([good, old]))
-    for run in (old, older):
-        path = folder / "runs" / run.key / "record.json"
-        path.write_text(path.read_text().replace('"schema_version":5', '"schema_version":4'))
-    stored = load(folder)
-    assert [run.key for run in stored.runs] == [good.key]
-    (item,) = stored.unreadable
-    assert item.path == f"runs/{old.key}/record.json"
-    assert not unsaid(item.sentence, "another version … reads 5) … run it again.")
-    assert stored.foreign == 1
-
-
-def test_a_campaign_of_an_earlier_schema_is_named_and_its_runs_are_read(factory, tmp_path):
+def test_load_store_of_another_version_refused(factory, tmp_path):
     folder = factory.store(tmp_path / "all", factory.runs()[:2])
     path = folder / "campaign.json"
-    path.write_text(path.read_text().replace('"schema_version":5', '"schema_version":4'))
-    stored = load(folder)
-    assert (stored.campaign, len(stored.runs)) == (None, 2)
-    (item,) = stored.unreadable
-    assert item.path == "campaign.json"
-    assert not unsaid(item.sentence, "another version … reads 5) … run it again.")
+    written = json.loads(path.read_text())
+    path.write_text(json.dumps(written | {"schema_version": SCHEMA_VERSION - 1}))
+    with pytest.raises(ReportError) as caught:
+        load(folder)
+    assert str(caught.value) == (
+        f"{folder}: this store was written by another version of touchstone; "
+        "use another --out folder or delete it."
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "refused"),
+    [
+        (json.dumps({"schema_version": SCHEMA_VERSION - 1}), True),
+        (json.dumps({"schema_version": SCHEMA_VERSION + 1}), True),
+        (json.dumps({"schema_version": "9" * 50}), True),
+        (json.dumps({"schema_version": SCHEMA_VERSION}), False),
+        (json.dumps({}), False),
+        ("[", False),
+        ("[" * 100_000, False),
+        (None, False),
+    ],
+)
+def test_other_version_of_any_campaign_file(text: str | None, refused: bool, tmp_path: Path):
+    if text is not None:
+        (tmp_path / "campaign.json").write_text(text, encoding="utf-8")
+    assert bool(other_version(tmp_path)) is refused
 
 
 def start(number: int, cost: float | None) -> StartRecord:
@@ -475,8 +482,8 @@ def test_only_parts_of_one_run_on_one_scene_belong_together():
 MODULES = ("record", "check_record")
 # Not empty: what is meant where nothing is said.
 MEANT = {
-    "RunRecord.schema_version": 5, "CampaignRecord.schema_version": 5,
-    "CheckRecord.schema_version": 5,
+    "RunRecord.schema_version": 6, "CampaignRecord.schema_version": 6,
+    "CheckRecord.schema_version": 6,
     "RunRecord.part": 1, "RunRecord.parts": 1, "RunRecord.verdict": "no plan",
     "StageRecord.verdict": "no plan",
     "ReplayRecord.step_source": "none", "ReplayRecord.judged": "open",

@@ -77,7 +77,7 @@ def test_pages_or_one_file(folder: Path):
     assert not (folder / "pages").exists()
 
 
-@pytest.mark.parametrize("text", ["{", '{"schema_version": 3}', "[]"], ids=range(3))
+@pytest.mark.parametrize("text", ["{", "{}", "[]"], ids=range(3))
 def test_runs_of_a_campaign_whose_own_record_is_damaged_are_shown_all_the_same(
     folder: Path, text: str
 ):

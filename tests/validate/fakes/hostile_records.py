@@ -277,14 +277,13 @@ def _entry() -> Any:
 def resume(path: Path) -> None:
     from validate.plan.runs import CampaignSettings, only_last_failed, reasons, with_stored
     from validate.store.store import Store
-    from validate.store.stored import earlier_schema, found_campaign
+    from validate.store.stored import found_campaign
 
     store, settings = Store(path), CampaignSettings(out=path)
     store.prepare()
     found = with_stored([_entry()], store, settings)
     reasons(found, store)
     store.damaged_file(KEY)
-    earlier_schema(path)
     found_campaign(path)
     only_last_failed(found, store)
 
