@@ -250,11 +250,7 @@ def delete(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan:
 
 
 def declare(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan:
-    scheme = str(
-        random.choice(
-            ["", "semi_implicit_euler", "implicit_midpoint", "radau_iia_2", "radau_iia_3"]
-        )
-    )
+    scheme = str(random.choice(["", "semi_implicit_euler", "implicit_midpoint", "radau_iia_2"]))
     return plan.but(
         scheme=scheme, hold="" if scheme else plan.hold, u_last=None if scheme else plan.u_last
     )

@@ -60,13 +60,8 @@ class StageModes:
     @classmethod
     def of(cls, model: Any) -> StageModes:
         """Read them off a solved model."""
-        found = {
-            name: variable
-            for name in _VARIABLES
-            if (variable := model.component(f"variable_{name}")) is not None
-        }
         return cls(
-            {name: read_values(variable) for name, variable in found.items()},
+            {name: read_values(model.component(f"variable_{name}")) for name in _VARIABLES},
             stage_penetration(model) > 0.0,
         )
 
@@ -233,15 +228,15 @@ class CollocationSession(Session):
     def _paper_size(self) -> ModelSize:
         """Unknowns and equations of the model with its modes, counted by hand.
 
-        Nodes, inputs, stages that are no node, forces and separation forces; ends, stages, nodes
-        that are no stage, separation forces.
+        Nodes, inputs, the first stage, forces and separation forces; ends, stages, nodes that are
+        no stage, separation forces.
         """
         scene, table = self._scene, tableau(self._scheme)
         steps, given = scene.task.steps, sum(value is not None for value in scene.task.goal)
-        own, ends = (table.stages - 1, 0) if table.is_stiffly_accurate else (table.stages, 1)
+        ends = 0 if table.is_stiffly_accurate else 1
         return ModelSize(
             unknowns=2 * scene.nq * (steps + 1)
-            + (scene.nu + 2 * scene.nq * own + 2 * scene.nc * table.stages) * steps,
+            + (scene.nu + 2 * scene.nq + 2 * scene.nc * table.stages) * steps,
             equations=2 * scene.nq
             + given
             + (2 * scene.nq * (table.stages + ends) + scene.nc * table.stages) * steps,

@@ -120,8 +120,8 @@ class CollocationOptions(TranscriptionOptions):
 
     scheme: str = option(
         "radau_iia_2",
-        "the time step: Radau IIA with two stages (order 3) or three (order 5), or the implicit midpoint (order 2, keeps energy)",
-        choices=("radau_iia_2", "radau_iia_3", "implicit_midpoint"),
+        "the time step: Radau IIA with two stages (order 3), or the implicit midpoint (order 2, keeps energy)",
+        choices=("radau_iia_2", "implicit_midpoint"),
     )
     integrate_cost: bool = option(
         False,

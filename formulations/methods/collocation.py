@@ -1,4 +1,4 @@
-"""Exact contact on a coarse grid: collocation of order 2 to 5 instead of semi-implicit Euler, contact modes by a softplus homotopy.
+"""Exact contact on a coarse grid: collocation of order 2 or 3 instead of semi-implicit Euler, contact modes by a softplus homotopy.
 
     softplus homotopy -> which contact is closed at which stage -> lam = k phi or lam = 0 there,
     solved
@@ -19,7 +19,7 @@ from models.scene import Scene
 
 
 class Collocation(Method[CollocationOptions]):
-    """Exact contact at the stages of steps of order 2 to 5."""
+    """Exact contact at the stages of steps of order 2 or 3."""
 
     name = "collocation"
     title = "Exact contact by collocation of higher order"

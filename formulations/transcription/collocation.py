@@ -2,12 +2,12 @@
 
     model = build_model("three_cart", contact=ContactFormulation.SOFTPLUS, eps=1e-5, steps=100, step=0.05, scheme=Scheme.RADAU_IIA_2)
 
-Beside the nodes of `build` a block then has, i in 1..s (`set_stages`; of Radau IIA the last stage
-is the next node and has no variable of its own):
+The block contains the nodes of `build` and the names below, i in 1..s (`set_stages`). The second
+stage of Radau IIA is the next node and has no variable.
 
 | name | index | what |
 |---|---|---|
-| variable_stage_q, variable_stage_v | t in steps, i, coordinate | positions and velocities at t h + c_i h |
+| variable_stage_q, variable_stage_v | t in steps, coordinate | positions and velocities of the first stage, at t h + c_1 h |
 | variable_lam | t in steps, i, contact | contact forces [N] at the stages |
 | constraint_position_step, constraint_velocity_step | t in steps, i, coordinate | the derivative of the polynomial through node and stages is the motion |
 | constraint_position_end, constraint_velocity_end | t in steps, coordinate | the next node, on that polynomial; implicit midpoint only |
@@ -88,26 +88,17 @@ def add_collocation(
 def _add_stages(
     block: Any, table: Tableau, q: list, v: list
 ) -> tuple[list[list[list[Any]]], list[list[list[Any]]]]:
-    """Stage positions and velocities [t][i][coordinate].
-
-    What is a node already has no variable of its own.
-    """
-    own = table.stages - 1 if table.is_stiffly_accurate else table.stages
+    """Return stage positions and velocities [t][i][coordinate]; only the first stage has variables."""
     found = []
     for name, nodes in (("q", q), ("v", v)):
-        rows: list[list[list[Any]]] = [[[] for _ in range(own)] for _ in range(len(nodes) - 1)]
-        if own:
-            first = {data.index()[1]: data.value for data in nodes[0]}
-            inner = pyo.RangeSet(1, own)
-            variable = pyo.Var(
-                block.set_steps,
-                inner,
-                block.set_coordinates,
-                initialize=lambda _, t, i, c, first=first: first[c],
-            )
-            block.add_component(f"variable_stage_{name}", variable)
-            for (t, i, _), data in variable.items():
-                rows[t][i - 1].append(data)
+        start = {data.index()[1]: data.value for data in nodes[0]}
+        variable = pyo.Var(
+            block.set_steps,
+            block.set_coordinates,
+            initialize=lambda _, t, c, start=start: start[c],
+        )
+        block.add_component(f"variable_stage_{name}", variable)
+        rows = [[first] for first in rows_by_time(variable, len(nodes) - 1)]
         if table.is_stiffly_accurate:
             rows = [[*stages, after] for stages, after in zip(rows, nodes[1:], strict=True)]
         found.append(rows)
@@ -119,19 +110,19 @@ def _add_motion(
 ) -> None:
     (q, v, u), (stage_q, stage_v, lam), nq, h = nodes, stages, law.nq, block.parameter_step
     place = {name: index for index, name in enumerate(block.set_coordinates)}
+    inverse = np.linalg.inv(table.a)
     mass = [[law.mass(at, p) for at in row] for row in stage_q]
     force = [
         [law.force(stage_q[t][i], stage_v[t][i], u[t], lam[t][i], p) for i in range(table.stages)]
         for t in range(len(stage_q))
     ]
 
-    def gained(rows: list, now: list, t: int, i: int, weights: np.ndarray) -> list[Any]:
-        """The sum over j of D_ij (X_j - x[t]) of every coordinate (nq,), with weights D (stages, stages) [-]."""
+    def gained(rows: list, now: list, t: int, i: int) -> list[Any]:
+        """Return sum_j D_ij (X_j - x[t]) of every coordinate (nq,), D = A^-1 [-]."""
         return [
             sum(
                 float(weight) * (rows[t][j][c] - now[t][c])
-                for j, weight in enumerate(weights[i])
-                if weight != 0.0
+                for j, weight in enumerate(inverse[i - 1])
             )
             for c in range(nq)
         ]
@@ -139,14 +130,14 @@ def _add_motion(
     def position(_: Any, t: int, i: int, name: str) -> Any:
         c = place[name]
         return equations.constraint_position_stage(
-            gained(stage_q, q, t, i - 1, table.inverse)[c], stage_v[t][i - 1][c], h
+            gained(stage_q, q, t, i)[c], stage_v[t][i - 1][c], h
         )
 
     def velocity(_: Any, t: int, i: int, name: str) -> Any:
         c = place[name]
         row = mass[t][i - 1][c * nq : (c + 1) * nq]
         return equations.constraint_velocity_stage(
-            row, gained(stage_v, v, t, i - 1, table.inverse), force[t][i - 1][c], h
+            row, gained(stage_v, v, t, i), force[t][i - 1][c], h
         )
 
     block.constraint_position_step = pyo.Constraint(
@@ -164,7 +155,7 @@ def _add_motion(
             rule=lambda _, t, coordinate, rows=rows, now=now: equations.constraint_step_end(
                 now[t + 1][place[coordinate]],
                 now[t][place[coordinate]],
-                gained(rows, now, t, 0, table.ends[None])[place[coordinate]],
+                rows[t][0][place[coordinate]],
             ),
         )
         block.add_component(f"constraint_{name}_end", end)
@@ -237,9 +228,9 @@ def settle_stages(block: Any) -> None:
             block.component(f"variable_stage_{name}"),
             block.component(f"variable_{name}"),
         )
-        for (t, i, coordinate), data in variable.items() if variable is not None else ():
+        for (t, coordinate), data in variable.items():
             before, after = pyo.value(nodes[t, coordinate]), pyo.value(nodes[t + 1, coordinate])
-            data.set_value(before + float(table.c[i - 1]) * (after - before), skip_validation=True)
+            data.set_value(before + float(table.c[0]) * (after - before), skip_validation=True)
     settle_forces(block)
 
 

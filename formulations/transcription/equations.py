@@ -56,9 +56,9 @@ def constraint_velocity_stage(
     )
 
 
-def constraint_step_end(x_next: Any, x_now: Any, gained: Any) -> Any:
-    """x[t+1] = x[t] + sum_i (b' A^-1)_i (X_i - x[t]): of the implicit midpoint 2 X - x[t]."""
-    return x_next == x_now + gained
+def constraint_step_end(x_next: Any, x_now: Any, x_stage: Any) -> Any:
+    """x[t+1] = x[t] + 2 (X - x[t]): the stage of the implicit midpoint is the middle of the step."""
+    return x_next == x_now + 2.0 * (x_stage - x_now)
 
 
 def constraint_contact_softplus(lam: Any, phi: Any, k: Any, b: Any) -> Any:

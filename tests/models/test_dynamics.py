@@ -219,22 +219,22 @@ def test_friction_does_not_limit_the_step():
 
 
 OSCILLATOR = load_scene(str(Path(__file__).parents[1] / "scenes" / "oscillator.py"))
-COLLOCATIONS = (Scheme.IMPLICIT_MIDPOINT, Scheme.RADAU_IIA_2, Scheme.RADAU_IIA_3)
+ORDERS = {Scheme.IMPLICIT_MIDPOINT: 2, Scheme.RADAU_IIA_2: 3}
 
 
-@pytest.mark.parametrize("scheme", COLLOCATIONS)
+@pytest.mark.parametrize("scheme", ORDERS)
 def test_the_tableau_integrates_what_its_order_promises(scheme: Scheme) -> None:
     """B(order): sum b_i c_i^(p-1) = 1/p; C(stages): sum_j a_ij c_j^(p-1) = c_i^p/p."""
-    table = tableau(scheme)
-    for p in range(1, table.order + 1):
+    table, order = tableau(scheme), ORDERS[scheme]
+    for p in range(1, order + 1):
         assert table.b @ table.c ** (p - 1) == pytest.approx(1.0 / p, abs=1e-14)
-    assert abs(table.b @ table.c**table.order - 1.0 / (table.order + 1)) > 1e-4
+    assert abs(table.b @ table.c**order - 1.0 / (order + 1)) > 1e-4
     for p in range(1, table.stages + 1):
         np.testing.assert_allclose(table.a @ table.c ** (p - 1), table.c**p / p, atol=1e-14)
     assert table.is_stiffly_accurate == (scheme is not Scheme.IMPLICIT_MIDPOINT)
 
 
-@pytest.mark.parametrize("scheme", COLLOCATIONS)
+@pytest.mark.parametrize("scheme", ORDERS)
 def test_the_switch_constant_is_the_largest_error_of_a_kink(scheme: Scheme) -> None:
     table = tableau(scheme)
     z = np.linspace(0.0, 1.0, 20_001)
@@ -243,7 +243,7 @@ def test_the_switch_constant_is_the_largest_error_of_a_kink(scheme: Scheme) -> N
     assert table.switch_constant == pytest.approx(error.max(), rel=1e-3)
 
 
-@pytest.mark.parametrize("scheme", COLLOCATIONS)
+@pytest.mark.parametrize("scheme", ORDERS)
 def test_the_order_on_a_free_oscillator(scheme: Scheme) -> None:
     """q = cos t: the slope of log error over log step."""
     kernel, errors = load_kernel(OSCILLATOR), []
@@ -253,19 +253,19 @@ def test_the_order_on_a_free_oscillator(scheme: Scheme) -> None:
         )
         assert made == steps
         errors.append(np.hypot(q[-1, 0] - np.cos(2.0), v[-1, 0] + np.sin(2.0)))
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(tableau(scheme).order, abs=0.1)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(ORDERS[scheme], abs=0.1)
 
 
 def test_the_midpoint_keeps_the_energy_and_radau_loses_some() -> None:
     kernel, lost = load_kernel(OSCILLATOR), {}
-    for scheme in COLLOCATIONS:
+    for scheme in ORDERS:
         q, v, _ = rollout(kernel, scheme, np.array([1.0, 0.0]), np.zeros((200, 0)), 0.5)
         lost[scheme] = float(np.abs(q**2 + v**2 - 1.0).max())
     assert lost[Scheme.IMPLICIT_MIDPOINT] < 1e-13
     assert lost[Scheme.RADAU_IIA_2] > 0.1
 
 
-@pytest.mark.parametrize("scheme", COLLOCATIONS)
+@pytest.mark.parametrize("scheme", ORDERS)
 def test_a_step_across_a_kink_is_wrong_by_no_more_than_its_bound(scheme: Scheme) -> None:
     """Two free discs meet after a part of the step.
 
@@ -303,7 +303,7 @@ def test_a_step_across_a_kink_is_wrong_by_no_more_than_its_bound(scheme: Scheme)
 
 
 @pytest.mark.parametrize("far", [1e20, 1e60, 1e100, 1e150, 1e160])
-@pytest.mark.parametrize("scheme", COLLOCATIONS)
+@pytest.mark.parametrize("scheme", ORDERS)
 def test_a_step_without_a_solution_is_no_number_and_leaves_the_others_alone(
     scheme: Scheme, far: float
 ) -> None:
@@ -319,7 +319,7 @@ def test_a_step_without_a_solution_is_no_number_and_leaves_the_others_alone(
         assert np.isnan(found[1]).all()
 
 
-@pytest.mark.parametrize("scheme", COLLOCATIONS)
+@pytest.mark.parametrize("scheme", ORDERS)
 def test_a_step_is_the_same_alone_and_beside_others(scheme: Scheme) -> None:
     """Rows that take longer, or have no solution, leave one that is found where it was: once it moved on, and some ended as no number."""
     kernel, random = load_kernel(load_scene("cart_pole_walls")), np.random.default_rng(5)
@@ -372,7 +372,7 @@ def test_a_file_keeps_the_scheme(tmp_path: Path) -> None:
         v=np.ones((3, 1)),
         u=np.zeros((2, 0)),
         lam=np.zeros((2, 0)),
-        scheme=Scheme.RADAU_IIA_3,
+        scheme=Scheme.RADAU_IIA_2,
     )
     write_netcdf(tmp_path / "plan.nc", plan, OSCILLATOR)
-    assert read_netcdf(tmp_path / "plan.nc", OSCILLATOR).scheme is Scheme.RADAU_IIA_3
+    assert read_netcdf(tmp_path / "plan.nc", OSCILLATOR).scheme is Scheme.RADAU_IIA_2

@@ -29,10 +29,8 @@ from validate.judge.score import score
 
 OSCILLATOR = load_scene(str(Path(__file__).parents[2] / "scenes" / "oscillator.py"))
 CARTS = load_scene("three_cart")
-COLLOCATIONS = (Scheme.IMPLICIT_MIDPOINT, Scheme.RADAU_IIA_2, Scheme.RADAU_IIA_3)
-FORWARD = {Scheme.SEMI_IMPLICIT_EULER: 1} | {
-    scheme: tableau(scheme).order for scheme in COLLOCATIONS
-}
+COLLOCATIONS = (Scheme.IMPLICIT_MIDPOINT, Scheme.RADAU_IIA_2)
+ORDERS = {Scheme.SEMI_IMPLICIT_EULER: 1, Scheme.IMPLICIT_MIDPOINT: 2, Scheme.RADAU_IIA_2: 3}
 
 
 def _coarse(steps: int):
@@ -47,7 +45,7 @@ def _solved(model) -> Trajectory:
     return read_plan(model)
 
 
-@pytest.mark.parametrize("scheme", FORWARD)
+@pytest.mark.parametrize("scheme", ORDERS)
 def test_the_model_of_an_oscillator_has_its_order(scheme: Scheme) -> None:
     """q = cos t: nothing is chosen, the equations alone make the motion."""
     errors = []
@@ -56,7 +54,7 @@ def test_the_model_of_an_oscillator_has_its_order(scheme: Scheme) -> None:
         plan = _solved(build_model(free, scheme=scheme))
         assert plan.scheme is scheme
         errors.append(np.abs(plan.q[:, 0] - np.cos(plan.t)).max())
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(FORWARD[scheme], abs=0.25)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(ORDERS[scheme], abs=0.25)
 
 
 @cache
@@ -79,13 +77,13 @@ def _pushed(steps: int, scheme: Scheme) -> Trajectory:
 
 @pytest.mark.parametrize("scheme", COLLOCATIONS)
 def test_smooth_contact_keeps_the_order(scheme: Scheme) -> None:
-    truth = _pushed(160, Scheme.RADAU_IIA_3)
+    truth = _pushed(320, Scheme.RADAU_IIA_2)
     assert truth.lam.max() > 2.0
     errors = []
     for steps in (20, 40):
         plan = _pushed(steps, scheme)
-        errors.append(np.abs(plan.q - truth.q[:: 160 // steps]).max())
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(tableau(scheme).order, abs=0.35)
+        errors.append(np.abs(plan.q - truth.q[:: 320 // steps]).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(ORDERS[scheme], abs=0.35)
 
 
 @pytest.mark.slow
@@ -131,7 +129,7 @@ def test_fifty_steps_of_radau_are_nearer_to_the_replay_than_five_hundred_of_eule
 
 @pytest.mark.slow
 def test_its_replay_error_is_that_of_the_scheme_where_nothing_switches() -> None:
-    """No contact is made on the way: of order 5 nothing is left but the replay's own error, however coarse the grid."""
+    """The motion has no contact, so that the replay error is that of the scheme: order 3 beats order 2."""
     far = CARTS.with_task(
         steps=20,
         step=0.05,
@@ -139,7 +137,7 @@ def test_its_replay_error_is_that_of_the_scheme_where_nothing_switches() -> None
         goal=(2.2, 3.0, 3.8, None, None, None),
     )
     errors = {}
-    for scheme in (Scheme.IMPLICIT_MIDPOINT, Scheme.RADAU_IIA_3):
+    for scheme in (Scheme.IMPLICIT_MIDPOINT, Scheme.RADAU_IIA_2):
         plan = (
             load_method("collocation")
             .open(far, {"scheme": scheme.value})
@@ -149,7 +147,8 @@ def test_its_replay_error_is_that_of_the_scheme_where_nothing_switches() -> None
         assert plan.lam.max() == 0.0
         run = replay(far, build_fmu(far), plan)
         errors[scheme] = float(np.abs(run.q[run.knots] - plan.q).max())
-    assert errors[Scheme.RADAU_IIA_3] < 1e-8 < 1e-6 < errors[Scheme.IMPLICIT_MIDPOINT]
+    assert errors[Scheme.RADAU_IIA_2] < 2e-6  # measured: 9.8e-7 m
+    assert errors[Scheme.IMPLICIT_MIDPOINT] > 2e-5  # measured: 6.0e-5 m
 
 
 def test_the_cost_may_be_integrated() -> None:
@@ -180,7 +179,7 @@ def test_the_cost_may_be_integrated() -> None:
 
 def test_a_plan_of_another_method_is_a_start_and_one_of_another_grid_is_not() -> None:
     scene = _coarse(50)
-    model = build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-5, scheme=Scheme.RADAU_IIA_3)
+    model = build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-5, scheme=Scheme.RADAU_IIA_2)
     run = load_kernel(scene).rollout(
         np.array(scene.task.start), np.full((50, 2), 1.0), scene.task.step
     )
@@ -189,8 +188,8 @@ def test_a_plan_of_another_method_is_a_start_and_one_of_another_grid_is_not() ->
     again = read_plan(model)
     np.testing.assert_array_equal(again.q, plan.q)
     np.testing.assert_array_equal(again.u, plan.u)
-    first = tableau(Scheme.RADAU_IIA_3).c[0]
-    assert pyo.value(model.variable_stage_q[7, 1, "q1"]) == pytest.approx(
+    first = tableau(Scheme.RADAU_IIA_2).c[0]
+    assert pyo.value(model.variable_stage_q[7, "q1"]) == pytest.approx(
         plan.q[7, 0] + first * (plan.q[8, 0] - plan.q[7, 0])
     )
     shorter = Trajectory(
