@@ -2,7 +2,7 @@
 
 Our FMU and Drake's CENIC to the exact motion, by CPU time.
 
-The exact motion is our event-exact integration (models.fmu.reference). Plans are those of the
+The exact motion is our event-exact integration (models.exact_motion). Plans are those of the
 verdict matrix; a scene without inputs is left alone for its task's time. Errors are the largest of
 any position at the nodes [m], CPU seconds those of stepping, of one run.
 """
@@ -18,8 +18,8 @@ import numpy as np
 
 from benchmarks.verdict_matrix import kept_plan, plans_option
 from models.catalog import load_scene
+from models.exact_motion import Equations, Piece, true_motion
 from models.fmu import build_fmu
-from models.fmu.reference import Equations, Piece, true_motion
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 from models.trajectory_netcdf import read_netcdf
@@ -95,9 +95,7 @@ def command(plans: Path) -> int:
         plan = plan_of(scene, plans)
         start = np.array(scene.task.start, dtype=float)
         pieces = [Piece(end=float(end), u=u) for end, u in zip(plan.t[1:], plan.u, strict=True)]
-        true = np.vstack([start, true_motion(Equations(scene), pieces, plan.t[1:])[0]])[
-            :, : scene.nq
-        ]
+        true = np.vstack([start, true_motion(Equations(scene), pieces, plan.t[1:])])[:, : scene.nq]
         base = Drive(scene=scene, plan=plan, start=start)
         ours = told("fmu", [replace(base, tolerance=tolerance)], true)
         row(

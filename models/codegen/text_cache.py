@@ -1,8 +1,8 @@
-"""Generated text, cached between processes: deriving and printing the equations of a large scene takes seconds, reading them back none.
+"""Texts that are generated from a scene's equations, cached between processes.
 
-cached_text(scene, "scene_model.h", lambda: emit_model(scene))
-# of the values and the task, too
-cached_text(scene, "reference.csv", lambda: motion_as_text(scene), whole=True)
+    cached_text(scene, "scene_model.h", lambda: emit_model(scene))
+
+Deriving and printing the equations of a large scene takes seconds; reading the text takes none.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import sympy as sp
 
 from models.codegen.cache import cached
 from models.scene import Scene
-from models.scene.text import equations_text, scene_text
+from models.scene.text import equations_text
 
 _MODELS = Path(__file__).parents[1]
 # Whatever decides the text beside the scene's own equations.
@@ -28,22 +28,17 @@ _GENERATORS = (
     "fmu/structure.py",
     "fmu/variables.py",
 )
-# And of a text that is computed from its values.
-_COMPUTED = ("fmu/description.py", "fmu/reference.py", "scene/*.py")
 # And of an FMU: all but the scenes, whose text is in the key.
 _ALL = ("*.py", "codegen/*.*", "fmu/**/*.*")
-_LIBRARIES = ("numpy", "scipy")
 
 
-def cached_text(scene: Scene, name: str, make: Callable[[], str], *, whole: bool = False) -> str:
+def cached_text(scene: Scene, name: str, make: Callable[[], str]) -> str:
     """The text `name` of a scene: read from the cache folder, or made and stored there.
 
     Parameters
     ----------
     make
         Makes the text; it must depend on nothing but the scene's equations.
-    whole
-        Whether it may depend on all of the scene.
 
     Returns
     -------
@@ -55,28 +50,18 @@ def cached_text(scene: Scene, name: str, make: Callable[[], str], *, whole: bool
     MachineError
         For a cache folder that cannot be written; and what `make` raises.
     """
-    if whole:
-        content = [*_versions(), _generators((*_GENERATORS, *_COMPUTED)), scene_text(scene)]
-    else:
-        content = [_generators(), equations_text(scene)]
-    key = "\n".join([name, sp.__version__, *content])
+    key = "\n".join([name, sp.__version__, _generators(), equations_text(scene)])
     return cached(
         key, f".{name}", lambda path: path.write_text(make(), encoding="utf-8")
     ).read_text(encoding="utf-8")
 
 
-def generators(*, whole: bool = False) -> str:
-    """What decides an FMU beside its scene, compiler and headers: the code of the models and of SymPy; whole: and what computes numbers for it."""
-    return "\n".join([sp.__version__, *(_versions() if whole else ()), _generators(_ALL)])
+def generators() -> str:
+    """Return the parts of an FMU's key beside its scene, compiler and headers: SymPy's version and a digest of models."""
+    return "\n".join([sp.__version__, _generators(_ALL)])
 
 
-def _versions() -> list[str]:
-    from importlib import metadata  # 10 ms to import
-
-    return [metadata.version(library) for library in _LIBRARIES]
-
-
-@lru_cache(maxsize=3)
+@lru_cache(maxsize=2)
 def _generators(patterns: tuple[str, ...] = _GENERATORS) -> str:
     """Digest of the code that writes the text."""
     paths = sorted(

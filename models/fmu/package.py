@@ -31,7 +31,6 @@ from models.errors import MachineError, UnknownNameError
 from models.fmu.description import (
     Standard,
     describe,
-    experiment_texts,
     find_standard,
     render,
     source_epoch,
@@ -145,19 +144,16 @@ _SHELL = _HERE / "shell"
 _ICON = _HERE / "icon"
 
 
-def build_fmu(
-    scene: Scene, version: str = "2.0", platforms: Sequence[str] = (), results: bool = True
-) -> Path:
-    """The FMU of a scene, in continuous time: Co-Simulation and Model Exchange in one file.
+def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = ()) -> Path:
+    """Return the FMU of a scene, in continuous time: Co-Simulation and Model Exchange in one file.
 
-    Found in the cache or built there.
+    The file comes from the cache, or is built there.
 
-    platforms: names of FMI 2.0 or 3.0 (`linux64` or `x86_64-linux`); without any, this machine's.
-        results: whether it carries reference
-    results, which take seconds to integrate and which no replay needs. Raises UnknownNameError for
-        an FMI version or platform that is not
-    offered, SceneError for a scene whose names an FMU cannot carry, MachineError without a compiler
-        or a cache folder that can be written.
+    platforms: names of FMI 2.0 or 3.0 (`linux64` or `x86_64-linux`); default: this machine's.
+
+    Raises UnknownNameError for an FMI version or platform that is not offered, SceneError for a
+    scene whose names an FMU cannot carry, MachineError without a compiler or a cache folder that
+    can be written.
     """
     standard = find_standard(version)
     scene = scene.continuous()
@@ -166,16 +162,12 @@ def build_fmu(
         f"{platform.name} {' '.join(platform.flags)} {compiler.version}"
         for platform, compiler in compilers.items()
     ]
-    made_by += [
-        f"FMI {version}, {'with' if results else 'without'} reference results, dated {source_epoch()}"
-    ]
-    made_by += [generators(whole=results), *standard_headers(standard).values(), scene_text(scene)]
+    made_by += [f"FMI {version}, dated {source_epoch()}"]
+    made_by += [generators(), *standard_headers(standard).values(), scene_text(scene)]
 
     def build(path: Path) -> None:
         files = fmu_texts(scene, standard)
-        content = {
-            name: text.encode() for name, text in (files | experiment_texts(scene, results)).items()
-        }
+        content = {name: text.encode() for name, text in files.items()}
         pack(
             path,
             content

@@ -39,7 +39,6 @@ _COMMANDS = {
     "truth": "What is true of contact, and what our FMU and other simulators make of it.",
     "fmu": "Export a scene as an FMU.",
     "check": "Check any FMU: its files, and how its code behaves.",
-    "reference": "Simulate any FMU with error bars, as a reference for others.",
     "doctor": "Try what this machine can do, and say how to mend what it cannot.",
 }
 _EPILOG = """\b

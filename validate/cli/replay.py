@@ -312,7 +312,7 @@ def _of_scene(
         [loaded if same else loaded.with_task(step=longest)], steps=trajectory.scheme is not None
     )
     return judge_trajectory(
-        loaded, build_fmu(loaded, results=False), trajectory, feedback=track, limits=limits
+        loaded, build_fmu(loaded), trajectory, feedback=track, limits=limits
     ), warnings
 
 

@@ -30,7 +30,6 @@ from validate.fmu_check import (
     derivatives,
     exchange,
     files,
-    reference,
     states,
     values,
 )
@@ -63,7 +62,7 @@ BEHAVIOUR: tuple[Check, ...] = (
     states.token, states.restores, states.serialises,
     exchange.arrays, exchange.nominals, exchange.indicators, exchange.told,
     derivatives.directional, derivatives.adjoint, derivatives.dependencies, derivatives.rates,
-    exchange.agree, reference.stored,
+    exchange.agree,
 )  # fmt: skip
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
 # Checks on which others depend.

@@ -131,15 +131,13 @@ class Record:
 
     events: (time, indicators that crossed, indicators there); surprises: jumps at events that
         nothing announced, in words; untold: states that an event
-    changed and the FMU did not say so, in words; crowded: from when on events crowd; most: events
-        after which the run ends.
+    changed and the FMU did not say so, in words; crowded: from when on events crowd.
     """
 
     events: list[tuple[float, tuple[int, ...], np.ndarray]] = field(default_factory=list)
     surprises: list[str] = field(default_factory=list)
     untold: list[str] = field(default_factory=list)
     crowded: float = math.inf
-    most: int = _MOST_EVENTS
 
 
 def _still(rates: Any, _size: int) -> None:
@@ -212,10 +210,7 @@ def by_adams_or_bdf(simulate: Callable[[tuple[int, int]], Any]) -> Any:
 
 
 class Exchange:
-    """CVODE over an instance in Continuous-Time Mode.
-
-    drive: called after each change of the time [s], to set inputs that move with it.
-    """
+    """CVODE over an instance in Continuous-Time Mode."""
 
     def __init__(
         self,
@@ -223,10 +218,9 @@ class Exchange:
         rtol: float,
         method: tuple[int, int] = BDF,
         *,
-        drive: Any = None,
         record: Record | None = None,
     ) -> None:
-        self.instance, self._drive, self.record = instance, drive, record or Record()
+        self.instance, self.record = instance, record or Record()
         self.problem: Exception | None = None
         self.count, indicators = instance.state_count, instance.indicator_count
         # An FMU without continuous states still has time and events: a state that stands still lets
@@ -322,7 +316,7 @@ class Exchange:
             self.update_unannounced()
         events.append((self.time, crossed, indicators))
         length = self.instance.subject.step
-        if len(events) >= self.record.most or (
+        if len(events) >= _MOST_EVENTS or (
             len(events) > 20 and self.time - events[-20][0] < 20 * _CROWDED * length
         ):
             self.record.crowded = self.time
@@ -372,8 +366,6 @@ class Exchange:
 
     def _move(self, time: float, y: np.ndarray) -> None:
         self.instance.move(time, y[: self.count])
-        if self._drive is not None:
-            self._drive(time)
 
     def _filling(self, call: Callable[[Any, int], Any], size: int, *, in_vector: bool) -> Any:
         """What CVODE calls for rates, or indicators, at a time and states.
@@ -392,8 +384,6 @@ class Exchange:
                     self.instance.fmu.setContinuousStates(
                         states.from_address(array_of(y)), self.count
                     )
-                if self._drive is not None:
-                    self._drive(time)
                 call(values.from_address(place), size)
             except Exception as error:  # noqa: BLE001 - nothing may pass through CVODE; raised again in advance()
                 self.problem = error

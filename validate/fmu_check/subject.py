@@ -133,11 +133,6 @@ class Block(tuple[FmuVariable, ...]):
         return np.repeat(np.array([of(item) for item in self], dtype=float), self.sizes)
 
     @cached_property
-    def continuous(self) -> np.ndarray:
-        """(entries,) whether each entry's variable moves between events [-]. Raises nothing."""
-        return self.each(lambda item: item.is_continuous) > 0.0
-
-    @cached_property
     def scales(self) -> np.ndarray:
         """(entries,) typical magnitudes [unit of each]. Raises nothing."""
         return self.each(lambda item: item.scale)

@@ -98,7 +98,7 @@ def judge(
     if trajectory is None:
         return Judgement(scene=subject, plan=None, replay=None, score=score(subject, None, None))
     return judge_trajectory(
-        subject, build_fmu(subject, results=False), trajectory, feedback=feedback, limits=limits
+        subject, build_fmu(subject), trajectory, feedback=feedback, limits=limits
     )
 
 

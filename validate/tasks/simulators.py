@@ -72,9 +72,7 @@ def ask_simulators(
     for run in best:
         try:
             scene, plan = stored_plan(folder, run)
-            judgement = judge_trajectory(
-                scene, build_fmu(scene, results=False), plan, limits=Limits()
-            )
+            judgement = judge_trajectory(scene, build_fmu(scene), plan, limits=Limits())
             rows = elsewhere(
                 judgement,
                 engines,

@@ -8,7 +8,7 @@
 Scenes are those of the bank, with other parameters, another start or a damped floor; the ramp and
 the belt are written here. An answer is a closed form (of the scene's file, or here) or, where there
 is none, the motion by our own event-exact integration: DOP853 at 1e-12, afresh at every change of a
-contact or a friction (models.fmu.reference). Either is right to 1e-9.
+contact or a friction (models.exact_motion). Either is right to 1e-9.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.special import lambertw
 
 from models.catalog import load_scene
-from models.fmu.reference import Equations, Piece, true_motion
+from models.exact_motion import Equations, Piece, true_motion
 from models.scene import Contact, Coordinate, Friction, Parameter, Scene, Task
 from models.scene.contacts import DampingLaw
 from models.scenes import bouncing_mass as drop
@@ -100,7 +100,7 @@ class TruthProblem:
         if self.exact is not None:
             return np.array(self.exact)
         pieces = [Piece(end=self.duration, u=np.array(self.u, dtype=float))]
-        return true_motion(Equations(self.scene), pieces, np.array([self.duration]))[0][0]
+        return true_motion(Equations(self.scene), pieces, np.array([self.duration]))[0]
 
     def errors(
         self, t: np.ndarray, q: np.ndarray, v: np.ndarray, end: np.ndarray
@@ -352,7 +352,7 @@ def _dying_bounces() -> TruthProblem:
     ).with_task(step=0.005)
     duration, nodes = 2.5, 5000
     t = uniform_grid(duration / nodes, nodes)
-    states, _ = true_motion(Equations(scene), [Piece(end=duration, u=np.zeros(0))], t)
+    states = true_motion(Equations(scene), [Piece(end=duration, u=np.zeros(0))], t)
     q, v = states[:, :1], states[:, 1:]
     third = int(np.flatnonzero((q[:-1] > 0.0) & (q[1:] <= 0.0))[1]) + 400
     return TruthProblem(

@@ -20,8 +20,6 @@ from models.codegen.emit import emit_model, model_source
 from models.codegen.kernel import load_kernel
 from models.codegen.text_cache import cached_text
 from models.errors import MachineError
-from models.fmu import description as experiment
-from models.fmu.reference import true_motion
 from models.fmu.sensitivity import emit_sensitivity, sensitivity_source
 from models.scene import Scene
 
@@ -242,27 +240,6 @@ def test_equal_equations_are_written_once(own_cache):
     assert not asked(scene.with_task(steps=7)), "nor is the task"
 
 
-def test_the_motion_in_an_fmu_is_integrated_once(monkeypatch, own_cache):
-    """For every version and platform; again for other values and another task.
-
-    What is read back is what was computed.
-    """
-    integrated = []
-
-    def counted(*arguments):
-        integrated.append(arguments[0].scene)
-        return true_motion(*arguments)
-
-    monkeypatch.setattr(experiment, "true_motion", counted)
-    scene = load_scene("three_cart").with_task(steps=4)
-    first = experiment.experiment_texts(scene)
-    assert experiment.experiment_texts(scene) == first
-    assert len(integrated) == 1
-    others = [scene.with_parameters(k=77.0), scene.with_task(steps=5)]
-    assert all(experiment.experiment_texts(other) for other in others)
-    assert integrated == [scene, *others]
-
-
 @pytest.mark.parametrize("change", [
     lambda scene: replace(scene,
                           potential_energy=scene.potential_energy + sp.Symbol("q1", real=True)),
@@ -280,7 +257,7 @@ def test_other_equations_are_written_anew(change, own_cache):
 
 
 def test_every_pattern_of_generators_finds_files():
-    for pattern in (*text_cache._GENERATORS, *text_cache._COMPUTED, *text_cache._ALL):
+    for pattern in (*text_cache._GENERATORS, *text_cache._ALL):
         assert list(text_cache._MODELS.glob(pattern)), pattern
 
 

@@ -13,11 +13,12 @@ import sympy as sp
 from fmpy.validation import validate_fmu
 
 from models.catalog import load_scene
+from models.exact_motion import Equations, Piece, true_motion
 from models.fmu import build_fmu
-from models.fmu.reference import Equations, Piece, true_motion
 from models.scene import Coordinate, Input, Scene, Task
 from models.scene.contacts import Contact, Friction
 from models.scene.parts import goal_limits
+from tests.models.fmu.scene_outputs import scene_outputs
 from tests.models.test_friction import (
     g,
     k,
@@ -116,7 +117,7 @@ def errors_of(
     scene: Scene, parts: list[Piece], times: np.ndarray, steps: tuple[float, ...]
 ) -> list[float]:
     """The largest difference of a state from the true motion with each internal step."""
-    truth, _ = true_motion(Equations(scene), parts, times)
+    truth = true_motion(Equations(scene), parts, times)
     how = {"stop_time": times[-1], "output_interval": times[1], "input": signal(scene, parts)}
     found = [
         simulate(scene, states(scene), start_values={"internal_step": step}, **how)
@@ -265,7 +266,7 @@ def test_a_slip_that_passes_zero_in_flight_is_no_sticking(kind: str) -> None:
         0.5 * 0.3 - 0.3**2, abs=1e-12 if kind == "CoSimulation" else 1e-6
     )
     assert found["friction_floor"][-1] == 0.0
-    truth, _ = true_motion(Equations(scene), [Piece(0.3, np.array([-4.0]))], np.array([0.3]))
+    truth = true_motion(Equations(scene), [Piece(0.3, np.array([-4.0]))], np.array([0.3]))
     assert truth[0, :1] == pytest.approx([0.5 * 0.3 - 0.3**2], abs=1e-12)
 
 
@@ -319,7 +320,7 @@ def test_outputs_and_accelerations_are_those_of_the_equations(
     for q, v in POINTS:
         model = drive(ARM, "me", version).continuous(q, v, U)
         x = np.array([*q, *v])
-        expected = equations.outputs(x, U)
+        expected = scene_outputs(equations, x, U)
         found = model.get(*expected)
         assert found == pytest.approx(list(expected.values()), rel=1e-11, abs=1e-11), (q, v)
         assert model.derivatives[3:] == pytest.approx(

@@ -450,7 +450,7 @@ def test_three_carts_agree_with_the_scene_s_own_fmu_to_the_order_of_the_engine(r
             rows.append(slave.get(*outputs))
         return np.array(rows)
 
-    with unpacked(read_package(build_fmu(scene, results=False))) as package:
+    with unpacked(read_package(build_fmu(scene))) as package:
         own = Slave(package, "CS")
         truth = motion(own.begin(internal_step=1e-4, **starts), ("u1", "u3"), ("q1", "q2", "q3"))
         own.fmu.unload()

@@ -1,31 +1,34 @@
-"""The FMU file: valid, reproducible, complete, with terminals, icon, build description and reference results, for other platforms too; and what a user does wrong is said in one sentence."""
+"""The FMU file: valid, reproducible, complete, with terminals, icon and build description, for other platforms too; and what a user does wrong is said in one sentence."""
 
 import dataclasses
 import importlib.util
-import io
 import re
 import shutil
 import struct
 import subprocess
 import zipfile
+from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
 import fmpy
-import fmpy.validation
 import numpy as np
 import pytest
 import sympy as sp
+from example_scenes import example_scene
 from fmpy.validation import validate_fmu
 from lxml import etree
-from wording import unsaid
 
+from models import exact_motion
 from models.errors import MachineError, SceneError, TouchstoneError, UnknownNameError
-from models.fmu import build_fmu, reference, variable_names
-from models.fmu.description import ACCURACY, FOLDER, STANDARDS, experiment_texts, render
+from models.exact_motion import Equations, MotionError, Piece, true_motion
+from models.fmu import build_fmu, variable_names
+from models.fmu.description import STANDARDS, render
 from models.fmu.package import PLATFORMS, find_platforms, this_platform
-from models.scene import Parameter
+from models.fmu.variables import variable_table
+from models.scene import Parameter, Scene
 from models.scene.values import base_exponents
+from tests.models.fmu.scene_outputs import scene_outputs
 
 
 @pytest.mark.slow
@@ -129,16 +132,11 @@ def test_bad_date_is_refused(scene_of, monkeypatch, epoch):
 
 both = pytest.mark.parametrize("version", STANDARDS)
 SCHEMAS = Path(fmpy.__file__).parent / "schema" / "fmi3"
-LS = "{http://fmi-standard.org/fmi-ls-manifest}"
 
 
 def read(scene, version, name):
     with zipfile.ZipFile(build_fmu(scene, version)) as archive:
         return archive.read(name)
-
-
-def table(data):
-    return np.atleast_1d(np.genfromtxt(io.StringIO(data.decode()), delimiter=",", names=True))
 
 
 @both
@@ -175,56 +173,67 @@ def test_icon_is_a_png_of_128_by_128_and_a_drawing(scene_of, version):
     )
 
 
-@both
-def test_reference_results_are_declared(any_scene, version):
-    """By the layered standard FMI-LS-REF: its three attributes, and every file that is named is there and the other way round."""
-    with zipfile.ZipFile(build_fmu(any_scene, version)) as archive:
-        inside = {
-            name.removeprefix(f"{FOLDER}/")
-            for name in archive.namelist()
-            if name.startswith(f"{FOLDER}/")
-        }
-        manifest = ElementTree.fromstring(archive.read(f"{FOLDER}/fmi-ls-manifest.xml"))
-        experiment = ElementTree.fromstring(archive.read(f"{FOLDER}/validation.exp")).find(
-            "Experiment"
-        )
-        assert "documentation/fmi-ls-ref.html" in archive.namelist()
-        assert b"fmi-ls-ref.html" in archive.read("documentation/index.html")
-    assert manifest.tag == "fmiReferences"
-    assert manifest.get(f"{LS}fmi-ls-name") == "org.fmi-standard.fmi-ls-ref"
-    assert manifest.get(f"{LS}fmi-ls-version") == "1.0.0-alpha.1"
-    assert manifest.get(f"{LS}fmi-ls-description").startswith("Layered Standard")
-    related = {item.get("source"): item.get("role") for item in manifest.findall("Related")}
-    assert inside == {"fmi-ls-manifest.xml", *related}
-    assert related["validation.exp"] == "experiment/validation"
-    assert related["validation_results.csv"] == "result"
-    assert experiment.find("References").get("source") == "validation_results.csv"
-    assert (
-        (experiment.find("Stimuli") is not None)
-        == (any_scene.nu > 0)
-        == ("validation_inputs.csv" in related)
-    )
-    assert float(experiment.get("stopTime")) <= any_scene.task.horizon * (1 + 1e-12)
+# Inputs in each quarter of an experiment, as a share of half of what the actuator can do. Every
+# second input has the other sign, so that contacts close and open.
+SHARES = (1.0, -0.5, 0.0, 0.75)
+# Largest difference from the exact motion, as a fraction of a state's nominal.
+ACCURACY = 1e-6
+
+
+def experiment(scene: Scene) -> tuple[np.ndarray, list[Piece]]:
+    """Times of about 200 communication steps over the task [s], and inputs."""
+    stride = -(-scene.task.steps // 200)
+    count = scene.task.steps // stride
+    times = np.arange(count + 1) * (scene.task.step * stride)
+    strength = []
+    for index, item in enumerate(scene.inputs):
+        bounds = [abs(bound) for bound in (item.lower, item.upper) if np.isfinite(bound) and bound]
+        strength.append((-1) ** index * (0.5 * min(bounds) if bounds else 1.0))
+    ends = [times[round(count * (quarter + 1) / 4)] for quarter in range(4)]
+    return times, [
+        Piece(float(end), share * np.array(strength))
+        for end, share in zip(ends, SHARES, strict=True)
+    ]
+
+
+@cache
+def exact_outputs(name: str) -> dict[str, np.ndarray]:
+    """All outputs over the experiment, integrated without the FMU."""
+    scene = example_scene(name)
+    times, pieces = experiment(scene)
+    equations, names = Equations(scene), variable_names(scene)
+    states = true_motion(equations, pieces, times)
+    # At a knot the inputs are those that end there.
+    held = [next(piece.u for piece in pieces if t <= piece.end) for t in times]
+    rows = [
+        scene_outputs(equations, x, u) | dict(zip((*names.q, *names.v), x, strict=True))
+        for x, u in zip(states, held, strict=True)
+    ]
+    outputs = [item.name for item in variable_table(scene) if item.causality == "output"]
+    return {output: np.array([row[output] for row in rows]) for output in outputs}
 
 
 @both
-def test_stock_importer_meets_the_reference_results(any_scene, version):
-    """FMPy's Co-Simulation under the inputs of the file, at every time of the file, in every output."""
-    want = table(read(any_scene, version, f"{FOLDER}/validation_results.csv"))
-    given = (
-        table(read(any_scene, version, f"{FOLDER}/validation_inputs.csv")) if any_scene.nu else None
-    )
-    interval = want["time"][1] - want["time"][0]
-    path = str(build_fmu(any_scene, version))
+def test_simulate_fmu_by_fmpy_exact_motion(any_scene, version):
+    """FMPy's Co-Simulation through contacts that close and open, at every time and in every output."""
+    (times, pieces), want = experiment(any_scene), exact_outputs(any_scene.name)
+    given, begin = None, 0.0
+    if any_scene.nu:
+        rows = []
+        for piece in pieces:
+            rows += [(begin, *piece.u), (piece.end, *piece.u)]
+            begin = piece.end
+        columns = [(item, float) for item in ("time", *(item.name for item in any_scene.inputs))]
+        given = np.array(rows, dtype=columns)
     got = fmpy.simulate_fmu(
-        path,
+        str(build_fmu(any_scene, version)),
         fmi_type="CoSimulation",
         input=given,
-        stop_time=want["time"][-1],
-        output_interval=interval,
+        stop_time=times[-1],
+        output_interval=times[1],
     )
     last = [
-        np.flatnonzero(np.abs(got["time"] - t) < 1e-9)[0] for t in want["time"]
+        np.flatnonzero(np.abs(got["time"] - t) < 1e-9)[0] for t in times
     ]  # before the inputs change at a knot
     names = variable_names(any_scene)
     scale = max(coordinate.nominal for coordinate in any_scene.coordinates)
@@ -232,7 +241,7 @@ def test_stock_importer_meets_the_reference_results(any_scene, version):
         np.testing.assert_allclose(
             got[name][last], want[name], rtol=0, atol=ACCURACY * scale, err_msg=name
         )
-    for name in set(want.dtype.names) - {"time", *names.q, *names.v, "input_power"}:
+    for name in set(want) - {*names.q, *names.v, "input_power"}:
         size = max(1.0, np.abs(want[name]).max())
         np.testing.assert_allclose(
             got[name][last] / size, want[name] / size, rtol=0, atol=10 * ACCURACY, err_msg=name
@@ -243,33 +252,22 @@ def test_stock_importer_meets_the_reference_results(any_scene, version):
         )
 
 
-def test_a_stiff_motion_is_integrated_by_an_implicit_method(scene_of, monkeypatch):
+def test_true_motion_stiff_scene_by_implicit_method(scene_of, monkeypatch):
     """A thousand times the damping: explicit steps would be a hundred times shorter than the task's."""
-    monkeypatch.setattr(reference, "BUDGET", 3000)
+    monkeypatch.setattr(exact_motion, "BUDGET", 3000)
     stiff = scene_of("three_cart").with_parameters(c=1e6).with_task(steps=8)
-    texts = experiment_texts(stiff)
-    assert "Radau IIA" in texts["documentation/fmi-ls-ref.html"]
-    assert np.isfinite(table(texts[f"{FOLDER}/validation_results.csv"].encode())["q1"]).all()
+    times, pieces = experiment(stiff)
+    with pytest.raises(MotionError, match="of which DOP853 came to"):
+        exact_motion._motion_by(exact_motion.EXPLICIT, Equations(stiff), pieces, times)
+    assert np.isfinite(true_motion(Equations(stiff), pieces, times)).all()
 
 
-@pytest.mark.slow
-def test_a_motion_beyond_the_budget_leaves_an_fmu_without_results_that_says_so(
-    scene_of, monkeypatch
-):
-    monkeypatch.setattr(reference, "BUDGET", 20)
+def test_true_motion_beyond_the_budget_is_refused(scene_of, monkeypatch):
+    monkeypatch.setattr(exact_motion, "BUDGET", 20)
     scene = scene_of("three_cart").with_task(steps=9)
-    path = build_fmu(scene)
-    with zipfile.ZipFile(path) as archive:
-        names = archive.namelist()
-        page = archive.read("documentation/fmi-ls-ref.html").decode()
-        about = archive.read(f"{FOLDER}/fmi-ls-manifest.xml") + archive.read(
-            f"{FOLDER}/validation.exp"
-        )
-    assert f"{FOLDER}/validation.exp" in names
-    assert f"{FOLDER}/validation_results.csv" not in names
-    assert b"result" not in about
-    assert not unsaid(page, "no results: scene three_cart: … more than 20 evaluations")
-    assert fmpy.validation.validate_fmu(str(path)) == []
+    times, pieces = experiment(scene)
+    with pytest.raises(MotionError, match=r"scene three_cart: .* more than 20 evaluations"):
+        true_motion(Equations(scene), pieces, times)
 
 
 @pytest.mark.slow

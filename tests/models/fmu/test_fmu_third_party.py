@@ -21,8 +21,8 @@ from fmpy.validation import validate_fmu
 from scipy.integrate import solve_ivp
 
 from models.catalog import load_scene, scene_names
+from models.exact_motion import Equations, Piece, _leaving, true_motion
 from models.fmu import build_fmu
-from models.fmu.reference import Equations, Piece, _leaving, true_motion
 from validate.execution.isolated import Limits, run_isolated
 
 pytestmark = pytest.mark.peer
@@ -221,7 +221,7 @@ def test_casadi_integrates_and_differentiates_the_model_exchange(scene, unpacked
         scene,
         f"casadi, FMI {version}",
         got["x"],
-        true_motion(equations, [Piece(end, u)], np.array([end]))[0][0],
+        true_motion(equations, [Piece(end, u)], np.array([end]))[0],
     )
     np.testing.assert_allclose(got["backward"], got["forward"], rtol=1e-12, atol=1e-12)
 
@@ -253,7 +253,7 @@ def test_casadi_goes_through_contact(scene, unpacked, agree):
         scene,
         "casadi, in contact",
         got,
-        true_motion(equations, [Piece(after + end, u)], np.array([after + end]))[0][0],
+        true_motion(equations, [Piece(after + end, u)], np.array([after + end]))[0],
     )
 
 

@@ -59,7 +59,7 @@ def test_a_string_is_read_and_is_its_start(
 def test_terminals_name_what_there_is(tmp_path: Path, old: str, new: str, said: str):
     path, target = "terminalsAndIcons/terminalsAndIcons.xml", tmp_path / "terminals.fmu"
     with (
-        zipfile.ZipFile(build_fmu(load_scene("three_cart"), results=False)) as archive,
+        zipfile.ZipFile(build_fmu(load_scene("three_cart"))) as archive,
         zipfile.ZipFile(target, "w") as made,
     ):
         assert old.encode() in archive.read(path)

@@ -114,19 +114,6 @@ def test_every_form_of_a_plan_gives_the_same_verdict(held, tmp_path: Path, form:
     assert told.replay.tracked is None, "feedback is not tried where the inputs alone do"
 
 
-@pytest.mark.slow
-def test_the_judge_integrates_no_reference_results(held, monkeypatch):
-    """They take seconds, of a stiff scene minutes, outside of every limit.
-
-    A replay has no use for them.
-    """
-    from models.fmu import description as experiment
-
-    monkeypatch.setattr(experiment, "true_motion", lambda *arguments: pytest.fail("integrated"))
-    scene, plan = held
-    assert judge(scene.with_parameters(m=1.0 + 1e-9), plan).holds
-
-
 def test_a_solution_without_a_plan_is_a_verdict():
     told = judge("three_cart", solution(None))
     assert (told.verdict, told.plan, told.replay, told.holds) == (

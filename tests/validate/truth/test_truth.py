@@ -17,7 +17,7 @@ import pytest
 import sympy as sp
 from wording import unsaid
 
-from models.fmu.reference import Equations, Piece, true_motion
+from models.exact_motion import Equations, Piece, true_motion
 from models.scene import Scene
 from reports.pages.simulators import as_markdown, largest_disagreement
 from reports.records.engines_record import TruthRow
@@ -99,7 +99,7 @@ def test_a_closed_form_is_what_our_own_integration_gives(name: str):
         Equations(problem.scene),
         [Piece(end=problem.duration, u=np.array(problem.u))],
         np.array([problem.duration]),
-    )[0][0]
+    )[0]
     scales = np.repeat([problem.position, problem.velocity], problem.scene.nq)
     assert np.nanmax(np.abs(found - problem.end()) / scales) <= 1e-9
 

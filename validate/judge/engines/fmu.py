@@ -39,7 +39,7 @@ def motion_of(
     drive: Drive, steps: Callable[[Package, Variables, HeldInputs], Run]
 ) -> SimulatedMotion:
     """Of our FMU by whatever steps it: positions and velocities at the plan's nodes, NaN from where the run ended. Raises FmuError."""
-    with unpacked(read_package(build_fmu(drive.scene, results=False))) as package:
+    with unpacked(read_package(build_fmu(drive.scene))) as package:
         variables, nq = find_variables(package, drive.scene), drive.scene.nq
         began = time.process_time()
         run = steps(package, variables, HeldInputs(drive.plan, drive.feedback))

@@ -452,7 +452,7 @@ class SceneArena(Arena):
         """
         asked = Asked.of(scene, limits)
         with (
-            unpacked(read_package(build_fmu(scene, results=False))) as package,
+            unpacked(read_package(build_fmu(scene))) as package,
             closing(cls(scene, package, plan, asked, followed)) as arena,
         ):
             yield arena.settle()

@@ -110,7 +110,7 @@ def test_the_fmu_of_a_scene_fares_as_the_scene_does(judged: Judgement, tmp_path:
     write_csv(tmp_path / "plan.csv", judged.plan, SCENE)
     (tmp_path / "map.toml").write_text(scene_map(), encoding="utf-8")
     wired = wire_fmu(
-        build_fmu(SCENE, version="3.0", results=False),
+        build_fmu(SCENE, version="3.0"),
         tmp_path / "plan.csv",
         map_path=tmp_path / "map.toml",
     )

@@ -1,13 +1,11 @@
-"""The true continuous motion of a scene under inputs that are constant piece by piece, without any C.
+"""The exact continuous motion of a scene under piecewise constant inputs, without any C.
 
-It is integrated by scipy's DOP853 on the scene's equations as numpy functions, restarted at every
-    change of an input, a contact, its damping or a
-friction: what the FMU's own numbers are compared with, by users and by our tests. What is stiff for
-    an explicit method - without inertia, or
-because it does not come to the end within a budget of evaluations - is integrated by the implicit
-    Radau IIA, within the same budget. What sticks
-and what slips is found by trying every combination for one that contradicts nothing - another road
-    than the one the FMU takes.
+    states = true_motion(Equations(scene), [Piece(end=1.0, u=u)], times)
+
+scipy's DOP853 integrates the scene's equations as numpy functions, and restarts at every change of
+an input, a contact, its damping or a friction. Radau IIA integrates motions without inertia, and
+those that take DOP853 more than a budget of evaluations. Modes of friction are found by trying
+every combination for one without a contradiction; the FMU finds them another way.
 """
 
 from __future__ import annotations
@@ -22,7 +20,6 @@ import sympy as sp
 
 from models.dynamics import Dynamics, derive
 from models.errors import SceneError
-from models.fmu.variables import friction_nominals
 from models.scene import Scene
 from models.scene.contacts import DampingLaw
 
@@ -40,21 +37,9 @@ class MotionError(SceneError):
     """The motion cannot be followed, or not within the budget."""
 
 
-@dataclass(frozen=True)
-class ReferenceIntegrator:
-    """name: scipy's; tolerance: relative, the absolute one is this times the nominal of each state.
-
-    words: what the user is told of it.
-    """
-
-    name: str
-    tolerance: float
-    words: str
-
-
-EXPLICIT = ReferenceIntegrator("DOP853", 1e-12, "a Runge-Kutta method of order 8")
-# An implicit method of order 5 gets no further with less.
-IMPLICIT = ReferenceIntegrator("Radau", 1e-9, "Radau IIA, an implicit method of order 5,")
+# scipy's method and its relative tolerance; the absolute one is that times the nominal of each state.
+EXPLICIT = ("DOP853", 1e-12)
+IMPLICIT = ("Radau", 1e-9)  # a smaller tolerance does not make order 5 more accurate
 
 
 @dataclass(frozen=True)
@@ -115,12 +100,6 @@ class Equations:
         self._share_slopes = [d.function(slope, d.q, d.v) for slope in slopes]
         self._slip_band = _BOUNDARY * np.array([friction.nominal for friction in scene.frictions])
         self._band = _BOUNDARY * np.array([contact.nominal for contact in scene.contacts])
-        self._energies = {
-            "kinetic_energy": (d.function([d.kinetic_energy], d.q, d.v), "qv"),
-            "potential_energy": (d.function([d.potential_energy], d.q), "q"),
-            "input_power": (d.function([d.input_power], d.q, d.v, d.u), "qvu"),
-            "dissipated_power": (d.function([d.dissipated_power], d.q, d.v), "qv"),
-        }
 
     def at(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """What depends on the state x (2*nq,) [m, rad, m/s, rad/s] alone, by name.
@@ -384,63 +363,6 @@ class Equations:
             - abs(self.motion(x, u, modes)[1][index])
         )
 
-    def outputs(self, x: np.ndarray, u: np.ndarray) -> dict[str, float]:
-        """What the FMU gives besides positions and velocities, by the FMU's names.
-
-        Parameters
-        ----------
-        x
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        u
-            Inputs (nu,) [N, N m].
-
-        Returns
-        -------
-        dict[str, float]
-            Forces [N], gaps [m], slips [m/s], energies [J], powers [W], shares [-].
-
-        Raises
-        ------
-        LinAlgError
-            Where the mass matrix is singular.
-        """
-        phi, modes = self.at(x)["phi"], self.modes(x, u)
-        spring = self.stiffness * np.maximum(phi, 0.0)
-        lam = np.maximum(self.contact_force(x, phi > 0), 0.0)
-        parts = {"q": x[: self.n], "v": x[self.n :], "u": u}
-        values = {
-            contact.force_name: lam[index] for index, contact in enumerate(self.scene.contacts)
-        }
-        rate = -self.at(x)["jacobian"] @ x[self.n :]
-        for row, contact in enumerate(self.scene.damped):
-            values[self.scene.contacts[contact].pressing_name] = (
-                float(self.at(x)["share"][row]) if phi[contact] > 0 else 1.0
-            )
-        friction, slip = self.motion(x, u, modes)[1], self.at(x)["slip"]
-        values |= {
-            contact.gap_name: -phi[index] for index, contact in enumerate(self.scene.contacts)
-        }
-        values |= {
-            name: function(*(parts[letter] for letter in letters)).item()
-            for name, (function, letters) in self._energies.items()
-        }
-        for index, (item, force) in enumerate(
-            zip(self.scene.frictions, friction_nominals(self.scene), strict=True)
-        ):
-            reserve = self.reserve(x, u, modes, index) / (
-                item.nominal if modes.slips[index] else force
-            )
-            values |= {
-                item.force_name: friction[index],
-                item.slip_name: slip[index],
-                f"reserve_{item.name}": reserve,
-            }
-        values["dissipated_power"] -= float(friction @ slip)
-        values["dissipated_power"] += sum(
-            float((lam - spring)[contact] * rate[contact]) for contact in self.scene.damped
-        )
-        return values | {"contact_energy": float(np.sum(spring * phi) / 2)}
-
 
 def _quick(
     d: Dynamics, entries: Sequence[sp.Expr], *groups: Sequence[sp.Symbol]
@@ -475,10 +397,8 @@ def pressing_shares(d: Dynamics) -> sp.Matrix:
     return sp.Matrix(len(shares), 1, shares)
 
 
-def true_motion(
-    equations: Equations, pieces: Sequence[Piece], times: np.ndarray
-) -> tuple[np.ndarray, ReferenceIntegrator]:
-    """States of the true motion from the task's start, and the method that came to the end.
+def true_motion(equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> np.ndarray:
+    """Return the states of the true motion from the task's start.
 
     Parameters
     ----------
@@ -489,10 +409,8 @@ def true_motion(
 
     Returns
     -------
-    states
+    np.ndarray
         (n, 2*nq), positions [m, rad], then velocities [m/s, rad/s].
-    method
-        The integrator.
 
     Raises
     ------
@@ -503,14 +421,18 @@ def true_motion(
     # all the way.
     if equations.scene.lag is None:
         with contextlib.suppress(MotionError):
-            return _motion_by(EXPLICIT, equations, pieces, times), EXPLICIT
-    return _motion_by(IMPLICIT, equations, pieces, times), IMPLICIT
+            return _motion_by(EXPLICIT, equations, pieces, times)
+    return _motion_by(IMPLICIT, equations, pieces, times)
 
 
 def _motion_by(
-    method: ReferenceIntegrator, equations: Equations, pieces: Sequence[Piece], times: np.ndarray
+    integrator: tuple[str, float],
+    equations: Equations,
+    pieces: Sequence[Piece],
+    times: np.ndarray,
 ) -> np.ndarray:
     scene, left = equations.scene, BUDGET
+    method, tolerance = integrator
     x, t = np.array(scene.task.start, dtype=float), 0.0
     nominal = np.tile([coordinate.nominal for coordinate in scene.coordinates], 2)
     result = np.full((len(times), x.size), np.nan)
@@ -529,7 +451,7 @@ def _motion_by(
         left -= 1
         if left < 0:
             raise MotionError(
-                f"scene {scene.name}: its motion takes more than {BUDGET} evaluations of its equations, of which {method.name} came to t = {at:.6g} s."
+                f"scene {scene.name}: its motion takes more than {BUDGET} evaluations of its equations, of which {method} came to t = {at:.6g} s."
             )
         return equations.rate(y, u, modes)
 
@@ -542,9 +464,9 @@ def _motion_by(
                 lambda at, y, u=piece.u, modes=modes: rate(at, y, u, modes),
                 (t, piece.end),
                 x,
-                method=method.name,
-                rtol=method.tolerance,
-                atol=method.tolerance * nominal,
+                method=method,
+                rtol=tolerance,
+                atol=tolerance * nominal,
                 max_step=scene.task.step,
                 dense_output=True,
                 events=_leaving(equations, modes, piece.u),
