@@ -6,7 +6,6 @@ import json
 import math
 import os
 from dataclasses import asdict
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -111,7 +110,6 @@ Examples:
   python -m validate replay plan.csv --scene three_cart --html plan.html
   python -m validate replay plan.csv --scene three_cart --engine all
   python -m validate replay plan.csv --fmu robot.fmu --map robot.toml --json
-  python -m validate replay plan.csv --fmu robot.fmu --map robot.toml --vary mass_trunk=1.1
 
 Exit codes: 0 the plan holds, by its inputs alone or with feedback (--require holds:
 by its inputs alone); 1 it violates, or that is undecided; 2 a mistake in plan, map
@@ -136,13 +134,6 @@ or FMU; 3 a system requirement is missing.
     help="What exit code 0 needs: that the plan holds by its inputs alone, or that it holds with feedback.",
 )
 @click.option(
-    "--vary",
-    "varied",
-    multiple=True,
-    metavar="NAME=FACTOR",
-    help="With --fmu: judge once more with this parameter of the FMU so many times as large, and say what changes; may be repeated.",
-)
-@click.option(
     "--engine",
     "engines",
     metavar="NAME,..|all",
@@ -165,7 +156,6 @@ def command(
     fmu: Path | None,
     track: bool,
     require: str,
-    varied: tuple[str, ...],
     engines: str | None,
     as_json: bool,
     html_file: Path | None,
@@ -180,11 +170,6 @@ def command(
     what is asked.
     """
     wired = read_fmu_options(scene, fmu, **given)
-    if varied and fmu is None:
-        raise click.UsageError(
-            "--vary belongs to --fmu; how much of a scene's parameters a plan can take, robust says."
-        )
-    factors = _factors(varied)
     if engines is not None and fmu is not None:
         raise click.UsageError(
             "--engine belongs to --scene: another simulator cannot step somebody's FMU."
@@ -196,18 +181,9 @@ def command(
     if fmu is not None:
         from validate.judge.judgement import wire_fmu
 
-        wire = partial(wire_fmu, fmu, plan, **wired)
-        # All are wired before anything is replayed, the map as it stands first: what is wrong
-        # there, and what cannot be varied, is refused at once.
-        stated = wire()
-        others = [(wire(factors={name: factor}), name, factor) for name, factor in factors.items()]
-        judgement, warnings = stated.judge(track), []
-        changes = [
-            _change(judgement, other.judge(track), name, factor) for other, name, factor in others
-        ]
+        judgement, warnings = wire_fmu(fmu, plan, **wired).judge(track), []
     else:
         judgement, warnings = _of_scene(str(scene), plan, wired["hold"], wired["limits"], track)
-        changes = []
     rows = []
     if asked:
         from validate.judge.elsewhere import elsewhere
@@ -220,8 +196,6 @@ def command(
             tell=lambda text: say(text, err=True),
         )
     told = _told(judgement, warnings)
-    if changes:
-        told["varied"] = changes
     if asked:
         told["engines"] = [row.as_json() for row in rows]
     if out is not None:
@@ -232,53 +206,8 @@ def command(
     else:
         warn(told["warnings"])
         _print(judgement)
-        for change in changes:
-            say(change["sentence"])
         _print_engines(rows)
     return exit_code(judgement.verdict, require)
-
-
-def _factors(texts: tuple[str, ...]) -> dict[str, float]:
-    """Parameter -> factor. Raises click.UsageError."""
-    found = {}
-    for text in texts:
-        name, _, factor = text.rpartition("=")
-        try:
-            found[name.strip()] = float(factor)
-        except ValueError:
-            found[name.strip()] = math.nan
-        if not name.strip() or not math.isfinite(found[name.strip()]):
-            wrong = f"--vary {text!r}: expected NAME=FACTOR with a finite number, for example --vary contact_stiffness_scale=4."
-            raise click.UsageError(wrong)
-    return found
-
-
-def _change(before: Judgement, after: Judgement, name: str, factor: float) -> dict[str, Any]:
-    """What another parameter makes of a judgement: the verdict, and what moves most in its limits."""
-    old, new = before.score.verdict.value, after.score.verdict.value
-    verdict = (
-        f"the verdict stays, {new}" if old == new else f"the verdict turns from {old} to {new}"
-    )
-    values = [
-        (metric, after.score.metric(metric.name))
-        for metric in before.score.metrics
-        if metric.limit and metric.value is not None
-    ]
-    both = [(one, other) for one, other in values if other is not None and other.value is not None]
-    sentence = f"With {name} times {factor:g} {verdict}"
-    told = {
-        "parameter": name,
-        "factor": factor,
-        "verdict": new,
-        "metric": None,
-        "value": None,
-        "before": None,
-    }
-    if both:
-        one, other = max(both, key=lambda pair: abs(pair[1].value - pair[0].value) / pair[0].limit)  # type: ignore[operator] - both were asked for
-        sentence += f"; most changes {one.name}, {_size(one.value or 0.0)} to {_size(other.value or 0.0)} {one.unit} of {one.limit:g}"
-        told |= {"metric": one.name, "value": other.value, "before": one.value}
-    return {**told, "sentence": f"{sentence}."}
 
 
 def exit_code(verdict: Verdict, require: str) -> int:

@@ -199,7 +199,6 @@ def wire_fmu(
     hold: str | None = None,
     limits: Limits | None = None,
     own_step: bool = False,
-    factors: Mapping[str, float] | None = None,
 ) -> WiredFmu:
     """Bring somebody's FMU and a plan together.
 
@@ -213,7 +212,6 @@ def wire_fmu(
     limits : of the child; None for the usual ones.
     own_step : judge Co-Simulation with one doStep a step of the plan, as who recorded the plan
         stepped it.
-    factors : of parameters of the FMU, by name: each is so many times what the map or the FMU says.
 
     Raises
     ------
@@ -239,7 +237,7 @@ def wire_fmu(
         raise TrajectoryError(
             f"plan: a {type(plan).__name__} has no names for the variables of an FMU; give the path of a CSV, arrays by column name or a DataFrame."
         )
-    foreign, trajectory = wire(package, table, given, hold, where, factors)
+    foreign, trajectory = wire(package, table, given, hold, where)
     if not own_step and any(
         foreign.variables.internal_step == reference
         for reference, _ in foreign.variables.parameters

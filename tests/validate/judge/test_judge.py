@@ -414,14 +414,13 @@ def test_a_plan_on_somebodys_fmu_is_wired_in_whatever_form_it_comes(
             module.replay_foreign, (foreign, "package of a.fmu"),
             {"limits": module.Limits(), "own_step": False},
         )  # fmt: skip
-        package, table, map_file, hold, where, factors = asked[-1]
-        assert (package, table.names[0], map_file, hold, where, factors) == (
+        package, table, map_file, hold, where = asked[-1]
+        assert (package, table.names[0], map_file, hold, where) == (
             "package of a.fmu",
             "t",
             None,
             "linear",
             "FMU a.fmu",
-            None,
         )
     (tmp_path / "map.toml").write_text("[limits]\nreplay_error = 0.5\n")
     run = wire_fmu(

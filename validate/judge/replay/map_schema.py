@@ -204,27 +204,6 @@ def read_map(path: Path) -> MapFile:
         raise MapError(f"map {path}: {found}{'' if found.endswith('?') else '.'}") from error
 
 
-def multiplied(
-    given: MapFile, named: Named, factors: Mapping[str, float] | None, where: str
-) -> MapFile:
-    """The map with parameters so many times what it or the FMU says.
-
-    A name that is none stays, and is refused as one of the map. Raises MapError.
-    """
-    found = dict(given.parameters)
-    for name, factor in (factors or {}).items():
-        start = getattr(named.by_name.get(name), "start", 1.0)
-        if name not in found and start is None:
-            raise MapError(
-                f"{where}: parameters.{name}: the FMU gives it no value that could be multiplied; give one in the map."
-            )
-        try:
-            found[name] = factor * found.get(name, float(start))
-        except (TypeError, ValueError):  # no number: it is refused with its type
-            found[name] = factor
-    return given.model_copy(update={"parameters": found})
-
-
 def composed(text: str) -> str:
     """A name in Unicode's composed form (NFC), in which names are compared: an umlaut may be written as one sign or as two that look the same."""
     return text if text.isascii() else unicodedata.normalize("NFC", text)

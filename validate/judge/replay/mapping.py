@@ -51,16 +51,13 @@ def wire(
     given: MapFile | None,
     hold: str | None,
     where: str,
-    factors: Mapping[str, float] | None = None,
 ) -> tuple[subject.Foreign, Trajectory]:
-    """where: what a mistake is said about, "map FILE" or "FMU FILE"; factors: of parameters.
+    """where: the subject of a mistake's message, "map FILE" or "FMU FILE".
 
     Raises MapError, TrajectoryError.
     """
     named = Named(package)
-    whole = map_schema.multiplied(
-        given or map_schema.by_equal_names(named, table), named, factors, where
-    )
+    whole = given or map_schema.by_equal_names(named, table)
     wiring = _Wiring(package, named, table, whole, where)
     return wiring.foreign(), wiring.trajectory(hold)
 
