@@ -267,13 +267,6 @@ PIPELINES: tuple[Pipeline, ...] = (
         "ours: the replay of the start, held against the scene's closed forms",
         "free_motion",
     ),
-    _row(
-        "global",
-        "Exact contact by its modes, then a proof of how much cheaper a plan could be",
-        "ours: one binary variable a contact and step, bounds from convex relaxations, SCIP; where a proof is possible",
-        "mpcc",
-        "global",
-    ),
 )
 
 # What `--quick` runs: the cheapest collocation chain that ends in a direct method, the cheapest

@@ -88,7 +88,6 @@ class Solution:
         trajectory: the plan, or None;
     cost: sum of the running cost over the steps; iterations; residuals: unscaled, by name,
         recomputed from the scene;
-    bound: a cost below which no plan exists, if the method proves one;
     certificate: the plan judged in the scene's strict model (`formulations.mpec.certify_solution`),
         None before that;
     starts: if there were several, every one of them; front: if the least cost within several
@@ -111,7 +110,6 @@ class Solution:
     options: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
     history: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
     certificate: Certificate | None = None
-    bound: Bound | None = None
     starts: tuple[Attempt, ...] = ()
     front: tuple[FrontPoint, ...] = ()
     size: ModelSize | None = None
@@ -162,23 +160,6 @@ class ModelSize:
 
     unknowns: int
     equations: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bound:
-    """No plan of the exact contact problem costs less than `value`.
-
-    gap: (cost - value)/cost, None without a plan; proved: the plan is optimal; decisions: contacts
-        times steps to decide, of which open_decisions were
-    left to the search; nodes: of its tree.
-    """
-
-    value: float
-    gap: float | None
-    proved: bool
-    decisions: int
-    open_decisions: int
-    nodes: int
 
 
 @dataclass(frozen=True, kw_only=True)

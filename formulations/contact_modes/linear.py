@@ -1,6 +1,6 @@
 """A linear scene in numbers, and the optimality conditions of its plans with fixed contact modes as one banded matrix.
 
-    linear = linear_scene(scene)          # ask `why_not_linear(scene)` first
+    linear = linear_scene(scene)          # if is_linear(scene)
     linear.A @ z + linear.B @ u + linear.c + linear.E @ lam
 
 z = (q, v) moves by z[t+1] = A z[t] + B u[t] + c + E lam[t], and lam_i = k_i phi_i(z) where contact
@@ -204,26 +204,22 @@ class LinearScene:
         )
 
 
-def why_not_linear(scene: Scene) -> str | None:
-    """None, or the reason why fixed contact modes do not leave a convex quadratic program."""
+def is_linear(scene: Scene) -> bool:
+    """Return whether fixed contact modes leave a convex quadratic program."""
     dynamics = derive(scene)
-    if not dynamics.structure.linear:
-        return f"scene {scene.name} is not linear in q, v and u"
-    if dynamics.final_cost != 0:
-        return f"scene {scene.name} has a final cost"
+    if not dynamics.structure.linear or dynamics.final_cost != 0:
+        return False
     hessian = _cost_hessian(dynamics)
     if hessian.free_symbols:
-        return f"the running cost of scene {scene.name} is not quadratic"
+        return False  # the running cost is not quadratic
     eigenvalues = (
         np.linalg.eigvalsh(np.array(hessian, dtype=float)) if hessian.rows else np.zeros(1)
     )
-    if eigenvalues[0] < -_CONVEX * max(1.0, eigenvalues[-1]):
-        return f"the running cost of scene {scene.name} is not convex"
-    return None
+    return bool(eigenvalues[0] >= -_CONVEX * max(1.0, eigenvalues[-1]))
 
 
 def linear_scene(scene: Scene) -> LinearScene:
-    """Give the matrices of a scene for which `why_not_linear` is None."""
+    """Return the matrices of a scene for which `is_linear` is true."""
     d, task, nq = derive(scene), scene.task, scene.nq
     inverse = np.linalg.inv(_numbers(d, d.mass_matrix))
     slope = {

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from formulations.contact_modes.linear import linear_scene, why_not_linear
+from formulations.contact_modes.linear import is_linear, linear_scene
 from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
 from formulations.ipopt import IpoptResult
 from formulations.mpec.certificate.plan import PlanJudge
@@ -309,7 +309,7 @@ class SceneModels:
         self._homotopies: dict[tuple[bool, tuple[float, ...]], SoftplusHomotopy] = {}
         self._nonlinear: dict[bool, NonlinearModes] = {}
         self._coarser: dict[int, SceneModels] = {}
-        self.is_linear = why_not_linear(scene) is None
+        self.is_linear = is_linear(scene)
 
     def coarser(self, scene: Scene) -> SceneModels:
         """Give those of the same scene with fewer steps."""

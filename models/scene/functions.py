@@ -3,7 +3,7 @@
 Plans need derivatives: Ipopt's are of the forces, and so of the second derivatives of the energies;
 gradients by rollouts, the error growth and the tracking gains are those of the C kernel. A corner
 has none. Of Max, Abs and Piecewise in a force the kernel makes do with one-sided slopes, but
-strict_lcp, relaxed_lcp, mpcc, collocation and proofs cannot; of sign and Heaviside, or of an energy
+strict_lcp, relaxed_lcp, mpcc and collocation cannot; of sign and Heaviside, or of an energy
 with a corner, nothing can.
 """
 

@@ -321,20 +321,6 @@ class FrontPointRecord(Model):
     certificate: CertificateRecord | None = None
 
 
-class BoundRecord(Model):
-    """No plan of the exact contact problem costs less than `value`; gap (cost - value)/cost.
-
-    decisions: contact times step, open: left to a search.
-    """
-
-    value: Finite
-    gap: Finite | None = None
-    proved: bool = False
-    decisions: int = 0
-    open_decisions: int = 0
-    nodes: int = 0
-
-
 class SizeRecord(Model):
     """Unknowns and equations of the model a solver was given, and the same counted on paper."""
 
@@ -413,7 +399,6 @@ class StageRecord(Model):
     iterations: int = 0
     solver: str = ""  # name and version of what ran underneath
     residuals: dict[str, Finite] = {}
-    bound: BoundRecord | None = None
     size: SizeRecord | None = None
     options: dict[str, str | int | bool | Finite | list[Finite] | None] = {}
     history: dict[str, Floats] = {}

@@ -30,7 +30,7 @@ def test_a_shared_stage_counts_where_it_was_made():
         method="mpcc", iterations=7, seconds=seconds, shared_from="mpcc", outcome="solved"
     )
     refused = SimpleNamespace(
-        method="global", iterations=0, seconds=seconds, shared_from="", outcome="refused"
+        method="collocation", iterations=0, seconds=seconds, shared_from="", outcome="refused"
     )
     runs: list[Any] = [
         SimpleNamespace(stages=(own, own)),

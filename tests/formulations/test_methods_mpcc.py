@@ -3,11 +3,15 @@
 Every figure recomputed from a rollout of the compiled time step.
 """
 
+from itertools import product
+
 import numpy as np
 import pytest
 from example_scenes import example_scene
 
 from benchmarks.suite.plans import pushed_row
+from formulations.contact_modes.linear import linear_scene
+from formulations.contact_modes.quadratic import ModesProblem
 from formulations.contact_modes.search import mode_sequence
 from formulations.methods.relaxed_lcp import RelaxedLCPSession
 from formulations.mpec.certificate.plan import certify_plan, certify_solution
@@ -25,6 +29,12 @@ TIME_LIMIT = 600.0  # wall seconds; never reached, only so that a broken solver 
 SMALL = SCENE.with_task(
     start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100
 )
+
+
+LITTLE = SCENE.with_task(
+    start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=6, step=0.15
+)
+SHORT = load_scene("wall_pendulum").with_task(start=(0.07, 0.8), steps=9)
 
 
 def solved(scene: Scene = SCENE, warm_start=None, **options) -> Solution:
@@ -51,6 +61,19 @@ def check(solution: Solution, scene: Scene, ball: float = 0.0) -> None:
         assert item.lower <= plan.u[:, column].min()
         assert plan.u[:, column].max() <= item.upper
     assert solution.cost == pytest.approx((plan.u**2).sum(), rel=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", [LITTLE, SHORT], ids=["three_cart", "wall_pendulum"])
+def test_mpcc_few_steps_cheapest_of_all_modes(scene: Scene) -> None:
+    """The banded quadratic program solves every choice of modes."""
+    problem, pairs = ModesProblem(linear_scene(scene)), (scene.task.steps - 1) * scene.nc
+    best = np.inf
+    for modes in product((False, True), repeat=pairs):
+        closed = np.reshape(modes, (-1, scene.nc))
+        answer = problem.solve(np.vstack([np.zeros((1, scene.nc), bool), closed]), below=best)
+        best = best if answer is None else min(best, answer.cost)
+    assert solved(scene).cost == pytest.approx(best, rel=1e-9)
 
 
 @pytest.fixture(scope="module")

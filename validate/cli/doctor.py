@@ -130,13 +130,6 @@ TRIALS = (
     Trial("PyTorch", "gradient", "pip install --force-reinstall 'torch>=2.4'", rests_on=_COMPILED),
     Trial("FMU", "fmu", _FOR_FMUS, rests_on=_COMPILED),
     Trial(
-        "proofs (extra [global])",
-        "integer_programs",
-        "pip install pyscipopt",
-        False,
-        "method global will say that it cannot run",
-    ),
-    Trial(
         "MuJoCo (extra [engines])",
         "other_simulator",
         "pip install mujoco",
@@ -320,24 +313,6 @@ def fmu(out: str, arrays: Any) -> str:
     return (
         "an FMU was exported and run by Model Exchange and Co-Simulation; the fall is right to 1e-9"
     )
-
-
-def integer_programs(out: str, arrays: Any) -> str:
-    """Whether the extra [global] is there and solves a knapsack."""
-    try:
-        from pyscipopt import Model, quicksum
-    except ImportError:
-        return ""
-    model = Model()
-    model.hideOutput()
-    take = [model.addVar(vtype="B") for _ in range(4)]
-    model.addCons(quicksum(w * x for w, x in zip((5, 4, 3, 2), take, strict=True)) <= 9)
-    model.setObjective(
-        quicksum(c * x for c, x in zip((10, 9, 7, 3), take, strict=True)), "maximize"
-    )
-    model.optimize()
-    _compare("the optimum of a knapsack", model.getObjVal(), 19.0, 1e-9)
-    return f"SCIP {model.version()}"
 
 
 def other_simulator(out: str, arrays: Any) -> str:

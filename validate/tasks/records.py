@@ -19,7 +19,6 @@ from pydantic import BaseModel
 
 from formulations.solution import Outcome, Solution
 from reports.records.record import (
-    BoundRecord,
     CertificateRecord,
     FrontPointRecord,
     MetricRecord,
@@ -152,7 +151,6 @@ def stage_record(
             for name, value in solution.residuals.items()
             if finite(value) is not None
         },
-        bound=None if solution.bound is None else BoundRecord(**asdict(solution.bound)),
         size=_size(solution),
         solver=solution.solver,
         options=_options(solution.options or asdict(planned.options)),

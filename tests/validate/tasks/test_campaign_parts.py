@@ -141,7 +141,7 @@ def test_a_quick_campaign_leaves_out_the_long_scenes_unless_they_are_named(tmp_p
 def planned(out: Path, *, robust: bool = True) -> PlannedTask:
     (entry,), _ = select(
         CampaignSettings(out=out, scenes=("wall_pendulum",),
-                         expression="=mpcc and not global and not multistart and not best_exact",
+                         expression="=mpcc and not multistart and not best_exact",
                          robust=robust),
     )  # fmt: skip
     assert entry.loaded is not None

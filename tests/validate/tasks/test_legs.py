@@ -4,12 +4,13 @@ import json
 import shutil
 import subprocess
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
 from killed_campaigns import records, untimed
 
+from formulations.method import Leg, Pipeline
 from formulations.pipelines import find_pipeline, load_method
 from models.catalog import load_scene
 from models.trajectory_netcdf import read_netcdf
@@ -32,8 +33,11 @@ ONCE = {"relaxing": 3 + 2, "tuning": 1, "one": 2 + 1, "two": 2 + 1 + 1, "late": 
 
 
 def _path(name: str) -> list[tuple[int, int, str, str]]:
-    """(first, end, key, alone) of each leg of a pipeline, where a key is what is asked, in words."""
-    pipeline = find_pipeline(name)
+    return _legs(find_pipeline(name))
+
+
+def _legs(pipeline: Pipeline) -> list[tuple[int, int, str, str]]:
+    """(first, end, key, alone) of each leg, where a key is what is asked, in words."""
     plan = planned_stages(pipeline, {leg.method: load_method(leg.method) for leg in pipeline.legs})
     legs = planned_legs(plan, lambda stages: json.dumps([planned.asked() for planned in stages]))
     return [(leg.first, leg.end, leg.key, leg.alone) for leg in legs]
@@ -83,7 +87,9 @@ def test_a_leg_ends_where_its_session_does():
 
 def test_the_key_of_a_leg_is_of_all_that_decides_it():
     """All stages before it, and all options; alone it is what begins another pipeline."""
-    (mpcc,), (first, second) = _path("mpcc"), _path("global")
+    mpcc = find_pipeline("mpcc")
+    longer = replace(mpcc, legs=(*mpcc.legs, Leg(method="strict_lcp")))
+    (mpcc,), (first, second) = _path("mpcc"), _legs(longer)
     assert first[2:] == mpcc[2:]
     assert second[2] not in {first[2], second[3]}
     (strict,) = _path("strict")

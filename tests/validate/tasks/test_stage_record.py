@@ -15,14 +15,13 @@ from formulations.method import Pipeline
 from formulations.mpec.certificate.certificate import Certificate
 from formulations.mpec.certificate.stationarity import Stationarity
 from formulations.pipelines import find_pipeline, load_method
-from formulations.solution import Attempt, Bound, FrontPoint, ModelSize, Outcome, Seconds, Solution
+from formulations.solution import Attempt, FrontPoint, ModelSize, Outcome, Seconds, Solution
 from models.catalog import load_scene
 from models.codegen.emit import step_operations
 from models.dynamics import derive
 from models.scene import Limit
 from models.trajectory import Trajectory, uniform_grid
 from reports.records.record import (
-    BoundRecord,
     CertificateRecord,
     ContactRecord,
     FrontPointRecord,
@@ -159,7 +158,6 @@ def scored(*metrics: Metric, **changes: Any) -> Score:
 def test_every_field_of_a_stage_stands_in_its_own():
     found = solution(
         residuals={"defect": 1e-9, "lost": math.nan, "endless": math.inf, "none": 0.0},
-        bound=Bound(value=1.0, gap=0.5, proved=True, decisions=9, open_decisions=8, nodes=7),
         size=ModelSize(unknowns=11, equations=12), paper_size=ModelSize(unknowns=13, equations=14),
         seconds=Seconds(build=0.5, translate=0.25, evaluate=0.125, linear_algebra=2.0, wall=3.0,
                         cpu=4.0), certificate=CERTIFIED,
@@ -184,7 +182,6 @@ def test_every_field_of_a_stage_stands_in_its_own():
         advice=Outcome.ITERATION_LIMIT.value, message="it took long", cost=490.5, iterations=77,
         solver="Ipopt 3.14",
         residuals={"defect": 1e-9, "none": 0.0},
-        bound=BoundRecord(value=1.0, gap=0.5, proved=True, decisions=9, open_decisions=8, nodes=7),
         size=SizeRecord(unknowns=11, equations=12, paper_unknowns=13, paper_equations=14),
         options={"count": 3, "tight": True, "step": 0.5, "name": "x", "none": None,
                  "many": [1.0, 2.5], "endless": "inf", "mixed": "(1, nan)", "empty": [],
@@ -220,13 +217,7 @@ def test_every_field_of_a_stage_stands_in_its_own():
 
 def test_what_a_stage_does_not_have_is_not_there():
     found = recorded(solution(trajectory=None, cost=math.nan))
-    assert (found.cost, found.bound, found.size, found.certificate, found.replay) == (
-        None,
-        None,
-        None,
-        None,
-        None,
-    )
+    assert (found.cost, found.size, found.certificate, found.replay) == (None, None, None, None)
     assert (
         found.starts,
         found.front,
