@@ -73,7 +73,7 @@ def by_method(runs: Iterable[RunRecord]) -> dict[str, Counter[str]]:
 def command(folder: Path) -> int:
     """Where the seconds of a campaign went."""
     stored = load(folder)
-    runs = [part for parts in stored.parts for part in parts]
+    runs = stored.runs
     parts = {
         name: seconds for name, seconds in by_part(run.profile for run in runs).items() if seconds
     }

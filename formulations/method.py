@@ -293,16 +293,9 @@ class Leg:
 
 @dataclass(frozen=True, kw_only=True)
 class Pipeline:
-    """A chain of legs; each stage starts from the plan of the stage before it.
-
-    parts: a pipeline of many independent solves may be run as several cells, each with its own
-        options laid over those of every leg; their
-    results make one run. part: (number from 1, of how many) of such a cell, None for the whole.
-    """
+    """A chain of legs; each stage starts from the plan of the stage before it."""
 
     name: str
     title: str
     legs: tuple[Leg, ...]
     source: str = ""
-    parts: tuple[Mapping[str, object], ...] = ()
-    part: tuple[int, int] | None = None

@@ -90,16 +90,6 @@ MULTIPLE_SHOOTING_COUNT = 60
 NOISE = (0.3, 0.1, 0.03)
 
 
-# Starts of mpcc_multistart, and how many of them a part runs: beside them, starting a process and
-# replaying its best plan costs little.
-STARTS = 20
-STARTS_EACH = 5
-# Work of such a part, in millions (option `work` of mpcc): 5 to 10 CPU s of Ipopt, of which a start
-# may take half of what is left. More finds the same best plans, and more of the starts end:
-# docs/campaigns.md has the figures, and how to ask for more.
-STARTS_WORK = 12.0
-
-
 def _counts(*iterations: int) -> tuple[Mapping[str, object], ...]:
     return tuple({"iterations": count} for count in iterations)
 
@@ -115,25 +105,15 @@ def _relu_gd(iterations: int) -> Leg:
     return Leg(method="relu_gd", stage_options=_counts(iterations))
 
 
-def _row(
-    name: str,
-    title: str,
-    source: str,
-    *legs: Leg | str,
-    parts: tuple[Mapping[str, object], ...] = (),
-) -> Pipeline:
+def _row(name: str, title: str, source: str, *legs: Leg | str) -> Pipeline:
     """One pipeline.
 
     A leg is that of a method without eps and options where only its name is given.
     """
     chain = tuple(Leg(method=leg) if isinstance(leg, str) else leg for leg in legs)
-    return Pipeline(name=name, title=title, legs=chain, source=source, parts=parts)
+    return Pipeline(name=name, title=title, legs=chain, source=source)
 
 
-_PARTS = tuple(
-    {"starts": STARTS_EACH, "first_start": first, "work": STARTS_WORK}
-    for first in range(0, STARTS, STARTS_EACH)
-)
 _SHOT_SOFTLY = Leg(
     method="softplus_multiple_shooting",
     schedule=MULTIPLE_SHOOTING_EPS,
@@ -249,19 +229,6 @@ PIPELINES: tuple[Pipeline, ...] = (
         "robust",
     ),
     _row(
-        "mpcc_multistart",
-        "Exact contact from twenty starts, the cheapest kept",
-        "ours: as mpcc, from the paper's first guess, softplus chain and gradient descent, both mirrored, and fifteen seeded random plans",
-        "mpcc",
-        parts=_PARTS,
-    ),
-    _row(
-        "mpcc_front",
-        "Exact contact, least cost within each terminal tolerance",
-        "ours: the honest comparison, a cost never without its terminal error",
-        "mpcc_front",
-    ),
-    _row(
         FREE_MOTION,
         "Free motion, for scenes without inputs: nothing is planned",
         "ours: the replay of the start, held against the scene's closed forms",
@@ -315,19 +282,6 @@ def stage_plan(pipeline: Pipeline) -> tuple[tuple[Leg, float | None, dict[str, o
             own = leg.stage_options[index] if index < len(leg.stage_options) else {}
             stages.append((leg, eps, {**leg.options, **own}))
     return tuple(stages)
-
-
-def parts_of(pipeline: Pipeline) -> tuple[Pipeline, ...]:
-    """The pipelines that are run for this one, each in a process of its own: itself, or its parts."""
-    return tuple(
-        replace(
-            pipeline,
-            legs=tuple(replace(leg, options={**leg.options, **own}) for leg in pipeline.legs),
-            parts=(),
-            part=(number, len(pipeline.parts)),
-        )
-        for number, own in enumerate(pipeline.parts, 1)
-    ) or (pipeline,)
 
 
 def solve_scene(

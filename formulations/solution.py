@@ -90,8 +90,7 @@ class Solution:
         recomputed from the scene;
     certificate: the plan judged in the scene's strict model (`formulations.mpec.certify_solution`),
         None before that;
-    starts: if there were several, every one of them; front: if the least cost within several
-        tolerances was asked, each of them;
+    starts: if there were several, every one of them;
     options: every option used; solver: the name and version of what ran underneath; history: per
         iteration, columns of equal length by name;
     size: of the model the solver was given, and paper_size the same counted by hand, where there is
@@ -111,7 +110,6 @@ class Solution:
     history: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
     certificate: Certificate | None = None
     starts: tuple[Attempt, ...] = ()
-    front: tuple[FrontPoint, ...] = ()
     size: ModelSize | None = None
     paper_size: ModelSize | None = None
 
@@ -166,22 +164,9 @@ class ModelSize:
 class Attempt:
     """One of several starts.
 
-    number: from 0; start: what it began from, in words; cost: None where no plan was found; windows
-        (named like the column of the records): (contact,
-    first step, last step) of each time a contact is closed; seconds: CPU seconds.
+    start: what it began from, in words; cost: None if no plan was found.
     """
 
-    number: int
     start: str
     outcome: Outcome
     cost: float | None = None
-    windows: tuple[tuple[str, int, int], ...] = ()
-    seconds: float = 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class FrontPoint:
-    """The cheapest plan found (no trajectory: none was found) whose norm of (q, v)[T] - goal is at most the tolerance."""
-
-    tolerance: float
-    solution: Solution

@@ -63,7 +63,6 @@ _OF_SCENE = (
     pareto.build,
     table1.of_scene,
     pareto.ends,
-    pareto.within_tolerance,
     sweeps.tightening,
     violation.build,
     scene.model,
@@ -452,15 +451,11 @@ def _due(report: Report) -> list[RunRecord]:
     program = _program()
     return [
         one
-        for one, parts in zip(report.stored.runs, report.stored.parts, strict=True)
+        for one in report.stored.runs
         if _written(report.folder / PAGES / run_page(one))
         <= max(
             program,
-            *(
-                _time(report.folder / "runs" / part.key / name)
-                for part in parts
-                for name in ("", "record.json")
-            ),
+            *(_time(report.folder / "runs" / one.key / name) for name in ("", "record.json")),
         )
     ]
 

@@ -298,12 +298,3 @@ def listing(words: list[str]) -> str:
         if words
         else ""
     )
-
-
-def windows(windows: tuple[tuple[str, int, int], ...]) -> str:
-    """The steps at which contacts are closed: left 131–178, 227–274; right 276–306."""
-    names = list(dict.fromkeys(name for name, _, _ in windows))
-    return "; ".join(
-        f"{name} " + ", ".join(f"{first}–{last}" for other, first, last in windows if other == name)
-        for name in names
-    )

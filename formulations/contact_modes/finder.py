@@ -86,8 +86,7 @@ class Finder:
         start: where the homotopy begins (None: the paper's first guess).
         """
         with budget.building():
-            ball = self._options.goal_tolerance if self._scene.task.has_goal else 0.0
-            problem = self._models.modes(ball, budget, self._ipopt_options(self._options.tolerance))
+            problem = self._models.modes(budget, self._ipopt_options(self._options.tolerance))
         self._most_work = budget.most_work
         budget.most_work = min(self._most_work, budget.work + 1e6 * self._options.first_work)
         self._ending = (Outcome.FAILED, "no source of contact modes gave a plan.")
@@ -186,7 +185,7 @@ class Finder:
         own = self._options
         with budget.building():
             sharpnesses = schedule(own.first_sharpness, own.last_sharpness, own.sharpness_growth)
-            homotopy = self._models.homotopy(own.goal_tolerance, sharpnesses)
+            homotopy = self._models.homotopy(sharpnesses)
         stages: list[Trajectory] = []
         ending = homotopy.run(
             budget,
@@ -256,7 +255,8 @@ class Finder:
             self._most_work
         )  # what it searches once it has a plan is no search for a first one
         if self._on_coarse is None:
-            self._on_coarse = Finder(self._models.coarser(coarse), self._options)
+            models = SceneModels(coarse, self._kernel, self._options.goal_tolerance)
+            self._on_coarse = Finder(models, self._options)
         found = self._on_coarse.find(budget, start=begin_at)
         budget.most_work = min(self._most_work, allowed + budget.work - begun)
         if found.answer is None:

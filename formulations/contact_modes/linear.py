@@ -19,7 +19,7 @@ or active bounds does is change numbers in the band: its shape is settled once. 
     L = sum_t cost(z[t], u[t]) + y[t]' (A[t] z[t] + B u[t] + c[t] - z[t+1]) + mu[t]' (P z[t] + p) + w' (z[T] - goal)
 
 The banded LU with row pivoting is compiled C, milliseconds for a plan of some hundred steps, always
-one thread. LAPACK's gbtrf and gbtrs do the same through SciPy. Measured on three_cart x mpcc_front
+one thread. LAPACK's gbtrf and gbtrs do the same through SciPy. Measured on solves of three_cart
 they took 1.7 times the CPU of the whole solve: their loop over the columns calls the BLAS twice for
 each, for ten numbers; and where the threads of the BLAS are not limited, these spin, three times.
 """

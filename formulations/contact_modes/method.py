@@ -79,12 +79,6 @@ class MpccOptions(Options):
         lower=1,
         upper=10**6,
     )
-    first_start: int = option(
-        0,
-        "number of the first of these starts, so that others can be run elsewhere",
-        lower=0,
-        upper=10**6,
-    )
     seed: int = option(
         0, "of random starts, also of those tried where the first guess leads nowhere", lower=0
     )

@@ -12,9 +12,9 @@ stage starts from the one before; multipliers are handed on once the plan no lon
 plan is the last stage's, of a law that is nearly but not quite the true one: only its contact modes
 are used.
 
-`SceneModels` holds the models that a search asks for, built and translated once for a scene: other
-starts and other radii of its goal change numbers in them. A model is put into the same state before
-every use: what is found with it does not depend on what it was used for before.
+`SceneModels` holds the models that a search uses. Each model is built and translated once for all
+starts. A model is put into the same state before every use, so that its results do not depend on
+earlier uses.
 """
 
 from __future__ import annotations
@@ -30,9 +30,8 @@ import sympy as sp
 from formulations.contact_modes.linear import is_linear, linear_scene
 from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
 from formulations.ipopt import IpoptResult
-from formulations.mpec.certificate.plan import PlanJudge
 from formulations.solution import Outcome
-from formulations.transcription.build import build_model, move_ball, open_goal, read_plan
+from formulations.transcription.build import build_model, open_goal, read_plan
 from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import ContactFormulation, hold_modes, set_relaxation
 from formulations.transcription.method import SolveBudget
@@ -216,9 +215,8 @@ class NonlinearModes:
         open_goal(model, ball)
         self._compiled, self._residuals = CompiledModel(model), PlanResiduals(scene)
 
-    def begin(self, ball: float, budget: SolveBudget, options: Mapping[str, Any]) -> NonlinearModes:
-        """Begin, as if built anew each time; ball: positive if it was built with one, else 0."""
-        move_ball(self._compiled.model, ball)
+    def begin(self, budget: SolveBudget, options: Mapping[str, Any]) -> NonlinearModes:
+        """Begin a search, as if the model were new."""
         self._budget, self._options = budget, {**options, "bound_relax_factor": 0.0}
         self.guess: Trajectory | None = None
         self.solves, self.unsolved = 0, 0
@@ -301,50 +299,34 @@ class NonlinearModes:
 class SceneModels:
     """The models of one scene.
 
-    A goal that is a point and one that is a ball are two models, balls of any radius one.
+    ball: radius of the goal; 0 if the scene has no goal.
     """
 
-    def __init__(self, scene: Scene, kernel: Kernel) -> None:
+    def __init__(self, scene: Scene, kernel: Kernel, ball: float) -> None:
         self.scene, self.kernel = scene, kernel
-        self._homotopies: dict[tuple[bool, tuple[float, ...]], SoftplusHomotopy] = {}
-        self._nonlinear: dict[bool, NonlinearModes] = {}
-        self._coarser: dict[int, SceneModels] = {}
+        self.ball = ball if scene.task.has_goal else 0.0
+        self._homotopies: dict[tuple[float, ...], SoftplusHomotopy] = {}
         self.is_linear = is_linear(scene)
 
-    def coarser(self, scene: Scene) -> SceneModels:
-        """Give those of the same scene with fewer steps."""
-        if scene.task.steps not in self._coarser:
-            self._coarser[scene.task.steps] = SceneModels(scene, self.kernel)
-        return self._coarser[scene.task.steps]
-
-    def homotopy(self, ball: float, schedule: tuple[float, ...]) -> SoftplusHomotopy:
-        """Give the softplus homotopy with this ball around the goal."""
-        key = (ball > 0.0, schedule)
-        if key not in self._homotopies:
-            self._homotopies[key] = SoftplusHomotopy(self.scene, ball, schedule)
-        move_ball(self._homotopies[key].compiled.model, ball)
-        return self._homotopies[key]
+    def homotopy(self, schedule: tuple[float, ...]) -> SoftplusHomotopy:
+        """Return the softplus homotopy with this schedule."""
+        if schedule not in self._homotopies:
+            self._homotopies[schedule] = SoftplusHomotopy(self.scene, self.ball, schedule)
+        return self._homotopies[schedule]
 
     def modes(
-        self, ball: float, budget: SolveBudget, options: Mapping[str, Any]
+        self, budget: SolveBudget, options: Mapping[str, Any]
     ) -> ModesProblem | NonlinearModes:
-        """Give the problem with modes fixed, with this ball.
+        """Return the problem with modes fixed.
 
         budget, options: of the runs of Ipopt that a nonlinear scene needs.
         """
-        if self.is_linear:
-            self._linear.ball = ball
-            return self._linear
-        is_ball = ball > 0.0
-        if is_ball not in self._nonlinear:
-            self._nonlinear[is_ball] = NonlinearModes(self.scene, self.kernel, ball)
-        return self._nonlinear[is_ball].begin(ball, budget, options)
+        return self._linear if self.is_linear else self._nonlinear.begin(budget, options)
 
     @cached_property
     def _linear(self) -> ModesProblem:
-        return ModesProblem(linear_scene(self.scene))
+        return ModesProblem(linear_scene(self.scene), self.ball)
 
     @cached_property
-    def judge(self) -> PlanJudge:
-        """What certifies plans of this scene."""
-        return PlanJudge(self.scene)
+    def _nonlinear(self) -> NonlinearModes:
+        return NonlinearModes(self.scene, self.kernel, self.ball)

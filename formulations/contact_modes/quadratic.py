@@ -196,20 +196,18 @@ class QuadraticAnswer(ModesAnswer):
 
 
 class ModesProblem:
-    """The quadratic program of one scene; `ball` and `softness` may be moved between solves.
+    """The quadratic program of one scene; `softness` may be moved between solves.
 
-    softness: where positive, the goal need not be met: |z[T] - goal|^2 / (2 softness) is added to
-        the cost. The modes of any rollout have a plan
-    then.
+    ball: radius of the goal; softness: where positive, the goal need not be met: |z[T] - goal|^2 /
+        (2 softness) is added to the cost. The modes of any rollout have a plan then.
     """
 
     def __init__(self, linear: LinearScene, ball: float = 0.0) -> None:
         self.linear, self.ball = linear, ball
         self.kkt = BandedKKT(linear)
         self.solves, self.softness = 0, 0.0
-        self._floors: dict[
-            tuple[float, float, bytes], float
-        ] = {}  # by ball, softness and modes: no plan costs less
+        # by softness and modes: no plan costs less
+        self._floors: dict[tuple[float, bytes], float] = {}
         self._dual = DualActiveSet(linear, self.kkt)
 
     def solve(
@@ -238,7 +236,6 @@ class ModesProblem:
         closed = self._whole(closed)
         self.solves += 1
         key = (
-            self.ball,
             self.softness,
             blake2b(np.packbits(closed).tobytes(), digest_size=16).digest(),
         )

@@ -3,8 +3,6 @@
     softplus homotopy -> which contact is closed when -> exact optimum for these modes -> cheaper
     modes -> rollout of the inputs
 
-Starts are numbered, so that some of them can be run here and the others elsewhere:
-
 | number | start |
 |---|---|
 | 0 | the plan given, or the paper's first guess |
@@ -32,7 +30,6 @@ construction, and what the solvers leave of the terminal error (1e-9) is taken o
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from time import process_time
 
 import numpy as np
 
@@ -41,7 +38,6 @@ from formulations.contact_modes.goal import correct_end
 from formulations.contact_modes.method import MpccOptions
 from formulations.contact_modes.nonlinear import STAGE_ITERATIONS, NonlinearModes, SceneModels
 from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
-from formulations.contact_modes.search import mode_sequence
 from formulations.contact_modes.starts import (
     descended_plan,
     final_cost,
@@ -52,6 +48,7 @@ from formulations.contact_modes.starts import (
 from formulations.grids import check_warm_start, input_bounds, plan_of, replayed_goal_error
 from formulations.method import Clock, Method, Session
 from formulations.mpec.certificate.certificate import Certificate
+from formulations.mpec.certificate.plan import certify_plan
 from formulations.solution import Attempt, Outcome, Solution, checked
 from formulations.transcription.method import SolveBudget
 from formulations.transcription.residuals import PlanResiduals
@@ -72,11 +69,9 @@ class MultiStart:
         self._finder, self._options, self._models = finder, options, models
 
     def run(
-        self, budget: SolveBudget, numbers: range, warm_start: Trajectory | None
+        self, budget: SolveBudget, warm_start: Trajectory | None
     ) -> tuple[FinderResult, tuple[Attempt, ...]]:
-        """Try the starts of these numbers; the best, and what became of each.
-
-        Starts for which there is no time are not among them.
+        """Try the starts; return the best result and an attempt for each start that had time.
 
         A start may do half of the work that is left, the last one all of it: better some starts
         that come to their end than none.
@@ -84,28 +79,24 @@ class MultiStart:
         best: FinderResult | None = None
         attempts: list[Attempt] = []
         most = budget.most_work
-        for place, number in enumerate(numbers):
-            budget.most_work = budget.work + (most - budget.work) / min(2, len(numbers) - place)
+        for number in range(self._options.starts):
+            left = self._options.starts - number
+            budget.most_work = budget.work + (most - budget.work) / min(2, left)
             if best is not None and budget.is_over:
                 break
-            began = process_time()
             words, plan, for_modes = self._start(budget, number, warm_start)
             found = self._finder.find(budget, plan if for_modes else None, plan)
-            attempts.append(self._attempt(number, words, found, process_time() - began))
+            attempts.append(_attempt(words, found))
             if best is None or _cost(found) < _cost(best):
                 best = found
-        assert best is not None, "a range of starts is never empty: the options see to that"
-        began = process_time()
-        thrown = self._thrown_instead(best, budget, (self._options.seed, numbers[0]))
+        assert best is not None, "there is at least one start: the options see to that"
+        thrown = self._thrown_instead(best, budget)
         if thrown is not best:
             place = min(
                 range(len(attempts)),
                 key=lambda place: (attempts[place].cost is None, attempts[place].cost or 0.0),
             )
-            before, seconds = attempts[place], attempts[place].seconds + process_time() - began
-            attempts[place] = self._attempt(
-                before.number, f"{before.start}, then throws", thrown, seconds
-            )
+            attempts[place] = _attempt(f"{attempts[place].start}, then throws", thrown)
         return thrown, tuple(attempts)
 
     def _start(
@@ -142,35 +133,15 @@ class MultiStart:
     def _chain(self, budget: SolveBudget) -> Trajectory | None:
         stages: list[Trajectory] = []
         with budget.building():
-            homotopy = self._models.homotopy(self._options.goal_tolerance, _CHAIN)
+            homotopy = self._models.homotopy(_CHAIN)
         ipopt = {"tol": self._options.homotopy_tolerance, "max_iter": self._options.max_iterations}
         homotopy.run(budget, ipopt, None, stages.append)
         return stages[-1] if stages else None
 
-    def _attempt(self, number: int, words: str, found: FinderResult, seconds: float) -> Attempt:
-        answer = found.answer
-        return Attempt(
-            number=number,
-            start=words,
-            outcome=found.outcome,
-            cost=None if answer is None else float(answer.cost),
-            windows=() if answer is None else self._named_intervals(answer.closed),
-            seconds=seconds,
-        )
-
-    def _named_intervals(self, closed: np.ndarray) -> tuple[tuple[str, int, int], ...]:
-        """(contact, first step, last step) of each time a contact is closed."""
-        rows = zip(self._scene.contacts, mode_sequence(closed), strict=True)
-        return tuple(
-            (contact.name, first, stop - 1) for contact, row in rows for first, stop in row
-        )
-
     # -- throws
     #   -------------------------------------------------------------------------------------------------------------------
 
-    def _thrown_instead(
-        self, before: FinderResult, budget: SolveBudget, seed: tuple[int, ...]
-    ) -> FinderResult:
+    def _thrown_instead(self, before: FinderResult, budget: SolveBudget) -> FinderResult:
         """Find a cheaper plan that throws, or leave the one before.
 
         It stays where there is a goal, where the end costs nothing, and where its inputs press a
@@ -188,7 +159,7 @@ class MultiStart:
         budget.most_work = (
             budget.work + work
         )  # on top of what the starts were given: they may have spent it
-        problem, best = self._best_throw(budget, planned, idle, seed)
+        problem, best = self._best_throw(budget, planned, idle)
         if best is None or (before.answer is not None and best.cost >= before.answer.cost):
             return before
         found = self._finder.searched(
@@ -205,7 +176,7 @@ class MultiStart:
         )
 
     def _best_throw(
-        self, budget: SolveBudget, planned: np.ndarray, idle: np.ndarray, seed: tuple[int, ...]
+        self, budget: SolveBudget, planned: np.ndarray, idle: np.ndarray
     ) -> tuple[ModesProblem | NonlinearModes, ModesAnswer | None]:
         """The problem with modes fixed, and the cheapest of its answers to the modes of throws."""
         with budget.building():
@@ -215,11 +186,10 @@ class MultiStart:
                     np.array(self._scene.task.start), planned, self._scene.task.step
                 ),
             )
+            seed = (self._options.seed, 0)
             plans = thrown_plans(self._scene, self._kernel, seed, idle, below)[:_SOLVED]
             most = min(self._options.max_iterations, STAGE_ITERATIONS)
-            problem = self._models.modes(
-                0.0, budget, {"tol": self._options.tolerance, "max_iter": most}
-            )
+            problem = self._models.modes(budget, {"tol": self._options.tolerance, "max_iter": most})
         answers: list[ModesAnswer] = []
         for plan in plans:
             if isinstance(problem, NonlinearModes):
@@ -239,36 +209,20 @@ def _cost(search: FinderResult) -> float:
     return float("inf") if search.answer is None else search.answer.cost
 
 
-class MpccSession(Session):
-    """`mpcc` on one scene. scene_models: those of another session on it, if there is one."""
+def _attempt(start: str, found: FinderResult) -> Attempt:
+    cost = None if found.answer is None else float(found.answer.cost)
+    return Attempt(start=start, outcome=found.outcome, cost=cost)
 
-    def __init__(
-        self,
-        method: Method,
-        scene: Scene,
-        options: MpccOptions,
-        clock: Clock,
-        scene_models: SceneModels | None = None,
-    ) -> None:
+
+class MpccSession(Session):
+    """`mpcc` on one scene."""
+
+    def __init__(self, method: Method, scene: Scene, options: MpccOptions, clock: Clock) -> None:
         self._method, self._scene, self._options = method, scene, options
         self._kernel, self._residuals = load_kernel(scene), PlanResiduals(scene)
-        self._models = scene_models or SceneModels(scene, self._kernel)
-        self._starts = MultiStart(self._models, Finder(self._models, options), options)
+        models = SceneModels(scene, self._kernel, options.goal_tolerance)
+        self._starts = MultiStart(models, Finder(models, options), options)
         self._clock = clock
-
-    def within(self, goal_tolerance: float, *, from_a_plan: bool = True) -> MpccSession:
-        """Open a session for another radius of the goal on the models of this one.
-
-        What starts without a plan may do `first_work` more.
-        """
-        more = 0.0 if from_a_plan else self._options.first_work
-        options = replace(
-            self._options, goal_tolerance=goal_tolerance, work=self._options.work + more
-        )
-        clock = Clock()
-        session = MpccSession(self._method, self._scene, options, clock, self._models)
-        clock.stop()
-        return session
 
     def solve(
         self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float
@@ -281,10 +235,7 @@ class MpccSession(Session):
         check_warm_start(self._scene, warm_start)
         budget = SolveBudget(time_limit, self._clock.pay())
         budget.most_work = 1e6 * self._options.work
-        first = self._options.first_start
-        search, attempts = self._starts.run(
-            budget, range(first, first + self._options.starts), warm_start
-        )
+        search, attempts = self._starts.run(budget, warm_start)
         return self._solution(budget, search, attempts)
 
     def _solution(
@@ -317,8 +268,8 @@ class MpccSession(Session):
         outcome, message = checked(outcome, message, residuals, self._promises())
         certificate = None
         if outcome is Outcome.SOLVED and stationarity.letter != "S":
-            certificate = self._models.judge.certify(
-                plan, goal_tolerance=self._options.goal_tolerance
+            certificate = certify_plan(
+                self._scene, plan, goal_tolerance=self._options.goal_tolerance
             )
             outcome, message = _stationary(certificate, message)
         residuals |= {

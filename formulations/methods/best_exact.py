@@ -97,14 +97,7 @@ class BestExactSession(Session):
         found = list(self._found(warm_start, ends))
         best = _best([solution for _, solution in found])
         attempts = tuple(
-            Attempt(
-                number=number,
-                start=words,
-                outcome=each.outcome,
-                cost=each.cost,
-                seconds=each.seconds.cpu,
-            )
-            for number, (words, each) in enumerate(found)
+            Attempt(start=words, outcome=each.outcome, cost=each.cost) for words, each in found
         )
         words = next(words for words, each in found if each is best)
         message = (

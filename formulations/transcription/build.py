@@ -368,19 +368,9 @@ def open_goal(model: Any, ball: float) -> None:
     if given:
         # in units of the ball: its multiplier then has the size of the cost, however small the ball
         # is
-        model.parameter_goal_ball = radius = pyo.Param(initialize=ball, mutable=True)
         model.constraint_goal_ball = pyo.Constraint(
-            expr=sum(((state - goal) / radius) ** 2 for state, goal, _ in given) <= 1.0
+            expr=sum(((state - goal) / ball) ** 2 for state, goal, _ in given) <= 1.0
         )
-
-
-def move_ball(model: Any, ball: float) -> None:
-    """Another radius for the ball that `open_goal` has put around the goal.
-
-    Nothing where there is none.
-    """
-    if model.component("parameter_goal_ball") is not None:
-        model.parameter_goal_ball.value = ball
 
 
 def release_goal(model: Any) -> list[tuple[Any, Any, str]]:

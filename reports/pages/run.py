@@ -6,7 +6,6 @@ in a single file with all that is told of each below it.
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -14,8 +13,6 @@ from reports.judged import QuestionView, again, cause_of, deciding, end_of, ques
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, stage_plots
-from reports.plots import Axis, Plot
-from reports.records.load import optima
 from reports.records.record import (
     FEEDBACK,
     HOLD,
@@ -25,41 +22,9 @@ from reports.records.record import (
     RunRecord,
     SceneRecord,
     StageRecord,
-    StartRecord,
 )
 from reports.traces import Motion
-from reports.wording import capital, cost, count, percent, small, tail, windows
-
-_BINS = 40  # across the range of costs
-
-
-class Optimum(NamedTuple):
-    """A distinct optimum: its cost, the starts that reached it, and its contact windows."""
-
-    cost: float
-    starts: list[StartRecord]
-    windows: str
-
-    @property
-    def reached_from(self) -> str:
-        """Where its starts began: softplus chain (1); random inputs (5, 7)."""
-        kinds = dict.fromkeys(
-            start.start for start in sorted(self.starts, key=lambda start: start.number)
-        )
-        numbers = {
-            kind: sorted(start.number for start in self.starts if start.start == kind)
-            for kind in kinds
-        }
-        return "; ".join(f"{kind} ({', '.join(map(str, numbers[kind]))})" for kind in kinds)
-
-
-class Spread(NamedTuple):
-    """words: how many were solved, the cheapest, the median and the dearest."""
-
-    words: str
-    plot: Plot | None
-    optima: list[Optimum]
-    failed: list[StartRecord]
+from reports.wording import capital, count, small, tail
 
 
 class StageView(NamedTuple):
@@ -71,7 +36,6 @@ class StageView(NamedTuple):
 
     stage: StageRecord
     plots: StagePlots
-    spread: Spread | None
     questions: list[QuestionView]
     ends: list[tuple[str, str]]
     idle: bool
@@ -180,7 +144,7 @@ def _stage(scene: SceneRecord, stage: StageRecord, motion: Motion, *, last: bool
     idle = stage.kind == "given" or (
         stage.is_empty and stage.seconds.stage == 0 and stage.iterations == 0
     )
-    return StageView(stage, plots, spread(stage), questions, _ends(scene, stage), idle)
+    return StageView(stage, plots, questions, _ends(scene, stage), idle)
 
 
 def _beside(stages: Sequence[StageRecord]) -> list[tuple[MetricRecord, list[MetricRecord | None]]]:
@@ -205,49 +169,6 @@ def _ends(scene: SceneRecord, stage: StageRecord) -> list[tuple[str, str]]:
     if stage.is_followed:
         found.append(("with feedback", end_of(stage, scene, tracked=True)))
     return [(words, end) for words, end in found if end]
-
-
-def spread(stage: StageRecord) -> Spread | None:
-    """None for a stage with a single start."""
-    if not stage.starts:
-        return None
-    found = [Optimum(price, same, windows(same[0].windows)) for price, same in optima(stage.starts)]
-    failed = [start for start in stage.starts if start.cost is None]
-    costs = [start.cost for start in stage.starts if start.cost is not None]
-    total = len(stage.starts)
-    if not costs:
-        return Spread(f"None of {count(total, 'start')} was solved.", None, [], failed)
-    words = (
-        f"{len(costs)} of {count(total, 'start')} were solved ({percent(len(costs) / total).lstrip('+')}); cost {cost(min(costs))} at least, "
-        f"{cost(statistics.median(costs))} in the median, {cost(max(costs))} at most; {count(len(found), 'distinct optimum', 'distinct optima')}, "
-        f"the cheapest reached {count(len(found[0].starts), 'time')}."
-    )
-    return Spread(words, _plot(stage.starts, words), found, failed)
-
-
-def _plot(starts: tuple[StartRecord, ...], words: str) -> Plot:
-    solved = sorted(
-        ((start.cost, start) for start in starts if start.cost is not None),
-        key=lambda item: item[0],
-    )
-    low, high = solved[0][0], solved[-1][0]
-    width = (high - low) / _BINS or 1.0
-    stacks: dict[int, list[tuple[float, StartRecord]]] = {}
-    for price, start in solved:
-        stacks.setdefault(int((price - low) / width), []).append((price, start))
-    tallest = max(len(stack) for stack in stacks.values())
-    x, y = (
-        Axis.fitted("cost", "", [low, high]),
-        Axis.fitted("starts at this cost", "", [tallest], zero=True, margin=0.1),
-    )
-    plot = Plot("Cost of every start", x, y, words, width=560, height=140 + 9 * tallest)
-    for stack in stacks.values():
-        for place, (price, start) in enumerate(stack, 1):
-            tip = (
-                f"Start {start.number}, {start.start}: cost {cost(price)}; {windows(start.windows)}"
-            )
-            plot.point(price, place, "direct", "circle", tip)
-    return plot
 
 
 class Listed(NamedTuple):

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -24,8 +23,6 @@ from reports.records.record import (
     SCHEMA_VERSION,
     CampaignRecord,
     RunRecord,
-    SecondsRecord,
-    StartRecord,
 )
 from reports.wording import clean
 
@@ -70,8 +67,8 @@ class Stored:
 
     missing: keys that the campaign lists and of which nothing is stored; foreign: stored records
         that the campaign does not list;
-    checks: what is no scene x pipeline; parts: of each run, the records of its parts; simulators:
-        what others say of plans, where they were asked.
+    checks: what is no scene x pipeline; simulators: what others say of plans, where they were
+        asked.
     """
 
     campaign: CampaignRecord | None
@@ -80,7 +77,6 @@ class Stored:
     missing: tuple[str, ...] = ()
     foreign: int = 0
     checks: tuple[CheckRecord, ...] = ()
-    parts: tuple[tuple[RunRecord, ...], ...] = ()
     simulators: SimulatorsRecord | None = None
 
     def cheapest(self, scene: str) -> list[tuple[RunRecord, float]]:
@@ -131,10 +127,9 @@ def load(folder: Path) -> Stored:
         checks = tuple(sorted(checks, key=lambda item: (item.kind, item.name)))
         return Stored(
             None,
-            collected(runs),
+            tuple(runs),
             tuple(unreadable),
             checks=checks,
-            parts=grouped(runs),
             simulators=simulators,
         )
     keys = list(dict.fromkeys(campaign.keys))
@@ -142,12 +137,11 @@ def load(folder: Path) -> Stored:
     broken = {Path(item.path).parent.name for item in unreadable}
     return Stored(
         campaign=campaign,
-        runs=collected(runs),
+        runs=runs,
         unreadable=tuple(unreadable),
         missing=tuple(clean(key) for key in keys if key not in found and clean(key) not in broken),
         foreign=len(set(found) - set(keys)),
         checks=checks,
-        parts=grouped(runs),
         simulators=simulators,
     )
 
@@ -205,108 +199,3 @@ def _validation_sentence(problem: ValidationError) -> str:
     where = f"at {place}: " if place else ""
     others = f", and {more} more" if more else ""
     return f"it does not follow record schema {SCHEMA_VERSION} ({where}{first['msg']}{others}); written by another version, or edited: run it again."
-
-
-# Costs that differ by less, relative to the cheapest, are one optimum: solves agree to 1e-12,
-# windows shifted by a step differ by 1e-5.
-SAME_OPTIMUM = 1e-7
-# A plan that holds goes before a cheaper one that does not, and one that holds by its inputs alone
-# before one that needs feedback.
-_RANKS = {"holds": 0, "consistent": 0, "holds with feedback": 1}
-
-
-def collected(runs: Iterable[RunRecord]) -> tuple[RunRecord, ...]:
-    """The runs in order.
-
-    Parts of one pipeline on one scene become one run, at the place of the first of them.
-    """
-    return tuple(
-        _together(list(group)) if group[0].parts > 1 else group[0] for group in grouped(runs)
-    )
-
-
-def grouped(runs: Iterable[RunRecord]) -> tuple[tuple[RunRecord, ...], ...]:
-    """The parts of each run, in order."""
-    groups: dict[tuple[str, str], list[RunRecord]] = {}
-    for run in runs:
-        groups.setdefault((run.scene.name, run.pipeline if run.parts > 1 else run.key), []).append(
-            run
-        )
-    return tuple(map(tuple, groups.values()))
-
-
-def optima(starts: Iterable[StartRecord]) -> list[tuple[float, list[StartRecord]]]:
-    """(cost, starts that reached it), from the cheapest."""
-    found: list[tuple[float, list[StartRecord]]] = []
-    for start in sorted(
-        (start for start in starts if start.cost is not None), key=lambda start: start.cost or 0.0
-    ):
-        price = start.cost or 0.0
-        if found and abs(price - found[-1][0]) <= SAME_OPTIMUM * abs(price):
-            found[-1][1].append(start)
-        else:
-            found.append((price, [start]))
-    return found
-
-
-def _together(parts: list[RunRecord]) -> RunRecord:
-    crashed = next((part for part in parts if part.outcome == "crashed"), None)
-    best = min(
-        parts,
-        key=lambda part: (
-            _RANKS.get(part.verdict, len(_RANKS)),
-            math.inf if part.cost is None else part.cost,
-        ),
-    )
-    starts = tuple(
-        sorted(
-            (start for part in parts for stage in part.stages for start in stage.starts),
-            key=lambda start: start.number,
-        )
-    )
-    whole, said = best.parts, best.message if crashed is None else crashed.message
-    lacking = (
-        ""
-        if len(parts) == whole
-        else f"Only {len(parts)} of the {whole} parts of this run are stored; the others are not counted."
-    )
-    message = " ".join(filter(None, (_spread(starts), lacking, said)))
-    stages, ends = best.stages, [part.last for part in parts if part.last]
-    if stages:
-        spent = {
-            name: sum(getattr(stage.seconds, name) for stage in ends)
-            for name in SecondsRecord.model_fields
-        }
-        iterations = sum(stage.iterations for stage in ends)
-        told = {
-            "starts": starts,
-            "seconds": SecondsRecord(**spent),
-            "iterations": iterations,
-            "message": message,
-        }
-        stages = (*stages[:-1], stages[-1].model_copy(update=told))
-    phases = dict.fromkeys(phase for part in parts for phase in part.profile)
-    profile = {phase: sum(part.profile.get(phase, 0.0) for part in parts) for phase in phases}
-    spent = {
-        name: sum(getattr(part, name) for part in parts) for name in ("wall_seconds", "cpu_seconds")
-    }
-    outcome = best.outcome if crashed is None else "crashed"
-    return best.model_copy(
-        update={
-            "stages": stages,
-            "outcome": outcome,
-            "message": message,
-            **spent,
-            "profile": profile,
-        }
-    )
-
-
-def _spread(starts: tuple[StartRecord, ...]) -> str:
-    found = optima(starts)
-    if not found:
-        return f"None of {len(starts)} starts was solved." if starts else ""
-    solved = sum(len(same) for _, same in found)
-    several = f"{len(found)} distinct optima, from {found[0][0]:.6g} to {found[-1][0]:.6g}"
-    ways = several if len(found) > 1 else "all of them at the same optimum"
-    return f"{solved} of {len(starts)} starts were solved, {ways}; {len(found[0][1])} reached the cheapest."

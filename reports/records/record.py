@@ -296,31 +296,6 @@ class CertificateRecord(Model):
     sentence: str
 
 
-class StartRecord(Model):
-    """One of several starts. windows: (contact, first step, last step) of each time a contact is closed."""
-
-    number: int
-    start: str
-    outcome: str
-    cost: Finite | None = None
-    windows: tuple[tuple[str, int, int], ...] = ()
-    seconds: Finite = 0.0
-
-
-class FrontPointRecord(Model):
-    """The cheapest plan found within a terminal tolerance.
-
-    terminal_error: its own, by its time step with the true contact law.
-    """
-
-    tolerance: Finite
-    outcome: str
-    cost: Finite | None = None
-    terminal_error: Finite | None = None
-    windows: tuple[tuple[str, int, int], ...] = ()
-    certificate: CertificateRecord | None = None
-
-
 class SizeRecord(Model):
     """Unknowns and equations of the model a solver was given, and the same counted on paper."""
 
@@ -404,8 +379,6 @@ class StageRecord(Model):
     history: dict[str, Floats] = {}
     certificate: CertificateRecord | None = None
     certificate_missing: bool = False  # the run ended while it was made
-    starts: tuple[StartRecord, ...] = ()
-    front: tuple[FrontPointRecord, ...] = ()
     seconds: SecondsRecord = SecondsRecord()
     metrics: tuple[MetricRecord, ...] = ()
     verdict: Verdict = "no plan"
@@ -497,8 +470,6 @@ class RunRecord(Model):
     scene: SceneRecord
     pipeline: str
     pipeline_title: str
-    part: int = 1  # of `parts` tasks in which this pipeline is run
-    parts: int = 1
     stages: tuple[StageRecord, ...]
     outcome: str  # of the run: that of its last stage, or crashed / time_limit / refused
     message: str = ""
@@ -515,10 +486,8 @@ class RunRecord(Model):
 
     @property
     def title(self) -> str:
-        """Scene and pipeline, and which part of the run, by which the campaign and `show` know it."""
-        return f"{self.scene.name} x {self.pipeline}" + (
-            f" ({self.part} of {self.parts})" if self.parts > 1 else ""
-        )
+        """Scene and pipeline, by which the campaign and `show` know it."""
+        return f"{self.scene.name} x {self.pipeline}"
 
     @property
     def last(self) -> StageRecord | None:

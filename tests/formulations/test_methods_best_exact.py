@@ -55,7 +55,7 @@ def test_a_campaign_solves_once_what_mpcc_and_best_exact_share(scene: str, like:
 @pytest.mark.slow
 def test_all_ways_are_told_and_the_cheapest_is_kept():
     found = solved(SMALL, all_ways=True)
-    assert [attempt.number for attempt in found.starts] == [0, 1, 2, 3, 4]
+    assert len(found.starts) == 5
     assert found.starts[0].start == "mpcc"
     costs = [
         attempt.cost

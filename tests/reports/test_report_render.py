@@ -153,7 +153,7 @@ def test_failures_are_told_with_their_sentence_and_log(full):
         "runs/cut-1/record.json",
         "not complete JSON",
         "gone-1",
-        "the multistart pipelines",
+        "the long pipelines",
     ):
         assert not unsaid(page.text, words, words)
     assert "\x1b" not in page.text

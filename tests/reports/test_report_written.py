@@ -17,18 +17,13 @@ from reports.render import PAGES, write_report, write_single
 
 @pytest.fixture
 def folder(factory, tmp_path: Path) -> Path:
-    """A chain with a sweep of eps, a short run, and a run in two parts.
+    """A chain with a sweep of eps, and two short runs.
 
     All of it was stored long ago.
     """
     chain, short = factory.runs()[2], factory.runs()[0]
-    parts = [
-        short.model_copy(
-            update={"key": f"part-{place}", "pipeline": "parted", "part": place, "parts": 2}
-        )
-        for place in (1, 2)
-    ]
-    stored = factory.store(tmp_path / "all", [chain, short, *parts])
+    other = short.model_copy(update={"key": "other", "pipeline": "other"})
+    stored = factory.store(tmp_path / "all", [chain, short, other])
     for path in stored.glob("runs/*/*"):
         os.utime(path, (1e9, 1e9))
     return stored
@@ -91,9 +86,9 @@ def test_a_page_that_stands_is_left_and_any_other_is_written(folder: Path):
     again = _written(folder)
     of_runs = {name for name in before if (folder / "runs" / name.removesuffix(".html")).exists()}
     assert {name for name in before if again[name] == before[name]} == of_runs
-    assert len(of_runs) == 3, "one page for both parts"
+    assert len(of_runs) == 3
     os.utime(folder / "runs" / chain.removesuffix(".html") / "record.json")
-    os.utime(folder / "runs" / "part-2" / "record.json")
+    os.utime(folder / "runs" / "other" / "record.json")
     (folder / PAGES / "strict-0123456789abcdef.html").unlink()
     write_report(folder)
     last = _written(folder)

@@ -63,8 +63,8 @@ def command(arguments: tuple[str, ...], as_json: bool, as_table: bool, **options
 
     Progress goes to stderr; to stdout what was found, why runs fail, and the path of the report.
     DIR then holds report.html with its pages, results.csv (one row a stage), checks.csv (one row a
-    check, such as that of a scene's FMU), violation.csv, starts.csv (one row a start), front.csv
-    (one row a terminal tolerance), campaign.json and, for each run, runs/<key>.
+    check, such as that of a scene's FMU), violation.csv, campaign.json and, for each run,
+    runs/<key>.
 
     A part (-k, --scene, --quick, --last-failed) leaves the other runs of DIR in these tables and in
     the report.

@@ -50,14 +50,12 @@ answered is kept.
 def command(
     folder: Path, single_file: bool, engines: str | None, jobs: int | None, as_json: bool
 ) -> int:
-    """Rebuild results.csv, checks.csv, violation.csv, starts.csv, front.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed.
+    """Rebuild results.csv, checks.csv, violation.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed.
 
     report.html leads to a page for each scene and each run in DIR/pages.
     """
     try:
-        stored = load(
-            folder
-        )  # a pipeline that ran in parts is one row, as in the campaign's own table
+        stored = load(folder)
     except ReportError:
         stored = Stored(None, ())
     if not (stored.campaign or stored.runs or stored.checks):
@@ -94,7 +92,7 @@ def command(
 
 def _lacking(stored: Stored, folder: Path) -> list[str]:
     """What could not be told, a sentence each; nothing where all is there."""
-    there, campaign = sum(map(len, stored.parts)) + len(stored.checks), stored.campaign
+    there, campaign = len(stored.runs) + len(stored.checks), stored.campaign
     lines = []
     if campaign is None:
         broken = f"campaign.json cannot be read: the report shows the {there} records that can; the command that made them writes it anew."
@@ -107,7 +105,7 @@ def _lacking(stored: Stored, folder: Path) -> list[str]:
             f"{missing}; the command of the campaign, with --out {folder}, runs them: {campaign.command}"
         )
     store = Store(folder)
-    for run in (run for parts in stored.parts for run in parts):
+    for run in stored.runs:
         if name := store.damaged_file(run.key):
             file = store.runs / run.key / name
             lines.append(

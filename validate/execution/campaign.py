@@ -30,7 +30,7 @@ from reports.findings import three_findings
 from reports.pages.section import PAGES, REPORT
 from reports.paper import SCENE
 from reports.records.check_record import CheckRecord, divided
-from reports.records.load import CAMPAIGN, collected
+from reports.records.load import CAMPAIGN
 from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, TimeStepRecord
 from reports.rule import fails, failures, findings
 from validate.execution.dask import DaskEngine, open_dask
@@ -90,7 +90,7 @@ class CampaignResult:
 
 
 def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> CampaignResult:
-    """Run what is not stored and write campaign.json, results.csv, checks.csv, violation.csv, starts.csv, front.csv and the report.
+    """Run what is not stored and write campaign.json, results.csv, checks.csv, violation.csv and the report.
 
     Raises TouchstoneError for what the user can mend; KeyboardInterrupt passes through when
     children are stopped and what finished is written.
@@ -130,10 +130,7 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
     text, ran = campaign.model_dump_json(indent=1), len(records) < len(entries)
 
     def write() -> tuple[RunRecord, ...]:
-        """All that is told of the folder.
-
-        The runs, those of one that was split into parts as one.
-        """
+        """Write campaign.json and the tables; return the runs of the folder."""
         done, checks = divided(
             {**others, **records}[key] for key in keys if key in others or key in records
         )
@@ -141,9 +138,8 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
             ran or before is None or not same_campaign(campaign, before)
         ):  # else it says as before when and how these results were made
             write_durably(settings.out / CAMPAIGN, text)
-        merged = collected(done)
-        write_tables(settings.out, merged, checks, campaign.violation)
-        return merged
+        write_tables(settings.out, done, checks, campaign.violation)
+        return done
 
     waiting = [entry.task.key for entry in entries if entry.stored is None]
     anew = (
@@ -193,12 +189,11 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
             told = write()
     report = load_plugin(settings.plugin).write_report(settings.out)
     done, checks = divided(records[key] for key in selected if key in records)
-    merged = collected(done)
     return CampaignResult(
-        records=merged,
+        records=done,
         checks=checks,
-        failures=failures(merged, checks, told),
-        findings=findings(merged),
+        failures=failures(done, checks, told),
+        findings=findings(done),
         conclusions=three_findings(told),
         left_out=left_out,
         report=report,
@@ -289,7 +284,7 @@ def _note_scene(
             if isinstance(entry.task, RunTask) and entry.task.scene_name == record.scene.name
         ]
         if all(key in records for key in keys):
-            narrator.found(collected(divided(records[key] for key in keys)[0]))
+            narrator.found(divided(records[key] for key in keys)[0])
 
 
 def _run(

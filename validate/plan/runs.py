@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from formulations.method import Pipeline
-from formulations.pipelines import method_names, parts_of
+from formulations.pipelines import method_names
 from models.catalog import load_scene, scene_names, scene_path
 from models.scene import Scene
 from reports.paper import SCENE as PAPER_SCENE
@@ -150,9 +150,7 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedTask], tuple[str, ..
                 elif settings.quick and pipeline.name not in plugin.quick:
                     left_out.append((scene.name, pipeline.name))
                 else:
-                    entries += [
-                        _entry(settings, plugin, reference, part) for part in parts_of(pipeline)
-                    ]
+                    entries.append(_entry(settings, plugin, reference, pipeline))
     long = list(dict.fromkeys(long))
     skipped = (
         *_in_words(left_out, len(scenes) - len(long)),

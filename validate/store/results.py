@@ -5,8 +5,7 @@ Rebuilt from records at any time, numbers in full (repr), nothing where nothing 
 Rows stand in the order of the campaign's tasks; apart from the columns whose names end in `_s`
 (seconds) the file is the same bytes whenever the same tasks are run on the same machine.
 
-starts.csv and front.csv: one row a start, one row a terminal tolerance, absent where there are
-none; violation.csv: one row a relaxation and eps.
+violation.csv: one row a relaxation and eps.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from typing import Any
 
 from reports.records.check_record import CheckRecord
 from reports.records.record import (
-    CertificateRecord,
     RunRecord,
     StageRecord,
     SurveyRecord,
@@ -28,13 +26,7 @@ from reports.records.record import (
 from validate.judge.score import metric_names
 from validate.store.disk import remove, write_durably
 
-TABLES = RESULTS, CHECKS, VIOLATION, STARTS, FRONT = (
-    "results.csv",
-    "checks.csv",
-    "violation.csv",
-    "starts.csv",
-    "front.csv",
-)
+TABLES = RESULTS, CHECKS, VIOLATION = ("results.csv", "checks.csv", "violation.csv")
 _METRICS_FIRST = (
     "terminal_error",
     "physics",
@@ -160,8 +152,6 @@ def tables(
         RESULTS: table_text(COLUMNS, rows(runs)),
         CHECKS: _table(check_rows(checks)),
         VIOLATION: table_text(_VIOLATION_COLUMNS, map(_violation_row, violation)),
-        STARTS: _table(_starts(runs)),
-        FRONT: _table(_front(runs)),
     }
 
 
@@ -200,56 +190,3 @@ def _violation_row(point: ViolationPoint) -> dict[str, Any]:
         **point.model_dump(),
         "relative_difference": abs(point.measured - point.closed_form) / point.closed_form,
     }
-
-
-def _starts(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
-    return [
-        {
-            "scene": record.scene.name,
-            "pipeline": record.pipeline,
-            "start": start.number,
-            "from": start.start,
-            "outcome": start.outcome,
-            "cost": start.cost,
-            "windows": _windows(start.windows),
-            "cpu_s": start.seconds,
-        }
-        for record in records
-        for stage in record.stages
-        for start in stage.starts
-    ]
-
-
-def _front(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
-    return [
-        {
-            "scene": record.scene.name,
-            "pipeline": record.pipeline,
-            "tolerance": point.tolerance,
-            "outcome": point.outcome,
-            "cost": point.cost,
-            "terminal_error": point.terminal_error,
-            "windows": _windows(point.windows),
-            **_certificate(point.certificate),
-        }
-        for record in records
-        for stage in record.stages
-        for point in stage.front
-    ]
-
-
-def _certificate(certificate: CertificateRecord | None) -> dict[str, Any]:
-    names = {
-        "primal": "primal",
-        "complementarity": "complementarity",
-        "dual": "dual",
-        "class": "letter",
-    }
-    return {
-        title: None if certificate is None else getattr(certificate, name)
-        for title, name in names.items()
-    }
-
-
-def _windows(windows: tuple[tuple[str, int, int], ...]) -> str:
-    return " ".join(f"{contact}:{first}-{last}" for contact, first, last in windows)

@@ -49,9 +49,7 @@ def title_of(task: Mapping[str, Any]) -> str:
     """
     if "pipeline" not in task:
         return f"{task['kind']}: {task['name']}"
-    pipeline = task["pipeline"]
-    part = "" if not pipeline["part"] else " ({} of {})".format(*pipeline["part"])
-    return f"{task['scene_name']} x {pipeline['name']}{part}"
+    return f"{task['scene_name']} x {task['pipeline']['name']}"
 
 
 def identity(task: Mapping[str, Any]) -> str:
@@ -61,9 +59,7 @@ def identity(task: Mapping[str, Any]) -> str:
     """
     pipeline = task.get("pipeline")
     if isinstance(pipeline, Mapping):
-        return json.dumps(
-            [task.get("scene_name"), pipeline.get("name"), pipeline.get("part") or None]
-        )
+        return json.dumps([task.get("scene_name"), pipeline.get("name")])
     return json.dumps([task.get("kind"), task.get("name"), task.get("scene")])
 
 

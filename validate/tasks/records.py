@@ -2,8 +2,6 @@
 
 Numbers that are not finite never get into a record: a cost that is not a number is missing, and
 says so.
-
-Certificate, starts and front of a Solution -> their records.
 """
 
 from __future__ import annotations
@@ -14,13 +12,11 @@ from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
 from pydantic import BaseModel
 
 from formulations.solution import Outcome, Solution
 from reports.records.record import (
     CertificateRecord,
-    FrontPointRecord,
     MetricRecord,
     QuestionRecord,
     ReplayRecord,
@@ -29,7 +25,6 @@ from reports.records.record import (
     SecondsRecord,
     SizeRecord,
     StageRecord,
-    StartRecord,
     TrackedRecord,
     Verdict,
     thin,
@@ -38,8 +33,6 @@ from validate.tasks.paper import paper_row
 
 if TYPE_CHECKING:
     from formulations.mpec import Certificate
-    from models.scene import Scene
-    from models.trajectory import Trajectory
     from reports.records.record import LegRecord, ProvenanceRecord
     from validate.judge.replay import Difference, Replay
     from validate.judge.score import Score
@@ -73,41 +66,10 @@ def _plain_number(value: Any) -> Any:
     return finite(value) if isinstance(value, float) else value
 
 
-def front_records(scene: Scene, solution: Solution) -> tuple[FrontPointRecord, ...]:
-    """The record of each point of a front of cost over terminal error."""
-    return tuple(
-        FrontPointRecord(
-            tolerance=point.tolerance,
-            outcome=point.solution.outcome.name.lower(),
-            cost=finite(point.solution.cost),
-            terminal_error=finite(point.solution.residuals.get("discrete_terminal_error")),
-            windows=_windows(scene, point.solution.trajectory),
-            certificate=certificate_record(point.solution.certificate),
-        )
-        for point in solution.front
-    )
-
-
-def with_certificate(record: StageRecord, scene: Scene, solution: Solution) -> StageRecord:
-    """The record of the same stage, now that its plan and those of its front are certified."""
-    certificate, front = certificate_record(solution.certificate), front_records(scene, solution)
-    return record.model_copy(
-        update={"certificate": certificate, "front": front, "certificate_missing": False}
-    )
-
-
-def _windows(scene: Scene, plan: Trajectory | None) -> tuple[tuple[str, int, int], ...]:
-    """(contact, first step, last step) of each time a force acts."""
-    if plan is None:
-        return ()
-    found = []
-    for contact, force in zip(scene.contacts, plan.lam.T, strict=False):
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], force > 0, [False]]).astype(int)))
-        found += [
-            (contact.name, int(first), int(stop) - 1)
-            for first, stop in zip(edges[::2], edges[1::2], strict=True)
-        ]
-    return tuple(found)
+def with_certificate(record: StageRecord, solution: Solution) -> StageRecord:
+    """Return the record of the same stage with the certificate of its plan."""
+    certificate = certificate_record(solution.certificate)
+    return record.model_copy(update={"certificate": certificate, "certificate_missing": False})
 
 
 # Lines of the log that go into the record, so that a report can show why a task ended as it did.
@@ -125,7 +87,6 @@ class Judged:
 
 
 def stage_record(
-    scene: Scene,
     planned: Planned,
     solution: Solution,
     index: int,
@@ -156,11 +117,6 @@ def stage_record(
         options=_options(solution.options or asdict(planned.options)),
         history=_history(solution.history),
         certificate=certificate_record(solution.certificate),
-        starts=tuple(
-            _copied(StartRecord, start, outcome=start.outcome.name.lower())
-            for start in solution.starts
-        ),
-        front=front_records(scene, solution),
         seconds=_copied(
             SecondsRecord,
             solution.seconds,
@@ -269,8 +225,6 @@ def run_record(
         scene=scene,
         pipeline=task.pipeline.name,
         pipeline_title=task.pipeline.title,
-        part=task.pipeline.part[0] if task.pipeline.part else 1,
-        parts=task.pipeline.part[1] if task.pipeline.part else 1,
         stages=tuple(stages),
         outcome=last.outcome if outcome is None else outcome,
         message=last.message if message is None else message,

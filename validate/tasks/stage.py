@@ -45,11 +45,8 @@ class SolvedStage:
 
     @property
     def can_be_certified(self) -> bool:
-        """Whether its method claims to solve the exact problem, and it has a plan: its own, or one of its front."""
-        found = (self.solution, *(point.solution for point in self.solution.front))
-        return self.planned.method.exact and any(
-            solution.trajectory is not None for solution in found
-        )
+        """Whether its method claims to solve the exact problem, and it has a plan."""
+        return self.planned.method.exact and self.solution.trajectory is not None
 
 
 def prepare(
@@ -151,7 +148,6 @@ class Judge:
         self._profile.lap("fmu_build")
         judged = self._judged(item.solution.trajectory, folder, index + 1)
         record = stage_record(
-            self._scene,
             item.planned,
             item.solution,
             index,
@@ -196,7 +192,7 @@ class Judge:
         return Judged(replay=replay, score=judgement.score, seconds=seconds)
 
     def certified(self, record: StageRecord, item: SolvedStage) -> StageRecord:
-        """The record with the certificate of its plan, and those of its front."""
+        """The record with the certificate of its plan."""
         try:
             solution = self._plugin.certify(self._scene, item.solution)
         except Exception as error:  # noqa: BLE001 - the plan is kept even if its judge stumbles; it then has no certificate, and the log has the traceback
@@ -204,7 +200,7 @@ class Judge:
             traceback.print_exc()
             solution = item.solution
         self._profile.lap("certificate")
-        return with_certificate(record, self._scene, solution)
+        return with_certificate(record, solution)
 
 
 def in_words(error: Exception) -> str:

@@ -162,10 +162,7 @@ class RunTask:
     @property
     def title(self) -> str:
         """What it is called."""
-        part = self.pipeline.part
-        return f"{self.scene_name} x {self.pipeline.name}" + (
-            f" ({part[0]} of {part[1]})" if part else ""
-        )
+        return f"{self.scene_name} x {self.pipeline.name}"
 
     @property
     def published(self) -> str:

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from formulations.grids import scene_of
 from formulations.mpec.certificate.certificate import Certificate, Tolerances, certify
 from formulations.solution import Solution
-from formulations.transcription.build import build_model, load_plan, move_ball, open_goal
+from formulations.transcription.build import build_model, load_plan, open_goal
 from models.catalog import as_scene
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -25,29 +25,6 @@ from models.trajectory import Trajectory
 # An exact plan has 1e-13 in both (mpcc) or 1e-9 (Ipopt with fixed modes); a force that is off by
 # 1e-6 N, or a contact that opens one step later, has more.
 PLAN_TOLERANCES = Tolerances(feasibility=1e-8, complementarity=1e-7)
-
-
-class PlanJudge:
-    """Judges plans of one scene.
-
-    Its strict model is built once for a goal that is a point, once for one that is a ball, and for
-    each grid.
-    """
-
-    def __init__(self, scene: Scene | str | Path) -> None:
-        self._scene = as_scene(scene)
-        self._models: dict[tuple[bool, int], Any] = {}
-
-    def certify(self, plan: Trajectory, *, goal_tolerance: float) -> Certificate:
-        """Judge one plan, as `certify_plan`."""
-        kind, scene = (goal_tolerance > 0.0, plan.steps), scene_of(self._scene, plan)
-        if kind not in self._models:
-            self._models[kind] = build_model(scene)
-            open_goal(self._models[kind], goal_tolerance)
-        model = self._models[kind]
-        move_ball(model, goal_tolerance)
-        load_plan(model, plan)
-        return certify(model, tolerances=PLAN_TOLERANCES)
 
 
 def certify_plan(
@@ -70,28 +47,19 @@ def certify_plan(
     SceneError, UnknownNameError
         for what is no scene
     """
-    return PlanJudge(scene).certify(plan, goal_tolerance=goal_tolerance)
+    model = build_model(scene_of(as_scene(scene), plan))
+    open_goal(model, goal_tolerance)
+    load_plan(model, plan)
+    return certify(model, tolerances=PLAN_TOLERANCES)
 
 
 def certify_solution(scene: Scene, solution: Solution) -> Solution:
-    """The same solution with its certificate, and those of its front.
+    """Return the solution with its certificate; unchanged if it has no plan or is certified.
 
-    Unchanged if it has no plan, or has its certificate already.
-
-    A ball around the goal is read off its options.
+    A ball around the goal is read from the solution's options.
     """
-    return _certified(PlanJudge(scene), solution)
-
-
-def _certified(judge: PlanJudge, solution: Solution) -> Solution:
-    points = tuple(
-        replace(point, solution=_certified(judge, point.solution)) for point in solution.front
-    )
-    if solution.trajectory is None:
-        return replace(solution, front=points)
-    if points:  # its plan is that of the smallest tolerance
-        return replace(solution, certificate=points[0].solution.certificate, front=points)
-    if solution.certificate is not None:
+    if solution.trajectory is None or solution.certificate is not None:
         return solution
     ball = float(cast(float, solution.options.get("goal_tolerance", 0.0)))
-    return replace(solution, certificate=judge.certify(solution.trajectory, goal_tolerance=ball))
+    found = certify_plan(scene, solution.trajectory, goal_tolerance=ball)
+    return replace(solution, certificate=found)

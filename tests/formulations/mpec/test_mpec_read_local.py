@@ -24,7 +24,7 @@ from formulations.mpec.certificate.derivatives import (
     read_local,
     values_set,
 )
-from formulations.solution import FrontPoint, Outcome, Solution
+from formulations.solution import Outcome, Solution
 
 
 def model(x: float, y: float) -> Any:
@@ -214,48 +214,19 @@ def test_multipliers_that_come_along_are_checked(
         assert math.isnan(found.least)
 
 
-def test_a_plan_is_certified_with_those_of_its_front(monkeypatch: pytest.MonkeyPatch):
-    """The judge is asked with the ball of each plan, once.
+def test_a_plan_is_certified_once_within_the_ball_of_its_options(monkeypatch: pytest.MonkeyPatch):
+    def certified(scene: Any, plan: Any, *, goal_tolerance: float) -> Any:
+        return f"{scene}: {plan} within {goal_tolerance}"
 
-    Of a front the first point's certificate is the plan's.
-    """
-    asked: list[tuple[str, float]] = []
-
-    class Judge:
-        def __init__(self, scene: Any) -> None:
-            self.scene = scene
-
-        def certify(self, plan: Any, *, goal_tolerance: float) -> Any:
-            asked.append((plan, goal_tolerance))
-            return f"{self.scene}: {plan} within {goal_tolerance}"
-
-    monkeypatch.setattr(plans, "PlanJudge", Judge)
+    monkeypatch.setattr(plans, "certify_plan", certified)
     plain: Any = Solution(method="mpcc", outcome=Outcome.SOLVED, trajectory="plan")  # type: ignore[arg-type]
     scene: Any = "hill"
     assert plans.certify_solution(scene, plain).certificate == "hill: plan within 0.0"
     ball = replace(plain, options={"goal_tolerance": 0.5})
     assert plans.certify_solution(scene, ball).certificate == "hill: plan within 0.5"
-    known = replace(plain, certificate="known")
+    known, lost = replace(plain, certificate="known"), replace(plain, trajectory=None)
     assert plans.certify_solution(scene, known) is known
-    points = tuple(
-        FrontPoint(
-            tolerance=0.1,
-            solution=replace(plain, trajectory=name, options={"goal_tolerance": ball}),
-        )
-        for name, ball in (("near", 0.1), ("far", 0.2))
-    )
-    asked.clear()
-    found = plans.certify_solution(scene, replace(plain, front=points))
-    assert asked == [("near", 0.1), ("far", 0.2)]
-    assert found.certificate == "hill: near within 0.1"
-    assert [point.solution.certificate for point in found.front] == [
-        "hill: near within 0.1",
-        "hill: far within 0.2",
-    ]
-    lost = plans.certify_solution(scene, replace(plain, trajectory=None, front=points))
-    assert (lost.certificate, len(lost.front)) == (None, 2)
-    assert plans.certify_plan(scene, "plan") == "hill: plan within 0.0"  # type: ignore[arg-type, comparison-overlap]
-    assert plans.certify_plan(scene, "plan", goal_tolerance=2.0) == "hill: plan within 2.0"  # type: ignore[arg-type, comparison-overlap]
+    assert plans.certify_solution(scene, lost) is lost
 
 
 @pytest.mark.parametrize(("x", "biactive"), [(0.9e-6, 1), (1.1e-6, 0), (-0.9e-6, 1)])

@@ -1,4 +1,4 @@
-"""Pages of one table or one sentence: FMUs, provenance, starts, sizes, seconds, the index, a scene's time step."""
+"""Pages of one table or sentence: FMUs, provenance, sizes, seconds, index, a scene's step."""
 
 import re
 
@@ -6,7 +6,6 @@ import pytest
 from wording import unsaid
 
 from reports.pages import campaign, checks, overview, scene, section
-from reports.pages import run as one_run
 from reports.pages.section import Report
 from reports.records.check_record import CheckRecord
 from reports.records.load import Stored, Unreadable
@@ -14,12 +13,10 @@ from reports.records.record import (
     EquationRecord,
     RunRecord,
     SizeRecord,
-    StartRecord,
     TimeStepRecord,
 )
 from reports.render import Templates
 from tests.reports import record_factory as factory
-from tests.reports.drawn import drawn
 from tests.reports.record_factory import ran
 
 
@@ -32,83 +29,6 @@ def report(
 ) -> Report:
     told = factory.campaign(list(records), **campaign) if campaign else None
     return Report(Stored(told, records, (), (), 0, checks), at=at, single=single)
-
-
-def start(
-    number: int, kind: str, cost: float | None, *windows: tuple[str, int, int]
-) -> StartRecord:
-    return StartRecord(
-        number=number,
-        start=kind,
-        outcome="solved" if cost is not None else "stalled",
-        cost=cost,
-        windows=windows,
-    )
-
-
-def stage_of(*found: StartRecord):
-    return factory.stage(0, "strict_lcp", None, None, 0.0, starts=found)
-
-
-def test_the_spread_of_several_starts():
-    found = one_run.spread(stage_of(
-        start(5, "random", 100.0, ("left", 1, 2)), start(2, "chain", 300.0, ("right", 3, 4)),
-        start(1, "random", 100.0, ("left", 1, 2)), start(3, "chain", None),
-        start(4, "chain", 200.0),
-    ))  # fmt: skip
-    assert not unsaid(
-        found.words,
-        "4 of 5 starts … (80\u202f%); cost 100.00 at least, 150.00 … median, 300.00 at most; 3 distinct optima … reached 2 times.",
-    )
-    assert [(item.cost, item.windows, item.reached_from) for item in found.optima] == [
-        (100.0, "left 1–2", "random (1, 5)"), (200.0, "", "chain (4)"),
-        (300.0, "right 3–4", "chain (2)"),
-    ]  # fmt: skip
-    assert [item.number for item in found.failed] == [3]
-    plot = found.plot
-    assert plot is not None
-    assert sorted((mark.tip, mark.at) for mark in drawn(plot).marks) == [
-        ("Start 1, random: cost 100.00; left 1–2", (100.0, 2.0)),
-        ("Start 2, chain: cost 300.00; right 3–4", (300.0, 1.0)),
-        ("Start 4, chain: cost 200.00; ", (200.0, 1.0)),
-        ("Start 5, random: cost 100.00; left 1–2", (100.0, 1.0)),
-    ]  # fmt: skip
-    assert (plot.width, plot.height, plot.y.low, plot.y.high) == (560, 158, 0.0, pytest.approx(2.2))
-    assert (plot.x.low, plot.x.high) == (pytest.approx(90), pytest.approx(310))
-    assert (
-        one_run.Optimum(
-            1.0, [start(7, "b", 1.0), start(3, "a", 1.0), start(4, "b", 1.0)], ""
-        ).reached_from
-        == "a (3); b (4, 7)"
-    )
-
-
-def test_starts_of_one_bin_of_forty_are_stacked():
-    plot = one_run.spread(
-        stage_of(
-            *(start(place, "a", cost) for place, cost in enumerate((0.0, 40.0, 0.9, 1.1, 39.0), 1))
-        )
-    ).plot
-    assert [mark.at for mark in drawn(plot).marks] == [
-        (0.0, 1.0),
-        (0.9, 2.0),
-        (1.1, 1.0),
-        (39.0, 1.0),
-        (40.0, 1.0),
-    ]
-    same = one_run.spread(stage_of(start(1, "a", 7.0), start(2, "a", 7.0))).plot
-    assert [mark.at for mark in drawn(same).marks] == [(7.0, 1.0), (7.0, 2.0)]
-
-
-def test_no_start_or_none_that_was_solved():
-    assert one_run.spread(stage_of()) is None
-    found = one_run.spread(stage_of(start(1, "a", None), start(2, "b", None)))
-    assert (found.words, found.plot, found.optima, len(found.failed)) == (
-        "None of 2 starts was solved.",
-        None,
-        [],
-        2,
-    )
 
 
 def profiled(name: str, wall: float, **phases: float) -> RunRecord:

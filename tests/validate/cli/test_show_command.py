@@ -78,9 +78,7 @@ def test_a_record_that_cannot_be_read_is_not_looked_for_elsewhere(cli, tmp_path:
     folder = factory.store(tmp_path / "all", [run], factory.campaign([run]))
     record = folder / "runs" / run.key / "record.json"
     (folder / "runs" / run.key / "task.json").write_text(
-        json.dumps(
-            {"task": {"scene_name": "three_cart", "pipeline": {"name": "strict", "part": None}}}
-        )
+        json.dumps({"task": {"scene_name": "three_cart", "pipeline": {"name": "strict"}}})
     )
     record.write_text(record.read_text()[:300])
     done = cli("show", "three_cart x strict", "--in", str(folder))
@@ -92,26 +90,12 @@ def test_a_record_that_cannot_be_read_is_not_looked_for_elsewhere(cli, tmp_path:
 @pytest.mark.parametrize(
     ("task", "named"),
     [
-        (
-            {"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": [2, 4]}},
-            "three_cart x mpcc (2 of 4)",
-        ),
-        (
-            {"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": None}},
-            "three_cart x mpcc",
-        ),
+        ({"scene_name": "three_cart", "pipeline": {"name": "mpcc"}}, "three_cart x mpcc"),
         ({"kind": "FMU", "name": "three_cart, FMI 2.0"}, "FMU: three_cart, FMI 2.0"),
         # Damaged: its record tells.
-        (
-            {"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": 3}},
-            "three_cart x strict",
-        ),
-        (
-            {"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": [3]}},
-            "three_cart x strict",
-        ),
+        ({"scene_name": "three_cart", "pipeline": {"title": "mpcc"}}, "three_cart x strict"),
         ({"scene_name": "three_cart", "pipeline": "mpcc"}, "three_cart x strict"),
-        ({"pipeline": {"name": "mpcc", "part": None}}, "three_cart x strict"),
+        ({"pipeline": {"name": "mpcc"}}, "three_cart x strict"),
         ({}, "three_cart x strict"),
         ([1, 2], "three_cart x strict"),
     ],
@@ -127,9 +111,4 @@ def test_a_run_is_called_what_was_asked_for_and_only_else_what_its_record_says(
 
 def test_the_record_and_what_was_asked_for_agree_on_the_name():
     run = factory.run("strict", None, "strict_lcp")
-    assert run.title == title_of(
-        {"scene_name": "three_cart", "pipeline": {"name": "strict", "part": None}}
-    )
-    assert run.model_copy(update={"part": 2, "parts": 4}).title == title_of(
-        {"scene_name": "three_cart", "pipeline": {"name": "strict", "part": [2, 4]}}
-    )
+    assert run.title == title_of({"scene_name": "three_cart", "pipeline": {"name": "strict"}})

@@ -202,7 +202,7 @@ def test_what_does_not_apply_to_a_scene_is_told_once_for_each_reason_when_its_ru
 ):
     runs = [
         refused("mpcc", "mpcc: it has friction: none."),
-        refused("front", "mpcc_front: it has friction: none."),
+        refused("chain", "strict_lcp: it has friction: none."),
         refused("own", "a reason: so."),
     ]
     plain = narrator.PlainNarrator()
@@ -214,7 +214,7 @@ def test_what_does_not_apply_to_a_scene_is_told_once_for_each_reason_when_its_ru
     first, ended, *told = capsys.readouterr().err.splitlines()
     assert (first, ended[:30]) == ("0 stored, 4 to run", "[4/4] three_cart x strict: sol")
     assert told[:2] == [
-        "not applicable: mpcc, front: it has friction: none.",
+        "not applicable: mpcc, chain: it has friction: none.",
         "not applicable: own: a reason: so.",
     ]
 

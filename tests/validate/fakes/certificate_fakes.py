@@ -2,15 +2,13 @@
 
 import ctypes
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import campaign_fakes
 
 from formulations.method import Leg, Pipeline
 from formulations.mpec import Certificate, Stationarity
-from formulations.solution import FrontPoint, Outcome, Solution
-from models.catalog import load_scene
+from formulations.solution import Solution
 from models.scene import Scene
 
 CERTIFICATE = Certificate(
@@ -20,30 +18,16 @@ CERTIFICATE = Certificate(
 )  # fmt: skip
 
 
-def _exact(
-    name: str, act: Callable[[], Solution | None] = lambda: None
-) -> campaign_fakes.FakeMethod:
-    method = campaign_fakes.FakeMethod(name, act)
+def _exact(name: str) -> campaign_fakes.FakeMethod:
+    method = campaign_fakes.FakeMethod(name, lambda: None)
     method.exact = True
     return method
-
-
-def _front() -> Solution:
-    """No plan within the smallest tolerance, one within the next."""
-    none = Solution(method="front", outcome=Outcome.INFEASIBLE)
-    session = campaign_fakes.METHODS["good"].open(load_scene("three_cart"), {})
-    found = session.solve(eps=None, warm_start=None, time_limit=1.0)
-    return replace(
-        none,
-        front=(FrontPoint(tolerance=0.0, solution=none), FrontPoint(tolerance=0.1, solution=found)),
-    )
 
 
 METHODS = {
     "soft": campaign_fakes.METHODS["soft"],
     **{name: _exact(name) for name in ("quick", "endless", "crashing")},
 }
-METHODS["front"] = _exact("front", _front)
 
 
 def _certify(scene: Scene, solution: Solution) -> Solution:
@@ -52,11 +36,7 @@ def _certify(scene: Scene, solution: Solution) -> Solution:
             time.sleep(1)
     if solution.method == "crashing":
         ctypes.string_at(0)
-    points = tuple(
-        replace(point, solution=replace(point.solution, certificate=CERTIFICATE))
-        for point in solution.front
-    )
-    return replace(solution, certificate=CERTIFICATE, front=points)
+    return replace(solution, certificate=CERTIFICATE)
 
 
 def pipeline(last: str) -> Pipeline:

@@ -250,7 +250,7 @@ def spoilt_folder(rng: random.Random, folder: Path) -> Path:
         "task": {
             "key": KEY,
             "scene_name": "s",
-            "pipeline": {"name": "p", "part": []},
+            "pipeline": {"name": "p"},
             "time_limit": 5.0,
         }
     }

@@ -1,13 +1,21 @@
-"""`-k` reads as pytest's does."""
+"""`-k` reads as pytest's does, and a quick campaign says what it leaves out."""
 
 from pathlib import Path
 
 import pytest
 from wording import unsaid
 
-from models.catalog import load_scene
-from validate.plan.runs import CampaignSettings, NothingSelectedError, _scenes, scene_cost
+from models.catalog import load_scene, scene_names
+from validate.plan.runs import (
+    CampaignSettings,
+    NothingSelectedError,
+    _scenes,
+    scene_cost,
+    scenes_of,
+    select,
+)
 from validate.plan.selection import SelectionError, matches, near, words_of
+from validate.tasks.task import CheckTask
 
 NAMES = ("three_cart", "softplus_dc+strict", "softplus_dc", "strict_lcp")
 
@@ -109,3 +117,45 @@ def test_a_mistake_is_one_sentence_that_names_its_place(expression, parts):
         matches(expression, NAMES)
     assert all(part in str(caught.value) for part in (repr(expression), *parts))
     assert "\n" not in str(caught.value)
+
+
+def test_a_quick_campaign_says_once_what_it_leaves_out_of_every_scene(tmp_path) -> None:
+    entries, left_out = select(
+        CampaignSettings(
+            out=tmp_path,
+            scenes=("three_cart", "bouncing_mass"),
+            quick=True,
+            expression="strict or free_motion",
+        )
+    )
+    chosen = [(entry.task.scene_name, entry.task.pipeline.name) for entry in entries]
+    quick = "softplus_dc+strict"
+    assert chosen == [
+        ("three_cart", quick),
+        ("bouncing_mass", quick),
+        ("bouncing_mass", "free_motion"),
+    ]
+    assert left_out == tuple(
+        f"every scene x {name}" for name in ("strict", "relaxed+strict", "softplus_gd+strict")
+    )
+    _, of_one = select(
+        CampaignSettings(
+            out=tmp_path, scenes=("three_cart",), quick=True, expression="softplus and strict"
+        )
+    )
+    assert of_one == ("three_cart x softplus_gd+strict",)
+
+
+@pytest.mark.slow
+def test_a_quick_campaign_leaves_out_the_long_scenes_unless_they_are_named(tmp_path) -> None:
+    entries, left_out = select(CampaignSettings(out=tmp_path, quick=True))
+    scenes = {name: load_scene(name) for name in scene_names()}
+    long = {name for name, scene in scenes.items() if not scene.quick}
+    assert long
+    assert set(scenes_of(entries)) == set(scenes) - long
+    assert {f"{name} x every pipeline" for name in long} <= set(left_out)
+    assert not {entry.task.scene for entry in entries if isinstance(entry.task, CheckTask)} & long
+    named, _ = select(CampaignSettings(out=tmp_path, quick=True, scenes=(min(long),)))
+    assert set(scenes_of(named)) == {min(long)}
+    every, _ = select(CampaignSettings(out=tmp_path))
+    assert set(scenes_of(every)) == set(scenes)

@@ -259,17 +259,12 @@ def test_a_file_is_no_folder_of_a_campaign(tmp_path: Path):
     assert str(tmp_path / "file") in str(caught.value)
 
 
-RUN = {"scene_name": "three_cart", "pipeline": {"name": "strict", "part": None}}
-PART = {"scene_name": "three_cart", "pipeline": {"name": "strict", "part": [2, 3]}}
+RUN = {"scene_name": "three_cart", "pipeline": {"name": "mpcc"}}
 CHECK = {"kind": "stress", "name": "h01", "scene": "push_box"}
 
 
 def test_what_tasks_are_called():
-    assert [title_of(task) for task in (RUN, PART, CHECK)] == [
-        "three_cart x strict",
-        "three_cart x strict (2 of 3)",
-        "stress: h01",
-    ]
+    assert [title_of(task) for task in (RUN, CHECK)] == ["three_cart x mpcc", "stress: h01"]
     others = (
         {**CHECK, "scene": None},
         {**CHECK, "kind": "FMU"},
@@ -277,13 +272,8 @@ def test_what_tasks_are_called():
         {**RUN, "scene_name": "x"},
         {**RUN, "pipeline": {"name": "x"}},
     )
-    assert len({identity(task) for task in (RUN, PART, CHECK, *others)}) == 8
-    same = (
-        {**RUN, "key": "other"},
-        {**RUN, "pipeline": {"name": "strict"}},
-        {**RUN, "pipeline": {"name": "strict", "part": []}},
-    )
-    assert {identity(task) for task in same} == {identity(RUN)}
+    assert len({identity(task) for task in (RUN, CHECK, *others)}) == 7
+    assert identity({**RUN, "key": "other"}) == identity(RUN)
     assert identity({"pipeline": "damaged", **CHECK}) == identity(CHECK)
 
 
@@ -291,15 +281,15 @@ def test_names_come_from_what_was_asked_or_from_the_record(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ):
     first, second = factory.runs()[:2]
-    put(store, first.key, first, cell=PART)
+    put(store, first.key, first, cell=RUN)
     put(store, second.key, second, cell={"pipeline": "damaged"})
     put(store, "nothing")
     assert stored_names(store, [first.key, second.key, "nothing"]) == {
-        first.key: "three_cart x strict (2 of 3)",
+        first.key: "three_cart x mpcc",
         second.key: second.title,
     }
     monkeypatch.setattr(module, "record_of", None)
-    assert stored_names(store, [first.key]) == {first.key: "three_cart x strict (2 of 3)"}, (
+    assert stored_names(store, [first.key]) == {first.key: "three_cart x mpcc"}, (
         "the record was not read"
     )
 
@@ -486,7 +476,7 @@ def _asked(pipeline: str) -> dict:
     return {
         "scene_name": "three_cart",
         "scene": "three_cart",
-        "pipeline": {"name": pipeline, "part": None, "legs": []},
+        "pipeline": {"name": pipeline, "legs": []},
     }
 
 

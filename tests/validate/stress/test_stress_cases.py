@@ -45,7 +45,6 @@ CHEAP: dict[str, dict[str, object]] = {
         "A_STEP": 100.0,
     },  # seconds are for the campaign
     "h14_creep": {"COEFFICIENTS": (0.05, 0.8), "STEPS": (0.01, 0.005)},
-    "h17_front": {"TOLERANCES": (0.0, 0.1)},
     "h18_hold": {"COUNTS": (10, 40), "FINE": 320},
 }
 

@@ -30,7 +30,6 @@ from validate.stress.cases import (
     h12_biactive,
     h14_creep,
     h16_units,
-    h17_front,
     h18_hold,
     h19_chatter,
     h21_float32,
@@ -313,27 +312,6 @@ def test_a_length_that_is_hidden_in_the_law_and_an_optimum_that_depends_on_it(mo
     failed = broken(h16_units.measure())
     assert "plan's step: difference after rescaling" in failed
     assert "relative difference of the costs" in failed
-
-
-@pytest.mark.slow
-def test_a_front_whose_plans_end_elsewhere(monkeypatch):
-    """Inputs a thousandth stronger than those that were certified."""
-
-    def stronger(solution):
-        def point(item):
-            plan = item.solution.trajectory
-            return replace(
-                item, solution=replace(item.solution, trajectory=replace(plan, u=1.001 * plan.u))
-            )
-
-        return replace(solution, front=tuple(point(item) for item in solution.front))
-
-    monkeypatch.setattr(h17_front, "TOLERANCES", (0.0, 0.1))
-    monkeypatch.setattr(
-        h17_front, "certify_solution", lambda scene, solution: solution
-    )  # a certificate of other inputs would say nothing
-    changed(monkeypatch, h17_front, stronger)
-    assert "end beyond its tolerance, true contact law" in broken(h17_front.measure())
 
 
 @pytest.mark.slow

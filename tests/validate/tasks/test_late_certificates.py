@@ -20,8 +20,6 @@ from validate.store.provenance import gather
 from validate.store.results import rows
 from validate.store.store import Store, progress_in
 from validate.tasks.leg import planned_legs, planned_stages
-from validate.tasks.path import run_path
-from validate.tasks.profile import Profile
 from validate.tasks.task import RunTask
 
 pytestmark = pytest.mark.process
@@ -119,13 +117,3 @@ def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_p
     told = rows([record])
     assert [row["verdict"] for row in told] == ["holds"] * 3
     assert told[-1]["cost"] == record.stages[-1].cost is not None
-
-
-def test_a_front_is_certified_though_nothing_was_found_within_its_smallest_tolerance(
-    in_reach, tmp_path
-):
-    record = run_path(_task("front"), gather("a test"), tmp_path, Profile(time.monotonic()))
-    stage = record.stages[-1]
-    assert not stage.has_plan
-    assert [point.outcome for point in stage.front] == ["infeasible", "solved"]
-    assert stage.front[-1].certificate is not None

@@ -15,7 +15,7 @@ from formulations.method import Pipeline
 from formulations.mpec.certificate.certificate import Certificate
 from formulations.mpec.certificate.stationarity import Stationarity
 from formulations.pipelines import find_pipeline, load_method
-from formulations.solution import Attempt, FrontPoint, ModelSize, Outcome, Seconds, Solution
+from formulations.solution import ModelSize, Outcome, Seconds, Solution
 from models.catalog import load_scene
 from models.codegen.emit import step_operations
 from models.dynamics import derive
@@ -24,7 +24,6 @@ from models.trajectory import Trajectory, uniform_grid
 from reports.records.record import (
     CertificateRecord,
     ContactRecord,
-    FrontPointRecord,
     LegRecord,
     MetricRecord,
     QuantityRecord,
@@ -33,7 +32,6 @@ from reports.records.record import (
     SecondsRecord,
     SizeRecord,
     StageRecord,
-    StartRecord,
     TrackedRecord,
 )
 from tests.reports import record_factory as factory
@@ -146,9 +144,7 @@ def solution(**changes: Any) -> Solution:
 
 
 def recorded(found: Solution, judged: Judged = UNJUDGED, index: int = 1) -> StageRecord:
-    return stage_record(
-        SCENE, PLANNED, found, index, wall=7.0, cpu=6.5, before=100.0, judged=judged
-    )
+    return stage_record(PLANNED, found, index, wall=7.0, cpu=6.5, before=100.0, judged=judged)
 
 
 def scored(*metrics: Metric, **changes: Any) -> Score:
@@ -165,11 +161,6 @@ def test_every_field_of_a_stage_stands_in_its_own():
                  "many": (1, 2.5), "endless": math.inf, "mixed": (1, math.nan), "empty": (),
                  "other": Outcome.SOLVED},
         history={"loss": (3.0, 2.0, 1.0), "norm": (30.0, 20.0, 10.0)},
-        starts=(Attempt(number=4, start="at rest", outcome=Outcome.STALLED, cost=5.5,
-                        windows=(("left", 1, 2),), seconds=1.5),),
-        front=(FrontPoint(tolerance=0.01,
-                          solution=solution(outcome=Outcome.SOLVED, cost=6.5,
-                                            residuals={"discrete_terminal_error": 0.005})),),
     )  # fmt: skip
     judged = Judged(
         score=scored(metric(), questions=((Question.GOAL, "yes"), (Question.JUDGE, "undecided")),
@@ -187,9 +178,6 @@ def test_every_field_of_a_stage_stands_in_its_own():
                  "many": [1.0, 2.5], "endless": "inf", "mixed": "(1, nan)", "empty": [],
                  "other": "Outcome.SOLVED"},
         history={"loss": (3.0, 2.0, 1.0), "norm": (30.0, 20.0, 10.0)}, certificate=CERTIFICATE,
-        starts=(StartRecord(number=4, start="at rest", outcome="stalled", cost=5.5,
-                            windows=(("left", 1, 2),), seconds=1.5),),
-        front=(FrontPointRecord(tolerance=0.01, outcome="solved", cost=6.5, terminal_error=0.005),),
         seconds=SecondsRecord(
             build=0.5, translate=0.25, evaluate=0.125, linear_algebra=2.0, solve=2.125, stage=7.0,
             stage_cpu=6.5, total=107.0, replay=8.0
@@ -218,14 +206,7 @@ def test_every_field_of_a_stage_stands_in_its_own():
 def test_what_a_stage_does_not_have_is_not_there():
     found = recorded(solution(trajectory=None, cost=math.nan))
     assert (found.cost, found.size, found.certificate, found.replay) == (None, None, None, None)
-    assert (
-        found.starts,
-        found.front,
-        found.metrics,
-        found.questions,
-        found.not_asked,
-        found.history,
-    ) == ((), (), (), (), (), {})
+    assert (found.metrics, found.questions, found.not_asked, found.history) == ((), (), (), {})
     assert (found.verdict, found.why, found.has_plan, found.seconds.replay) == (
         "no plan",
         "it took long",
@@ -324,33 +305,6 @@ def test_what_was_not_measured_has_no_value(value: float | None):
     assert (found.value, found.limit, found.ok) == (None, None, None)
 
 
-@pytest.mark.parametrize(("forces", "windows"), [
-    (((1.0, 0.0),), (("left", 0, 0),)), (((0.0, 1.0), (0.0, 1.0)), (("right", 0, 1),)),
-    (((0.0, -1.0), (0.0, 0.0)), ()),
-    (((1.0, 0.0), (0.0, 2.0), (3.0, 2.0), (4.0, 0.0)),
-     (("left", 0, 0), ("left", 2, 3), ("right", 1, 2))),
-])  # fmt: skip
-def test_windows_are_the_first_and_the_last_step_of_each_force(forces: tuple, windows: tuple):
-    (point,) = recorded(
-        solution(front=(FrontPoint(tolerance=1.0, solution=solution(trajectory=plan(*forces))),))
-    ).front
-    assert point.windows == windows
-
-
-def test_a_point_of_a_front_without_a_plan_says_how_it_ended():
-    found = recorded(
-        solution(
-            front=(
-                FrontPoint(
-                    tolerance=0.5,
-                    solution=solution(trajectory=None, outcome=Outcome.INFEASIBLE, cost=None),
-                ),
-            )
-        )
-    )
-    assert found.front == (FrontPointRecord(tolerance=0.5, outcome="infeasible"),)
-
-
 def test_iterations_that_are_not_finite_are_left_out_and_long_histories_are_thinned():
     found = recorded(
         solution(history={"loss": (1.0, math.nan, 3.0, 4.0), "norm": (1.5, 2.5, 3.5, math.inf)})
@@ -364,16 +318,9 @@ def test_iterations_that_are_not_finite_are_left_out_and_long_histories_are_thin
 
 def test_a_certificate_comes_to_its_stage_alone():
     before = recorded(solution()).model_copy(update={"certificate_missing": True})
-    points = (FrontPoint(tolerance=0.5, solution=solution(certificate=certificate(pairs=41))),)
-    after = with_certificate(before, SCENE, solution(certificate=CERTIFIED, front=points))
+    after = with_certificate(before, solution(certificate=CERTIFIED))
     assert (after.certificate, after.certificate_missing) == (CERTIFICATE, False)
-    assert [
-        None if point.certificate is None else point.certificate.pairs for point in after.front
-    ] == [41]
-    assert (
-        after.model_copy(update={"certificate": None, "front": (), "certificate_missing": True})
-        == before
-    )
+    assert after.model_copy(update={"certificate": None, "certificate_missing": True}) == before
 
 
 def test_what_a_certificate_does_not_know_is_missing():
@@ -483,25 +430,17 @@ def test_a_run_ends_as_its_last_stage_does():
         {"replay": 0.25},
         "first\nlast",
     )
-    assert (found.part, found.parts, found.stages) == (1, 1, stages)
+    assert found.stages == stages
     assert found.title == "three_cart x softplus_dc+strict"
 
 
 def test_what_is_said_of_a_run_counts_more_than_its_last_stage():
     stage = recorded(solution()).model_copy(update={"kind": "direct"})
     log = "\n".join(map(str, range(LOG_LINES + 1)))
-    found = run_of(
-        replace(find_pipeline("mpcc"), part=(2, 3)), stage, outcome="crashed", message="", log=log
-    )
-    assert (found.outcome, found.message, found.must_hold, found.part, found.parts) == (
-        "crashed",
-        "",
-        True,
-        2,
-        3,
-    )
+    found = run_of(find_pipeline("mpcc"), stage, outcome="crashed", message="", log=log)
+    assert (found.outcome, found.message, found.must_hold) == ("crashed", "", True)
     assert found.log_tail.splitlines() == [str(line) for line in range(1, 41)]
-    assert found.title == "three_cart x mpcc (2 of 3)"
+    assert found.title == "three_cart x mpcc"
 
 
 EQUATIONS = {

@@ -1,10 +1,7 @@
-"""Least cost against terminal tolerance, on the paper's scene and swept on a small one, ends recomputed by a rollout; from inputs that miss the goal to a plan: by the true rollout, by way of softplus, and by the search with a price on the miss."""
-
-from dataclasses import replace
+"""Least cost within a ball around the goal, on the paper's scene, ends recomputed by a rollout; from inputs that miss the goal to a plan: by the true rollout, by way of softplus, and by the search with a price on the miss."""
 
 import numpy as np
 import pytest
-from wording import unsaid
 
 from formulations.contact_modes.goal import (
     ball_miss,
@@ -15,31 +12,21 @@ from formulations.contact_modes.goal import (
 from formulations.contact_modes.linear import linear_scene
 from formulations.contact_modes.quadratic import ModesProblem, cheapest_in_ball
 from formulations.contact_modes.search import closed_steps
-from formulations.contact_modes.session import MpccSession
-from formulations.method import OptionError
-from formulations.methods.mpcc_front import front, front_message
-from formulations.mpec import certify_solution
-from formulations.pipelines import load_method, solve_scene
-from formulations.solution import FrontPoint, Outcome, Solution
+from formulations.pipelines import solve_scene
+from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from models.scene import Scene
 from models.scene.goal import goal_state
 from models.trajectory import Trajectory
 
 SCENE = load_scene("three_cart")
-SMALL = SCENE.with_task(
-    start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100
-)
 
 
-def miss(solution: Solution, scene: Scene) -> float:
+def miss(solution: Solution) -> float:
     assert solution.outcome is Outcome.SOLVED, solution.message
-    plan = solution.trajectory
-    rollout = load_kernel(scene).rollout(np.array(scene.task.start), plan.u, scene.task.step)
-    return float(
-        np.linalg.norm(np.concatenate([rollout.q[-1], rollout.v[-1]]) - goal_state(scene.task))
-    )
+    plan, task = solution.trajectory, SCENE.task
+    rollout = load_kernel(SCENE).rollout(np.array(task.start), plan.u, task.step)
+    return float(np.linalg.norm(np.concatenate([rollout.q[-1], rollout.v[-1]]) - goal_state(task)))
 
 
 def within(ball: float, plan: Trajectory | None = None, search: bool = True) -> Solution:
@@ -50,102 +37,17 @@ def within(ball: float, plan: Trajectory | None = None, search: bool = True) -> 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("ball", "most"), [(1e-3, 391.0), (1e-2, 325.0)])
-def test_figures_of_the_front(ball: float, most: float) -> None:
+def test_mpcc_goal_tolerance_least_cost(ball: float, most: float) -> None:
     solution = within(ball)
     assert solution.cost <= most
-    assert miss(solution, SCENE) == pytest.approx(ball, rel=1e-6), "the end lies on the sphere"
+    assert miss(solution) == pytest.approx(ball, rel=1e-6), "the end lies on the sphere"
 
 
 @pytest.mark.slow
 def test_the_figure_at_five_centimetres_needs_the_modes_of_ten() -> None:
     solution = within(0.05, within(0.1, search=False).trajectory)
     assert solution.cost <= 283.5
-    assert miss(solution, SCENE) <= 0.05 + 1e-10
-
-
-@pytest.mark.slow
-def test_a_front_falls() -> None:
-    points = front(SMALL, (0.05, 0.0, 0.01))
-    assert [point.tolerance for point in points] == [0.0, 0.01, 0.05]
-    costs = [point.solution.cost for point in points]
-    assert None not in costs
-    assert costs == sorted(costs, reverse=True)
-    assert len(set(costs)) == 3
-    for point in points:
-        assert miss(point.solution, SMALL) <= point.tolerance + 1e-10
-
-
-def test_where_a_larger_tolerance_had_no_plan_none_is_looked_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Cold starts in the middle and at both ends; the others are not tried, and say why."""
-    tried: list[float] = []
-
-    def nothing(self: MpccSession, **_given: object) -> Solution:
-        tried.append(self._options.goal_tolerance)
-        return Solution(method="mpcc", outcome=Outcome.FAILED)
-
-    monkeypatch.setattr(MpccSession, "solve", nothing)
-    points = front(SMALL, (0.0, 1e-5, 1e-4, 1e-3, 2e-3, 5e-3))
-    assert tried == [1e-3, 0.0, 5e-3]
-    assert [point.tolerance for point in points if "Not tried" in point.solution.message] == [
-        1e-5,
-        1e-4,
-        2e-3,
-    ]
-    assert "tolerance 0.001 no plan" in points[1].solution.message
-
-
-@pytest.mark.parametrize("wrong", [(), (-0.1,), (float("nan"),), ("0.1",), (True,), "0.1"])
-def test_tolerances_that_are_none_are_refused(wrong) -> None:
-    with pytest.raises(OptionError, match="tolerance"):
-        front(SMALL, wrong)
-    with pytest.raises(OptionError, match="tolerance"):
-        load_method("mpcc_front").open(SMALL, {"tolerances": wrong})
-
-
-@pytest.mark.slow
-def test_the_method_hands_on_the_tightest_plan_and_the_whole_front() -> None:
-    solution = certify_solution(
-        SMALL, solve_scene(SMALL, "mpcc_front", options={"tolerances": (0.05, 0.0)})
-    )
-    assert miss(solution, SMALL) <= 1e-10
-    assert solution.options["tolerances"] == (0.0, 0.05)
-    assert [point.tolerance for point in solution.front] == [0.0, 0.05]
-    assert solution.cost == solution.front[0].solution.cost
-    for point in solution.front:
-        assert point.solution.certificate.holds, point.solution.certificate.sentence
-    assert solution.certificate is solution.front[0].solution.certificate
-    assert "2 of 2" in solution.message
-
-
-def test_no_time_leaves_a_front_without_plans() -> None:
-    solution = solve_scene(SMALL, "mpcc_front", time_limit=1e-3)
-    assert solution.outcome is Outcome.TIME_LIMIT
-    assert len(solution.front) == 9
-    assert all(point.solution.trajectory is None for point in solution.front)
-
-
-def test_a_free_end_has_no_front() -> None:
-    free = SMALL.with_task(goal=(None, 2.7, 3.3, 0.0, 0.0, 0.0))
-    assert load_method("mpcc_front").accepts(free) is None
-    nowhere = SMALL.with_task(goal=(None,) * 6)
-    assert "free" in str(load_method("mpcc_front").accepts(nowhere))
-
-
-@pytest.mark.slow
-def test_a_cold_start_may_do_more_until_it_has_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What leads to the first plan is as long as for mpcc, whatever the steps from plan to plan may do: five carts had none."""
-    allowed: list[tuple[bool, float]] = []
-    solve = MpccSession.solve
-
-    def noted(self: MpccSession, **given: object) -> Solution:
-        allowed.append((given["warm_start"] is not None, self._options.work))
-        return solve(self, **given)
-
-    monkeypatch.setattr(MpccSession, "solve", noted)
-    front(SMALL, (0.0, 0.01), options={"work": 2.0, "first_work": 5.0})
-    assert set(allowed) == {(False, 7.0), (True, 2.0)}
+    assert miss(solution) <= 0.05 + 1e-10
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -163,28 +65,6 @@ def test_the_cheapest_point_of_a_ball(seed: int, radius: float) -> None:
     assert shift >= -1e-9
     np.testing.assert_allclose(gradient + shift * e, 0.0, atol=1e-8)
     assert shift <= 1e-8 or size == pytest.approx(radius, rel=1e-9)
-
-
-def test_a_front_says_how_many_of_its_points_have_a_plan():
-    t, q, u = np.arange(2.0), np.zeros((2, 1)), np.zeros((1, 1))
-    lost = Solution(method="mpcc", outcome=Outcome.FAILED)
-    plan = replace(lost, outcome=Outcome.SOLVED, trajectory=Trajectory(t=t, q=q, v=q, u=u, lam=u))
-    tight, loose = (
-        FrontPoint(tolerance=0.0, solution=lost),
-        FrontPoint(tolerance=0.1, solution=plan),
-    )
-    assert not unsaid(
-        front_message(0, (tight, tight), "no modes."),
-        "No plan … within any of 2 terminal tolerances: no modes.",
-    )
-    assert not unsaid(
-        front_message(1, (tight, loose), "no modes."),
-        "Plans … within 1 of 2 terminal tolerances, none within 0: no modes.",
-    )
-    assert not unsaid(
-        front_message(1, (loose, tight), "it ended."),
-        "within 1 of 2 … the one within 0.1. It ended.",
-    )
 
 
 COARSE = load_scene("three_cart").with_task(steps=100, step=0.05)
