@@ -86,8 +86,6 @@ MULTIPLE_SHOOTING_EPS = (1e-3, 1e-6, 1e-12, 1e-24, 1e-48)
 # Iterations of each of these stages: the next one starts as well from a plan that is nearly
 # settled.
 MULTIPLE_SHOOTING_COUNT = 60
-# Standard deviation of the random inputs, in half ranges of the inputs.
-NOISE = (0.3, 0.1, 0.03)
 
 
 def _counts(*iterations: int) -> tuple[Mapping[str, object], ...]:
@@ -187,13 +185,6 @@ PIPELINES: tuple[Pipeline, ...] = (
         "ours: the outlook of the paper, collocation followed by fine tuning on what is simulated",
         _SOFTPLUS_DC,
         Leg(method="softplus_lbfgs", schedule=SOFTPLUS_EPS[-1:]),
-        "relu_lbfgs",
-    ),
-    _row(
-        "randomised_smoothing",
-        "L-BFGS on ReLU contact averaged over random inputs, with ever less noise, then without",
-        "ours: another relaxation, by noise; bundled gradients of Suh, Pang and Tedrake",
-        Leg(method="randomised_smoothing", schedule=NOISE),
         "relu_lbfgs",
     ),
     _row(

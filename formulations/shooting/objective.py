@@ -15,18 +15,6 @@ number for each plan:
         return (plan.end - goal).square().mean(-1) + 1e-5 * u.diff(dim=-2).square().sum((-2, -1))
 
     objective = Objective(load_kernel(scene), law=ContactLaw.RELU, loss=calm)
-
-The loss may be averaged over random inputs: contact that only some samples make still has a
-gradient then.
-
-    objective = Objective(kernel, law=ContactLaw.RELU, noise=noise(scene, 1.0, unbounded=1.0, samples=16, pieces=5, seed=0))
-
-F(u) = mean over i of loss(u + w_i), with rollouts through the true contact law and first-order
-gradients, averaged ("bundled": Suh, Pang, Tedrake, Bundled Gradients through Contact via Randomized
-Smoothing, RA-L 2022). The w_i are drawn once, in pairs w and -w, and are the same in every
-evaluation: F is one function, its minimisation deterministic, and its curvature can be learned.
-Each w_i is held over a piece of the horizon, because noise that changes with every step averages
-out before it moves a body.
 """
 
 from __future__ import annotations
@@ -44,7 +32,6 @@ from formulations.shooting.options import WeightOptions
 from formulations.shooting.rollout import Loss, RolloutTensors, ShootingError, rollout
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
-from models.scene import Scene
 from models.scene.goal import goal_state, miss
 
 
@@ -87,8 +74,7 @@ class Objective:
     Facts of the last evaluation stand beside it.
 
     goal (2*nq,): what terminal_error is measured from, and what the loss aims at unless `loss` is
-    given (`aim`); NaN where free. noise (samples, steps, nu): the loss is its mean over inputs u +
-    noise[i]; plan is still that of u. plan: the last rollout; seconds: wall seconds spent so far.
+    given (`aim`); NaN where free. plan: the last rollout; seconds: wall seconds spent so far.
     """
 
     def __init__(
@@ -99,16 +85,10 @@ class Objective:
         eps: float | None = None,
         weights: Weights | None = None,
         loss: Loss | None = None,
-        noise: np.ndarray | None = None,
     ) -> None:
         task = kernel.scene.task
         self.kernel, self.law, self.eps = kernel, law, eps
         self.start = torch.tensor(task.start, dtype=torch.float64)
-        self.noise = (
-            None
-            if noise is None
-            else torch.from_numpy(np.ascontiguousarray(noise, dtype=np.float64))
-        )
         self.seconds = 0.0
         self._own = loss
         self._inputs = torch.zeros(task.steps, kernel.scene.nu, dtype=torch.float64)
@@ -128,23 +108,11 @@ class Objective:
 
         Not finite if the rollout diverges.
 
-        Raises ShootingError for a loss of one's own that is not a number for each plan, or does not
-        depend on it.
+        Raises ShootingError for a loss of one's own that is no number, or does not depend on the
+        plan.
         """
-        mean = None
-        if self.noise is not None:
-            mean = self._loss(u + self.noise).cumsum(0)[-1] / len(self.noise)
-            u = u.detach()
-        value = self._loss(u)
-        return (
-            value if mean is None else mean + 0.0 * value
-        )  # not finite where the plan without noise is not
-
-    def _loss(self, u: Tensor) -> Tensor:
-        plan = rollout(self.kernel, u, self.start, law=self.law, eps=self.eps)
-        if u.dim() == 2:
-            self.plan = plan
-        value = self.loss(plan, u)
+        self.plan = rollout(self.kernel, u, self.start, law=self.law, eps=self.eps)
+        value = self.loss(self.plan, u)
         if self._own is not None:
             self._check(value, u)
         return value
@@ -153,16 +121,11 @@ class Objective:
         where = f"scene {self.kernel.scene.name}: the loss"
         if not isinstance(value, Tensor):
             raise ShootingError(
-                f"{where} returned a {type(value).__name__}, but must return a PyTorch tensor, one number for each plan."
+                f"{where} returned a {type(value).__name__}, but must return a PyTorch tensor of one number."
             )
-        if value.shape != u.shape[:-2]:
-            wanted = (
-                "a single number"
-                if u.dim() == 2
-                else f"shape {tuple(u.shape[:-2])}, one number for each plan"
-            )
+        if value.dim():
             raise ShootingError(
-                f"{where} returned a tensor of shape {tuple(value.shape)}, but {wanted} is needed; sum or average over the rest."
+                f"{where} returned a tensor of shape {tuple(value.shape)}, but a single number is needed; sum or average over the rest."
             )
         if u.requires_grad and not value.requires_grad:
             raise ShootingError(
@@ -236,55 +199,21 @@ class Objective:
         return found.numpy()
 
 
-def noise(
-    scene: Scene, deviation: float, *, unbounded: float, samples: int, pieces: int, seed: int
-) -> np.ndarray:
-    """Draw Gaussian noise in pairs w and -w.
-
-    Parameters
-    ----------
-    deviation : standard deviation, in half ranges of each input [-]
-    unbounded : what stands for half the range of an input without bounds, in its unit
-    samples : how many, an even number
-    pieces : so many values over the horizon
-
-    Returns
-    -------
-    (samples, steps, nu) [N, N m]
-
-    Raises
-    ------
-    ValueError
-        For a negative seed.
-    """
-    steps = scene.task.steps
-    half = [(item.upper - item.lower) / 2 for item in scene.inputs]
-    scale = deviation * np.array([size if np.isfinite(size) else unbounded for size in half])
-    values = np.random.default_rng(seed).normal(size=(samples // 2, min(pieces, steps), scene.nu))
-    held = values[:, np.arange(steps) * values.shape[1] // steps] * scale
-    return np.concatenate([held, -held])
-
-
 def paper_objective(
-    options: WeightOptions,
-    law: ContactLaw,
-    loss: Loss | None = None,
-    noise: Callable[[float], np.ndarray] | None = None,
+    options: WeightOptions, law: ContactLaw, loss: Loss | None = None
 ) -> Callable[[Kernel, float | None, np.ndarray], Objective]:
     """Give what makes the objective of a kernel at an eps, from any first inputs (steps, nu) [N, N m]: the paper's loss, or one's own.
 
-    noise: at an eps, what it is averaged over (samples, steps, nu) [N, N m]. Raises nothing; what
-        it gives raises what Objective does.
+    Raises nothing; what it gives raises what Objective does.
     """
 
     def objective(kernel: Kernel, eps: float | None, _: np.ndarray) -> Objective:
         return Objective(
             kernel,
             law=law,
-            eps=eps if law is ContactLaw.SOFTPLUS else None,
+            eps=eps,
             weights=Weights(terminal=options.terminal_weight, running=options.input_weight),
             loss=loss,
-            noise=None if noise is None or eps is None else noise(eps),
         )
 
     return objective

@@ -54,12 +54,8 @@ class DescentOptions(WeightOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SearchOptions(Options):
-    """Options of L-BFGS itself."""
-
-    # no options yet: the goal is not displaced
-    goal_rounds = 0
-    goal_tolerance = 0.0
+class GoalOptions(Options):
+    """Options of L-BFGS that meets the goal by aiming beside it."""
 
     memory: int = option(
         20, "pairs of steps and gradient differences that are kept", lower=1, upper=1000
@@ -71,12 +67,6 @@ class SearchOptions(Options):
         lower=0.0,
         upper=1.0,
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class GoalOptions(SearchOptions):
-    """Options of L-BFGS that meets the goal by aiming beside it."""
-
     goal_rounds: int = option(
         10,
         "how often the goal that is aimed at is displaced by what was missed (multipliers); 0: the loss of gradient descent",

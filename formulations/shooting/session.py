@@ -11,8 +11,8 @@ import numpy as np
 from formulations.grids import plan_of
 from formulations.method import Clock, Method, Session
 from formulations.shooting.descent import Descent, descend
-from formulations.shooting.objective import Objective, noise, paper_objective
-from formulations.shooting.options import DescentOptions, SearchOptions
+from formulations.shooting.objective import Objective, paper_objective
+from formulations.shooting.options import DescentOptions, GoalOptions
 from formulations.shooting.quasi_newton import minimise
 from formulations.shooting.stage import (
     arrived,
@@ -29,7 +29,7 @@ from models.contact_law import ContactLaw
 from models.scene import Scene
 from models.trajectory import Trajectory
 
-__all__ = ["ShootingSession", "noise", "paper_objective"]
+__all__ = ["ShootingSession", "paper_objective"]
 
 
 class ShootingSession(Session):
@@ -43,7 +43,7 @@ class ShootingSession(Session):
         self,
         method: Method,
         scene: Scene,
-        options: DescentOptions | SearchOptions,
+        options: DescentOptions | GoalOptions,
         clock: Clock,
         objective: Callable[[Kernel, float | None, np.ndarray], Objective],
     ) -> None:

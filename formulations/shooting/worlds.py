@@ -124,10 +124,11 @@ class WorldsObjective(Objective):
             weights=Weights(terminal=_NOMINAL * price * float(scale.max()) ** 2, running=1.0),
         )
 
-    def _loss(self, u: Tensor) -> Tensor:
+    def __call__(self, u: Tensor) -> Tensor:
+        """Return the loss at inputs u (steps, nu), over all worlds."""
         ends = torch.stack([world.end(u) for world in self._worlds])
         squares = ((ends - self._goal) * self._shares).square().sum(-1)
-        return super()._loss(u) + self._price * (torch.sqrt(1.0 + squares) - 1.0).mean()
+        return super().__call__(u) + self._price * (torch.sqrt(1.0 + squares) - 1.0).mean()
 
 
 class WorldsSession(ShootingSession):

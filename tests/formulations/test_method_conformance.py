@@ -251,16 +251,9 @@ def test_one_sentence_says_what_is_wrong(given, sentence):
 
 
 def test_what_is_impossible_only_for_one_method_is_refused_too():
-    for name, given, words in (
-        ("randomised_smoothing", {"samples": 3}, "option samples is 3, but must be an even number"),
-        (
-            "relu_gd",
-            {"iterations": 2.5},
-            "option iterations is 2.5, but must be a whole number or left out",
-        ),
-    ):
-        with pytest.raises(OptionError, match=f"method {name}: {words}"):
-            load_method(name).read_options(given)
+    words = "method relu_gd: option iterations is 2.5, but must be a whole number or left out"
+    with pytest.raises(OptionError, match=words):
+        load_method("relu_gd").read_options({"iterations": 2.5})
 
 
 def test_an_object_is_checked_when_it_is_made_and_belongs_to_its_method():

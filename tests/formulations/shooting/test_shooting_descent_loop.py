@@ -23,7 +23,7 @@ from wording import unsaid
 
 from formulations.pipelines import solve_scene
 from formulations.shooting.descent import Losses, Progress, descend, sensitivity, stable_rate
-from formulations.shooting.objective import GoalLoss, Objective, Weights, noise
+from formulations.shooting.objective import GoalLoss, Objective, Weights
 from formulations.shooting.options import DescentOptions
 from formulations.shooting.reference import reference_cost, reference_rollout
 from formulations.shooting.rollout import RolloutTensors, ShootingError, rollout
@@ -332,25 +332,6 @@ def test_divergence_is_an_infinite_loss():
     assert objective.value(np.zeros((500, 2))) == 0.125
     assert objective.finite
     assert objective.finite_steps == 500
-
-
-def test_a_mean_over_random_inputs_is_that_of_single_evaluations():
-    added = noise(SCENE, deviation=0.2, unbounded=1.0, samples=8, pieces=5, seed=3)
-    smoothed, single = (
-        Objective(KERNEL, law=ContactLaw.RELU, noise=added),
-        Objective(KERNEL, law=ContactLaw.RELU),
-    )
-    u = np.cos(np.arange(1000.0)).reshape(500, 2)
-    losses, gradients = [], []
-    for sample in added:
-        losses.append(single.value(u + sample))
-        gradients.append(single.gradient())
-    assert smoothed.value(u) == pytest.approx(np.mean(losses), rel=1e-14)
-    mean = np.mean(gradients, axis=0)
-    assert np.abs(smoothed.gradient() - mean).max() <= 1e-13 * np.abs(mean).max()
-    assert single.value(u) > 0.0
-    assert (smoothed.cost, smoothed.terminal_error) == (single.cost, single.terminal_error)
-    assert smoothed.value(np.full_like(u, 1e308)) == np.inf
 
 
 def test_a_loss_of_ones_own_replaces_the_papers():

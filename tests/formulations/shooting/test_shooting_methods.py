@@ -1,4 +1,4 @@
-"""softplus_gd and relu_gd through the method protocol: options, refusals, limits, bounds, other scenes, starts, steps and horizons; the paper's gradient rows, by the methods themselves. L-BFGS and randomised smoothing: optima known in closed form, gradients against finite differences, endings in words."""
+"""softplus_gd and relu_gd through the method protocol: options, refusals, limits, bounds, other scenes, starts, steps and horizons; the paper's gradient rows, by the methods themselves. L-BFGS: optima known in closed form, gradients against finite differences, endings in words."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from wording import unsaid
 from formulations.method import Kind, OptionError
 from formulations.pipelines import load_method
 from formulations.shooting.method import QuasiNewtonMethod
-from formulations.shooting.objective import Objective, Weights, noise
+from formulations.shooting.objective import Objective, Weights
 from formulations.shooting.options import QuasiNewtonOptions
 from formulations.shooting.quasi_newton import minimise
 from formulations.solution import Outcome, Solution
@@ -320,35 +320,6 @@ def test_dead_contact_is_told():
     solution = solve(APART, "relu_lbfgs")
     assert solution.outcome is Outcome.STALLED
     assert not unsaid(solution.message, "no contact is made anywhere")
-
-
-def test_noise_comes_in_pairs_of_the_size_asked_for():
-    w = noise(SCENE, deviation=0.1, unbounded=1.0, samples=4000, pieces=5, seed=0)
-    assert w.shape == (4000, 500, 2)
-    np.testing.assert_allclose(w.mean(axis=0), 0.0, atol=1e-12)
-    assert w.std() == pytest.approx(1.0, rel=0.03), "a tenth of half the range of 20 N"
-    assert len(np.unique(w[0, :, 0])) == 5
-
-
-@pytest.mark.slow
-def test_another_seed_is_other_noise_and_another_plan():
-    drawn = [
-        noise(SCENE, deviation=0.1, unbounded=1.0, samples=4, pieces=5, seed=seed)
-        for seed in (0, 0, 1, 2)
-    ]
-    assert np.array_equal(drawn[0], drawn[1])
-    assert not any(np.isclose(drawn[0], other).any(axis=(1, 2)).any() for other in drawn[2:])
-    costs = [solve(APART, "randomised_smoothing", 0.3, seed=seed).cost for seed in (0, 0, 1, 2)]
-    assert costs[0] == costs[1]
-    assert len(set(costs)) == 3
-
-
-def test_noise_makes_contact_that_the_plan_itself_does_not():
-    """From rest, with nothing in reach: gradient descent on ReLU is dead, noise finds the middle cart."""
-    dead, alive = solve(APART, "relu_lbfgs"), solve(APART, "randomised_smoothing", 0.3)
-    start = np.array(APART.task.start)
-    assert dead.trajectory.q[-1, 1] == start[1]
-    assert alive.trajectory.q[-1, 1] != start[1]
 
 
 def test_a_loss_of_ones_own_is_made_small_without_displacing_its_goal():

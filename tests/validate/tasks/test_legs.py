@@ -97,7 +97,7 @@ def test_the_key_of_a_leg_is_of_all_that_decides_it():
         last = _path(name)[-1]
         assert last[3] == strict[3] == strict[2]
         assert last[2] != strict[2]
-    assert _path("lbfgs")[0][2] != _path("randomised_smoothing")[0][2]
+    assert _path("lbfgs")[0][2] != _path("softplus_dc+lbfgs")[0][2]
 
 
 def test_a_leg_runs_once(whole):
