@@ -213,13 +213,6 @@ PIPELINES: tuple[Pipeline, ...] = (
         "collocation",
     ),
     _row(
-        "robust",
-        "The best exact plan, then the same goal in sixty-four other worlds at once, by L-BFGS on ReLU contact",
-        "ours: drawn worlds driven by the same inputs, cost traded against how far each ends from the goal",
-        BEST_EXACT,
-        "robust",
-    ),
-    _row(
         FREE_MOTION,
         "Free motion, for scenes without inputs: nothing is planned",
         "ours: the replay of the start, held against the scene's closed forms",

@@ -35,11 +35,9 @@ class ShootingMethod(Method[_Weighted]):
 
     def session(self, scene: Scene, options: _Weighted, clock: Clock) -> Session:
         """Open a session, which imports PyTorch."""
-        from formulations.shooting import session as opened
+        from formulations.shooting.session import ShootingSession
 
-        return opened.ShootingSession(
-            self, scene, options, clock, opened.paper_objective(options, self.law, self.loss(scene))
-        )
+        return ShootingSession(self, scene, options, clock, self.law, self.loss(scene))
 
 
 class DescentMethod(ShootingMethod[DescentOptions]):

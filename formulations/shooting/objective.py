@@ -20,7 +20,7 @@ number for each plan:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -28,7 +28,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from formulations.shooting.options import WeightOptions
 from formulations.shooting.rollout import Loss, RolloutTensors, ShootingError, rollout
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
@@ -197,23 +196,3 @@ class Objective:
         (found,) = torch.autograd.grad(self._value, self._inputs, retain_graph=True)
         self.seconds += perf_counter() - began
         return found.numpy()
-
-
-def paper_objective(
-    options: WeightOptions, law: ContactLaw, loss: Loss | None = None
-) -> Callable[[Kernel, float | None, np.ndarray], Objective]:
-    """Give what makes the objective of a kernel at an eps, from any first inputs (steps, nu) [N, N m]: the paper's loss, or one's own.
-
-    Raises nothing; what it gives raises what Objective does.
-    """
-
-    def objective(kernel: Kernel, eps: float | None, _: np.ndarray) -> Objective:
-        return Objective(
-            kernel,
-            law=law,
-            eps=eps,
-            weights=Weights(terminal=options.terminal_weight, running=options.input_weight),
-            loss=loss,
-        )
-
-    return objective

@@ -54,8 +54,8 @@ class DescentOptions(WeightOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GoalOptions(Options):
-    """Options of L-BFGS that meets the goal by aiming beside it."""
+class QuasiNewtonOptions(WeightOptions):
+    """Options of L-BFGS, which meets the goal by aiming beside it."""
 
     memory: int = option(
         20, "pairs of steps and gradient differences that are kept", lower=1, upper=1000
@@ -76,22 +76,3 @@ class GoalOptions(Options):
     goal_tolerance: float = option(
         1e-6, "no more rounds where the goal is missed by less than this", lower=0.0
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class QuasiNewtonOptions(GoalOptions, WeightOptions):
-    """Options of L-BFGS on the paper's loss."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RobustOptions(GoalOptions):
-    """Options of L-BFGS for several worlds at once."""
-
-    worlds: int = option(64, "how many worlds are drawn", lower=1, upper=10**5)
-    weight: float = option(
-        12.0,
-        "what a mean miss of its limit costs, as a share of what the first inputs cost",
-        lower=0.0,
-        upper=1e12,
-    )
-    seed: int = option(1, "of the worlds; a campaign tries plans in those of another", lower=0)

@@ -20,7 +20,7 @@ from scipy.optimize import Bounds, minimize
 from formulations.grids import input_bounds
 from formulations.shooting.descent import Descent, dead_contact_message, stable_rate
 from formulations.shooting.objective import Objective
-from formulations.shooting.options import GoalOptions
+from formulations.shooting.options import QuasiNewtonOptions
 from formulations.solution import Outcome, ended
 
 _JUDGED_OVER = 20  # iterations over which the decrease is judged
@@ -38,7 +38,7 @@ class _Run:
         self,
         objective: Objective,
         goal: np.ndarray,
-        options: GoalOptions,
+        options: QuasiNewtonOptions,
         deadline: float,
         history: dict[str, list[float]],
     ) -> None:
@@ -148,7 +148,7 @@ def projected(objective: Objective, u: np.ndarray, gradient: np.ndarray) -> np.n
 
 
 def minimise(
-    objective: Objective, u0: np.ndarray, options: GoalOptions, time_limit: float
+    objective: Objective, u0: np.ndarray, options: QuasiNewtonOptions, time_limit: float
 ) -> Descent:
     """Minimise from u0 (steps, nu) [N, N m] within the bounds.
 
@@ -226,7 +226,7 @@ def minimise(
 def _rounds(
     objective: Objective,
     u: np.ndarray,
-    options: GoalOptions,
+    options: QuasiNewtonOptions,
     deadline: float,
     history: dict[str, list[float]],
 ) -> tuple[_Run | None, np.ndarray, float, int]:

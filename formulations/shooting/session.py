@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from time import perf_counter
 
@@ -11,9 +10,10 @@ import numpy as np
 from formulations.grids import plan_of
 from formulations.method import Clock, Method, Session
 from formulations.shooting.descent import Descent, descend
-from formulations.shooting.objective import Objective, paper_objective
-from formulations.shooting.options import DescentOptions, GoalOptions
+from formulations.shooting.objective import Objective, Weights
+from formulations.shooting.options import DescentOptions, QuasiNewtonOptions
 from formulations.shooting.quasi_newton import minimise
+from formulations.shooting.rollout import Loss
 from formulations.shooting.stage import (
     arrived,
     given_inputs,
@@ -23,36 +23,30 @@ from formulations.shooting.stage import (
     with_growth,
 )
 from formulations.solution import Outcome, Solution
-from models.codegen.kernel import Kernel, load_kernel
+from models.codegen.kernel import load_kernel
 from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw
 from models.scene import Scene
 from models.trajectory import Trajectory
 
-__all__ = ["ShootingSession", "paper_objective"]
-
 
 class ShootingSession(Session):
     """One method on one scene, by gradient descent or by L-BFGS, as its options say.
 
-    clock: of the opening; objective: the loss on a kernel, at an eps, from first inputs (steps, nu)
-        [N, N m].
+    clock: of the opening; loss: one's own, None for the paper's.
     """
 
     def __init__(
         self,
         method: Method,
         scene: Scene,
-        options: DescentOptions | GoalOptions,
+        options: DescentOptions | QuasiNewtonOptions,
         clock: Clock,
-        objective: Callable[[Kernel, float | None, np.ndarray], Objective],
+        law: ContactLaw,
+        loss: Loss | None,
     ) -> None:
-        self._method, self._scene, self._options, self._objective = (
-            method,
-            scene,
-            options,
-            objective,
-        )
+        self._method, self._scene, self._options = method, scene, options
+        self._law, self._loss = law, loss
         self._kernel, self._steps = load_kernel(scene), load_steps(scene)
         self._clock = clock
 
@@ -66,24 +60,25 @@ class ShootingSession(Session):
         stage = Clock()
         self._method.check_stage(eps, time_limit)
         u0, options = given_inputs(self._scene, warm_start), self._options
-        objective = self._objective(self._kernel, eps, u0)
+        weights = Weights(terminal=options.terminal_weight, running=options.input_weight)
+        objective = Objective(
+            self._kernel, law=self._law, eps=eps, weights=weights, loss=self._loss
+        )
         descending = perf_counter()
         if isinstance(options, DescentOptions):
             descent = descend(objective, u0, options, time_limit)
         else:
             descent = minimise(objective, u0, options, time_limit)
         evaluating, descending = objective.seconds, perf_counter() - descending
-        solution = self._solution(descent, u0, objective.law, objective.eps)
+        solution = self._solution(descent, u0, eps)
         return replace(solution, seconds=stage_seconds(stage, self._clock, evaluating, descending))
 
-    def _solution(
-        self, descent: Descent, u0: np.ndarray, law: ContactLaw, eps: float | None
-    ) -> Solution:
+    def _solution(self, descent: Descent, u0: np.ndarray, eps: float | None) -> Solution:
         """The plan simulated once more by the kernel, and its residuals recomputed from that.
 
         Without a plan, the growth at the first guess.
         """
-        task = self._scene.task
+        task, law = self._scene.task, self._law
         empty = Solution(
             method=self._method.name,
             outcome=descent.outcome,

@@ -20,11 +20,17 @@ import numpy as np
 
 from models.errors import TrajectoryError, did_you_mean
 from models.scene import Scene
-from models.scene.uncertainty import DELAY, GAIN, NOISE, PARAMETER, START, size_of
 from models.trajectory import Trajectory, columns_of
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.tracking import input_scale, nominals
 from validate.judge.replay.wiring import World
+
+# Sizes of perturbations.
+_PARAMETER = 0.05  # of the value, unless the parameter states its uncertainty
+_START = 0.01  # of the nominal size
+_GAIN = 0.02  # of the input
+_NOISE = 0.01  # of the input's range, standard deviation
+_DELAY = 1.0  # steps
 
 
 class PerturbationKind(Enum):
@@ -102,10 +108,10 @@ def perturbations(
             )
 
     for index, item in enumerate(subject.parameters):
-        size = size_of(item.value, item.uncertainty)
-        reason = (
-            f"{PARAMETER:.0%} of its value" if item.uncertainty is None else item.uncertainty_reason
-        )
+        if item.uncertainty is None:
+            size, reason = _PARAMETER * abs(item.value), f"{_PARAMETER:.0%} of its value"
+        else:
+            size, reason = item.uncertainty, item.uncertainty_reason
         add(
             kinds.PARAMETERS,
             index,
@@ -119,7 +125,10 @@ def perturbations(
         )
     columns = columns_of(subject)  # type: ignore[arg-type] - a foreign model answers what a scene answers
     state = columns["q"] + columns["v"]
-    start, sizes = nominal_world(subject, plan).start.tolist(), (START * nominals(subject)).tolist()
+    start, sizes = (
+        nominal_world(subject, plan).start.tolist(),
+        (_START * nominals(subject)).tolist(),
+    )
     for index in range(len(state)) if isinstance(subject, Scene) else subject.startable:
         add(
             kinds.START,
@@ -128,23 +137,33 @@ def perturbations(
             start[index],
             sizes[index],
             state[index][1],
-            f"{START:.0%} of nominal",
+            f"{_START:.0%} of nominal",
         )
     for index, item in enumerate(subject.inputs):
-        add(kinds.GAIN, index, f"gain of {item.name}", 1.0, GAIN, "1", f"{GAIN:.0%}", 0.0, math.inf)
+        add(
+            kinds.GAIN,
+            index,
+            f"gain of {item.name}",
+            1.0,
+            _GAIN,
+            "1",
+            f"{_GAIN:.0%}",
+            0.0,
+            math.inf,
+        )
     lower, upper = (
         np.array([item.lower for item in subject.inputs]),
         np.array([item.upper for item in subject.inputs]),
     )
     ranges = 2.0 * input_scale(lower, upper, plan.u) if subject.nu else np.zeros(0)
     for index, (item, width) in enumerate(zip(subject.inputs, ranges.tolist(), strict=True)):
-        reason = f"{NOISE:.0%} of its range as standard deviation, new in every step"
+        reason = f"{_NOISE:.0%} of its range as standard deviation, new in every step"
         add(
             kinds.NOISE,
             index,
             f"noise of {item.name}",
             0.0,
-            NOISE * width,
+            _NOISE * width,
             item.unit,
             reason,
             0.0,
@@ -156,7 +175,7 @@ def perturbations(
             0,
             "delay",
             0.0,
-            DELAY * plan.duration / plan.steps,
+            _DELAY * plan.duration / plan.steps,
             "s",
             "a step",
             0.0,
