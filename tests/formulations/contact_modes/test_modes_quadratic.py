@@ -43,7 +43,7 @@ def random_scene(seed: int, bound: float) -> tuple[Scene, np.ndarray]:
 
 def by_ipopt(scene: Scene, closed: np.ndarray, ball: float = 0.0):
     modes = NonlinearModes(scene, load_kernel(scene), ball)
-    return modes.begin(ball, SolveBudget(600.0), {"tol": 1e-10, "max_iter": 3000}).solve(closed)
+    return modes.begin(SolveBudget(600.0), {"tol": 1e-10, "max_iter": 3000}).solve(closed)
 
 
 def test_the_known_optimum() -> None:
