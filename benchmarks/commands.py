@@ -35,7 +35,7 @@ _MEASURED = {
         "mpec.growth",
         "`mpec_ipopt` on a membrane over an obstacle, from 100 pairs to 3025.",
     ),
-    "rigid-limit": ("rigid_limit", "Optima through soft contact against those of rigid bodies."),
+    "proof": ("proof", "What can be proved about contact plans, and how soon."),
     "unstable-starts": ("unstable_starts", "How many starts of an unstable scene are balanced."),
     "cosim": ("cosim.command", "What it costs to split a scene into FMUs."),
 }

@@ -90,38 +90,6 @@ class ReplaySpeedRecord(_Record):
     scenes: tuple[SpeedScene, ...]
 
 
-class StiffnessRow(Model):
-    """One contact stiffness k [N/m]. omega_h: the contact's frequency times the time step.
-
-    outcomes, costs: of each try by its start; cost: of the
-
-    best plan, None without one; replayed_cost: of its inputs in the continuous dynamics.
-    """
-
-    k: Positive
-    steps: int = Field(gt=0)
-    omega_h: Positive
-    outcomes: dict[str, str]
-    costs: dict[str, Finite | None]
-    cost: Finite | None
-    replayed_cost: Finite | None
-    cpu_s: Finite
-
-
-class RigidLimitCase(Model):
-    """rigid: the optimum in the limit of rigid bodies."""
-
-    name: str
-    title: str
-    rigid: Positive
-    rows: tuple[StiffnessRow, ...]
-
-
-class RigidLimitRecord(_Record):
-    kind: Literal["rigid_limit"]
-    cases: tuple[RigidLimitCase, ...]
-
-
 class BalanceStart(Model):
     """x [m], theta [rad]: the start, at rest; share: of the inputs' bounds that the plan was given.
 
@@ -350,7 +318,6 @@ AnyRecord = (
     | CosimRecord
     | OrderRecord
     | ReplaySpeedRecord
-    | RigidLimitRecord
     | ScalingRecord
     | SuiteRecord
     | TableRecord

@@ -172,26 +172,6 @@ def order() -> dict:
     return {"kind": "order", "scenes": [scene | {"rows": rows, "answers": answers}]}
 
 
-def rigid_limit(**changes) -> dict:
-    """A cost that nears 0.5 from below as 1/sqrt(k): -10 %, -0.91 %, -0.1 %.
-
-    At k = 1 there is no plan.
-    """
-
-    def row(k, cost):
-        return {
-            "k": k, "steps": 480, "omega_h": 0.1,
-            "outcomes": {"cold": "stalled" if cost is None else "solved"}, "costs": {"cold": cost},
-            "cost": cost, "replayed_cost": cost, "cpu_s": 1.0,
-        }  # fmt: skip
-
-    rows = [row(1.0, None), *(row(k, 0.5 * (1 - 1 / k**0.5)) for k in (1e2, 1.21e4, 1e6))]
-    return {
-        "kind": "rigid_limit",
-        "cases": [{"name": "pair", "title": "A pair", "rigid": 0.5, "rows": rows} | changes],
-    }
-
-
 def leave(folder: Path, *records: dict) -> None:
     folder.mkdir(exist_ok=True)
     for place, record in enumerate(records):

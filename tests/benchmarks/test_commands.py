@@ -82,8 +82,6 @@ def test_what_is_measured_is_listed_and_told_with_its_origin(cli, tmp_path):
         (("page", "no_such_folder"), "there is no such folder"),
         (("page", "."), "no benchmark has left figures there"),
         (("commands", "--beside", "docs"), "docs is no checkout of touchstone"),
-        (("rigid-limit", "--stiffness", "5000"), "write k [N/m], a colon, steps"),
-        (("rigid-limit", "--stiffness", "5000:0"), "write k [N/m], a colon, steps"),
         (("scaling", "--largest", "10"), "x>=1500"),
         (("scaling", "--limit", "nan"), "not a finite number"),
         (("order", "--most", "30", "--scene", "hopper"), "whose coarsest has 50 steps"),

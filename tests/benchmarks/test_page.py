@@ -96,21 +96,6 @@ def test_rows_without_an_error_are_named(page, benches):
     assert "Co-Simulation, heun h/1000 (not a number)." in page(benches.speed())
 
 
-def test_the_limit_of_rigid_bodies_is_concluded_from_the_rows(page, benches):
-    text = page(benches.rigid_limit())
-    (only,) = sentences(text)
-    assert only == (
-        "From k = 100 to 10⁶ N/m the least cost found goes from 0.45 to 0.4995, −10 % and −0.1 % from the 0.5 of rigid bodies. "
-        "From k = 12\u202f100 N/m on it is within 1 % of it."
-    )
-    assert "cold: stalled" in text
-
-
-def test_an_optimum_far_from_that_of_rigid_bodies_is_said(page, benches):
-    (only,) = sentences(page(benches.rigid_limit(rigid=0.6)))
-    assert only.endswith("Not even the stiffest is within 1 % of it.")
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
