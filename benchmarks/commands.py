@@ -36,7 +36,6 @@ _MEASURED = {
         "`mpec_ipopt` on a membrane over an obstacle, from 100 pairs to 3025.",
     ),
     "proof": ("proof", "What can be proved about contact plans, and how soon."),
-    "unstable-starts": ("unstable_starts", "How many starts of an unstable scene are balanced."),
     "cosim": ("cosim.command", "What it costs to split a scene into FMUs."),
 }
 # What tries the judge, the readers and the campaigns, or looks at a campaign.

@@ -19,7 +19,6 @@ from benchmarks.pages import (
     scaling,
     suite,
     tables,
-    unstable_starts,
 )
 from benchmarks.results import stored
 from reports.pages.section import Section
@@ -32,7 +31,6 @@ _SECTIONS = {
     "scaling": scaling,
     "order": order,
     "replay_speed": replay_speed,
-    "unstable_starts": unstable_starts,
     "cosim": cosimulation,
     "table": tables,
 }

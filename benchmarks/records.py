@@ -90,43 +90,6 @@ class ReplaySpeedRecord(_Record):
     scenes: tuple[SpeedScene, ...]
 
 
-class BalanceStart(Model):
-    """x [m], theta [rad]: the start, at rest; share: of the inputs' bounds that the plan was given.
-
-    wall_impulse [N s] in the replay with feedback; ends: norm of
-
-    the state's distance from the goal, None without a plan; effort, peak: of the feedback, as
-    shares of the half-range of the inputs; CPU seconds of all that was tried for this start.
-    """
-
-    x: Finite
-    theta: Finite
-    share: Finite
-    outcome: str
-    balanced: bool
-    why: str
-    wall_impulse: Finite
-    tracked_end: Finite | None
-    open_end: Finite | None
-    plan_end: Finite | None
-    effort: Finite | None
-    peak: Finite | None
-    amplification: Finite | None
-    plan_cpu_s: Finite
-    judge_cpu_s: Finite
-
-
-class BalanceRecord(_Record):
-    """limit: of the scene on the judged replay's end, within which a start is balanced."""
-
-    kind: Literal["unstable_starts"]
-    scene: str
-    pipeline: str
-    seed: int
-    limit: Finite
-    starts: tuple[BalanceStart, ...]
-
-
 class OrderRow(Model):
     """One grid of one scheme, h [s]. replay_error, plan_error: largest position differences to the replay of the plan's inputs and to the finest plan;
     None: no plan, or no replay to the end. switch_error: bound of the velocity errors where
@@ -314,13 +277,7 @@ class TableRecord(_Record):
 
 
 AnyRecord = (
-    BalanceRecord
-    | CosimRecord
-    | OrderRecord
-    | ReplaySpeedRecord
-    | ScalingRecord
-    | SuiteRecord
-    | TableRecord
+    CosimRecord | OrderRecord | ReplaySpeedRecord | ScalingRecord | SuiteRecord | TableRecord
 )
 
 
