@@ -13,8 +13,6 @@ from validate.cli.table import table
 # What leaves figures for the page.
 _MEASURED = {
     "suite": ("suite.command", "How fast each stage is, beside what people would use instead."),
-    "scaling": ("scaling", "How time and memory grow with bodies and steps."),
-    "order": ("order", "Which grid and scheme give an error at the least time."),
     "replay": ("replay", "How fast and how exact the replay is, beside FMPy's own simulation."),
     "commands": ("command_times", "CPU seconds of the commands that one waits for."),
     "shooting": ("shooting", "One gradient iteration, layer by layer."),
@@ -72,7 +70,7 @@ _COMMANDS = {**_MEASURED, **_TRIALS, **_OF_THE_PAGE}
 _EPILOG = """\b
 Examples:
   python -m benchmarks suite --quick
-  python -m benchmarks run replay order cosim
+  python -m benchmarks run replay cosim
   python -m benchmarks verdicts exact --scene three_cart
 
 \b

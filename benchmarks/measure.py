@@ -1,4 +1,4 @@
-"""What every benchmark measures with: CPU seconds, memory, the slope of a growth, and children that are measured by themselves.
+"""What every benchmark measures with: CPU seconds, memory, and children that are measured by themselves.
 
     found = sample("module:name", Size(3, 500), folder, seconds=600.0, what="the replay")
         found.cpu_s, found.memory_mib
@@ -18,7 +18,7 @@ import resource
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
@@ -183,20 +183,6 @@ def timed(work: Callable[[], _Answer]) -> tuple[_Answer, float]:
     """The answer and the CPU seconds of this process."""
     began = process_time()
     return work(), process_time() - began
-
-
-def slope(points: Iterable[tuple[float, float]]) -> float | None:
-    """Of log(y) over log(x), by least squares.
-
-    None with fewer than three points that have a logarithm.
-    """
-    import numpy as np
-
-    known = [(x, y) for x, y in points if x > 0 and y > 0]
-    if len(known) < 3:
-        return None
-    logs = np.log(np.array(known))
-    return float(np.polyfit(logs[:, 0], logs[:, 1], 1)[0])
 
 
 def run_child(

@@ -14,9 +14,7 @@ import click
 from benchmarks.options import measured_argument
 from benchmarks.pages import (
     cosimulation,
-    order,
     replay_speed,
-    scaling,
     suite,
     tables,
 )
@@ -28,8 +26,6 @@ from reports.render import Templates, page, write_page
 # kind of record -> what makes its section.
 _SECTIONS = {
     "suite": suite,
-    "scaling": scaling,
-    "order": order,
     "replay_speed": replay_speed,
     "cosim": cosimulation,
     "table": tables,

@@ -90,93 +90,6 @@ class ReplaySpeedRecord(_Record):
     scenes: tuple[SpeedScene, ...]
 
 
-class OrderRow(Model):
-    """One grid of one scheme, h [s]. replay_error, plan_error: largest position differences to the replay of the plan's inputs and to the finest plan;
-    None: no plan, or no replay to the end. switch_error: bound of the velocity errors where
-        contacts open and close.
-    """
-
-    scheme: str
-    steps: Annotated[int, Field(ge=1)]
-    h: Positive
-    outcome: str
-    cpu_s: Finite
-    iterations: Annotated[int, Field(ge=0)]
-    cost: Finite | None
-    replay_error: Finite | None
-    plan_error: Finite | None
-    switch_error: Finite | None
-
-
-class OrderChoice(Model):
-    """A grid that is good enough."""
-
-    scheme: str
-    steps: Annotated[int, Field(ge=1)]
-    cpu_s: Finite
-    replay_error: Finite
-
-
-class OrderAnswer(Model):
-    """The cheapest grid whose replay error is within the target: of all schemes, and of semi-implicit Euler; None: no grid that was tried."""
-
-    target: Positive
-    best: OrderChoice | None
-    euler: OrderChoice | None
-
-
-class OrderScene(Model):
-    """unit: of positions.
-
-    orders: slope of log(replay error) over log(h) by scheme, None with too few grids.
-    """
-
-    name: str
-    unit: str
-    horizon: Positive
-    orders: dict[str, Finite | None]
-    rows: tuple[OrderRow, ...]
-    answers: tuple[OrderAnswer, ...]
-
-
-class OrderRecord(_Record):
-    kind: Literal["order"]
-    scenes: tuple[OrderScene, ...]
-
-
-class ScalingRow(Model):
-    """One size: n bodies, T = steps. cpu_s, memory_mib None: no answer within the limit.
-
-    Cost None: the stage finds no plan.
-    """
-
-    n: Annotated[int, Field(ge=1)]
-    steps: Annotated[int, Field(ge=1)]
-    cpu_s: Finite | None
-    memory_mib: Finite | None
-    iterations: Count
-    outcome: str
-    cost: Finite | None
-
-
-class ScalingStage(Model):
-    """Exponents: slopes of log(CPU s), log(CPU s an iteration), log(MiB) over log(n T).
-
-    None: too few sizes.
-    """
-
-    name: str
-    time_exponent: Finite | None
-    iteration_exponent: Finite | None
-    memory_exponent: Finite | None
-    rows: tuple[ScalingRow, ...]
-
-
-class ScalingRecord(_Record):
-    kind: Literal["scaling"]
-    stages: tuple[ScalingStage, ...]
-
-
 def middle(samples: tuple[float, ...]) -> float | None:
     """The median; None of nothing."""
     return median(samples) if samples else None
@@ -276,9 +189,7 @@ class TableRecord(_Record):
     runs: tuple[dict[str, JsonValue], ...] = ()
 
 
-AnyRecord = (
-    CosimRecord | OrderRecord | ReplaySpeedRecord | ScalingRecord | SuiteRecord | TableRecord
-)
+AnyRecord = CosimRecord | ReplaySpeedRecord | SuiteRecord | TableRecord
 
 
 class BenchRecord(RootModel[Annotated[AnyRecord, Field(discriminator="kind")]]):

@@ -2,7 +2,7 @@
 
 @click.command()
 @out_option
-def command(out): store(out, "order", {"kind": "order", "scenes": [..]})
+def command(out): store(out, "cosim", {"kind": "cosim", "cases": [..]})
 """
 
 from __future__ import annotations

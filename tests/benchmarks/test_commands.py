@@ -14,7 +14,7 @@ from wording import unsaid
 from benchmarks import ROOT
 from benchmarks.command_times import Checkout
 from benchmarks.commands import _COMMANDS, group
-from benchmarks.measure import least, run_child, slope
+from benchmarks.measure import least, run_child
 from benchmarks.page import render
 from validate.cli.group import run
 
@@ -82,9 +82,6 @@ def test_what_is_measured_is_listed_and_told_with_its_origin(cli, tmp_path):
         (("page", "no_such_folder"), "there is no such folder"),
         (("page", "."), "no benchmark has left figures there"),
         (("commands", "--beside", "docs"), "docs is no checkout of touchstone"),
-        (("scaling", "--largest", "10"), "x>=1500"),
-        (("scaling", "--limit", "nan"), "not a finite number"),
-        (("order", "--most", "30", "--scene", "hopper"), "whose coarsest has 50 steps"),
         (("cosim", "--step", "0.003"), "does not divide 0.01 s"),
         (("replay", "three_cart", "nobody"), "there is no scene"),
         (("verdicts", "exact", "--mujoco", "/no/python"), "there is no program"),
@@ -152,9 +149,7 @@ def test_a_child_that_takes_too_long_is_ended_by_its_limit():
     assert run_child("benchmarks.mpec.growth", "55", cpu_limit=1).returncode == -signal.SIGXCPU
 
 
-def test_the_slope_of_a_power_and_the_least_of_some():
-    assert slope((n, 3.0 * n**2) for n in (1.0, 2.0, 4.0, 8.0)) == pytest.approx(2.0)
-    assert slope([(1.0, 1.0), (2.0, 2.0), (3.0, 0.0)]) is None
+def test_least_calls_its_work_as_often_as_allowed():
     calls = []
     assert least(lambda: calls.append(1) or len(calls), repetitions=3)[0] == 1
     assert len(calls) == 3

@@ -141,37 +141,6 @@ def test_reading_curves():
     assert at([(1.0, 0.0), (2.0, 1.0)], 1.5) is None
 
 
-def test_growth_is_concluded_from_the_exponents(page, benches):
-    linear, cut = sentences(page(benches.scaling(1.0)))
-    assert (
-        linear
-        == "gd iteration: grows in time as (n T) to the 1.00, about linear and memory as (n T) to the 1.00, about linear."
-    )
-    assert cut.endswith("Not solved: n = 10, T = 5000 (no answer in 900 s).")
-    steep, _ = sentences(page(benches.scaling(1.4)))
-    assert "time as (n T) to the 1.40, faster than linear" in steep
-
-
-def test_the_cheapest_grid_for_an_error_is_said_beside_that_of_euler(page, benches):
-    text = page(benches.order())
-    thousandth, tenth, never, orders = sentences(text)
-    assert thousandth == (
-        "Within 10⁻³ m: cheapest is Radau IIA, 2 stages with 10 steps, 0.01 CPU s (error 0.0010). "
-        "Semi-implicit Euler needs 1000 steps and 100 times the time, 1.00 s."
-    )
-    assert tenth.endswith("No grid of semi-implicit Euler that was tried gets there.")
-    assert never == "Within 10⁻⁷ m: none of the grids that were tried."
-    assert orders == (
-        "Order of the replay error in h, fitted over all grids: semi-implicit Euler 1.0. "
-        "Without a plan that was solved: Radau IIA, 2 stages with 1000 steps (stalled)."
-    )
-    assert "Radau IIA, 2 stages, 100 steps of 0.010 s: replay error 1.0×10⁻⁶ m, 0.10 CPU s" in text
-    assert (
-        "5 grids; the smallest replay error is 1.0×10⁻⁶ m, Radau IIA, 2 stages with 100 steps."
-        in text
-    )
-
-
 def test_tables_are_told_as_they_are_and_found_again(page, tmp_path, factory):
     told = Table(
         caption="Two rows.", columns=("row", "cost", "remark"),
