@@ -1,7 +1,7 @@
 """What is measured about touchstone and what it is tried on, from a checkout of the sources: `python -m benchmarks --help`, docs/benchmarks.md.
 
-A benchmark leaves its figures in DIR/NAME.json (`records`), and `page` tells all of them on one
-page. Nothing that is shipped knows this folder.
+A benchmark stores its figures in DIR/NAME.json (`records`). Nothing that is shipped knows this
+folder.
 """
 
 import importlib.util

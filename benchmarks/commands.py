@@ -1,19 +1,13 @@
-"""The commands of `python -m benchmarks`: every benchmark by its name, and the page of what they measured."""
+"""The commands of `python -m benchmarks`: every benchmark by its name."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
-from benchmarks.options import measured_argument, out_option
-from validate.cli.group import INTERRUPTED, LazyGroup, run
-from validate.cli.table import table
+from validate.cli.group import LazyGroup
 
-# What leaves figures for the page.
-_MEASURED = {
+_COMMANDS = {
     "suite": ("suite.command", "How fast each stage is, beside what people would use instead."),
-    "replay": ("replay", "How fast and how exact the replay is, beside FMPy's own simulation."),
     "commands": ("command_times", "CPU seconds of the commands that one waits for."),
     "shooting": ("shooting", "One gradient iteration, layer by layer."),
     "mpcc": ("mpcc", "`mpcc` from a cold start on the paper's scene and on random rows of carts."),
@@ -34,10 +28,6 @@ _MEASURED = {
         "`mpec_ipopt` on a membrane over an obstacle, from 100 pairs to 3025.",
     ),
     "proof": ("proof", "What can be proved about contact plans, and how soon."),
-    "cosim": ("cosim.command", "What it costs to split a scene into FMUs."),
-}
-# What tries the judge, the readers and the campaigns, or looks at a campaign.
-_TRIALS = {
     "verdicts": (
         "verdicts.command",
         "Plans whose verdict is known without the judge, and a search for ones that cheat it.",
@@ -61,20 +51,13 @@ _TRIALS = {
     "rejudge": ("rejudge", "The stored plans of a campaign, judged anew."),
     "house": ("house", "How large and how tangled the code is."),
 }
-_OF_THE_PAGE = {
-    "run": ("commands", "Several benchmarks of the page one after another, then the page."),
-    "list": ("commands", "Benchmarks, and which of them are measured."),
-    "page": ("page", "Write the page of what is measured."),
-}
-_COMMANDS = {**_MEASURED, **_TRIALS, **_OF_THE_PAGE}
 _EPILOG = """\b
 Examples:
   python -m benchmarks suite --quick
-  python -m benchmarks run replay cosim
   python -m benchmarks verdicts exact --scene three_cart
 
 \b
-Peers are measured where they are installed: pip install -e '.[bench]' drake.
+Peers are measured if they are installed: pip install -e '.[bench]' drake.
 Exit codes are those of `python -m validate`; a trial that finds a fault ends with 1.
 """
 
@@ -90,37 +73,3 @@ def group() -> None:
 
     Needs a checkout of the sources.
     """
-
-
-@group.command("run")
-@click.argument(
-    "names", nargs=-1, required=True, type=click.Choice(list(_MEASURED)), metavar="NAME..."
-)
-@out_option
-def run_several(names: tuple[str, ...], out: Path) -> int:
-    """Each benchmark as it is without further options; what fails does not stop the others."""
-    worst = 0
-    for words in (
-        *([name, "--out", str(out)] for name in dict.fromkeys(names)),
-        ["page", str(out)],
-    ):
-        worst = max(worst, run(words, group, "python -m benchmarks"))
-        if worst == INTERRUPTED:
-            break
-    return worst
-
-
-@group.command("list")
-@measured_argument
-def list_all(folder: Path) -> int:
-    """Benchmarks, and which of them have left figures in DIR (runs/benchmarks, if none is given)."""
-    rows = [
-        [name, "measured" if (folder / f"{name}.json").is_file() else "", words]
-        for name, (_, words) in _MEASURED.items()
-    ]
-    click.echo(table(["benchmark", "", "what it tells"], rows))
-    click.echo()
-    click.echo(
-        table(["trial", "what it does"], [[name, words] for name, (_, words) in _TRIALS.items()])
-    )
-    return 0

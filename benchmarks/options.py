@@ -47,7 +47,7 @@ def _campaign(context: click.Context, parameter: click.Parameter, folder: Path) 
 out_option = click.option(
     "-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=FOLDER,
     show_default=True, callback=_place, metavar="DIR",
-    help="Where the figures go, for `python -m benchmarks page`.",
+    help="Folder of the figures, NAME.json.",
 )  # fmt: skip
 json_option = click.option(
     "--json", "file", type=click.Path(path_type=Path, dir_okay=False), callback=_place,
@@ -55,9 +55,6 @@ json_option = click.option(
 )  # fmt: skip
 seed_option = click.option(
     "--seed", type=SEED, default=0, show_default=True, help="Of what is random."
-)
-measured_argument = click.argument(
-    "folder", type=click.Path(path_type=Path, file_okay=False), default=FOLDER, metavar="[DIR]"
 )
 campaign_argument = click.argument(
     "folder", type=click.Path(path_type=Path), callback=_campaign, metavar="DIR"

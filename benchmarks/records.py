@@ -1,93 +1,15 @@
-"""What benchmarks leave for their page: DIR/*.json, one record a file, told apart by `kind`.
-
-BenchRecord.model_validate_json(text).root        a CosimRecord, a ReplaySpeedRecord ..
-"""
+"""The records that benchmarks store in DIR/NAME.json: a suite, or tables."""
 
 from __future__ import annotations
 
 from statistics import median, quantiles
 from typing import Annotated, Literal
 
-from pydantic import Field, JsonValue, RootModel
+from pydantic import Field, JsonValue
 
 from reports.records.record import Finite, Model, ProvenanceRecord
 
 Count = Annotated[int, Field(ge=0)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-
-
-class _Record(Model):
-    """provenance: of the command that measured it; None in records of before it was stored."""
-
-    provenance: ProvenanceRecord | None = None
-
-
-class CosimRow(Model):
-    """One master at one macro step h [s]. energy_error: relative, with its sign, the largest of the run; momentum_error [kg m/s],
-    position_error [m]; cpu_per_s: CPU seconds a simulated second; mean_step [s]: the steps really
-    made.
-    """
-
-    h: Positive
-    mean_step: Positive
-    energy_error: Finite
-    momentum_error: Finite
-    position_error: Finite
-    cpu_per_s: Finite
-
-
-class CosimMaster(Model):
-    """failed: why rows are missing, or nothing."""
-
-    name: str
-    rows: tuple[CosimRow, ...]
-    failed: str = ""
-
-
-class CosimCase(Model):
-    """frequency: omega of the bodies on closed contacts [rad/s]; horizon [s]."""
-
-    name: str
-    title: str
-    frequency: Positive
-    horizon: Positive
-    masters: tuple[CosimMaster, ...]
-
-
-class CosimRecord(_Record):
-    kind: Literal["cosim"]
-    cases: tuple[CosimCase, ...]
-
-
-class SpeedRow(Model):
-    """One replay: setting is rtol of Model Exchange, or the internal steps a plan step of Co-Simulation; error_m None: it did not reach the end."""
-
-    kind: str
-    setting: Positive
-    cpu_s: Finite
-    error_m: Finite | None
-    outcome: str
-
-
-class SpeedScene(Model):
-    """default_cpu_s: what a replay as `python -m validate all` runs it takes.
-
-    self_error_m: what that replay says of itself [m].
-    """
-
-    name: str
-    default_cpu_s: Finite
-    reference_cpu_s: Finite
-    everyday_cpu_s: Finite
-    parent_cpu_s_of_a_child: Finite
-    self_error_m: Finite | None
-    closed_form_relative_errors: dict[str, Finite]
-    sweep: tuple[SpeedRow, ...]
-
-
-class ReplaySpeedRecord(_Record):
-    kind: Literal["replay_speed"]
-    scenes: tuple[SpeedScene, ...]
 
 
 def middle(samples: tuple[float, ...]) -> float | None:
@@ -175,8 +97,8 @@ class Table(Model):
     notes: tuple[str, ...] = ()
 
 
-class TableRecord(_Record):
-    """What is told in tables alone. about: a sentence above them.
+class TableRecord(Model):
+    """about: a sentence above the tables.
 
     runs: every single run that they are made of, as JSON data.
     """
@@ -187,10 +109,4 @@ class TableRecord(_Record):
     about: str
     tables: tuple[Table, ...]
     runs: tuple[dict[str, JsonValue], ...] = ()
-
-
-AnyRecord = CosimRecord | ReplaySpeedRecord | SuiteRecord | TableRecord
-
-
-class BenchRecord(RootModel[Annotated[AnyRecord, Field(discriminator="kind")]]):
-    """A record of any kind, in `root`."""
+    provenance: ProvenanceRecord

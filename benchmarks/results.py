@@ -1,9 +1,4 @@
-"""Where benchmarks leave what they measured, and the page reads it: DIR/NAME.json, a record each (`records`).
-
-@click.command()
-@out_option
-def command(out): store(out, "cosim", {"kind": "cosim", "cases": [..]})
-"""
+"""Store the figures of a benchmark in DIR/NAME.json, with the machine, the commit and the command."""
 
 from __future__ import annotations
 
@@ -13,8 +8,7 @@ from typing import Any
 
 import click
 
-from benchmarks.records import AnyRecord, BenchRecord, Table, TableRecord
-from reports.records.load import ReportError, Unreadable, read_record
+from benchmarks.records import SuiteRecord, Table, TableRecord
 from validate.cli.table import table
 from validate.store.disk import make_folder, write_durably
 
@@ -27,13 +21,10 @@ def typed() -> str:
     return command_line((context and context.find_root().obj) or (), "python -m benchmarks")
 
 
-def store(out: Path, name: str, record: Mapping[str, Any]) -> Path:
+def store(out: Path, name: str, record: SuiteRecord | TableRecord) -> Path:
     """Write a record to DIR/NAME.json, whole or not at all. Raises MachineError."""
-    from validate.store.provenance import gather
-
-    found = BenchRecord.model_validate({"provenance": gather(typed()), **record})
     make_folder(out)
-    write_durably(out / f"{name}.json", found.model_dump_json(indent=1))
+    write_durably(out / f"{name}.json", record.model_dump_json(indent=1))
     return out / f"{name}.json"
 
 
@@ -47,6 +38,8 @@ def store_tables(
     quiet: bool = False,
 ) -> Path:
     """Write tables to DIR/NAME.json with the runs that they are made of, and print them unless `quiet`. Raises MachineError."""
+    from validate.store.provenance import gather
+
     for told in () if quiet else tables:
         right = [
             title
@@ -68,8 +61,9 @@ def store_tables(
         about=about,
         tables=tuple(tables),
         runs=tuple(dict(run) for run in runs),
+        provenance=gather(typed()),
     )
-    return store(out, name, record.model_dump(exclude={"provenance"}))
+    return store(out, name, record)
 
 
 def as_markdown(told: Table) -> str:
@@ -97,18 +91,3 @@ def tables_of(out: Path, name: str) -> TableRecord | None:
         raise click.UsageError(
             f"{path} is no record of {name}; move it away, or choose another folder."
         ) from error
-
-
-def stored(out: Path) -> tuple[list[AnyRecord], list[Unreadable]]:
-    """Every record in a folder by the name of its file, and what there cannot be read.
-
-    Raises ReportError if there is no such folder.
-    """
-    if not out.is_dir():
-        raise ReportError(
-            f"{out}: there is no such folder; give one that benchmarks wrote to (`--out`)."
-        )
-    unreadable: list[Unreadable] = []
-    paths = sorted(path for path in out.glob("*.json") if not path.name.startswith("."))
-    found = [read_record(path, out, BenchRecord.model_validate_json, unreadable) for path in paths]
-    return [record.root for record in found if record is not None], unreadable

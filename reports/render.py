@@ -93,10 +93,9 @@ class Templates:
     templates.render("scene.html#model", ...)
     """
 
-    def __init__(self, *folders: Path) -> None:
-        """folders: of further templates, beside those of this room."""
+    def __init__(self) -> None:
         self._environment = Environment(
-            loader=FileSystemLoader([_HERE / "templates", *folders]),
+            loader=FileSystemLoader(_HERE / "templates"),
             autoescape=True,
             undefined=StrictUndefined,
             trim_blocks=True,

@@ -22,7 +22,6 @@ TEXTS = {
         "equations",
         "verdict",
         "robustness",
-        "cosimulation",
         "mpec",
         "mjcf",
     )

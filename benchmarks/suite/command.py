@@ -128,9 +128,9 @@ def command(
         click.echo(record.model_dump_json(indent=1))
     else:
         _tell(record)
-    written = store(out, "suite", dict(record))
+    written = store(out, "suite", record)
     if not as_json:
-        click.echo(f"\nwritten: {written}; `python -m benchmarks page {out}` shows it")
+        click.echo(f"\nwritten: {written}")
     if comparison is not None:
         _tell_comparison(comparison, err=as_json)
     failed = failures(record)

@@ -8,8 +8,8 @@
     path = build_ssp(scene)                     all FMUs and how they are connected in one .ssp
                                                 (System Structure and Parameterization 1.0)
 
-This is how systems are split every day - the contact in a model of its own - and what that costs is
-measured by `python -m benchmarks cosim`.
+Systems are often split this way, with the contact in a model of its own. docs/cosimulation.md states
+what the split costs.
 
 A body is a smallest set of coordinates that neither the mass matrix nor the forces couple to the
 others; it goes through the exporter of scenes. It gets the generalised force of each contact on

@@ -1,32 +1,21 @@
-"""Fixtures for the tests of the benchmarks: the command line, records as benchmarks leave them, and the factory of the report's tests."""
+"""The command line of the benchmarks, as a fixture."""
 
 import os
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-from benchmarks import ROOT, module_at
-
-
-@pytest.fixture(scope="session")
-def factory() -> ModuleType:
-    return module_at("tests/reports/record_factory.py")
-
-
-@pytest.fixture(scope="session")
-def benches() -> ModuleType:
-    return module_at("tests/benchmarks/record_files.py")
+from benchmarks import ROOT
 
 
 @pytest.fixture(scope="session")
 def cli() -> Callable[..., subprocess.CompletedProcess[str]]:
-    """cli("list") runs `python -m benchmarks list` to its end, in the checkout or elsewhere.
+    """cli("house") runs `python -m benchmarks house` to its end, in the checkout or elsewhere.
 
-    program: another of ours.
+    program: another module to run.
     """
 
     def run(
