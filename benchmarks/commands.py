@@ -8,9 +8,6 @@ from validate.cli.group import LazyGroup
 
 _COMMANDS = {
     "suite": ("suite.command", "How fast each stage is, beside what people would use instead."),
-    "commands": ("command_times", "CPU seconds of the commands that one waits for."),
-    "shooting": ("shooting", "One gradient iteration, layer by layer."),
-    "mpcc": ("mpcc", "`mpcc` from a cold start on the paper's scene and on random rows of carts."),
     "plans": (
         "suite.plans",
         "Exact plans by every pipeline, on scenes with friction and random rows of carts.",
