@@ -37,14 +37,6 @@ _COMMANDS = {
     "report": ("report", "What a campaign's report weighs, and how soon a browser shows it."),
     "golden": ("golden", "What a full campaign found, frozen as data, and what a change moved."),
     "account": ("account", "Where the seconds of a campaign went."),
-    "verdict-matrix": (
-        "verdict_matrix",
-        "What other simulators say of the plan of each scene, and why.",
-    ),
-    "engine-errors": (
-        "engine_errors",
-        "MuJoCo's tendons beside our replay, Drake's CENIC and our FMU beside exact motions.",
-    ),
     "rejudge": ("rejudge", "The stored plans of a campaign, judged anew."),
     "house": ("house", "How large and how tangled the code is."),
 }
