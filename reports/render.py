@@ -71,7 +71,6 @@ _OF_SCENE = (
 _OTHERS = {
     "runs": (run.all_runs,),
     "robustness": (robustness.build,),
-    "simulators": (simulators.build,),
     "sweeps": (sweeps.build,),
     "stress-cases": (checks.stress_cases,),
     "fmus": (checks.fmus,),

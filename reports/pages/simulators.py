@@ -1,4 +1,4 @@
-"""What engines say: of one plan (`replay --engine`), of a campaign's cheapest plan on each scene (`report --engine`), and of the truth suite (`truth`).
+"""What engines say: of one plan (`replay --engine`), and of the truth suite (`truth`).
 
 Of the suite: a table of problems by engines, what explains the largest disagreement on each, and
 error against CPU time.
@@ -6,15 +6,12 @@ error against CPU time.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from reports.pages.checks import plot_of
-from reports.pages.section import Report, Section
-from reports.records.engines_record import EngineRecord, TruthRecord, TruthRow
-from reports.records.record import RunRecord
-from reports.wording import count, listing
+from reports.pages.section import Section
+from reports.records.engines_record import TruthRecord, TruthRow
 
 
 def of_plan(rows: Sequence[Mapping[str, Any]]) -> list[Section]:
@@ -24,56 +21,6 @@ def of_plan(rows: Sequence[Mapping[str, Any]]) -> list[Section]:
         if rows
         else []
     )
-
-
-def build(report: Report) -> Section | None:
-    """The section of a campaign: scenes by engines, and why where one says otherwise.
-
-    None where none was asked of a run that is still there.
-    """
-    told = report.stored.simulators
-    if told is None:
-        return None
-    runs = [run for run in report.stored.runs if run.key in told.plans]
-    asked = [
-        (run, report.link(run), {row.engine: row for row in told.plans[run.key]}) for run in runs
-    ]
-    if not asked:
-        return None
-    engines = {
-        name: words
-        for name, words in told.engines.items()
-        if any(name in rows for _, _, rows in asked)
-    }
-    said = [
-        sentence(name, [(run, rows[name]) for run, _, rows in asked if name in rows])
-        for name in engines
-    ]
-    otherwise = [
-        (run, link, row) for run, link, rows in asked for row in rows.values() if not row.agrees
-    ]
-    values = {"said": said, "engines": engines, "asked": asked, "otherwise": otherwise}
-    return Section(
-        "simulators", "What other simulators say", "simulators.html#campaign", values, said=said[0]
-    )
-
-
-def sentence(engine: str, rows: Sequence[tuple[RunRecord, EngineRecord]]) -> str:
-    """In how many plans an engine agrees with us, why not in the others, and what it could not be asked."""
-    compared = [row for _, row in rows if row.agrees is not None]
-    same = sum(bool(row.agrees) for row in compared)
-    kinds = Counter(row.kind or "no class" for row in compared if not row.agrees)
-    untold = [f"{run.scene.name} ({row.verdict})" for run, row in rows if row.agrees is None]
-    words = [
-        f"{engine} gives our verdict on {same} of {count(len(compared), 'plan')} that it can step"
-    ]
-    words += (
-        [f"otherwise by {listing([f'{kind} ({number})' for kind, number in kinds.most_common()])}"]
-        if kinds
-        else []
-    )
-    words += [f"no answer on {listing(untold)}"] if untold else []
-    return f"{'; '.join(words)}."
 
 
 def truth(record: TruthRecord) -> Section:

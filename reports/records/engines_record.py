@@ -1,63 +1,9 @@
-"""What engines say (docs/engines.md): SimulatorsRecord, of a campaign's plans, and TruthRecord, of the problems of the truth suite.
-
-The one is written by `validate report --engine` into the campaign's folder, the other by `validate
-truth`.
-"""
+"""What engines say of the problems of the truth suite (docs/engines.md): TruthRecord, written by `validate truth`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from reports.records.check_record import ChartRecord
 from reports.records.record import Finite, Model
-
-SIMULATORS = "simulators.json"
-
-
-class EngineLevelRecord(Model):
-    """step [s] or tolerance; the verdict there.
-
-    Distance [-]: the largest from our replay, in the nominal sizes of the coordinates, None where
-    it diverged.
-    """
-
-    step: Finite
-    verdict: str
-    distance: Finite | None
-
-
-class EngineRecord(Model):
-    """An engine's verdict on a plan, or what came of asking.
-
-    agrees: with ours at all its levels, None where it has none; kind, sentence: why not, as
-    measured.
-    """
-
-    engine: str
-    verdict: str
-    agrees: bool | None
-    kind: str
-    sentence: str
-    why: str = ""
-    levels: tuple[EngineLevelRecord, ...] = ()
-
-
-class SimulatorsRecord(Model):
-    """engines: by name, what each is and how it makes contact.
-
-    plans: by the key of the run, a row an engine.
-    """
-
-    engines: Mapping[str, str] = {}
-    plans: Mapping[str, tuple[EngineRecord, ...]] = {}
-
-    def with_rows(self, run: str, rows: tuple[EngineRecord, ...]) -> SimulatorsRecord:
-        """The record with these rows of a run's plan.
-
-        Engines that were asked earlier keep theirs.
-        """
-        kept = {row.engine: row for row in (*self.plans.get(run, ()), *rows)}
-        return self.model_copy(update={"plans": {**self.plans, run: tuple(kept.values())}})
 
 
 class LevelRecord(Model):

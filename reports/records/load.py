@@ -17,7 +17,6 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from reports.records.check_record import CheckRecord, divided, record_of
-from reports.records.engines_record import SIMULATORS, SimulatorsRecord
 from reports.records.record import (
     HOLD,
     SCHEMA_VERSION,
@@ -67,8 +66,7 @@ class Stored:
 
     missing: keys that the campaign lists and of which nothing is stored; foreign: stored records
         that the campaign does not list;
-    checks: what is no scene x pipeline; simulators: what others say of plans, where they were
-        asked.
+    checks: what is no scene x pipeline; parts: of each run, the records of its parts.
     """
 
     campaign: CampaignRecord | None
@@ -77,7 +75,7 @@ class Stored:
     missing: tuple[str, ...] = ()
     foreign: int = 0
     checks: tuple[CheckRecord, ...] = ()
-    simulators: SimulatorsRecord | None = None
+    parts: tuple[tuple[RunRecord, ...], ...] = ()
 
     def cheapest(self, scene: str) -> list[tuple[RunRecord, float]]:
         """The runs on a scene whose plan holds, each with its cost, the cheapest first."""
@@ -106,11 +104,6 @@ def load(folder: Path) -> Stored:
     campaign = read_record(
         folder / CAMPAIGN, folder, CampaignRecord.model_validate_json, unreadable
     )
-    simulators = None
-    if (folder / SIMULATORS).exists():
-        simulators = read_record(
-            folder / SIMULATORS, folder, SimulatorsRecord.model_validate_json, unreadable
-        )
     found: dict[str, RunRecord | CheckRecord] = {}
     for path in record_files(folder):
         run = read_record(path, folder, record_of, unreadable)
@@ -130,7 +123,7 @@ def load(folder: Path) -> Stored:
             tuple(runs),
             tuple(unreadable),
             checks=checks,
-            simulators=simulators,
+            parts=grouped(runs),
         )
     keys = list(dict.fromkeys(campaign.keys))
     runs, checks = divided(found[key] for key in keys if key in found)
@@ -142,7 +135,7 @@ def load(folder: Path) -> Stored:
         missing=tuple(clean(key) for key in keys if key not in found and clean(key) not in broken),
         foreign=len(set(found) - set(keys)),
         checks=checks,
-        simulators=simulators,
+        parts=grouped(runs),
     )
 
 

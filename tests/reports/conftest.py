@@ -8,8 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from reports.records.engines_record import SIMULATORS
-
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 
@@ -61,7 +59,6 @@ def full_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = factory.store(tmp_path_factory.mktemp("full") / "all", records, campaign)
     (folder / "runs" / "cut-1").mkdir()
     (folder / "runs" / "cut-1" / "record.json").write_text(records[0].model_dump_json()[:3000])
-    (folder / SIMULATORS).write_text(factory.simulators(records[0].key).model_dump_json())
     return folder
 
 
@@ -78,9 +75,6 @@ def hostile_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     campaign = campaign.model_copy(update={"keys": (*campaign.keys, factory.HOSTILE)})
     folder = factory.store(tmp_path_factory.mktemp("hostile") / "all", records, campaign)
-    (folder / SIMULATORS).write_text(
-        factory.simulators(records[1].key, factory.HOSTILE).model_dump_json()
-    )
     return folder
 
 

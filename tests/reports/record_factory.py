@@ -14,7 +14,6 @@ import h5py
 import numpy as np
 
 from reports.paper import TABLE_1
-from reports.records.engines_record import EngineRecord, SimulatorsRecord
 from reports.records.record import (
     CampaignRecord,
     ContactRecord,
@@ -433,15 +432,6 @@ def campaign(records: list[RunRecord], **changes: object) -> CampaignRecord:
         "provenance": provenance(),
     }  # fmt: skip
     return CampaignRecord.model_validate(values | changes)
-
-
-def simulators(run: str, words: str = "a word") -> SimulatorsRecord:
-    """Two engines asked of a run's plan: one agrees, one does not."""
-    rows = (
-        EngineRecord(engine=words, verdict="holds", agrees=True, kind="", sentence=words),
-        EngineRecord(engine="other", verdict=words, agrees=False, kind=words, sentence=words),
-    )
-    return SimulatorsRecord(engines={words: words, "other": words}, plans={run: rows})
 
 
 def store(folder: Path, records: list[RunRecord], record: CampaignRecord | None = None) -> Path:

@@ -53,7 +53,7 @@ def test_every_link_leads_to_an_anchor_of_a_page(full_folder):
     assert {
         "report",
         "runs",
-        "simulators",
+        "errata",
         "provenance",
         "scene-three_cart",
         "strict-0123456789abcdef",

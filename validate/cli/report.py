@@ -11,7 +11,6 @@ from models.errors import MachineError
 from reports.records.load import ReportError, Stored, load
 from reports.render import write_report, write_single
 from validate.cli.table import say
-from validate.judge.simulator import named_engines
 from validate.store.results import check_rows, rows, write_tables
 from validate.store.store import Store
 from validate.store.stored import campaign_of
@@ -22,23 +21,14 @@ from validate.store.stored import campaign_of
 Examples:
   python -m validate report runs/all
   python -m validate report runs/all --single-file
-  python -m validate report runs/all --engine mujoco
   python -m validate report runs/all --json
 
-Exit codes: 0 rebuilt; 2 a folder that is no campaign, or no such engine; 3 it
-cannot be written, or an engine is not installed; 130 interrupted: what was
-answered is kept.
+Exit codes: 0 rebuilt; 2 a folder that is no campaign; 3 it cannot be written.
 """
 )
 @click.argument("folder", type=click.Path(path_type=Path), default="runs/all", metavar="[DIR]")
 @click.option(
     "--single-file", is_flag=True, help="Everything in one file, DIR/single.html, instead of pages."
-)
-@click.option(
-    "--engine",
-    "engines",
-    metavar="NAME,..|all",
-    help="First ask other simulators of the cheapest plan that holds on each scene, for a page of its own (docs/engines.md); all: those that are installed.",
 )
 @click.option(
     "-j",
@@ -47,10 +37,8 @@ answered is kept.
     help="Pages are drawn by so many processes (default: all cores).",
 )
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout.")
-def command(
-    folder: Path, single_file: bool, engines: str | None, jobs: int | None, as_json: bool
-) -> int:
-    """Rebuild results.csv, checks.csv, violation.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed.
+def command(folder: Path, single_file: bool, jobs: int | None, as_json: bool) -> int:
+    """Rebuild results.csv, checks.csv, violation.csv, starts.csv, front.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed.
 
     report.html leads to a page for each scene and each run in DIR/pages.
     """
@@ -60,12 +48,6 @@ def command(
         stored = Stored(None, ())
     if not (stored.campaign or stored.runs or stored.checks):
         campaign_of(folder)  # which says why there is none
-    if engines is not None:
-        from validate.tasks.simulators import ask_simulators
-
-        ask_simulators(
-            folder, stored, named_engines(engines), tell=lambda text: say(text, err=True)
-        )
     # Where no record can be read, the tables may be all that is left.
     if stored.runs or stored.checks or not (stored.campaign and stored.campaign.keys):
         write_tables(

@@ -10,7 +10,10 @@ from typing import Any
 import click
 
 from models.catalog import load_scene
-from reports.records.record import RunRecord
+from models.scene import Scene
+from models.trajectory import Trajectory
+from models.trajectory_netcdf import read_netcdf
+from reports.records.record import RunRecord, stage_files
 from reports.records.robustness_record import RobustnessRecord
 from validate.cli.group import INTERRUPTED
 from validate.cli.options import folder_of, scenes, write, written_to
@@ -19,9 +22,10 @@ from validate.cli.show import find_run
 from validate.cli.table import print_table, say, short, wide_option
 from validate.judge.judgement import as_trajectory, wire_fmu
 from validate.judge.robustness import PerturbationKind, Robustness, robustness
+from validate.store.store import Store
 from validate.store.stored import CampaignError
 from validate.tasks.shown import robustness_page
-from validate.tasks.simulators import stored_plan
+from validate.tasks.task import RunTask, task_from_json, varied
 
 
 @click.command(
@@ -129,6 +133,30 @@ def _plan_of(plan: str, scene: str | None, folder: Path) -> tuple[Any, Any, str]
     if not isinstance(record, RunRecord):
         raise CampaignError(f"{plan}: this is a check and no run, so it left no plan to try.")
     return *stored_plan(found, record, scene), record.title
+
+
+def stored_plan(
+    folder: Path, record: RunRecord, scene: str | None = None
+) -> tuple[Scene, Trajectory]:
+    """Return the last plan of a stored run and its scene, with the changes of its campaign, or the named scene.
+
+    Raise CampaignError, SceneError or TrajectoryError.
+    """
+    last = record.last
+    if last is None or not last.has_plan:
+        raise CampaignError(f"{record.title}: this run left no plan, so there is nothing to try.")
+    try:
+        task = task_from_json(Store(folder).request(record.key))
+    except ValueError:  # damaged: the record has only the name of the scene
+        task = None
+    asked = task if scene is None and isinstance(task, RunTask) else None
+    subject = load_scene(scene or (record.scene.name if asked is None else asked.scene))
+    if asked is not None and asked.variant is not None:
+        subject = varied(subject, asked.variant)
+    return subject, read_netcdf(
+        folder / "runs" / record.key / stage_files(last.index, len(record.stages))["trajectory"],
+        subject,
+    )
 
 
 def _worlds(found: Robustness) -> str:

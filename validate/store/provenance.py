@@ -54,7 +54,6 @@ _NO_INFLUENCE = (
     "validate/execution/engine.py",
     "validate/store/results.py",
     "validate/store/stored.py",
-    "validate/tasks/simulators.py",
 )
 # Parts that decide what checks find, and nothing of a run.
 _OF_CHECKS = (

@@ -22,6 +22,9 @@ from reports.records.check_record import CheckRecord, CheckRow, FmuRecord, divid
 from reports.records.load import (
     LARGEST_BYTES,
     ReportError,
+    Stored,
+    collected,
+    grouped,
     load,
     other_version,
     record_files,
@@ -387,3 +390,22 @@ def test_what_fails_is_named_the_most_frequent_first():
         fails_by={"time_limit": 2, "replay_terminal_position_error": 1234}
     )
     assert way.fails == "replay terminal position error in 1,234; time limit in 2"
+
+
+def test_cheapest_other_scene_and_verdict_left_out():
+    def run(scene: str, price: float, pipeline: str = "mpcc", verdict: str = "holds") -> RunRecord:
+        template = factory.runs()[0]
+        last = template.stages[-1].model_copy(update={"cost": price, "verdict": verdict})
+        named = {"pipeline": pipeline, "scene": factory.scene(scene), "stages": (last,)}
+        return template.model_copy(update={**named, "verdict": verdict})
+
+    runs = (
+        run("one", 3.0),
+        run("one", 1.0, "soft", "violates"),
+        run("one", 2.0, "tracked", "holds with feedback"),
+        run("two", 0.5),
+    )
+    assert [(item.pipeline, price) for item, price in Stored(None, runs).cheapest("one")] == [
+        ("tracked", 2.0),
+        ("mpcc", 3.0),
+    ]
