@@ -1,7 +1,6 @@
 """What engines say: of one plan (`replay --engine`), and of the truth suite (`truth`).
 
-Of the suite: a table of problems by engines, what explains the largest disagreement on each, and
-error against CPU time.
+Of the suite: a table of problems by engines, and error against CPU time.
 """
 
 from __future__ import annotations
@@ -25,27 +24,14 @@ def of_plan(rows: Sequence[Mapping[str, Any]]) -> list[Section]:
 
 def truth(record: TruthRecord) -> Section:
     """The section of the page."""
-    largest, plots = (
-        [largest_disagreement(rows) for rows in record.problems],
-        [plot_of(chart) for chart in record.charts],
-    )
-    values = {"record": record, "problems": record.problems, "largest": largest, "plots": plots}
+    plots = [plot_of(chart) for chart in record.charts]
+    values = {"record": record, "problems": record.problems, "plots": plots}
     return Section("truth", "What is true, and what engines make of it", "truth.html", values)
-
-
-def largest_disagreement(rows: tuple[TruthRow, ...]) -> TruthRow | None:
-    """The row that is furthest from the truth.
-
-    Of those that came to no number the first, where all others are no further; None without a row.
-    """
-    lost = [row for row in rows if row.came == "done" and row.error is None]
-    told = sorted((row for row in rows if row.error is not None), key=lambda row: row.error or 0.0)
-    return next(iter([*lost, *reversed(told), *rows]), None)
 
 
 def as_markdown(record: TruthRecord, command: str) -> str:
     """The same as a page of the docs, without times: it is equal whenever it is made."""
-    head = ["problem", *record.engines]
+    head = ["problem", *record.engines, "exact answer"]
     made = f"Made by `{command}`; [engines.md](engines.md) says what each engine is told."
     shares = "Errors at the finest of four steps, as shares of the problem's scale; in brackets the order at which they fall with the step."
     lines = ["# The contact truth suite", "", made, "", record.summary, ""]
@@ -57,20 +43,8 @@ def as_markdown(record: TruthRecord, command: str) -> str:
     ]
     lines += [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     for rows in record.problems:
-        lines.append(f"| {rows[0].phenomenon}: {rows[0].problem} | {' | '.join(map(cell, rows))} |")
-    lines += [
-        "",
-        "What explains the largest disagreement:",
-        "",
-        "| problem | exact answer | furthest | why |",
-        "|---|---|---|---|",
-    ]
-    for rows in record.problems:
-        worst = largest_disagreement(rows)
-        if worst is not None:
-            lines.append(
-                f"| {worst.phenomenon}: {worst.problem} | {worst.source} | {worst.engine} | {worst.sentence} |"
-            )
+        cells = [f"{rows[0].phenomenon}: {rows[0].problem}", *map(cell, rows), rows[0].source]
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 

@@ -20,8 +20,8 @@ class LevelRecord(Model):
 class TruthRow(Model):
     """What an engine made of a problem.
 
-    came: done, cannot express it, not installed, failed; kind: of its disagreement, where there is
-        one; worst: the quantity that decides its error; order: of
+    came: done, cannot express it, not installed, failed; why: it is not done; source: of the exact
+        answer; worst: the quantity that decides its error; order: of
     the error in the step, None where there is none to tell.
     """
 
@@ -30,8 +30,7 @@ class TruthRow(Model):
     source: str
     engine: str
     came: str
-    sentence: str
-    kind: str = ""
+    why: str = ""
     worst: str = ""
     order: Finite | None = None
     levels: tuple[LevelRecord, ...] = ()

@@ -14,7 +14,7 @@ import click
 
 from models.catalog import load_scene
 from validate.cli.options import A_FILE, FiniteRange, options, scenes, write, written_to
-from validate.cli.table import Row, print_metrics, print_table, say, warn, wide_option
+from validate.cli.table import Row, print_metrics, print_table, say, short, warn, wide_option
 from validate.execution.isolated import Limits
 from validate.execution.process import usable_cores
 from validate.judge.simulator import named_engines
@@ -137,7 +137,7 @@ or FMU; 3 a system requirement is missing.
     "--engine",
     "engines",
     metavar="NAME,..|all",
-    help="What other simulators say of it, and why where they say otherwise (docs/engines.md); all: those that are installed.",
+    help="Verdicts of other simulators on the plan (docs/engines.md); all: the installed ones.",
 )
 @click.option("--json", "as_json", is_flag=True, help="The score as JSON on stdout.")
 @wide_option
@@ -347,17 +347,19 @@ def _print(judgement: Judgement) -> None:
 
 
 def _print_engines(rows: list[EngineVerdict]) -> None:
-    """What engines make of the plan, a row each, and in how many of them it is the same."""
+    """Print the verdict of each engine, and how many verdicts are ours."""
     if not rows:
         return
     same = {None: "", True: "yes", False: "no"}
+    numbers = ("step or tolerance", "distance")
     cells = [
-        [row.engine, row.verdict, same[row.agrees], row.kind.value, row.sentence] for row in rows
+        [row.engine, row.verdict, same[row.agrees], short(row.step), short(row.distance), row.why]
+        for row in rows
     ]
-    print_table(["engine", "verdict", "as ours", "why not", "measured"], cells, ())
+    print_table(["engine", "verdict", "as ours", *numbers, "why"], cells, numbers)
     asked = [row for row in rows if row.agrees is not None]
     say(
-        f"The same in {sum(bool(row.agrees) for row in asked)} of {len(asked)} engines that step this scene, at every step."
+        f"The same in {sum(bool(row.agrees) for row in asked)} of {len(asked)} engines that step this scene."
     )
 
 

@@ -1,10 +1,9 @@
-"""`truth`: the contact truth suite: every problem put to every engine at four steps, and what came of it in numbers and one sentence.
+"""`truth`: the contact truth suite: every problem put to every engine at four steps: error, order, energy, time.
 
     found = measure(("fmu", "mujoco"), jobs=2, tell=print)
-    found[0].problem, found[0].engine, found[0].levels[-1].error, found[0].order, found[0].sentence
+    found[0].problem, found[0].engine, found[0].levels[-1].error, found[0].order
 
-Why an engine is wrong is measured (validate.judge.disagreement). Nothing but times differs between
-two runs.
+Only times differ between two runs.
 """
 
 from __future__ import annotations
@@ -20,15 +19,15 @@ import numpy as np
 
 from models.dynamics import derive
 from models.scene import Scene
-from reports.pages.simulators import as_markdown, cell, largest_disagreement
+from reports.pages.simulators import as_markdown, cell
 from reports.records.check_record import ChartRecord
 from reports.records.engines_record import LevelRecord, TruthRecord, TruthRow
 from reports.render import render_truth
 from validate.cli.options import write, written_to
 from validate.cli.table import print_table, say, wide_option
 from validate.execution.process import usable_cores
-from validate.judge.disagreement import REFERENCE, size, why
 from validate.judge.simulator import (
+    REFERENCE,
     Came,
     Drive,
     EngineAnswer,
@@ -45,7 +44,7 @@ from validate.stress.case import chart
 from validate.truth.problems import TruthProblem, problems
 
 # Of the CSV.
-_OF_ROWS = ("phenomenon", "problem", "engine", "came", "kind", "worst", "order", "sentence")
+_OF_ROWS = ("phenomenon", "problem", "engine", "came", "worst", "order", "why")
 _OF_LEVELS = ("step", "tolerance", "error", "energy", "microseconds", "seconds")
 # Problems whose error is drawn against CPU time, by phenomenon: one with a closed form of each kind
 # of contact.
@@ -55,8 +54,6 @@ _DRAWN = ("rebound", "two-body collision", "grazing contact", "stick-slip")
 NEAR = 1e-7
 # Errors below this share are rounding, and have no order.
 _ROUNDING = 1e-11
-# What is called right without more words.
-_RIGHT = 1e-8
 
 
 @click.command(
@@ -101,8 +98,8 @@ def command(
 ) -> int:
     """Put problems with exact answers to our FMU and to other simulators.
 
-    Thirteen phenomena, from a rebound to stick-slip, each at four steps: error, order, energy,
-    time, and a sentence on the largest disagreement. docs/engines.md says what each engine is told.
+    Thirteen phenomena, from a rebound to stick-slip, each at four steps: error, order, energy and
+    time. docs/engines.md says what each engine is told.
     """
     asked = named_engines(engines) if engines else engine_names()
     found = measure(
@@ -117,12 +114,6 @@ def command(
     shown = [[f"{of[0].phenomenon}: {of[0].problem}", *map(cell, of)] for of in record.problems]
     print_table(["problem", *asked], shown, tuple(asked))
     click.echo()
-    for of in record.problems:
-        worst = largest_disagreement(of)
-        if worst is not None:
-            say(
-                f"{worst.phenomenon}, {worst.problem}: furthest is {worst.engine}: {worst.sentence}."
-            )
     say(record.summary)
     return 0 if reference_is_right(record.rows) else 1
 
@@ -211,7 +202,7 @@ def measure(
             run_engine(engine, drives(problem, describe_engine(engine))),
             ends[problem.name],
         )
-        tell(f"{problem.phenomenon}, {problem.name}: {engine}: {row.sentence}")
+        tell(f"{problem.phenomenon}, {problem.name}: {engine}: {cell(row)}")
         return row
 
     order = sorted(asked, key=lambda item: -item[0].nodes * item[0].parts[-1])
@@ -233,81 +224,39 @@ def drives(problem: TruthProblem, about: Simulator) -> list[Drive]:
     ]
 
 
-def judged(
-    problem: TruthProblem,
-    engine: str,
-    answer: EngineAnswer,
-    end: np.ndarray,
-    ask: Callable[[str, Sequence[Drive]], EngineAnswer] = run_engine,
-) -> TruthRow:
-    """The row of an answer.
+def judged(problem: TruthProblem, engine: str, answer: EngineAnswer, end: np.ndarray) -> TruthRow:
+    """Return the row of an engine's answer to `drives` of a problem.
 
-    Parameters
-    ----------
-    problem, engine
-        What was asked, and whom.
-    answer
-        To `drives` of them.
-    end
-        (2 nq,) of `problem.end()` [m, m/s].
-    ask
-        How engines are asked for more.
-
-    Returns
-    -------
-    TruthRow
-        With its sentence.
-
-    Raises
-    ------
-    UnknownNameError
-        For an engine that there is not.
+    end: (2 nq,) of `problem.end()` [m, m/s]. Raises UnknownNameError.
     """
     row = TruthRow(
         phenomenon=problem.phenomenon, problem=problem.name, source=problem.source, engine=engine,
         came=answer.came.value,
-        sentence=answer.why.rstrip("."),
+        why=answer.why.rstrip("."),
     )  # fmt: skip
     if answer.came is not Came.DONE:
         return row
-    energy, adaptive, asked = (
-        _energy_of(problem.scene),
-        describe_engine(engine).adaptive,
-        drives(problem, describe_engine(engine)),
-    )
+    about, energy = describe_engine(engine), _energy_of(problem.scene)
     told = [_errors(problem, motion, end, energy) for motion in answer.motions]
     worst = [_worst(item, problem) for item in told]
     errors = [error for error, _ in worst]
     levels = tuple(
         LevelRecord(
-            step=None if adaptive else drive.step, tolerance=drive.tolerance if adaptive else None,
+            step=None if about.adaptive else drive.step,
+            tolerance=drive.tolerance if about.adaptive else None,
             error=_finite(error),
             energy=_finite(item.get("energy", math.inf)),
-            microseconds=None if adaptive else 1e6 * motion.seconds / (problem.nodes * drive.parts),
+            microseconds=None
+            if about.adaptive
+            else 1e6 * motion.seconds / (problem.nodes * drive.parts),
             seconds=motion.seconds,
         )
-        for drive, item, error, motion in zip(asked, told, errors, answer.motions, strict=True)
-    )  # fmt: skip
-    kind, sentence = "", f"right to {size(errors[-1])}"
-    if errors[-1] > _RIGHT:
-        found, words = why(
-            engine,
-            asked,
-            errors,
-            lambda motion: _worst(_errors(problem, motion, end, energy), problem)[0],
-            ask=ask,
+        for drive, item, error, motion in zip(
+            drives(problem, about), told, errors, answer.motions, strict=True
         )
-        kind, sentence = found.value, f"{found.value}: {words}"
-    order = None if adaptive else observed_order(errors)
-    return row.model_copy(
-        update={
-            "sentence": sentence,
-            "kind": kind,
-            "worst": worst[-1][1],
-            "order": order,
-            "levels": levels,
-        }
     )
+    order = None if about.adaptive else observed_order(errors)
+    return row.model_copy(update={"worst": worst[-1][1], "order": order, "levels": levels})
 
 
 def observed_order(errors: Sequence[float]) -> float | None:

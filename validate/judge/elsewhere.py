@@ -1,16 +1,11 @@
-"""The verdict matrix: does a plan hold in other simulators, and where one says otherwise, why.
+"""The verdicts of other simulators on one plan.
 
-By measurement.
-
-    # judgement: of the plan on its scene, by our reference
     rows = elsewhere(judgement, ("fmu_everyday", "mujoco"))
-    rows[1].verdict, rows[1].kind, rows[1].sentence
+    rows[1].verdict, rows[1].distance
 
-Every engine gets the plan's inputs from its start, at three steps or tolerances, each a quarter of
-the one before, and what it makes of them is scored as our own replay is, with the difference of the
-last two as its error; with feedback, our law around the plan, where the score asks for that. A
-disagreement is of any of the three with our verdict; its class is measured
-(validate.judge.disagreement).
+Each engine steps the scene under the plan's inputs, at two steps or tolerances. The motion at the
+finer one is scored as our own replay is. Half the difference of the two motions is its error. If
+the score requires feedback, the engine follows the plan under the gains of our replay too.
 """
 
 from __future__ import annotations
@@ -19,7 +14,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -29,7 +24,6 @@ from models.codegen.kernel import load_kernel
 from models.errors import SceneError
 from models.scene import Limit, Scene
 from validate.execution.isolated import Limits
-from validate.judge.disagreement import REFERENCE, Otherwise, level_of, size, why
 from validate.judge.judgement import Judgement
 from validate.judge.replay.error_estimate import by_entry, difference
 from validate.judge.replay.result import Replay, ReplayError, ReplayOutcome
@@ -39,6 +33,7 @@ from validate.judge.score import Score, score, wants_feedback
 from validate.judge.score.unexplained import with_velocities
 from validate.judge.simulator import (
     LIMITS,
+    REFERENCE,
     Came,
     Drive,
     EngineAnswer,
@@ -47,57 +42,48 @@ from validate.judge.simulator import (
     run_engine,
 )
 
-# Rows a step of the plan at which an engine's motion is looked at, and its steps in each: a quarter
-# of the one before at each level.
+# Rows of an engine's motion in each step of the plan.
 ROWS = 4
-LEVELS = (1, 4, 16)
-# From which growth of an error on a motion is called unstable.
-_GROWS = 30.0
+# Steps of an engine in each step of the plan, the coarser motion first.
+PARTS = (16, 64)
 _OF_THE_JUDGE = (
     "of the judge's own health; what an engine loses or gains is what its motion is judged by"
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class EngineLevel:
-    """What was found at one step: step [s] or tolerance, the verdict, the largest distance from our motion in nominal sizes [-], infinite where it diverged."""
-
-    step: float
-    verdict: str
-    distance: float
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EngineVerdict:
-    """A row: an engine, what came of asking it, its score at the finest step (None: it did not come to one), whether it agrees with ours; kind and sentence: why not."""
+    """The answer of one engine.
+
+    step: [s] or tolerance of the scored motion; distance: the largest from our motion at the
+        plan's nodes, in nominal sizes [-], infinite where it diverged; score, agrees (whether the
+        verdict is ours): None without a motion; why: of the verdict, or of the missing motion.
+    """
 
     engine: str
     came: Came
-    agrees: bool | None = None
     score: Score | None = None
-    levels: tuple[EngineLevel, ...] = ()
-    kind: Otherwise = Otherwise.NONE
-    sentence: str = ""
+    agrees: bool | None = None
+    step: float | None = None
+    distance: float | None = None
+    why: str = ""
 
     @property
     def verdict(self) -> str:
-        """In a word, or what came of asking."""
+        """The verdict in a word, or what came of asking."""
         return self.came.value if self.score is None else self.score.verdict.value
 
     def as_json(self) -> dict[str, Any]:
-        """As JSON holds it: what is infinite is null."""
-        levels = [
-            asdict(level) | {"distance": level.distance if math.isfinite(level.distance) else None}
-            for level in self.levels
-        ]
-        told = {
+        """Return the row as JSON data; an infinite distance is null."""
+        finite = self.distance is not None and math.isfinite(self.distance)
+        return {
             "engine": self.engine,
             "verdict": self.verdict,
             "agrees": self.agrees,
-            "kind": self.kind.value,
-            "sentence": self.sentence,
+            "step": self.step,
+            "distance": self.distance if finite else None,
+            "why": self.why,
         }
-        return told | {"why": "" if self.score is None else self.score.why, "levels": levels}
 
 
 def elsewhere(
@@ -108,23 +94,23 @@ def elsewhere(
     jobs: int = 1,
     tell: Callable[[str], None] = lambda text: None,
 ) -> list[EngineVerdict]:
-    """A row for each engine.
+    """Return a row for each engine.
 
     Raises SceneError for a plan without a scene or a replay, UnknownNameError, MachineError.
     """
-    matrix = _Matrix(judgement, limits)
+    judged = _Judged(judgement, limits)
 
     def row(engine: str) -> EngineVerdict:
-        found = matrix.row(engine)
-        tell(f"{engine}: {found.verdict}{f': {found.kind.value}' if found.kind.value else ''}")
+        found = judged.row(engine)
+        tell(f"{engine}: {found.verdict}")
         return found
 
     with ThreadPoolExecutor(max_workers=jobs) as pool:
         return list(pool.map(row, engines))
 
 
-class _Matrix:
-    """What is the same for all engines."""
+class _Judged:
+    """Our judgement of the plan, and what all engines are given."""
 
     def __init__(self, judgement: Judgement, limits: Limits) -> None:
         scene = judgement.scene
@@ -159,109 +145,64 @@ class _Matrix:
 
     def row(self, engine: str) -> EngineVerdict:
         """Ask one engine. Raises UnknownNameError, MachineError."""
+        about = describe_engine(engine)
         if engine == REFERENCE:
-            levels = (
-                EngineLevel(
-                    step=describe_engine(engine).tolerances[-1],
-                    verdict=self.ours.verdict.value,
-                    distance=0.0,
-                ),
-            )
-            said = "what the others are held against"
             return EngineVerdict(
                 engine=engine,
                 came=Came.DONE,
-                agrees=True,
                 score=self.ours.score,
-                levels=levels,
-                sentence=said,
+                agrees=True,
+                step=about.tolerances[-1],
+                distance=0.0,
+                why=self.ours.score.why,
             )
-        tolerances = describe_engine(engine).tolerances[1:] or (1.0,) * len(LEVELS)
+        tolerances = about.tolerances[-len(PARTS) :] or (1.0,) * len(PARTS)
         base = Drive(
             scene=self.scene.continuous(), plan=self.plan, start=self.plan.start, rows=ROWS
         )
         drives = [
-            replace(base, parts=ROWS * parts, tolerance=tolerance)
-            for parts, tolerance in zip(LEVELS, tolerances, strict=True)
+            replace(base, parts=parts, tolerance=tolerance)
+            for parts, tolerance in zip(PARTS, tolerances, strict=True)
         ]
-        answer, scores = self._scored(engine, drives)
-        if answer.came is not Came.DONE:
-            return EngineVerdict(engine=engine, came=answer.came, sentence=answer.why.rstrip("."))
-        apart = [self._distance(motion.q) for motion in answer.motions]
-        words = [found.verdict.value for found in scores]
-        levels = tuple(
-            EngineLevel(step=level_of(drive, engine), verdict=word, distance=distance)
-            for drive, word, distance in zip(drives, words, apart, strict=True)
-        )
-        agreeing = [word == self.ours.verdict.value for word in words]
-        kind, sentence = Otherwise.NONE, f"{size(apart[-1])} from ours"
-        if not all(agreeing):
-            kind, sentence = why(
-                engine, drives, apart, lambda motion: self._distance(motion.q),
-                settled=agreeing[-1], unstable=lambda: self._unstable(answer.motions[-1].q),
-                ask=self._ask,
-            )  # fmt: skip
-            sentence = f"{', '.join(words)}; from ours {sentence}"
+        answer, found = self._scored(engine, drives)
+        if found is None:
+            return EngineVerdict(engine=engine, came=answer.came, why=answer.why.rstrip("."))
         return EngineVerdict(
             engine=engine,
             came=Came.DONE,
-            agrees=all(agreeing),
-            score=scores[-1],
-            levels=levels,
-            kind=kind,
-            sentence=sentence,
+            score=found,
+            agrees=found.verdict is self.ours.verdict,
+            step=drives[-1].tolerance if about.adaptive else drives[-1].step,
+            distance=self._distance(answer.motions[-1].q),
+            why=found.why,
         )
 
-    def _ask(self, engine: str, drives: Sequence[Drive]) -> EngineAnswer:
-        return run_engine(engine, drives, limits=self.limits)
-
-    def _unstable(self, q: np.ndarray) -> str:
-        """That our own error growth makes a motion's distance at the end of that where it begins, in words; empty: it does not."""
-        growth, plan = self.replay.growth, self.plan
-        if growth is None or growth.amplification <= _GROWS:
-            return ""
-        begin = min(int(np.searchsorted(plan.t, growth.begin)) + 1, plan.steps)
-        apart = self._distance(q, slice(begin, begin + 1))
-        if apart * growth.amplification < self._distance(q) / 3.0:
-            return ""
-        return f"{size(apart)} at {plan.t[begin]:.2g} s, and from {growth.begin:.2g} s on an error grows {growth.amplification:.2g} times"
-
-    def _scored(self, engine: str, drives: Sequence[Drive]) -> tuple[EngineAnswer, list[Score]]:
-        """The motions of these drives, and each scored against the one before it, with feedback where the score of one asks for it; or what an engine that gives none says."""
-        answer = self._ask(engine, drives)
+    def _scored(self, engine: str, drives: Sequence[Drive]) -> tuple[EngineAnswer, Score | None]:
+        """The motions of these drives and the score of the last, with feedback if that score asks for it; no score without motions."""
+        answer = run_engine(engine, drives, limits=self.limits)
         if answer.came is not Came.DONE:
-            return answer, []
-        opened = self._replays(drives, answer.motions)
-        scores = [score(self.scene, self.plan, item) for item in opened]
-        if self.feedback is None or not any(wants_feedback(item.metrics) for item in scores):
-            return answer, scores
+            return answer, None
+        opened = self._replayed(drives, answer.motions)
+        found = score(self.scene, self.plan, opened)
+        if self.feedback is None or not wants_feedback(found.metrics):
+            return answer, found
         asked = [replace(drive, feedback=self.feedback) for drive in drives]
-        followed = self._ask(engine, asked)
+        followed = run_engine(engine, asked, limits=self.limits)
         if followed.came is not Came.DONE:
-            return followed, []
-        tracked = self._replays(asked, followed.motions)
-        return answer, [
-            score(self.scene, self.plan, replace(item, tracked=other))
-            for item, other in zip(opened, tracked, strict=True)
-        ]
+            return followed, None
+        tracked = self._replayed(asked, followed.motions)
+        return answer, score(self.scene, self.plan, replace(opened, tracked=tracked))
 
-    def _replays(self, drives: Sequence[Drive], motions: Sequence[SimulatedMotion]) -> list[Replay]:
-        """Motions as replays of the scene.
+    def _replayed(self, drives: Sequence[Drive], motions: Sequence[SimulatedMotion]) -> Replay:
+        """The last motion as a replay of the scene.
 
-        Of first order, at least, each is a third as wrong as it differs from the one at four times
-        its step: said is a half.
+        An engine of first order is a third as wrong as it differs from the motion at four times
+        its step. The error is half of that difference.
         """
         made = [self._replay(drive, motion) for drive, motion in zip(drives, motions, strict=True)]
-        nodes = [item.rows(item.knots) if item.ok else None for item in made]
-        apart = [difference(*pair) for pair in pairwise(nodes)]
-        errors = [
-            by_entry(lambda value: 2.0 * value, apart[0]),
-            *(by_entry(lambda value: 0.5 * value, item) for item in apart),
-        ]
-        return [
-            replace(item, error=ReplayError(estimate=error))
-            for item, error in zip(made, errors, strict=True)
-        ]
+        coarse, fine = (item.rows(item.knots) if item.ok else None for item in made)
+        error = by_entry(lambda value: 0.5 * value, difference(coarse, fine))
+        return replace(made[-1], error=ReplayError(estimate=error))
 
     def _replay(self, drive: Drive, motion: SimulatedMotion) -> Replay:
         plan, count = (
@@ -296,10 +237,7 @@ class _Matrix:
             effort=measure_effort(plan, applied, drive.feedback),
         )
 
-    def _distance(self, q: np.ndarray, times: slice = slice(None)) -> float:
+    def _distance(self, q: np.ndarray) -> float:
         """The largest distance of a motion (rows, nq) [m, rad] from ours at the plan's nodes, in nominal sizes [-]; infinite where it diverged."""
-        apart = (
-            np.abs(q[:: (len(q) - 1) // self.plan.steps] - self.replay.q[self.replay.knots])[times]
-            / self.nominal
-        )
-        return float(np.nan_to_num(apart, nan=np.inf).max())
+        apart = q[:: (len(q) - 1) // self.plan.steps] - self.replay.q[self.replay.knots]
+        return float(np.nan_to_num(np.abs(apart) / self.nominal, nan=np.inf).max())

@@ -33,6 +33,8 @@ if (
     from models.trajectory import Trajectory
 
 FOLDER = Path(__file__).parent / "engines"
+# The engine that the others are compared with.
+REFERENCE = "fmu"
 # What a run of an engine may use; the largest of the truth suite, 1000 bounces by SAP, takes some
 # 200 s of a quiet core.
 LIMITS = Limits(seconds=900.0)
@@ -48,8 +50,7 @@ class Simulator:
 
     title: what it is called; package: what it imports, empty for our own; extra: what brings it;
         tolerances: four that it is told, the loosest first, where it takes no step;
-    law: how it makes contact, in a few words; softens: what is its own and no part of any scene,
-        that `Drive.soft` scales, empty where there is nothing.
+    law: how it makes contact, in a few words.
     """
 
     title: str
@@ -57,7 +58,6 @@ class Simulator:
     extra: str = "engines"
     tolerances: tuple[float, ...] = ()
     law: str = ""
-    softens: str = ""
 
     @property
     def adaptive(self) -> bool:
@@ -73,7 +73,7 @@ class Drive:
         looked at. start (2 nq,): positions, then velocities [m, rad,
     m/s, rad/s]. parts: steps of the engine between two nodes; rows: how many of them, evenly, are
         given back; tolerance: relative, of an adaptive engine;
-    soft: what its own regularisation is scaled by; feedback: what corrects the inputs at each node.
+    feedback: what corrects the inputs at each node.
     """
 
     scene: Scene
@@ -82,7 +82,6 @@ class Drive:
     parts: int = 1
     rows: int = 1
     tolerance: float = 1e-9
-    soft: float = 1.0
     feedback: Feedback | None = None
 
     @property
@@ -186,7 +185,7 @@ def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -
     name
         Of the engine.
     drives
-        Of one scene, plan and start; they differ in parts, tolerance and softness.
+        Of one scene, plan and start; they differ in parts and tolerance.
     limits
         Of the child, for all of them together.
 

@@ -43,7 +43,7 @@ class Plant:
         config = drake.MultibodyPlantConfig(
             time_step=time_step, contact_model="point", discrete_contact_approximation="sap",
             use_sampled_output_ports=False,
-            stiction_tolerance=STICTION * drive.soft, sap_near_rigid_threshold=0.0,
+            stiction_tolerance=STICTION, sap_near_rigid_threshold=0.0,
         )  # fmt: skip
         self.plant, graph = drake.AddMultibodyPlant(config, builder)
         (instance,) = drake.Parser(self.plant).AddModelsFromString(

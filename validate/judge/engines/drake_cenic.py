@@ -11,7 +11,6 @@ ENGINE = Simulator(
     extra="bench-drake",
     tolerances=(1e-4, 1e-5, 1e-6, 1e-7),
     law="points between balls and half-spaces, Hunt and Crossley, convex; friction regularised below 0.1 mm/s",
-    softens="the slip at which its friction is whole",
 )
 
 

@@ -11,7 +11,6 @@ ENGINE = Simulator(
     extra="bench-drake",
     tolerances=(1e-7, 1e-9, 1e-11, 1e-13),
     law="points between balls and half-spaces, Hunt and Crossley; friction regularised below 0.1 mm/s",
-    softens="the slip at which its friction is whole",
 )
 
 

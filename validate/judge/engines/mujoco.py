@@ -29,7 +29,6 @@ ENGINE = Simulator(
     title="MuJoCo, Runge-Kutta 4",
     package="mujoco",
     law="tendons with a dead band, and tendons that rub as those press; damped contact and turning bodies: constraints at impedance 1e-4; friction regularised",
-    softens="how much its friction gives way",
 )
 # The smallest and largest impedance that MuJoCo takes, and the first as it is told.
 _SOFT = 1e-4
@@ -55,7 +54,7 @@ def simulate(drive: Drive) -> SimulatedMotion:
     scene, mechanism = drive.scene, mechanism_of(drive.scene)
     names = [coordinate.name for coordinate in scene.coordinates]
     model = _model(mechanism, names)
-    _set_constraints(model, mechanism, drive.step, drive.soft)
+    _set_constraints(model, mechanism, drive.step)
     data = mujoco.MjData(model)
     places = np.array([model.joint(name).qposadr[0] for name in names])
     joints, back = mechanism.joints, np.linalg.inv(mechanism.joints)
@@ -199,9 +198,9 @@ def _fixed(spec: Any, names: list[str], direction: np.ndarray, **what: Any) -> N
         tendon.wrap_joint(names[place], direction[place])
 
 
-def _set_constraints(model: Any, mechanism: Mechanism, h: float, soft: float) -> None:
+def _set_constraints(model: Any, mechanism: Mechanism, h: float) -> None:
     """Stiffness, damping and the give of friction in MuJoCo's units: of acceleration, by the inverse mass that it takes for each constraint."""
-    model.opt.impratio = _RATIO / soft
+    model.opt.impratio = _RATIO
     for touch in mechanism.touches:
         pull = np.array([touch.stiffness, touch.damping])
         pair = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_PAIR, touch.name)
@@ -211,10 +210,10 @@ def _set_constraints(model: Any, mechanism: Mechanism, h: float, soft: float) ->
             model.pair_solref[pair] = (
                 -pull * touch.steepness**2 * model.body_invweight0[bodies, 0].sum()
             )
-            model.pair_solreffriction[pair] = -_TINY, -min(_DECAY / h, _RATE / soft) * _SOFT
+            model.pair_solreffriction[pair] = -_TINY, -min(_DECAY / h, _RATE) * _SOFT
         elif tendon >= 0:  # of one with a dead band, which has no limit, nobody reads it
             model.tendon_solref_lim[tendon] = -pull * model.tendon_invweight0[tendon]
     for name, _, _ in _rubs(mechanism):
         tendon = model.tendon(f"rub_{name}").id
-        model.tendon_solimp_fri[tendon, :2] = 1.0 - (1.0 - _HARD) * soft
+        model.tendon_solimp_fri[tendon, :2] = _HARD
         model.tendon_solref_fri[tendon] = -_TINY, -_DECAY / h
