@@ -12,17 +12,9 @@ _COMMANDS = {
         "suite.plans",
         "Exact plans by every pipeline, on scenes with friction and random rows of carts.",
     ),
-    "mpec-peers": (
-        "mpec.peers",
-        "Strict complementarity beside CasADi, nosnoc, pympcc and mpecss.",
-    ),
     "mpec-sets": (
         "mpec.sets",
         "A folder of MPECs, `.nl` or Pyomo: answers, certificates, published optima.",
-    ),
-    "mpec-growth": (
-        "mpec.growth",
-        "`mpec_ipopt` on a membrane over an obstacle, from 100 pairs to 3025.",
     ),
     "proof": ("proof", "What can be proved about contact plans, and how soon."),
     "verdicts": (

@@ -5,7 +5,7 @@
 DIR holds `.nl` files, or Python files that define `model` or a function `model()`. The optima are a
 CSV of `name, .., published_optimum`. Where models are abstract, `--problems` is a CSV of `name,
 model, data`: which file with which data is which problem. With `--peer N`, CasADi and Ipopt are
-given each problem of at most N pairs too (Scholtes, `benchmarks.mpec.solvers`), and a performance
+given each problem of at most N pairs too (Scholtes, `benchmarks.mpec.peer`), and a performance
 profile stands beside the table. The child's own answer is not believed: rows, bounds, pairs and
 stationarity are recomputed from the values of the model's variables, and where rows are linear and
 the objective is convex a tree of convex programs bounds the global optimum
@@ -178,14 +178,13 @@ def solve_by_peer(model: Any) -> dict[str, Any]:
     import numpy as np
     import pyomo.environ as pyo
 
-    from benchmarks.mpec.program import of_pyomo
-    from benchmarks.mpec.solvers import casadi_scholtes
+    from benchmarks.mpec.peer import casadi_scholtes, of_pyomo
     from formulations.mpec import certify
 
     began = time.process_time()
     try:
         program, variables = of_pyomo(model)
-        point = casadi_scholtes(program, lambda x: None)
+        point = casadi_scholtes(program)
     except Exception as error:  # noqa: BLE001 - whatever a peer raises stands in its row
         return {"peer_reason": f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"}
     seconds = time.process_time() - began

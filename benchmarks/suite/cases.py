@@ -18,9 +18,6 @@ _CASADI = {"casadi": _BENCH}
 _DRAKE = {"pydrake": "pip install drake"}
 _STAGES = "benchmarks.suite.stages"
 _PEERS = "benchmarks.suite.peers"
-# The only problem that the packages for complementarity are given.
-_STRICT = Size(3, 500)
-_STRICT_TITLE = "Exact contact from a seeded start, whole process"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +28,7 @@ class Case:
         it returns is not measured.
     once: its work cannot be repeated in one process, or need not be; needs: modules that must be
         importable, with the words of how to get them;
-    only, largest: the one size it is for, the largest n T it is asked for; sized: False for what
+    largest: the largest n T it is asked for; sized: False for what
         knows no size; slow: it takes minutes, and is measured once, if asked for; of_campaign: it
         needs a stored campaign.
     """
@@ -42,7 +39,6 @@ class Case:
     by: str = OURS
     once: bool = False
     needs: Mapping[str, str] = field(default_factory=dict, hash=False)
-    only: Size | None = None
     largest: int | None = None
     sized: bool = True
     slow: bool = False
@@ -65,8 +61,6 @@ class Case:
 
     def fits(self, size: Size) -> bool:
         """Whether it is to be measured at this size."""
-        if self.only is not None:
-            return size == self.only
         return self.largest is None or size.n * size.steps <= self.largest
 
 
@@ -76,14 +70,6 @@ def _ours(stage: str, title: str, function: str, **more: object) -> Case:
 
 def _peer(stage: str, title: str, by: str, function: str, **more: object) -> Case:
     return Case(stage=stage, title=title, by=by, function=function, **more)  # type: ignore[arg-type] - as above
-
-
-def _strict(by: str, function: str, **needs: str) -> Case:
-    return Case(
-        stage="strict_contact", title=_STRICT_TITLE, by=by,
-        function=f"benchmarks.mpec.process:{function}", needs=needs, only=_STRICT,
-        once=True, slow=True,
-    )  # fmt: skip
 
 
 CASES: tuple[Case, ...] = (
@@ -182,11 +168,6 @@ CASES: tuple[Case, ...] = (
         slow=True,
         clock="wall",
     ),
-    _strict("touchstone", "mpcc"),
-    _strict("casadi_scholtes", "casadi_scholtes", **_CASADI),
-    _strict("nosnoc", "nosnoc", nosnoc=_BENCH),
-    _strict("pympcc", "pympcc", pympcc=_BENCH),
-    _strict("mpecss", "mpecss", mpecss=_BENCH),
 )
 
 FULL_SIZES = (Size(3, 500), Size(3, 2000), Size(3, 5000), Size(10, 500))

@@ -85,7 +85,7 @@ def _sizes(
 @click.option(
     "--slow",
     is_flag=True,
-    help="Also what takes minutes: whole campaigns, and exact contact beside other packages; once each.",
+    help="Also what takes minutes: quick campaigns, once each.",
 )
 @click.option(
     "--campaign",

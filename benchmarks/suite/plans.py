@@ -111,8 +111,7 @@ def reference(name: str, scene: Scene, time_limit: float) -> dict[str, Any]:
     import casadi as ca
     import pyomo.environ as pyo
 
-    from benchmarks.mpec.program import of_pyomo
-    from benchmarks.mpec.solvers import casadi_scholtes
+    from benchmarks.mpec.peer import casadi_scholtes, of_pyomo
     from formulations.transcription.build import build_model, load_plan
 
     begin = process_time()
@@ -124,7 +123,7 @@ def reference(name: str, scene: Scene, time_limit: float) -> dict[str, Any]:
     if start is not None:
         load_plan(model, start)
     program, variables = of_pyomo(model)
-    x = casadi_scholtes(program, lambda point: None)
+    x = casadi_scholtes(program)
     for variable, value in zip(variables, x, strict=True):
         variable.set_value(value, skip_validation=True)
     function = ca.Function("left", [program.x], [program.rows, program.first * program.second])

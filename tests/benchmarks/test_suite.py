@@ -79,7 +79,7 @@ def test_the_suite_selects_and_says_why_not(monkeypatch):
     assert {size for _, size in jobs} == {SIZE}
     assert not left_out
     jobs, left_out = plan(Settings(sizes=(SIZE,)))
-    assert not {case.stage for case, _ in jobs} & {"report", "all_quick", "strict_contact"}
+    assert not {case.stage for case, _ in jobs} & {"report", "all_quick"}
     assert any("there is no stored campaign" in sentence for sentence in left_out)
     assert any("--slow" in sentence for sentence in left_out)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
@@ -98,7 +98,7 @@ def test_sizes_that_a_peer_is_not_for_are_said():
     assert any("drake_snopt" in sentence for sentence in left_out)
 
 
-@pytest.mark.parametrize("expression", ["nosuchstage", "report", "strict_contact"])
+@pytest.mark.parametrize("expression", ["nosuchstage", "report", "all_quick"])
 def test_nothing_selected_is_one_sentence(expression: str):
     with pytest.raises(BenchError, match="nothing is selected"):
         plan(Settings(expression=expression))
