@@ -14,14 +14,13 @@ _COMMANDS = {
     ),
     "mpec-sets": (
         "mpec.sets",
-        "A folder of MPECs, `.nl` or Pyomo: answers, certificates, published optima.",
+        "A folder of MPECs as `.nl` files: answers, certificates, published optima.",
     ),
     "proof": ("proof", "What can be proved about contact plans, and how soon."),
     "verdicts": (
         "verdicts.command",
         "Plans whose verdict is known without the judge, and a search for ones that cheat it.",
     ),
-    "fuzz": ("fuzz", "Random MPECs against their branches; hostile files for every reader."),
     "kills": (
         "kills",
         "Campaigns, and what runs for them, killed at random moments and resumed: nothing is lost.",

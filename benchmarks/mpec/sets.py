@@ -1,23 +1,18 @@
-"""`mpec-sets`: a folder of MPECs, each solved in a child with limits, with what a certificate says of every answer and the best value published.
+"""`mpec-sets`: the MPECs of a folder of `.nl` files, each solved in a child with limits, beside the published optima and CasADi with Ipopt.
 
     python -m benchmarks mpec-sets --from DIR --optima optima.csv
 
-DIR holds `.nl` files, or Python files that define `model` or a function `model()`. The optima are a
-CSV of `name, .., published_optimum`. Where models are abstract, `--problems` is a CSV of `name,
-model, data`: which file with which data is which problem. With `--peer N`, CasADi and Ipopt are
-given each problem of at most N pairs too (Scholtes, `benchmarks.mpec.peer`), and a performance
-profile stands beside the table. The child's own answer is not believed: rows, bounds, pairs and
-stationarity are recomputed from the values of the model's variables, and where rows are linear and
-the objective is convex a tree of convex programs bounds the global optimum
-(`benchmarks.mpec.proved`), unless the published value is reached. A `.nl` file is solved by the
-command `touchstone-mpec` too, as AMPL calls it, and what its `.sol` says, read by Pyomo, is held
-against that answer.
+The optima are a CSV of `name, .., published_optimum`. A certificate recomputes rows, bounds, pairs
+and stationarity from the values of the variables. If rows are linear and the objective is convex,
+and the published value is not reached, a tree of convex programs bounds the global optimum
+(`benchmarks.mpec.proved`). The command `touchstone-mpec` solves each file too, as AMPL calls it;
+Pyomo reads its `.sol`, which must hold the same answer. With `--peer N`, CasADi and Ipopt solve each
+problem of at most N pairs too (`benchmarks.mpec.peer`).
 """
 
 from __future__ import annotations
 
 import csv
-import importlib.util
 import json
 import math
 import os
@@ -27,7 +22,6 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,9 +31,9 @@ from benchmarks.measure import run_child
 from benchmarks.mpec.proved import prove
 from benchmarks.options import COUNT, POSITIVE, out_option
 from benchmarks.records import Table
-from benchmarks.results import as_markdown, store_tables
+from benchmarks.results import as_markdown
 from validate.cli.options import FiniteRange, write, written_to
-from validate.store.disk import temporary_folder
+from validate.store.disk import make_folder, temporary_folder
 
 # A published value is reached within this, relative to max(1, |value|).
 REACHED = 1e-4
@@ -53,30 +47,6 @@ _PAGE = ("problem", "pairs", "status", "objective", "published", "against it", "
          "CasADi + Ipopt", "its CPU s")  # fmt: skip
 # Times of the faster one at which a performance profile is told.
 _TIMES = (1.0, 2.0, 4.0, 8.0, 16.0, math.inf)
-
-
-def load(path: Path, data: Path | None = None) -> Any:
-    """The Pyomo model of a file, and of its data where it is abstract.
-
-    Raises NlError, ImportError, or whatever the file raises.
-    """
-    if path.suffix == ".nl":
-        from formulations.ampl import read_nl
-
-        return read_nl(path, relax_integers=True)
-    spec = importlib.util.spec_from_file_location(path.stem.replace("-", "_"), path)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"{path} is no Python file")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    found: Any = getattr(module, "model", None)
-    if not hasattr(found, "component_data_objects"):
-        return found() if callable(found) else found
-    return (
-        found
-        if data is None and found.is_constructed()
-        else found.create_instance(None if data is None else str(data))
-    )
 
 
 def solve_one(model: Any, proof_seconds: float, published: float = math.nan) -> dict[str, Any]:
@@ -289,76 +259,23 @@ def _against(row: dict[str, Any], published: float | None) -> str:
     return "better" if difference < 0 else f"worse by {difference:.2g}"
 
 
-@dataclass(frozen=True)
-class Problem:
-    """name; path of its model; path of the data of an abstract model."""
-
-    name: str
-    path: Path
-    data: Path | None = None
-
-
-def _problems(folder: Path, listed: Path | None) -> list[Problem]:
-    """Those of a list, else each file of the folder."""
-    if listed is None:
-        return [
-            Problem(path.stem, path)
-            for path in sorted(folder.iterdir())
-            if path.suffix in (".nl", ".py")
-        ]
-    with listed.open(encoding="utf-8", newline="") as lines:
-        rows = [
-            {name: (value or "").strip() for name, value in row.items() if name}
-            for row in csv.DictReader(lines)
-        ]
-    if not rows or not all(row.get("name") and row.get("model") for row in rows):
-        raise click.UsageError(
-            f"{listed} is no list of problems: it has the columns name, model, data, and a name and a model in every row."
-        )
-    files = {
-        name
-        for row in rows
-        for name in (row["model"], row.get("data", ""))
-        if name and not (folder / name).is_file()
-    }
-    if files:
-        raise click.UsageError(
-            f"{listed} names files that {folder} does not hold: {', '.join(sorted(files)[:5])}."
-        )
-    return [
-        Problem(
-            row["name"], folder / row["model"], folder / row["data"] if row.get("data") else None
-        )
-        for row in rows
-    ]
-
-
 def _run(
-    problem: Problem, limit: float, proof: float, published: float, peer: int | None, folder: Path
+    path: Path, limit: float, proof: float, published: float, peer: int | None, folder: Path
 ) -> dict[str, Any]:
-    told, reason = _child(problem, folder, (f"{proof:g}", repr(published)), limit + proof + _BESIDE)
-    row = (
-        {"problem": problem.name, **told}
-        if told
-        else {"problem": problem.name, "status": "no answer", "sense": 1, "message": reason}
-    )
+    told, reason = _child(path, folder, (f"{proof:g}", repr(published)), limit + proof + _BESIDE)
+    row = {"problem": path.stem, "status": "no answer", "sense": 1, "message": reason, **told}
     if peer is not None and row.get("pairs", 0) <= peer:
-        told, reason = _child(problem, folder, (), limit + _BESIDE)
+        told, reason = _child(path, folder, (), limit + _BESIDE)
         row |= told or {"peer_reason": reason}
     return row
 
 
 def _child(
-    problem: Problem, folder: Path, limits: tuple[str, ...], cpu_limit: float
+    path: Path, folder: Path, limits: tuple[str, ...], cpu_limit: float
 ) -> tuple[dict[str, Any], str]:
     """What a child wrote, or nothing and why."""
-    target, data = (
-        folder / f"{problem.name}-{len(limits)}.json",
-        "" if problem.data is None else str(problem.data),
-    )
-    done = run_child(
-        "benchmarks.mpec.sets", str(problem.path), data, str(target), *limits, cpu_limit=cpu_limit
-    )
+    target = folder / f"{path.stem}-{len(limits)}.json"
+    done = run_child("benchmarks.mpec.sets", str(path), str(target), *limits, cpu_limit=cpu_limit)
     if target.exists():
         return json.loads(target.read_text(encoding="utf-8")), ""
     last = (done.stderr.strip().splitlines() or ["no word"])[-1]
@@ -426,35 +343,6 @@ def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]
     ]
 
 
-def _tell(
-    out: Path,
-    name: str,
-    rows: list[dict[str, Any]],
-    published: dict[str, float],
-    markdown: Path | None,
-) -> None:
-    """The record, the CSV and the page of all rows."""
-    lines = tuple(_line(row, published.get(row["problem"])) for row in rows)
-    table = Table(
-        caption=f"{len(rows)} problems.",
-        columns=_COLUMNS,
-        rows=lines,
-        notes=tuple(_notes(rows, published)),
-    )
-    tables = (
-        [table, _profile(rows)]
-        if any("peer_s" in row or "peer_reason" in row for row in rows)
-        else [table]
-    )
-    store_tables(
-        out, name, f"MPECs: {name}", (__doc__ or "").split("\n\n")[0], tables, rows, quiet=True
-    )
-    with (out / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows([_COLUMNS, *lines])
-    write(markdown, lambda: "\n".join(as_markdown(told) for told in (_page(table), *tables[1:])))
-    click.echo("\n".join(table.notes))
-
-
 @click.command()
 @click.option(
     "--from",
@@ -462,20 +350,13 @@ def _tell(
     type=click.Path(path_type=Path, exists=True, file_okay=False),
     required=True,
     metavar="DIR",
-    help="The problems.",
+    help="The `.nl` files.",
 )
 @click.option(
     "--optima",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     metavar="CSV",
     help="Their published optima.",
-)
-@click.option(
-    "--problems",
-    "listed",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    metavar="CSV",
-    help="Which model with which data.",
 )
 @click.option(
     "--limit",
@@ -491,13 +372,13 @@ def _tell(
     default=10.0,
     show_default=True,
     metavar="SECONDS",
-    help="Of the proof of one global bound.",
+    help="CPU seconds of the proof of one global bound.",
 )
 @click.option(
     "--peer",
     type=click.IntRange(min=0),
     metavar="PAIRS",
-    help="CasADi with Ipopt beside ours, with up to so many pairs.",
+    help="CasADi with Ipopt solves problems of at most so many pairs too.",
 )
 @click.option("-k", "part", default="", metavar="TEXT", help="Only problems whose name holds this.")
 @click.option(
@@ -511,40 +392,45 @@ def _tell(
 @written_to("--markdown", "markdown", "FILE.md", "the tables, as docs/mpec_sets.md has them")
 @out_option
 def command(
-    folder: Path, optima: Path | None, listed: Path | None, limit: float, proof: float,
-    peer: int | None, part: str, jobs: int, markdown: Path | None,
-    out: Path,
+    folder: Path, optima: Path | None, limit: float, proof: float, peer: int | None, part: str,
+    jobs: int, markdown: Path | None, out: Path,
 ) -> int:  # fmt: skip
-    """A folder of MPECs (`.nl`, or Pyomo models in Python files): status, objective, certificate and time of each."""
-    problems = [problem for problem in _problems(folder, listed) if part in problem.name]
-    if not problems:
-        raise click.UsageError(
-            f"{folder if listed is None else listed} holds no problem whose name holds '{part}'."
-        )
+    """Solve the MPECs of a folder of `.nl` files: status, objective, certificate and time of each."""
+    paths = [path for path in sorted(folder.glob("*.nl")) if part in path.stem]
+    if not paths:
+        raise click.UsageError(f"{folder} holds no `.nl` file whose name holds '{part}'.")
     published = _published(optima) if optima is not None else {}
+    make_folder(out)
+    rows = []
     with temporary_folder("touchstone-sets-") as work, ThreadPoolExecutor(jobs) as pool:
-        rows = []
         for row in pool.map(
-            lambda p: _run(p, limit, proof, published.get(p.name, math.nan), peer, work), problems
+            lambda path: _run(path, limit, proof, published.get(path.stem, math.nan), peer, work),
+            paths,
         ):
-            told = (
-                row["problem"],
-                row["status"],
-                row.get("objective"),
-                _against(row, published.get(row["problem"])),
-            )
+            against = _against(row, published.get(row["problem"]))
+            told = (row["problem"], row["status"], row.get("objective"), against)
             click.echo("  ".join(map(str, told)))
             rows.append(row)
-    _tell(out, f"mpec-sets-{folder.name}", rows, published, markdown)
+    lines = tuple(_line(row, published.get(row["problem"])) for row in rows)
+    with (out / f"mpec-sets-{folder.name}.csv").open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([_COLUMNS, *lines])
+    table = Table(caption=f"{len(rows)} problems.", columns=_COLUMNS, rows=lines)
+    tables = [_page(table)] if peer is None else [_page(table), _profile(rows)]
+    write(markdown, lambda: "\n".join(map(as_markdown, tables)))
+    click.echo("\n".join(_notes(rows, published)))
     return 0
 
 
 if __name__ == "__main__":
-    source, data, target, *limits = sys.argv[1:]
-    given = load(Path(source), Path(data) if data else None)
-    told = solve_one(given, *map(float, limits)) if limits else solve_by_peer(given)
-    if limits and Path(source).suffix == ".nl":
+    from formulations.ampl import read_nl
+
+    source, target, *limits = sys.argv[1:]
+    model = read_nl(Path(source), relax_integers=True)
+    if limits:
+        told = solve_one(model, *map(float, limits))
         told["command"] = by_command(
-            Path(source), given, told["status"], "objective" in told, Path(target).parent
+            Path(source), model, told["status"], "objective" in told, Path(target).parent
         )
+    else:
+        told = solve_by_peer(model)
     Path(target).write_text(json.dumps(told), encoding="utf-8")

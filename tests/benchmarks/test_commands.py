@@ -44,7 +44,6 @@ def test_commands_in_docs_and_readme_exist():
         (("golden", "compare", "."), "no campaign in this folder"),
         (("rejudge", "."), "no campaign in this folder"),
         (("report", "no_such_folder"), "no campaign in this folder"),
-        (("fuzz", "readers", "--only", "nobody"), "there is no reader"),
         (("plans", "--only", "nobody"), "no scene … 'nobody'"),
     ],
 )  # fmt: skip

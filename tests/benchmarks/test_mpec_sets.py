@@ -2,6 +2,7 @@
 
 import csv
 import math
+from pathlib import Path
 
 import pyomo.environ as pyo
 import pytest
@@ -9,7 +10,8 @@ from click.testing import CliRunner
 from pyomo.mpec import Complementarity, complements
 
 from benchmarks.mpec.proved import prove
-from benchmarks.mpec.sets import _profile, by_command, command, load, solve_one
+from benchmarks.mpec.sets import _profile, by_command, command, solve_one
+from formulations.ampl import read_nl
 
 
 def _pairs(sense=pyo.minimize, goals=((1, 2), (3, -1), (2, 2))) -> pyo.ConcreteModel:
@@ -71,16 +73,16 @@ def test_other_kinds_are_not_proved(change):
     assert prove(model) is None
 
 
-SOLVED = """import pyomo.environ as pyo
-from pyomo.mpec import Complementarity, complements
-
-def model():
-    m = pyo.ConcreteModel()
-    m.x, m.y = pyo.Var(initialize=1), pyo.Var(initialize=1)
-    m.cost = pyo.Objective(expr=(m.x - 1)**2 + (m.y - 2)**2)
-    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
-    return m
-"""
+def _write(path: Path, row: bool = False) -> None:
+    """The nearer of two half-axes to (1, 2), cost 1; with `row` without a feasible point."""
+    model = pyo.ConcreteModel()
+    model.x, model.y = pyo.Var(initialize=1), pyo.Var(initialize=1)
+    model.cost = pyo.Objective(expr=(model.x - 1) ** 2 + (model.y - 2) ** 2)
+    model.pair = Complementarity(expr=complements(model.x >= 0, model.y >= 0))
+    if row:
+        model.row = pyo.Constraint(expr=model.x + model.y <= -1)
+    pyo.TransformationFactory("mpec.nl").apply_to(model)
+    model.write(str(path), format="nl_v1")
 
 
 @pytest.mark.slow
@@ -88,32 +90,16 @@ def test_the_table_says_how_each_answer_stands(tmp_path):
     folder = tmp_path / "set"
     folder.mkdir()
     for name in ("right", "misprint", "better", "unknown"):
-        (folder / f"{name}.py").write_text(SOLVED)
-    (folder / "infeasible.py").write_text(
-        SOLVED.replace(
-            "    return m", "    m.row = pyo.Constraint(expr=m.x + m.y <= -1)\n    return m"
-        )
-    )
-    (folder / "broken.py").write_text("model = 1 / 0\n")
+        _write(folder / f"{name}.nl")
+    _write(folder / "infeasible.nl", row=True)
+    (folder / "broken.nl").write_text("no problem")
     optima = tmp_path / "optima.csv"
     optima.write_text(
         "name,published_optimum\nright,1.00001\nmisprint,0.5\nbetter,1.5\nunknown,tba\ninfeasible,3\nbroken,1\n"
     )
     page = tmp_path / "page.md"
-    asked = [
-        "--from",
-        str(folder),
-        "--optima",
-        str(optima),
-        "-j",
-        "2",
-        "--peer",
-        "0",
-        "-o",
-        str(tmp_path / "out"),
-        "--markdown",
-        str(page),
-    ]
+    asked = ["--from", str(folder), "--optima", str(optima), "-j", "2", "--peer", "0"]
+    asked += ["-o", str(tmp_path / "out"), "--markdown", str(page)]
     result = CliRunner().invoke(command, asked)
     assert result.exit_code == 0, result.output
     with (tmp_path / "out" / "mpec-sets-set.csv").open(newline="") as lines:
@@ -123,8 +109,10 @@ def test_the_table_says_how_each_answer_stands(tmp_path):
         "right": "reached", "misprint": "proved optimal", "better": "better", "unknown": "",
         "infeasible": "proved infeasible", "broken": "",
     }  # fmt: skip
-    assert "ZeroDivisionError" in rows["broken"]["remark"]
+    assert rows["broken"]["status"] == "no answer"
+    assert "ended with code 1" in rows["broken"]["remark"]
     assert float(rows["right"]["objective"]) == pytest.approx(1, abs=1e-8)
+    assert rows["right"]["command"] == "equal"
     assert rows["right"]["bound"] == "", "what is reached is not proved"
     assert rows["right"]["peer's CPU s"] == "", "a pair is more than none"
     lines = {line.split(" | ")[0]: line.split(" | ") for line in page.read_text().splitlines()}
@@ -134,62 +122,10 @@ def test_the_table_says_how_each_answer_stands(tmp_path):
     assert "by proof: 2" in result.output
 
 
-ABSTRACT = """from pyomo.environ import *
-from pyomo.mpec import *
-
-model = AbstractModel()
-model.far = Param()
-model.x, model.y = Var(initialize=1), Var(initialize=1)
-model.cost = Objective(rule=lambda m: (m.x - m.far)**2 + (m.y - 2)**2)
-model.pair = Complementarity(rule=lambda m: complements(m.x >= 0, m.y >= 0))
-"""
-
-
-@pytest.mark.slow
-def test_a_list_says_which_abstract_model_is_solved_with_which_data(tmp_path):
-    """The nearer axis of (far, 2): cost far^2 while that is below 4."""
-    (tmp_path / "set").mkdir()
-    (tmp_path / "set" / "point.py").write_text(ABSTRACT)
-    for far in (1, 3):
-        (tmp_path / "set" / f"{far}.dat").write_text(f"param far := {far};\n")
-    listed = tmp_path / "problems.csv"
-    listed.write_text("name,model,data\nnear,point.py,1.dat\nfar,point.py,3.dat\nalone,point.py,\n")
-    asked = [
-        "--from",
-        str(tmp_path / "set"),
-        "--problems",
-        str(listed),
-        "-j",
-        "1",
-        "-o",
-        str(tmp_path / "out"),
-    ]
-    result = CliRunner().invoke(command, asked)
-    assert result.exit_code == 0, result.output
-    with (tmp_path / "out" / "mpec-sets-set.csv").open(newline="") as lines:
-        rows = {row["problem"]: row for row in csv.DictReader(lines)}
-    assert float(rows["near"]["objective"]) == pytest.approx(1, abs=1e-8)
-    assert float(rows["far"]["objective"]) == pytest.approx(4, abs=1e-8)
-    assert rows["alone"]["status"] == "no answer"
-    assert "ended with code 1" in rows["alone"]["remark"]
-
-
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        (None, "holds no problem"),
-        ("name,model\n,a.py\n", "name, model, data"),
-        ("name,model\na,b.py\n", "b.py"),
-    ],
-)
-def test_no_problems_and_lists_of_none_are_refused(tmp_path, text, named):
-    (tmp_path / "set").mkdir()
-    listed = [] if text is None else ["--problems", str(tmp_path / "list.csv")]
-    if text is not None:
-        (tmp_path / "list.csv").write_text(text)
-    result = CliRunner().invoke(command, ["--from", str(tmp_path / "set"), *listed])
+def test_a_folder_without_problems_is_refused(tmp_path):
+    result = CliRunner().invoke(command, ["--from", str(tmp_path)])
     assert result.exit_code == 2
-    assert named in " ".join(result.output.split())
+    assert "holds no `.nl` file" in " ".join(result.output.split())
 
 
 def test_the_profile_counts_who_has_the_better_answer_and_how_soon():
@@ -237,7 +173,7 @@ def test_the_command_is_held_against_the_answer_bit_by_bit(tmp_path):
     model.row = pyo.Constraint(expr=model.x[0] + 3.0 * model.x[1] <= 2.0)
     path = tmp_path / "ex9.1.1.nl"
     model.write(str(path))
-    read = load(path)
+    read = read_nl(path, relax_integers=True)
     assert solve_one(read, 0.0)["status"] == "solved"
     assert by_command(path, read, "solved", True, tmp_path) == "equal"
     assert by_command(path, read, "infeasible", True, tmp_path) == "AMPL's code 0"

@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given, note, settings
 from pyomo.mpec import Complementarity, complements
 
-from benchmarks.mpec import enumeration, generator, macmpec
 from formulations import ContactFormulation, build_model
 from formulations.ipopt import compile_model, solve
 from formulations.mpec import STRATEGY_NAMES, MpecSettings, Stationarity, certify, load, solve_mpec
@@ -20,6 +19,8 @@ from formulations.mpec.homotopy import WorkBudget, Workspace, compile_branches
 from formulations.mpec.lifted import lift
 from formulations.mpec.strategies import STRATEGIES
 from formulations.solution import Outcome
+from tests.formulations.mpec import branch_oracle, random_mpecs
+from tests.formulations.mpec.published import OPTIMA, ralph1, scholtes4
 
 _PAIRS = 4
 
@@ -109,8 +110,8 @@ def test_a_plan_through_contact():
 
 
 _CONVEX = 52  # a seed of a convex problem with few branches
-KINDS = generator.KINDS
-FAULTS = (*enumeration.WRONG, "refused")
+KINDS = random_mpecs.KINDS
+FAULTS = (*branch_oracle.WRONG, "refused")
 
 
 @pytest.mark.slow
@@ -119,7 +120,7 @@ FAULTS = (*enumeration.WRONG, "refused")
 )
 def test_nothing_wrong_is_claimed_of_a_problem_of_each_kind(seed):
     """Beside those of hypothesis, which prefers plain numbers: of defects planted in the solver, each of the two tests found some that the other missed."""
-    verdict = enumeration.judge(generator.random_mpec(seed))
+    verdict = branch_oracle.judge(random_mpecs.random_mpec(seed))
     assert verdict.agreement not in FAULTS, verdict
 
 
@@ -129,12 +130,12 @@ def test_nothing_wrong_is_claimed_and_little_left_open():
     answers: Counter[str] = Counter()
 
     @settings(max_examples=len(KINDS))
-    @given(generator.drawn_mpec())
+    @given(random_mpecs.drawn_mpec())
     def nothing_wrong_is_claimed(problem):
         shown = io.StringIO()
         problem.model.pprint(shown)
         note(shown.getvalue())
-        verdict = enumeration.judge(problem)
+        verdict = branch_oracle.judge(problem)
         answers[verdict.agreement] += 1
         assert verdict.agreement not in FAULTS, verdict
 
@@ -146,21 +147,21 @@ def test_nothing_wrong_is_claimed_and_little_left_open():
 
 def test_a_pair_stated_twice():
     """Both copies held on the same side are dependent rows: Ipopt's multipliers of 1e17 once ended 2e-4 above the optimum, undecided."""
-    problem = generator.random_mpec(7)
+    problem = random_mpecs.random_mpec(7)
     assert problem.conditions[-1] is problem.conditions[0]
-    assert enumeration.judge(problem).agreement == "same"
+    assert branch_oracle.judge(problem).agreement == "same"
 
 
 def _claiming(change: Any, monkeypatch: pytest.MonkeyPatch) -> str:
     """What the judge says of a convex problem whose result was changed."""
-    honest = enumeration.solve_mpec
-    monkeypatch.setattr(enumeration, "solve_mpec", lambda model: change(honest(model)))
-    return enumeration.judge(generator.random_mpec(_CONVEX)).agreement
+    honest = branch_oracle.solve_mpec
+    monkeypatch.setattr(branch_oracle, "solve_mpec", lambda model: change(honest(model)))
+    return branch_oracle.judge(random_mpecs.random_mpec(_CONVEX)).agreement
 
 
 @pytest.mark.slow
 def test_the_judge_sees_a_point_off_its_rows(monkeypatch):
-    assert enumeration.judge(generator.random_mpec(_CONVEX)).agreement == "same"
+    assert branch_oracle.judge(random_mpecs.random_mpec(_CONVEX)).agreement == "same"
     assert (
         _claiming(lambda result: replace(result, x=result.x + 1e-3), monkeypatch) == "wrong optimal"
     )
@@ -188,40 +189,15 @@ def test_the_judge_sees_a_wrong_ending(outcome, wrong, monkeypatch):
 
 
 _RELATIVE = 1e-5  # published figures have six digits
-# Published figures that no branch of the problem has (each was solved: 2^pairs smooth problems),
-# and the best that one has.
-MISPRINTS = {
-    "bilevel1m": (
-        -55.0,
-        0.0,
-        "its local solution 5 less the constant 60 once more; bilevel1 is the same problem, with 0",
-    ),
-    "ex9_2_3": (-55.0, 5.0, "its solution 5 less the constant 60 once more"),
-    "ex9_2_5": (6.0, 5.0, "the handbook has 5, at (1, 3)"),
-}
-PROBLEMS = [(name, builder, optimum) for name, (builder, optimum) in macmpec.PROBLEMS.items()]
 
 
-def test_there_are_at_least_forty():
-    names = [name for name, _, _ in PROBLEMS]
-    assert len(names) == len(set(names))
-    assert len(names) >= 40 + len(MISPRINTS)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "builder", "optimum"), PROBLEMS, ids=[name for name, _, _ in PROBLEMS]
-)
-def test_published_optimum(name, builder, optimum):
+@pytest.mark.parametrize("builder", OPTIMA, ids=lambda builder: builder.__name__)
+def test_published_optimum(builder):
     model = builder()
     result = solve_mpec(model, MpecSettings(ipopt={"max_wall_time": 60.0}))
-    if name in MISPRINTS:
-        printed, optimum, _ = MISPRINTS[name]
-        assert printed == {n: o for n, _, o in PROBLEMS}[name]
     assert result.solved, result.message
     load(result)
-    objective = next(model.component_data_objects(pyo.Objective, active=True))
-    assert pyo.value(objective) == pytest.approx(optimum, rel=_RELATIVE, abs=_RELATIVE)
+    assert pyo.value(model.cost) == pytest.approx(OPTIMA[builder], rel=_RELATIVE, abs=_RELATIVE)
     certificate = result.certificate
     assert certificate.holds, certificate.sentence
     assert certificate.complementarity <= 1e-12
@@ -230,9 +206,8 @@ def test_published_optimum(name, builder, optimum):
 
 # B-stationary, but without multipliers of a strongly stationary point: MacMPEC's own notes name
 # ralph1 and scholtes4 for it.
-@pytest.mark.parametrize("name", ["ralph1", "scholtes4"])
-def test_solutions_that_are_not_strongly_stationary(name):
-    builder = {n: b for n, b, _ in PROBLEMS}[name]
+@pytest.mark.parametrize("builder", [ralph1, scholtes4])
+def test_solutions_that_are_not_strongly_stationary(builder):
     certificate = solve_mpec(builder()).certificate
     assert certificate.stationarity is Stationarity.MORDUKHOVICH
     assert certificate.b_stationary is True

@@ -12,7 +12,6 @@ from pyomo.common.collections import ComponentMap
 from pyomo.mpec import Complementarity, complements
 from pyomo.opt import SolverStatus, TerminationCondition
 
-from benchmarks.mpec.macmpec.toy import jr1, ralph1
 from formulations.mpec import (
     STRATEGY_NAMES,
     MpecSettings,
@@ -27,6 +26,7 @@ from formulations.mpec.lifted import lift
 from formulations.mpec.strategies import STRATEGIES
 from formulations.solution import Outcome
 from tests.formulations.mpec.nearest import solver
+from tests.formulations.mpec.published import jr1, ralph1
 
 
 @pytest.mark.parametrize("strategy", STRATEGY_NAMES)

@@ -5,9 +5,7 @@
 
 A reader may read a file or refuse it by one of our own errors; anything else is a fault. In the
 tests `random` is hypothesis's `randoms()`, which shrinks a fault to the fewest and plainest
-mutations. `python -m benchmarks fuzz readers` gives `random.Random(seed)`: it counts thousands, and
-a file that kills the process that reads it, after which hypothesis itself would be gone, is made
-again by its seed. A reader that hangs is stopped by CPU time here, since hypothesis looks at its
+mutations. A reader that hangs is stopped by CPU time here, since hypothesis looks at its
 clock only when a test has ended.
 """
 

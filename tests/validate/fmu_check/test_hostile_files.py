@@ -1,7 +1,4 @@
-"""A few hostile files for every reader: each is read or refused in a sentence.
-
-`python -m benchmarks fuzz readers` tries thousands.
-"""
+"""A few hostile files for every reader: each is read or refused in a sentence."""
 
 from collections import Counter
 from pathlib import Path

@@ -1,11 +1,7 @@
 """Random small MPECs of many kinds, with the branches of every condition written down beside it.
 
-    drawn_mpec()         a hypothesis strategy: numbers of two decimals, and a wrong answer is
-                         shrunk to a small problem
-    random_mpec(seed)    the same construction from numpy's generator, for the benchmark and one of
-                         each kind: hypothesis stops at the first wrong answer and
-                         repeats no problem by its number, while the benchmark counts the answers of
-                         thousands, with data of all digits
+    drawn_mpec()  # a hypothesis strategy: numbers of two decimals; a wrong answer is shrunk
+    random_mpec(seed)  # the same construction from numpy's generator, with data of all digits
 
 At most 4 pairs (6 conditions) and 3 further variables, in blocks, with mutable parameters, either
 sense, in every form of `complements`, some conditions twice. A kind is what makes a problem hard;
