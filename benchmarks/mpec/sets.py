@@ -5,9 +5,8 @@
 The optima are a CSV of `name, .., published_optimum`. A certificate recomputes rows, bounds, pairs
 and stationarity from the values of the variables. If rows are linear and the objective is convex,
 and the published value is not reached, a tree of convex programs bounds the global optimum
-(`benchmarks.mpec.proved`). The command `touchstone-mpec` solves each file too, as AMPL calls it;
-Pyomo reads its `.sol`, which must hold the same answer. With `--peer N`, CasADi and Ipopt solve each
-problem of at most N pairs too (`benchmarks.mpec.peer`).
+(`benchmarks.mpec.proved`). With `--peer N`, CasADi and Ipopt solve each problem of at most N pairs
+too (`benchmarks.mpec.peer`).
 """
 
 from __future__ import annotations
@@ -16,9 +15,7 @@ import csv
 import json
 import math
 import os
-import shutil
 import signal
-import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -30,7 +27,6 @@ import click
 from benchmarks.measure import run_child
 from benchmarks.mpec.proved import prove
 from benchmarks.options import COUNT, POSITIVE, out_option
-from benchmarks.records import Table
 from benchmarks.results import as_markdown
 from validate.cli.options import FiniteRange, write, written_to
 from validate.store.disk import make_folder, temporary_folder
@@ -41,12 +37,10 @@ REACHED = 1e-4
 _BESIDE = 30.0
 _COLUMNS = ("problem", "variables", "rows", "pairs", "status", "objective", "published",
             "against it", "bound", "class", "primal", "complementarity", "dual",
-            "CPU s", "strategy", "peer's objective", "peer's CPU s", "command", "remark")  # fmt: skip
+            "CPU s", "strategy", "peer's objective", "peer's CPU s", "remark")  # fmt: skip
 _PAGE = ("problem", "pairs", "status", "objective", "published", "against it", "class",
          "primal, complementarity, dual", "CPU s", "by",
          "CasADi + Ipopt", "its CPU s")  # fmt: skip
-# Times of the faster one at which a performance profile is told.
-_TIMES = (1.0, 2.0, 4.0, 8.0, 16.0, math.inf)
 
 
 def solve_one(model: Any, proof_seconds: float, published: float = math.nan) -> dict[str, Any]:
@@ -91,58 +85,6 @@ def solve_one(model: Any, proof_seconds: float, published: float = math.nan) -> 
     }
 
 
-# Of AMPL's codes, those of each status from so many to ninety-nine more.
-_CODES = {
-    "solved": 0,
-    "stalled": 100,
-    "infeasible": 200,
-    "diverged": 300,
-    "iteration_limit": 400,
-    "time_limit": 400,
-}
-
-
-def by_command(path: Path, model: Any, status: str, has_point: bool, folder: Path) -> str:
-    """Whether `touchstone-mpec STUB -AMPL` says the same of a `.nl` file, to the last bit of every variable; else by how much it differs.
-
-    model: of that file, with the values of the answer that is compared, if there is one.
-    """
-    import pyomo.environ as pyo
-    from pyomo.opt.plugins.sol import ResultsReader_sol
-
-    stub = str(folder / f"{path.stem}-command")
-    shutil.copy(path, f"{stub}.nl")
-    command = [
-        str(Path(sys.executable).with_name("touchstone-mpec")),
-        stub,
-        "-AMPL",
-        "relax_integers=1",
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        return (
-            f"code {done.returncode}: {(done.stderr.strip().splitlines() or ['no word'])[-1][:160]}"
-        )
-    answer = ResultsReader_sol()(f"{stub}.sol", suffixes=[])
-    if int(answer.solver.id) // 100 * 100 != _CODES.get(status, 500):
-        return f"AMPL's code {answer.solver.id}"
-    found = (
-        [entry["Value"] for entry in answer.solution(0).variable.values()]
-        if len(answer.solution)
-        else []
-    )
-    values = (
-        [pyo.value(item) for item in model.component_data_objects(pyo.Var)] if has_point else []
-    )
-    if len(found) != len(values):
-        return f"{len(found)} of {len(values)} values"
-    return (
-        "equal"
-        if found == values
-        else f"{max(abs(a - b) for a, b in zip(found, values, strict=True)):.1e} away"
-    )
-
-
 def solve_by_peer(model: Any) -> dict[str, Any]:
     """What CasADi and Ipopt find of one problem, judged by the same certificate, as JSON data."""
     import numpy as np
@@ -169,55 +111,6 @@ def solve_by_peer(model: Any) -> dict[str, Any]:
         "peer_feasible": found.feasible,
         "peer_s": seconds,
     }
-
-
-def _profile(rows: list[dict[str, Any]]) -> Table:
-    """Share of the problems on which a solver has the better answer (to REACHED) within so many times the CPU seconds of the faster that has it."""
-    times: dict[str, list[float]] = {"mpec_ipopt": [], "casadi_scholtes": []}
-    for row in rows:
-        if "peer_s" not in row and "peer_reason" not in row:
-            continue
-        answers = {
-            "mpec_ipopt": (
-                row.get("objective") if row["status"] == "solved" else None,
-                row.get("solve_s"),
-            ),
-            "casadi_scholtes": (
-                row.get("peer_objective") if row.get("peer_feasible") else None,
-                row.get("peer_s"),
-            ),
-        }
-        costs = [row["sense"] * cost for cost, _ in answers.values() if cost is not None]
-        if not costs:
-            continue
-        good: dict[str, float] = {
-            name: float(seconds or 0.0)
-            for name, (cost, seconds) in answers.items()
-            if cost is not None
-            and row["sense"] * cost <= min(costs) + REACHED * max(1.0, abs(min(costs)))
-        }
-        for name, known in times.items():
-            known.append(good[name] / min(good.values()) if name in good else math.inf)
-    lines = [
-        (
-            name,
-            *(
-                f"{sum(ratio <= most and math.isfinite(ratio) for ratio in ratios) / len(ratios):.0%}"
-                for most in _TIMES
-            ),
-        )
-        for name, ratios in times.items()
-        if ratios
-    ]
-    columns = (
-        "solver",
-        *(f"within {most:g} times" if math.isfinite(most) else "at all" for most in _TIMES),
-    )
-    return Table(
-        caption=f"Performance profile of {len(times['mpec_ipopt'])} problems.",
-        columns=columns,
-        rows=tuple(lines),
-    )
 
 
 def _published(path: Path) -> dict[str, float]:
@@ -290,34 +183,21 @@ def _line(row: dict[str, Any], published: float | None) -> tuple[str | float | N
         _against(row, published), row.get("bound"), row.get("class"), row.get("primal"),
         row.get("complementarity"), row.get("dual"), row.get("solve_s"), row.get("strategy"),
         row.get("peer_objective") if row.get("peer_feasible") else row.get("peer_reason",
-            "infeasible" if "peer_s" in row else None), row.get("peer_s"), row.get("command"),
+            "infeasible" if "peer_s" in row else None), row.get("peer_s"),
         "" if row["status"] == "solved" else row["message"][:160],
     )  # fmt: skip
 
 
-def _page(told: Table) -> Table:
-    """What `docs` has of the table: objectives in eight digits, the rest in two."""
-    lines = []
-    for row in (dict(zip(told.columns, line, strict=True)) for line in told.rows):
-        residuals = " ".join(
-            f"{row[name]:.0e}"
-            for name in ("primal", "complementarity", "dual")
-            if row[name] is not None
-        )
-        seconds = (
-            None if row[name] is None else f"{row[name]:.1f}" for name in ("CPU s", "peer's CPU s")
-        )
-        lines.append(
-            (
-                *(row[name] for name in _PAGE[:7]),
-                residuals,
-                next(seconds),
-                row["strategy"],
-                row["peer's objective"],
-                next(seconds),
-            )
-        )
-    return Table(caption=told.caption, columns=_PAGE, rows=tuple(lines))
+def _page(line: tuple[str | float | None, ...]) -> tuple[str | float | None, ...]:
+    """A row of the table in `docs`: objectives in eight digits, the rest in two."""
+    row = dict(zip(_COLUMNS, line, strict=True))
+    residuals = [row[name] for name in ("primal", "complementarity", "dual")]
+    shown = " ".join(f"{value:.0e}" for value in residuals if value is not None)
+    ours, its = (
+        None if row[name] is None else f"{row[name]:.1f}" for name in ("CPU s", "peer's CPU s")
+    )
+    first = (row[name] for name in _PAGE[:7])
+    return (*first, shown, ours, row["strategy"], row["peer's objective"], its)
 
 
 def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]:
@@ -325,10 +205,6 @@ def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]
     verdicts = [_against(row, published[row["problem"]]) for row in compared]
     good = sum(word in ("reached", "better") for word in verdicts)
     proved = sum(word.startswith("proved") for word in verdicts)
-    asked = [row for row in rows if "command" in row]
-    same = [
-        f"the command touchstone-mpec gives the same status and every variable to the last bit: {sum(row['command'] == 'equal' for row in asked)} of {len(asked)}"
-    ]
     false = [
         row["problem"]
         for row in rows
@@ -338,7 +214,6 @@ def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]
         f"published value reached to {REACHED:g} or beaten: {good} of {len(compared)} ({verdicts.count('better')} beaten); published values that no "
         f"point of the file has, by proof: {proved}",
         f"'solved' without a feasible, B-stationary point by the certificate: {len(false)} {', '.join(false)}".rstrip(),
-        *(same if asked else ()),
         f"CPU seconds of all: {sum(row.get('solve_s') or 0.0 for row in rows):.0f}",
     ]
 
@@ -414,9 +289,7 @@ def command(
     lines = tuple(_line(row, published.get(row["problem"])) for row in rows)
     with (out / f"mpec-sets-{folder.name}.csv").open("w", encoding="utf-8", newline="") as file:
         csv.writer(file).writerows([_COLUMNS, *lines])
-    table = Table(caption=f"{len(rows)} problems.", columns=_COLUMNS, rows=lines)
-    tables = [_page(table)] if peer is None else [_page(table), _profile(rows)]
-    write(markdown, lambda: "\n".join(map(as_markdown, tables)))
+    write(markdown, lambda: as_markdown(_PAGE, [_page(line) for line in lines]))
     click.echo("\n".join(_notes(rows, published)))
     return 0
 
@@ -426,11 +299,5 @@ if __name__ == "__main__":
 
     source, target, *limits = sys.argv[1:]
     model = read_nl(Path(source), relax_integers=True)
-    if limits:
-        told = solve_one(model, *map(float, limits))
-        told["command"] = by_command(
-            Path(source), model, told["status"], "objective" in told, Path(target).parent
-        )
-    else:
-        told = solve_by_peer(model)
+    told = solve_one(model, *map(float, limits)) if limits else solve_by_peer(model)
     Path(target).write_text(json.dumps(told), encoding="utf-8")

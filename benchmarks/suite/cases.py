@@ -1,174 +1,127 @@
-"""What the suite measures: our stages, each with what people would use instead.
-
-A Case is one way (`by`) through one stage.
-"""
+"""The stages of the suite, each with the peers that people would use instead, and the targets of their ratios."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal
+from collections.abc import Iterable
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
 
 from benchmarks.measure import Size
 
 OURS = "touchstone"
-YARDSTICK = "yardstick"
-_BENCH = "pip install -e '.[bench]'"
-_CASADI = {"casadi": _BENCH}
-_DRAKE = {"pydrake": "pip install drake"}
 _STAGES = "benchmarks.suite.stages"
 _PEERS = "benchmarks.suite.peers"
+_REMEDIES = {"casadi": "pip install -e '.[bench]'", "pydrake": "pip install -e '.[bench-drake]'"}
+# The size that targets are set for.
+TARGET_SIZE = Size(3, 500)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One row of the suite.
+    """One way (`by`) through one stage.
 
-    function: `module:name`, called in the child as name(size, folder) -> Work: what it does before
-        it returns is not measured.
-    once: its work cannot be repeated in one process, or need not be; needs: modules that must be
-        importable, with the words of how to get them;
-    largest: the largest n T it is asked for; sized: False for what
-        knows no size; slow: it takes minutes, and is measured once, if asked for; of_campaign: it
-        needs a stored campaign.
+    function: `module:name`, called in the child as name(size, folder) -> Work; its preparation is
+    not measured. once: its work cannot be repeated in one process, or need not be; needs: a module
+    that must be importable.
     """
 
     stage: str
-    title: str
-    function: str
     by: str = OURS
+    function: str
     once: bool = False
-    needs: Mapping[str, str] = field(default_factory=dict, hash=False)
-    largest: int | None = None
-    sized: bool = True
-    slow: bool = False
-    of_campaign: bool = False
-    clock: Literal["CPU", "wall"] = "CPU"
+    needs: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What `-k` looks at."""
+        """The names that `-k` matches."""
         return (self.stage, self.by)
 
     def missing(self) -> str:
         """Empty, or the sentence why this case cannot be measured here."""
         from importlib.util import find_spec
 
-        for module, remedy in self.needs.items():
-            if find_spec(module) is None:
-                return f"{self.stage} by {self.by} is not measured: the module {module} is not installed ({remedy})."
-        return ""
-
-    def fits(self, size: Size) -> bool:
-        """Whether it is to be measured at this size."""
-        return self.largest is None or size.n * size.steps <= self.largest
+        if not self.needs or find_spec(self.needs) is not None:
+            return ""
+        return f"{self.stage} by {self.by} is not measured: the module {self.needs} is not installed ({_REMEDIES[self.needs]})."
 
 
-def _ours(stage: str, title: str, function: str, **more: object) -> Case:
-    return Case(stage=stage, title=title, function=f"{_STAGES}:{function}", **more)  # type: ignore[arg-type] - of a type that was checked or made so above
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One way through one stage at one size: CPU seconds of each round, or why there are none."""
+
+    stage: str
+    by: str
+    n: int
+    steps: int
+    cpu_s: tuple[float, ...]
+    outcome: str = ""
+    iterations: int = 0
+    value: float | None = None
+    failed: str = ""
 
 
-def _peer(stage: str, title: str, by: str, function: str, **more: object) -> Case:
-    return Case(stage=stage, title=title, by=by, function=function, **more)  # type: ignore[arg-type] - as above
+@dataclass(frozen=True)
+class Ratio:
+    """CPU time of the stages `over`, added up, by that of `under`: (stage, by)."""
+
+    what: str
+    target: float
+    over: tuple[tuple[str, str], ...]
+    under: tuple[str, str]
+
+    def of(self, rows: Iterable[Row], size: Size) -> float | None:
+        """The median over the rounds, whose ways stood beside each other; None without all of them."""
+        known = {
+            (row.stage, row.by): row.cpu_s
+            for row in rows
+            if (row.n, row.steps) == (size.n, size.steps)
+        }
+        ways = [known.get(way, ()) for way in (*self.over, self.under)]
+        ratios = [sum(above) / below for *above, below in zip(*ways, strict=False)]
+        return median(ratios) if ratios else None
+
+
+def _ours(stage: str, **more: Any) -> Case:
+    return Case(stage=stage, function=f"{_STAGES}:{stage}", **more)
+
+
+def _peer(stage: str, by: str, function: str, **more: Any) -> Case:
+    return Case(stage=stage, by=by, function=f"{_PEERS}.{function}", **more)
 
 
 CASES: tuple[Case, ...] = (
-    _ours(YARDSTICK, "A fixed piece of work: how fast the machine is", "yardstick"),
-    _ours(
-        "scene_compile", "Scene to compiled time step, nothing cached", "scene_compile", once=True
-    ),
-    _ours("pyomo_build", "Scene to Pyomo model", "pyomo_build"),
-    _ours("translate", "Pyomo model to Ipopt's functions", "translate"),
-    _ours("evaluate", "Functions and derivatives of one iteration", "evaluate"),
-    _ours("linear_algebra", "The rest of an iteration of Ipopt", "linear_algebra", once=True),
-    _peer(
-        "linear_algebra",
-        "The same with the MUMPS of the wheel",
-        "mumps",
-        f"{_STAGES}:with_mumps",
-        once=True,
-    ),
-    _ours(
-        "softplus_chain",
-        "Softplus collocation at three eps, from Scene to plans",
-        "softplus_chain",
-        once=True,
-    ),
-    _peer(
-        "softplus_chain",
-        "The same by hand",
-        "casadi",
-        f"{_PEERS}.casadi_chain:chain",
-        once=True,
-        needs=_CASADI,
-    ),
-    _peer(
-        "softplus_chain",
-        "The same with SNOPT",
-        "drake_snopt",
-        f"{_PEERS}.drake_snopt:chain",
-        once=True,
-        needs=_DRAKE,
-        largest=2000,
-    ),
-    _ours("cold_step", "The last eps, from Scene to plan, cold", "cold_step", once=True),
-    _peer(
-        "cold_step",
-        "The same by hand",
-        "casadi",
-        f"{_PEERS}.casadi_chain:cold_step",
-        once=True,
-        needs=_CASADI,
-    ),
-    _ours("eps_step", "The last eps from the one before, session open", "eps_step", once=True),
-    _ours("gd_iteration", "One iteration of gradient descent through contact", "gd_iteration"),
-    _ours("gd_kernel", "Its compiled part: rollout and adjoint", "gd_kernel"),
-    _peer(
-        "gd_iteration",
-        "The paper's loop in PyTorch",
-        "pytorch_loop",
-        f"{_PEERS}.torch_loop:iteration",
-        largest=60_000,
-    ),
-    _peer(
-        "gd_iteration",
-        "An adjoint of this scene by hand in C",
-        "hand_written_c",
-        f"{_PEERS}.c_adjoint:iteration",
-    ),
-    _ours("fmu_build", "Scene to FMU 2.0, nothing cached", "fmu_build", once=True),
-    _ours("cs_replay", "One Co-Simulation of a plan", "cs_replay"),
-    _ours("cs_calls", "Its calls, with one internal step each", "cs_calls"),
-    _peer("cs_replay", "FMPy's simulate_fmu", "fmpy", f"{_PEERS}.fmpy_replay:simulate"),
-    _ours("replay", "The whole replay with its error estimate", "whole_replay"),
-    _ours("list", "python -m validate list", "list_command", sized=False),
-    _ours(
-        "report",
-        "python -m validate report",
-        "report_command",
-        sized=False,
-        once=True,
-        of_campaign=True,
-    ),
-    _ours(
-        "all_quick",
-        "python -m validate all --quick -j 2",
-        "quick_campaign",
-        sized=False,
-        once=True,
-        slow=True,
-        clock="wall",
-    ),
-    _ours(
-        "all_again",
-        "The same, everything stored",
-        "stored_campaign",
-        sized=False,
-        once=True,
-        slow=True,
-        clock="wall",
-    ),
+    _ours("scene_compile", once=True),
+    _ours("pyomo_build"),
+    _ours("translate"),
+    _ours("evaluate"),
+    _ours("linear_algebra", once=True),
+    Case(stage="linear_algebra", by="mumps", function=f"{_STAGES}:with_mumps", once=True),
+    _ours("softplus_chain", once=True),
+    _peer("softplus_chain", "casadi", "casadi_chain:chain", once=True, needs="casadi"),
+    _peer("softplus_chain", "drake_snopt", "drake_snopt:chain", once=True, needs="pydrake"),
+    _ours("cold_step", once=True),
+    _peer("cold_step", "casadi", "casadi_chain:cold_step", once=True, needs="casadi"),
+    _ours("eps_step", once=True),
+    _ours("gd_iteration"),
+    _peer("gd_iteration", "pytorch_loop", "torch_loop:iteration"),
+    _ours("fmu_build", once=True),
+    _ours("cs_replay"),
+    _peer("cs_replay", "fmpy", "fmpy_replay:simulate"),
+    _ours("whole_replay"),
 )
-
-FULL_SIZES = (Size(3, 500), Size(3, 2000), Size(3, 5000), Size(10, 500))
-QUICK_SIZES = (Size(3, 50),)
+_CHAIN = ("softplus_chain", OURS)
+RATIOS = (
+    Ratio("softplus chain against CasADi and Ipopt by hand", 0.8, (_CHAIN,),
+          ("softplus_chain", "casadi")),
+    Ratio("softplus chain against Drake and SNOPT", 1 / 20, (_CHAIN,),
+          ("softplus_chain", "drake_snopt")),
+    Ratio("Pyomo build and translation as a share of the softplus chain", 0.5,
+          (("pyomo_build", OURS), ("translate", OURS)), _CHAIN),
+    Ratio("a step of eps against building and solving cold", 1 / 5, (("eps_step", OURS),),
+          ("cold_step", OURS)),
+    Ratio("iteration of gradient descent against the paper's PyTorch loop", 1 / 150,
+          (("gd_iteration", OURS),), ("gd_iteration", "pytorch_loop")),
+    Ratio("one Co-Simulation against FMPy's simulate_fmu", 1 / 3, (("cs_replay", OURS),),
+          ("cs_replay", "fmpy")),
+)  # fmt: skip

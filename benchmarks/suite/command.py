@@ -1,43 +1,37 @@
-"""`suite`: each stage measured beside what people would use instead."""
+"""`suite`: CPU seconds of each stage, beside what people would use instead."""
 
 from __future__ import annotations
 
-import json
 import re
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
+from statistics import median
 
 import click
-from pydantic import ValidationError
 
-from benchmarks.measure import Size
-from benchmarks.options import out_option
-from benchmarks.records import SuiteRecord, middle, spread
-from benchmarks.results import store, typed
-from benchmarks.suite.cases import FULL_SIZES, QUICK_SIZES
-from benchmarks.suite.compare import Comparison, compare
-from benchmarks.suite.run import QUICK_REPEATS, REPEATS, Settings, failures, plan, run_suite
-from validate.cli.table import one_line, table
-from validate.store.disk import make_folder
+from benchmarks.measure import Sample, Size, sample
+from benchmarks.options import COUNT, out_option
+from benchmarks.results import as_text, store
+from benchmarks.suite.cases import CASES, OURS, RATIOS, TARGET_SIZE, Case, Ratio, Row
+from validate.cli.table import one_line
+from validate.plan.selection import matches
+from validate.store.disk import temporary_folder
 
+# Wall seconds of one measurement.
+LIMIT = 600.0
 _EPILOG = """\b
 Examples:
-  python -m benchmarks suite --quick
-  python -m benchmarks suite -k "gd_iteration or cs_replay" --size 3x500
-  python -m benchmarks suite --compare runs/benchmarks/suite.json
+  python -m benchmarks suite --size 3x50 --rounds 2
+  python -m benchmarks suite -k "gd_iteration or cs_replay"
 
 Every measurement is a child process with one thread; all stages and peers of a
-size take turns, round after round, beside a fixed piece of work that tells how
-fast the machine is. Peers are measured where they are installed:
-pip install -e '.[bench]' drake
+size take turns, round after round. Peers are measured if they are installed:
+pip install -e '.[bench,bench-drake]'
 
 \b
---compare: worse is a median more than 15 % above the earlier one (memory: and
-2 MiB more) in samples that a rank test tells apart (p <= 1 %), times after both
-runs were divided by their fixed piece of work; so is an answer that is gone.
-
-\b
-Exit codes: 0 measured; 1 a stage of ours gave no answer, or --compare found a
-regression beyond its noise; 2 usage, or nothing selected.
+Exit codes: 0 measured; 1 a stage of ours gave no answer; 2 usage, or nothing
+selected.
 """
 
 
@@ -59,14 +53,11 @@ def _sizes(
 
 @click.command(epilog=_EPILOG)
 @click.option(
-    "--quick", is_flag=True, help="A tiny size, two rounds: whether it runs, not how fast it is."
-)
-@click.option(
     "-k",
     "expression",
     default="",
     metavar="EXPR",
-    help="Only stages and peers whose names match, in upper or lower case: words joined with and, or, not.",
+    help="Only stages and peers whose names match: words joined with and, or, not.",
 )
 @click.option(
     "--size",
@@ -74,150 +65,105 @@ def _sizes(
     multiple=True,
     metavar="NxT",
     callback=_sizes,
-    help="Carts x steps, such as 3x500; may be repeated.",
-)
-@click.option(
-    "--repeats",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Rounds: 5, with --quick 2 (too few for --compare).",
-)
-@click.option(
-    "--slow",
-    is_flag=True,
-    help="Also what takes minutes: quick campaigns, once each.",
-)
-@click.option(
-    "--campaign",
-    type=click.Path(path_type=Path),
-    default="runs/all",
+    default=["3x500"],
     show_default=True,
-    metavar="DIR",
-    help="Whose report is measured.",
+    help="Carts x steps; may be repeated.",
 )
+@click.option("--rounds", type=COUNT, default=5, show_default=True)
 @out_option
-@click.option(
-    "--compare", "earlier", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.json",
-    help="Fail on what got worse since that file."
-)  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="The figures as JSON on stdout.")
-def command(
-    quick: bool, expression: str, sizes: tuple[Size, ...], repeats: int | None, slow: bool,
-    campaign: Path, out: Path, earlier: Path | None, as_json: bool
-) -> int:  # fmt: skip
-    """Measure each stage - compile, build, translate, evaluate, solve, descend, replay, report - and its peers: median, spread, memory, over n T."""
-    before = None if earlier is None else read_suite(earlier)
-    settings = Settings(
-        sizes=sizes or (QUICK_SIZES if quick else FULL_SIZES),
-        repeats=repeats or (QUICK_REPEATS if quick else REPEATS),
-        expression=expression,
-        slow=slow,
-        quick=quick,
-        campaign=campaign if (campaign / "campaign.json").is_file() else None,
-        command=typed(),
+def command(expression: str, sizes: tuple[Size, ...], rounds: int, out: Path) -> int:
+    """Measure each stage - compile, build, translate, evaluate, solve, descend, replay - and its peers."""
+    cases, left_out = selected(expression)
+    rows = measured(cases, sizes, rounds)
+    figures = [
+        (ratio, size, value)
+        for size in sizes
+        for ratio in RATIOS
+        if (value := ratio.of(rows, size)) is not None
+    ]
+    click.echo(as_text(("stage", "by", "n x T", "CPU s", "outcome"), [_line(row) for row in rows]))
+    if figures:
+        columns = ("ratio", "n x T", "measured", "at most", "")
+        click.echo("\n" + as_text(columns, [_figure(*figure) for figure in figures]))
+    for sentence in left_out:
+        click.echo(one_line(sentence))
+    written = store(
+        out,
+        "suite",
+        {
+            "rounds": rounds,
+            "rows": [asdict(row) for row in rows],
+            "ratios": [
+                {"what": ratio.what, "n": size.n, "steps": size.steps, "measured": value}
+                for ratio, size, value in figures
+            ],
+        },
     )
-    plan(settings)  # refuses what selects nothing
-    make_folder(out)  # better refused now than when all is measured
-    record = run_suite(settings, lambda sentence: click.echo(one_line(sentence), err=True))
-    comparison = None if before is None else compare(before, record)
-    if before is not None and comparison is not None and not comparison.pairs:
-        raise click.UsageError(
-            f"{earlier}: it has no stage and size in common with this run; compare runs with the same --size and -k."
-        )
-    if as_json:
-        click.echo(record.model_dump_json(indent=1))
-    else:
-        _tell(record)
-    written = store(out, "suite", record)
-    if not as_json:
-        click.echo(f"\nwritten: {written}")
-    if comparison is not None:
-        _tell_comparison(comparison, err=as_json)
-    failed = failures(record)
+    click.echo(f"\nwritten: {written}")
+    failed = [row.failed for row in rows if row.failed and row.by == OURS]
     for sentence in failed:
         click.echo(one_line(f"fails: {sentence}"), err=True)
-    return 1 if failed or (comparison is not None and comparison.regressions) else 0
+    return 1 if failed else 0
 
 
-def read_suite(path: Path) -> SuiteRecord:
-    """The figures that an earlier run wrote. Raises click.UsageError."""
-    try:
-        return SuiteRecord.model_validate_json(path.read_bytes())
-    except OSError as error:
-        raise click.UsageError(
-            f"{path} cannot be read ({error.strerror}); give a suite.json that an earlier run of `suite` wrote."
-        ) from error
-    except (ValidationError, json.JSONDecodeError) as error:
-        raise click.UsageError(
-            f"{path} is no record of this suite; give a suite.json that an earlier run of `suite` wrote."
-        ) from error
+def selected(expression: str) -> tuple[list[Case], list[str]]:
+    """The cases that can be measured, and why the rest of the selected ones cannot.
+
+    Raises click.UsageError if none is left, SelectionError.
+    """
+    chosen = [case for case in CASES if not expression or matches(expression, case.names)]
+    able = [case for case in chosen if not case.missing()]
+    left_out = [sentence for case in chosen if (sentence := case.missing())]
+    if not able:
+        names = ", ".join(dict.fromkeys(name for case in CASES for name in case.names))
+        why = " ".join(left_out) or f"stages and peers are {names}."
+        raise click.UsageError(f"nothing is selected by {expression!r}: {why}")
+    return able, left_out
 
 
-def _tell(record: SuiteRecord) -> None:
-    def plain(value: float | None, form: str) -> str:
-        return "" if value is None else format(value, form)
-
-    lines = [
-        [
-            row.stage, row.by, f"{row.n}x{row.steps}" if row.n else "",
-            plain(middle(row.cpu_s), ".3g"), plain(spread(row.cpu_s), ".0%"),
-            plain(middle(row.memory_mib), ".1f"), one_line(row.failed or row.outcome),
-        ]
-        for row in record.rows
-    ]  # fmt: skip
-    click.echo(table(["stage", "by", "n x T", "seconds", "spread", "MiB", "outcome"], lines))
-    words = {True: "met", False: "missed", None: "not judged"}
-    told = [
-        [item.what, f"{item.n}x{item.steps}" if item.steps else "", plain(item.measured, ".3g"),
-         f"{item.target:.3g} {item.unit}".strip(), words[item.met], one_line(item.why)]
-        for item in record.figures
-    ]  # fmt: skip
-    if told:
-        click.echo("\n" + table(["figure", "n x T", "measured", "at most", "", ""], told))
-    for sentence in record.left_out:
-        click.echo(one_line(sentence))
-    cores = record.provenance.cores
-    if record.load is not None and max(record.load) > cores:
-        click.echo(
-            f"the machine was busy: its load was {record.load[0]:.1f} before and {record.load[1]:.1f} after, on {cores} cores."
-        )
+def measured(cases: Sequence[Case], sizes: Sequence[Size], rounds: int) -> list[Row]:
+    """Measure every case at every size, in turns. A case that failed is not repeated."""
+    rows = []
+    with temporary_folder("touchstone-bench-") as folder:
+        for size in dict.fromkeys(sizes):
+            samples: dict[Case, list[Sample]] = {case: [] for case in cases}
+            for number in range(1, rounds + 1):
+                click.echo(f"{size}: round {number} of {rounds}", err=True)
+                for case, found in samples.items():
+                    if not found or not found[-1].failed:
+                        found.append(_sample(case, size, folder))
+            rows += [_row(case, size, found) for case, found in samples.items()]
+    return rows
 
 
-def _tell_comparison(comparison: Comparison, *, err: bool) -> None:
-    lines = []
-    for change in comparison.changes:
-        row = change.row
-        figures = [
-            "" if value is None else f"{value:.3g}"
-            for value in (change.before, change.after, change.factor)
-        ]
-        lines.append(
-            [
-                change.kind.value,
-                row.stage,
-                row.by,
-                f"{row.n}x{row.steps}" if row.n else "",
-                change.quantity,
-                *figures,
-                one_line(change.why),
-            ]
-        )
-    if lines:
-        click.echo(
-            "\n" + table(["", "stage", "by", "n x T", "of", "before", "now", "factor", ""], lines),
-            err=err,
-        )
-    speed = (
-        ""
-        if comparison.speed is None
-        else f"; the yardstick takes {comparison.speed:.2f} times as long, which is allowed for"
-    )
-    count = len(comparison.regressions)
-    click.echo(
-        f"{_rows(comparison.pairs)} in both: {count or 'no'} regression{'s' if count > 1 else ''}{speed}",
-        err=err,
+def _sample(case: Case, size: Size, folder: Path) -> Sample:
+    what = f"{case.stage} by {case.by} at {size}"
+    return sample(case.function, size, folder, seconds=LIMIT, what=what, once=case.once)
+
+
+def _row(case: Case, size: Size, samples: Sequence[Sample]) -> Row:
+    last = samples[-1]
+    return Row(
+        stage=case.stage,
+        by=case.by,
+        n=size.n,
+        steps=size.steps,
+        cpu_s=() if last.failed else tuple(found.cpu_s or 0.0 for found in samples),
+        outcome=last.outcome,
+        iterations=last.iterations,
+        value=last.value,
+        failed=last.failed,
     )
 
 
-def _rows(pairs: int) -> str:
-    return "1 row is" if pairs == 1 else f"{pairs} rows are"
+def _line(row: Row) -> tuple[str | float | None, ...]:
+    seconds = float(f"{median(row.cpu_s):.3g}") if row.cpu_s else None
+    words = one_line(row.failed or row.outcome)
+    return (row.stage, row.by, f"{row.n}x{row.steps}", seconds, words)
+
+
+def _figure(ratio: Ratio, size: Size, value: float) -> tuple[str | float | None, ...]:
+    word = "met" if value <= ratio.target else "missed"
+    verdict = word if size == TARGET_SIZE else f"the target is set for {TARGET_SIZE}"
+    shown = (float(f"{number:.3g}") for number in (value, ratio.target))
+    return (ratio.what, f"{size.n}x{size.steps}", *shown, verdict)

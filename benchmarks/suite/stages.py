@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import os
-import shutil
-import subprocess
-import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from benchmarks.measure import Size, Work, cpu_seconds, scratch
-from benchmarks.suite.carts import INPUT_WEIGHT, SOFTPLUS_EPS, push, pushed_plan, scene_of
+from benchmarks.suite.carts import SOFTPLUS_EPS, push, pushed_plan, scene_of
 from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
 from models.scene import Scene
@@ -23,22 +19,6 @@ from validate.judge.replay.everyday import simulate
 from validate.judge.replay.run import replay
 from validate.judge.replay.subject import find_variables
 from validate.judge.replay.wiring import HeldInputs
-
-
-def yardstick(size: Size, folder: Path) -> Work:
-    """Python objects, a sort, small vectors and matrices: what the stages are made of."""
-    matrix = np.random.default_rng(0).normal(size=(60, 60)) + 60.0 * np.eye(60)
-
-    def work() -> Mapping[str, Any]:
-        table = {k: float(k % 97) for k in range(20_000)}
-        total = sum(sorted(table.values())[::3])
-        for _ in range(60):
-            total += float(np.linalg.solve(matrix, matrix[0]).sum())
-            total += float(np.exp(-np.abs(matrix)).sum())
-        return {"value": total}
-
-    return work
-
 
 _OTHER = Size(2, 5)
 
@@ -230,42 +210,20 @@ def gd_iteration(size: Size, folder: Path) -> Work:
     return work
 
 
-def gd_kernel(size: Size, folder: Path) -> Work:
-    """The compiled part of an iteration: rollout and adjoint."""
-    scene, u = scene_of(size), push(size.steps)
-    kernel, start = load_kernel(scene), np.array(scene.task.start)
-
-    def work() -> Mapping[str, Any]:
-        plan = kernel.rollout(start, u, scene.task.step)
-        kernel.adjoint(plan, u, end_bar=start, cost_bar=INPUT_WEIGHT)
-        return {"value": float(plan.q[-1, 0])}
-
-    return work
-
-
 # Internal steps a plan step.
 FINENESS = 50
 
 
 def cs_replay(size: Size, folder: Path) -> Work:
     """An unpacked FMU stepped through the plan; value: position of the first body at the end."""
-    return _stepped(size, FINENESS)
-
-
-def cs_calls(size: Size, folder: Path) -> Work:
-    """The same with one internal step a plan step: what the calls cost, and no more than the least integration."""
-    return _stepped(size, 1)
-
-
-def _stepped(size: Size, fineness: int) -> Work:
     scene, plan = scene_of(size), pushed_plan(size)
     opened = unpacked(read_package(build_fmu(scene)))
     package = opened.__enter__()  # kept open as long as the work is
     variables, inputs = find_variables(package, scene), HeldInputs(plan)
-    simulate(package, variables, plan.start, HeldInputs(pushed_plan(_TINY)), fineness)
+    simulate(package, variables, plan.start, HeldInputs(pushed_plan(_TINY)), FINENESS)
 
     def work(_kept: object = opened) -> Mapping[str, Any]:
-        run = simulate(package, variables, plan.start, inputs, fineness)
+        run = simulate(package, variables, plan.start, inputs, FINENESS)
         return {
             "outcome": run.outcome.name.lower(),
             "value": float(np.asarray(run.outputs)[run.knots[-1], 0]),
@@ -285,76 +243,3 @@ def whole_replay(size: Size, folder: Path) -> Work:
         return {"outcome": result.outcome.name.lower(), "value": float(result.q[-1, 0])}
 
     return work
-
-
-# Libraries that neither listing nor reporting may import.
-_HEAVY = ("torch", "pyomo")
-_CODE = """
-import sys
-from validate.cli.group import run
-code = run(sys.argv[1:])
-sys.stdout.flush()
-print(*[name for name in {heavy!r} if name in sys.modules], file=sys.stderr)
-sys.exit(code)
-"""
-# Where in the folder that measurements are given the records of a campaign are, if there is one.
-STORED = "stored"
-
-
-def list_command(size: Size, folder: Path) -> Work:
-    """`python -m validate list`."""
-    return lambda: _light(["list"])
-
-
-def report_command(size: Size, folder: Path) -> Work:
-    """`python -m validate report` of the stored campaign."""
-    return lambda: _light(["report", str(folder / STORED)])
-
-
-def quick_campaign(size: Size, folder: Path) -> Work:
-    """`python -m validate all --quick -j 2`, nothing stored; wall seconds."""
-    return lambda: _campaign(scratch(folder))
-
-
-def stored_campaign(size: Size, folder: Path) -> Work:
-    """The same again, everything stored; wall seconds."""
-    out = scratch(folder)
-    _campaign(out)
-    return lambda: _campaign(out)
-
-
-def _light(arguments: Sequence[str]) -> Mapping[str, Any]:
-    done = subprocess.run(
-        [sys.executable, "-c", _CODE.format(heavy=_HEAVY), *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        errors="replace",
-    )
-    if done.returncode != 0:
-        raise RuntimeError(
-            f"python -m validate {arguments[0]} ended with {done.returncode}: {done.stderr.strip()[-300:]}"
-        )
-    imported = done.stderr.strip().splitlines()[-1:] or [""]
-    return {"outcome": f"imports {imported[0]}" if imported[0] else "ok"}
-
-
-def _campaign(out: Path) -> Mapping[str, Any]:
-    began = perf_counter()
-    command = [sys.executable, "-m", "validate", "all", "--quick", "-j", "2", "--out", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, errors="replace")
-    if done.returncode not in (0, 1):
-        raise RuntimeError(
-            f"python -m validate all --quick ended with {done.returncode}: {done.stderr.strip()[-300:]}"
-        )
-    return {
-        "cpu_s": perf_counter() - began,
-        "outcome": "ok" if done.returncode == 0 else "a required check failed",
-    }
-
-
-def copy_records(campaign: Path, folder: Path) -> None:
-    """The records of a campaign, without its trajectories, to where `report_command` looks for them."""
-    shutil.copytree(
-        campaign, folder / STORED, ignore=shutil.ignore_patterns("*.nc", ".*", "*.html")
-    )

@@ -8,7 +8,7 @@ from wording import unsaid
 
 from benchmarks import ROOT
 from benchmarks.commands import _COMMANDS, group
-from benchmarks.measure import least, run_child
+from benchmarks.measure import run_child
 from validate.cli.group import run
 
 TEXT = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
@@ -44,7 +44,7 @@ def test_commands_in_docs_and_readme_exist():
         (("golden", "compare", "."), "no campaign in this folder"),
         (("rejudge", "."), "no campaign in this folder"),
         (("report", "no_such_folder"), "no campaign in this folder"),
-        (("plans", "--only", "nobody"), "no scene … 'nobody'"),
+        (("plans", "--pipeline", "nobody"), "is not one of"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_one_sentence(
@@ -65,11 +65,3 @@ def test_a_mistake_is_one_sentence(
 @pytest.mark.slow
 def test_a_child_that_takes_too_long_is_ended_by_its_limit():
     assert run_child("timeit", "-n", "10000000000", cpu_limit=1).returncode == -signal.SIGXCPU
-
-
-def test_least_calls_its_work_as_often_as_allowed():
-    calls = []
-    assert least(lambda: calls.append(1) or len(calls), repetitions=3)[0] == 1
-    assert len(calls) == 3
-    least(lambda: calls.append(1), repetitions=3, enough=-1.0)
-    assert len(calls) == 4

@@ -10,8 +10,7 @@ from click.testing import CliRunner
 from pyomo.mpec import Complementarity, complements
 
 from benchmarks.mpec.proved import prove
-from benchmarks.mpec.sets import _profile, by_command, command, solve_one
-from formulations.ampl import read_nl
+from benchmarks.mpec.sets import command
 
 
 def _pairs(sense=pyo.minimize, goals=((1, 2), (3, -1), (2, 2))) -> pyo.ConcreteModel:
@@ -112,7 +111,6 @@ def test_the_table_says_how_each_answer_stands(tmp_path):
     assert rows["broken"]["status"] == "no answer"
     assert "ended with code 1" in rows["broken"]["remark"]
     assert float(rows["right"]["objective"]) == pytest.approx(1, abs=1e-8)
-    assert rows["right"]["command"] == "equal"
     assert rows["right"]["bound"] == "", "what is reached is not proved"
     assert rows["right"]["peer's CPU s"] == "", "a pair is more than none"
     lines = {line.split(" | ")[0]: line.split(" | ") for line in page.read_text().splitlines()}
@@ -126,60 +124,3 @@ def test_a_folder_without_problems_is_refused(tmp_path):
     result = CliRunner().invoke(command, ["--from", str(tmp_path)])
     assert result.exit_code == 2
     assert "holds no `.nl` file" in " ".join(result.output.split())
-
-
-def test_the_profile_counts_who_has_the_better_answer_and_how_soon():
-    """Ours and the peer's cost and seconds: both right, ours 3 times slower; the peer not feasible.
-
-    The peer better; a maximum that ours has higher.
-    """
-    rows = [
-        {
-            "status": status,
-            "sense": sense,
-            "objective": mine,
-            "solve_s": 3.0,
-            "peer_objective": theirs,
-            "peer_feasible": feasible,
-            "peer_s": 1.0,
-        }
-        for status, sense, mine, theirs, feasible in (
-            ("solved", 1, 5.0, 5.0004, True),
-            ("solved", 1, 5.0, 4.0, False),
-            ("solved", 1, 5.0, 4.0, True),
-            ("solved", -1, 5.0, 4.0, True),
-        )
-    ]
-    table = _profile([*rows, {"status": "solved", "sense": 1, "objective": 1.0, "solve_s": 1.0}])
-    told = {name: dict(zip(table.columns[1:], shares, strict=True)) for name, *shares in table.rows}
-    assert "4 problems" in table.caption
-    assert (
-        told["mpec_ipopt"]["within 1 times"],
-        told["mpec_ipopt"]["within 4 times"],
-        told["mpec_ipopt"]["at all"],
-    ) == (
-        "50%",
-        "75%",
-        "75%",
-    )
-    assert told["casadi_scholtes"]["within 1 times"] == told["casadi_scholtes"]["at all"] == "50%"
-
-
-@pytest.mark.slow
-def test_the_command_is_held_against_the_answer_bit_by_bit(tmp_path):
-    model = pyo.ConcreteModel()
-    model.x = pyo.Var(range(2), initialize=0.3)
-    model.cost = pyo.Objective(expr=(model.x[0] - 1.0) ** 2 + (model.x[1] - 2.0) ** 4)
-    model.row = pyo.Constraint(expr=model.x[0] + 3.0 * model.x[1] <= 2.0)
-    path = tmp_path / "ex9.1.1.nl"
-    model.write(str(path))
-    read = read_nl(path, relax_integers=True)
-    assert solve_one(read, 0.0)["status"] == "solved"
-    assert by_command(path, read, "solved", True, tmp_path) == "equal"
-    assert by_command(path, read, "infeasible", True, tmp_path) == "AMPL's code 0"
-    assert by_command(path, read, "solved", False, tmp_path) == "2 of 0 values"
-    last = list(read.component_data_objects(pyo.Var))[1]
-    last.set_value(last.value + 1e-9)
-    assert by_command(path, read, "solved", True, tmp_path) == "1.0e-09 away"
-    path.write_text("no problem")
-    assert by_command(path, read, "solved", True, tmp_path).startswith("code 2: touchstone-mpec: ")

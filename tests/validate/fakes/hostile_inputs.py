@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 from hostile_mutations import spoilt_bytes, spoilt_data, spoilt_text
 from hostile_records import (
-    compare_suite,
     read_answer,
     read_record,
     read_scheduler,
@@ -37,7 +36,6 @@ from hostile_records import (
     spoilt_library,
     spoilt_scheduler,
     spoilt_stored_leg,
-    spoilt_suite,
     spoilt_table,
     take_leg,
 )  # fmt: skip
@@ -342,7 +340,6 @@ READERS: dict[str, Reader] = {
     "campaign folder": Reader(spoilt_folder, resume),
     "stored leg": Reader(spoilt_stored_leg, take_leg),
     "scheduler file": Reader(spoilt_scheduler, read_scheduler),
-    "bench figures": Reader(spoilt_suite, compare_suite),
     "foreign plan CSV": Reader(spoilt_table, read_table),
     "library": Reader(spoilt_library, read_spoilt_library),
     "leg of a lost run": Reader(spoilt_leg, recover),
