@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -12,7 +11,7 @@ from typing import Any
 
 import click
 
-from benchmarks.options import COUNT, json_option, program, seed_option
+from benchmarks.options import COUNT, json_option, seed_option
 from benchmarks.verdicts import exact, search, wrong
 from benchmarks.verdicts.plans import (
     SKIPPED,
@@ -110,24 +109,10 @@ def _told(cases: Iterator[Case], only: str, rows: list[dict[str, object]]) -> in
     "--finds", type=click.Path(path_type=Path), default="runs/verdict_finds", show_default=True,
     help="Where plans go that the search finds to cheat."
 )  # fmt: skip
-@click.option(
-    "--mujoco",
-    callback=program,
-    default=sys.executable,
-    metavar="PYTHON",
-    help="A Python that has MuJoCo (default: this one).",
-)
-@click.option(
-    "--drake",
-    callback=program,
-    default=sys.executable,
-    metavar="PYTHON",
-    help="A Python that has Drake (default: this one).",
-)
 @json_option
 def command(
     groups: tuple[str, ...], scenes: tuple[str, ...], only: str, tries: int, seed: int, finds: Path,
-    mujoco: str, drake: str, file: Path | None
+    file: Path | None
 ) -> int:  # fmt: skip
     """Plans whose verdict is known, tried on the judge: GROUP is exact, wrong or search (default: all); exit code 1 where one is another."""
     groups = groups or GROUPS
@@ -136,7 +121,7 @@ def command(
     with tempfile.TemporaryDirectory() as folder:
         if "exact" in groups:
             rows: list[dict[str, object]] = []
-            faults += _told(exact.cases(scenes, {"mujoco": mujoco, "drake": drake}), only, rows)
+            faults += _told(exact.cases(scenes), only, rows)
             table["exact"] = rows
         if "wrong" in groups:
             rows = []

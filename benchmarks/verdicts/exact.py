@@ -2,25 +2,18 @@
 
 The motion is that of `motion`, which is known to satisfy the scene before the judge is asked;
 inputs are those of the best plans of our methods. On three carts beside them the motions of other
-integrators: Runge-Kutta, Radau, a semi-implicit Euler at a small step, and MuJoCo's and Drake's own
-(`elsewhere`).
+integrators: Runge-Kutta, Radau and a semi-implicit Euler at a small step.
 """
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from benchmarks.verdicts import elsewhere
-from benchmarks.verdicts.motion import Path as Motions
 from benchmarks.verdicts.plans import (
     Case,
     NoPlanError,
@@ -32,6 +25,7 @@ from benchmarks.verdicts.plans import (
     reaches,
     scene_of,
 )
+from tests.oracles.scene_motion import Path as Motions
 
 # Whose inputs: those of a pipeline whose last plan reaches the goal in continuous time and in the
 # open loop.
@@ -164,7 +158,7 @@ def _on_other_grids(reference: str) -> dict[str, Callable[[], Plan]]:
     }
 
 
-def _by_others(foreign: dict[str, str]) -> dict[str, Callable[[], Plan]]:
+def _by_others() -> dict[str, Callable[[], Plan]]:
     """Three carts by other integrators.
 
     Forces are what the contact law gives at the start of each step.
@@ -216,52 +210,21 @@ def _by_others(foreign: dict[str, str]) -> dict[str, Callable[[], Plan]]:
             states.append(run.y[:, -1])
         return said(t, u, np.array(states))
 
-    def simulated(tool: str, step: float) -> Callable[[], Plan]:
-        def make() -> Plan:
-            t, u, _ = based(name)
-            with tempfile.TemporaryDirectory() as folder:
-                given, out = Path(folder) / "inputs.csv", Path(folder) / "motion.csv"
-                np.savetxt(given, np.column_stack([t[:-1], u]), delimiter=",", fmt="%.17g")
-                command = [
-                    foreign.get(tool.split("-")[0], sys.executable),
-                    elsewhere.__file__,
-                    tool,
-                    str(given),
-                    str(out),
-                    repr(step),
-                ]
-                done = subprocess.run(command, capture_output=True, text=True, check=False)
-                if done.returncode:
-                    raise NoPlanError(
-                        done.stderr.strip().splitlines()[-1]
-                        if done.stderr.strip()
-                        else f"{tool} ended with {done.returncode}"
-                    )
-                table = np.loadtxt(out, delimiter=",")
-            plan = said(table[:, 0], table[:-1, 7:], table[:, 1:7])
-            return plan.but(hold="linear", u_last=table[-1, 7:]) if tool == "drake-plan" else plan
-
-        return make
-
     return {
         "Runge-Kutta 4 at the task's step": lambda: stepped(rk4, 1, 1),
         "Runge-Kutta 4 at half the step": lambda: stepped(rk4, 2, 1),
         "Radau at rtol 1e-6": radau,
         "semi-implicit Euler of 1 ms, every step": lambda: stepped(euler, 10, 1),
         "semi-implicit Euler of 1 ms, every tenth": lambda: stepped(euler, 10, 10),
-        "MuJoCo, tendons with a dead band, 1 ms": simulated("mujoco", 1e-3),
-        "MuJoCo, tendons with a dead band, 10 ms": simulated("mujoco", 1e-2),
-        "Drake's simulator": simulated("drake", 1e-2),
-        "Drake's direct collocation": simulated("drake-plan", 2e-2),
     }
 
 
-def cases(scenes: tuple[str, ...], foreign: dict[str, str]) -> Iterator[Case]:
-    """foreign: tool -> the Python that has it."""
+def cases(scenes: tuple[str, ...]) -> Iterator[Case]:
+    """Every way to write every motion."""
     for name in (name for name in BASES if name in scenes):
         made = {**_written(name), **_on_other_grids(name)}
         if name == "three_cart":
-            made |= _by_others(foreign)
+            made |= _by_others()
         for words, plan in made.items():
             yield Case(name=f"{name}: {words}", scene=name, plan=plan, expected=("holds",))
         own = partial(_own, name)  # a plan is made when it is its turn

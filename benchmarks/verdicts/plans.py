@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from benchmarks.verdicts.motion import Motion
-from benchmarks.verdicts.motion import Path as Motions
 from models.catalog import load_scene
 from models.errors import TouchstoneError
 from models.scene import Scene
+from tests.oracles.scene_motion import Motion
+from tests.oracles.scene_motion import Path as Motions
 
 REFUSED = "refused"
 SKIPPED = "skipped"

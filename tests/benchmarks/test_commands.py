@@ -39,7 +39,7 @@ def test_commands_in_docs_and_readme_exist():
     ("words", "sentence"),
     [
         (("siute",), "did you mean suite?"),
-        (("verdicts", "exact", "--mujoco", "/no/python"), "there is no program"),
+        (("report", ".", "--browser", "/no/browser"), "there is no program"),
         (("kills", "--count", "0"), "x>=1"),
         (("golden", "compare", "."), "no campaign in this folder"),
         (("rejudge", "."), "no campaign in this folder"),

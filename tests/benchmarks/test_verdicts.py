@@ -1,5 +1,6 @@
 """A part of `python -m benchmarks verdicts` that takes seconds: exact plans hold, wrong ones do not and are told why, and a search finds no way round."""
 
+import ast
 from collections.abc import Callable
 from pathlib import Path
 
@@ -7,11 +8,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from benchmarks import ROOT
 from benchmarks.verdicts import exact, search, wrong
 from benchmarks.verdicts.command import differs
-from benchmarks.verdicts.motion import Motion
 from benchmarks.verdicts.plans import REFUSED, Case, Plan, judged, motion_of, scene_of
 from models.catalog import load_scene
+from tests.oracles.scene_motion import Motion
 
 SCENES = ("three_cart", "wall_pendulum", "transport")
 EXACT = {
@@ -54,7 +56,7 @@ def _chosen(cases: list[Case], words: dict[str, tuple[str, ...]]) -> list[Case]:
 
 
 def _exact_cases() -> list[Case]:
-    return _chosen(list(exact.cases(SCENES, {})), EXACT)
+    return _chosen(list(exact.cases(SCENES)), EXACT)
 
 
 def _wrong_cases(folder: Path) -> list[Case]:
@@ -116,6 +118,18 @@ def test_the_oracle_says_nothing_against_exact_plans():
 def test_a_refusal_is_an_answer(tmp_path: Path):
     (tmp_path / "plan.csv").write_text("t,u1\n0,1\n1,\n", encoding="utf-8")
     assert judged(scene_of("three_cart"), tmp_path / "plan.csv").verdict == REFUSED
+
+
+def test_scene_motion_shares_no_code_with_the_judge():
+    names = set()
+    for path in (ROOT / "tests" / "oracles").glob("scene_*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                names.add(node.module)
+            elif isinstance(node, ast.Import):
+                names |= {item.name for item in node.names}
+    ours = {name for name in names if name.split(".")[0] in ("models", "formulations", "validate")}
+    assert ours == {"models.scene"}
 
 
 def test_the_motion_is_that_of_equations_written_by_hand():

@@ -20,11 +20,8 @@ FREE = None
 class Equations:
     """The equations of one scene."""
 
-    def __init__(self, scene: Scene, stiffer: float = 1.0) -> None:
-        """stiffer: a factor on the stiffness of every contact.
-
-        Raises ValueError for a scene with damped contacts or without mass.
-        """
+    def __init__(self, scene: Scene) -> None:
+        """Raises ValueError for a scene with damped contacts or without mass."""
         if scene.damped:
             raise ValueError(
                 f"{scene.name}: its contacts are damped, which this integration does not know."
@@ -36,9 +33,7 @@ class Equations:
         lam = list(sp.symbols(f"_lam0:{self.nc}")) if self.nc else []
         f = list(sp.symbols(f"_f0:{self.nf}")) if self.nf else []
         values = scene.parameter_values
-        self.k = [
-            float(sp.sympify(item.stiffness).subs(values)) * stiffer for item in scene.contacts
-        ]
+        self.k = [float(sp.sympify(item.stiffness).subs(values)) for item in scene.contacts]
 
         # Lagrange: d/dt dT/dv - dT/dq + dV/dq = Q + J' lam + S' f, and d/dt dT/dv = M dv/dt +
         # (d2T/dv dq) v.

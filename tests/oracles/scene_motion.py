@@ -4,7 +4,7 @@
     # inputs held over each step; path.q, path.v at t, path.lam_mean, path.depth ..
     path = truth.run(t, u)
 
-The equations (`equations`) are integrated by SciPy's DOP853 at rtol 1e-11, from one event to the
+The equations (`scene_equations`) are integrated by SciPy's DOP853 at rtol 1e-11, from one event to the
 next: an input jumps, a contact closes or opens, a slip begins, stops or turns. Between events
 everything is smooth. A friction that sticks gives whatever keeps the slip's rate at 0, one that
 slips gives mu N against the slip. Undamped contacts only.
@@ -19,7 +19,7 @@ import numpy as np
 from scipy.integrate import DOP853
 from scipy.optimize import brentq
 
-from benchmarks.verdicts.equations import FREE, STICK, Equations
+from tests.oracles.scene_equations import FREE, STICK, Equations
 
 RTOL = 1e-11
 ATOL = 1e-13
