@@ -6,7 +6,6 @@ What cannot be used is refused before anything is measured.
 from __future__ import annotations
 
 import os
-import shutil
 from pathlib import Path
 
 import click
@@ -15,7 +14,6 @@ from validate.cli.options import FiniteRange
 
 FOLDER = Path("runs/benchmarks")
 COUNT = click.IntRange(min=1)
-SEED = click.IntRange(min=0)
 POSITIVE = FiniteRange(min=0.0, min_open=True)
 
 
@@ -28,13 +26,6 @@ def _place(context: click.Context, parameter: click.Parameter, path: Path | None
                 f"nothing can be written to {there}; name another place.", context, parameter
             )
     return path
-
-
-def program(context: click.Context, parameter: click.Parameter, name: str | None) -> str | None:
-    """A program by its path, or by its name where the shell finds it."""
-    if name is not None and shutil.which(name) is None:
-        raise click.BadParameter(f"there is no program {name}.", context, parameter)
-    return name
 
 
 def _campaign(context: click.Context, parameter: click.Parameter, folder: Path) -> Path:
@@ -54,7 +45,7 @@ json_option = click.option(
     metavar="FILE", help="Write what was found to this file too."
 )  # fmt: skip
 seed_option = click.option(
-    "--seed", type=SEED, default=0, show_default=True, help="Of what is random."
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of what is random."
 )
 campaign_argument = click.argument(
     "folder", type=click.Path(path_type=Path), callback=_campaign, metavar="DIR"

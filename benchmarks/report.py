@@ -4,14 +4,11 @@ Interactive: from the start of the navigation until the load event is over and t
     itself again after it was scrolled to its index;
 the median of five. Beside it stands what the page's main thread did meanwhile, in CPU seconds, and
     its tasks of more than 50 ms: where a busy
-machine makes the clock useless, the CPU seconds still tell. With `--axe` also the violations of
-    WCAG 2 A and AA that axe-core finds, light and
-dark, at desk and phone width. Exit code 1 where a target is missed.
+machine makes the clock useless, the CPU seconds still tell. Exit code 1 where a target is missed.
 """
 
 from __future__ import annotations
 
-import json
 import shutil
 import tempfile
 from pathlib import Path
@@ -20,7 +17,7 @@ import click
 
 from benchmarks import module_at
 from benchmarks.measure import timed
-from benchmarks.options import campaign_argument, program
+from benchmarks.options import campaign_argument
 from reports.records.load import load
 from reports.render import PAGES, render, write_report
 
@@ -52,20 +49,22 @@ _METRICS = {
 }
 
 
+def _program(context: click.Context, parameter: click.Parameter, name: str | None) -> str | None:
+    """A program by its path, or by its name if the shell finds it."""
+    if name is not None and shutil.which(name) is None:
+        raise click.BadParameter(f"there is no program {name}.", context, parameter)
+    return name
+
+
 @click.command()
 @campaign_argument
 @click.option(
-    "--browser", callback=program,
+    "--browser", callback=_program,
     default=lambda: shutil.which("chromium") or shutil.which("google-chrome"), metavar="PROGRAM",
     help="Chromium, if it is elsewhere.",
 )  # fmt: skip
-@click.option(
-    "--axe",
-    type=click.Path(path_type=Path, exists=True),
-    help="axe.min.js: also the violations of WCAG 2 A and AA.",
-)
 @click.option("--kept", is_flag=True, help="Look at the report that is there, without writing it.")
-def command(folder: Path, browser: str | None, axe: Path | None, kept: bool) -> int:
+def command(folder: Path, browser: str | None, kept: bool) -> int:
     """What the report of a campaign in FOLDER weighs, and seconds until a headless Chromium answers; exit code 1 where a target is missed."""
     if browser is None:
         raise click.UsageError("there is no Chromium on this machine; give one with --browser.")
@@ -111,19 +110,4 @@ def command(folder: Path, browser: str | None, axe: Path | None, kept: bool) -> 
             f"  tasks over 50 ms: {', '.join(f'{length:.2f} s at {start:.2f} s' for start, length in told['tasks']) or 'none'}"
         )
         click.echo(f"{asked} requests, {said} console messages")
-        violations = 0
-        rules = None if axe is None else axe.read_text(encoding="utf-8")
-        for width, dark in (
-            ((1400, False), (1400, True), (375, False), (375, True)) if rules else ()
-        ):
-            page = opened.open(target, width=width, dark=dark)
-            page.evaluate(f"{rules};0")
-            found = page.evaluate(
-                "axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa']}).then((r) => r.violations.map("
-                "(v) => [v.id, v.nodes.length, v.nodes[0].html.slice(0, 160), v.nodes[0].failureSummary.slice(0, 200)]))"
-            )
-            violations += len(found)
-            click.echo(f"axe, {width} px, {'dark' if dark else 'light'}: {len(found)} violations")
-            for one in found:
-                click.echo("  " + json.dumps(one, ensure_ascii=False))
-    return int(median > _PATIENCE or size > _SIZE or asked + said + violations > 0)
+    return int(median > _PATIENCE or size > _SIZE or asked + said > 0)

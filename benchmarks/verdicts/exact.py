@@ -41,11 +41,8 @@ FORCES = ("start", "end", "mean")
 
 
 def base(reference: str) -> tuple[np.ndarray, np.ndarray]:
-    """(t, u) of a plan known to reach the goal.
-
-    Of a scene that is not in BASES by collocation, whose plans are nearest to their motion.
-    """
-    plan = found(reference, BASES.get(reference, "collocation"))[-1]
+    """(t, u) of a plan known to reach the goal."""
+    plan = found(reference, BASES[reference])[-1]
     return np.array(plan.t), np.array(plan.u)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -29,7 +28,6 @@ SKIPPED = "skipped"
 BROKEN = "no answer"
 # Seconds that the judge may take for a plan; it takes some tenths.
 PATIENCE = 30.0
-DOCS = Path(__file__).parents[2] / "docs" / "extending.md"
 # Pieces of words of which a sentence must have one, for each cause.
 DURATION = ("duration", "lasts", "seconds long")
 START = ("start",)
@@ -322,17 +320,3 @@ def reaches(scene: Scene, path: Motions, u: np.ndarray) -> str:
         if depth > most:
             return f"contact {contact.name} is {depth:.3g} m deep, limit {most:g} m"
     return ""
-
-
-def slider(folder: Path) -> str:
-    """The scene that docs/extending.md shows, as a file."""
-    shown = re.search(
-        r"<!-- file: slider.py -->\n```python\n(.*?)```",
-        DOCS.read_text(encoding="utf-8"),
-        re.DOTALL,
-    )
-    if shown is None:
-        raise NoPlanError("docs/extending.md shows no slider.py")
-    path = folder / "slider.py"
-    path.write_text(shown.group(1), encoding="utf-8")
-    return str(path)

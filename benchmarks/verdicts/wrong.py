@@ -2,15 +2,13 @@
 
 What is wrong is made on purpose and is the only thing wrong, as far as that can be: the rest of
 each plan is the exact motion of its inputs, or a method's plan that holds. On the scenes of
-`exact`, on relaxed plans of four scenes, on unstable scenes, and on the scene that
-docs/extending.md shows.
+`exact`, on relaxed plans of four scenes, and on unstable scenes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import cache
-from pathlib import Path
+from functools import cache, partial
 
 import numpy as np
 
@@ -36,9 +34,7 @@ from benchmarks.verdicts.plans import (
     motion_of,
     reaches,
     scene_of,
-    slider,
 )
-from models.errors import TouchstoneError
 
 EXPECTED = ("violates", REFUSED)
 # Advice that mends no plan whose motion is not that of its inputs.
@@ -310,8 +306,8 @@ def _costly(reference: str) -> Plan:
     raise NoPlanError("no constant input costs so much")
 
 
-def cases(scenes: tuple[str, ...], folder: Path) -> Iterator[Case]:
-    """folder: where scene files are written."""
+def cases(scenes: tuple[str, ...]) -> Iterator[Case]:
+    """Every wrong plan, with the cause that the judge must name."""
 
     def of(
         reference: str, made: dict[str, tuple[Callable[[], Plan], tuple[str, ...]]]
@@ -319,7 +315,7 @@ def cases(scenes: tuple[str, ...], folder: Path) -> Iterator[Case]:
         for words, (plan, causes) in made.items():
             never = ELSEWHERE if MOTION[0] in causes and "relaxed" not in words else ()
             yield Case(
-                name=f"{Path(reference).stem}: {words}",
+                name=f"{reference}: {words}",
                 scene=reference,
                 plan=plan,
                 expected=EXPECTED,
@@ -327,71 +323,15 @@ def cases(scenes: tuple[str, ...], folder: Path) -> Iterator[Case]:
                 never=never,
             )
 
-    if "three_cart" in scenes:
-        bodies = {
-            "bodies through each other, to the goal": (through, DEEP),
-            "without forces": (lambda: through().but(lam=None), DEEP),
-        }
-        bodies["inputs alone through each other"] = (
-            lambda: Plan(t=through().t, u=through().u),
-            DEEP,
-        )
-        yield from of("three_cart", bodies)
-        others = {"wall_pendulum": ("column",), "hopper": ("column",), "cart_chain": ("column",)}
-        for other, causes in others.items():
-            yield from of(
-                "three_cart",
-                {f"the plan of {other}": (lambda other=other: _written_for(other), causes)},
-            )
-    references = [name for name in BASES if name in scenes]
-    if "slider" in scenes:
-        try:
-            references.append(slider(folder))
-            scene_of(references[-1])
-        except (
-            NoPlanError,
-            TouchstoneError,
-        ) as error:  # what the docs show is not read: that is not as expected either
-            references = [item for item in references if item in BASES]
-            yield Case(
-                name=f"slider: docs/extending.md: {error}",
-                scene="slider.py",
-                plan=lambda: through(),
-                expected=("read",),
-            )
-    for reference in references:
-        yield from of(
-            reference,
-            common(reference)
-            | {
-                "at full force into each other": (
-                    lambda reference=reference: rammed(reference),
-                    (*DEEP, *GOAL),
-                )
-            },
-        )
-    for reference in [
-        *(name for name in RELAXED if name in scenes),
-        *(item for item in references if item.endswith("slider.py")),
-    ]:
+    for reference in (name for name in BASES if name in scenes):
+        rams = {"at full force into each other": (partial(rammed, reference), (*DEEP, *GOAL))}
+        yield from of(reference, common(reference) | rams)
+    for reference in (name for name in RELAXED if name in scenes):
         yield from of(reference, relaxed(reference))
-    if "wall_pendulum" in scenes:
-        yield from of(
-            "wall_pendulum",
-            {"too costly, on a coarse grid": (lambda: _costly("wall_pendulum"), GOAL)},
-        )
     for reference in (name for name in UNSTABLE if name in scenes):
         yield from of(reference, by_feedback(reference))
-    if "two_discs_wall" in scenes:
-        yield from of(
-            "two_discs_wall",
-            {
-                "the plan of two_discs": (
-                    lambda: _without_forces("two_discs"),
-                    (*START, *MOTION, *GOAL),
-                )
-            },
-        )
+    for reference in (name for name in _ALONE if name in scenes):
+        yield from of(reference, _ALONE[reference])
 
 
 def _without_forces(reference: str) -> Plan:
@@ -420,7 +360,7 @@ def relaxed(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ..
     def plan(**changes: object) -> Callable[[], Plan]:
         def make() -> Plan:
             first = as_plan(
-                found(reference, RELAXED.get(reference, "softplus_dc+strict"))[0],
+                found(reference, RELAXED[reference])[0],
                 scene_of(reference),
             )
             return first.but(**changes)
@@ -539,3 +479,25 @@ def rammed(reference: str) -> Plan:
             f"at full force the bodies are {depth.max():.3g} m deep, which the model allows"
         )
     return exact(path, t, u)
+
+
+# Wrong plans of one scene alone.
+_ALONE: dict[str, dict[str, tuple[Callable[[], Plan], tuple[str, ...]]]] = {
+    "three_cart": {
+        "bodies through each other, to the goal": (through, DEEP),
+        "without forces": (lambda: through().but(lam=None), DEEP),
+        "inputs alone through each other": (lambda: Plan(t=through().t, u=through().u), DEEP),
+        "the plan of wall_pendulum": (partial(_written_for, "wall_pendulum"), ("column",)),
+        "the plan of hopper": (partial(_written_for, "hopper"), ("column",)),
+        "the plan of cart_chain": (partial(_written_for, "cart_chain"), ("column",)),
+    },
+    "wall_pendulum": {
+        "too costly, on a coarse grid": (partial(_costly, "wall_pendulum"), GOAL),
+    },
+    "two_discs_wall": {
+        "the plan of two_discs": (
+            partial(_without_forces, "two_discs"),
+            (*START, *MOTION, *GOAL),
+        ),
+    },
+}

@@ -59,8 +59,8 @@ def _exact_cases() -> list[Case]:
     return _chosen(list(exact.cases(SCENES)), EXACT)
 
 
-def _wrong_cases(folder: Path) -> list[Case]:
-    return _chosen(list(wrong.cases(SCENES, folder)), WRONG)
+def _wrong_cases() -> list[Case]:
+    return _chosen(list(wrong.cases(SCENES)), WRONG)
 
 
 @pytest.fixture
@@ -94,8 +94,8 @@ def test_an_exact_plan_holds_however_it_is_written(place: int, said):
     range(sum(map(len, WRONG.values()))),
     ids=[f"{s}-{n}" for s, names in WRONG.items() for n in names],
 )
-def test_a_wrong_plan_does_not_hold_and_is_told_why(place: int, said, tmp_path: Path):
-    assert said(_wrong_cases(tmp_path)[place]) == ""
+def test_a_wrong_plan_does_not_hold_and_is_told_why(place: int, said):
+    assert said(_wrong_cases()[place]) == ""
 
 
 @pytest.mark.slow
