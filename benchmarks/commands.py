@@ -10,7 +10,6 @@ _COMMANDS = {
     "suite": ("suite.command", "CPU seconds of each stage, beside what people would use instead."),
     "plans": ("suite.plans", "Exact plans of random rows of carts, by several pipelines."),
     "mpec-sets": ("mpec.sets", "MPECs as .nl files: answers, certificates, published optima."),
-    "proof": ("proof", "What can be proved about contact plans, and how soon."),
     "verdicts": ("verdicts.command", "Plans whose verdict is known, and a search for cheats."),
     "kills": ("kills", "Campaigns killed at random moments and resumed: nothing is lost."),
     "golden": ("golden", "A full campaign frozen as data, and what a change moved."),

@@ -66,7 +66,7 @@ class Stored:
 
     missing: keys that the campaign lists and of which nothing is stored; foreign: stored records
         that the campaign does not list;
-    checks: what is no scene x pipeline; parts: of each run, the records of its parts.
+    checks: what is no scene x pipeline.
     """
 
     campaign: CampaignRecord | None
@@ -75,7 +75,6 @@ class Stored:
     missing: tuple[str, ...] = ()
     foreign: int = 0
     checks: tuple[CheckRecord, ...] = ()
-    parts: tuple[tuple[RunRecord, ...], ...] = ()
 
     def cheapest(self, scene: str) -> list[tuple[RunRecord, float]]:
         """The runs on a scene whose plan holds, each with its cost, the cheapest first."""
@@ -123,7 +122,6 @@ def load(folder: Path) -> Stored:
             tuple(runs),
             tuple(unreadable),
             checks=checks,
-            parts=grouped(runs),
         )
     keys = list(dict.fromkeys(campaign.keys))
     runs, checks = divided(found[key] for key in keys if key in found)
@@ -135,7 +133,6 @@ def load(folder: Path) -> Stored:
         missing=tuple(clean(key) for key in keys if key not in found and clean(key) not in broken),
         foreign=len(set(found) - set(keys)),
         checks=checks,
-        parts=grouped(runs),
     )
 
 

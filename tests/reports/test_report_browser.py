@@ -563,7 +563,6 @@ def test_no_page_complains_asks_or_scrolls_sideways(chromium, pages, width):
     assert {path.stem for path in kinds} >= {
         "report",
         "runs",
-        "errata",
         "provenance",
         "scene-three_cart",
     }

@@ -53,7 +53,6 @@ def test_every_link_leads_to_an_anchor_of_a_page(full_folder):
     assert {
         "report",
         "runs",
-        "errata",
         "provenance",
         "scene-three_cart",
         "strict-0123456789abcdef",
