@@ -322,7 +322,7 @@ def robustness(
 
     Returns
     -------
-    Robustness : `alone` and `feedback` with their `share`, `curve`, `checked`; `failures`,
+    Robustness : `alone` and `feedback` with their `share` and `checked`; `failures`,
         `weakest`.
 
     Raises

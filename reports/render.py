@@ -244,17 +244,12 @@ def render_checks(records: Sequence[CheckRecord]) -> str:
     )
 
 
-def render_robustness(
-    record: RobustnessRecord, plan: str, run: RunRecord | None = None, folder: Path | None = None
-) -> str:
-    """The text of the page of how much a plan can take. plan: what it is called.
-
-    run, folder: of what moves in the player (reports.pages.robustness).
-    """
+def render_robustness(record: RobustnessRecord, plan: str) -> str:
+    """The text of the page of how much a plan can take. plan: what it is called."""
     title = f"How much {plan} can take on {record.scene}"
     return page(
         Templates(),
-        [robustness.of_plan(record, run, folder)],
+        [robustness.of_plan(record)],
         title=title,
         lead=record.summary,
         again="",

@@ -9,21 +9,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from itertools import combinations, product
-from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
 from reports.pages.pareto import keys, style_of
-from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
-from reports.plots import Axis, Key, Plot, is_wide
-from reports.records.record import RunRecord, SceneRecord, ShareRecord, SurveyRecord
+from reports.plots import Axis, Plot, is_wide
+from reports.records.record import SceneRecord, ShareRecord, SurveyRecord
 from reports.records.robustness_record import RobustnessRecord
 from reports.rows import Row
-from reports.traces import Motion, read_trace
 from reports.wording import cost, count, listing, number
 
-_STYLES = ("c0", "c1")
 _SHARES = Axis.fitted("share", "", [0.0, 1.0], zero=True)
 # Costs that differ by less, relatively, are the same.
 _SAME_COST = 1e-3
@@ -31,73 +27,13 @@ _SAME_COST = 1e-3
 _ENOUGH = 5
 
 
-def of_plan(
-    record: RobustnessRecord, run: RunRecord | None = None, folder: Path | None = None
-) -> Section:
-    """The page of one plan. run: of the plan, as far as it is drawn.
-
-    folder: where plan.nc and worlds/<number>.nc are, which then move in the player.
-    """
+def of_plan(record: RobustnessRecord) -> Section:
+    """The page of one plan."""
     values = {
         "record": record,
-        "plot": _curves(record),
-        "keys": [Key(style, way.name) for style, way in zip(_STYLES, record.ways, strict=False)],
         "failures": sorted(record.failures, key=lambda item: (item.sizes is None, item.sizes)),
-        "worlds": [] if run is None or folder is None else _worlds(record, run, folder),
     }
     return Section("robustness", "How much it can take", "robustness.html#plan", values)
-
-
-def _worlds(record: RobustnessRecord, run: RunRecord, folder: Path) -> list[tuple[str, Film]]:
-    """(what happened there, the film) of the worlds whose motion is stored."""
-    plan, found = read_trace(folder / "plan.nc", run.scene), []
-    for world, ratio in record.shown:
-        moving = film(
-            run,
-            [Motion(plan=plan, replay=read_trace(folder / "worlds" / f"{world}.nc", run.scene))],
-        )
-        ends = (
-            "does not come to its end"
-            if ratio is None
-            else f"{'arrives' if ratio <= 1 else 'misses'}, at {number(ratio, 2)} of its limit"
-        )
-        if moving is not None:
-            found.append((f"World {world}: it {ends}", moving))
-    return found
-
-
-def _curves(record: RobustnessRecord) -> Plot | None:
-    """Shares against size, with their intervals."""
-    curves = [
-        (style, way.name, way.curve)
-        for style, way in zip(_STYLES, record.ways, strict=False)
-        if way.curve and way.curve.scales
-    ]
-    if not curves:
-        return None
-    x = Axis.fitted(
-        "all sizes times", "", [scale for *_, curve in curves for scale in curve.scales], log=True
-    )
-    plot = Plot("Share of worlds in which it arrives", x, _SHARES, width=560)
-    for style, name, curve in curves:
-        plot.line(name, style, curve.scales, [item.share for item in curve.shares])
-        for scale, item in zip(curve.scales, curve.shares, strict=True):
-            plot.line(f"{name}, interval", f"{style} soft", [scale, scale], list(item.interval))
-            plot.point(
-                scale,
-                item.share,
-                style,
-                "circle",
-                f"{name}, {number(scale)} times: {item.words}",
-                radius=3.0,
-            )
-    halves = [(name, curve.half) for _, name, curve in curves if curve.half is not None]
-    told = [
-        f"{name}, half of the worlds are left at {number(half, 3)} times these sizes"
-        for name, half in halves
-    ]
-    plot.words = f"Shares with their 95 % intervals{': ' if told else ''}{'; '.join(told)}."
-    return plot
 
 
 class Survivor(NamedTuple):

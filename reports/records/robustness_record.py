@@ -14,9 +14,6 @@ from pydantic import BeforeValidator
 
 from reports.records.record import Finite, FoundRecord, ShareRecord
 
-# How far first order and sampling may differ to be called the same.
-SAME = 0.1
-
 
 def _text(value: Any) -> Any:
     return value.value if isinstance(value, Enum) else value
@@ -31,18 +28,6 @@ _Word = Annotated[str, BeforeValidator(_text)]
 
 
 _OrEnded = Annotated[Finite | None, BeforeValidator(_known)]
-
-
-class CurveRecord(FoundRecord):
-    """shares: at `scales` times all sizes.
-
-    half: the scale at which half of the worlds arrive, None where it lies `beyond` those tried.
-    """
-
-    scales: tuple[Finite, ...]
-    shares: tuple[ShareRecord, ...]
-    half: Finite | None
-    beyond: str
 
 
 class CheckedRecord(FoundRecord):
@@ -65,7 +50,6 @@ class WayRecord(FoundRecord):
     name: str
     share: ShareRecord
     fails_by: dict[str, int]
-    curve: CurveRecord | None
     checked: CheckedRecord | None
 
     @property
@@ -92,7 +76,7 @@ class PerturbationRecord(FoundRecord):
 class FailureRecord(FoundRecord):
     """The first failure along one perturbation, one way.
 
-    sizes, predicted: in its sizes, None: none up to `tried`; amount [unit].
+    sizes: in its sizes, None: none up to `tried`; amount [unit].
     """
 
     cause: PerturbationRecord
@@ -101,9 +85,6 @@ class FailureRecord(FoundRecord):
     amount: Finite | None
     tried: Finite
     by: str
-    predicted: Finite | None
-    curved: Finite | None
-    same_modes: bool
 
     @property
     def words(self) -> str:
@@ -111,25 +92,11 @@ class FailureRecord(FoundRecord):
         of = "" if self.cause.unit == "1" else f" {self.cause.unit}"
         return f"{self.cause.name} by {self.amount:+.3g}{of} ({self.sizes:.2f} of its size)"
 
-    @property
-    def compared(self) -> str:
-        """How the size that the slopes predict stands to the one that was found."""
-        if self.predicted is None:
-            return "it predicts none" if self.sizes is not None else "none either"
-        if self.sizes is None:
-            return f"{self.predicted:.3g}, not found"
-        if abs(self.predicted - self.sizes) <= SAME * self.sizes:
-            return f"{self.predicted:.3g}, the same within {SAME:.0%}"
-        if not self.same_modes:
-            return f"{self.predicted:.3g}; contacts close in another order by then, moved one way or the other"
-        return f"{self.predicted:.3g}; the response bends{'' if self.curved is None else f', by its curvature to {self.curved:.3g}'}"
-
 
 class RobustnessRecord(FoundRecord):
     """How much a plan can take; complete: False where the work was interrupted.
 
-    followed: whether failures are those with feedback, because the plan holds only with it; shown:
-    worlds whose motion is drawn, by number and largest share of a limit.
+    followed: whether failures are those with feedback, because the plan holds only with it.
     """
 
     scene: str
@@ -144,7 +111,6 @@ class RobustnessRecord(FoundRecord):
     seconds: Finite
     complete: bool
     followed: bool
-    shown: tuple[tuple[int, _OrEnded], ...] = ()
 
     @property
     def summary(self) -> str:

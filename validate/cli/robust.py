@@ -15,6 +15,7 @@ from models.trajectory import Trajectory
 from models.trajectory_netcdf import read_netcdf
 from reports.records.record import RunRecord, stage_files
 from reports.records.robustness_record import RobustnessRecord
+from reports.render import render_robustness
 from validate.cli.group import INTERRUPTED
 from validate.cli.options import folder_of, scenes, write, written_to
 from validate.cli.replay import FMU_OPTIONS, read_fmu_options
@@ -24,8 +25,7 @@ from validate.judge.judgement import as_trajectory, wire_fmu
 from validate.judge.robustness import PerturbationKind, Robustness, robustness
 from validate.store.store import Store
 from validate.store.stored import CampaignError
-from validate.tasks.shown import robustness_page
-from validate.tasks.task import RunTask, task_from_json, varied
+from validate.tasks.simulators import stored_plan
 
 
 @click.command(
@@ -70,7 +70,7 @@ with; 3 a system requirement is missing; 130 interrupted: what was tried is told
 @click.option("--anyway", is_flag=True, help="Measure a plan too that does not hold to begin with.")
 @click.option("--json", "as_json", is_flag=True, help="What was measured as JSON on stdout.")
 @wide_option
-@written_to("--html", "html_file", "FILE.html", "a page with curves and player")
+@written_to("--html", "html_file", "FILE.html", "a page of what was measured")
 @written_to(
     "--csv",
     "csv_file",
@@ -114,7 +114,7 @@ def command(
     )  # fmt: skip
     record = RobustnessRecord.model_validate(found)
     write(csv_file, lambda: _worlds(found))
-    write(html_file, lambda: robustness_page(found, record, name))
+    write(html_file, lambda: render_robustness(record, name))
     if as_json:
         click.echo(record.model_dump_json(indent=1))
     else:
@@ -194,15 +194,11 @@ def _print(record: RobustnessRecord) -> None:
                 short(item.sizes, ".3g"),
                 at,
                 item.by,
-                item.compared,
             ]
         )
     if rows:
         print_table(
-            ["perturbation", "", "sizes", "first fails at", "by", "first order"],
-            rows,
-            ("sizes",),
-            drop=["by", "first order"],
+            ["perturbation", "", "sizes", "first fails at", "by"], rows, ("sizes",), drop=["by"]
         )
         click.echo()
     for way in record.ways:
@@ -210,19 +206,6 @@ def _print(record: RobustnessRecord) -> None:
         say(
             f"{way.name}: it arrives in {way.share.words}{f'; it fails by {fails}' if fails else ''}."
         )
-        if way.curve is not None:
-            half = (
-                f"half of the worlds are left at {short(way.curve.half, '.3g')} times these sizes"
-            )
-            every = {
-                "above": "more than half are left at all sizes tried",
-                "below": "fewer than half are left at all sizes tried",
-            }
-            shares = zip(way.curve.scales, way.curve.shares, strict=True)
-            told = ", ".join(f"{short(scale)}: {share.share:.2f}" for scale, share in shares)
-            say(
-                f"{way.name}: {half if way.curve.half is not None else every[way.curve.beyond]} ({told})."
-            )
         if checked is not None:
             differ, largest = len(checked.differ), f"{checked.largest_difference:.1e}"
             say(

@@ -33,8 +33,7 @@ from reports.records.record import (
     StageRecord,
     stage_files,
 )
-from reports.records.robustness_record import RobustnessRecord
-from reports.render import framed, render_robustness, render_run
+from reports.render import framed, render_run
 from validate.judge.judgement import Judgement
 from validate.judge.replay.netcdf import storable, storable_name, write_replay
 from validate.judge.replay.result import Replay
@@ -46,8 +45,6 @@ from validate.tasks.scene_record import scene_record
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from validate.judge.robustness import Robustness
 
 _KEY = "plan"
 _NOT_JUDGED = Judged(
@@ -279,29 +276,6 @@ def _run(scene: SceneRecord, stage: StageRecord, name: str, command: str) -> Run
         cpu_seconds=stage.seconds.stage_cpu + stage.seconds.replay,
         provenance=gather(command),
     )
-
-
-def robustness_page(found: Robustness, record: RobustnessRecord, name: str) -> str:
-    """The text of the page. name: what the plan is called. Raises MachineError."""
-    stage = given_stage(name, None, found.judgement.score, found.seconds)
-    plan = found.judgement.plan
-    assert plan is not None, "what was tried is a plan"
-    scene, model = _drawn(found.judgement.scene, plan)
-    run = _run(model, stage, name, "")
-    with tempfile.TemporaryDirectory(prefix="touchstone-") as place:
-        folder = Path(place)
-        (folder / "worlds").mkdir()
-        _write_plan(folder / "plan.nc", plan, scene)
-        for number, trial in found.motions:
-            steps = len(trial.states) - 1
-            if steps > 0:
-                positions, velocities = trial.states[:, : scene.nq], trial.states[:, scene.nq :]
-                motion = Trajectory(
-                    t=plan.t[: steps + 1], q=positions, v=velocities, u=plan.u[:steps],
-                    lam=plan.lam[:steps], missing=frozenset({"lam", "friction"})
-                )  # fmt: skip
-                _write_plan(folder / "worlds" / f"{number}.nc", motion, scene)
-        return render_robustness(record, name, run, folder)
 
 
 def _write_plan(path: Path, plan: Trajectory, subject: Subject) -> None:

@@ -13,7 +13,6 @@ counted.
 from __future__ import annotations
 
 import math
-import operator
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -32,7 +31,6 @@ from models.trajectory import Trajectory
 from validate.judge.judgement import Judgement, WiredFmu, as_trajectory, judge
 from validate.judge.robustness.trials import (
     Arena,
-    Asked,
     FmuArena,
     SceneArena,
     WorldTrial,
@@ -51,9 +49,6 @@ from validate.judge.score.verdict import Verdict
 
 SAMPLES = 1000
 MOST = 1_000_000
-# Shares against size: all sizes times these, in so many of the worlds.
-SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-_OF_A_CURVE = 256
 # One of so many worlds is tried by the reference too, within these bounds.
 _EVERY = 50
 _FEWEST = 10
@@ -63,12 +58,7 @@ _FIRST = 1 / 32
 _FACTOR = math.sqrt(2.0)
 FARTHEST = 64.0
 _WITHIN = 0.01
-# Move of the replays whose differences are slopes and curvatures, in sizes: over three decades
-# around it both are the same to three digits.
-_SLOPE = 1e-2
 _Z95 = 1.959963984540054
-# Worlds whose motion is kept to be shown.
-_SHOWN = 3
 # One of so many worlds is tried with feedback too, which costs ten times as much.
 _LEAST = 10
 OF_FEEDBACK = 4
@@ -101,24 +91,11 @@ class Share:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Curve:
-    """Shares at several scales of all sizes, and the scale at which half of the worlds arrive (None: beyond those tried, `beyond` says on which side)."""
-
-    scales: tuple[float, ...]
-    shares: tuple[Share, ...]
-    half: float | None
-    beyond: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
 class FirstFailure:
     """One perturbation, one way, driven as the plan holds: the size at which the plan first fails.
 
     direction: -1 or 1; sizes: in sizes of the perturbation, None where it arrives up to `tried`;
-        amount: the same in the perturbation's unit; by: what fails there;
-    predicted: where the slopes at the scene's own world say that it does; curved: where slopes and
-        curvatures do; same_modes: whether contacts close and
-    open in the same order up to there, moved either way.
+        amount: the same in the perturbation's unit; by: what fails there.
     """
 
     cause: Perturbation
@@ -126,9 +103,6 @@ class FirstFailure:
     sizes: float | None
     tried: float
     by: str
-    predicted: float | None
-    curved: float | None
-    same_modes: bool
 
     @property
     def amount(self) -> float | None:
@@ -148,7 +122,7 @@ class Checked:
 
 @dataclass(kw_only=True, eq=False)
 class Way:
-    """A way to drive the plan, "inputs alone" or "with feedback": how many worlds fail by what, the curve, and what was checked.
+    """A way to drive the plan, "inputs alone" or "with feedback": how many worlds fail by what, and what was checked.
 
     tried: of each world the largest of what is asked, as a share of its limit.
     """
@@ -156,7 +130,6 @@ class Way:
     name: str
     tried: list[float] = field(default_factory=list)
     fails_by: Counter[str] = field(default_factory=Counter)
-    curve: Curve | None = None
     checked: Checked | None = None
 
     @property
@@ -172,9 +145,7 @@ class Robustness:
     complete: False where that was interrupted.
 
     fineness: internal steps a plan step; ways: inputs alone, then with feedback; trials: replays in
-        all; seconds: CPU time [s]; points (samples, causes):
-    the worlds in sizes; motions: (number of the world, what happened) of the first worlds, inputs
-        alone.
+        all; seconds: CPU time [s]; points (samples, causes): the worlds in sizes.
     """
 
     judgement: Judgement
@@ -183,7 +154,6 @@ class Robustness:
     points: np.ndarray
     ways: list[Way] = field(default_factory=lambda: [Way(name="inputs alone")])
     failures: list[FirstFailure] = field(default_factory=list)
-    motions: list[tuple[int, WorldTrial]] = field(default_factory=list)
     fineness: int = 0
     trials: int = 0
     seconds: float = 0.0
@@ -198,11 +168,6 @@ class Robustness:
     def verdict(self) -> Verdict:
         """Of the plan in the scene's own world."""
         return self.judgement.verdict
-
-    @property
-    def shown(self) -> tuple[tuple[int, float], ...]:
-        """Number of each world whose motion is kept, and its largest share of a limit."""
-        return tuple((number, trial.ratio) for number, trial in self.motions)
 
     @property
     def followed(self) -> bool:
@@ -322,8 +287,6 @@ def _measure(arena: Arena, worlds: Draw, found: Robustness, tell: Callable[[str]
                 found.ways.append(way)
             if not trial.arrives:
                 way.fails_by[trial.fails_by] += 1
-            if not feedback and number < _SHOWN:
-                found.motions.append((number, trial))
     for feedback, way in enumerate(found.ways):
         tell(f"some of these {arena.by} too")
         way.checked = check_by_reference(arena, worlds, way.tried, bool(feedback))
@@ -331,9 +294,6 @@ def _measure(arena: Arena, worlds: Draw, found: Robustness, tell: Callable[[str]
         if cause.kind is not PerturbationKind.NOISE:
             tell(f"{cause.name} by itself")
             found.failures.extend(_failures(arena, cause))
-    for feedback, way in enumerate(found.ways):
-        tell("shares against size")
-        way.curve = _curve(arena, worlds, min(len(way.tried), _OF_A_CURVE), bool(feedback))
 
 
 def check_by_reference(
@@ -354,45 +314,9 @@ def check_by_reference(
     )
 
 
-def _curve(arena: Arena, worlds: Draw, samples: int, feedback: bool) -> Curve:
-    """Shares at all scales that no parameter's range forbids, the scale of one half bisected between two of them."""
-    room = min(
-        (min(cause.below or math.inf, cause.above) for cause in worlds.causes), default=math.inf
-    )
-
-    def share(scale: float) -> Share:
-        trials = (
-            arena.trial(worlds.world(number, arena.nominal, scale), feedback=feedback)
-            for number in range(samples)
-        )
-        return Share(arrived=sum(trial.arrives for trial in trials), samples=samples)
-
-    scales = [scale for scale in SCALES if scale <= room]
-    shares = [share(scale) for scale in scales]
-    below = [index for index, item in enumerate(shares) if item.share < 0.5]
-    if not below or below[0] == 0:
-        return Curve(
-            scales=tuple(scales),
-            shares=tuple(shares),
-            half=None,
-            beyond="above" if not below else "below",
-        )
-    low, high = scales[below[0] - 1], scales[below[0]]
-    while high / low > 1.0 + _WITHIN * 5:
-        middle = math.sqrt(low * high)
-        low, high = (low, middle) if share(middle).share < 0.5 else (middle, high)
-    return Curve(scales=tuple(scales), shares=tuple(shares), half=math.sqrt(low * high))
-
-
 def _at(arena: Arena, cause: Perturbation, size: float) -> WorldTrial:
     """The plan in the model's own world but for one perturbation, driven as it holds."""
     return arena.trial(moved(arena.nominal, [cause], np.array([size])), feedback=arena.followed)
-
-
-def _same_modes(arena: Arena, cause: Perturbation, size: float) -> bool:
-    """Whether contacts close and open in the order of the model's own world where it is moved, either way: by the reference, as a short contact shows at no row."""
-    worlds = (moved(arena.nominal, [cause], np.array([by])) for by in (0.0, size, -size))
-    return len({arena.checked(world, feedback=arena.followed).modes for world in worlds}) == 1
 
 
 def _along(
@@ -420,53 +344,16 @@ def _along(
 
 def _failures(arena: Arena, cause: Perturbation) -> Iterable[FirstFailure]:
     """Both ways along one perturbation."""
-    own, one_sided = _at(arena, cause, 0.0), cause.below == 0.0
-    near = [
-        _at(arena, cause, size)
-        for size in ((_SLOPE, 2.0 * _SLOPE) if one_sided else (_SLOPE, -_SLOPE))
-    ]
-    known = all(trial.shares for trial in (own, *near))
-    parts = [
-        (trial.states, np.vstack([trial.gaps, trial.lowest]), trial.cost) for trial in (own, *near)
-    ]
-    series = [_series(values, one_sided) for values in zip(*parts, strict=True)] if known else []
-    for direction in (1,) if one_sided else (-1, 1):
+    for direction in (1,) if cause.below == 0.0 else (-1, 1):
         tried = min(FARTHEST, cause.above if direction > 0 else cause.below)
         sizes, failed = _along(arena, cause, direction, tried) or (None, None)
         yield FirstFailure(
-            cause=cause, direction=direction, sizes=sizes, tried=tried,
+            cause=cause,
+            direction=direction,
+            sizes=sizes,
+            tried=tried,
             by="" if failed is None else failed.fails_by,
-            predicted=_foretold(arena.asked, series, direction, tried),
-            curved=_foretold(arena.asked, series, direction, tried, order=2),
-            same_modes=sizes is None or _same_modes(arena, cause, sizes),
-        )  # fmt: skip
-
-
-def _foretold(
-    asked: Asked, series: Sequence[tuple[Any, ...]], direction: int, tried: float, order: int = 1
-) -> float | None:
-    """The first failure by the series of what is asked, to this order; None where there is none."""
-
-    def ratio(size: float) -> float:
-        moved_by = [(direction * size) ** power for power in range(order + 1)]
-        states, gaps, cost = (
-            sum(map(operator.mul, terms, moved_by), start=np.float64(0.0)) for terms in series
         )
-        return max(asked.shares(np.asarray(states), np.asarray(gaps), float(cost)).values())
-
-    return first_failure(ratio, tried) if series else None
-
-
-def _series(parts: Sequence[Any], one_sided: bool) -> tuple[Any, ...]:
-    """A number's Taylor series in sizes, to the second order: of its values at the scene's own world and at moves of _SLOPE and -_SLOPE, or twice _SLOPE."""
-    own, first, second = parts
-    if one_sided:
-        return (
-            own,
-            (4.0 * first - 3.0 * own - second) / (2.0 * _SLOPE),
-            (second - 2.0 * first + own) / (2.0 * _SLOPE**2),
-        )
-    return own, (first - second) / (2.0 * _SLOPE), (first + second - 2.0 * own) / (2.0 * _SLOPE**2)
 
 
 def first_failure(ratio: Callable[[float], float], largest: float) -> float | None:

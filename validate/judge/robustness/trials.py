@@ -204,18 +204,11 @@ def asked_limits(score: Score) -> dict[str, float]:
 class WorldTrial:
     """One world: states (nodes, 2*nq) [m or rad, then per second] and gaps (nodes, nc) [m] at the plan's nodes, fewer where the motion ended early.
 
-    lowest: the least gaps (nc,) [m], of a scene between its rows too; closed (points, nc): which
-        contacts are, wherever the run showed it, by the reference of a scene after each of its
-        events;
-    cost: the task's, of this motion and its commands, NaN where it ended early; shares: what is
-        asked as shares of its limits; empty where the motion did not come to its end.
+    shares: what is asked as shares of its limits; empty where the motion did not come to its end.
     """
 
     states: np.ndarray
     gaps: np.ndarray
-    lowest: np.ndarray
-    closed: np.ndarray
-    cost: float
     shares: dict[str, float]
     outcome: ReplayOutcome
 
@@ -238,14 +231,6 @@ class WorldTrial:
             else self.outcome.name.lower()
         )
 
-    @property
-    def modes(self) -> tuple[tuple[int, ...], ...]:
-        """Which contacts are closed, one after the other, without how long."""
-        closed = [tuple(np.flatnonzero(row).tolist()) for row in self.closed]
-        return tuple(
-            now for before, now in zip([None, *closed], closed, strict=False) if now != before
-        )
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Ran:
@@ -254,15 +239,13 @@ class _Ran:
     States (nodes, 2*nq) and gaps (nodes, nc) at the plan's nodes, fewer where it ended early;
     commands (steps, nu).
 
-    lowest: the least gaps (nc,) [m], rightly so where a contact may be as deep as given (nc,) [m];
-        closed: as of a WorldTrial.
+    lowest: the least gaps (nc,) [m], rightly so where a contact may be as deep as given (nc,) [m].
     """
 
     outcome: ReplayOutcome
     states: np.ndarray
     gaps: np.ndarray
     lowest: Callable[[np.ndarray], np.ndarray]
-    closed: np.ndarray
     commands: np.ndarray
 
 
@@ -339,39 +322,20 @@ class Arena(ABC):
 
     def _tried(self, world: World, fineness: int, feedback: bool) -> WorldTrial:
         ran = self._run(world, fineness, self.feedback if feedback else None)
-        states, gaps, lowest, outcome = (
-            ran.states,
-            ran.gaps,
-            ran.gaps.min(axis=0, initial=math.inf),
-            ran.outcome,
-        )
-        if outcome is not ReplayOutcome.OK:
-            return WorldTrial(
-                states=states,
-                gaps=gaps,
-                lowest=lowest,
-                closed=ran.closed,
-                cost=math.nan,
-                shares={},
-                outcome=outcome,
-            )
-        q, v = np.hsplit(states, 2)
+        shares = self._shares(ran) if ran.outcome is ReplayOutcome.OK else {}
+        return WorldTrial(states=ran.states, gaps=ran.gaps, shares=shares, outcome=ran.outcome)
+
+    def _shares(self, ran: _Ran) -> dict[str, float]:
+        """Shares of the limits, of a run that came to its end."""
+        q, v = np.hsplit(ran.states, 2)
         cost = self._cost(self.plan.t, q, v, ran.commands) if _COST in self.asked.limits else 0.0
-        shares = self.asked.shares(states, gaps, cost)
+        shares = self.asked.shares(ran.states, ran.gaps, cost)
         if shares.pop(_DEPTH, None) is not None:
             # Where the plan fails by something else a depth is told only if it is by more.
             others = max(shares.values(), default=0.0)
             lowest = ran.lowest(self.asked.depths * (others if others > 1.0 else _SHALLOW))
             shares[_DEPTH] = self.asked.depth_share(lowest)
-        return WorldTrial(
-            states=states,
-            gaps=gaps,
-            lowest=lowest,
-            closed=ran.closed,
-            cost=cost,
-            shares=shares,
-            outcome=outcome,
-        )
+        return shares
 
     def _fine_enough(self) -> int:
         exact = [self.checked(world, feedback=self.followed) for world in self.probes]
@@ -483,18 +447,13 @@ class SceneArena(Arena):
         states, gaps = np.split(
             nodes[inputs.rows[inputs.rows < len(nodes)]], [2 * self.scene.nq], axis=1
         )
-        closed = list(values[:, 2 * self.scene.nq :] < 0.0)
-        if fineness == REFERENCE:  # its events tell of contacts between rows
-            closed = closed[:1]
-            for contact, closes in (
-                (contact, closes) for _, contact, closes in run.events if contact < self.scene.nc
-            ):
-                closed.append(closed[-1].copy())
-                closed[-1][contact] = closes
         return _Ran(
-            outcome=run.outcome, states=states, gaps=gaps, lowest=partial(self._lowest, motion),
-            closed=np.array(closed), commands=inputs.commands
-        )  # fmt: skip
+            outcome=run.outcome,
+            states=states,
+            gaps=gaps,
+            lowest=partial(self._lowest, motion),
+            commands=inputs.commands,
+        )
 
     def _lowest(self, motion: _Motion, reach: np.ndarray) -> np.ndarray:
         """Least gaps (nc,) [m] of a motion at its rows and between them: what may be lower than any, and as deep as `reach` (nc,) [m], is run again."""
@@ -744,7 +703,6 @@ class FmuArena(Arena):
             states=states,
             gaps=gaps,
             lowest=lambda _: lowest,
-            closed=every < 0.0,
             commands=inputs.commands,
         )
 

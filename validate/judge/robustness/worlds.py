@@ -256,13 +256,10 @@ class Draw:
     points: np.ndarray
     seed: int
 
-    def world(self, number: int, nominal: World, scale: float = 1.0) -> World:
-        """One of the worlds, all its sizes times `scale`; its noise is the same at every scale.
-
-        Raises IndexError.
-        """
+    def world(self, number: int, nominal: World) -> World:
+        """Return one of the worlds. Raises IndexError."""
         noise = np.random.default_rng([self.seed, number]).standard_normal(nominal.noise.shape)
-        return moved(nominal, self.causes, scale * self.points[number], noise)
+        return moved(nominal, self.causes, self.points[number], noise)
 
 
 def draw(causes: Sequence[Perturbation], samples: int, seed: int) -> Draw:

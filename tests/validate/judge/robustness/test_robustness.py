@@ -1,4 +1,4 @@
-"""Shares, curves and first failures: by hand, on known functions, and on three carts as a whole."""
+"""Shares and first failures: by hand, on known functions, and on three carts as a whole."""
 
 import csv
 import io
@@ -13,7 +13,7 @@ from wording import unsaid
 from models.catalog import load_scene
 from models.errors import TouchstoneError
 from models.trajectory import write_csv
-from reports.records.robustness_record import SAME, FailureRecord, RobustnessRecord
+from reports.records.robustness_record import FailureRecord, RobustnessRecord
 from tests.validate.judge.robustness.test_worlds import resting
 from validate.cli.robust import command
 from validate.judge.judgement import Judgement
@@ -96,10 +96,6 @@ def test_three_carts_take_least_of_damping(judged: Judgement, found: Robustness)
     for way in found.ways:
         assert (way.checked.count, way.checked.differ) == (10, ())
         assert way.checked.largest_difference < 1e-3
-        shares = [item.share for item in way.curve.shares]
-        assert shares == sorted(shares, reverse=True)
-        assert way.curve.half is not None
-        assert shares[way.curve.scales.index(1.0)] == way.share.share
     weakest = found.weakest
     assert (weakest.cause.name, weakest.direction, weakest.by) == (
         "c",
@@ -118,30 +114,8 @@ def test_three_carts_take_least_of_damping(judged: Judgement, found: Robustness)
                         )
                     )
                     assert trial.arrives is arrives, (item.cause.name, item.direction)
-    by_name = {(item.cause.name, item.direction): item for item in found.failures}
-    assert len(by_name) == 2 * 12 + 1, "noise has no direction, a delay has one"
-    for direction in (
-        -1,
-        1,
-    ):  # the right cart is pushed by itself, and its end is a straight line in its input's gain
-        alone = by_name["gain of u3", direction]
-        assert alone.predicted == pytest.approx(alone.sizes, rel=0.1)
-        assert alone.same_modes
-    # What the slopes predict says of itself that it is right: curvatures change little of it, and
-    # contacts stay in their order, moved either way.
-    foretold = [
-        item
-        for item in RobustnessRecord.model_validate(found).failures
-        if item.same_modes and None not in (item.predicted, item.curved)
-    ]
-    trusted = [item for item in foretold if abs(item.predicted - item.curved) <= SAME * item.curved]  # type: ignore[operator] - both are there
-    assert len(trusted) >= 2
-    assert [
-        item.words
-        for item in trusted
-        if item.sizes is not None and abs(item.predicted - item.sizes) > 0.1 * item.sizes
-    ] == []  # type: ignore[operator]
-    assert not by_name["d", 1].same_modes, "moved the other way as far, the carts do not meet"
+    ways = {(item.cause.name, item.direction) for item in found.failures}
+    assert len(ways) == 2 * 12 + 1, "noise has no direction, a delay has one"
 
 
 @pytest.mark.slow
@@ -155,7 +129,7 @@ def test_what_was_tried_before_ctrl_c_is_kept(judged: Judgement):
 
     found = robustness(SCENE, judged.plan, samples=10, tell=tell)
     assert not found.complete
-    assert (found.alone.share.samples, found.alone.curve) == (10, None)
+    assert found.alone.share.samples == 10
     assert [(item.cause.name, item.direction) for item in found.failures] == [("m", -1), ("m", 1)]
     assert "interrupted" in RobustnessRecord.model_validate(found).summary
 
@@ -190,39 +164,12 @@ def test_a_plan_that_does_not_hold_is_measured_anyway():
     found = robustness(SCENE, RESTING, samples=10, anyway=True, kinds=["gain"])
     assert (found.alone.share.arrived, found.feedback) == (0, None)
     assert [item.sizes for item in found.failures] == [0.0] * 4
-    assert (found.alone.curve.half, found.alone.curve.beyond) == (None, "below")
 
 
-@pytest.mark.parametrize(
-    ("sizes", "predicted", "curved", "same", "words"),
-    [
-        (2.0, 2.15, 2.2, True, "2.15, the same within 10%"),
-        (2.0, 2.25, 2.6, True, "2.25; the response bends, by its curvature to 2.6"),
-        (2.0, 2.25, None, True, "2.25; the response bends"),
-        (
-            2.0,
-            1.7,
-            1.7,
-            False,
-            "1.7; contacts close in another order by then, moved one way or the other",
-        ),
-        (2.0, None, None, True, "it predicts none"),
-        (None, 3.0, None, True, "3, not found"),
-        (None, None, None, True, "none either"),
-    ],
-)
-def test_first_order_is_held_against_what_was_found(
-    sizes: float | None, predicted: float | None, curved: float | None, same: bool, words: str
-):
+def test_a_first_failure_is_told_in_its_unit_and_in_sizes():
     cause = perturbations(SCENE, resting())[1]
-    amount = None if sizes is None else -0.1 * sizes
-    said = FailureRecord(
-        cause=cause, direction=-1, sizes=sizes, amount=amount, tried=64.0, by="",
-        predicted=predicted, curved=curved, same_modes=same  # type: ignore[arg-type]
-    )  # fmt: skip
-    assert said.compared == words
-    if sizes is not None:
-        assert said.words == "c by -0.2 N s/m (2.00 of its size)"
+    said = FailureRecord(cause=cause, direction=-1, sizes=2.0, amount=-0.2, tried=64.0, by="")  # type: ignore[arg-type]
+    assert said.words == "c by -0.2 N s/m (2.00 of its size)"
 
 
 @pytest.mark.slow
@@ -256,8 +203,6 @@ def test_the_command_tells_it_in_text_json_csv_and_a_page(judged: Judgement, tmp
         text,
         "How much plan.csv can take on three_cart",
         record.ways[0].share.words,
-        "data-player",
-        "World 2",
     )
     plain = CliRunner().invoke(command, given, standalone_mode=False)
     assert not unsaid(

@@ -136,20 +136,14 @@ def test_worlds_are_spread_evenly_and_the_same_for_one_seed():
     assert (found.points[:, 12:14] == 1.0).all(), "noise is of its own size in every world"
 
 
-def test_the_noise_of_a_world_is_its_own_at_every_scale():
+def test_a_world_is_moved_by_its_sizes_with_noise_of_its_own():
     nominal, worlds = nominal_world(SCENE, resting()), draw(perturbations(SCENE, resting()), 16, 0)
-    whole, half, other = (
-        worlds.world(5, nominal),
-        worlds.world(5, nominal, 0.5),
-        worlds.world(6, nominal),
-    )
+    whole, other = worlds.world(5, nominal), worlds.world(6, nominal)
     assert whole.noise.std(axis=0) == pytest.approx([0.2, 0.2], rel=0.1)
-    assert half.noise == pytest.approx(0.5 * whole.noise)
     assert np.corrcoef(whole.noise[:, 0], other.noise[:, 0])[0, 1] < 0.2
     assert np.corrcoef(whole.noise.T)[0, 1] < 0.2
-    assert half.parameters - nominal.parameters == pytest.approx(
-        0.5 * (whole.parameters - nominal.parameters)
-    )
+    sizes = [item.size for item in worlds.causes[:4]]
+    assert whole.parameters - nominal.parameters == pytest.approx(sizes * worlds.points[5, :4])
     assert whole.gain - 1.0 == pytest.approx(0.02 * worlds.points[5, 10:12])
     assert whole.start - nominal.start == pytest.approx(0.01 * worlds.points[5, 4:10])
     assert whole.delay == pytest.approx(0.01 * worlds.points[5, 14])
