@@ -30,10 +30,8 @@ _ROWS = (
 
 
 @pytest.fixture
-def report(tmp_path: Path) -> CheckReport:
-    path = tmp_path / "a b.fmu"
-    path.write_bytes(b"content")
-    return CheckReport(path=str(path), version="3.0", types=("ME", "CS"), rows=_ROWS)
+def report() -> CheckReport:
+    return CheckReport(path="a b.fmu", version="3.0", types=("ME", "CS"), rows=_ROWS)
 
 
 def test_severity_is_that_of_the_standard_where_a_section_demands_it():
