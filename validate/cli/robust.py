@@ -25,7 +25,7 @@ from validate.judge.judgement import as_trajectory, wire_fmu
 from validate.judge.robustness import PerturbationKind, Robustness, robustness
 from validate.store.store import Store
 from validate.store.stored import CampaignError
-from validate.tasks.simulators import stored_plan
+from validate.tasks.task import RunTask, task_from_json, varied
 
 
 @click.command(
