@@ -10,6 +10,9 @@ from pathlib import Path
 import pytest
 from forked_commands import forked_commands
 
+from validate.cli import trials
+from validate.cli.group import run
+
 FAKES_FOLDER = Path(__file__).parent / "fakes"
 
 
@@ -68,3 +71,17 @@ def start_cli(cli_environment: dict[str, str]):
         if process.poll() is None:
             process.kill()
         process.communicate()
+
+
+@pytest.fixture
+def dry_run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):
+    """dry_run("--scene", "three_cart") runs `all .. --dry-run` in this process, without trials of the machine; a first word "run" replaces "all"."""
+    monkeypatch.setattr(trials, "TRIALS", ())
+
+    def called(*words: str) -> subprocess.CompletedProcess[str]:
+        capfd.readouterr()
+        command = [*words] if words[0] == "run" else ["all", *words]
+        code = run([*command, "--dry-run"])
+        return subprocess.CompletedProcess(command, code, *capfd.readouterr())
+
+    return called

@@ -13,8 +13,9 @@ from models.errors import MachineError
 from reports.judged import Cause, by_cause, cause_of
 from reports.records.record import RunRecord
 from reports.rule import RESULTS, RULE, fails, failures
+from validate.cli.dry_run import print_dry_run
 from validate.cli.narrator import narrator
-from validate.cli.options import CHOOSING, ENDING, OUT, PRINTING, SELECTING
+from validate.cli.options import CHOOSING, DRY_RUN, ENDING, OUT, PRINTING, SELECTING
 from validate.cli.table import print_table, say, short
 from validate.execution.campaign import CampaignResult, run_campaign
 from validate.plan.runs import CampaignSettings
@@ -37,6 +38,7 @@ content: scene, pipeline with all options, our sources, library versions.
 
 \b
 Examples:
+  python -m validate all --dry-run
   python -m validate all
   python -m validate all --quick
   python -m validate all -k FMU       (our FMUs, checked)
@@ -46,8 +48,8 @@ Examples:
   python -m validate all --last-failed
 
 Exit codes: 0 every required check passed; 1 one failed; 2 usage,
-configuration or nothing selected; 3 a system requirement is missing;
-130 interrupted.
+configuration or nothing selected; 3 a system requirement is missing
+(--dry-run: or fails its trial); 130 interrupted.
 """
 
 
@@ -55,10 +57,13 @@ configuration or nothing selected; 3 a system requirement is missing;
 @CHOOSING
 @SELECTING
 @ENDING
+@DRY_RUN
 @OUT
 @PRINTING
 @click.pass_obj
-def command(arguments: tuple[str, ...], as_json: bool, as_table: bool, **options: Any) -> int:
+def command(
+    arguments: tuple[str, ...], dry_run: bool, as_json: bool, as_table: bool, **options: Any
+) -> int:
     """Run every scene by every pipeline, replay and score each plan, write the report.
 
     Progress goes to stderr; to stdout what was found, why runs fail, and the path of the report.
@@ -70,6 +75,8 @@ def command(arguments: tuple[str, ...], as_json: bool, as_table: bool, **options
     the report.
     """
     settings = CampaignSettings(command=command_line(arguments), **options)
+    if dry_run:
+        return print_dry_run(settings, as_json=as_json, as_table=as_table)
     return run_and_tell(settings, arguments, as_json=as_json, as_table=as_table)
 
 

@@ -29,7 +29,6 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 # name -> what the overview says; the command itself is `command` in validate/cli/<name>.py.
 _COMMANDS = {
     "all": "Run every scene by every pipeline, replay and score each plan, write the report.",
-    "plan": "What `all` would run, what is stored already, and why the rest is not.",
     "run": "Run a campaign of your own: scenes, changes, sweeps and pipelines from a TOML file.",
     "list": "Scenes, pipelines and methods.",
     "show": "One run of a campaign: its stages, verdict, questions, metrics, options, log and the command that runs it again.",
@@ -39,10 +38,10 @@ _COMMANDS = {
     "truth": "What is true of contact, and what our FMU and other simulators make of it.",
     "fmu": "Export a scene as an FMU.",
     "check": "Check any FMU: its files, and how its code behaves.",
-    "doctor": "Try what this machine can do, and say how to mend what it cannot.",
 }
 _EPILOG = """\b
 Examples:
+  python -m validate all --dry-run
   python -m validate all --quick
   python -m validate all -k "strict and not relaxed"
   python -m validate list

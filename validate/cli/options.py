@@ -1,4 +1,4 @@
-"""Options that commands share: those by which a campaign is chosen and run - by `all`, by `plan`, which says what `all` would do, and by `run`, where a file chooses.
+"""Options that commands share: those by which a campaign is chosen and run, by `all` and by `run`, where a file chooses.
 
 Each of these is a parameter named like the field of validate.plan.runs.CampaignSettings that it
 fills. Beside them: a range of finite numbers, since click's lets nan and inf through, and what a
@@ -223,6 +223,11 @@ ENDING = options(
         help="Run again what crashes, up to N times.",
     ),
 )
+DRY_RUN = click.option(
+    "--dry-run",
+    is_flag=True,
+    help="Run and write nothing: try this machine, and print what would run, what is stored, and what no method applies to.",
+)
 OUT = click.option(
     "--out",
     type=A_FILE,
@@ -243,7 +248,7 @@ PRINTING = options(
         "--table",
         "as_table",
         is_flag=True,
-        help="A table with a row for each stage of each run (`plan`: for each run).",
+        help="A table with a row for each stage of each run (--dry-run: for each run).",
     ),
     wide_option,
     click.option("--json", "as_json", is_flag=True, help="All of it, as JSON on stdout."),

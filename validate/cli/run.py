@@ -9,15 +9,15 @@ from typing import Any
 import click
 
 from validate.cli.all import run_and_tell
-from validate.cli.options import ENDING, OUT_OF_FILE, PRINTING, SELECTING
-from validate.cli.plan import tell_plan
+from validate.cli.dry_run import print_dry_run
+from validate.cli.options import DRY_RUN, ENDING, OUT_OF_FILE, PRINTING, SELECTING
 from validate.plan.read import read_campaign
 from validate.plan.schema import CampaignFile
 from validate.store.provenance import command_line
 
 _EPILOG = """\b
 Examples:
-  python -m validate run stiffness.toml --plan
+  python -m validate run stiffness.toml --dry-run
   python -m validate run stiffness.toml --out runs/stiffness
   python -m validate run --schema > campaign.schema.json
 
@@ -36,13 +36,8 @@ missing; 130 interrupted.
 @click.argument("file", type=click.Path(path_type=Path), required=False, metavar="CAMPAIGN.toml")
 @SELECTING
 @ENDING
+@DRY_RUN
 @OUT_OF_FILE
-@click.option(
-    "--plan",
-    "only_plan",
-    is_flag=True,
-    help="Run nothing: say what would run, what is stored, and why the rest is not.",
-)
 @click.option(
     "--schema", is_flag=True, help="Print the JSON Schema of campaign files, for editors, and end."
 )
@@ -51,7 +46,7 @@ missing; 130 interrupted.
 def command(
     arguments: tuple[str, ...],
     file: Path | None,
-    only_plan: bool,
+    dry_run: bool,
     schema: bool,
     as_json: bool,
     as_table: bool,
@@ -68,6 +63,6 @@ def command(
     if file is None:
         raise click.UsageError("give a campaign file, such as docs/campaigns/stiffness.toml.")
     settings = read_campaign(file, command=command_line(arguments), **options)
-    if only_plan:
-        return tell_plan(settings, as_json=as_json, as_table=as_table)
+    if dry_run:
+        return print_dry_run(settings, as_json=as_json, as_table=as_table)
     return run_and_tell(settings, arguments, as_json=as_json, as_table=as_table)

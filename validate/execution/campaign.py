@@ -95,14 +95,10 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
     Raises TouchstoneError for what the user can mend; KeyboardInterrupt passes through when
     children are stopped and what finished is written.
     """
-    check_engine(settings.engine)
-    entries, left_out = select(settings)
+    entries, left_out = checked_selection(settings)
     # the compiled time step and the FMU need one: better said now than by every task
     find_compiler()
     store = Store(settings.out)
-    check_folder(settings.out, (*TABLES, REPORT, PAGES, *settings.files))
-    if settings.last_failed:
-        campaign_of(settings.out)
     store.prepare()
     entries = with_stored(entries, store, settings)
     for name, text in settings.files.items():
@@ -198,6 +194,19 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
         left_out=left_out,
         report=report,
     )
+
+
+def checked_selection(settings: CampaignSettings) -> tuple[list[PlannedTask], tuple[str, ...]]:
+    """Check engine and folder, and return the result of `select`. Nothing is written.
+
+    Raises TouchstoneError.
+    """
+    check_engine(settings.engine)
+    entries, left_out = select(settings)
+    check_folder(settings.out, (*TABLES, REPORT, PAGES, *settings.files))
+    if settings.last_failed:
+        campaign_of(settings.out)
+    return entries, left_out
 
 
 def _campaign(

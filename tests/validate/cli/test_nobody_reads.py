@@ -19,7 +19,7 @@ pytestmark = pytest.mark.process
 FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 # One line each on stdout; on stderr (with stdout, as `2>&1 | head` has it) the second too.
 COMMANDS = {
-    "list": ("list",), "help": ("--help",), "plan": ("plan", *FAKES, "-k", "only_good"),
+    "list": ("list",), "help": ("--help",), "a dry run": ("all", *FAKES, "-k", "only_good", "--dry-run"),
     "a typo": ("lsit",), "a campaign": ("all", *FAKES, "-k", "only_good"),
 }  # fmt: skip
 

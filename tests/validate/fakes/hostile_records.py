@@ -1,4 +1,4 @@
-"""A campaign's folder with spoilt records and files, and all that reads one: load, results, `report`, `show`, resume, `plan`, --lf, shared stages; spoilt results of a planner, a compiler, a cell, an isolated call; and what reads them."""
+"""A campaign's folder with spoilt records and files, and all that reads one: load, results, `report`, `show`, resume, --dry-run, --lf, shared stages; spoilt results of a planner, a compiler, a cell, an isolated call; and what reads them."""
 
 import hashlib
 import json

@@ -58,17 +58,12 @@ def test_a_step_past_the_limit_is_told_before_the_cells_stored_shown_and_used_ag
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "command",
-    [
-        ("plan", "-k", "free_motion and stiff", "--scene"),
-        ("plan", "--json", "-k", "free_motion and stiff", "--scene"),
-    ],
-)
-def test_a_plan_of_a_campaign_tells_it_too(cli, tmp_path, command):
+@pytest.mark.parametrize("as_json", [(), ("--json",)])
+def test_a_dry_run_tells_it_too(dry_run, tmp_path, as_json):
     path = tmp_path / "stiff_pair.py"
     path.write_text(UNSTABLE)
-    done = cli(*command, str(path), "--out", str(tmp_path / "out"))
+    words = ("-k", "free_motion and stiff", "--scene", str(path), *as_json)
+    done = dry_run(*words, "--out", str(tmp_path / "out"))
     assert done.returncode == 0
     assert "warning: scene stiff_pair: with pair closed" in done.stderr
     assert "take a step below 0.000866 s" in done.stderr

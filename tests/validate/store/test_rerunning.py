@@ -36,8 +36,8 @@ def names(out: Path) -> list[str]:
     )
 
 
-def test_last_failed_runs_those_and_keeps_the_rest(cli, ran):
-    done = cli("plan", *FAKES, "--out", str(ran), "--lf", "--json")
+def test_last_failed_runs_those_and_keeps_the_rest(cli, dry_run, ran):
+    done = dry_run(*FAKES, "--out", str(ran), "--lf", "--json")
     plan = json.loads(done.stdout)
     why = {run["name"].split(" x ")[1]: run["why"] for run in plan["runs"]}
     assert why == {
@@ -106,7 +106,7 @@ def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch,
     assert all(entry.stored for entry in with_stored(chosen, store, settings))
 
 
-def test_what_a_stop_at_the_first_failure_leaves_stays_as_it_is(cli, ran):
+def test_what_a_stop_at_the_first_failure_leaves_stays_as_it_is(cli, dry_run, ran):
     done = cli("all", *FAKES, "--out", str(ran), "--lf", "-x", "-j", "1")
     assert done.stderr.splitlines()[0] == "1 stored, 2 to run, 2 of them again"
     assert not unsaid(
@@ -115,7 +115,7 @@ def test_what_a_stop_at_the_first_failure_leaves_stays_as_it_is(cli, ran):
         "2 of 3 runs are done",
         f"{ran} holds of the others is kept",
     )
-    plan = json.loads(cli("plan", *FAKES, "--out", str(ran), "-k", CHOICE, "--json").stdout)
+    plan = json.loads(dry_run(*FAKES, "--out", str(ran), "-k", CHOICE, "--json").stdout)
     assert {run["why"] for run in plan["runs"]} == {"", "stored, but it crashed"}
 
 
