@@ -10,7 +10,6 @@ from typing import NamedTuple
 import click
 
 from models.errors import MachineError
-from reports.records.load import other_version
 from validate.cli.table import in_words, print_table, say, short, warn
 from validate.cli.trials import try_machine
 from validate.execution.campaign import checked_selection
@@ -25,7 +24,6 @@ from validate.plan.runs import (
 )
 from validate.plan.warnings import warnings_of
 from validate.store.store import Store
-from validate.store.stored import CampaignError
 from validate.tasks.path import refused
 from validate.tasks.task import RunTask
 
@@ -40,8 +38,6 @@ def print_dry_run(settings: CampaignSettings, *, as_json: bool, as_table: bool) 
 
     Nothing is run or written. Raises TouchstoneError.
     """
-    if sentence := other_version(settings.out):
-        raise CampaignError(sentence)
     entries, left_out = checked_selection(settings)
     store = Store(settings.out)
     entries = with_stored(entries, store, settings)
