@@ -215,7 +215,7 @@ def test_a_plan_is_judged_and_what_was_seen_is_written_beside_it(
     )
     given, named, update = judge.record(item, tmp_path, 1, 4.0)  # type: ignore[misc] - of the fixture
     judged = named.pop("judged")
-    assert given == (SCENE, item.planned, item.solution, 1)
+    assert given == (item.planned, item.solution, 1)
     assert named == {"wall": 3.0, "cpu": 2.0, "before": 4.0}
     assert (judged.replay, judged.score, judged.seconds, judged.problem) == (
         replayed,
@@ -272,19 +272,14 @@ def test_a_certificate_is_that_of_the_plan_unless_its_maker_stumbles(
     log: list[Any], capsys: pytest.CaptureFixture[str]
 ):
     item, judge = stage(Kind.DIRECT, True), judge_of(log, None)
-    record, scene, solution = judge.certified("record", item)  # type: ignore[arg-type,misc]
-    assert (record, scene, solution.message, log) == (
-        "record",
-        SCENE,
-        "certified",
-        ["lap certificate"],
-    )
+    record, solution = judge.certified("record", item)  # type: ignore[arg-type,misc]
+    assert (record, solution.message, log) == ("record", "certified", ["lap certificate"])
 
     def fails(scene: Any, solution: Any) -> Any:
         raise ValueError("singular")
 
     judge._plugin.certify = fails  # type: ignore[method-assign]
-    assert judge.certified("record", item)[2] is item.solution  # type: ignore[arg-type,index]
+    assert judge.certified("record", item)[1] is item.solution  # type: ignore[arg-type,index]
     assert "singular" in capsys.readouterr().err
 
 
