@@ -6,7 +6,7 @@
     python -m benchmarks golden equal runs/one runs/two       # bit for bit: after moves and renames
 
 A row is one stage of a run, or one check (stress case, FMU check). A cell holds the value of each
-frozen campaign, separated by `|`, or one value if all agree to six digits.
+frozen campaign, separated by `|`; values that are equal up to rounding are written once.
 """
 
 from __future__ import annotations
@@ -51,6 +51,8 @@ COST_INCREASE = 0.01
 PRINTED = 0.01
 # Figures below this are zero up to rounding.
 FLOOR = 1e-9
+# Figures that differ by less, relative to the larger, are equal up to rounding.
+ROUNDING = 1e-6
 
 Row = dict[str, str]
 
@@ -96,7 +98,7 @@ def _stages(run: RunRecord) -> Iterator[Row]:
             outcome=stage.outcome,
             verdict=stage.verdict,
             iterations=str(stage.iterations),
-            **{item: f"{value:.6g}" for item, value in figures.items() if value is not None},
+            **{item: f"{value:.8g}" for item, value in figures.items() if value is not None},
         )
     if not run.stages:
         yield _row(
@@ -120,12 +122,21 @@ def merged(campaigns: Sequence[Iterable[Row]]) -> list[Row]:
         for row in campaign:
             columns = cells.setdefault(key_of(row), {name: [] for name in (*WORDS, *FIGURES)})
             for name, values in columns.items():
-                values += row[name].split(SEPARATOR)
+                for value in row[name].split(SEPARATOR):
+                    if not any(_is_equal(name, value, kept) for kept in values):
+                        values.append(value)
     return [
         dict(zip(KEY, key, strict=True))
-        | {name: SEPARATOR.join(dict.fromkeys(values)) for name, values in columns.items()}
+        | {name: SEPARATOR.join(values) for name, values in columns.items()}
         for key, columns in cells.items()
     ]
+
+
+def _is_equal(name: str, first: str, second: str) -> bool:
+    if name not in FIGURES or not first or not second:
+        return first == second
+    a, b = float(first), float(second)
+    return abs(a - b) <= max(FLOOR, ROUNDING * max(abs(a), abs(b)))
 
 
 def frozen() -> list[Row]:

@@ -91,7 +91,7 @@ def test_compared_missing_and_left_runs():
 
 
 def test_merged_cells_hold_every_value_once():
-    (found,) = golden.merged([[row()], [row(cost="490.6")], [row()]])
+    (found,) = golden.merged([[row()], [row(cost="490.6")], [row(cost="490.5500001")]])
     assert found["cost"] == "490.55|490.6"
     assert found["verdict"] == "holds"
     (again,) = golden.merged([[found], [row(cost="491")]])
