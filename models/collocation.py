@@ -213,6 +213,7 @@ def switch_error(kernel: Kernel, plan: Trajectory) -> float:
     first order in h. A contact that opens and closes within one step, unseen at its ends, is in it
     where the velocity turns there.
     """
+    assert plan.scheme is not None, "the plan of a collocation scheme"
     scene, table = kernel.scene, tableau(plan.scheme)
     if not scene.nc:
         return 0.0

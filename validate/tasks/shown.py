@@ -117,7 +117,6 @@ class SolvedPlan(Solution):
         )
         seconds = self.seconds
         return stage_record(
-            self.scene,
             planned,
             self,
             0,

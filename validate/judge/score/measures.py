@@ -482,13 +482,13 @@ def replay_velocity_bound_violation(case: Evidence) -> Measured:
 def defect(case: Evidence) -> Measured:
     """How far the plan misses its declared scheme, of each component of the state."""
     p_q, p_v, h = case.printing["q"], case.printing["v"], float(case.h.max())
-    if case.trajectory.scheme is not Scheme.SEMI_IMPLICIT_EULER:
+    scheme = case.trajectory.scheme
+    if scheme is not Scheme.SEMI_IMPLICIT_EULER:
         # Stages are not stored: its forces are taken to be those of the true law there.
         values = case.collocation_defect
         if not np.isfinite(values).all():
-            raise LeavesBounds(
-                f"a step of scheme {case.trajectory.scheme.value} from a node of the plan has no solution."
-            )  # type: ignore[union-attr]
+            name = "" if scheme is None else scheme.value
+            raise LeavesBounds(f"a step of scheme {name} from a node of the plan has no solution.")
     else:
         values = eq.defect(q=case.q, v=case.v, acceleration=case.acceleration, h=case.h)
     nominals = _nominals(case.scene)

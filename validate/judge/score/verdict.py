@@ -128,9 +128,9 @@ class Metric:
             self,
             limit=limit,
             reason=reason,
-            ok=compare(self.value, self.error, limit, margin),
+            ok=compare(self.value, self.error, limit, margin),  # type: ignore[arg-type]
             default=default,
-        )  # type: ignore[arg-type]
+        )
 
 
 Answer: TypeAlias = Literal["yes", "no", "undecided", "not asked"]
