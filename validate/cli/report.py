@@ -38,7 +38,7 @@ Exit codes: 0 rebuilt; 2 a folder that is no campaign; 3 it cannot be written.
 )
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout.")
 def command(folder: Path, single_file: bool, jobs: int | None, as_json: bool) -> int:
-    """Rebuild results.csv, checks.csv, violation.csv, starts.csv, front.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed.
+    """Rebuild the tables (CSV) and report.html of the campaign in DIR (runs/all) from its records.
 
     report.html leads to a page for each scene and each run in DIR/pages.
     """
