@@ -121,7 +121,7 @@ class CollocationSession(Session):
         own = self._options
         sharpnesses = schedule(own.first_sharpness, own.last_sharpness, own.sharpness_growth)
         return SoftplusHomotopy(
-            self._scene, 0.0, sharpnesses, scheme=self._scheme, integrate_cost=own.integrate_cost
+            self._scene, sharpnesses, scheme=self._scheme, integrate_cost=own.integrate_cost
         )
 
     @cached_property

@@ -69,17 +69,15 @@ class WorkingSet:
 
 
 def interior_point_active_set(
-    linear: LinearScene, closed: np.ndarray, ball: float, softness: float = 0.0
+    linear: LinearScene, closed: np.ndarray, softness: float = 0.0
 ) -> WorkingSet | None:
     """Name the active conditions by Clarabel.
 
-    The unknowns are z[0..T], u, and by how much z[T] leaves the goal: what a softness lets it, then
-    what the ball does.
+    The unknowns are z[0..T], u, and, where the goal is soft, by how much z[T] leaves it.
 
     Parameters
     ----------
     closed : (steps, nc) [-], whether a contact is closed in a step
-    ball : radius of the ball around the goal [m, rad, m/s, rad/s]
     softness : of the goal, as in `ModesProblem`
 
     Returns
@@ -93,8 +91,7 @@ def interior_point_active_set(
     """
     T, n, nu, nc = linear.steps, linear.n, linear.nu, linear.nc
     aimed = np.flatnonzero(linear.aimed)
-    m = len(aimed)
-    soft, near = m * (softness > 0.0), m * (ball > 0.0)
+    soft = len(aimed) * (softness > 0.0)
     each, now, later, inputs = (
         sp.eye(T),
         sp.eye(T, T + 1),
@@ -108,9 +105,9 @@ def interior_point_active_set(
             [None, sp.kron(each, linear.H[n:, n:])],
         ]
     )
-    price = np.concatenate([np.full(soft, 1.0 / softness if soft else 0.0), np.zeros(near)])
+    price = np.full(soft, 1.0 / softness if soft else 0.0)
     slope = np.concatenate(
-        [np.tile(linear.g[:n], T), np.zeros(n), np.tile(linear.g[n:], T), np.zeros(soft + near)]
+        [np.tile(linear.g[:n], T), np.zeros(n), np.tile(linear.g[n:], T), np.zeros(soft)]
     )
 
     phi, pushed = sp.kron(now, linear.P, format="csr"), closed * linear.k
@@ -122,18 +119,13 @@ def interior_point_active_set(
     sign = np.where(closed[1:], 1.0, -1.0)  # the start decides phi there
     low, up = (np.tile(np.isfinite(bound), T) for bound in (linear.lower, linear.upper))
     blocks = [
-        [sp.eye(n, (T + 1) * n), None, None, None],
-        [forward, -sp.kron(each, linear.B), None, None],
-        [
-            sp.eye((T + 1) * n, format="csr")[T * n + aimed],
-            None,
-            -sp.eye(m, soft),
-            -sp.eye(m, near),
-        ],
-        [-sp.diags(sign.ravel()) @ phi[nc:], None, None, None],
-        [None, -inputs[low], None, None],
-        [None, inputs[up], None, None],
-        [None, None, None, -sp.eye(near + 1, near, k=-1)],
+        [sp.eye(n, (T + 1) * n), None, None],
+        [forward, -sp.kron(each, linear.B), None],
+        [sp.eye((T + 1) * n, format="csr")[T * n + aimed], None, -sp.eye(len(aimed), soft)],
+        [-sp.diags(sign.ravel()) @ phi[nc:], None, None],
+        [None, -inputs[low], None],
+        [None, inputs[up], None],
+        [None, None, sp.csr_matrix((1, soft))],
     ]
     values = [
         linear.start,
@@ -142,7 +134,7 @@ def interior_point_active_set(
         (sign * linear.p).ravel(),
         -np.tile(linear.lower, T)[low],
         np.tile(linear.upper, T)[up],
-        np.array([ball, *np.zeros(near)]),
+        np.zeros(1),
     ]
     fixed, free = (sum(len(part) for part in parts) for parts in (values[:3], values[3:6]))
     settings = clarabel.DefaultSettings()
@@ -156,11 +148,8 @@ def interior_point_active_set(
         slope,
         sp.bmat(blocks, format="csc"),
         np.concatenate(values),
-        [
-            clarabel.ZeroConeT(fixed),
-            clarabel.NonnegativeConeT(free),
-            clarabel.SecondOrderConeT(near + 1),
-        ],
+        # The last row is the empty condition 0 >= 0. Without it Clarabel's iterates round differently.
+        [clarabel.ZeroConeT(fixed), clarabel.NonnegativeConeT(free), clarabel.SecondOrderConeT(1)],
         settings,
     ).solve()
     if str(found.status) not in ("Solved", "AlmostSolved"):

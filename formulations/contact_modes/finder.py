@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from formulations.contact_modes.goal import (
-    ball_miss,
     continue_to_goal,
     correct_end,
     correct_end_by_softplus,
@@ -30,7 +29,7 @@ from formulations.pipelines import RELAXED_FROM, RELAXED_TO, load_method
 from formulations.solution import Outcome
 from formulations.transcription.method import SolveBudget
 from formulations.transcription.solving import nearest, no_plan, out_of_reach
-from models.scene.goal import goal_state
+from models.scene.goal import distance, goal_state
 from models.trajectory import Trajectory
 
 _ARRIVED = 1e-6  # from the goal: what remains is taken out by the exact problem
@@ -224,9 +223,7 @@ class Finder:
             plan = first if index < 0 else random_plan(scene, kernel, (own.seed, index))
             if plan is None:
                 continue
-            rollout, u = correct_end_by_softplus(
-                scene, kernel, plan.u, own.goal_tolerance, own.first_sharpness
-            )
+            rollout, u = correct_end_by_softplus(scene, kernel, plan.u, own.first_sharpness)
             if not rollout.diverged:
                 yield plan_of(scene, rollout, u)
 
@@ -235,7 +232,7 @@ class Finder:
 
         Asked where not even softplus contact had a plan.
         """
-        if not self._scene.task.has_goal or self._options.goal_tolerance > 0.0:
+        if not self._scene.task.has_goal:
             return False
         found = nearest(self._scene, budget, budget.iterations + self._options.max_iterations)
         if found.is_out_of_reach:
@@ -255,7 +252,7 @@ class Finder:
             self._most_work
         )  # what it searches once it has a plan is no search for a first one
         if self._on_coarse is None:
-            models = SceneModels(coarse, self._kernel, self._options.goal_tolerance)
+            models = SceneModels(coarse, self._kernel)
             self._on_coarse = Finder(models, self._options)
         found = self._on_coarse.find(budget, start=begin_at)
         budget.most_work = min(self._most_work, allowed + budget.work - begun)
@@ -308,11 +305,11 @@ class Finder:
 
     def _modes(self, plan: Trajectory) -> Iterator[np.ndarray]:
         yield self._kernel.penetration(plan.q[:-1]) > 0.0
-        ball = self._options.goal_tolerance
-        rollout, _ = correct_end(self._scene, self._kernel, plan.u, ball)
+        rollout, _ = correct_end(self._scene, self._kernel, plan.u)
         if rollout.diverged:
             return
-        missed = float(np.linalg.norm(ball_miss(rollout, goal_state(self._scene.task), ball)))
+        end = np.concatenate([rollout.q[-1], rollout.v[-1]])
+        missed = distance(end, goal_state(self._scene.task))
         if missed <= _ARRIVED:
             yield rollout.lam > 0.0
         self._near.append((missed, rollout.lam > 0.0))
@@ -416,7 +413,7 @@ class Finder:
         self, budget: SolveBudget, problem: ModesProblem, best: ModesAnswer
     ) -> ModesAnswer | None:
         """For the modes of loosely relaxed complementarity from a plan, where all contacts change theirs at once."""
-        rollout, u = correct_end(self._scene, self._kernel, best.u, self._options.goal_tolerance)
+        rollout, u = correct_end(self._scene, self._kernel, best.u)
         plan, answer = None if rollout.diverged else plan_of(self._scene, rollout, u), None
         with load_method("relaxed_lcp").open(self._scene) as session:
             for eps in _LOOSE:

@@ -1,6 +1,6 @@
 """How the goal is met: inputs corrected until their rollout ends on it, and modes that miss it continued to modes that meet it.
 
-    rollout, u = correct_end(scene, kernel, u, ball)
+    rollout, u = correct_end(scene, kernel, u)
 
 What a solver's plan misses the goal by in its replay is taken out by steps on the true rollout.
 Each step is the smallest change of the inputs that moves the end state where it should be, by the
@@ -64,7 +64,6 @@ def correct_end(
     scene: Scene,
     kernel: Kernel,
     u: np.ndarray,
-    ball: float = 0.0,
     *,
     law: ContactLaw = ContactLaw.RELU,
     eps: float | None = None,
@@ -76,7 +75,6 @@ def correct_end(
     Parameters
     ----------
     u : (steps, nu) [N, N m], inputs to begin with
-    ball : radius of the ball around the goal that is near enough [m, rad, m/s, rad/s]
     law, eps : contact law of the rollouts, and the eps of softplus [-]
     most : most steps tried
     enough : miss that counts as none, in parts of the goal's size [-]
@@ -99,7 +97,7 @@ def correct_end(
     )
     u = np.clip(u, *bounds)
     best = kernel.rollout(start, u, step, law, eps)
-    missed = ball_miss(best, goal, ball)
+    missed = _end_miss(best, goal)
     near = enough * max(1.0, float(np.linalg.norm(np.nan_to_num(goal))))
     damping, slopes = 0.0, None
     for _ in range(most):
@@ -112,7 +110,7 @@ def correct_end(
             slopes[np.isnan(goal)] = 0.0  # a free component does not ask for anything
         tried_u = np.clip(u + _change(slopes, missed, u, bounds, damping), *bounds)
         tried = kernel.rollout(start, tried_u, step, law, eps)
-        tried_miss = ball_miss(tried, goal, ball)
+        tried_miss = _end_miss(tried, goal)
         if not tried.diverged and np.linalg.norm(tried_miss) < np.linalg.norm(missed):
             best, u, missed, slopes = tried, tried_u, tried_miss, None
             damping = damping * _BOLDER if damping > _LEAST else 0.0
@@ -122,7 +120,7 @@ def correct_end(
 
 
 def correct_end_by_softplus(
-    scene: Scene, kernel: Kernel, u: np.ndarray, ball: float, sharpness: float
+    scene: Scene, kernel: Kernel, u: np.ndarray, sharpness: float
 ) -> tuple[Rollout, np.ndarray]:
     """Do the same by way of softplus contact that grows sharper in small steps.
 
@@ -132,7 +130,6 @@ def correct_end_by_softplus(
     Parameters
     ----------
     u : (steps, nu) [N, N m], inputs to begin with
-    ball : radius of the ball around the goal that is near enough [m, rad, m/s, rad/s]
     sharpness : b L [-], L the scene's length, at which u nearly ends where it should
 
     Returns
@@ -151,35 +148,16 @@ def correct_end_by_softplus(
             scene,
             kernel,
             u,
-            ball,
             law=ContactLaw.SOFTPLUS,
             eps=float(np.exp(-b)),
             most=_EACH,
             enough=_ON_THE_WAY,
         )
-    return correct_end(scene, kernel, u, ball)
+    return correct_end(scene, kernel, u)
 
 
-def ball_miss(rollout: Rollout, goal: np.ndarray, ball: float) -> np.ndarray:
-    """Give the vector from the ball around the goal to the end of a rollout.
-
-    Parameters
-    ----------
-    goal : (2*nq,) [m, rad, m/s, rad/s], NaN where the end is free
-    ball : radius of the ball [m, rad, m/s, rad/s]
-
-    Returns
-    -------
-    (2*nq,) [m, rad, m/s, rad/s], zero inside the ball
-
-    Raises
-    ------
-    ValueError
-        For a goal of another length.
-    """
-    error = miss(np.concatenate([rollout.q[-1], rollout.v[-1]]), goal)
-    size = float(np.linalg.norm(error))
-    return error * (max(0.0, size - ball) / size) if size > 0.0 else error
+def _end_miss(rollout: Rollout, goal: np.ndarray) -> np.ndarray:
+    return miss(np.concatenate([rollout.q[-1], rollout.v[-1]]), goal)
 
 
 def _change(

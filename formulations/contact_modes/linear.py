@@ -92,35 +92,33 @@ class BandedLU:
         )
 
     def solve(self, right: np.ndarray, *, refine: bool = True) -> np.ndarray:
-        """Solve the factorised system for right (size,) or (size, m) [-], refined once by its own residual or not; the same shape [-]. Raises nothing: the size is not checked here."""
+        """Solve the factorised system for right (size,) [-], refined once by its own residual or not: (size,) [-]. Raises nothing: the size is not checked here."""
         found = self._back(right)
         return found + self._back(right - self.product(found)) if refine else found
 
     def product(self, x: np.ndarray) -> np.ndarray:
-        """Multiply by the matrix of the last factorisation: x (size,) or (size, m) [-] -> the same shape [-]. Raises nothing: the size is not checked here."""
-        columns = np.array(x.T, dtype=np.float64, order="C", ndmin=2)
-        found = np.empty_like(columns)
-        for column, row in zip(columns, found, strict=True):
-            self._library.band_product(
-                self._size,
-                self._width,
-                self._matrix.ctypes.data,
-                column.ctypes.data,
-                row.ctypes.data,
-            )
-        return found.T.reshape(x.shape)
+        """Multiply by the matrix of the last factorisation: x (size,) [-] -> (size,) [-]. Raises nothing: the size is not checked here."""
+        factor = np.ascontiguousarray(x, dtype=np.float64)
+        product = np.empty_like(factor)
+        self._library.band_product(
+            self._size,
+            self._width,
+            self._matrix.ctypes.data,
+            factor.ctypes.data,
+            product.ctypes.data,
+        )
+        return product
 
     def _back(self, right: np.ndarray) -> np.ndarray:
-        columns = np.array(right.T, dtype=np.float64, order="C", ndmin=2)
-        for column in columns:
-            self._library.band_solve(
-                self._size,
-                self._width,
-                self._factors.ctypes.data,
-                self._pivots.ctypes.data,
-                column.ctypes.data,
-            )
-        return columns.T.reshape(right.shape)
+        x = np.array(right, dtype=np.float64, order="C")  # solved in place
+        self._library.band_solve(
+            self._size,
+            self._width,
+            self._factors.ctypes.data,
+            self._pivots.ctypes.data,
+            x.ctypes.data,
+        )
+        return x
 
 
 # A Hessian of the running cost counts as convex down to this part of its largest eigenvalue:
@@ -290,13 +288,12 @@ def _at_zero(d: Dynamics, matrix: sp.Matrix) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Point:
-    """A solution of the optimality system: z (steps+1, n), u (steps, nu), y (steps, n), mu (steps, nc) with mu[0] = 0, w (n,)."""
+    """A solution of the optimality system: z (steps+1, n), u (steps, nu), y (steps, n), mu (steps, nc) with mu[0] = 0."""
 
     z: np.ndarray
     u: np.ndarray
     y: np.ndarray
     mu: np.ndarray
-    w: np.ndarray
 
 
 def _block(
@@ -473,13 +470,6 @@ class BandedKKT:
         right[self.rows_w] = np.where(lin.aimed, lin.goal, 0.0)
         return right
 
-    def goal_columns(self) -> np.ndarray:
-        """Give the right-hand sides (size, given) [-] of a goal moved by one in each direction that is given."""
-        rows = self.rows_w[self._linear.aimed]
-        columns = np.zeros((self.size, len(rows)), order="F")
-        columns[rows, np.arange(len(rows))] = 1.0
-        return columns
-
     def point(self, x: np.ndarray) -> Point:
         """Take a solution x (size,) [-] apart. Raises IndexError for a shorter one."""
         lin = self._linear
@@ -488,5 +478,4 @@ class BandedKKT:
             u=x[self.rows_u],
             y=x[self._y],
             mu=np.vstack([np.zeros((1, lin.nc)), x[self.rows_mu[:-1]]]),
-            w=x[self.rows_w],
         )

@@ -68,11 +68,6 @@ class MpccOptions(Options):
         lower=2,
         upper=10**9,
     )
-    goal_tolerance: float = option(
-        0.0,
-        "how far from the goal the plan may end, in the norm of (q, v): the cheapest end within this ball is chosen",
-        lower=0.0,
-    )
     starts: int = option(
         1,
         "so many starts - the one given, softplus chain and gradient descent, both mirrored, random - the cheapest plan is kept",
@@ -97,7 +92,7 @@ class MpccOptions(Options):
     )
     terminal_tolerance: float = option(
         1e-9,
-        "solved only if the plan and its replay end this near to the goal (or the ball around it)",
+        "solved only if the plan and its replay end this near to the goal",
         lower=0.0,
     )
     physics_tolerance: float = option(

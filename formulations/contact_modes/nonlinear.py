@@ -31,7 +31,7 @@ from formulations.contact_modes.linear import is_linear, linear_scene
 from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
 from formulations.ipopt import IpoptResult
 from formulations.solution import Outcome
-from formulations.transcription.build import build_model, open_goal, read_plan
+from formulations.transcription.build import build_model, read_plan
 from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import ContactFormulation, hold_modes, set_relaxation
 from formulations.transcription.method import SolveBudget
@@ -60,15 +60,13 @@ _NEIGHBOUR_ITERATIONS = 50  # most iterations for a neighbour of a plan: it need
 class SoftplusHomotopy:
     """The softplus model of one scene, built once.
 
-    ball: radius of the goal, as in `quadratic`; schedule: b L of its stages; scheme,
-        integrate_cost: as in `build_model`. compiled: the model, which holds the
-    plan of the last stage.
+    schedule: b L of its stages; scheme, integrate_cost: as in `build_model`. compiled: the model,
+        which holds the plan of the last stage.
     """
 
     def __init__(
         self,
         scene: Scene,
-        ball: float,
         schedule: tuple[float, ...],
         *,
         scheme: Scheme = Scheme.SEMI_IMPLICIT_EULER,
@@ -87,7 +85,6 @@ class SoftplusHomotopy:
             if scene.nc
             else ((schedule[0], 1.0),)
         )
-        open_goal(model, ball)
         self.compiled = CompiledModel(model)
 
     def run(
@@ -206,13 +203,12 @@ class NonlinearAnswer(ModesAnswer):
 class NonlinearModes:
     """One model, whose modes are fixed by bounds. guess: the plan that the first solve starts from."""
 
-    def __init__(self, scene: Scene, kernel: Kernel, ball: float) -> None:
+    def __init__(self, scene: Scene, kernel: Kernel) -> None:
         self._scene, self._kernel = scene, kernel
         # The bound is never used: products are switched off as soon as modes are held.
         model = build_model(
             scene, ContactFormulation.COMPLEMENTARITY, eps=1.0 if scene.nc else None
         )
-        open_goal(model, ball)
         self._compiled, self._residuals = CompiledModel(model), PlanResiduals(scene)
 
     def begin(self, budget: SolveBudget, options: Mapping[str, Any]) -> NonlinearModes:
@@ -297,21 +293,17 @@ class NonlinearModes:
 
 
 class SceneModels:
-    """The models of one scene.
+    """The models of one scene."""
 
-    ball: radius of the goal; 0 if the scene has no goal.
-    """
-
-    def __init__(self, scene: Scene, kernel: Kernel, ball: float) -> None:
+    def __init__(self, scene: Scene, kernel: Kernel) -> None:
         self.scene, self.kernel = scene, kernel
-        self.ball = ball if scene.task.has_goal else 0.0
         self._homotopies: dict[tuple[float, ...], SoftplusHomotopy] = {}
         self.is_linear = is_linear(scene)
 
     def homotopy(self, schedule: tuple[float, ...]) -> SoftplusHomotopy:
         """Return the softplus homotopy with this schedule."""
         if schedule not in self._homotopies:
-            self._homotopies[schedule] = SoftplusHomotopy(self.scene, self.ball, schedule)
+            self._homotopies[schedule] = SoftplusHomotopy(self.scene, schedule)
         return self._homotopies[schedule]
 
     def modes(
@@ -325,8 +317,8 @@ class SceneModels:
 
     @cached_property
     def _linear(self) -> ModesProblem:
-        return ModesProblem(linear_scene(self.scene), self.ball)
+        return ModesProblem(linear_scene(self.scene))
 
     @cached_property
     def _nonlinear(self) -> NonlinearModes:
-        return NonlinearModes(self.scene, self.kernel, self.ball)
+        return NonlinearModes(self.scene, self.kernel)

@@ -5,9 +5,8 @@
     answer = problem.solve(closed)
     answer.u, answer.cost, answer.point.z
 
-    minimise sum_t cost   subject to   the time step,  lower <= u <= upper,  phi >= 0 where closed,
-        phi <= 0 where open,
-                                       |z[T] - goal| <= ball   (ball = 0: z[T] = goal)
+    minimise sum_t cost   subject to   the time step,  z[T] = goal,  lower <= u <= upper,
+                                       phi >= 0 where closed,  phi <= 0 where open
 
 A dual active-set method names the active conditions; where it finds too many of them an
 interior-point method does (`dual_active_set`). Then the equality problem is solved once more by a
@@ -22,14 +21,6 @@ pressing) the signs decide:
     S  both >= 0: no mode of these pairs is cheaper to first order   M
         both > 0, or one of them zero
     C  the product is >= 0      A  one of them >= 0      W  neither
-
-The cheapest end state within a ball around the goal: with e = z[T] - goal the optimal cost is a
-convex quadratic of e,
-
-    J(e) = J(0) - w(0)' e - 1/2 e' W e,     w(e) = w(0) + W e the multipliers of the goal,
-
-so that |e| <= ball leaves a problem of 2*nq numbers, solved by one eigenvalue decomposition and one
-scalar equation.
 """
 
 from __future__ import annotations
@@ -97,47 +88,6 @@ def classify(
     return ModeStationarity(letter=letter, biactive=int(biactive.sum()), least=float(low.min()))
 
 
-_HALVINGS = 80  # of the interval in which the logarithm of the multiplier lies: below rounding
-
-
-def cheapest_in_ball(slope: np.ndarray, curvature: np.ndarray, radius: float) -> np.ndarray:
-    """Minimise slope' e + 1/2 e' curvature e over |e| <= radius.
-
-    Parameters
-    ----------
-    slope : (n,) [-]
-    curvature : (n, n) [-], positive semidefinite
-    radius : of the ball [-]
-
-    Returns
-    -------
-    (n,) [-], the minimiser e
-
-    Raises
-    ------
-    ValueError
-        For a slope of another length.
-    """
-    values, vectors = np.linalg.eigh(curvature)
-    values = np.maximum(values, 0.0)
-    along = vectors.T @ slope
-
-    def length(shift: float) -> float:
-        return float(np.linalg.norm(along / (values + shift)))
-
-    smallest = np.finfo(float).tiny + 1e-15 * values[-1]
-    if length(smallest) <= radius:
-        return -vectors @ (along / (values + smallest))
-    low, high = (
-        np.log(smallest),
-        np.log(np.linalg.norm(along) / radius) + 1.0,
-    )  # beyond the upper end the length is below the radius
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if length(np.exp(middle)) > radius else (low, middle)
-    return -vectors @ (along / (values + np.exp(high)))
-
-
 # of the active set before it counts as going in circles; from a neighbour's set 2 to 4 are needed
 _ROUNDS = 12
 # From a neighbour's set so many rounds (a factorisation each), before the dual method is asked (one
@@ -148,7 +98,6 @@ _MANY = 12
 _VIOLATED = 1e-12  # [m], [N]: rounding of the banded solution
 _WRONG_SIGN = 1e-9  # a multiplier below minus this asks for its condition to be dropped
 _BIACTIVE = 1e-11  # [m] penetration or gap below which a pair touches without pressing
-_ENORMOUS = 1e100  # what a singular matrix that was not found out leaves
 _SAME = 1e-10  # part of a cost by which two are the same
 _SOLVED = 1e-8  # largest residual of the linear system that still counts as a solution
 
@@ -198,12 +147,12 @@ class QuadraticAnswer(ModesAnswer):
 class ModesProblem:
     """The quadratic program of one scene; `softness` may be moved between solves.
 
-    ball: radius of the goal; softness: where positive, the goal need not be met: |z[T] - goal|^2 /
-        (2 softness) is added to the cost. The modes of any rollout have a plan then.
+    softness: where positive, the goal need not be met: |z[T] - goal|^2 / (2 softness) is added to
+        the cost. The modes of any rollout have a plan then.
     """
 
-    def __init__(self, linear: LinearScene, ball: float = 0.0) -> None:
-        self.linear, self.ball = linear, ball
+    def __init__(self, linear: LinearScene) -> None:
+        self.linear = linear
         self.kkt = BandedKKT(linear)
         self.solves, self.softness = 0, 0.0
         # by softness and modes: no plan costs less
@@ -253,25 +202,14 @@ class ModesProblem:
             found = self._rounds(closed, near.active, _WARM_ROUNDS, below)
             if found is not None:
                 return found if found.cost < below else None
-        softness = self.softness if self.ball == 0.0 or near is None else self._softness(near)
-        guess: WorkingSet | None = WorkingSet.none(self.linear)
-        if self.ball == 0.0 or softness > 0.0:
-            # with a ball: by weak duality cost + (|e|^2 - ball^2)/(2 softness) never exceeds the
-            # optimum, whatever the softness
-            credit = 0.5 * self.ball**2 / softness if softness > 0.0 else 0.0
-            guess = self._dual.solve(closed, below + credit, softness)
-            if guess is None:
-                return None
+        guess = self._dual.solve(closed, below, self.softness)
+        if guess is None:
+            return None
         found = self._rounds(closed, guess)
         if found is None:
-            active = interior_point_active_set(self.linear, closed, self.ball, self.softness)
+            active = interior_point_active_set(self.linear, closed, self.softness)
             found = None if active is None else self._rounds(closed, active)
         return found if found is not None and found.cost < below else None
-
-    def _softness(self, near: QuadraticAnswer) -> float:
-        """Give ball / |w|: the softness at which a penalty ends on the sphere of the ball, for modes like those of `near`."""
-        size = float(np.linalg.norm(near.point.w))
-        return self.ball / size if size > 0.0 else 0.0
 
     def _whole(self, closed: np.ndarray) -> np.ndarray:
         """The same modes with those of the first step, which the start decides, and those of the bounds of velocities, never closed."""
@@ -370,17 +308,6 @@ class ModesProblem:
         bound = np.where(active.side > 0, lin.upper, np.where(active.side < 0, lin.lower, 0.0))
         right = self.kkt.right_side(closed, held, bound, active.touching)
         x = self.kkt.solve(right)
-        if self.ball > 0.0:
-            moved = self.kkt.goal_columns()
-            columns = self.kkt.solve(moved)
-            if not max(np.abs(x).max(), np.abs(columns).max()) < _ENORMOUS:
-                return None
-            place = np.nonzero(moved)[0]
-            curvature = -columns[place]
-            e = cheapest_in_ball(
-                -x[place], 0.5 * (curvature + curvature.T), self.ball
-            )  # the goal moved to the cheapest end
-            x, right = x + columns @ e, right + moved @ e
         residual = np.abs(self.kkt.product(x) - right).max()
         if not residual <= _SOLVED * max(1.0, np.abs(right).max()):  # NaN counts as no solution
             return None

@@ -220,7 +220,7 @@ class MpccSession(Session):
     def __init__(self, method: Method, scene: Scene, options: MpccOptions, clock: Clock) -> None:
         self._method, self._scene, self._options = method, scene, options
         self._kernel, self._residuals = load_kernel(scene), PlanResiduals(scene)
-        models = SceneModels(scene, self._kernel, options.goal_tolerance)
+        models = SceneModels(scene, self._kernel)
         self._starts = MultiStart(models, Finder(models, options), options)
         self._clock = clock
 
@@ -252,7 +252,7 @@ class MpccSession(Session):
         answer = search.answer
         if answer is None:
             return budget.spent_on(empty)
-        rollout, u = correct_end(self._scene, self._kernel, answer.u, self._options.goal_tolerance)
+        rollout, u = correct_end(self._scene, self._kernel, answer.u)
         plan = plan_of(self._scene, rollout, u)
         residuals = self._plan_residuals(plan)
         stationarity = answer.stationarity()
@@ -268,9 +268,7 @@ class MpccSession(Session):
         outcome, message = checked(outcome, message, residuals, self._promises())
         certificate = None
         if outcome is Outcome.SOLVED and stationarity.letter != "S":
-            certificate = certify_plan(
-                self._scene, plan, goal_tolerance=self._options.goal_tolerance
-            )
+            certificate = certify_plan(self._scene, plan)
             outcome, message = _stationary(certificate, message)
         residuals |= {
             "dual_infeasibility": answer.dual_infeasibility,
@@ -308,10 +306,7 @@ class MpccSession(Session):
         }
 
     def _promises(self) -> dict[str, float]:
-        plan, miss = (
-            self._options.plan_tolerance,
-            self._options.terminal_tolerance + self._options.goal_tolerance,
-        )
+        plan, miss = self._options.plan_tolerance, self._options.terminal_tolerance
         return {
             **dict.fromkeys(
                 (

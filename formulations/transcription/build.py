@@ -357,22 +357,6 @@ def _add_contact(
     return lam
 
 
-def open_goal(model: Any, ball: float) -> None:
-    """Let the plan end within `ball` of the goal, in the norm of (q, v).
-
-    0 leaves the goal as it is, and a free end stays free.
-    """
-    if ball == 0.0:
-        return
-    given = release_goal(model)
-    if given:
-        # in units of the ball: its multiplier then has the size of the cost, however small the ball
-        # is
-        model.constraint_goal_ball = pyo.Constraint(
-            expr=sum(((state - goal) / ball) ** 2 for state, goal, _ in given) <= 1.0
-        )
-
-
 def release_goal(model: Any) -> list[tuple[Any, Any, str]]:
     """Take the goal's constraints out.
 

@@ -127,10 +127,10 @@ def test_a_homotopy_goes_through_the_same_stages():
     scene = carts()
     small = shrunk(scene)
     schedule = (7.0, 14.0, 448.0)
-    stages = [SoftplusHomotopy(one, 0.0, schedule)._stages for one in (scene, small)]
+    stages = [SoftplusHomotopy(one, schedule)._stages for one in (scene, small)]
     np.testing.assert_allclose(stages[1], stages[0], rtol=1e-12)
     stiff = [
-        SoftplusHomotopy(one, 0.0, schedule)._stages
+        SoftplusHomotopy(one, schedule)._stages
         for one in (scene.with_parameters(k=3000.0), shrunk(scene.with_parameters(k=3000.0)))
     ]
     np.testing.assert_allclose(stiff[1], stiff[0], rtol=1e-12)
@@ -142,7 +142,7 @@ def test_inputs_are_corrected_the_same_way():
     scene = carts()
 
     def corrected(one: Scene, sharpness: float) -> np.ndarray:
-        return correct_end_by_softplus(one, load_kernel(one), np.zeros((100, 2)), 0.0, sharpness)[1]
+        return correct_end_by_softplus(one, load_kernel(one), np.zeros((100, 2)), sharpness)[1]
 
     large, small, sharper = (
         corrected(scene, 7.0),

@@ -12,12 +12,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 from formulations.grids import scene_of
 from formulations.mpec.certificate.certificate import Certificate, Tolerances, certify
 from formulations.solution import Solution
-from formulations.transcription.build import build_model, load_plan, open_goal
+from formulations.transcription.build import build_model, load_plan
 from models.catalog import as_scene
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -27,9 +26,7 @@ from models.trajectory import Trajectory
 PLAN_TOLERANCES = Tolerances(feasibility=1e-8, complementarity=1e-7)
 
 
-def certify_plan(
-    scene: Scene | str | Path, plan: Trajectory, *, goal_tolerance: float = 0.0
-) -> Certificate:
+def certify_plan(scene: Scene | str | Path, plan: Trajectory) -> Certificate:
     """Judge a plan as a solution of the scene's exact problem.
 
     Parameters
@@ -37,8 +34,6 @@ def certify_plan(
     scene : a scene, its name or the path of its file
     plan : on the scene's grid, or on one so many times as fine: its problem is the same task on
         that grid
-    goal_tolerance : norm of (q, v)[T] - goal within which the plan may end; then the problem is the
-        one with that ball for a goal
 
     Raises
     ------
@@ -48,18 +43,12 @@ def certify_plan(
         for what is no scene
     """
     model = build_model(scene_of(as_scene(scene), plan))
-    open_goal(model, goal_tolerance)
     load_plan(model, plan)
     return certify(model, tolerances=PLAN_TOLERANCES)
 
 
 def certify_solution(scene: Scene, solution: Solution) -> Solution:
-    """Return the solution with its certificate; unchanged if it has no plan or is certified.
-
-    A ball around the goal is read from the solution's options.
-    """
+    """Return the solution with its certificate; unchanged if it has no plan or is certified."""
     if solution.trajectory is None or solution.certificate is not None:
         return solution
-    ball = float(cast(float, solution.options.get("goal_tolerance", 0.0)))
-    found = certify_plan(scene, solution.trajectory, goal_tolerance=ball)
-    return replace(solution, certificate=found)
+    return replace(solution, certificate=certify_plan(scene, solution.trajectory))

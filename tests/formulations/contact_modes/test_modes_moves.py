@@ -417,7 +417,7 @@ def test_half_of_the_work_that_is_left_for_each_start(
     finder, budget = _Finder(spends), SolveBudget(60.0)
     budget.most_work = 100.0
     kernel = load_kernel(SCENE)
-    models = SceneModels(SCENE, kernel, 0.0)
+    models = SceneModels(SCENE, kernel)
     starts = MultiStart(models, cast(Any, finder), MpccOptions(starts=5))
     best, attempts = starts.run(budget, None)
     assert finder.allowed == allowed

@@ -41,8 +41,8 @@ def random_scene(seed: int, bound: float) -> tuple[Scene, np.ndarray]:
     return scene.with_task(goal=(*rollout.q[-1], *rollout.v[-1])), rollout.lam > 0
 
 
-def by_ipopt(scene: Scene, closed: np.ndarray, ball: float = 0.0):
-    modes = NonlinearModes(scene, load_kernel(scene), ball)
+def by_ipopt(scene: Scene, closed: np.ndarray):
+    modes = NonlinearModes(scene, load_kernel(scene))
     return modes.begin(SolveBudget(600.0), {"tol": 1e-10, "max_iter": 3000}).solve(closed)
 
 
@@ -76,15 +76,6 @@ def test_some_of_these_problems_have_active_bounds_and_signs() -> None:
     assert touching > 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("ball", [1e-3, 5e-2])
-def test_a_ball_around_the_goal_agrees_with_ipopt(ball: float) -> None:
-    problem = ModesProblem(linear_scene(SCENE), ball)
-    answer, theirs = problem.solve(BEST), by_ipopt(SCENE, BEST, ball)
-    assert np.linalg.norm(answer.point.z[-1] - problem.linear.goal) == pytest.approx(ball, rel=1e-9)
-    assert answer.cost == pytest.approx(theirs.cost, rel=1e-6)
-
-
 def test_optimality_conditions_hold() -> None:
     """Recomputed from the scene's matrices: time step, signs of penetrations and of multipliers, slope of free inputs."""
     scene, closed = random_scene(1, 1.6)
@@ -105,16 +96,16 @@ def test_optimality_conditions_hold() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize(("ball", "softness"), [(0.0, 0.0), (1e-3, 0.0), (0.0, 1e-3), (1e-3, 1e-3)])
+@pytest.mark.parametrize("softness", [0.0, 1e-3])
 def test_the_interior_point_names_the_conditions_that_are_active(
-    seed: int, ball: float, softness: float
+    seed: int, softness: float
 ) -> None:
     scene, closed = random_scene(seed, 1.6)
     linear = linear_scene(scene)
-    problem = ModesProblem(linear, ball)
+    problem = ModesProblem(linear)
     problem.softness = softness
     answer = problem.solve(closed)
-    named = interior_point_active_set(linear, closed, ball, softness)
+    named = interior_point_active_set(linear, closed, softness)
     assert named is not None
     held = problem._rounds(closed, named, most=2)
     assert held is not None, (
@@ -125,9 +116,8 @@ def test_the_interior_point_names_the_conditions_that_are_active(
 
 def test_the_interior_point_finds_nothing_where_there_is_no_plan() -> None:
     linear, nobody = linear_scene(SCENE), np.zeros((500, 2), dtype=bool)
-    assert interior_point_active_set(linear, nobody, 0.0) is None
-    assert interior_point_active_set(linear, nobody, 1e-3) is None
-    assert interior_point_active_set(linear, nobody, 0.0, softness=1e-3) is not None, (
+    assert interior_point_active_set(linear, nobody) is None
+    assert interior_point_active_set(linear, nobody, softness=1e-3) is not None, (
         "whatever the modes, some inputs come nearest"
     )
 
@@ -225,7 +215,7 @@ def test_it_solves_and_multiplies_as_numpy_does(seed: int, size: int, width: int
     lu, random = BandedLU(size, width), np.random.default_rng(seed)
     is_regular = abs(np.linalg.det(dense)) > 0.0
     if lu.factor(band):
-        right, several = random.normal(size=size), random.normal(size=(size, 3))
+        right = random.normal(size=size)
         np.testing.assert_allclose(
             lu.product(right), dense @ right, atol=1e-12 * max(1.0, np.abs(dense).max() * size)
         )
@@ -233,25 +223,8 @@ def test_it_solves_and_multiplies_as_numpy_does(seed: int, size: int, width: int
             np.testing.assert_allclose(
                 lu.solve(right), np.linalg.solve(dense, right), rtol=1e-7, atol=1e-7
             )
-            np.testing.assert_allclose(dense @ lu.solve(several), several, atol=1e-8)
     else:
         assert not is_regular or np.linalg.cond(dense) > 1e8
-
-
-@pytest.mark.parametrize("several", [1, 2, 5, 13])
-def test_several_right_hand_sides_at_once_are_each_alone(several: int) -> None:
-    random, lu = np.random.default_rng(several), BandedLU(60, 7)
-    assert lu.factor(random_band(0, 60, 7)[1])
-    right = random.normal(size=(60, several)) * (
-        random.uniform(size=(60, several)) < 0.2
-    )  # with rows that are zero
-    for order in ("C", "F"):
-        together = lu.solve(np.array(right, order=order))
-        for k in range(several):
-            assert np.array_equal(together[:, k], lu.solve(right[:, k]))
-            assert np.array_equal(
-                lu.product(np.array(right, order=order))[:, k], lu.product(right[:, k])
-            )
 
 
 def test_a_matrix_with_an_empty_column_is_singular() -> None:

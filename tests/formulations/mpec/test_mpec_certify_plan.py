@@ -126,15 +126,6 @@ def test_a_relaxed_plan_is_not_complementary() -> None:
     assert certificate.complementarity == pytest.approx(math.sqrt(1e-2), rel=0.5)
 
 
-@pytest.mark.slow
-def test_a_ball_around_the_goal_is_part_of_the_problem() -> None:
-    solution = solved("mpcc", goal_tolerance=0.01)
-    certified = certify_solution(SCENE, solution)
-    assert isinstance(certified.certificate, Certificate)
-    assert certified.certificate.holds, certified.certificate.sentence
-    assert not certify_plan(SCENE, plan_of(solution)).feasible
-
-
 def test_without_a_plan_there_is_nothing_to_certify() -> None:
     nothing = Solution(method="mpcc", outcome=Outcome.INFEASIBLE)
     assert certify_solution(SCENE, nothing) == nothing
