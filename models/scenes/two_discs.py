@@ -12,16 +12,13 @@ and any speed across, within time t is (per unit of mass and weight)
 
     12 (d.n)^2/t^3 - 12 (d.n) s/t^2 + 4 s^2/t + 3 |d - (d.n) n|^2/t^3
 
-so that the optimum is a minimum over n, t and s alone (`rigid_cost`): 0.3114169, and 0.3736364 with
-the wall, where disc 2 heads for the goal's mirror image behind the line of its reflected centre, y
-= 1 - r.
+so that the optimum is a minimum over n, t and s alone: 0.3114169, and 0.3736364 with the wall, where
+disc 2 heads for the goal's mirror image behind the line of its reflected centre, y = 1 - r.
 
 To hold, a plan costs no more than the cheapest throw of rigid discs that brings disc 2 onto the
-goal itself (`rigid_hit_cost`): 0.4079873, and 0.5911108 with the wall. Doing nothing costs the
-square of its distance from there, 2 and 0.61.
+goal itself: 0.4079873, and 0.5911108 with the wall. Doing nothing costs the square of its distance
+from there, 2 and 0.61.
 """
-
-import math
 
 import sympy as sp
 
@@ -32,6 +29,7 @@ RADIUS = 0.2
 MASS = 1.0
 WEIGHT = 0.01
 STEPS = 480
+STEP = 1.0 / STEPS
 WALL = 1.0
 RIGID_OPTIMUM = 0.3114169
 RIGID_OPTIMUM_WALL = 0.3736364
@@ -45,42 +43,6 @@ x1, y1, x2, y2 = q = sp.symbols("x1 y1 x2 y2", real=True)
 vx1, vy1, vx2, vy2 = v = sp.symbols("vx1 vy1 vx2 vy2", real=True)
 ux, uy = sp.symbols("ux uy", real=True)
 m, r, k, y_w = sp.symbols("m r k y_w", positive=True)
-
-
-def rigid_cost(
-    direction: float, time: float, speed: float, start: tuple[float, ...], goal: tuple[float, float]
-) -> float:
-    """The cost in the rigid limit of hitting disc 2 at `time` [s], along the angle `direction` [rad], with `speed` [m/s] > 0 along it.
-
-    start: (4,) centres of disc 1 and 2 [m]; goal: where disc 2 heads for [m].
-    """
-    nx, ny = math.cos(direction), math.sin(direction)
-    dx, dy = start[2] - 2 * RADIUS * nx - start[0], start[3] - 2 * RADIUS * ny - start[1]
-    along, across = dx * nx + dy * ny, dy * nx - dx * ny
-    work = (
-        12 * along**2 / time**3
-        - 12 * along * speed / time**2
-        + 4 * speed**2 / time
-        + 3 * across**2 / time**3
-    )
-    glide = speed * (STEPS * _step() - time)
-    return (
-        (start[2] + glide * nx - goal[0]) ** 2
-        + (start[3] + glide * ny - goal[1]) ** 2
-        + WEIGHT * work
-    )
-
-
-def rigid_hit_cost(time: float, start: tuple[float, ...], goal: tuple[float, float]) -> float:
-    """The cost in the rigid limit of hitting disc 2 at `time` [s] so that it glides exactly onto its goal; its minimum over time is RIGID_HIT."""
-    dx, dy = goal[0] - start[2], goal[1] - start[3]
-    return rigid_cost(
-        math.atan2(dy, dx), time, math.hypot(dx, dy) / (STEPS * _step() - time), start, goal
-    )
-
-
-def _step() -> float:
-    return 1.0 / STEPS
 
 
 def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
@@ -158,9 +120,9 @@ def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
         task=Task(
             start=(*start, 0.0, 0.0, 0.0, 0.0),
             goal=(None,) * 8,
-            running_cost=WEIGHT * _step() * (ux**2 + uy**2),
+            running_cost=WEIGHT * STEP * (ux**2 + uy**2),
             final_cost=x2**2 + y2**2,
-            step=_step(),
+            step=STEP,
             steps=STEPS,
         ),
         limits=limits(
@@ -185,7 +147,7 @@ def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
                 quantity="least cost in the limit of rigid discs",
                 value=optimum,
                 tolerance=1e-7,
-                source="minimum of rigid_cost over direction, time and speed of the impact, see the docstring",
+                source="minimum of the rigid cost over direction, time and speed of the impact, see the docstring",
             ),
         ),
         shapes=tuple(shapes),

@@ -26,12 +26,14 @@ from models.scene import Scene
 from models.scenes.cart_chain import cart_chain
 from models.scenes.push_box import mean_distance
 from models.scenes.two_discs import (
+    RADIUS,
     RIGID_HIT,
     RIGID_HIT_WALL,
     RIGID_OPTIMUM,
     RIGID_OPTIMUM_WALL,
-    rigid_cost,
-    rigid_hit_cost,
+    STEP,
+    STEPS,
+    WEIGHT,
     two_discs,
 )
 from models.trajectory import uniform_grid
@@ -248,6 +250,38 @@ def test_coincident_centres_have_a_defined_normal(name: str, force: float):
     assert plan.lam[0, 0] == pytest.approx(force, rel=1e-4)
     gradient, _ = kernel.adjoint(plan, u, plan.q, plan.v, cost_bar=1.0)
     assert np.isfinite(gradient).all()
+
+
+def rigid_cost(
+    direction: float, time: float, speed: float, start: tuple[float, ...], goal: tuple[float, float]
+) -> float:
+    """Return the cost of a throw of rigid discs, by the closed form in the docstring of the scene.
+
+    Disc 2 is hit at `time` [s], along the angle `direction` [rad], with `speed` [m/s] > 0 along it.
+    start: (4,) centres of disc 1 and 2 [m]; goal: place that disc 2 glides towards [m].
+    """
+    nx, ny = math.cos(direction), math.sin(direction)
+    dx, dy = start[2] - 2 * RADIUS * nx - start[0], start[3] - 2 * RADIUS * ny - start[1]
+    along, across = dx * nx + dy * ny, dy * nx - dx * ny
+    work = (
+        12 * along**2 / time**3
+        - 12 * along * speed / time**2
+        + 4 * speed**2 / time
+        + 3 * across**2 / time**3
+    )
+    glide = speed * (STEPS * STEP - time)
+    return (
+        (start[2] + glide * nx - goal[0]) ** 2
+        + (start[3] + glide * ny - goal[1]) ** 2
+        + WEIGHT * work
+    )
+
+
+def rigid_hit_cost(time: float, start: tuple[float, ...], goal: tuple[float, float]) -> float:
+    """Return the cost of a hit at `time` [s] after which disc 2 glides exactly onto its goal."""
+    dx, dy = goal[0] - start[2], goal[1] - start[3]
+    speed = math.hypot(dx, dy) / (STEPS * STEP - time)
+    return rigid_cost(math.atan2(dy, dx), time, speed, start, goal)
 
 
 @pytest.mark.parametrize(
