@@ -8,7 +8,7 @@
 Scenes are those of the bank, with other parameters, another start or a damped floor; the ramp and
 the belt are written here. An answer is a closed form (of the scene's file, or here) or, where there
 is none, the motion by our own event-exact integration: DOP853 at 1e-12, afresh at every change of a
-contact or a friction (models.exact_motion). Either is right to 1e-9.
+contact or a friction (validate.truth.exact_motion). Either is right to 1e-9.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.special import lambertw
 
 from models.catalog import load_scene
-from models.exact_motion import Equations, Piece, true_motion
 from models.scene import Contact, Coordinate, Friction, Parameter, Scene, Task
 from models.scene.contacts import DampingLaw
 from models.scenes import bouncing_mass as drop
 from models.scenes import two_body_collision as pair
 from models.scenes.two_discs import BLUR, RADIUS
 from models.trajectory import Trajectory, uniform_grid
+from validate.truth.exact_motion import Equations, Piece, true_motion
 
 INTEGRATED = "our own event-exact integration (DOP853 at 1e-12)"
 FOUR = (1, 2, 4, 8)

@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 
 from models.dynamics import derive
-from models.exact_motion import Equations
 from models.fmu.variables import friction_nominals
 from models.scene import Scene
+from validate.truth.exact_motion import Equations
 
 
 @cache

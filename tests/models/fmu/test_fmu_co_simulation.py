@@ -8,9 +8,9 @@ from fmpy import simulate_fmu
 from sksundae.cvode import CVODE
 
 from models.codegen.kernel import load_kernel
-from models.exact_motion import Equations, Piece, true_motion
 from models.fmu import build_fmu
 from models.fmu.variables import INTEGRATORS
+from validate.truth.exact_motion import Equations, Piece, true_motion
 
 
 def test_bouncing_mass_meets_its_closed_forms(scene_of, drive, constants):

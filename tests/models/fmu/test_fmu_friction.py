@@ -13,7 +13,6 @@ import sympy as sp
 from fmpy.validation import validate_fmu
 
 from models.catalog import load_scene
-from models.exact_motion import Equations, Piece, true_motion
 from models.fmu import build_fmu
 from models.scene import Coordinate, Input, Scene, Task
 from models.scene.contacts import Contact, Friction
@@ -33,6 +32,7 @@ from tests.models.test_friction import (
     x2,
     z,
 )
+from validate.truth.exact_motion import Equations, Piece, true_motion
 
 PARAMETERS = two_coupled_frictions().parameters
 

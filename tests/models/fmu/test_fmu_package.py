@@ -19,9 +19,7 @@ from example_scenes import example_scene
 from fmpy.validation import validate_fmu
 from lxml import etree
 
-from models import exact_motion
 from models.errors import MachineError, SceneError, TouchstoneError, UnknownNameError
-from models.exact_motion import Equations, MotionError, Piece, true_motion
 from models.fmu import build_fmu, variable_names
 from models.fmu.description import STANDARDS, render
 from models.fmu.package import PLATFORMS, find_platforms, this_platform
@@ -29,6 +27,8 @@ from models.fmu.variables import variable_table
 from models.scene import Parameter, Scene
 from models.scene.values import base_exponents
 from tests.models.fmu.scene_outputs import scene_outputs
+from validate.truth import exact_motion
+from validate.truth.exact_motion import Equations, MotionError, Piece, true_motion
 
 
 @pytest.mark.slow

@@ -17,13 +17,13 @@ import pytest
 import sympy as sp
 from wording import unsaid
 
-from models.exact_motion import Equations, Piece, true_motion
 from models.scene import Scene
 from reports.pages.simulators import as_markdown
 from reports.render import render_truth
 from validate.cli import truth
 from validate.cli.truth import as_csv, drives, judged, observed_order, recorded, reference_is_right
 from validate.judge.simulator import Came, EngineAnswer, describe_engine, load_engine, named_engines
+from validate.truth.exact_motion import Equations, Piece, true_motion
 from validate.truth.problems import TruthProblem, problems, restitution
 
 PROBLEMS = {f"{problem.phenomenon}: {problem.name}": problem for problem in problems()}
