@@ -3,7 +3,7 @@
 >>> import touchstone as ts
 >>> scene = ts.scene("three_cart")           # a name, or the path of a scene file
 >>> plan = ts.solve(scene, "softplus_dc+strict")      # a pipeline or a method: a Solution
-# or a CSV, a DataFrame, arrays by name; or an FMU instead of the scene
+>>> # a plan may also be a CSV, a DataFrame, arrays by name; an FMU may replace the scene
 >>> verdict = ts.judge(scene, plan)
 >>> verdict
 Judgement(three_cart, softplus_dc+strict: holds, cost 490.8, replay error 0.006839 m)

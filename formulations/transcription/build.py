@@ -113,7 +113,7 @@ def build_model(
     >>> from formulations import ContactFormulation, build_model, set_relaxation
     >>> model = build_model("three_cart", contact=ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=50, step=0.1)
     >>> model.parameter_scene["k"] = 300.0  # stiffer contact, no rebuilding
-    # a constraint of one's own
+    >>> # a constraint of the caller
     >>> model.own = pyo.Constraint(expr=model.variable_q[25, "q2"] <= 3.2)
     >>> set_relaxation(model, 1e-4)  # the bound moves, the model stays
     >>> pyo.value(model.mpec_bound)
