@@ -204,7 +204,7 @@ def test_multipliers_that_come_along_are_checked(
         None
         if row is None
         else Multipliers(rows={m.row: row}, pairs={} if given is None else {m.pair: given})
-    )  # type: ignore[arg-type]
+    )
     found = certify(m, multipliers)
     assert (found.stationarity, found.descent) == (kind, 0.0)
     assert found.given_dual == pytest.approx(left, nan_ok=True)

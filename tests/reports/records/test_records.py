@@ -192,7 +192,7 @@ def test_with_its_campaign_a_folder_is_told_in_its_order(tmp_path: Path):
     keys = ("stress-h01", runs[2].key, "lost", runs[0].key, runs[1].key, runs[0].key)
     folder = factory.store(
         tmp_path / "all", [*runs, check(), check("h02")], factory.campaign(runs, keys=keys)
-    )  # type: ignore[list-item]
+    )
     (folder / "runs" / runs[1].key / "record.json").write_text("{")
     stored = load(folder)
     assert [item.key for item in stored.runs] == [runs[2].key, runs[0].key]

@@ -408,7 +408,7 @@ def test_a_plan_on_somebodys_fmu_is_wired_in_whatever_form_it_comes(
     for plan in (tmp_path / "plan.csv", str(tmp_path / "plan.csv"), columns):
         subject, trajectory, run, feedback = wire_fmu(Path("a.fmu"), plan, hold="linear").judge(
             True
-        )  # type: ignore[misc]
+        )
         assert (subject, trajectory, feedback) == ("model", "trajectory", True)
         assert (run.func, run.args, run.keywords) == (
             module.replay_foreign, (foreign, "package of a.fmu"),

@@ -57,7 +57,7 @@ def test_a_plan_is_tried_once_and_stored_by_its_content(
     assert (
         ran(store, replace(task, plugin="real_chains:STUMBLING"), "fifth").stages[-1].survey.message
         == "ZeroDivisionError: a stumble"
-    )  # type: ignore[union-attr]
+    )
 
 
 def test_a_run_without_is_another_run_of_the_same_legs(tmp_path: Path):

@@ -239,7 +239,7 @@ def test_a_plan_is_judged_and_what_was_seen_is_written_beside_it(
 def test_without_a_plan_nothing_is_built_and_nothing_judged(log: list[Any], tmp_path: Path):
     _, named, update = judge_of(log, ValueError()).record(
         stage(Kind.DIRECT, False), tmp_path, 0, 0.0
-    )  # type: ignore[misc]
+    )
     assert (log, named["judged"].score, named["judged"].problem, update) == (
         ["lap fmu_build"],
         None,

@@ -448,7 +448,7 @@ def test_a_scene_is_replayed_with_feedback_where_its_replay_asks_for_it(
     for track in (True, lambda replay: plan if replay.growth == "growth" else None):
         found = run_module.replay(
             scene, Path("a.fmu"), plan, track=track, limits=Limits(seconds=3.0)
-        )  # type: ignore[arg-type]
+        )
         assert (found.tracked.applied.tolist(), found.tracked.feedback) == ([[3.0], [4.0]], LAW)
         assert [(job.limits, feedback) for job, feedback in jobs[-2:]] == [
             (Limits(seconds=3.0), None),

@@ -102,7 +102,7 @@ def test_local_errors_are_summed_over_the_steps(sign: float):
     ends.v[0, 0] += sign * 0.4  # an error of the first step goes on for 1.5 s
     assert local_errors(fine, ends, TIMES, carried=True, heeds=True).position == pytest.approx(
         0.3 + 0.6
-    )  # type: ignore[union-attr]
+    )
 
 
 def test_local_errors_of_a_run_that_heeds_no_step_are_not_known():
@@ -114,7 +114,7 @@ def test_local_errors_of_a_run_that_heeds_no_step_are_not_known():
     ends.q[1, 0] += 1e-9
     assert local_errors(fine, ends, TIMES, carried=False, heeds=False).position == pytest.approx(
         1e-9, rel=1e-3
-    )  # type: ignore[union-attr]
+    )
     assert local_errors(None, ends, TIMES, carried=True, heeds=True) is None
     assert local_errors(fine, None, TIMES, carried=True, heeds=True) is None
 

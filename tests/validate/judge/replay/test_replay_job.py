@@ -296,7 +296,7 @@ def test_a_rollback_that_fails_is_left_out_and_said(
     plain.outcome = ReplayOutcome.DIVERGED
     assert module._rolled_back("package", "variables", "start", "inputs", 200)[1] == "", (
         "a run that fails anyway needs no such note"
-    )  # type: ignore[arg-type]
+    )
 
 
 # What an interface must offer
@@ -342,7 +342,7 @@ def test_an_everyday_replay_is_refused_where_steps_must_be_equal():
     assert (
         everyday_refusal(SimpleNamespace(cosimulation=None), even)
         == "the FMU offers no Co-Simulation"
-    )  # type: ignore[arg-type]
+    )
     require_some_method(package(), "no")
     require_some_method(package(exchange=False), None)
     with pytest.raises(FmuError, match=r"some\.fmu: it offers no Model Exchange, and no; .*cannot"):

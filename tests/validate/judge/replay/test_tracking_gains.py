@@ -318,7 +318,7 @@ def test_an_fmu_is_linearised_in_its_units_and_told_in_the_plans(monkeypatch: py
     foreign: Any = SimpleNamespace(model=model, variables="variables", units=units, start="start")
     (given_model, given_plan, a, b), (steps, t, sizes) = module.design_foreign(
         foreign, "package", plan, "limits"
-    )  # type: ignore[arg-type,misc]
+    )
     assert asked == [
         ("package", "variables", [[25.0]], "start", [[1.0, 2.0], [2.0, 1.0]], "limits")
     ]
@@ -332,7 +332,7 @@ def test_an_fmu_is_linearised_in_its_units_and_told_in_the_plans(monkeypatch: py
     with pytest.raises(TrackingError, match="does not say its positions"):
         module.design_foreign(
             foreign, "package", replace(plan, missing=frozenset({"q", "v"})), "limits"
-        )  # type: ignore[arg-type]
+        )
 
 
 def test_a_step_of_an_fmu_is_the_exponential_of_the_mean_of_its_ends(
@@ -443,7 +443,7 @@ def test_a_growth_counts_once_smaller_steps_give_the_same(
         None,
         None,
         SimpleNamespace(scheme=None, t=np.array([0.0, 0.1]), steps=1 if stable < 0.1 else 3),
-    )  # type: ignore[arg-type]
+    )
     assert (None if answer is None else answer.amplification, parts_asked) == (expected, asked)
     declared = iter([7.0])
     monkeypatch.setattr(module, "_growth_in", lambda parts, *given: (parts, next(declared)))
