@@ -36,11 +36,13 @@ from dataclasses import Field, dataclass, field, fields
 from enum import Enum
 from time import perf_counter, process_time
 from types import MappingProxyType, TracebackType
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 from models.errors import TouchstoneError, did_you_mean
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from formulations.solution import Solution
     from models.scene import Scene
     from models.trajectory import Trajectory
@@ -132,6 +134,11 @@ class Kind(Enum):
     DIRECT = "direct"
 
 
+# The Solutions of the stages of the last of some legs, which begin a pipeline on the session's
+# scene; None where they are not stored.
+StoredStages: TypeAlias = "Callable[[Sequence[Leg]], Sequence[Solution] | None]"
+
+
 class Clock:
     """Wall and CPU seconds that opening a session takes.
 
@@ -174,6 +181,12 @@ class Session(ABC):
         """
         return warm_start
 
+    def use_stored(self, stored: StoredStages) -> None:  # noqa: B027 - most sessions run no pipelines
+        """Take stages of other pipelines that a campaign has stored instead of solving them again.
+
+        The answer is the same as without them.
+        """
+
     def close(self) -> None:  # noqa: B027 - most sessions hold nothing that needs freeing
         """Free what the session holds."""
 
@@ -198,6 +211,9 @@ class Method(ABC, Generic[AnyOptions]):
     needs_eps: bool  # whether `solve` takes a relaxation eps
     # whether its plan claims to solve the exact contact problem: a campaign then certifies it
     exact: bool = False
+    ways: tuple[
+        Pipeline, ...
+    ] = ()  # pipelines that it runs itself, and takes where they are stored
     options: type[AnyOptions] = Options  # pyright: ignore[reportAssignmentType] - of a method that has none
 
     def accepts(self, scene: Scene) -> str | None:

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from time import monotonic
@@ -202,8 +201,8 @@ PIPELINES: tuple[Pipeline, ...] = (
     ),
     _row(
         BEST_EXACT,
-        "Exact contact from a cold start, the cheapest plan of several ways",
-        "ours: mpcc where contacts are open or closed; else relaxed and softplus contact walked down by steps that adapt, each then strict",
+        "Exact contact from a cold start, the cheapest plan of several pipelines",
+        "ours: mpcc where contacts are open or closed; else relaxed and softplus contact and softly shot plans, each then strict",
         BEST_EXACT,
     ),
     _row(
@@ -218,6 +217,22 @@ PIPELINES: tuple[Pipeline, ...] = (
         "ours: the replay of the start, held against the scene's closed forms",
         "free_motion",
     ),
+)
+
+# Pipelines that `best_exact` alone runs, beside those of the table.
+RELAXED_WALK = _row(
+    "relaxed_walk+strict",
+    "Relaxed LCP from a loose bound, tightened by steps that adapt, then strict LCP",
+    "ours",
+    Leg(method="relaxed_lcp", schedule=RELAXED_EPS[-1:], options={"first_eps": RELAXED_FROM}),
+    "strict_lcp",
+)
+SOFTLY_SHOT = _row(
+    "softly_shot+strict",
+    "Multiple shooting on softplus contact, tightened, then strict LCP",
+    "ours",
+    _SHOT_SOFTLY,
+    "strict_lcp",
 )
 
 # What `--quick` runs: the cheapest collocation chain that ends in a direct method, the cheapest
@@ -236,17 +251,9 @@ def pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
     A method that does not apply says so itself.
 
     Only the free motion is not tried where there are inputs: it is no way to find a plan, but all
-    that a scene without inputs has. Where `mpcc` applies it is what `best_exact` does: its leg is
-    then the same, and is solved once for both.
+    that a scene without inputs has.
     """
-    if not scene.nu:
-        return PIPELINES
-    legs = {BEST_EXACT: (Leg(method="mpcc"),)} if load_method("mpcc").accepts(scene) is None else {}
-    return tuple(
-        replace(pipeline, legs=legs.get(pipeline.name, pipeline.legs))
-        for pipeline in PIPELINES
-        if pipeline.name != FREE_MOTION
-    )
+    return tuple(pipeline for pipeline in PIPELINES if not scene.nu or pipeline.name != FREE_MOTION)
 
 
 def find_pipeline(name: str) -> Pipeline:

@@ -1,19 +1,12 @@
-"""Exact contact on every scene, from a cold start: several ways are gone, and the cheapest plan is kept.
+"""Exact contact on every scene, from a cold start: several pipelines are run, and the cheapest plan is kept.
 
     contacts that are open or closed:  mpcc, which searches their modes; it has a plan -> done
-    else four ways:                    relaxed_lcp walked down from eps = 0.9, and from 1e-2 ->
-                                       strict_lcp
-                                       softplus_dc walked down from eps = 1e-3   -> strict_lcp
-                                       softplus_multiple_shooting, eps = 1e-3 .. 1e-48
-                                           -> strict_lcp
+    else:                              relaxed_walk+strict, relaxed+strict, softplus_dc+strict,
+                                       softly_shot+strict
 
-A walk chooses its own eps (`transcription.homotopy`). No way is the best one: exact cost by the
-first to the fourth, transport 0.704, 0.916, 0.701 and 1.84, two_finger_lift 59.410, 59.399, 77.2
-and 59.410, hopper_planar none, none, 737.8 and 748.8, a drawer pushed shut over a rough rail 25.9,
-26.5, none and 9.5. Where the loosest relaxation has no plan a tighter one is not tried, and a walk
-that did not come to its end is not followed by strict_lcp while another way has a plan: that is
-where 77.2 comes from, and from a cold start 18214 for hopper_planar, in 1600 iterations. Multiple
-shooting may stop at its limit: its plan is nearly that of its inputs, and strict_lcp ends near it.
+No pipeline is the best one: exact cost by these four, transport 0.704, 0.916, 0.701 and 1.84,
+two_finger_lift 59.410, 59.399, 77.2 and 59.410, a drawer pushed shut over a rough rail 25.9, 26.5,
+none and 9.5. A campaign has solved most of them already (`Session.use_stored`).
 
 An exact plan solves the equations of its grid, and a robot does not move on a grid. So each is
 followed on finer steps by linear feedback around it (`formulations.grids`): how far the motion
@@ -26,35 +19,41 @@ departs least.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from time import monotonic
 
 from formulations.grids import departure, finer_scene, motion_on_finer_steps
-from formulations.method import Clock, Kind, Method, Options, Session, option
-from formulations.pipelines import (
-    MULTIPLE_SHOOTING_COUNT,
-    MULTIPLE_SHOOTING_EPS,
-    RELAXED_EPS,
-    RELAXED_FROM,
-    SOFTPLUS_EPS,
-    load_method,
+from formulations.method import (
+    Clock,
+    Kind,
+    Leg,
+    Method,
+    Options,
+    Pipeline,
+    Session,
+    StoredStages,
+    option,
 )
-from formulations.solution import Attempt, Outcome, Seconds, Solution, ended
+from formulations.pipelines import (
+    RELAXED_WALK,
+    SOFTLY_SHOT,
+    find_pipeline,
+    load_method,
+    solve_stages,
+)
+from formulations.solution import Attempt, Outcome, Seconds, Solution, as_asked, ended
 from models.scene import Scene
 from models.trajectory import Trajectory
 
-# (method, its options, eps that are asked for)
-_WAYS: tuple[tuple[str, Mapping[str, float], tuple[float, ...]], ...] = (
-    ("relaxed_lcp", {"first_eps": RELAXED_FROM}, RELAXED_EPS[-1:]),
-    ("relaxed_lcp", {"first_eps": RELAXED_EPS[0]}, RELAXED_EPS[-1:]),
-    ("softplus_dc", {"first_eps": SOFTPLUS_EPS[0]}, SOFTPLUS_EPS[-1:]),
-    (
-        "softplus_multiple_shooting",
-        {"max_iterations": MULTIPLE_SHOOTING_COUNT},
-        MULTIPLE_SHOOTING_EPS,
-    ),
+_MODES = find_pipeline("mpcc")
+_WAYS = (
+    RELAXED_WALK,
+    find_pipeline("relaxed+strict"),
+    find_pipeline("softplus_dc+strict"),
+    SOFTLY_SHOT,
 )
+_STRICT = find_pipeline("strict")
 # Part of a cost by which two are the same.
 _SAME = 1e-9
 # A plan is solved again on finer steps until it departs by at most this part of what is allowed:
@@ -70,7 +69,7 @@ _DEPARTS = "On steps a fiftieth as long the motion departs from it, with feedbac
 class BestExactOptions(Options):
     """Options of `best_exact`."""
 
-    all_ways: bool = option(False, "go the other ways too where mpcc has a plan")
+    all_ways: bool = option(False, "run the other pipelines too where mpcc has a plan")
     halvings: int = option(
         3,
         "how often the steps are halved where the cheapest plan departs by more than is allowed; 0: a plan on the task's grid",
@@ -79,18 +78,28 @@ class BestExactOptions(Options):
     )
 
 
+def _nothing_stored(legs: Sequence[Leg]) -> None:
+    """Outside a campaign no stage is stored."""
+
+
 class BestExactSession(Session):
     """Opens the sessions of the other methods, one after the other."""
 
     def __init__(self, method: BestExact, scene: Scene, options: BestExactOptions) -> None:
         self._method, self._scene, self._options = method, scene, options
+        self._stored: StoredStages = _nothing_stored
+
+    def use_stored(self, stored: StoredStages) -> None:
+        """Take what is stored of the pipelines that are run here."""
+        self._stored = stored
 
     def solve(
         self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float
     ) -> Solution:
-        """Find the cheapest plan of all ways; the walks start from the plan given too.
+        """Find the cheapest plan of all pipelines, each of which starts from the plan given.
 
-        Raises TrajectoryError for a plan of another grid.
+        Its seconds and iterations are those of all of them, whoever ran them. Raises
+        TrajectoryError for a plan of another grid.
         """
         self._method.check_stage(eps, time_limit)
         ends = monotonic() + time_limit
@@ -118,38 +127,46 @@ class BestExactSession(Session):
         )
 
     def _found(self, start: Trajectory | None, ends: float) -> Iterator[tuple[str, Solution]]:
-        """What each way found, in words and as a solution of all its stages."""
+        """What each pipeline found, in words and as a solution of all its stages."""
         scene = self._scene
         solved: list[Solution] = []
         if load_method("mpcc").accepts(scene) is None:
-            found = self._stage("mpcc", start, ends)
-            yield "mpcc", found
+            found = self._way(_MODES, start, ends)
+            yield _MODES.name, found
             solved += [found] if found.outcome is Outcome.SOLVED else []
             if solved and not self._options.all_ways:
                 return
-        without: set[str] = set()  # methods with a walk that did not come to its end
-        for method, options, schedule in _WAYS:
-            if method in without or monotonic() >= ends:
-                continue
-            words = (
-                f"{method} from eps = {options.get('first_eps', schedule[0]):g}, then strict_lcp"
-            )
-            walked = self._walked(method, schedule, start, ends, options)
-            if walked.trajectory is None or (
-                "first_eps" in options and solved and walked.outcome is not Outcome.SOLVED
-            ):
-                without.add(method)
-                yield words, replace(walked, trajectory=None, cost=None)
-                continue
-            exact = _with_departure(
-                scene, _after(walked, self._stage("strict_lcp", walked.trajectory, ends))
-            )
-            solved += [exact] if exact.outcome is Outcome.SOLVED else []
-            yield words, exact
+        for way in _WAYS:
+            if monotonic() >= ends:
+                break
+            found = _with_departure(scene, self._way(way, start, ends))
+            solved += [found] if found.outcome is Outcome.SOLVED else []
+            yield way.name, found
         if not solved and monotonic() < ends:
-            yield "strict_lcp", self._stage("strict_lcp", start, ends)
+            yield _STRICT.name, self._way(_STRICT, start, ends)
         elif solved and not _is_followed(cheapest := _cheapest(solved)):
             yield from self._on_finer_steps(cheapest, ends)
+
+    def _way(self, way: Pipeline, start: Trajectory | None, ends: float) -> Solution:
+        """The last stage of a pipeline, with the iterations and seconds of all of them.
+
+        It ends with the leg that has no plan: strict_lcp from nothing is a pipeline of its own.
+        What is stored began with nothing.
+        """
+        plan, iterations, seconds = start, 0, Seconds()
+        for number, leg in enumerate(way.legs):
+            stored = self._stored(way.legs[: number + 1]) if start is None else None
+            stages = stored or _solved(self._scene, leg, plan, ends)
+            iterations += sum(stage.iterations for stage in stages)
+            seconds = sum((stage.seconds for stage in stages), seconds)
+            plans = [stage.trajectory for stage in stages if stage.trajectory is not None]
+            if not plans:
+                break
+            plan = plans[-1]
+        last = stages[-1]
+        if number + 1 < len(way.legs):
+            last = replace(last, trajectory=None, cost=None)
+        return replace(as_asked(self._scene, last), iterations=iterations, seconds=seconds)
 
     def _on_finer_steps(self, coarse: Solution, ends: float) -> Iterator[tuple[str, Solution]]:
         """What strict_lcp finds on steps halved again and again, from the motion that followed the plan before."""
@@ -163,43 +180,17 @@ class BestExactSession(Session):
             if motion is None or monotonic() >= ends:
                 return
             scene = finer_scene(scene, 2)
-            found = _with_departure(scene, self._stage("strict_lcp", motion, ends, scene))
-            yield f"strict_lcp from the cheapest of these, on {scene.task.steps} steps", found
+            found = _with_departure(scene, _solved(scene, _STRICT.legs[0], motion, ends)[-1])
+            yield f"strict from the cheapest of these, on {scene.task.steps} steps", found
             if found.outcome is not Outcome.SOLVED or found.residuals[_DEPARTURE] <= _CLEARLY:
                 return
 
-    def _walked(
-        self,
-        method: str,
-        schedule: tuple[float, ...],
-        start: Trajectory | None,
-        ends: float,
-        options: Mapping[str, object],
-    ) -> Solution:
-        """The last stage before one that stalls, with the iterations and seconds of those up to it."""
-        with load_method(method).open(self._scene, options) as session:
-            walked = session.solve(
-                eps=schedule[0], warm_start=start, time_limit=max(1e-3, ends - monotonic())
-            )
-            for eps in schedule[1:]:
-                found = session.solve(
-                    eps=eps, warm_start=walked.trajectory, time_limit=max(1e-3, ends - monotonic())
-                )
-                if found.trajectory is None or found.outcome not in (
-                    Outcome.SOLVED,
-                    Outcome.ITERATION_LIMIT,
-                ):
-                    break
-                walked = _after(walked, found)
-        return walked
 
-    def _stage(
-        self, name: str, start: Trajectory | None, ends: float, scene: Scene | None = None
-    ) -> Solution:
-        with load_method(name).open(scene or self._scene, {}) as session:
-            return session.solve(
-                eps=None, warm_start=start, time_limit=max(1e-3, ends - monotonic())
-            )
+def _solved(scene: Scene, leg: Leg, start: Trajectory | None, ends: float) -> tuple[Solution, ...]:
+    """The stages of a leg. ends: time.monotonic() by which they should be done."""
+    alone = Pipeline(name=leg.method, title="", legs=(leg,))
+    left = max(1e-3, ends - monotonic())
+    return tuple(solve_stages(scene, alone, warm_start=start, time_limit=left))
 
 
 def _with_departure(scene: Scene, found: Solution) -> Solution:
@@ -213,15 +204,6 @@ def _with_departure(scene: Scene, found: Solution) -> Solution:
 
 def _is_followed(found: Solution) -> bool:
     return found.residuals.get(_DEPARTURE, 0.0) <= 1.0
-
-
-def _after(walked: Solution, exact: Solution) -> Solution:
-    """The exact solution with the iterations and seconds of the walk before it."""
-    return replace(
-        exact,
-        iterations=walked.iterations + exact.iterations,
-        seconds=walked.seconds + exact.seconds,
-    )
 
 
 def _best(found: list[Solution]) -> Solution:
@@ -246,17 +228,18 @@ def _cheapest(priced: list[Solution]) -> Solution:
 
 
 class BestExact(Method[BestExactOptions]):
-    """Exact contact by several ways."""
+    """Exact contact by several pipelines."""
 
     name = "best_exact"
-    title = "Exact contact, the cheapest plan of several ways"
+    title = "Exact contact, the cheapest plan of several pipelines"
     kind = Kind.DIRECT
     needs_eps = False
     exact = True
     options = BestExactOptions
+    ways = (_MODES, *_WAYS, _STRICT)
 
     def session(self, scene: Scene, options: BestExactOptions, clock: Clock) -> Session:
-        """Open a session, which opens those of the ways as it goes them."""
+        """Open a session, which opens those of the pipelines as it runs them."""
         return BestExactSession(self, scene, options)
 
 

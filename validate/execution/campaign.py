@@ -358,7 +358,9 @@ def _startable(
     for task in tuple(waiting):
         if jobs is not None and len(running) >= jobs:
             return
-        if not running or not _waits(task, running, context):
+        if not _uses_what_comes(task, (*waiting, *running), context) and (
+            not running or not _waits(task, running, context)
+        ):
             waiting.remove(task)
             running.append(task)
             yield task
@@ -367,6 +369,14 @@ def _startable(
 def _waits(task: Task, running: Iterable[Task], context: ExecutionContext) -> bool:
     """Whether a task is to be left for later, since it would run a leg that one of the running is about to store."""
     return must_wait(_path(task), map(_path, running), context.store.legs, task.time_limit)
+
+
+def _uses_what_comes(task: Task, others: Iterable[Task], context: ExecutionContext) -> bool:
+    """Whether a run takes legs that one of the others, which have not ended, is about to store."""
+    if not isinstance(task, RunTask) or not task.uses:
+        return False
+    coming = {leg.key for other in others if other is not task for leg in _path(other)}
+    return any(not (context.store.legs / key).exists() for key in coming.intersection(task.uses))
 
 
 def _begun(tasks: Iterable[Task], context: ExecutionContext) -> dict[str, Path]:

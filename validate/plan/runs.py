@@ -22,10 +22,10 @@ from reports.records.record import HOLD, RunRecord
 from reports.rule import failed_keys
 from validate.judge.score import check_limits
 from validate.plan.selection import matches, near, words_of
-from validate.store.provenance import check_key, content_key
+from validate.store.provenance import check_key
 from validate.store.store import Store
 from validate.store.stored import CampaignError, campaign_of, identity
-from validate.tasks.leg import Planned, planned_legs, planned_stages
+from validate.tasks.leg import Planned, leg_key, planned_legs, planned_stages
 from validate.tasks.path import LoadedRun
 from validate.tasks.plugins import DEFAULT_PLUGIN, Plugin, load_plugin, plugin_source
 from validate.tasks.task import CheckTask, RunTask, SceneReference, Task, TaskRecord, task_to_json
@@ -275,14 +275,17 @@ def _entry(
     scene, plan = reference.scene, planned_stages(pipeline, plugin.methods_of(pipeline))
     source = plugin_source(settings.plugin)
 
-    def key_of(stages: Sequence[Planned], *named: str, robust: bool = False) -> str:
-        asked = [*named, [planned.asked() for planned in stages]]
-        return content_key(
-            scene, asked, {planned.name for planned in stages}, source, robust=robust
-        )
+    def key_of(stages: Sequence[Planned]) -> str:
+        return leg_key(scene, stages, source)
 
+    used = {
+        leg.key
+        for planned in plan
+        for way in planned.method.ways
+        for leg in planned_legs(planned_stages(way, plugin.methods_of(way)), key_of)
+    }
     task = RunTask(
-        key=key_of(plan, pipeline.name, pipeline.title, robust=settings.robust),
+        key=leg_key(scene, plan, source, pipeline.name, pipeline.title, robust=settings.robust),
         scene=reference.where,
         scene_name=scene.name,
         pipeline=pipeline,
@@ -290,6 +293,7 @@ def _entry(
         time_limit=settings.time_limit,
         variant=reference.variant,
         legs=planned_legs(plan, key_of),
+        uses=tuple(sorted(used)),
         robust=settings.robust,
     )
     return PlannedTask(task, LoadedRun(scene=scene, plan=plan))

@@ -29,14 +29,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from formulations.method import Method, Options, Pipeline
+from formulations.method import Leg, Method, Options, Pipeline
 from formulations.pipelines import stage_plan
 from models.errors import TouchstoneError
 from models.scene import Scene
 from models.trajectory import Trajectory
 from models.trajectory_netcdf import read_netcdf
 from reports.records.record import LegRecord, StageRecord
-from validate.store.disk import fsync, fsync_whole, renamed, write_durably
+from validate.store.disk import fsync, fsync_whole, remove, renamed, write_durably
+from validate.store.provenance import content_key
 from validate.tasks.task import PlannedLeg
 
 CONTENT = "leg.json"
@@ -95,6 +96,20 @@ def planned_stages(pipeline: Pipeline, methods: Mapping[str, Method]) -> tuple[P
             )
         )
     return tuple(stages)
+
+
+def leg_key(
+    scene: Scene, stages: Sequence[Planned], source: str, *named: str, robust: bool = False
+) -> str:
+    """The key of some stages of a scene. source: text of the module that they came from.
+
+    named, robust: further for the key of a run (validate.plan.runs).
+    """
+    methods = {planned.name for planned in stages} | {
+        leg.method for planned in stages for way in planned.method.ways for leg in way.legs
+    }
+    asked = [*named, [planned.asked() for planned in stages]]
+    return content_key(scene, asked, methods, source, robust=robust)
 
 
 def planned_legs(
@@ -180,6 +195,48 @@ def plan_of(leg: LegRecord, folder: Path, scene: Scene) -> Trajectory | None:
     return None if number is None else read_netcdf(folder / leg_files(number)["trajectory"], scene)
 
 
+@dataclass(frozen=True)
+class StoredStage:
+    """A stage of a stored leg. files: of its plan and replays, by what they hold."""
+
+    record: StageRecord
+    plan: Trajectory | None
+    files: Mapping[str, Path]
+
+
+def stored_stages(
+    stored: Path,
+    path: Sequence[Leg],
+    scene: Scene,
+    methods: Mapping[str, Method],
+    key_of: Callable[[Sequence[Planned]], str],
+) -> tuple[StoredStage, ...]:
+    """The stages of the last of these legs, which begin a pipeline; none where they are not stored, or damaged.
+
+    stored: the folder of all legs; methods: those of the legs, by name.
+    """
+    plan = planned_stages(Pipeline(name="", title="", legs=tuple(path)), methods)
+    wanted = planned_legs(plan, key_of)[-1]
+    folder = stored / wanted.key
+    try:
+        leg = read_leg(folder, wanted.key)
+        found = tuple(
+            _stored_stage(record, folder, number, scene)
+            for number, record in enumerate(leg.stages, 1)
+        )
+    except _DAMAGED:
+        return ()
+    return found if len(found) == len(path[-1].schedule) else ()
+
+
+def _stored_stage(record: StageRecord, folder: Path, number: int, scene: Scene) -> StoredStage:
+    files = {
+        what: folder / name for what, name in leg_files(number).items() if (folder / name).exists()
+    }
+    plan = read_netcdf(files["trajectory"], scene) if record.has_plan else None
+    return StoredStage(record, plan, files)
+
+
 def legs_in(folder: Path, legs: Sequence[PlannedLeg]) -> list[LegRecord]:
     """Of a path those legs that lie in the folder of their run, in order.
 
@@ -239,6 +296,15 @@ def store(folder: Path, leg: LegRecord, stored: Path) -> None:
     stored.mkdir(exist_ok=True)
     renamed(aside, target)  # or another campaign was first
     fsync(stored)
+
+
+def store_as(folder: Path, leg: LegRecord, key: str, stored: Path) -> None:
+    """Store a leg that lies in the folder of its run under another key too. Raises OSError."""
+    aside = folder.with_name(f"storing-{key}")
+    link(folder, aside)
+    remove(aside / CONTENT)
+    store(aside, write_leg(aside, leg.model_copy(update={"key": key})), stored)
+    shutil.rmtree(aside, ignore_errors=True)
 
 
 def link(source: Path, target: Path) -> None:

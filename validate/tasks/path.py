@@ -36,12 +36,14 @@ from validate.tasks import leg as legs
 from validate.tasks.leg import Planned, planned_stages
 from validate.tasks.plugins import load_plugin, plugin_source
 from validate.tasks.profile import Profile
-from validate.tasks.records import run_record, stages_of, unfinished_stage
+from validate.tasks.records import run_record, solution_of, stages_of, unfinished_stage
 from validate.tasks.scene_record import scene_record
 from validate.tasks.stage import Judge, OpenLeg, SolvedStage, first_line, in_words, prepare
 from validate.tasks.task import varied
 
 if TYPE_CHECKING:
+    from formulations.method import Leg
+    from formulations.solution import Solution
     from models.scene import Scene
     from models.trajectory import Trajectory
     from reports.records.record import ProvenanceRecord, RunRecord, StageRecord
@@ -262,6 +264,21 @@ class _Path:
         self._is_prepared = False
         # a leg that another run made: the time left is then not what its maker would have
         self._took = False
+        self._source = plugin_source(task.plugin)
+        self._used: list[legs.StoredStage] = []  # stages of other runs that a method was given
+
+    def _stored_stages(self, path: Sequence[Leg]) -> Sequence[Solution] | None:
+        """The stages of the last of these legs, which begin a pipeline on this scene, if they are stored."""
+        methods = {leg.method: self._plugin.load_method(leg.method) for leg in path}
+        found = legs.stored_stages(
+            self._stored,
+            path,
+            self._scene,
+            methods,
+            lambda stages: legs.leg_key(self._scene, stages, self._source),
+        )
+        self._used += found
+        return [solution_of(stage.record, stage.plan) for stage in found] or None
 
     def go(self) -> list[Unfinished]:
         """All legs in order; the stages that did not run."""
@@ -289,9 +306,13 @@ class _Path:
                 return self._out_of_time(first)
             try:
                 with closing(OpenLeg(self._scene, first)) as opened:
+                    opened.use_stored(self._stored_stages)
                     if leg.first and (self._start is None or opened.leaves(self._start)):
                         key = leg.alone
                         taken = self._take(number, leg, key)
+                        if taken is not None:
+                            folder = legs.place(self._folder, number)
+                            legs.store_as(folder, taken, leg.key, self._stored)
                     if taken is None:
                         solved, rest = self._solve(leg, opened)
             except MachineError:
@@ -361,7 +382,9 @@ class _Path:
         progress(self._folder, "the replay")
         for item in solved:
             before = records[-1].seconds.total if records else 0.0
-            records.append(self._judge.record(item, folder, len(records), before))
+            plan = item.solution.trajectory
+            same = next((stage for stage in self._used if stage.plan is plan is not None), None)
+            records.append(self._judge.record(item, folder, len(records), before, same))
 
         def keep(limit: float | None = None) -> LegRecord:
             pipeline, spent = self._task.pipeline.name, dict(self._profile.seconds)
@@ -379,7 +402,7 @@ class _Path:
 
         keep()
         for place, item in enumerate(solved):
-            if item.can_be_certified:
+            if records[place].certificate_missing:
                 progress(
                     self._folder,
                     f"the certificate of stage {item.planned.index + 1} ({item.planned.title})",
@@ -388,6 +411,8 @@ class _Path:
                 keep()
         if len(solved) == leg.end - leg.first and legs.is_deterministic(records):
             legs.store(folder, keep(), self._stored)
+            if key != leg.key:
+                legs.store_as(folder, keep(), leg.key, self._stored)
         elif is_over and not self._took and legs.ended_by_timeout(records):
             legs.store(folder, keep(self._task.time_limit), self._stored)
         self._profile.lap("shared")

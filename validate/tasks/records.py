@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel
 
-from formulations.solution import Outcome, Solution
+from formulations.solution import ModelSize, Outcome, Seconds, Solution
 from reports.records.record import (
     CertificateRecord,
     MetricRecord,
@@ -33,6 +33,7 @@ from validate.tasks.paper import paper_row
 
 if TYPE_CHECKING:
     from formulations.mpec import Certificate
+    from models.trajectory import Trajectory
     from reports.records.record import LegRecord, ProvenanceRecord
     from validate.judge.replay import Difference, Replay
     from validate.judge.score import Score
@@ -141,6 +142,35 @@ def _asked(planned: Planned, outcome: Outcome) -> dict[str, Any]:
         "eps": planned.eps,
     }
     return {**named, "outcome": outcome.name.lower(), "advice": outcome.value}
+
+
+def solution_of(record: StageRecord, plan: Trajectory | None) -> Solution:
+    """The Solution of which a stage is the record, without what its solver reported of itself."""
+    seconds, size = record.seconds, record.size
+    return Solution(
+        method=record.method,
+        outcome=Outcome[record.outcome.upper()],
+        message=record.message,
+        trajectory=plan,
+        cost=record.cost,
+        iterations=record.iterations,
+        seconds=Seconds(
+            build=seconds.build,
+            translate=seconds.translate,
+            evaluate=seconds.evaluate,
+            linear_algebra=seconds.linear_algebra,
+            wall=seconds.stage,
+            cpu=seconds.stage_cpu,
+        ),
+        residuals=record.residuals,
+        solver=record.solver,
+        options=record.options,
+        history=record.history,
+        size=None if size is None else ModelSize(unknowns=size.unknowns, equations=size.equations),
+        paper_size=None
+        if size is None
+        else ModelSize(unknowns=size.paper_unknowns, equations=size.paper_equations),
+    )
 
 
 def stages_of(legs: Sequence[LegRecord], scene: str, pipeline: str) -> list[StageRecord]:

@@ -17,13 +17,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from formulations.method import Kind
+from formulations.method import Kind, StoredStages
 from formulations.solution import Outcome, Solution, as_asked
 from models.errors import MachineError, TouchstoneError, TrajectoryError
 from models.trajectory_netcdf import write_netcdf
 from validate.store.disk import raise_if_disk_ended
 from validate.store.store import progress
-from validate.tasks.leg import Planned, leg_files
+from validate.tasks.leg import Planned, StoredStage, leg_files, link_file
 from validate.tasks.profile import Profile
 from validate.tasks.records import Judged, stage_record, with_certificate
 
@@ -32,6 +32,20 @@ if TYPE_CHECKING:
     from models.trajectory import Trajectory
     from reports.records.record import StageRecord
     from validate.tasks.plugins import Plugin
+
+
+# What a record says of its plan alone, whoever found it.
+_OF_PLAN = (
+    "metrics",
+    "verdict",
+    "why",
+    "cause",
+    "questions",
+    "not_asked",
+    "replay",
+    "certificate",
+    "certificate_missing",
+)
 
 
 @dataclass(frozen=True)
@@ -86,6 +100,10 @@ class OpenLeg:
         self._session = planned.method.open(scene, planned.options)
         self._opening = (time.perf_counter() - wall, time.process_time() - cpu)
 
+    def use_stored(self, stored: StoredStages) -> None:
+        """Let its session take stages of other pipelines that are stored."""
+        self._session.use_stored(stored)
+
     def leaves(self, start: Trajectory | None) -> bool:
         """Whether the first stage would leave this plan for the first guess."""
         wall, cpu = time.perf_counter(), time.process_time()
@@ -108,6 +126,8 @@ class OpenLeg:
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         if not isinstance(solution, Solution):
             raise TypeError(f"it must hand back a Solution, not {type(solution).__name__}.")
+        # those of stages that were stored were spent elsewhere, and are part of the answer
+        wall, cpu = max(wall, solution.seconds.wall), max(cpu, solution.seconds.cpu)
         if not isinstance(solution.outcome, Outcome):
             raise TypeError(
                 f"the outcome of its Solution must be an Outcome, not {type(solution.outcome).__name__}."
@@ -138,11 +158,32 @@ class Judge:
         self._plugin, self._scene, self._profile = plugin, scene, profile
         self._fmu: Path | None = None
 
-    def record(self, item: SolvedStage, folder: Path, index: int, before: float) -> StageRecord:
+    def record(
+        self,
+        item: SolvedStage,
+        folder: Path,
+        index: int,
+        before: float,
+        same: StoredStage | None = None,
+    ) -> StageRecord:
         """The record of stage `index` (from 0) of a leg, without its certificate.
 
-        Its files in the folder. before [s]: of its leg's stages before it.
+        Its files in the folder. before [s]: of its leg's stages before it; same: a stage of another
+        run with this very plan, which is not judged again.
         """
+        if same is not None:
+            for what, path in same.files.items():
+                link_file(path, folder / leg_files(index + 1)[what])
+            record = stage_record(
+                item.planned,
+                item.solution,
+                index,
+                wall=item.wall,
+                cpu=item.cpu,
+                before=before,
+                judged=Judged(seconds=same.record.seconds.replay),
+            )
+            return record.model_copy(update={name: getattr(same.record, name) for name in _OF_PLAN})
         if self._fmu is None and item.solution.trajectory is not None:
             self._fmu = self._plugin.build_fmu(self._scene)
         self._profile.lap("fmu_build")

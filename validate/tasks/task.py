@@ -146,7 +146,8 @@ class RunTask:
 
     scene: a name or an absolute path of a scene file; variant: what a campaign file changes of it;
         plugin: a dotted name (validate.tasks.plugins); legs:
-    its path; robust: whether plans that hold are tried in perturbed worlds.
+    its path; uses: keys of legs of other runs that it takes where they are stored; robust: whether
+        plans that hold are tried in perturbed worlds.
     """
 
     key: str
@@ -157,6 +158,7 @@ class RunTask:
     time_limit: float
     variant: Variant | None = None
     legs: tuple[PlannedLeg, ...] = ()
+    uses: tuple[str, ...] = ()
     robust: bool = True
 
     @property
