@@ -9,6 +9,6 @@ has failed a check, and nothing else happens.
 """
 
 from validate.fmu_check.check import CheckReport, FmuCheckRow, Status
-from validate.fmu_check.host import CHECK_SECONDS, check_fmu
+from validate.fmu_check.host import CHECK_SECONDS, DECISIVE, check_fmu
 
-__all__ = ["CHECK_SECONDS", "CheckReport", "FmuCheckRow", "Status", "check_fmu"]
+__all__ = ["CHECK_SECONDS", "DECISIVE", "CheckReport", "FmuCheckRow", "Status", "check_fmu"]

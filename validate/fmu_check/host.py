@@ -65,6 +65,16 @@ BEHAVIOUR: tuple[Check, ...] = (
     exchange.agree,
 )  # fmt: skip
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
+# Those that decide whether the replay of a plan by the FMU can be trusted: its start values, its
+# state and derivatives, its events, and its own integrator against one outside.
+DECISIVE = tuple(
+    item.name
+    for item in (
+        values.starts, communication.keeps_time, states.repeats, states.restores,
+        exchange.indicators, exchange.told, derivatives.directional, derivatives.rates,
+        exchange.agree,
+    )
+)  # fmt: skip
 # Checks on which others depend.
 _ALWAYS = (FIRST.name, files.compiled.name)
 

@@ -1,7 +1,7 @@
-"""Our own FMUs under our own check: a check for each scene of a campaign and each version of FMI.
+"""The FMU of each scene of a campaign, under the checks that decide whether its replays can be trusted.
 
 The FMU is exported and checked as `python -m validate fmu` and `check` do: its code runs in an
-isolated child, each check in a fork.
+isolated child, each check in a fork. All checks, in FMI 3.0 too, are the command's.
 """
 
 from __future__ import annotations
@@ -23,9 +23,8 @@ from validate.tasks.task import CheckTask, SceneReference
 if TYPE_CHECKING:
     from validate.fmu_check import CheckReport
 
-VERSIONS = ("2.0", "3.0")
-# What a quick campaign runs: the version that its replays use, too.
-_QUICK = "2.0"
+# The version that replays use.
+_VERSION = "2.0"
 _SOURCES = (
     "models/",
     "validate/fmu_check/",
@@ -37,22 +36,20 @@ _SOURCES = (
 
 
 def checks(scenes: Sequence[SceneReference]) -> list[CheckTask]:
-    """One for each scene and version; all scenes of one version, then of the next."""
+    """One for each scene."""
     return [
         CheckTask(
             kind="FMU",
-            name=f"{reference.scene.name}, FMI {version}",
-            group=f"FMU, FMI {version}",
-            expected="it passes every check of what it offers.",
+            name=f"{reference.scene.name}, FMI {_VERSION}",
+            group="FMU",
+            expected="it passes the checks that decide whether its replays can be trusted.",
             function="validate.tasks.fmu_checks:check",
-            arguments={"scene": reference.where, "version": version},
+            arguments={"scene": reference.where},
             content=scene_text(reference.scene),
             sources=_SOURCES,
             scene=reference.scene.name,
-            quick=version == _QUICK,
-            words=("fmu_check", f"fmi{version[0]}"),
+            words=("fmu_check",),
         )
-        for version in VERSIONS
         for reference in scenes
     ]
 
@@ -62,14 +59,14 @@ def check(arguments: Mapping[str, Any], course: Course) -> Found:
 
     Raises MachineError, SceneError for a scene whose names an FMU cannot carry.
     """
-    from validate.fmu_check import CHECK_SECONDS, check_fmu  # imports FMPy: in the child alone
+    from validate.fmu_check import CHECK_SECONDS, DECISIVE, check_fmu  # imports FMPy: in the child
 
     began = time.perf_counter()
     course.at("the export")
-    path = build_fmu(load_scene(arguments["scene"]), arguments["version"])
+    path = build_fmu(load_scene(arguments["scene"]), _VERSION)
     exported = time.perf_counter()
     course.at("the check")
-    report = check_fmu(path, seconds=min(CHECK_SECONDS, course.seconds_left))
+    report = check_fmu(path, names=DECISIVE, seconds=min(CHECK_SECONDS, course.seconds_left))
     checked = time.perf_counter()
     return found_by(report, path, exported - began, checked - exported)
 
