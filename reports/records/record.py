@@ -334,7 +334,7 @@ class SurveyRecord(Model):
     alone, feedback: how many worlds it arrives in; checked, differ: worlds that the reference was
         asked about too, and in how many it says otherwise; weakest:
     of which perturbation by itself it takes the fewest sizes, how far [unit], and by what it fails
-        there; message: why it was not tried.
+        there; message: why it was not tried; sources: digest of what tried it.
     """
 
     alone: ShareRecord | None = None
@@ -347,6 +347,7 @@ class SurveyRecord(Model):
     unit: str = ""
     by: str = ""
     message: str = ""
+    sources: str = ""
 
 
 class QuestionRecord(Model):
@@ -389,9 +390,7 @@ class StageRecord(Model):
     questions: tuple[QuestionRecord, ...] = ()
     not_asked: tuple[str, ...] = ()
     replay: ReplayRecord | None = None
-    survey: SurveyRecord | None = (
-        None  # of a plan that holds; None where it was not asked for, or the run ended before
-    )
+    survey: SurveyRecord | None = None  # of a plan that holds; None where it was not asked for
     has_plan: bool = False  # whether a plan came back: the files of the stage are there
     paper: dict[
         str, Finite

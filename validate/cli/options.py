@@ -145,7 +145,7 @@ CHOOSING = options(
     click.option(
         "--quick",
         is_flag=True,
-        help="Only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion, and FMUs in FMI 2.0, without the scenes that take minutes. The summary names what was left out.",
+        help="Only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion, without the scenes that take minutes. The summary names what was left out.",
     ),
     click.option(
         "--scene",
@@ -176,10 +176,9 @@ SELECTING = options(
     ),
     click.option("--fresh", is_flag=True, help="Run again what is stored."),
     click.option(
-        "--robust/--no-robust",
-        default=True,
-        show_default=True,
-        help="Whether plans that hold are tried in perturbed worlds, up to 256 of them (docs/robustness.md).",
+        "--worlds/--no-worlds",
+        default=None,
+        help="Try every plan that holds in perturbed worlds, up to 256 of them, or none (docs/robustness.md).  [default: the cheapest of each scene]",
     ),
     click.option(
         "--last-failed",

@@ -36,7 +36,14 @@ from reports.rule import fails, failures, findings
 from validate.execution.dask import DaskEngine, open_dask
 from validate.execution.engine import LOCAL, ExecutionContext, LocalEngine, check_engine, open_local
 from validate.execution.process import interrupts_wait
-from validate.plan.runs import CampaignSettings, PlannedTask, scenes_of, select, with_stored
+from validate.plan.runs import (
+    CampaignSettings,
+    PlannedTask,
+    scenes_of,
+    select,
+    with_stored,
+    worlds_tasks,
+)
 from validate.plan.warnings import warnings_of
 from validate.store.disk import write_durably
 from validate.store.provenance import gather
@@ -158,15 +165,13 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
     for sentence in (*unstable, *warnings_of(scenes.values())):
         narrator.warns(sentence)
     try:
-        with closing(
-            _run(
-                [entry for entry in entries if entry.stored is None],
-                store,
-                provenance,
-                settings,
-                narrator,
-            )
-        ) as finished:
+        to_run = [entry.task for entry in entries if entry.stored is None]
+        if settings.fresh and to_run:
+            forget(map(_path, to_run), store.legs)
+            shutil.rmtree(store.surveys, ignore_errors=True)
+        loaded = {entry.task.key: entry.loaded for entry in entries if entry.loaded is not None}
+        context = ExecutionContext(store=store, provenance=provenance, loaded=loaded)
+        with closing(_run(to_run, context, settings, narrator)) as finished:
             for record in finished:
                 records[record.key] = record
                 narrator.finished(record)
@@ -174,6 +179,10 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
                 if settings.stop_early and fails(record):
                     store.unmark(key for key in anew if key not in records)
                     break
+        if len(records) == len(entries):
+            for record in _tried(entries, records, context, settings, narrator):
+                records[record.key] = record
+                ran = True
     finally:
         with interrupts_wait():
             # What this campaign stored and nobody heard of: it was stopped at that moment.
@@ -296,21 +305,31 @@ def _note_scene(
             narrator.found(divided(records[key] for key in keys)[0])
 
 
-def _run(
+def _tried(
     entries: Sequence[PlannedTask],
-    store: Store,
-    provenance: ProvenanceRecord,
+    records: Mapping[str, TaskRecord],
+    context: ExecutionContext,
+    settings: CampaignSettings,
+    narrator: PlainNarrator,
+) -> list[TaskRecord]:
+    """The records of the runs whose plans are tried in perturbed worlds now, when every run has ended."""
+    tasks = worlds_tasks(entries, records, settings.worlds)
+    if not tasks:
+        return []
+    count = f"{len(tasks)} runs" if len(tasks) > 1 else tasks[0].title
+    narrator.notes(f"in perturbed worlds: the plans of {count}")
+    with closing(_run(tasks, context, settings, narrator)) as finished:
+        return list(finished)
+
+
+def _run(
+    tasks: Sequence[Task],
+    context: ExecutionContext,
     settings: CampaignSettings,
     narrator: PlainNarrator,
 ) -> Generator[TaskRecord, None, None]:
-    if not entries:
+    if not tasks:
         return
-    tasks = [entry.task for entry in entries]
-    if settings.fresh:
-        forget(map(_path, tasks), store.legs)
-        shutil.rmtree(store.surveys, ignore_errors=True)
-    loaded = {entry.task.key: entry.loaded for entry in entries if entry.loaded is not None}
-    context = ExecutionContext(store=store, provenance=provenance, loaded=loaded)
     where = settings.engine.partition(":")[2]
     opened = open_local if settings.engine == LOCAL else partial(open_dask, where)
     with opened(settings.jobs, context, len(tasks)) as engine:

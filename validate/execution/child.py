@@ -36,7 +36,7 @@ def main(folder: Path) -> int:
     from validate.store.provenance import SEED
     from validate.store.store import RECORD, REQUEST
     from validate.tasks.check import run_check
-    from validate.tasks.path import run_path
+    from validate.tasks.path import run_path, survey_run
     from validate.tasks.task import CheckTask, task_from_json
 
     random.seed(SEED)
@@ -49,7 +49,11 @@ def main(folder: Path) -> int:
             record = run_check(task, provenance, folder, profile.began)
         else:
             profile.lap("imports")
-            record = run_path(task, provenance, folder, profile)
+            record = (
+                survey_run(task, folder, profile)
+                if task.worlds
+                else run_path(task, provenance, folder, profile)
+            )
         write_durably(folder / RECORD, record.model_dump_json(indent=1))
     except MachineError as error:
         return _machine(folder, error)

@@ -28,9 +28,9 @@ from validate.execution.process import TEMPORARY, Child, Ended, Preloaded, exit_
 from validate.store.disk import disk_error, refusals_in_words, remove, tail, write_durably
 from validate.store.store import LOG, MACHINE, RECORD, REQUEST, Store, log_in, progress_in
 from validate.tasks.check import unfinished_check
-from validate.tasks.path import LoadedRun, load_run, unfinished_run
+from validate.tasks.path import LoadedRun, load_run, unfinished_run, unfinished_survey
 from validate.tasks.profile import Profile
-from validate.tasks.task import CheckTask, ChildExit, Task, TaskRecord, task_to_json
+from validate.tasks.task import CheckTask, ChildExit, RunTask, Task, TaskRecord, task_to_json
 
 # What a child says of its machine is no longer [bytes].
 _LONGEST_WORDS = 10_000
@@ -74,6 +74,8 @@ class Worker:
             shutil.rmtree(self._folder, ignore_errors=True)
             raise
         self._began = time.monotonic()
+        # whether the record of a stored run is amended, whose files stay
+        self._amends = isinstance(task, RunTask) and bool(task.worlds)
 
     def run(self, wanted: Callable[[], bool]) -> TaskRecord | None:
         """Its record, which is stored; None if it was not wanted any more.
@@ -92,6 +94,9 @@ class Worker:
             return None
 
     def _file(self, record: TaskRecord) -> None:
+        if self._amends and (self._store.runs / record.key).is_dir():
+            write_durably(self._store.runs / record.key / RECORD, record.model_dump_json(indent=1))
+            return
         has_plan = isinstance(record, RunRecord) and any(stage.has_plan for stage in record.stages)
         for path in tuple(self._folder.iterdir()):
             if path.is_dir():
@@ -141,6 +146,10 @@ class Worker:
             message = "; ".join(filter(None, words)) + "."
         outcome, wall = "time_limit" if over_time else "crashed", time.monotonic() - self._began
         child = ChildExit(outcome=outcome, message=message, wall=wall, cpu=ended.cpu, log=log)
+        if isinstance(self._task, RunTask) and self._amends:
+            run = self._store.read(self._task.key)
+            if isinstance(run, RunRecord):
+                return unfinished_survey(self._task, run, child)
         record = record_for_crash(self._task, self._provenance, child, self._folder, self._loaded)
         write_durably(self._folder / RECORD, record.model_dump_json(indent=1))
         return record

@@ -22,7 +22,7 @@ from reports.records.record import HOLD, RunRecord
 from reports.rule import failed_keys
 from validate.judge.score import check_limits
 from validate.plan.selection import matches, near, words_of
-from validate.store.provenance import check_key
+from validate.store.provenance import check_key, survey_sources
 from validate.store.store import Store
 from validate.store.stored import CampaignError, campaign_of, identity
 from validate.tasks.leg import Planned, leg_key, planned_legs, planned_stages
@@ -67,7 +67,8 @@ class CampaignSettings:
         only what failed when the folder's campaign
     last ran, and that in any case; stop_early: at the first failure; retries: of a task that
         crashes; engine: which runs the tasks
-    (validate.execution.engine); robust: whether plans that hold are tried in perturbed worlds;
+    (validate.execution.engine); worlds: which plans that hold are tried in perturbed worlds: all
+        (True), none (False), the cheapest of each scene (None);
         jobs: tasks at a time, None for what the engine chooses.
     Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; checked:
         scenes whose FMUs are checked; title: of the
@@ -87,7 +88,7 @@ class CampaignSettings:
     last_failed: bool = False
     stop_early: bool = False
     retries: int = 0
-    robust: bool = True
+    worlds: bool | None = None
     chosen: tuple[SceneReference, ...] = ()
     pipelines: tuple[Pipeline, ...] = ()
     checked: tuple[SceneReference, ...] = ()
@@ -285,7 +286,7 @@ def _entry(
         for leg in planned_legs(planned_stages(way, plugin.methods_of(way)), key_of)
     }
     task = RunTask(
-        key=leg_key(scene, plan, source, pipeline.name, pipeline.title, robust=settings.robust),
+        key=leg_key(scene, plan, source, pipeline.name, pipeline.title),
         scene=reference.where,
         scene_name=scene.name,
         pipeline=pipeline,
@@ -294,7 +295,6 @@ def _entry(
         variant=reference.variant,
         legs=planned_legs(plan, key_of),
         uses=tuple(sorted(used)),
-        robust=settings.robust,
     )
     return PlannedTask(task, LoadedRun(scene=scene, plan=plan))
 
@@ -327,16 +327,7 @@ def _usable(store: Store, task: Task, fresh: bool) -> tuple[TaskRecord | None, s
     outcomes = {record.outcome, *(stage.outcome for stage in stages)}
     if "crashed" in outcomes:
         return None, "stored, but it crashed"
-    without_survey = (
-        isinstance(task, RunTask)
-        and task.robust
-        and any(stage.verdict in HOLD and stage.survey is None for stage in stages)
-    )
-    if (
-        "time_limit" in outcomes
-        or without_survey
-        or any(stage.certificate_missing for stage in stages)
-    ):
+    if "time_limit" in outcomes or any(stage.certificate_missing for stage in stages):
         asked = store.request(task.key).get("time_limit")
         before = asked if isinstance(asked, (int, float)) else 0.0
         if not before >= task.time_limit:
@@ -349,6 +340,45 @@ def _usable(store: Store, task: Task, fresh: bool) -> tuple[TaskRecord | None, s
     if store.needs_rerun(task.key):
         return None, "stored, but to be run anew, which was interrupted"
     return record, ""
+
+
+def worlds_tasks(
+    entries: Iterable[PlannedTask], records: Mapping[str, TaskRecord], worlds: bool | None
+) -> list[RunTask]:
+    """The runs of which plans that hold are still to be tried in perturbed worlds. worlds: as in the settings."""
+    if worlds is False:
+        return []
+    runs = [
+        (entry.task, record)
+        for entry in entries
+        if isinstance(entry.task, RunTask)
+        and isinstance(record := records.get(entry.task.key), RunRecord)
+    ]
+    if worlds is None:
+        runs = _cheapest_of_each_scene(runs)
+    tasks = []
+    for task, run in runs:
+        wanted = tuple(
+            stage.index
+            for stage in (run.stages if worlds else run.stages[-1:])
+            if stage.verdict in HOLD
+            and (stage.survey is None or stage.survey.sources != survey_sources())
+        )
+        tasks += [replace(task, worlds=wanted)] if wanted else []
+    return tasks
+
+
+def _cheapest_of_each_scene(
+    runs: Iterable[tuple[RunTask, RunRecord]],
+) -> list[tuple[RunTask, RunRecord]]:
+    cheapest: dict[str, tuple[RunTask, RunRecord]] = {}
+    for task, run in runs:
+        if run.verdict not in HOLD or run.cost is None:
+            continue
+        best = cheapest.get(task.scene_name)
+        if best is None or best[1].cost is None or run.cost < best[1].cost:
+            cheapest[task.scene_name] = task, run
+    return list(cheapest.values())
 
 
 def reasons(entries: Sequence[PlannedTask], store: Store) -> list[str]:

@@ -91,17 +91,22 @@ def _source_digests() -> dict[str, str]:
     return digests
 
 
-def source_digests(methods: Iterable[str], *, robust: bool = False) -> dict[str, str]:
-    """Digest of each of our files that a task of these methods depends on.
-
-    robust: and what tries plans in perturbed worlds.
-    """
-    without = _OF_CHECKS if robust else (*_OF_CHECKS, _OF_SURVEYS)
+def source_digests(methods: Iterable[str]) -> dict[str, str]:
+    """Digest of each of our files that a task of these methods depends on."""
     return {
         name: digest
         for name, digest in _digests_with(methods).items()
-        if not name.startswith(without)
+        if not name.startswith((*_OF_CHECKS, _OF_SURVEYS))
     }
+
+
+@lru_cache(maxsize=1)
+def survey_sources() -> str:
+    """Digest of what tries plans in perturbed worlds."""
+    own = {
+        name: digest for name, digest in _source_digests().items() if name.startswith(_OF_SURVEYS)
+    }
+    return _hash({"sources": own})
 
 
 def _digests_with(methods: Iterable[str]) -> dict[str, str]:
@@ -130,19 +135,17 @@ def installed(package: str, otherwise: str) -> str:
         return otherwise
 
 
-def content_key(
-    scene: Scene, stages: Any, methods: Iterable[str], extra: str = "", *, robust: bool = False
-) -> str:
-    """The key of a task: sha256 over its content. stages: method, eps and filled options in order (JSON data); robust: whether plans are tried in perturbed worlds."""
-    sources = _digest_of_sources(frozenset(methods), robust)
+def content_key(scene: Scene, stages: Any, methods: Iterable[str], extra: str = "") -> str:
+    """The key of a task: sha256 over its content. stages: method, eps and filled options in order (JSON data)."""
+    sources = _digest_of_sources(frozenset(methods))
     return _hash({"scene": scene_text(scene), "stages": stages, "sources": sources, "extra": extra})
 
 
 # a campaign asks for some thirty sets of methods 1,700 times: 0.4 of the 3 s that a repeated one
 # takes
 @lru_cache
-def _digest_of_sources(methods: frozenset[str], robust: bool) -> str:
-    return hashlib.sha256(json.dumps(source_digests(methods, robust=robust)).encode()).hexdigest()
+def _digest_of_sources(methods: frozenset[str]) -> str:
+    return hashlib.sha256(json.dumps(source_digests(methods)).encode()).hexdigest()
 
 
 def check_key(task: CheckTask) -> str:

@@ -98,18 +98,16 @@ def planned_stages(pipeline: Pipeline, methods: Mapping[str, Method]) -> tuple[P
     return tuple(stages)
 
 
-def leg_key(
-    scene: Scene, stages: Sequence[Planned], source: str, *named: str, robust: bool = False
-) -> str:
+def leg_key(scene: Scene, stages: Sequence[Planned], source: str, *named: str) -> str:
     """The key of some stages of a scene. source: text of the module that they came from.
 
-    named, robust: further for the key of a run (validate.plan.runs).
+    named: further for the key of a run (validate.plan.runs).
     """
     methods = {planned.name for planned in stages} | {
         leg.method for planned in stages for way in planned.method.ways for leg in way.legs
     }
     asked = [*named, [planned.asked() for planned in stages]]
-    return content_key(scene, asked, methods, source, robust=robust)
+    return content_key(scene, asked, methods, source)
 
 
 def planned_legs(

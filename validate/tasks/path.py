@@ -2,6 +2,7 @@
 
     # in a child process of its own: validate.execution.child
     record = run_path(task, provenance, folder, profile)
+    record = survey_run(task, folder, profile)      # later, where a plan of it is the cheapest
     # by its worker, where the child left no record
     record = unfinished_run(task, loaded, provenance, child, folder)
 
@@ -18,7 +19,8 @@ import contextlib
 import hashlib
 import time
 import traceback
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,9 +30,9 @@ from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.errors import MachineError, TouchstoneError
 from models.trajectory_netcdf import read_netcdf
-from reports.records.record import HOLD, LegRecord, SurveyRecord, stage_files
+from reports.records.record import HOLD, LegRecord, RunRecord, SurveyRecord, stage_files
 from validate.store.disk import raise_if_disk_ended, write_durably
-from validate.store.provenance import content_key
+from validate.store.provenance import content_key, survey_sources
 from validate.store.store import Store, log_in, progress
 from validate.tasks import leg as legs
 from validate.tasks.leg import Planned, planned_stages
@@ -46,7 +48,7 @@ if TYPE_CHECKING:
     from formulations.solution import Solution
     from models.scene import Scene
     from models.trajectory import Trajectory
-    from reports.records.record import ProvenanceRecord, RunRecord, StageRecord
+    from reports.records.record import ProvenanceRecord, StageRecord
     from validate.tasks.task import ChildExit, PlannedLeg, RunTask
 
 # Of a run's time limit, what is reserved for certificates, replaying and scoring: a quarter, but no
@@ -105,9 +107,6 @@ def run_path(
         unfinished_stage(task.published, task.pipeline.name, planned, outcome, message)
         for planned, outcome, message in rest
     ]
-    if task.robust:
-        stages = [_surveyed(stage, scene, task, folder, len(plan)) for stage in stages]
-        profile.lap("survey")
     cause = rest[0][2] if rest else None  # the stages after it only say that it came before them
     drawn = scene_record(scene)
     profile.lap("record")
@@ -190,13 +189,65 @@ def _stages_in(
     return stages_of(found, task.published, task.pipeline.name)
 
 
+def survey_run(task: RunTask, folder: Path, profile: Profile) -> RunRecord:
+    """The record of a run that is stored, with how the plans of its stages `task.worlds` fare in perturbed worlds.
+
+    Raises MachineError where this machine cannot go on, TouchstoneError where the run is gone.
+    """
+    scene, store = load_run(task, profile).scene, Store(folder.parents[1])
+    run = store.read(task.key)
+    if not isinstance(run, RunRecord):
+        raise TouchstoneError(f"{task.title}: its stored run is gone.")
+    stages = tuple(
+        _surveyed(stage, scene, task, folder, len(run.stages))
+        if stage.index in task.worlds
+        else stage
+        for stage in run.stages
+    )
+    profile.lap("survey")
+    return amended(run, stages, profile.total, time.process_time(), profile.seconds)
+
+
+def amended(
+    run: RunRecord,
+    stages: tuple[StageRecord, ...],
+    wall: float,
+    cpu: float,
+    profile: Mapping[str, float],
+) -> RunRecord:
+    """The record of a run after something was added to its stages. wall, cpu, profile [s]: what that took."""
+    seconds = Counter(run.profile)
+    seconds.update(profile)
+    return run.model_copy(
+        update={
+            "stages": stages,
+            "wall_seconds": run.wall_seconds + wall,
+            "cpu_seconds": run.cpu_seconds + cpu,
+            "profile": dict(seconds),
+        }
+    )
+
+
+def unfinished_survey(task: RunTask, run: RunRecord, child: ChildExit) -> RunRecord:
+    """The record of a stored run whose plans could not be tried: the child left nothing."""
+    message = f"not tried in perturbed worlds: {child.message}"
+    stages = tuple(
+        stage.model_copy(update={"survey": SurveyRecord(message=message, sources=survey_sources())})
+        if stage.index in task.worlds
+        else stage
+        for stage in run.stages
+    )
+    return amended(run, stages, child.wall, child.cpu, {})
+
+
 def _surveyed(
     stage: StageRecord, scene: Scene, task: RunTask, folder: Path, stages: int
 ) -> StageRecord:
-    """The stage with how its plan fares in perturbed worlds, if it holds: as stored for this plan and these limits, or found out and stored."""
-    if stage.verdict not in HOLD:
-        return stage
-    plan = read_netcdf(folder / stage_files(stage.index, stages)["trajectory"], scene)
+    """The stage with how its plan fares in perturbed worlds: as stored for this plan and these limits, or found out and stored."""
+    store = Store(folder.parents[1])
+    plan = read_netcdf(
+        store.runs / task.key / stage_files(stage.index, stages)["trajectory"], scene
+    )
     limits = {metric.name: metric.limit for metric in stage.metrics if metric.limit is not None}
     followed = stage.verdict != HOLD[0]
     numbers = hashlib.sha256(
@@ -206,20 +257,17 @@ def _surveyed(
             if array is not None
         )
     )
-    asked = ["survey", numbers.hexdigest(), plan.hold.value, limits, followed]
-    stored = (
-        Store(folder.parents[1]).surveys
-        / f"{content_key(scene, asked, (), plugin_source(task.plugin), robust=True)}.json"
-    )
+    asked = [survey_sources(), numbers.hexdigest(), plan.hold.value, limits, followed]
+    stored = store.surveys / f"{content_key(scene, asked, (), plugin_source(task.plugin))}.json"
     with contextlib.suppress(OSError, ValueError):  # not stored, or damaged
         return stage.model_copy(
             update={"survey": SurveyRecord.model_validate_json(stored.read_bytes())}
         )
     progress(folder, f"stage {stage.index + 1} ({stage.method}) in perturbed worlds")
     try:
-        found = SurveyRecord.model_validate(
-            load_plugin(task.plugin).survey(scene, plan, limits, followed), from_attributes=True
-        )
+        answer = load_plugin(task.plugin).survey(scene, plan, limits, followed)
+        found = SurveyRecord.model_validate(answer, from_attributes=True)
+        found = found.model_copy(update={"sources": survey_sources()})
         stored.parent.mkdir(exist_ok=True)
         write_durably(stored, found.model_dump_json())
     except MachineError:
@@ -228,7 +276,7 @@ def _surveyed(
         raise_if_disk_ended(folder, error)
         if not isinstance(error, TouchstoneError):
             traceback.print_exc()
-        found = SurveyRecord(message=in_words(error))
+        found = SurveyRecord(message=in_words(error), sources=survey_sources())
     return stage.model_copy(update={"survey": found})
 
 

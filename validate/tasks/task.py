@@ -146,8 +146,8 @@ class RunTask:
 
     scene: a name or an absolute path of a scene file; variant: what a campaign file changes of it;
         plugin: a dotted name (validate.tasks.plugins); legs:
-    its path; uses: keys of legs of other runs that it takes where they are stored; robust: whether
-        plans that hold are tried in perturbed worlds.
+    its path; uses: keys of legs of other runs that it takes where they are stored; worlds: its stages
+        (from 0) whose plans are tried in perturbed worlds, of a run that is stored already.
     """
 
     key: str
@@ -159,7 +159,7 @@ class RunTask:
     variant: Variant | None = None
     legs: tuple[PlannedLeg, ...] = ()
     uses: tuple[str, ...] = ()
-    robust: bool = True
+    worlds: tuple[int, ...] = ()
 
     @property
     def title(self) -> str:

@@ -39,7 +39,7 @@ def ran(cli, tmp_path_factory) -> Path:
     """A campaign of one run, on a scene whose number of steps and whose mass are changed."""
     base = tmp_path_factory.mktemp("varied")
     (base / "campaign.toml").write_text(CAMPAIGN)
-    done = cli("run", str(base / "campaign.toml"), "--no-robust", "--out", str(base / "out"))
+    done = cli("run", str(base / "campaign.toml"), "--no-worlds", "--out", str(base / "out"))
     assert done.returncode == 0, done.stderr
     return base / "out"
 

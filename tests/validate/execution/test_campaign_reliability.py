@@ -87,7 +87,7 @@ def test_two_campaigns_in_the_folder_of_a_killed_one_do_not_disturb_each_other(
 
 SCENE = "wall_pendulum"
 CHAINS = "real_chains:PLUGIN"
-CAMPAIGN = ("--scene", SCENE, "--plugin", CHAINS, "--no-robust")
+CAMPAIGN = ("--scene", SCENE, "--plugin", CHAINS, "--no-worlds")
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +139,7 @@ def test_in_another_order(whole, tmp_path, monkeypatch):
     monkeypatch.setattr(campaign, "select", shuffled)
     monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
     run_campaign(
-        CampaignSettings(out=tmp_path, scenes=(SCENE,), plugin=CHAINS, robust=False, jobs=2),
+        CampaignSettings(out=tmp_path, scenes=(SCENE,), plugin=CHAINS, worlds=False, jobs=2),
         PlainNarrator(),
     )
     _same(tmp_path, whole)

@@ -1,4 +1,4 @@
-"""Plans that hold are tried in perturbed worlds: once for a plan, stored by its content, left out where that is asked for."""
+"""The cheapest plan of each scene that holds is tried in perturbed worlds: once for a plan, after every run, or all of them, or none."""
 
 from __future__ import annotations
 
@@ -9,29 +9,30 @@ from pathlib import Path
 
 import pytest
 
-from reports.records.record import RunRecord
-from validate.plan.runs import CampaignSettings, PlannedTask, select, with_stored
-from validate.store.provenance import content_key, gather
+from reports.records.record import RunRecord, SurveyRecord
+from tests.reports import record_factory as factory
+from validate.execution.worker import Worker
+from validate.plan.runs import CampaignSettings, PlannedTask, select, worlds_tasks
+from validate.store.provenance import gather, survey_sources
 from validate.store.store import Store
-from validate.tasks.path import run_path
+from validate.tasks.path import run_path, survey_run
 from validate.tasks.profile import Profile
 from validate.tasks.task import RunTask
 
 
-def planned(out: Path, *, robust: bool = True) -> PlannedTask:
+def planned(out: Path) -> PlannedTask:
     (entry,), _ = select(
-        CampaignSettings(out=out, scenes=("wall_pendulum",),
-                         expression="=mpcc and not best_exact",
-                         robust=robust),
-    )  # fmt: skip
-    assert entry.loaded is not None
+        CampaignSettings(out=out, scenes=("wall_pendulum",), expression="=mpcc and not best_exact")
+    )
     return entry
 
 
-def ran(store: Store, task: RunTask, name: str) -> RunRecord:
-    folder = store.runs / name
-    folder.mkdir(parents=True)
-    return run_path(task, gather("a test"), folder, Profile(time.monotonic()))
+def tried(store: Store, task: RunTask) -> SurveyRecord:
+    store.runs.mkdir(exist_ok=True)
+    record = survey_run(task, store.runs / "unfinished", Profile(time.monotonic()))
+    found = record.stages[-1].survey
+    assert found is not None
+    return found
 
 
 @pytest.mark.slow
@@ -40,52 +41,80 @@ def test_a_plan_is_tried_once_and_stored_by_its_content(
 ):
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "fakes"))
     store, task = Store(tmp_path), planned(tmp_path).task
-    found = ran(store, task, "first").stages[-1].survey
-    assert found is not None
+    assert isinstance(task, RunTask)
+    folder = store.runs / task.key
+    folder.mkdir(parents=True)
+    run = run_path(task, gather("a test"), folder, Profile(time.monotonic()))
+    assert run.stages[-1].survey is None
+    (folder / "record.json").write_text(run.model_dump_json())
+    last = replace(task, worlds=(len(run.stages) - 1,))
+    found = tried(store, last)
     assert found.alone is not None
     assert 0.6 < found.alone.share < 0.9
     assert (found.message, found.weakest, found.by) == ("", "l", "replay_cost")
     (stored,) = store.surveys.iterdir()
     assert json.loads(stored.read_text())["weakest"] == "l"
     stored.write_text(stored.read_text().replace('"l"', '"as stored"'))
-    again = ran(store, task, "second").stages[-1].survey
-    assert again is not None
-    assert again.weakest == "as stored"
+    assert tried(store, last).weakest == "as stored"
     stored.write_text(stored.read_text()[:40])
-    assert ran(store, task, "third").stages[-1].survey == found, "what is damaged is found out anew"
-    assert ran(store, replace(task, robust=False), "fourth").stages[-1].survey is None
-    assert (
-        ran(store, replace(task, plugin="real_chains:STUMBLING"), "fifth").stages[-1].survey.message
-        == "ZeroDivisionError: a stumble"
-    )
-
-
-def test_a_run_without_is_another_run_of_the_same_legs(tmp_path: Path):
-    tried, untried = planned(tmp_path).task, planned(tmp_path, robust=False).task
-    assert tried.key != untried.key
-    assert tried.legs == untried.legs
-    assert (tried.robust, untried.robust) == (True, False)
-    scene = planned(tmp_path).loaded.scene
-    assert content_key(scene, [], ()) != content_key(scene, [], (), robust=True), (
-        "what tries plans decides nothing of how they are found"
-    )
+    assert tried(store, last) == found, "what is damaged is found out anew"
+    stumbled = tried(store, replace(last, plugin="real_chains:STUMBLING"))
+    assert stumbled.message == "ZeroDivisionError: a stumble"
 
 
 @pytest.mark.slow
-def test_a_run_that_ended_before_its_plan_was_tried_is_run_again_where_there_is_more_time(
-    tmp_path: Path,
-):
-    store, entry = Store(tmp_path), planned(tmp_path)
+def test_a_try_amends_the_stored_run_and_one_that_is_ended_leaves_it(tmp_path: Path):
+    store, provenance = Store(tmp_path), gather("a test")
     store.prepare()
-    record = ran(store, replace(entry.task, robust=False), entry.task.key)
-    folder = store.runs / entry.task.key
-    (folder / "record.json").write_text(
-        record.model_copy(update={"key": entry.task.key}).model_dump_json()
+    task = planned(tmp_path).task
+    assert isinstance(task, RunTask)
+    run = Worker(task, provenance, store).run(lambda: True)
+    assert isinstance(run, RunRecord)
+    files = sorted(path.name for path in (store.runs / run.key).iterdir())
+    last = replace(task, worlds=(len(run.stages) - 1,))
+    ended = Worker(replace(last, time_limit=1e-3), provenance, store).run(lambda: True)
+    assert isinstance(ended, RunRecord)
+    assert "ended at its time limit" in ended.stages[-1].survey.message
+    assert (ended.outcome, ended.verdict, ended.cost) == (run.outcome, run.verdict, run.cost)
+    found = Worker(last, provenance, store).run(lambda: True)
+    assert found == store.read(run.key)
+    assert isinstance(found, RunRecord)
+    assert found.stages[-1].survey.alone is not None
+    assert found.cpu_seconds > run.cpu_seconds
+    assert sorted(path.name for path in (store.runs / run.key).iterdir()) == files
+    assert [path.name for path in store.runs.iterdir()] == [run.key], "nothing unfinished is left"
+
+
+def test_the_cheapest_plan_of_a_scene_is_tried_or_all_or_none(tmp_path: Path):
+    entries, _ = select(
+        CampaignSettings(out=tmp_path, scenes=("wall_pendulum",), expression="strict")
     )
-    (folder / "files.json").write_text(
-        json.dumps({path.name: path.stat().st_size for path in folder.glob("*.nc")})
+    cheap, dear, fallen = entries[:3]
+    records = {
+        cheap.task.key: a_run(cheap, 2.0, "holds"),
+        dear.task.key: a_run(dear, 3.0, "holds with feedback"),
+        fallen.task.key: a_run(fallen, 1.0, "violates"),
+    }
+
+    def keys(worlds: bool | None) -> list[str]:
+        return [task.key for task in worlds_tasks(entries, records, worlds)]
+
+    assert keys(None) == [cheap.task.key]
+    assert keys(True) == [cheap.task.key, dear.task.key]
+    assert keys(False) == []
+    (task,) = worlds_tasks(entries, records, None)
+    assert task.worlds == (0,)
+    records[cheap.task.key] = a_run(cheap, 2.0, "holds", SurveyRecord(sources=survey_sources()))
+    assert keys(None) == [], "it was tried"
+    records[cheap.task.key] = a_run(cheap, 2.0, "holds", SurveyRecord(sources="other code"))
+    assert keys(None) == [cheap.task.key]
+
+
+def a_run(
+    entry: PlannedTask, cost: float, verdict: str, survey: SurveyRecord | None = None
+) -> RunRecord:
+    run = factory.runs()[0]
+    last = run.stages[-1].model_copy(
+        update={"index": 0, "cost": cost, "verdict": verdict, "survey": survey}
     )
-    for limit, again in ((240.0, False), (100.0, True)):
-        (folder / "task.json").write_text(json.dumps({"task": {"time_limit": limit}}))
-        (found,) = with_stored([entry], store, CampaignSettings(out=tmp_path))
-        assert (found.stored is None) is again, found.why
+    return run.model_copy(update={"key": entry.task.key, "verdict": verdict, "stages": (last,)})
