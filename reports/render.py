@@ -26,6 +26,7 @@ import threading
 import uuid
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -123,7 +124,7 @@ class Templates:
 
 
 def write_report(folder: Path, jobs: int | None = None) -> Path:
-    """Write report.html and all other pages, those of runs only if they are out of date.
+    """Write report.html and all other pages, those of scenes and runs only if they are out of date.
 
     On so many processes (all cores). Raises ReportError.
     """
@@ -146,6 +147,9 @@ def write_report(folder: Path, jobs: int | None = None) -> Path:
         )
         write_page(folder / PAGES / f"{name}.html", text, folder)
     for one in report.scenes:
+        runs = [run for run in report.stored.runs if run.scene.name == one.name]
+        if not _is_due(report, scene_page(one), runs, folder / "campaign.json"):
+            continue
         back = [*_BACK, (f"../{REPORT}#index", "All pages")]
         text = page(
             templates,
@@ -431,6 +435,7 @@ def _write_run(templates: Templates, report: Report, one: RunRecord) -> None:
     write_page(report.folder / PAGES / run_page(one), text, report.folder)
 
 
+@lru_cache(maxsize=1)
 def _program() -> int:
     """When the last of our own files was written [ns]."""
     return max(
@@ -441,16 +446,18 @@ def _program() -> int:
 
 
 def _due(report: Report) -> list[RunRecord]:
-    program = _program()
-    return [
-        one
-        for one in report.stored.runs
-        if _written(report.folder / PAGES / run_page(one))
-        <= max(
-            program,
-            *(_time(report.folder / "runs" / one.key / name) for name in ("", "record.json")),
-        )
+    return [one for one in report.stored.runs if _is_due(report, run_page(one), [one])]
+
+
+def _is_due(report: Report, page: str, runs: Sequence[RunRecord], *others: Path) -> bool:
+    """Whether a page of these runs is missing, or older than one of their records, other files, or this program."""
+    times = [*map(_time, others)]
+    times += [
+        _time(report.folder / "runs" / run.key / name)
+        for run in runs
+        for name in ("", "record.json")
     ]
+    return _written(report.folder / PAGES / page) <= max(_program(), *times)
 
 
 def _written(path: Path) -> int:

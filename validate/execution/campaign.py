@@ -35,6 +35,7 @@ from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, 
 from reports.rule import fails, failures, findings
 from validate.execution.dask import DaskEngine, open_dask
 from validate.execution.engine import LOCAL, ExecutionContext, LocalEngine, check_engine, open_local
+from validate.execution.growing_report import GrowingReport
 from validate.execution.process import interrupts_wait
 from validate.plan.runs import (
     CampaignSettings,
@@ -130,17 +131,12 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
     campaign = _campaign(
         settings, entries, left_out, steps, before if others else None, keys, provenance
     )
-    text, ran = campaign.model_dump_json(indent=1), len(records) < len(entries)
 
     def write() -> tuple[RunRecord, ...]:
-        """Write campaign.json and the tables; return the runs of the folder."""
+        """Write the tables; return the runs of the folder."""
         done, checks = divided(
             {**others, **records}[key] for key in keys if key in others or key in records
         )
-        if (
-            ran or before is None or not same_campaign(campaign, before)
-        ):  # else it says as before when and how these results were made
-            write_durably(settings.out / CAMPAIGN, text)
         write_tables(settings.out, done, checks, campaign.violation)
         return done
 
@@ -150,10 +146,10 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
         if settings.fresh or settings.last_failed
         else [key for key in waiting if store.needs_rerun(key)]
     )
-    # before the first task ends: what is stored can be shown while the others run, and if they
-    # never end
-    if ran:
-        write_durably(settings.out / CAMPAIGN, text)
+    # Before the first task ends: what is stored can be shown while the others run, and if they
+    # never end. Where nothing is to run it says as before when and how these results were made.
+    if waiting or before is None or not same_campaign(campaign, before):
+        write_durably(settings.out / CAMPAIGN, campaign.model_dump_json(indent=1))
     narrator.begins(len(entries), len(records), len(anew))
     if others:
         narrator.notes(
@@ -171,18 +167,23 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
             shutil.rmtree(store.surveys, ignore_errors=True)
         loaded = {entry.task.key: entry.loaded for entry in entries if entry.loaded is not None}
         context = ExecutionContext(store=store, provenance=provenance, loaded=loaded)
-        with closing(_run(to_run, context, settings, narrator)) as finished:
+        plugin = load_plugin(settings.plugin)
+        with (
+            GrowingReport(partial(plugin.write_report, settings.out)) as growing,
+            closing(_run(to_run, context, settings, narrator)) as finished,
+        ):
             for record in finished:
                 records[record.key] = record
                 narrator.finished(record)
-                _note_scene(record, entries, records, narrator)
+                if _note_scene(record, entries, records, narrator):
+                    write()
+                    growing.update()
                 if settings.stop_early and fails(record):
                     store.unmark(key for key in anew if key not in records)
                     break
         if len(records) == len(entries):
             for record in _tried(entries, records, context, settings, narrator):
                 records[record.key] = record
-                ran = True
     finally:
         with interrupts_wait():
             # What this campaign stored and nobody heard of: it was stopped at that moment.
@@ -293,8 +294,8 @@ def _note_scene(
     entries: Sequence[PlannedTask],
     records: Mapping[str, TaskRecord],
     narrator: PlainNarrator,
-) -> None:
-    """Say what was found on a scene when the last of its runs has ended."""
+) -> bool:
+    """Say what was found on a scene when the last of its runs has ended; whether it has."""
     if isinstance(record, RunRecord):
         keys = [
             entry.task.key
@@ -303,6 +304,8 @@ def _note_scene(
         ]
         if all(key in records for key in keys):
             narrator.found(divided(records[key] for key in keys)[0])
+            return True
+    return False
 
 
 def _tried(

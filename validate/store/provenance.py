@@ -52,6 +52,7 @@ _NO_INFLUENCE = (
     "validate/execution/campaign.py",
     "validate/execution/dask.py",
     "validate/execution/engine.py",
+    "validate/execution/growing_report.py",
     "validate/store/results.py",
     "validate/store/stored.py",
 )
