@@ -309,9 +309,13 @@ class Leg:
 
 @dataclass(frozen=True, kw_only=True)
 class Pipeline:
-    """A chain of legs; each stage starts from the plan of the stage before it."""
+    """A chain of legs; each stage starts from the plan of the stage before it.
+
+    only: the name of the only scene that a campaign runs it on unasked, "" for every scene.
+    """
 
     name: str
     title: str
     legs: tuple[Leg, ...]
     source: str = ""
+    only: str = ""

@@ -58,6 +58,7 @@ def load_method(name: str) -> Method:
 
 
 PAPER = "Suh and Wang, Table I"
+PAPER_SCENE = "three_cart"
 FREE_MOTION = "free_motion"
 BEST_EXACT = "best_exact"
 
@@ -102,13 +103,13 @@ def _relu_gd(iterations: int) -> Leg:
     return Leg(method="relu_gd", stage_options=_counts(iterations))
 
 
-def _row(name: str, title: str, source: str, *legs: Leg | str) -> Pipeline:
+def _row(name: str, title: str, source: str, *legs: Leg | str, only: str = "") -> Pipeline:
     """One pipeline.
 
     A leg is that of a method without eps and options where only its name is given.
     """
     chain = tuple(Leg(method=leg) if isinstance(leg, str) else leg for leg in legs)
-    return Pipeline(name=name, title=title, legs=chain, source=source)
+    return Pipeline(name=name, title=title, legs=chain, source=source, only=only)
 
 
 _SHOT_SOFTLY = Leg(
@@ -156,6 +157,9 @@ PIPELINES: tuple[Pipeline, ...] = (
         PAPER,
         _SOFTPLUS_GD,
         "strict_lcp",
+        # Its gradient descent stops long before it has converged: elsewhere strict_lcp then takes as
+        # long as from a cold start, and on no scene has it found the best plan.
+        only=PAPER_SCENE,
     ),
     _row(
         "softplus_gd+relu_gd",
@@ -246,14 +250,16 @@ def pipeline_names() -> tuple[str, ...]:
 
 
 def pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
-    """The pipelines tried on a scene, in the order of the table: all of them.
+    """The pipelines that a campaign runs on a scene unasked, in the order of the table.
 
-    A method that does not apply says so itself.
-
-    Only the free motion is not tried where there are inputs: it is no way to find a plan, but all
-    that a scene without inputs has.
+    A method that does not apply says so itself. The free motion is left out where there are inputs:
+    it is no way to find a plan, but all that a scene without inputs has.
     """
-    return tuple(pipeline for pipeline in PIPELINES if not scene.nu or pipeline.name != FREE_MOTION)
+    return tuple(
+        pipeline
+        for pipeline in PIPELINES
+        if pipeline.only in ("", scene.name) and (not scene.nu or pipeline.name != FREE_MOTION)
+    )
 
 
 def find_pipeline(name: str) -> Pipeline:

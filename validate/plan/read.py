@@ -97,9 +97,9 @@ def read_campaign(
         for reference in bases
         for pipeline in loaded.pipelines_for(reference.scene)
     }
-    pipelines, wrong = _chosen_pipelines(
-        file, known or {pipeline.name: pipeline for pipeline in PIPELINES}, loaded.load_method
-    )
+    # What runs unasked on one scene only may be asked for on any.
+    ours = {pipeline.name: pipeline for pipeline in PIPELINES if not known or pipeline.only}
+    pipelines, wrong = _chosen_pipelines(file, {**ours, **known}, loaded.load_method)
     mistakes += wrong
     if mistakes:
         raise ConfigError(path, mistakes)

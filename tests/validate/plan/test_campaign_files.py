@@ -74,6 +74,11 @@ def keys(campaign: CampaignSettings) -> dict[str, str]:
     return {entry.task.title: entry.task.key for entry in entries}
 
 
+def test_a_file_may_ask_for_what_runs_unasked_on_another_scene_only(tmp_path: Path):
+    asked = 'pipelines = ["softplus_gd+strict"]\nchecks = false\n[[scenes]]\nscene = "hopper"\n'
+    assert list(keys(read(tmp_path, asked))) == ["hopper x softplus_gd+strict"]
+
+
 def test_every_mistake_is_told_at_once_with_its_place(tmp_path):
     with pytest.raises(ConfigError) as caught:
         read(tmp_path, WRONG)
