@@ -28,8 +28,9 @@ def planned(out: Path) -> PlannedTask:
 
 
 def tried(store: Store, task: RunTask) -> SurveyRecord:
-    store.runs.mkdir(exist_ok=True)
-    record = survey_run(task, store.runs / "unfinished", Profile(time.monotonic()))
+    folder = store.runs / ".unfinished"
+    folder.mkdir(exist_ok=True)
+    record = survey_run(task, folder, Profile(time.monotonic()))
     found = record.stages[-1].survey
     assert found is not None
     return found
