@@ -206,7 +206,7 @@ PIPELINES: tuple[Pipeline, ...] = (
     _row(
         BEST_EXACT,
         "Exact contact from a cold start, the cheapest plan of several pipelines",
-        "ours: mpcc where contacts are open or closed; else relaxed and softplus contact and softly shot plans, each then strict",
+        "ours: mpcc where contacts are open or closed, relaxed and softplus contact, softly shot plans, the last three then strict",
         BEST_EXACT,
     ),
     _row(

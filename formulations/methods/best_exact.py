@@ -1,12 +1,15 @@
 """Exact contact on every scene, from a cold start: several pipelines are run, and the cheapest plan is kept.
 
-    contacts that are open or closed:  mpcc, which searches their modes; it has a plan -> done
-    else:                              relaxed_walk+strict, relaxed+strict, softplus_dc+strict,
+    contacts that are open or closed:  mpcc, which searches their modes; relaxed+strict,
+                                       softplus_dc+strict
+    else, or where mpcc has no plan:   relaxed_walk+strict, relaxed+strict, softplus_dc+strict,
                                        softly_shot+strict
 
 No pipeline is the best one: exact cost by these four, transport 0.704, 0.916, 0.701 and 1.84,
 two_finger_lift 59.410, 59.399, 77.2 and 59.410, a drawer pushed shut over a rough rail 25.9, 26.5,
-none and 9.5. A campaign has solved most of them already (`Session.use_stored`).
+none and 9.5; of four rows of carts that were drawn, one by mpcc, relaxed+strict and
+softplus_dc+strict 981, 855 and none. A campaign has solved most of them already
+(`Session.use_stored`).
 
 An exact plan solves the equations of its grid, and a robot does not move on a grid. So each is
 followed on finer steps by linear feedback around it (`formulations.grids`): how far the motion
@@ -69,7 +72,10 @@ _DEPARTS = "On steps a fiftieth as long the motion departs from it, with feedbac
 class BestExactOptions(Options):
     """Options of `best_exact`."""
 
-    all_ways: bool = option(False, "run the other pipelines too where mpcc has a plan")
+    all_ways: bool = option(
+        False,
+        "where mpcc has a plan, run relaxed_walk+strict and softly_shot+strict too",
+    )
     halvings: int = option(
         3,
         "how often the steps are halved where the cheapest plan departs by more than is allowed; 0: a plan on the task's grid",
@@ -130,17 +136,17 @@ class BestExactSession(Session):
         """What each pipeline found, in words and as a solution of all its stages."""
         scene = self._scene
         solved: list[Solution] = []
-        if load_method("mpcc").accepts(scene) is None:
-            found = self._way(_MODES, start, ends)
-            yield _MODES.name, found
-            solved += [found] if found.outcome is Outcome.SOLVED else []
-            if solved and not self._options.all_ways:
-                return
-        for way in _WAYS:
+        by_modes = False  # whether mpcc has a plan
+        for way in (_MODES, *_WAYS):
+            if way is _MODES and load_method("mpcc").accepts(scene) is not None:
+                continue
+            if way in (RELAXED_WALK, SOFTLY_SHOT) and not self._options.all_ways and by_modes:
+                continue
             if monotonic() >= ends:
                 break
             found = _with_departure(scene, self._way(way, start, ends))
             solved += [found] if found.outcome is Outcome.SOLVED else []
+            by_modes = by_modes or (way is _MODES and bool(solved))
             yield way.name, found
         if not solved and monotonic() < ends:
             yield _STRICT.name, self._way(_STRICT, start, ends)
