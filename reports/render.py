@@ -26,7 +26,6 @@ import threading
 import uuid
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -146,9 +145,11 @@ def write_report(folder: Path, jobs: int | None = None) -> Path:
             back=_BACK,
         )
         write_page(folder / PAGES / f"{name}.html", text, folder)
+    program = _program()
     for one in report.scenes:
         runs = [run for run in report.stored.runs if run.scene.name == one.name]
-        if not _is_due(report, scene_page(one), runs, folder / "campaign.json"):
+        newest = max(program, _time(folder / "campaign.json"))
+        if not _is_due(report, scene_page(one), runs, newest):
             continue
         back = [*_BACK, (f"../{REPORT}#index", "All pages")]
         text = page(
@@ -435,7 +436,6 @@ def _write_run(templates: Templates, report: Report, one: RunRecord) -> None:
     write_page(report.folder / PAGES / run_page(one), text, report.folder)
 
 
-@lru_cache(maxsize=1)
 def _program() -> int:
     """When the last of our own files was written [ns]."""
     return max(
@@ -446,18 +446,18 @@ def _program() -> int:
 
 
 def _due(report: Report) -> list[RunRecord]:
-    return [one for one in report.stored.runs if _is_due(report, run_page(one), [one])]
+    program = _program()
+    return [one for one in report.stored.runs if _is_due(report, run_page(one), [one], program)]
 
 
-def _is_due(report: Report, page: str, runs: Sequence[RunRecord], *others: Path) -> bool:
-    """Whether a page of these runs is missing, or older than one of their records, other files, or this program."""
-    times = [*map(_time, others)]
-    times += [
+def _is_due(report: Report, page: str, runs: Sequence[RunRecord], newest: int) -> bool:
+    """Whether a page of these runs is missing, older than one of their records, or no younger than `newest` [ns]."""
+    times = [
         _time(report.folder / "runs" / run.key / name)
         for run in runs
         for name in ("", "record.json")
     ]
-    return _written(report.folder / PAGES / page) <= max(_program(), *times)
+    return _written(report.folder / PAGES / page) <= max(newest, *times)
 
 
 def _written(path: Path) -> int:

@@ -182,7 +182,7 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
                     store.unmark(key for key in anew if key not in records)
                     break
         if len(records) == len(entries):
-            for record in _tried(entries, records, context, settings, narrator):
+            for record in _tried(entries, records, others, context, settings, narrator):
                 records[record.key] = record
     finally:
         with interrupts_wait():
@@ -311,12 +311,13 @@ def _note_scene(
 def _tried(
     entries: Sequence[PlannedTask],
     records: Mapping[str, TaskRecord],
+    others: Mapping[str, TaskRecord],
     context: ExecutionContext,
     settings: CampaignSettings,
     narrator: PlainNarrator,
 ) -> list[TaskRecord]:
     """The records of the runs whose plans are tried in perturbed worlds now, when every run has ended."""
-    tasks = worlds_tasks(entries, records, settings.worlds)
+    tasks = worlds_tasks(entries, records, others, settings.worlds)
     if not tasks:
         return []
     count = f"{len(tasks)} runs" if len(tasks) > 1 else tasks[0].title

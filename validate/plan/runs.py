@@ -343,9 +343,16 @@ def _usable(store: Store, task: Task, fresh: bool) -> tuple[TaskRecord | None, s
 
 
 def worlds_tasks(
-    entries: Iterable[PlannedTask], records: Mapping[str, TaskRecord], worlds: bool | None
+    entries: Iterable[PlannedTask],
+    records: Mapping[str, TaskRecord],
+    others: Mapping[str, TaskRecord],
+    worlds: bool | None,
 ) -> list[RunTask]:
-    """The runs of which plans that hold are still to be tried in perturbed worlds. worlds: as in the settings."""
+    """The runs of which plans that hold are still to be tried in perturbed worlds.
+
+    records: of the entries; others: of what else the folder's campaign holds, among which the
+        cheapest plan of a scene may be; worlds: as in the settings.
+    """
     if worlds is False:
         return []
     runs = [
@@ -355,7 +362,8 @@ def worlds_tasks(
         and isinstance(record := records.get(entry.task.key), RunRecord)
     ]
     if worlds is None:
-        runs = _cheapest_of_each_scene(runs)
+        cheapest = _cheapest_of_each_scene((*records.values(), *others.values()))
+        runs = [(task, run) for task, run in runs if run.key in cheapest]
     tasks = []
     for task, run in runs:
         wanted = tuple(
@@ -368,17 +376,15 @@ def worlds_tasks(
     return tasks
 
 
-def _cheapest_of_each_scene(
-    runs: Iterable[tuple[RunTask, RunRecord]],
-) -> list[tuple[RunTask, RunRecord]]:
-    cheapest: dict[str, tuple[RunTask, RunRecord]] = {}
-    for task, run in runs:
-        if run.verdict not in HOLD or run.cost is None:
-            continue
-        best = cheapest.get(task.scene_name)
-        if best is None or best[1].cost is None or run.cost < best[1].cost:
-            cheapest[task.scene_name] = task, run
-    return list(cheapest.values())
+def _cheapest_of_each_scene(records: Iterable[TaskRecord]) -> set[str]:
+    """The key of the run on each scene whose plan holds at the least cost."""
+    cheapest: dict[str, tuple[float, str]] = {}
+    for run in records:
+        if isinstance(run, RunRecord) and run.verdict in HOLD and run.cost is not None:
+            best = cheapest.setdefault(run.scene.name, (run.cost, run.key))
+            if run.cost < best[0]:
+                cheapest[run.scene.name] = run.cost, run.key
+    return {key for _, key in cheapest.values()}
 
 
 def reasons(entries: Sequence[PlannedTask], store: Store) -> list[str]:

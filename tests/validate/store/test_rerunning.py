@@ -78,6 +78,7 @@ def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch,
         scenes=FAKES[3:],
         expression="only_good or only_infeasible",
         jobs=1,
+        worlds=False,
     )
     whole = run_campaign(settings, PlainNarrator())
     stopped = _Stopped()

@@ -98,13 +98,15 @@ def test_the_cheapest_plan_of_a_scene_is_tried_or_all_or_none(tmp_path: Path):
     }
 
     def keys(worlds: bool | None) -> list[str]:
-        return [task.key for task in worlds_tasks(entries, records, worlds)]
+        return [task.key for task in worlds_tasks(entries, records, {}, worlds)]
 
     assert keys(None) == [cheap.task.key]
     assert keys(True) == [cheap.task.key, dear.task.key]
     assert keys(False) == []
-    (task,) = worlds_tasks(entries, records, None)
+    (task,) = worlds_tasks(entries, records, {}, None)
     assert task.worlds == (0,)
+    stored = {"another": a_run(cheap, 1.0, "holds").model_copy(update={"key": "another"})}
+    assert worlds_tasks(entries, records, stored, None) == [], "the cheapest is not of this part"
     records[cheap.task.key] = a_run(cheap, 2.0, "holds", SurveyRecord(sources=survey_sources()))
     assert keys(None) == [], "it was tried"
     records[cheap.task.key] = a_run(cheap, 2.0, "holds", SurveyRecord(sources="other code"))
