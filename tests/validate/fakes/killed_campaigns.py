@@ -140,7 +140,8 @@ def records(out: Path) -> dict[str, Any]:
     """The records of its runs, by pipeline."""
     from reports.records.record import RunRecord
 
-    found = [RunRecord.model_validate_json(content) for content in finished(out).values()]
+    paths = (out / "runs").glob("[!.]*/record.json")
+    found = [RunRecord.model_validate_json(path.read_bytes()) for path in paths]
     return {record.pipeline: record for record in found}
 
 
