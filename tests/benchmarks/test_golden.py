@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import golden
-from formulations.pipelines import FREE_MOTION, pipeline_names
+from formulations.pipelines import FREE_MOTION, PIPELINES
 from reports.records.load import load
 
 
@@ -27,10 +27,11 @@ def test_committed_campaigns_are_complete():
     scenes = {scene for scene, _ in runs}
     nothing_to_plan = {scene for scene, pipeline in runs if pipeline == FREE_MOTION}
     assert runs >= {
-        (scene, pipeline)
+        (scene, pipeline.name)
         for scene in scenes
-        for pipeline in pipeline_names()
-        if pipeline != FREE_MOTION or scene in nothing_to_plan
+        for pipeline in PIPELINES
+        if pipeline.only in ("", scene)
+        and (pipeline.name != FREE_MOTION or scene in nothing_to_plan)
     }
     assert len(scenes) >= 16
     costs = [
