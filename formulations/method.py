@@ -134,8 +134,8 @@ class Kind(Enum):
     DIRECT = "direct"
 
 
-# The Solutions of the stages of the last of some legs, which begin a pipeline on the session's
-# scene; None where they are not stored.
+# Return the stored Solutions of the last leg of a path from a cold start on the session's scene;
+# None if the leg is not stored.
 StoredStages: TypeAlias = "Callable[[Sequence[Leg]], Sequence[Solution] | None]"
 
 
@@ -182,10 +182,7 @@ class Session(ABC):
         return warm_start
 
     def use_stored(self, stored: StoredStages) -> None:  # noqa: B027 - most sessions run no pipelines
-        """Take stages of other pipelines that a campaign has stored instead of solving them again.
-
-        The answer is the same as without them.
-        """
+        """Read stages of other pipelines from `stored` instead of solving them. Results do not change."""
 
     def close(self) -> None:  # noqa: B027 - most sessions hold nothing that needs freeing
         """Free what the session holds."""
@@ -211,9 +208,8 @@ class Method(ABC, Generic[AnyOptions]):
     needs_eps: bool  # whether `solve` takes a relaxation eps
     # whether its plan claims to solve the exact contact problem: a campaign then certifies it
     exact: bool = False
-    ways: tuple[
-        Pipeline, ...
-    ] = ()  # pipelines that it runs itself, and takes where they are stored
+    # Pipelines that the method runs itself; a campaign gives it their stored stages.
+    ways: tuple[Pipeline, ...] = ()
     options: type[AnyOptions] = Options  # pyright: ignore[reportAssignmentType] - of a method that has none
 
     def accepts(self, scene: Scene) -> str | None:
@@ -311,7 +307,7 @@ class Leg:
 class Pipeline:
     """A chain of legs; each stage starts from the plan of the stage before it.
 
-    only: the name of the only scene that a campaign runs it on unasked, "" for every scene.
+    only: the scene that a campaign runs it on by default; "" for every scene.
     """
 
     name: str

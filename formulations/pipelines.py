@@ -157,8 +157,8 @@ PIPELINES: tuple[Pipeline, ...] = (
         PAPER,
         _SOFTPLUS_GD,
         "strict_lcp",
-        # Its gradient descent stops long before it has converged: elsewhere strict_lcp then takes as
-        # long as from a cold start, and on no scene has it found the best plan.
+        # 40 gradient steps are far from convergence. On other scenes strict_lcp then takes as long
+        # as from a cold start, and it found the best plan on no scene and on no drawn row of carts.
         only=PAPER_SCENE,
     ),
     _row(
@@ -223,7 +223,7 @@ PIPELINES: tuple[Pipeline, ...] = (
     ),
 )
 
-# Pipelines that `best_exact` alone runs, beside those of the table.
+# Pipelines that only `best_exact` runs.
 RELAXED_WALK = _row(
     "relaxed_walk+strict",
     "Relaxed LCP from a loose bound, tightened by steps that adapt, then strict LCP",
@@ -250,10 +250,10 @@ def pipeline_names() -> tuple[str, ...]:
 
 
 def pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
-    """The pipelines that a campaign runs on a scene unasked, in the order of the table.
+    """Return the pipelines that a campaign runs on a scene by default, in the order of the table.
 
-    A method that does not apply says so itself. The free motion is left out where there are inputs:
-    it is no way to find a plan, but all that a scene without inputs has.
+    A method that does not apply is refused later, with a reason. `free_motion` is for scenes
+    without inputs only: it does not plan.
     """
     return tuple(
         pipeline

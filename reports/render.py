@@ -451,7 +451,7 @@ def _due(report: Report) -> list[RunRecord]:
 
 
 def _is_due(report: Report, page: str, runs: Sequence[RunRecord], newest: int) -> bool:
-    """Whether a page of these runs is missing, older than one of their records, or no younger than `newest` [ns]."""
+    """Return whether a page is missing or older than a record of its runs or than `newest` [ns]."""
     times = [
         _time(report.folder / "runs" / run.key / name)
         for run in runs

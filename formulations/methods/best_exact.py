@@ -1,15 +1,14 @@
-"""Exact contact on every scene, from a cold start: several pipelines are run, and the cheapest plan is kept.
+"""Exact contact for every scene: run several pipelines from a cold start and keep the cheapest plan.
 
-    contacts that are open or closed:  mpcc, which searches their modes; relaxed+strict,
-                                       softplus_dc+strict
-    else, or where mpcc has no plan:   relaxed_walk+strict, relaxed+strict, softplus_dc+strict,
-                                       softly_shot+strict
+    mpcc applies and has a plan:  mpcc, relaxed+strict, softplus_dc+strict
+    otherwise:                    relaxed_walk+strict, relaxed+strict, softplus_dc+strict,
+                                  softly_shot+strict
+    none of these has a plan:     strict
 
-No pipeline is the best one: exact cost by these four, transport 0.704, 0.916, 0.701 and 1.84,
-two_finger_lift 59.410, 59.399, 77.2 and 59.410, a drawer pushed shut over a rough rail 25.9, 26.5,
-none and 9.5; of four rows of carts that were drawn, one by mpcc, relaxed+strict and
-softplus_dc+strict 981, 855 and none. A campaign has solved most of them already
-(`Session.use_stored`).
+No pipeline is the best on every scene. Exact costs by the four pipelines of the second line:
+transport 0.704, 0.916, 0.701, 1.84; two_finger_lift 59.410, 59.399, 77.2, 59.410; a drawer on a
+rough rail 25.9, 26.5, none, 9.5. A row of carts by the three of the first line: 981, 855, none.
+A campaign has stored most of these stages already (`Session.use_stored`).
 
 An exact plan solves the equations of its grid, and a robot does not move on a grid. So each is
 followed on finer steps by linear feedback around it (`formulations.grids`): how far the motion
@@ -50,12 +49,6 @@ from models.scene import Scene
 from models.trajectory import Trajectory
 
 _MODES = find_pipeline("mpcc")
-_WAYS = (
-    RELAXED_WALK,
-    find_pipeline("relaxed+strict"),
-    find_pipeline("softplus_dc+strict"),
-    SOFTLY_SHOT,
-)
 _STRICT = find_pipeline("strict")
 # Part of a cost by which two are the same.
 _SAME = 1e-9
@@ -85,7 +78,7 @@ class BestExactOptions(Options):
 
 
 def _nothing_stored(legs: Sequence[Leg]) -> None:
-    """Outside a campaign no stage is stored."""
+    """Return None: outside a campaign no stage is stored."""
 
 
 class BestExactSession(Session):
@@ -96,15 +89,15 @@ class BestExactSession(Session):
         self._stored: StoredStages = _nothing_stored
 
     def use_stored(self, stored: StoredStages) -> None:
-        """Take what is stored of the pipelines that are run here."""
+        """Read stages of the pipelines from a campaign's store."""
         self._stored = stored
 
     def solve(
         self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float
     ) -> Solution:
-        """Find the cheapest plan of all pipelines, each of which starts from the plan given.
+        """Return the cheapest plan of all pipelines, each started from `warm_start`.
 
-        Its seconds and iterations are those of all of them, whoever ran them. Raises
+        Seconds and iterations are the sums over all pipelines, stored stages included. Raises
         TrajectoryError for a plan of another grid.
         """
         self._method.check_stage(eps, time_limit)
@@ -133,31 +126,31 @@ class BestExactSession(Session):
         )
 
     def _found(self, start: Trajectory | None, ends: float) -> Iterator[tuple[str, Solution]]:
-        """What each pipeline found, in words and as a solution of all its stages."""
+        """Yield the name and the solution of each pipeline, then of each solve on finer steps."""
         scene = self._scene
         solved: list[Solution] = []
         by_modes = False  # whether mpcc has a plan
-        for way in (_MODES, *_WAYS):
+        for way in self._method.ways:
             if way is _MODES and load_method("mpcc").accepts(scene) is not None:
                 continue
-            if way in (RELAXED_WALK, SOFTLY_SHOT) and not self._options.all_ways and by_modes:
+            if way in (RELAXED_WALK, SOFTLY_SHOT) and by_modes and not self._options.all_ways:
                 continue
-            if monotonic() >= ends:
-                break
+            if way is _STRICT and solved:
+                continue
             found = _with_departure(scene, self._way(way, start, ends))
             solved += [found] if found.outcome is Outcome.SOLVED else []
             by_modes = by_modes or (way is _MODES and bool(solved))
             yield way.name, found
-        if not solved and monotonic() < ends:
-            yield _STRICT.name, self._way(_STRICT, start, ends)
-        elif solved and not _is_followed(cheapest := _cheapest(solved)):
+            if monotonic() >= ends:
+                break
+        if solved and not _is_followed(cheapest := _cheapest(solved)):
             yield from self._on_finer_steps(cheapest, ends)
 
     def _way(self, way: Pipeline, start: Trajectory | None, ends: float) -> Solution:
-        """The last stage of a pipeline, with the iterations and seconds of all of them.
+        """Return the last stage of a pipeline, with the iterations and seconds of all its stages.
 
-        It ends with the leg that has no plan: strict_lcp from nothing is a pipeline of its own.
-        What is stored began with nothing.
+        A leg without a plan ends the pipeline: strict_lcp from a cold start is a pipeline of its
+        own. Stored stages are from a cold start too.
         """
         plan, iterations, seconds = start, 0, Seconds()
         for number, leg in enumerate(way.legs):
@@ -193,7 +186,7 @@ class BestExactSession(Session):
 
 
 def _solved(scene: Scene, leg: Leg, start: Trajectory | None, ends: float) -> tuple[Solution, ...]:
-    """The stages of a leg. ends: time.monotonic() by which they should be done."""
+    """Solve the stages of a leg. ends: time.monotonic() of the time limit."""
     alone = Pipeline(name=leg.method, title="", legs=(leg,))
     left = max(1e-3, ends - monotonic())
     return tuple(solve_stages(scene, alone, warm_start=start, time_limit=left))
@@ -242,10 +235,17 @@ class BestExact(Method[BestExactOptions]):
     needs_eps = False
     exact = True
     options = BestExactOptions
-    ways = (_MODES, *_WAYS, _STRICT)
+    ways = (
+        _MODES,
+        RELAXED_WALK,
+        find_pipeline("relaxed+strict"),
+        find_pipeline("softplus_dc+strict"),
+        SOFTLY_SHOT,
+        _STRICT,
+    )
 
     def session(self, scene: Scene, options: BestExactOptions, clock: Clock) -> Session:
-        """Open a session, which opens those of the pipelines as it runs them."""
+        """Open a session; the sessions of the pipelines are opened one after the other."""
         return BestExactSession(self, scene, options)
 
 

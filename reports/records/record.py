@@ -334,7 +334,7 @@ class SurveyRecord(Model):
     alone, feedback: how many worlds it arrives in; checked, differ: worlds that the reference was
         asked about too, and in how many it says otherwise; weakest:
     of which perturbation by itself it takes the fewest sizes, how far [unit], and by what it fails
-        there; message: why it was not tried; sources: digest of what tried it.
+        there; message: why it was not tried; sources: digest of the code that made it.
     """
 
     alone: ShareRecord | None = None
@@ -390,7 +390,7 @@ class StageRecord(Model):
     questions: tuple[QuestionRecord, ...] = ()
     not_asked: tuple[str, ...] = ()
     replay: ReplayRecord | None = None
-    survey: SurveyRecord | None = None  # of a plan that holds; None where it was not asked for
+    survey: SurveyRecord | None = None  # None if the plan was not selected for it
     has_plan: bool = False  # whether a plan came back: the files of the stage are there
     paper: dict[
         str, Finite

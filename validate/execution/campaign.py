@@ -133,7 +133,7 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
     )
 
     def write() -> tuple[RunRecord, ...]:
-        """Write the tables; return the runs of the folder."""
+        """Write the tables and return the runs of the folder."""
         done, checks = divided(
             {**others, **records}[key] for key in keys if key in others or key in records
         )
@@ -146,8 +146,8 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
         if settings.fresh or settings.last_failed
         else [key for key in waiting if store.needs_rerun(key)]
     )
-    # Before the first task ends: what is stored can be shown while the others run, and if they
-    # never end. Where nothing is to run it says as before when and how these results were made.
+    # campaign.json is written before the first task ends, so that a killed campaign can be shown.
+    # If nothing runs, the old file keeps the date and command that made the results.
     if waiting or before is None or not same_campaign(campaign, before):
         write_durably(settings.out / CAMPAIGN, campaign.model_dump_json(indent=1))
     narrator.begins(len(entries), len(records), len(anew))
@@ -169,7 +169,7 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
         context = ExecutionContext(store=store, provenance=provenance, loaded=loaded)
         plugin = load_plugin(settings.plugin)
         with (
-            GrowingReport(partial(plugin.write_report, settings.out)) as growing,
+            closing(GrowingReport(partial(plugin.write_report, settings.out))) as growing,
             closing(_run(to_run, context, settings, narrator)) as finished,
         ):
             for record in finished:
@@ -295,7 +295,7 @@ def _note_scene(
     records: Mapping[str, TaskRecord],
     narrator: PlainNarrator,
 ) -> bool:
-    """Say what was found on a scene when the last of its runs has ended; whether it has."""
+    """Print the summary of a scene and return True if the last of its runs has ended."""
     if isinstance(record, RunRecord):
         keys = [
             entry.task.key
@@ -316,7 +316,7 @@ def _tried(
     settings: CampaignSettings,
     narrator: PlainNarrator,
 ) -> list[TaskRecord]:
-    """The records of the runs whose plans are tried in perturbed worlds now, when every run has ended."""
+    """Try the plans that `settings.worlds` selects in perturbed worlds; return the amended records."""
     tasks = worlds_tasks(entries, records, others, settings.worlds)
     if not tasks:
         return []
@@ -395,7 +395,7 @@ def _waits(task: Task, running: Iterable[Task], context: ExecutionContext) -> bo
 
 
 def _uses_what_comes(task: Task, others: Iterable[Task], context: ExecutionContext) -> bool:
-    """Whether a run takes legs that one of the others, which have not ended, is about to store."""
+    """Return whether an unfinished task is about to store a leg that this run uses."""
     if not isinstance(task, RunTask) or not task.uses:
         return False
     coming = {leg.key for other in others if other is not task for leg in _path(other)}

@@ -1,7 +1,7 @@
-"""The report of a campaign while it runs: written again as scenes end, beside the tasks.
+"""Rewrite the report of a running campaign, in a thread, as scenes end.
 
-with GrowingReport(write) as report:
-report.update()             # a scene has ended
+with closing(GrowingReport(write)) as report:
+report.update()             # call it when a scene has ended
 """
 
 from __future__ import annotations
@@ -10,47 +10,37 @@ import contextlib
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from types import TracebackType
 
-from models.errors import MachineError
-
-# Writing may take so much of the time at most: with every core at work it delays the tasks.
+# Largest share of the campaign's time spent on rewriting; with every core busy it delays the tasks.
 _SHARE = 0.05
 
 
 class GrowingReport:
-    """See the module docstring. write: writes the whole report of what is stored now."""
+    """Rewrite a report at most once at a time. write: writes the whole report of the stored runs."""
 
     def __init__(self, write: Callable[[], object]) -> None:
         self._write = write
         self._thread = ThreadPoolExecutor(1)
         self._writing: Future[float] | None = None
-        self._next = 0.0  # time.monotonic() before which it is not written again
+        self._next = 0.0  # time.monotonic() of the next rewrite at the earliest
 
     def update(self) -> None:
-        """Write it, unless that is at work already, or has been a short while ago."""
+        """Start a rewrite, unless one is running or the last one ended too recently."""
         if self._writing is not None:
             if not self._writing.done():
                 return
             self._next = time.monotonic() + self._writing.result() / _SHARE
             self._writing = None
         if time.monotonic() >= self._next:
-            self._writing = self._thread.submit(self._written)
+            self._writing = self._thread.submit(self._timed_write)
 
-    def _written(self) -> float:
-        """Seconds that it took [s]. What the disk refuses is said at the end, where it comes again."""
+    def _timed_write(self) -> float:
+        """Write the report and return the duration [s]. The last write of the campaign reports errors."""
         began = time.monotonic()
-        with contextlib.suppress(MachineError):
+        with contextlib.suppress(Exception):
             self._write()
         return time.monotonic() - began
 
-    def __enter__(self) -> GrowingReport:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Wait for the rewrite that is running."""
         self._thread.shutdown(cancel_futures=True)

@@ -74,7 +74,7 @@ class Worker:
             shutil.rmtree(self._folder, ignore_errors=True)
             raise
         self._began = time.monotonic()
-        # whether the record of a stored run is amended, whose files stay
+        # A survey replaces the record of a stored run; the run's other files stay.
         self._amends = isinstance(task, RunTask) and bool(task.worlds)
 
     def run(self, wanted: Callable[[], bool]) -> TaskRecord | None:

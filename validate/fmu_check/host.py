@@ -65,8 +65,8 @@ BEHAVIOUR: tuple[Check, ...] = (
     exchange.agree,
 )  # fmt: skip
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
-# Those that decide whether the replay of a plan by the FMU can be trusted: its start values, its
-# state and derivatives, its events, and its own integrator against one outside.
+# Checks that decide whether a replay by the FMU can be trusted: start values, state, derivatives,
+# events, and Model Exchange against Co-Simulation. A campaign makes these.
 DECISIVE = tuple(
     item.name
     for item in (

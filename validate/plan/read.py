@@ -97,7 +97,7 @@ def read_campaign(
         for reference in bases
         for pipeline in loaded.pipelines_for(reference.scene)
     }
-    # What runs unasked on one scene only may be asked for on any.
+    # A pipeline that runs by default on one scene only can be selected for every scene.
     ours = {pipeline.name: pipeline for pipeline in PIPELINES if not known or pipeline.only}
     pipelines, wrong = _chosen_pipelines(file, {**ours, **known}, loaded.load_method)
     mistakes += wrong

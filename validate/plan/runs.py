@@ -14,10 +14,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from formulations.method import Pipeline
-from formulations.pipelines import method_names
+from formulations.pipelines import PIPELINES, method_names
 from models.catalog import load_scene, scene_names, scene_path
 from models.scene import Scene
 from reports.paper import SCENE as PAPER_SCENE
+from reports.records.check_record import divided
+from reports.records.load import Stored
 from reports.records.record import HOLD, RunRecord
 from reports.rule import failed_keys
 from validate.judge.score import check_limits
@@ -54,6 +56,9 @@ class NothingSelectedError(CampaignError):
 
 
 def _unknown(word: str, names: Sequence[str]) -> str:
+    elsewhere = [pipeline for pipeline in PIPELINES if pipeline.name == word and pipeline.only]
+    if elsewhere:
+        return f"{word!r} runs by default on {elsewhere[0].only} only; a campaign file can select it for other scenes"
     if matches(word, method_names()):
         return f"{word!r} is a method that no pipeline of these scenes runs; a new one needs a row in formulations/pipelines.py"
     return f"{word!r} is in no name; near are {', '.join(near(word, names))}"
@@ -348,10 +353,10 @@ def worlds_tasks(
     others: Mapping[str, TaskRecord],
     worlds: bool | None,
 ) -> list[RunTask]:
-    """The runs of which plans that hold are still to be tried in perturbed worlds.
+    """Return a task for each run whose plans must still be tried in perturbed worlds.
 
-    records: of the entries; others: of what else the folder's campaign holds, among which the
-        cheapest plan of a scene may be; worlds: as in the settings.
+    records: of the entries; others: records of the other runs of the folder, which compete for the
+    cheapest plan of a scene; worlds: see `CampaignSettings`.
     """
     if worlds is False:
         return []
@@ -362,7 +367,12 @@ def worlds_tasks(
         and isinstance(record := records.get(entry.task.key), RunRecord)
     ]
     if worlds is None:
-        cheapest = _cheapest_of_each_scene((*records.values(), *others.values()))
+        stored = Stored(None, divided((*records.values(), *others.values()))[0])
+        cheapest = {
+            plans[0][0].key
+            for scene in {run.scene.name for _, run in runs}
+            if (plans := stored.cheapest(scene))
+        }
         runs = [(task, run) for task, run in runs if run.key in cheapest]
     tasks = []
     for task, run in runs:
@@ -374,17 +384,6 @@ def worlds_tasks(
         )
         tasks += [replace(task, worlds=wanted)] if wanted else []
     return tasks
-
-
-def _cheapest_of_each_scene(records: Iterable[TaskRecord]) -> set[str]:
-    """The key of the run on each scene whose plan holds at the least cost."""
-    cheapest: dict[str, tuple[float, str]] = {}
-    for run in records:
-        if isinstance(run, RunRecord) and run.verdict in HOLD and run.cost is not None:
-            best = cheapest.setdefault(run.scene.name, (run.cost, run.key))
-            if run.cost < best[0]:
-                cheapest[run.scene.name] = run.cost, run.key
-    return {key for _, key in cheapest.values()}
 
 
 def reasons(entries: Sequence[PlannedTask], store: Store) -> list[str]:

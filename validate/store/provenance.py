@@ -103,7 +103,7 @@ def source_digests(methods: Iterable[str]) -> dict[str, str]:
 
 @lru_cache(maxsize=1)
 def survey_sources() -> str:
-    """Digest of what tries plans in perturbed worlds."""
+    """Return the digest of the source files of the survey in perturbed worlds."""
     own = {
         name: digest for name, digest in _source_digests().items() if name.startswith(_OF_SURVEYS)
     }

@@ -99,9 +99,9 @@ def planned_stages(pipeline: Pipeline, methods: Mapping[str, Method]) -> tuple[P
 
 
 def leg_key(scene: Scene, stages: Sequence[Planned], source: str, *named: str) -> str:
-    """The key of some stages of a scene. source: text of the module that they came from.
+    """Return the key of a sequence of stages on a scene.
 
-    named: further for the key of a run (validate.plan.runs).
+    source: text of the plugin's module; named: further words, for the key of a run.
     """
     methods = {planned.name for planned in stages} | {
         leg.method for planned in stages for way in planned.method.ways for leg in way.legs
@@ -195,7 +195,7 @@ def plan_of(leg: LegRecord, folder: Path, scene: Scene) -> Trajectory | None:
 
 @dataclass(frozen=True)
 class StoredStage:
-    """A stage of a stored leg. files: of its plan and replays, by what they hold."""
+    """A stage of a stored leg. files: "trajectory", "replay", "tracked" -> path, if there is one."""
 
     record: StageRecord
     plan: Trajectory | None
@@ -209,9 +209,10 @@ def stored_stages(
     methods: Mapping[str, Method],
     key_of: Callable[[Sequence[Planned]], str],
 ) -> tuple[StoredStage, ...]:
-    """The stages of the last of these legs, which begin a pipeline; none where they are not stored, or damaged.
+    """Return the stored stages of the last leg of a path from a cold start.
 
-    stored: the folder of all legs; methods: those of the legs, by name.
+    Returns () if the leg is not stored or damaged. stored: the folder of all legs; methods: the
+    methods of the legs, by name.
     """
     plan = planned_stages(Pipeline(name="", title="", legs=tuple(path)), methods)
     wanted = planned_legs(plan, key_of)[-1]
@@ -297,7 +298,7 @@ def store(folder: Path, leg: LegRecord, stored: Path) -> None:
 
 
 def store_as(folder: Path, leg: LegRecord, key: str, stored: Path) -> None:
-    """Store a leg that lies in the folder of its run under another key too. Raises OSError."""
+    """Store a leg of a run's folder under a second key. Raises OSError."""
     aside = folder.with_name(f"storing-{key}")
     link(folder, aside)
     remove(aside / CONTENT)

@@ -2,7 +2,7 @@
 
     # in a child process of its own: validate.execution.child
     record = run_path(task, provenance, folder, profile)
-    record = survey_run(task, folder, profile)      # later, where a plan of it is the cheapest
+    record = survey_run(task, folder, profile)      # later, if its plan is the cheapest
     # by its worker, where the child left no record
     record = unfinished_run(task, loaded, provenance, child, folder)
 
@@ -190,14 +190,14 @@ def _stages_in(
 
 
 def survey_run(task: RunTask, folder: Path, profile: Profile) -> RunRecord:
-    """The record of a run that is stored, with how the plans of its stages `task.worlds` fare in perturbed worlds.
+    """Try the plans of the stages `task.worlds` of a stored run; return its amended record.
 
-    Raises MachineError where this machine cannot go on, TouchstoneError where the run is gone.
+    Raises MachineError if this machine cannot go on, TouchstoneError if the run was deleted.
     """
     scene, store = load_run(task, profile).scene, Store(folder.parents[1])
     run = store.read(task.key)
     if not isinstance(run, RunRecord):
-        raise TouchstoneError(f"{task.title}: its stored run is gone.")
+        raise TouchstoneError(f"{task.title}: its stored run was deleted; run the campaign again.")
     stages = tuple(
         _surveyed(stage, scene, task, folder, len(run.stages))
         if stage.index in task.worlds
@@ -215,7 +215,7 @@ def amended(
     cpu: float,
     profile: Mapping[str, float],
 ) -> RunRecord:
-    """The record of a run after something was added to its stages. wall, cpu, profile [s]: what that took."""
+    """Return a copy of a run's record with these stages. wall, cpu, profile [s]: time to add."""
     seconds = Counter(run.profile)
     seconds.update(profile)
     return run.model_copy(
@@ -229,10 +229,13 @@ def amended(
 
 
 def unfinished_survey(task: RunTask, run: RunRecord, child: ChildExit) -> RunRecord:
-    """The record of a stored run whose plans could not be tried: the child left nothing."""
+    """Return the record of a stored run whose survey crashed or ran out of time.
+
+    The surveys have no digest of sources, so that the next campaign tries the plans again.
+    """
     message = f"not tried in perturbed worlds: {child.message}"
     stages = tuple(
-        stage.model_copy(update={"survey": SurveyRecord(message=message, sources=survey_sources())})
+        stage.model_copy(update={"survey": SurveyRecord(message=message)})
         if stage.index in task.worlds
         else stage
         for stage in run.stages
@@ -243,7 +246,7 @@ def unfinished_survey(task: RunTask, run: RunRecord, child: ChildExit) -> RunRec
 def _surveyed(
     stage: StageRecord, scene: Scene, task: RunTask, folder: Path, stages: int
 ) -> StageRecord:
-    """The stage with how its plan fares in perturbed worlds: as stored for this plan and these limits, or found out and stored."""
+    """Return the stage with the survey of its plan, read from the store or computed and stored."""
     store = Store(folder.parents[1])
     plan = read_netcdf(
         store.runs / task.key / stage_files(stage.index, stages)["trajectory"], scene
@@ -313,10 +316,10 @@ class _Path:
         # a leg that another run made: the time left is then not what its maker would have
         self._took = False
         self._source = plugin_source(task.plugin)
-        self._used: list[legs.StoredStage] = []  # stages of other runs that a method was given
+        self._used: list[legs.StoredStage] = []  # stored stages that a method has used
 
     def _stored_stages(self, path: Sequence[Leg]) -> Sequence[Solution] | None:
-        """The stages of the last of these legs, which begin a pipeline on this scene, if they are stored."""
+        """Return the stored stages of the last leg of a path from a cold start; None if not stored."""
         methods = {leg.method: self._plugin.load_method(leg.method) for leg in path}
         found = legs.stored_stages(
             self._stored,
@@ -410,9 +413,9 @@ class _Path:
                 raise
             except Exception as error:  # noqa: BLE001 - as above
                 return solved, self._failed(planned, error)
-            spent = item.solution.seconds
+            spent, elsewhere = item.solution.seconds, item.elsewhere
             parts = {
-                name: getattr(spent, name)
+                name: getattr(spent, name) - getattr(elsewhere, name)
                 for name in ("build", "translate", "evaluate", "linear_algebra")
             }
             self._profile.split(parts, rest="solve_rest")

@@ -145,7 +145,7 @@ def _asked(planned: Planned, outcome: Outcome) -> dict[str, Any]:
 
 
 def solution_of(record: StageRecord, plan: Trajectory | None) -> Solution:
-    """The Solution of which a stage is the record, without what its solver reported of itself."""
+    """Return the Solution that a stage's record describes. plan: its trajectory."""
     seconds, size = record.seconds, record.size
     return Solution(
         method=record.method,

@@ -12,13 +12,13 @@ from __future__ import annotations
 import math
 import time
 import traceback
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from formulations.method import Kind, StoredStages
-from formulations.solution import Outcome, Solution, as_asked
+from formulations.method import Kind, Leg, StoredStages
+from formulations.solution import Outcome, Seconds, Solution, as_asked
 from models.errors import MachineError, TouchstoneError, TrajectoryError
 from models.trajectory_netcdf import write_netcdf
 from validate.store.disk import raise_if_disk_ended
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from validate.tasks.plugins import Plugin
 
 
-# What a record says of its plan alone, whoever found it.
+# Fields of a record that depend on the plan alone, not on the method that found it.
 _OF_PLAN = (
     "metrics",
     "verdict",
@@ -50,12 +50,16 @@ _OF_PLAN = (
 
 @dataclass(frozen=True)
 class SolvedStage:
-    """A stage that ran: its solution and the wall and CPU seconds it took, opening the method included."""
+    """A stage that ran: its solution and the wall and CPU seconds it took, opening the method included.
+
+    elsewhere: the part of these seconds that other runs spent, for stored stages that it used.
+    """
 
     planned: Planned
     solution: Solution
     wall: float
     cpu: float
+    elsewhere: Seconds = field(default_factory=Seconds)
 
     @property
     def can_be_certified(self) -> bool:
@@ -99,10 +103,19 @@ class OpenLeg:
         self._scene = scene
         self._session = planned.method.open(scene, planned.options)
         self._opening = (time.perf_counter() - wall, time.process_time() - cpu)
+        self._stored_seconds = Seconds()
 
     def use_stored(self, stored: StoredStages) -> None:
-        """Let its session take stages of other pipelines that are stored."""
-        self._session.use_stored(stored)
+        """Give the session access to stored stages of other pipelines; count their seconds."""
+
+        def counted(legs: Sequence[Leg]) -> Sequence[Solution] | None:
+            stages = stored(legs)
+            self._stored_seconds = sum(
+                (stage.seconds for stage in stages or ()), self._stored_seconds
+            )
+            return stages
+
+        self._session.use_stored(counted)
 
     def leaves(self, start: Trajectory | None) -> bool:
         """Whether the first stage would leave this plan for the first guess."""
@@ -126,8 +139,6 @@ class OpenLeg:
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         if not isinstance(solution, Solution):
             raise TypeError(f"it must hand back a Solution, not {type(solution).__name__}.")
-        # those of stages that were stored were spent elsewhere, and are part of the answer
-        wall, cpu = max(wall, solution.seconds.wall), max(cpu, solution.seconds.cpu)
         if not isinstance(solution.outcome, Outcome):
             raise TypeError(
                 f"the outcome of its Solution must be an Outcome, not {type(solution.outcome).__name__}."
@@ -141,7 +152,8 @@ class OpenLeg:
                 )
             if planned.method.kind is Kind.DIRECT:
                 solution = as_asked(self._scene, solution)
-        return SolvedStage(planned, solution, wall, cpu)
+        elsewhere, self._stored_seconds = self._stored_seconds, Seconds()
+        return SolvedStage(planned, solution, wall + elsewhere.wall, cpu + elsewhere.cpu, elsewhere)
 
     def close(self) -> None:
         """Close the session."""
@@ -168,26 +180,17 @@ class Judge:
     ) -> StageRecord:
         """The record of stage `index` (from 0) of a leg, without its certificate.
 
-        Its files in the folder. before [s]: of its leg's stages before it; same: a stage of another
-        run with this very plan, which is not judged again.
+        Its files in the folder. before [s]: of its leg's stages before it; same: a stored stage
+        with an identical plan, whose judgement and certificate are copied.
         """
-        if same is not None:
+        if same is None:
+            judged = self._judged(item.solution.trajectory, folder, index + 1)
+            of_plan: dict[str, object] = {"certificate_missing": item.can_be_certified}
+        else:
             for what, path in same.files.items():
                 link_file(path, folder / leg_files(index + 1)[what])
-            record = stage_record(
-                item.planned,
-                item.solution,
-                index,
-                wall=item.wall,
-                cpu=item.cpu,
-                before=before,
-                judged=Judged(seconds=same.record.seconds.replay),
-            )
-            return record.model_copy(update={name: getattr(same.record, name) for name in _OF_PLAN})
-        if self._fmu is None and item.solution.trajectory is not None:
-            self._fmu = self._plugin.build_fmu(self._scene)
-        self._profile.lap("fmu_build")
-        judged = self._judged(item.solution.trajectory, folder, index + 1)
+            judged = Judged(seconds=same.record.seconds.replay)
+            of_plan = {name: getattr(same.record, name) for name in _OF_PLAN}
         record = stage_record(
             item.planned,
             item.solution,
@@ -197,9 +200,12 @@ class Judge:
             before=before,
             judged=judged,
         )
-        return record.model_copy(update={"certificate_missing": item.can_be_certified})
+        return record.model_copy(update=of_plan)
 
     def _judged(self, trajectory: Trajectory | None, folder: Path, number: int) -> Judged:
+        if trajectory is not None and self._fmu is None:
+            self._fmu = self._plugin.build_fmu(self._scene)
+        self._profile.lap("fmu_build")
         if trajectory is None or self._fmu is None:
             return Judged()
         plugin, scene, profile, names = self._plugin, self._scene, self._profile, leg_files(number)

@@ -146,8 +146,8 @@ class RunTask:
 
     scene: a name or an absolute path of a scene file; variant: what a campaign file changes of it;
         plugin: a dotted name (validate.tasks.plugins); legs:
-    its path; uses: keys of legs of other runs that it takes where they are stored; worlds: its stages
-        (from 0) whose plans are tried in perturbed worlds, of a run that is stored already.
+    its path; uses: keys of legs of other runs that it reads if they are stored; worlds: indices
+        of stages whose plans are tried in perturbed worlds (only for a stored run).
     """
 
     key: str

@@ -1,9 +1,10 @@
-"""The report of a campaign is there when its first scene has ended, and grows; writing it takes a bounded share of the time."""
+"""The report of a running campaign is rewritten as scenes end, in a bounded share of the time."""
 
 from __future__ import annotations
 
 import threading
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -13,46 +14,63 @@ from validate.execution import growing_report
 from validate.execution.growing_report import GrowingReport
 
 
+def settled_future(report: GrowingReport) -> None:
+    assert report._writing is not None
+    report._writing.result(20.0)
+
+
 def settled(written: list[object], count: int) -> None:
     ends = time.monotonic() + 20.0
     while len(written) < count and time.monotonic() < ends:
         time.sleep(0.005)
 
 
-def test_one_is_written_at_a_time_and_the_next_waits_its_share(monkeypatch: pytest.MonkeyPatch):
+def test_growing_report_waits_twenty_times_the_duration():
     written: list[object] = []
-    let = threading.Event()
+    go = threading.Event()
 
     def write() -> None:
-        let.wait(20.0)
-        written.append(time.monotonic())
+        go.wait(20.0)
+        time.sleep(0.1)
+        written.append(None)
 
-    with GrowingReport(write) as report:
+    with closing(GrowingReport(write)) as report:
         for _ in range(3):
             report.update()
-        assert not written, "it is written beside us"
-        let.set()
+        assert not written, "update does not block"
+        go.set()
         settled(written, 1)
-        time.sleep(0.05)
-        report.update()  # the first took long: the next is due after twenty times as long
-        assert len(written) == 1
-        monkeypatch.setattr(growing_report, "_SHARE", 1e9)
-        report._next = 0.0
+        settled_future(report)
         report.update()
-        settled(written, 2)
+        report.update()
+    assert len(written) == 1, "the next rewrite is due after 2 s"
+
+
+def test_growing_report_rewrites_when_it_is_due(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(growing_report, "_SHARE", 1e9)
+    written: list[object] = []
+    with closing(GrowingReport(lambda: written.append(None))) as report:
+        for count in (1, 2):
+            report.update()
+            settled(written, count)
+            settled_future(report)
+            time.sleep(0.001)
     assert len(written) == 2
 
 
-def test_a_disk_that_refuses_is_left_to_the_end():
+@pytest.mark.parametrize("error", [MachineError("the disk is full."), ValueError("a bug")])
+def test_growing_report_leaves_errors_to_the_last_write(error: Exception):
     asked: list[object] = []
 
     def write() -> None:
         asked.append(None)
-        raise MachineError("the disk is full.")
+        raise error
 
-    with GrowingReport(write) as report:
+    with closing(GrowingReport(write)) as report:
         report.update()
         settled(asked, 1)
+        settled_future(report)
+        report.update()
     assert asked
 
 
@@ -60,7 +78,7 @@ def test_a_disk_that_refuses_is_left_to_the_end():
 def test_an_interrupted_campaign_has_a_report_of_the_scenes_that_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """The second scene never ends: report and tables of the first are there, and say what is missing."""
+    """Ctrl-C in the second scene leaves the report and tables of the first, with the missing run listed."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "fakes"))
     from validate.cli.narrator import PlainNarrator
     from validate.execution.campaign import run_campaign

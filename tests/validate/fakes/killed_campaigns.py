@@ -116,7 +116,7 @@ def untimed(out: Path) -> list[dict[str, str]]:
 
 
 def finished(out: Path) -> dict[str, bytes]:
-    """The records that stand under their key, by key, without what is added to them later."""
+    """Stored records by key, without the surveys that are added at the end of a campaign."""
     return {
         path.parent.name: _as_it_ended(path.read_bytes())
         for path in (out / "runs").glob("[!.]*/record.json")
@@ -124,7 +124,7 @@ def finished(out: Path) -> dict[str, bytes]:
 
 
 def _as_it_ended(content: bytes) -> bytes:
-    """A record before its plans were tried in perturbed worlds, which takes time too; as it is where it is damaged."""
+    """Return a record without surveys and times; a damaged one unchanged."""
     try:
         record = json.loads(content)
         for stage in record.get("stages", ()):

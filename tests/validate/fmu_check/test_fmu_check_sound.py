@@ -10,10 +10,9 @@ from models.catalog import load_scene, scene_names
 from models.fmu import build_fmu
 from validate.fmu_check import Status, check_fmu
 
-# Every scene of the catalog, one version after the other, and three_cart in both; then curved
-# contacts that are damped, friction on one of them and a mass matrix that couples; friction under a
-# load of its own; neither contacts nor inputs. A campaign makes only the checks that decide whether
-# a replay can be trusted.
+# Every scene of the catalog, versions alternating, and three_cart in both versions. Then three
+# scenes of the tests: damped curved contacts with friction and a coupled mass matrix; friction with
+# a load of its own; neither contacts nor inputs. A campaign makes only the DECISIVE checks.
 _SCENES = Path(__file__).parents[2] / "scenes"
 _OWN = [
     *((name, ("2.0", "3.0")[index % 2]) for index, name in enumerate(sorted(scene_names()))),

@@ -1,4 +1,4 @@
-"""The cheapest plan of each scene that holds is tried in perturbed worlds: once for a plan, after every run, or all of them, or none."""
+"""A campaign tries the cheapest plan of each scene in perturbed worlds, or every plan, or none."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_plan_is_tried_once_and_stored_by_its_content(
     stored.write_text(stored.read_text().replace('"l"', '"as stored"'))
     assert tried(store, last).weakest == "as stored"
     stored.write_text(stored.read_text()[:40])
-    assert tried(store, last) == found, "what is damaged is found out anew"
+    assert tried(store, last) == found, "a damaged file is replaced"
     stumbled = tried(store, replace(last, plugin="real_chains:STUMBLING"))
     assert stumbled.message == "ZeroDivisionError: a stumble"
 
@@ -76,6 +76,7 @@ def test_a_try_amends_the_stored_run_and_one_that_is_ended_leaves_it(tmp_path: P
     ended = Worker(replace(last, time_limit=1e-3), provenance, store).run(lambda: True)
     assert isinstance(ended, RunRecord)
     assert "ended at its time limit" in ended.stages[-1].survey.message
+    assert ended.stages[-1].survey.sources == "", "the next campaign tries it again"
     assert (ended.outcome, ended.verdict, ended.cost) == (run.outcome, run.verdict, run.cost)
     found = Worker(last, provenance, store).run(lambda: True)
     assert found == store.read(run.key)
@@ -83,7 +84,7 @@ def test_a_try_amends_the_stored_run_and_one_that_is_ended_leaves_it(tmp_path: P
     assert found.stages[-1].survey.alone is not None
     assert found.cpu_seconds > run.cpu_seconds
     assert sorted(path.name for path in (store.runs / run.key).iterdir()) == files
-    assert [path.name for path in store.runs.iterdir()] == [run.key], "nothing unfinished is left"
+    assert [path.name for path in store.runs.iterdir()] == [run.key], "no unfinished folder is left"
 
 
 def test_the_cheapest_plan_of_a_scene_is_tried_or_all_or_none(tmp_path: Path):
