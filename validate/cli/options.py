@@ -145,7 +145,7 @@ CHOOSING = options(
     click.option(
         "--quick",
         is_flag=True,
-        help="Only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion, without the scenes that take minutes. The summary names what was left out.",
+        help="Only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion, without the scenes that take minutes. The summary lists the omitted runs.",
     ),
     click.option(
         "--scene",

@@ -91,18 +91,18 @@ def test_the_cheapest_plan_of_a_scene_is_tried_or_all_or_none(tmp_path: Path):
     entries, _ = select(
         CampaignSettings(out=tmp_path, scenes=("wall_pendulum",), expression="strict")
     )
-    cheap, dear, fallen = entries[:3]
+    cheap, expensive, violating = entries[:3]
     records = {
         cheap.task.key: a_run(cheap, 2.0, "holds"),
-        dear.task.key: a_run(dear, 3.0, "holds with feedback"),
-        fallen.task.key: a_run(fallen, 1.0, "violates"),
+        expensive.task.key: a_run(expensive, 3.0, "holds with feedback"),
+        violating.task.key: a_run(violating, 1.0, "violates"),
     }
 
     def keys(worlds: bool | None) -> list[str]:
         return [task.key for task in worlds_tasks(entries, records, {}, worlds)]
 
     assert keys(None) == [cheap.task.key]
-    assert keys(True) == [cheap.task.key, dear.task.key]
+    assert keys(True) == [cheap.task.key, expensive.task.key]
     assert keys(False) == []
     (task,) = worlds_tasks(entries, records, {}, None)
     assert task.worlds == (0,)
