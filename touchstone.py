@@ -26,24 +26,24 @@ if TYPE_CHECKING:
     from formulations.solution import Outcome
     from models.scene import Scene
     from models.trajectory import Trajectory
-    from validate.execution.campaign import CampaignResult
+    from validate.campaign.campaign import CampaignResult
+    from validate.campaign.shown import JudgedPlan as Judgement
+    from validate.campaign.shown import SolvedPlan as Solution
     from validate.fmu_check import CheckReport
     from validate.judge.judgement import WiredFmu
     from validate.judge.robustness import Robustness
     from validate.judge.score import Verdict
-    from validate.tasks.shown import JudgedPlan as Judgement
-    from validate.tasks.shown import SolvedPlan as Solution
 
 # The types that the functions below give and take, and where each is at home: imported when one is
 # asked for.
 _HOME = {
-    "CampaignResult": ("validate.execution.campaign", "CampaignResult"),
+    "CampaignResult": ("validate.campaign.campaign", "CampaignResult"),
     "CheckReport": ("validate.fmu_check", "CheckReport"),
-    "Judgement": ("validate.tasks.shown", "JudgedPlan"),
+    "Judgement": ("validate.campaign.shown", "JudgedPlan"),
     "Outcome": ("formulations.solution", "Outcome"),
     "Robustness": ("validate.judge.robustness", "Robustness"),
     "Scene": ("models.scene", "Scene"),
-    "Solution": ("validate.tasks.shown", "SolvedPlan"),
+    "Solution": ("validate.campaign.shown", "SolvedPlan"),
     "Trajectory": ("models.trajectory", "Trajectory"),
     "Verdict": ("validate.judge.score", "Verdict"),
 }
@@ -217,8 +217,8 @@ def solve(
     Solution(three_cart by softplus_dc, eps 0.001: solved, cost 197.9, 500 steps)
     """
     from formulations.pipelines import solve_scene
+    from validate.campaign.shown import SolvedPlan
     from validate.judge.judgement import as_trajectory
-    from validate.tasks.shown import SolvedPlan
 
     _positive("time_limit", time_limit)
     wanted = _scene(scene)
@@ -276,8 +276,8 @@ def judge(
     ------
     SceneError, TrajectoryError, MapError, FmuError, MachineError : in one sentence.
     """
+    from validate.campaign.shown import JudgedPlan
     from validate.judge.judgement import judge as judge_scene
-    from validate.tasks.shown import JudgedPlan
 
     if (wired := _wired(scene, plan, map, hold)) is not None:
         return JudgedPlan.of(wired.judge(feedback), plan)
@@ -403,9 +403,9 @@ def campaign(
     ------
     TouchstoneError : for what the caller can mend, in one sentence.
     """
+    from validate.campaign.campaign import run_campaign
+    from validate.campaign.runs import CampaignSettings
     from validate.cli.narrator import narrator
-    from validate.execution.campaign import run_campaign
-    from validate.plan.runs import CampaignSettings
 
     _text("out", out)
     _text("select", select, empty=True)

@@ -17,7 +17,7 @@ import click
 from benchmarks import find_modules_in
 from benchmarks.options import COUNT, json_option, seed_option
 from validate.cli.table import print_table
-from validate.store.disk import write_durably
+from validate.processes.disk import write_durably
 
 # Of each engine, who is killed with signal 9, and how often Ctrl-C comes; the supervisor of a task
 # and what it was forked from run beside it.

@@ -100,7 +100,7 @@ def sample(
 
     seconds: wall time that it may take; what: its name in the sentence of a failure.
     """
-    from validate.execution.isolated import Limits, run_isolated
+    from validate.processes.isolated import Limits, run_isolated
 
     request = {
         "function": function,

@@ -29,7 +29,7 @@ def _place(context: click.Context, parameter: click.Parameter, path: Path | None
 
 
 def _campaign(context: click.Context, parameter: click.Parameter, folder: Path) -> Path:
-    from validate.store.stored import campaign_of
+    from validate.campaign.stored import campaign_of
 
     campaign_of(folder)  # which says why there is none
     return folder

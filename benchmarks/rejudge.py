@@ -22,7 +22,7 @@ from benchmarks.options import COUNT, campaign_argument, json_option
 from models.catalog import load_scene, scene_names
 from models.errors import TouchstoneError
 from models.trajectory_netcdf import read_netcdf
-from validate.store.disk import write_durably
+from validate.processes.disk import write_durably
 
 
 def stages(

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from validate.cli.table import table
-from validate.store.disk import make_folder, write_durably
+from validate.processes.disk import make_folder, write_durably
 
 Cell = str | float | int | None
 

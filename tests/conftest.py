@@ -8,7 +8,7 @@ import os
 import pytest
 from hypothesis import settings
 
-from validate.execution.process import usable_cores
+from validate.processes.process import usable_cores
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")

@@ -15,7 +15,7 @@ from formulations.method import OptionError
 from models.errors import SceneError, TouchstoneError, UnknownNameError
 from models.plan_table import ArrayTable
 from models.trajectory import Trajectory, trajectory_from
-from validate.tasks import shown
+from validate.campaign import shown
 
 ROOT = Path(__file__).parents[1]
 

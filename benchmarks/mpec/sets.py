@@ -29,7 +29,7 @@ from benchmarks.mpec.proved import prove
 from benchmarks.options import COUNT, POSITIVE, out_option
 from benchmarks.results import as_markdown
 from validate.cli.options import FiniteRange, write, written_to
-from validate.store.disk import make_folder, temporary_folder
+from validate.processes.disk import make_folder, temporary_folder
 
 # A published value is reached within this, relative to max(1, |value|).
 REACHED = 1e-4

@@ -14,9 +14,9 @@ from benchmarks.measure import Sample, Size, sample
 from benchmarks.options import COUNT, out_option
 from benchmarks.results import as_text, store
 from benchmarks.suite.cases import CASES, OURS, RATIOS, TARGET_SIZE, Case, Ratio, Row
+from validate.campaign.selection import matches
 from validate.cli.table import one_line
-from validate.plan.selection import matches
-from validate.store.disk import temporary_folder
+from validate.processes.disk import temporary_folder
 
 # Wall seconds of one measurement.
 LIMIT = 600.0

@@ -23,7 +23,7 @@ from benchmarks.verdicts.plans import (
     scene_of,
 )
 from models.errors import TouchstoneError
-from validate.store.disk import write_durably
+from validate.processes.disk import write_durably
 
 GROUPS = ("exact", "wrong", "search")
 SCENES = (

@@ -9,7 +9,7 @@ from reports.pages.section import Report
 from reports.paper import TABLE_1
 from reports.records.load import load
 from reports.rows import lacking
-from validate.plan.selection import matches
+from validate.campaign.selection import matches
 
 
 def report_of(factory, folder, runs) -> Report:

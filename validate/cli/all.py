@@ -13,14 +13,14 @@ from models.errors import MachineError
 from reports.judged import Cause, by_cause, cause_of
 from reports.records.record import RunRecord
 from reports.rule import RESULTS, RULE, fails, failures
+from validate.campaign.campaign import CampaignResult, run_campaign
+from validate.campaign.results import check_rows, rows
+from validate.campaign.runs import CampaignSettings
 from validate.cli.dry_run import print_dry_run
 from validate.cli.narrator import narrator
 from validate.cli.options import CHOOSING, DRY_RUN, ENDING, OUT, PRINTING, SELECTING
 from validate.cli.table import print_table, say, short
-from validate.execution.campaign import CampaignResult, run_campaign
-from validate.plan.runs import CampaignSettings
 from validate.store.provenance import command_line
-from validate.store.results import check_rows, rows
 
 _RULE = "\n\n".join(
     [

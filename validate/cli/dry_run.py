@@ -10,11 +10,8 @@ from typing import NamedTuple
 import click
 
 from models.errors import MachineError
-from validate.cli.table import in_words, print_table, say, short, warn
-from validate.cli.trials import try_machine
-from validate.execution.campaign import checked_selection
-from validate.execution.process import usable_cores
-from validate.plan.runs import (
+from validate.campaign.campaign import checked_selection
+from validate.campaign.runs import (
     CampaignSettings,
     PlannedTask,
     past_seconds,
@@ -22,7 +19,10 @@ from validate.plan.runs import (
     scenes_of,
     with_stored,
 )
-from validate.plan.warnings import warnings_of
+from validate.campaign.warnings import warnings_of
+from validate.cli.table import in_words, print_table, say, short, warn
+from validate.cli.trials import try_machine
+from validate.processes.process import usable_cores
 from validate.store.store import Store
 from validate.tasks.path import refused
 from validate.tasks.task import RunTask

@@ -11,10 +11,10 @@ from models.catalog import load_scene
 from models.fmu import build_fmu
 from models.fmu.coupled import build_ssp
 from models.fmu.mjcf import build_robot, read_robot
+from validate.campaign.warnings import warnings_of
 from validate.cli.options import apart, scenes
 from validate.cli.table import warn
-from validate.plan.warnings import warnings_of
-from validate.store.disk import disk_error, make_folder, write_durably
+from validate.processes.disk import disk_error, make_folder, write_durably
 
 
 @click.command(

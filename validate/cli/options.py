@@ -1,6 +1,6 @@
 """Options that commands share: those by which a campaign is chosen and run, by `all` and by `run`, where a file chooses.
 
-Each of these is a parameter named like the field of validate.plan.runs.CampaignSettings that it
+Each of these is a parameter named like the field of validate.campaign.runs.CampaignSettings that it
 fills. Beside them: a range of finite numbers, since click's lets nan and inf through, and what a
 shell offers while a scene is being typed.
 """
@@ -18,7 +18,7 @@ from click.shell_completion import CompletionItem
 
 from models.catalog import scene_names
 from validate.cli.table import wide_option
-from validate.store.disk import make_folder, write_durably
+from validate.processes.disk import make_folder, write_durably
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 

@@ -15,10 +15,10 @@ import click
 from models.catalog import load_scene
 from validate.cli.options import A_FILE, FiniteRange, options, scenes, write, written_to
 from validate.cli.table import Row, print_metrics, print_table, say, short, warn, wide_option
-from validate.execution.isolated import Limits
-from validate.execution.process import usable_cores
 from validate.judge.simulator import named_engines
-from validate.store.disk import make_folder, write_durably
+from validate.processes.disk import make_folder, write_durably
+from validate.processes.isolated import Limits
+from validate.processes.process import usable_cores
 
 if TYPE_CHECKING:
     from validate.judge.elsewhere import EngineVerdict
@@ -176,7 +176,7 @@ def command(
         )
     asked = named_engines(engines) if engines is not None else ()
     # NumPy's OpenBLAS starts a thread for each core as it is imported, and a process with threads
-    # is not forked (validate.execution.process).
+    # is not forked (validate.processes.process).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if fmu is not None:
         from validate.judge.judgement import wire_fmu
@@ -225,8 +225,8 @@ def _of_scene(
     scene: str, plan: Path, hold: str | None, limits: Any, track: bool
 ) -> tuple[Judgement, list[str]]:
     from models.fmu import build_fmu
+    from validate.campaign.warnings import warnings_of
     from validate.judge.judgement import ANOTHER_UNIT, as_trajectory, judge_trajectory
-    from validate.plan.warnings import warnings_of
 
     loaded = load_scene(scene)
     trajectory = as_trajectory(plan, loaded, hold=hold)
@@ -310,8 +310,8 @@ def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
 def _page(
     judgement: Judgement, plan: Path, arguments: tuple[str, ...], told: dict[str, Any]
 ) -> str:
+    from validate.campaign.shown import JudgedPlan
     from validate.store.provenance import command_line
-    from validate.tasks.shown import JudgedPlan
 
     return JudgedPlan.of(judgement, plan).page(
         command_line(arguments), told["warnings"], told.get("engines", ())

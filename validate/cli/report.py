@@ -10,10 +10,10 @@ import click
 from models.errors import MachineError
 from reports.records.load import ReportError, Stored, load
 from reports.render import write_report, write_single
+from validate.campaign.results import check_rows, rows, write_tables
+from validate.campaign.stored import campaign_of
 from validate.cli.table import say
-from validate.store.results import check_rows, rows, write_tables
 from validate.store.store import Store
-from validate.store.stored import campaign_of
 
 
 @click.command(

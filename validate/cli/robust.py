@@ -16,6 +16,7 @@ from models.trajectory_netcdf import read_netcdf
 from reports.records.record import RunRecord, stage_files
 from reports.records.robustness_record import RobustnessRecord
 from reports.render import render_robustness
+from validate.campaign.stored import CampaignError
 from validate.cli.group import INTERRUPTED
 from validate.cli.options import folder_of, scenes, write, written_to
 from validate.cli.replay import FMU_OPTIONS, read_fmu_options
@@ -24,7 +25,6 @@ from validate.cli.table import print_table, say, short, wide_option
 from validate.judge.judgement import as_trajectory, wire_fmu
 from validate.judge.robustness import PerturbationKind, Robustness, robustness
 from validate.store.store import Store
-from validate.store.stored import CampaignError
 from validate.tasks.task import RunTask, task_from_json, varied
 
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import click
 
+from validate.campaign.read import read_campaign
+from validate.campaign.schema import CampaignFile
 from validate.cli.all import run_and_tell
 from validate.cli.dry_run import print_dry_run
 from validate.cli.options import DRY_RUN, ENDING, OUT_OF_FILE, PRINTING, SELECTING
-from validate.plan.read import read_campaign
-from validate.plan.schema import CampaignFile
 from validate.store.provenance import command_line
 
 _EPILOG = """\b

@@ -12,10 +12,10 @@ from reports.judged import again, questions_of
 from reports.records.check_record import CheckRecord
 from reports.records.record import RunRecord, StageRecord
 from reports.rule import fails
+from validate.campaign.stored import CampaignError, campaign_of, stored_names
 from validate.cli.options import folder_of
 from validate.cli.table import one_line, print_metrics, print_table, say, short, wide_option
 from validate.store.store import RECORD, Store
-from validate.store.stored import CampaignError, campaign_of, stored_names
 
 _EPILOG = """\b
 Examples:

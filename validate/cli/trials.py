@@ -21,8 +21,8 @@ from models.catalog import load_scene
 from models.codegen.cache import cache_folder
 from models.codegen.compiler import compile_shared, find_compiler
 from models.errors import MachineError
-from validate.execution.isolated import Ending, Limits, run_isolated
-from validate.store.disk import write_durably
+from validate.processes.disk import write_durably
+from validate.processes.isolated import Ending, Limits, run_isolated
 
 # Free disk space that a campaign of all scenes needs, with its FMUs and trajectories [MiB].
 _ROOM_MIB = 500

@@ -23,9 +23,9 @@ from reports.pages.simulators import as_markdown, cell
 from reports.records.check_record import ChartRecord
 from reports.records.engines_record import LevelRecord, TruthRecord, TruthRow
 from reports.render import render_truth
+from validate.campaign.results import table_text
 from validate.cli.options import write, written_to
 from validate.cli.table import print_table, say, wide_option
-from validate.execution.process import usable_cores
 from validate.judge.simulator import (
     REFERENCE,
     Came,
@@ -38,8 +38,8 @@ from validate.judge.simulator import (
     named_engines,
     run_engine,
 )
+from validate.processes.process import usable_cores
 from validate.store.provenance import command_line, installed
-from validate.store.results import table_text
 from validate.stress.case import chart
 from validate.truth.problems import TruthProblem, problems
 

@@ -23,7 +23,7 @@ from validate.fmi.archive import (
     unpack,
     wrong_identifiers,
 )
-from validate.store.disk import temporary_folder
+from validate.processes.disk import temporary_folder
 
 # The types of a number in FMI 2.0 and 3.0.
 REAL = ("Real", "Float64")

@@ -25,9 +25,9 @@ from typing import Any, NamedTuple
 
 from fmpy.fmi1 import FMICallException
 
-from validate.execution.process import exit_in_words
 from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
 from validate.fmi.surroundings import listed
+from validate.processes.process import exit_in_words
 
 # The texts whose sections the checks name.
 STANDARDS = ("2.0.4", "3.0.2")

@@ -1,4 +1,4 @@
-"""check_fmu(): the file is checked, unpacked, and checked by the table of checks in an isolated child (validate.execution.isolated).
+"""check_fmu(): the file is checked, unpacked, and checked by the table of checks in an isolated child (validate.processes.isolated).
 
     run_checks({"path": ..., "folder": ..., "told": ..., "names": [...], "seconds": 60}, {}) -> what the rows are about
 
@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 from models.errors import MachineError, UnknownNameError, did_you_mean
-from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi import cvode
 from validate.fmi.archive import ARCHIVE_CHECKS, ArchiveError, FmuError, check_archive, unpack
 from validate.fmi.description import read_description
@@ -44,7 +43,8 @@ from validate.fmu_check.check import (
     not_offered,
 )
 from validate.fmu_check.subject import Subject
-from validate.store.disk import temporary_folder
+from validate.processes.disk import temporary_folder
+from validate.processes.isolated import Ending, Limits, run_isolated
 
 # All checks, in the order of the table.
 # Of the file alone; the others need its description, and most of them run its code.

@@ -23,7 +23,6 @@ import numpy as np
 from models.codegen.kernel import load_kernel
 from models.errors import SceneError
 from models.scene import Limit, Scene
-from validate.execution.isolated import Limits
 from validate.judge.judgement import Judgement
 from validate.judge.replay.error_estimate import by_entry, difference
 from validate.judge.replay.result import Replay, ReplayError, ReplayOutcome
@@ -41,6 +40,7 @@ from validate.judge.simulator import (
     describe_engine,
     run_engine,
 )
+from validate.processes.isolated import Limits
 
 # Rows of an engine's motion in each step of the plan.
 ROWS = 4

@@ -29,7 +29,6 @@ from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory, read_csv, trajectory_from
 from models.trajectory_netcdf import read_netcdf
-from validate.execution.isolated import Limits
 from validate.fmi.description import Package, read_package
 from validate.judge.replay import Replay
 from validate.judge.replay.run import Track, replay, replay_foreign
@@ -37,6 +36,7 @@ from validate.judge.replay.subject import Foreign, Subject
 from validate.judge.score import Score, metric_names, score, wants_feedback
 from validate.judge.score.unexplained import with_velocities
 from validate.judge.score.verdict import Question, Verdict
+from validate.processes.isolated import Limits
 
 # A plan so many times as long as the task of its scene has its times in another unit.
 ANOTHER_UNIT = 100.0

@@ -23,8 +23,8 @@ import numpy as np
 
 from models.errors import MachineError, TouchstoneError, UnknownNameError, did_you_mean
 from models.loading import declared
-from validate.execution.isolated import Ending, Limits, packed, run_isolated, unpacked_from
 from validate.judge.replay.wiring import Feedback, HeldInputs
+from validate.processes.isolated import Ending, Limits, packed, run_isolated, unpacked_from
 
 if (
     TYPE_CHECKING

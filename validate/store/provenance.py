@@ -26,7 +26,7 @@ from models.errors import MachineError
 from models.scene import Scene
 from models.scene.text import scene_text
 from reports.records.record import ProvenanceRecord
-from validate.execution.process import ROOT, THREADS, usable_cores
+from validate.processes.process import ROOT, THREADS, usable_cores
 
 if TYPE_CHECKING:
     from validate.tasks.task import CheckTask
@@ -48,13 +48,7 @@ LIBRARIES = (
 _NO_INFLUENCE = (
     "validate/cli",
     "validate/__main__.py",
-    "validate/plan/",
-    "validate/execution/campaign.py",
-    "validate/execution/dask.py",
-    "validate/execution/engine.py",
-    "validate/execution/growing_report.py",
-    "validate/store/results.py",
-    "validate/store/stored.py",
+    "validate/campaign/",
 )
 # Parts that decide what checks find, and nothing of a run.
 _OF_CHECKS = (

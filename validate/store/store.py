@@ -27,7 +27,7 @@ from typing import Any
 from models.errors import TouchstoneError
 from reports.records.check_record import CheckRecord, record_of
 from reports.records.record import RunRecord
-from validate.store.disk import (
+from validate.processes.disk import (
     PARTIAL,
     aside_name,
     disk_error,

@@ -24,7 +24,7 @@ from typing import Any
 from models.errors import MachineError, TouchstoneError
 from reports.records.check_record import CheckRecord
 from reports.records.record import MetricRecord, ProvenanceRecord
-from validate.store.disk import raise_if_disk_ended
+from validate.processes.disk import raise_if_disk_ended
 from validate.store.store import log_in, progress
 from validate.tasks.records import LOG_LINES
 from validate.tasks.stage import in_words

@@ -28,8 +28,8 @@ _VERSION = "2.0"
 _SOURCES = (
     "models/",
     "validate/fmu_check/",
-    "validate/execution/isolated",
-    "validate/execution/process.py",
+    "validate/processes/isolated",
+    "validate/processes/process.py",
     "validate/fmi/",
     "validate/tasks/fmu_checks.py",
 )

@@ -36,7 +36,7 @@ from models.scene import Scene
 from models.trajectory import Trajectory
 from models.trajectory_netcdf import read_netcdf
 from reports.records.record import LegRecord, StageRecord
-from validate.store.disk import fsync, fsync_whole, remove, renamed, write_durably
+from validate.processes.disk import fsync, fsync_whole, remove, renamed, write_durably
 from validate.store.provenance import content_key
 from validate.tasks.task import PlannedLeg
 

@@ -1,6 +1,6 @@
 """A run as a worker makes it: the legs of its path, one after the other, each taken from the store, or solved, judged, certified and stored.
 
-    # in a child process of its own: validate.execution.child
+    # in a child process of its own: validate.tasks.child
     record = run_path(task, provenance, folder, profile)
     record = survey_run(task, folder, profile)      # later, if its plan is the cheapest
     # by its worker, where the child left no record
@@ -31,7 +31,7 @@ from models.catalog import load_scene
 from models.errors import MachineError, TouchstoneError
 from models.trajectory_netcdf import read_netcdf
 from reports.records.record import HOLD, LegRecord, RunRecord, SurveyRecord, stage_files
-from validate.store.disk import raise_if_disk_ended, write_durably
+from validate.processes.disk import raise_if_disk_ended, write_durably
 from validate.store.provenance import content_key, survey_sources
 from validate.store.store import Store, log_in, progress
 from validate.tasks import leg as legs

@@ -21,7 +21,7 @@ from formulations.method import Kind, Leg, StoredStages
 from formulations.solution import Outcome, Seconds, Solution, as_asked
 from models.errors import MachineError, TouchstoneError, TrajectoryError
 from models.trajectory_netcdf import write_netcdf
-from validate.store.disk import raise_if_disk_ended
+from validate.processes.disk import raise_if_disk_ended
 from validate.store.store import progress
 from validate.tasks.leg import Planned, StoredStage, leg_files, link_file
 from validate.tasks.profile import Profile

@@ -22,7 +22,7 @@ from scipy.integrate import solve_ivp
 
 from models.catalog import load_scene, scene_names
 from models.fmu import build_fmu
-from validate.execution.isolated import Limits, run_isolated
+from validate.processes.isolated import Limits, run_isolated
 from validate.truth.exact_motion import Equations, Piece, _leaving, true_motion
 
 pytestmark = pytest.mark.peer

@@ -9,8 +9,8 @@ import pytest
 
 from reports.records.load import load
 from reports.records.record import RunRecord
+from validate.campaign.stored import CampaignError
 from validate.cli.robust import stored_plan
-from validate.store.stored import CampaignError
 
 pytestmark = pytest.mark.slow
 

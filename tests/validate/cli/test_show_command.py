@@ -7,8 +7,8 @@ import pytest
 
 from reports.records.record import MetricRecord, TrackedRecord
 from tests.reports import record_factory as factory
+from validate.campaign.stored import stored_names, title_of
 from validate.store.store import Store
-from validate.store.stored import stored_names, title_of
 
 
 def test_a_run_that_holds_with_feedback_shows_both_ends(cli, tmp_path: Path):

@@ -27,7 +27,7 @@ from validate.cli.table import (
     wide_option,
     wrapped,
 )
-from validate.store.disk import write_durably
+from validate.processes.disk import write_durably
 from validate.store.store import progress
 
 TITLES = ["scene", "cost", "eps", "why"]

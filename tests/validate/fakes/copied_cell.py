@@ -11,7 +11,7 @@ def main(folder: Path) -> int:
         Path(os.environ["CELLS"]) / json.loads((folder / "task.json").read_text())["task"]["key"]
     )
     if not stored.is_dir():
-        from validate.execution import child
+        from validate.tasks import child
 
         return child.main(folder)
     shutil.copytree(stored, folder, dirs_exist_ok=True)

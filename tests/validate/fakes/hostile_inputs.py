@@ -87,7 +87,7 @@ def tried(reader: Reader, rng: random.Random, folder: Path) -> str:
 
 
 def _toml(data: dict[str, Any]) -> str:
-    from validate.plan.toml_text import toml_text, toml_value
+    from models.toml_text import toml_text, toml_value
 
     plain = {key: "" if value is None else value for key, value in data.items()}
     return "\n".join(f"{toml_text(str(key))} = {toml_value(value)}" for key, value in plain.items())
@@ -191,7 +191,7 @@ def _campaign(rng: random.Random, folder: Path) -> Path:
 
 
 def _read_campaign(path: Path) -> None:
-    from validate.plan.read import read_campaign
+    from validate.campaign.read import read_campaign
 
     read_campaign(path)
 

@@ -87,10 +87,10 @@ def read_record(path: Path) -> None:
     import os
 
     from reports.records.load import load
+    from validate.campaign.results import tables
+    from validate.campaign.stored import campaign_of
     from validate.cli.show import command
-    from validate.store.results import tables
     from validate.store.store import Store
-    from validate.store.stored import campaign_of
 
     load(path)
     list(Store(path).requests())
@@ -198,7 +198,7 @@ def recover(path: Path) -> None:
 
 def spoilt_answer(rng: random.Random, folder: Path) -> Path:
     """What an isolated call left: foreign code runs in the same process, and may write there, too."""
-    from validate.execution.isolated import ANSWER, TAKEN
+    from validate.processes.isolated import ANSWER, TAKEN
 
     np.savez(folder / TAKEN, allow_pickle=False, t=np.arange(3.0), q=np.zeros((3, 2)))
     if rng.random() < 0.5:
@@ -215,7 +215,7 @@ def spoilt_answer(rng: random.Random, folder: Path) -> Path:
 
 
 def read_answer(path: Path) -> None:
-    from validate.execution.isolated import left_by
+    from validate.processes.isolated import left_by
 
     answer, arrays = left_by(path)
     if (
@@ -263,7 +263,7 @@ def spoilt_folder(rng: random.Random, folder: Path) -> Path:
 def _entry() -> Any:
     from formulations.method import Leg, Pipeline
     from models.catalog import load_scene
-    from validate.plan.runs import PlannedTask
+    from validate.campaign.runs import PlannedTask
     from validate.tasks.path import LoadedRun
     from validate.tasks.task import RunTask
 
@@ -275,9 +275,9 @@ def _entry() -> Any:
 
 
 def resume(path: Path) -> None:
-    from validate.plan.runs import CampaignSettings, only_last_failed, reasons, with_stored
+    from validate.campaign.runs import CampaignSettings, only_last_failed, reasons, with_stored
+    from validate.campaign.stored import found_campaign
     from validate.store.store import Store
-    from validate.store.stored import found_campaign
 
     store, settings = Store(path), CampaignSettings(out=path)
     store.prepare()
@@ -332,6 +332,6 @@ def spoilt_scheduler(rng: random.Random, folder: Path) -> Path:
 
 
 def read_scheduler(path: Path) -> None:
-    from validate.execution.engine import check_engine
+    from validate.campaign.engine import check_engine
 
     check_engine(f"dask:{path}")

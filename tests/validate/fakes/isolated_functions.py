@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from models.errors import MachineError, UnknownNameError
-from validate.execution.isolated import Ending, Limits, ModelFault, run_isolated
+from validate.processes.isolated import Ending, Limits, ModelFault, run_isolated
 
 SLEEPER = [sys.executable, "-S", "-c", "import time; time.sleep(600)"]
 

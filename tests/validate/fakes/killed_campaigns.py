@@ -267,7 +267,7 @@ def _above_a_cell(out: Path) -> dict[str, int]:
         supervisors = [
             process.pid
             for process in above[1:]
-            if "validate.execution.supervisor" in process.cmdline()
+            if "validate.processes.supervisor" in process.cmdline()
         ]
         if supervisors:
             names = ("child", "supervisor", "preloaded")

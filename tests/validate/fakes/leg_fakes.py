@@ -29,7 +29,7 @@ def _begun_by() -> int:
     above = (
         parent
         for parent in psutil.Process().parents()
-        if not any("validate.execution.supervisor" in word for word in parent.cmdline())
+        if not any("validate.processes.supervisor" in word for word in parent.cmdline())
     )
     return next(above).pid
 

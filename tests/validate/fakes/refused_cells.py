@@ -15,7 +15,7 @@ import numpy as np
 
 from models.catalog import load_scene
 from models.netcdf import Column, write_columns
-from validate.execution import child
+from validate.tasks import child
 
 load_scene("three_cart")  # once, in the server
 

@@ -20,9 +20,9 @@ from typing import Any
 import campaign_fakes
 
 from models.catalog import load_scene
+from validate.campaign.engine import MODULES
 from validate.cli import group
-from validate.execution import worker
-from validate.execution.engine import MODULES
+from validate.tasks import worker
 from validate.tasks.plugins import DEFAULT
 
 PLUGIN = replace(campaign_fakes.PLUGIN, write_report=DEFAULT.write_report)
@@ -52,8 +52,8 @@ def _serve() -> None:
     for name in (
         *MODULES,
         "reports.render",
-        "validate.execution.campaign",
-        "validate.tasks.paper",
+        "validate.campaign.campaign",
+        "validate.campaign.paper",
         "validate.cli.all",
         "validate.cli.fmu",
     ):

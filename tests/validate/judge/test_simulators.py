@@ -15,7 +15,6 @@ from wording import unsaid
 from models.catalog import load_scene
 from models.errors import MachineError, UnknownNameError
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.execution.isolated import Limits
 from validate.judge import simulator
 from validate.judge.engines._mechanism import mechanism_of
 from validate.judge.replay.wiring import Feedback
@@ -29,6 +28,7 @@ from validate.judge.simulator import (
     named_engines,
     run_engine,
 )
+from validate.processes.isolated import Limits
 from validate.truth.problems import ground
 
 # Scenes that MuJoCo is told whole, and how near it comes to our replay at a fiftieth of the task's

@@ -20,10 +20,10 @@ from models.netcdf import read_columns
 from models.scene.text import scene_text
 from models.trajectory import Trajectory, uniform_grid
 from models.trajectory_netcdf import write_netcdf
+from validate.campaign.campaign import run_campaign
+from validate.campaign.runs import CampaignSettings, select, with_stored
 from validate.cli.narrator import PlainNarrator
-from validate.execution.campaign import run_campaign
-from validate.execution.process import ROOT
-from validate.plan.runs import CampaignSettings, select, with_stored
+from validate.processes.process import ROOT
 from validate.store import provenance
 from validate.store.provenance import content_key, source_digests
 from validate.store.store import Store

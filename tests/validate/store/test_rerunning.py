@@ -9,9 +9,9 @@ import pytest
 from killed_campaigns import FAKES_FOLDER
 from wording import unsaid
 
+from validate.campaign.campaign import run_campaign
+from validate.campaign.runs import CampaignSettings, reasons, select, with_stored
 from validate.cli.narrator import PlainNarrator
-from validate.execution.campaign import run_campaign
-from validate.plan.runs import CampaignSettings, reasons, select, with_stored
 from validate.store.provenance import command_line
 from validate.store.store import Store
 

@@ -18,12 +18,11 @@ import pytest
 from models.errors import MachineError
 from reports.records.record import RunRecord
 from tests.reports import record_factory as factory
+from validate.campaign.campaign import run_campaign
+from validate.campaign.runs import CampaignSettings
 from validate.cli.narrator import PlainNarrator
-from validate.execution.campaign import run_campaign
-from validate.plan.runs import CampaignSettings
-from validate.store import disk as disk_module
-from validate.store import store as store_module
-from validate.store.disk import (
+from validate.processes import disk as disk_module
+from validate.processes.disk import (
     aside_name,
     disk_error,
     disk_refuses,
@@ -33,6 +32,7 @@ from validate.store.disk import (
     remove,
     write_durably,
 )
+from validate.store import store as store_module
 from validate.store.store import RECORD, Store
 
 FAKES = {

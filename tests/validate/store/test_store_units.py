@@ -17,8 +17,18 @@ from models.errors import MachineError
 from reports.records.check_record import CheckRecord
 from reports.records.record import LegRecord, RunRecord
 from tests.reports import record_factory as factory
-from validate.execution.worker import record_for_crash
-from validate.plan.runs import CampaignSettings, only_last_failed, reasons, select, with_stored
+from validate.campaign.runs import CampaignSettings, only_last_failed, reasons, select, with_stored
+from validate.campaign.stored import (
+    CAMPAIGN,
+    CampaignError,
+    campaign_of,
+    found_campaign,
+    identity,
+    same_campaign,
+    stored_names,
+    title_of,
+    with_others,
+)
 from validate.store import store as module
 from validate.store.provenance import gather, machine
 from validate.store.store import (
@@ -31,21 +41,11 @@ from validate.store.store import (
     _owner_lives,
     progress,
 )
-from validate.store.stored import (
-    CAMPAIGN,
-    CampaignError,
-    campaign_of,
-    found_campaign,
-    identity,
-    same_campaign,
-    stored_names,
-    title_of,
-    with_others,
-)
 from validate.tasks.leg import place, write_leg
 from validate.tasks.records import run_record, unfinished_stage
 from validate.tasks.scene_record import scene_record
 from validate.tasks.task import ChildExit
+from validate.tasks.worker import record_for_crash
 
 HOST = socket.gethostname()
 

@@ -11,13 +11,13 @@ import pytest
 
 from reports.records.record import RunRecord, SurveyRecord
 from tests.reports import record_factory as factory
-from validate.execution.worker import Worker
-from validate.plan.runs import CampaignSettings, PlannedTask, select, worlds_tasks
+from validate.campaign.runs import CampaignSettings, PlannedTask, select, worlds_tasks
 from validate.store.provenance import gather, survey_sources
 from validate.store.store import Store
 from validate.tasks.path import run_path, survey_run
 from validate.tasks.profile import Profile
 from validate.tasks.task import RunTask
+from validate.tasks.worker import Worker
 
 
 def planned(out: Path) -> PlannedTask:

@@ -16,10 +16,10 @@ import validate.tasks.fmu_checks
 from models.catalog import load_scene, scene_names
 from models.scene.text import scene_text
 from reports.records.check_record import CheckRecord, StoredRecord
+from validate.campaign.runs import CampaignSettings, scene_cost, select
+from validate.campaign.stored import CampaignError
 from validate.fmu_check import DECISIVE
-from validate.plan.runs import CampaignSettings, scene_cost, select
 from validate.store.provenance import check_key
-from validate.store.stored import CampaignError
 from validate.tasks.check import Course
 from validate.tasks.fmu_checks import check
 from validate.tasks.plugins import DEFAULT

@@ -11,16 +11,16 @@ from killed_campaigns import FAKES_FOLDER
 from wording import unsaid
 
 from reports.records.record import RunRecord
-from validate.execution import worker as module
-from validate.execution.engine import MODULES
-from validate.execution.process import Preloaded
-from validate.execution.worker import Worker
-from validate.store.disk import PARTIAL
+from validate.campaign.engine import MODULES
+from validate.campaign.results import rows
+from validate.processes.disk import PARTIAL
+from validate.processes.process import Preloaded
 from validate.store.provenance import gather
-from validate.store.results import rows
 from validate.store.store import Store, progress_in
+from validate.tasks import worker as module
 from validate.tasks.leg import planned_legs, planned_stages
 from validate.tasks.task import RunTask
+from validate.tasks.worker import Worker
 
 pytestmark = pytest.mark.process
 

@@ -1,4 +1,4 @@
-"""The four simulations of a replay as one job, which runs in this process or in a child (validate.execution.isolated).
+"""The four simulations of a replay as one job, which runs in this process or in a child (validate.processes.isolated).
 
 job = Job(package=package, variables=variables, plan=plan, start=start, limits=Limits(), ...)
 job.run().judged.outputs
@@ -20,15 +20,6 @@ import numpy as np
 
 from models.errors import MachineError
 from models.trajectory import Trajectory
-from validate.execution.isolated import (
-    Ending,
-    Isolated,
-    IsolatedCalls,
-    Limits,
-    packed,
-    run_isolated,
-    unpacked_from,
-)
 from validate.fmi.archive import unpack
 from validate.fmi.description import NOT_RUN, FmuError, Package, read_package, unpacked
 from validate.fmi.instance import faults_of
@@ -44,6 +35,15 @@ from validate.judge.replay.everyday import simulate as simulate_everyday
 from validate.judge.replay.reference import PARTS, ExchangeModel, integrate
 from validate.judge.replay.result import ReplayOutcome, Run
 from validate.judge.replay.wiring import Feedback, HeldInputs, Variables, World, WorldInputs
+from validate.processes.isolated import (
+    Ending,
+    Isolated,
+    IsolatedCalls,
+    Limits,
+    packed,
+    run_isolated,
+    unpacked_from,
+)
 
 # Arrays of a run.
 _RECORDED = ("t", "outputs", "accumulated", "knots", "applied", "local")

@@ -12,7 +12,6 @@ import numpy as np
 from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory
-from validate.execution.isolated import Limits
 from validate.fmi.description import FmuError, Package, read_package, unpacked
 from validate.judge.replay.error_estimate import (
     error_of,
@@ -33,6 +32,7 @@ from validate.judge.replay.tracking import (
     measure_growth,
 )
 from validate.judge.replay.wiring import Feedback, HeldInputs, measure_effort, with_times_between
+from validate.processes.isolated import Limits
 
 # Relative tolerances of the reference. On three_cart the looser is 1.4e-9 m from the truth, the
 # tighter 1e-11 m, at 1.1 times the time.

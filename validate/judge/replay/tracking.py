@@ -56,13 +56,13 @@ from models.scene import Scene
 from models.scene.goal import goal_state
 from models.stability import step_stability
 from models.trajectory import Trajectory
-from validate.execution.isolated import Limits, packed, run_isolated, unpacked_from
 from validate.fmi.description import Package, read_package, unpacked
 from validate.fmi.instance import faults_of
 from validate.judge.replay.reference import ExchangeModel
 from validate.judge.replay.result import Growth
 from validate.judge.replay.subject import Foreign, Subject
 from validate.judge.replay.wiring import Feedback, Variables
+from validate.processes.isolated import Limits, packed, run_isolated, unpacked_from
 
 
 def tracking_refusal(package: Package, variables: Variables) -> str | None:

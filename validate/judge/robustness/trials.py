@@ -35,7 +35,6 @@ from models.fmu import build_fmu
 from models.scene import Scene
 from models.scene.goal import distance, goal_state
 from models.trajectory import Trajectory
-from validate.execution.isolated import IsolatedCalls
 from validate.fmi.description import FmuError, Package, read_package, unpacked
 from validate.fmi.instance import Instance, load_instance
 from validate.judge.judgement import WiredFmu
@@ -59,6 +58,7 @@ from validate.judge.robustness.worlds import moved, nominal_world, perturbations
 from validate.judge.score import Score
 from validate.judge.score.evidence import Evidence
 from validate.judge.score.measures import replay_limits
+from validate.processes.isolated import IsolatedCalls
 
 # Internal steps a plan step, the coarsest first; the one whose end is as near to the reference's as
 # this share of the limits is taken, else the last.

@@ -13,7 +13,6 @@ from wording import unsaid
 from models.catalog import load_scene
 from models.trajectory import Hold, Trajectory
 from tests.validate.judge.replay.test_replay_job import JOB, NO_FMU, PLAN, START, VARIABLES
-from validate.execution.isolated import Limits
 from validate.judge.replay import Difference, ReplayError, ReplayOutcome
 from validate.judge.replay import error_estimate as estimate_module
 from validate.judge.replay import run as run_module
@@ -29,6 +28,7 @@ from validate.judge.replay.subject import (
     recorded,
 )
 from validate.judge.replay.wiring import Feedback
+from validate.processes.isolated import Limits
 
 MODEL = ForeignModel(
     name="cart", coordinates=(ForeignCoordinate(name="x", velocity_name="v"),),

@@ -19,10 +19,10 @@ from foreign_fmu import (
     write_plan,
 )
 
-from validate.execution.isolated import Limits
 from validate.judge.judgement import wire_fmu
 from validate.judge.replay import Replay, ReplayOutcome
 from validate.judge.replay.run import replay_foreign
+from validate.processes.isolated import Limits
 
 pytestmark = [pytest.mark.slow, pytest.mark.process]
 

@@ -12,7 +12,6 @@ from wording import unsaid
 
 from models.errors import MachineError
 from models.trajectory import Hold, Trajectory
-from validate.execution.isolated import Ending, Limits, unpacked_from
 from validate.fmi.archive import FmuError
 from validate.judge.replay import ReplayOutcome
 from validate.judge.replay import job as module
@@ -27,6 +26,7 @@ from validate.judge.replay.job import Job, Simulations
 from validate.judge.replay.result import Run
 from validate.judge.replay.tracking import tracking_refusal
 from validate.judge.replay.wiring import Feedback, HeldInputs, Variables
+from validate.processes.isolated import Ending, Limits, unpacked_from
 
 VARIABLES = Variables(q=(1,), v=(2,), u=(5,), lam=(3,), gap=(4,), energies={},
                       powers={"input_power": 6, "dissipated_power": 7}, zero=frozenset(),

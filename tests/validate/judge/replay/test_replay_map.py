@@ -34,7 +34,6 @@ from models.fmu import build_fmu
 from models.netcdf import read_columns
 from models.plan_table import PlanTable
 from models.trajectory import Hold, Trajectory, write_csv
-from validate.execution.isolated import Limits
 from validate.fmi.description import read_package
 from validate.judge.replay import Replay
 from validate.judge.replay.map_schema import hint, read_map
@@ -42,6 +41,7 @@ from validate.judge.replay.mapping import wire
 from validate.judge.replay.netcdf import write_replay
 from validate.judge.replay.run import replay_foreign
 from validate.judge.replay.subject import Foreign
+from validate.processes.isolated import Limits
 
 Wire = Callable[..., tuple[Foreign, Trajectory]]
 # Free flight: no contact, and nothing of the goal or the limits of FULL_MAP.

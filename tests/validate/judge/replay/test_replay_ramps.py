@@ -13,9 +13,9 @@ from models.scene import Scene
 from models.trajectory import Hold, Trajectory, read_csv, write_csv
 from models.trajectory_netcdf import read_netcdf, write_netcdf
 from tests.validate.judge.replay.test_replay_fmu import mass_on_a_line
-from validate.execution.isolated import Limits, packed, unpacked_from
 from validate.judge.replay.run import replay
 from validate.judge.replay.wiring import Effort, Feedback, HeldInputs, Variables, measure_effort
+from validate.processes.isolated import Limits, packed, unpacked_from
 
 MASS = 2.0
 T = np.array([0.0, 0.1, 0.3, 0.5])

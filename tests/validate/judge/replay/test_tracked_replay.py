@@ -132,7 +132,7 @@ def test_energy_balances_with_the_inputs_that_were_applied(
 
 @pytest.mark.slow
 def test_a_child_process_replays_the_same(scene: Scene, still: Trajectory, caught: Replay):
-    from validate.execution.isolated import Limits
+    from validate.processes.isolated import Limits
 
     other = replay(scene, build_fmu(scene), still, limits=Limits(seconds=100.0), track=True)
     for one, again in ((caught, other), (caught.tracked, other.tracked)):

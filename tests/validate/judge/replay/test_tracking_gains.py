@@ -16,7 +16,6 @@ from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact
 from models.scene.parts import goal_limits
 from models.trajectory import Trajectory, uniform_grid
-from validate.execution.isolated import unpacked_from
 from validate.judge.replay import tracking as module
 from validate.judge.replay.tracking import (
     TrackingError,
@@ -26,6 +25,7 @@ from validate.judge.replay.tracking import (
     lqr_gains,
     measure_growth,
 )
+from validate.processes.isolated import unpacked_from
 
 
 def test_far_from_the_end_the_gains_are_those_of_the_algebraic_riccati_equation():

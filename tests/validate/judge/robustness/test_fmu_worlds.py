@@ -25,11 +25,11 @@ from models.fmu import build_fmu
 from models.trajectory import write_csv
 from reports.records.robustness_record import RobustnessRecord
 from validate.cli.group import run
-from validate.execution.isolated import Limits
 from validate.judge.judgement import Judgement, WiredFmu, wire_fmu
 from validate.judge.robustness import robustness
 from validate.judge.robustness.trials import FmuArena, asked_limits
 from validate.judge.robustness.worlds import moved, perturbations
+from validate.processes.isolated import Limits
 
 SCENE = load_scene("three_cart")
 # A cart of 2 kg, thrown with 2 m/s and pushed with 4 N, before it meets the stop.

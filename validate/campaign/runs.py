@@ -1,0 +1,447 @@
+"""Which tasks a campaign has, in order: scenes by pipelines, then checks.
+
+And which of them are stored.
+
+entries, left_out = select(CampaignSettings(out=Path("runs/all"), quick=True))
+entries = with_stored(entries, store, settings)
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from formulations.method import Pipeline
+from formulations.pipelines import PIPELINES, method_names
+from models.catalog import load_scene, scene_names, scene_path
+from models.scene import Scene
+from reports.paper import SCENE as PAPER_SCENE
+from reports.records.check_record import divided
+from reports.records.load import Stored
+from reports.records.record import HOLD, RunRecord
+from reports.rule import failed_keys
+from validate.campaign.selection import matches, near, words_of
+from validate.campaign.stored import CampaignError, campaign_of, identity
+from validate.judge.score import check_limits
+from validate.store.provenance import check_key, survey_sources
+from validate.store.store import Store
+from validate.tasks.leg import Planned, leg_key, planned_legs, planned_stages
+from validate.tasks.path import LoadedRun
+from validate.tasks.plugins import DEFAULT_PLUGIN, Plugin, load_plugin, plugin_source
+from validate.tasks.task import CheckTask, RunTask, SceneReference, Task, TaskRecord, task_to_json
+
+NOTHING_STORED = "nothing is stored of it"
+# So many unknown words of a -k are answered.
+_UNKNOWN = 3
+
+
+class NothingSelectedError(CampaignError):
+    """A -k that selects nothing.
+
+    `mistakes` has a sentence for each of its words that is in no name.
+    """
+
+    def __init__(self, expression: str, names: Sequence[str]) -> None:
+        self.headline = f"nothing to run: -k {expression!r} selects no run and no check"
+        unknown = [word for word in words_of(expression) if not matches(word, names)]
+        self.mistakes = tuple(_unknown(word, names) for word in unknown[:_UNKNOWN])
+        if not unknown:
+            self.mistakes = (
+                "each of its words is in a name, but no scene with its pipeline and methods has all that it asks for",
+            )
+        self.mistakes += ("`python -m validate list` has all names; =NAME asks for the whole name",)
+        super().__init__(f"{self.headline}: {'; '.join(self.mistakes)}.")
+
+
+def _unknown(word: str, names: Sequence[str]) -> str:
+    elsewhere = [pipeline for pipeline in PIPELINES if pipeline.name == word and pipeline.only]
+    if elsewhere:
+        return f"{word!r} runs by default on {elsewhere[0].only} only; a campaign file can select it for other scenes"
+    if matches(word, method_names()):
+        return f"{word!r} is a method that no pipeline of these scenes runs; a new one needs a row in formulations/pipelines.py"
+    return f"{word!r} is in no name; near are {', '.join(near(word, names))}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignSettings:
+    """What the user asked for.
+
+    scenes: names or paths; empty for all of the catalog. last_failed: of what is not stored, run
+        only what failed when the folder's campaign
+    last ran, and that in any case; stop_early: at the first failure; retries: of a task that
+        crashes; engine: which runs the tasks
+    (validate.campaign.engine); worlds: which plans that hold are tried in perturbed worlds: all
+        (True), none (False), the cheapest of each scene (None);
+        jobs: tasks at a time, None for what the engine chooses.
+    Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; checked:
+        scenes whose FMUs are checked; title: of the
+    report; files: texts written into the folder, by name.
+    """
+
+    out: Path
+    scenes: tuple[str, ...] = ()
+    quick: bool = False
+    expression: str | None = None
+    jobs: int | None = None
+    engine: str = "local"
+    fresh: bool = False
+    time_limit: float = 240.0
+    plugin: str = DEFAULT_PLUGIN
+    command: str = ""
+    last_failed: bool = False
+    stop_early: bool = False
+    retries: int = 0
+    worlds: bool | None = None
+    chosen: tuple[SceneReference, ...] = ()
+    pipelines: tuple[Pipeline, ...] = ()
+    checked: tuple[SceneReference, ...] = ()
+    title: str = ""
+    files: Mapping[str, str] = field(default_factory=dict)
+
+    def wants(self, names: Iterable[str], title: str) -> bool:
+        """Whether a task of these names and this title is meant by `-k`. Raises SelectionError."""
+        return self.expression is None or matches(self.expression, names, title)
+
+    @property
+    def is_part(self) -> bool:
+        """Whether this is a choice from a campaign: what else the folder holds then stays in its tables and report."""
+        return bool(self.expression is not None or self.scenes or self.quick or self.last_failed)
+
+
+@dataclass(frozen=True)
+class PlannedTask:
+    """A task with what the parent knows of it.
+
+    loaded: a run as it is loaded here; stored: its record if that can be used; why: it is run,
+        although something like it may be stored.
+    """
+
+    task: Task
+    loaded: LoadedRun | None = None
+    stored: TaskRecord | None = None
+    why: str = ""
+
+
+def scenes_of(entries: Iterable[PlannedTask]) -> dict[str, Scene]:
+    """The scenes of the runs among these tasks, by name."""
+    return {
+        entry.loaded.scene.name: entry.loaded.scene for entry in entries if entry.loaded is not None
+    }
+
+
+def select(settings: CampaignSettings) -> tuple[list[PlannedTask], tuple[str, ...]]:
+    """The tasks asked for, in order, and what a quick campaign leaves out, in words.
+
+    Raises TouchstoneError.
+    """
+    plugin = load_plugin(settings.plugin)
+    scenes = list(settings.chosen) or _scenes(settings)
+    entries: list[PlannedTask] = []
+    seen: list[str] = []
+    left_out: list[tuple[str, str]] = []
+    long: list[str] = []
+    for reference in scenes:
+        scene = reference.scene
+        pipelines = settings.pipelines or plugin.pipelines_for(scene)
+        for pipeline in pipelines:
+            methods = dict.fromkeys(leg.method for leg in pipeline.legs)
+            seen += [scene.name, pipeline.name, *methods]
+            if settings.wants(
+                (scene.name, pipeline.name, *methods), f"{scene.name} x {pipeline.name}"
+            ):
+                if _is_too_long(settings, scene):
+                    long.append(scene.name)
+                elif settings.quick and pipeline.name not in plugin.quick:
+                    left_out.append((scene.name, pipeline.name))
+                else:
+                    entries.append(_entry(settings, plugin, reference, pipeline))
+    long = list(dict.fromkeys(long))
+    skipped = (
+        *_in_words(left_out, len(scenes) - len(long)),
+        *(f"{name} x every pipeline" for name in long),
+    )
+    checks, unchecked = _checks(
+        settings, plugin, settings.checked if settings.chosen else scenes, seen
+    )
+    skipped += unchecked
+    if entries or checks:
+        return [*entries, *checks], skipped
+    if skipped:
+        raise CampaignError(
+            f"nothing to run: --quick leaves out all that is selected ({', '.join(skipped)}); drop --quick."
+        )
+    raise NothingSelectedError(settings.expression or "", tuple(dict.fromkeys(seen)))
+
+
+def _is_too_long(settings: CampaignSettings, scene: Scene) -> bool:
+    """A quick campaign leaves out the scenes that say so themselves, unless they are asked for by name."""
+    return settings.quick and not scene.quick and not settings.scenes
+
+
+def _scenes(settings: CampaignSettings) -> list[SceneReference]:
+    scenes: list[SceneReference] = []
+    for name in dict.fromkeys(settings.scenes or scene_names()):
+        found = referred(name)
+        if any(
+            other.scene.name == found.scene.name and other.scene is not found.scene
+            for other in scenes
+        ):
+            raise CampaignError(
+                f"--scene {name}: another scene of this campaign is named {found.scene.name!r} too; rename one of them."
+            )
+        scenes.append(found)
+    if settings.scenes:
+        return scenes
+    # What is read first is there first: Table I after a minute, and the cheap scenes before the
+    # dear ones.
+    return sorted(
+        scenes,
+        key=lambda reference: (reference.scene.name != PAPER_SCENE, scene_cost(reference.scene)),
+    )
+
+
+def referred(name: str) -> SceneReference:
+    """A scene of the catalog, or of a file by its path. Raises UnknownNameError, SceneError."""
+    scene = load_scene(name)
+    check_limits(scene, scene_path(name))
+    return SceneReference(str(Path(name).resolve()) if name.endswith(".py") else name, scene)
+
+
+def scene_cost(scene: Scene) -> int:
+    """How dear a scene is beside others, known before anything runs: steps times states times contacts, the friction of a contact counted as another.
+
+    Nothing for a scene without inputs: its motion is only simulated. Over the 16 scenes that come
+    with touchstone the order that this gives has a rank correlation of 0.94 with the CPU seconds of
+    all their runs.
+    """
+    return (
+        scene.task.steps * 2 * scene.nq * max(1, scene.nc + len(scene.frictions))
+        if scene.inputs
+        else 0
+    )
+
+
+def _checks(
+    settings: CampaignSettings, plugin: Plugin, scenes: Sequence[SceneReference], seen: list[str]
+) -> tuple[list[PlannedTask], tuple[str, ...]]:
+    """The checks asked for, and what of them a quick campaign leaves out.
+
+    Their names are added to `seen`.
+
+    Where scenes are named, only checks of these scenes are meant.
+    """
+    long = {reference.scene.name for reference in scenes if _is_too_long(settings, reference.scene)}
+    wanted: list[PlannedTask] = []
+    left_out: list[CheckTask] = []
+    for item in plugin.checks(scenes):
+        if item.scene is None and (settings.scenes or settings.chosen):
+            continue
+        seen += [name for name in item.names if name not in seen]
+        if not settings.wants(item.names, item.title):
+            continue
+        if settings.quick and (not item.quick or item.scene in long):
+            left_out.append(item)
+            continue
+        wanted.append(
+            PlannedTask(replace(item, key=check_key(item), time_limit=settings.time_limit))
+        )
+    return wanted, _counted(left_out)
+
+
+def _counted(checks: Sequence[CheckTask]) -> tuple[str, ...]:
+    """Checks by group: the only one by its name, several by their number."""
+    groups: dict[str, list[str]] = {}
+    for item in checks:
+        groups.setdefault(item.group or item.kind, []).append(item.title)
+    return tuple(
+        titles[0] if len(titles) == 1 else f"{group}: {len(titles)} checks"
+        for group, titles in groups.items()
+    )
+
+
+def _in_words(runs: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
+    """(scene, pipeline) -> `scene x pipeline`.
+
+    A pipeline of all of several scenes once, as `every scene x pipeline`.
+    """
+    times = Counter(pipeline for _, pipeline in runs)
+    return tuple(
+        dict.fromkeys(
+            f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}"
+            for scene, pipeline in runs
+        )
+    )
+
+
+def _entry(
+    settings: CampaignSettings, plugin: Plugin, reference: SceneReference, pipeline: Pipeline
+) -> PlannedTask:
+    scene, plan = reference.scene, planned_stages(pipeline, plugin.methods_of(pipeline))
+    source = plugin_source(settings.plugin)
+
+    def key_of(stages: Sequence[Planned]) -> str:
+        return leg_key(scene, stages, source)
+
+    used = {
+        leg.key
+        for planned in plan
+        for way in planned.method.ways
+        for leg in planned_legs(planned_stages(way, plugin.methods_of(way)), key_of)
+    }
+    task = RunTask(
+        key=leg_key(scene, plan, source, pipeline.name, pipeline.title),
+        scene=reference.where,
+        scene_name=scene.name,
+        pipeline=pipeline,
+        plugin=settings.plugin,
+        time_limit=settings.time_limit,
+        variant=reference.variant,
+        legs=planned_legs(plan, key_of),
+        uses=tuple(sorted(used)),
+    )
+    return PlannedTask(task, LoadedRun(scene=scene, plan=plan))
+
+
+def with_stored(
+    entries: Sequence[PlannedTask], store: Store, settings: CampaignSettings
+) -> list[PlannedTask]:
+    """The same tasks, each with its stored record where that can be used again, else with the reason why not.
+
+    Of a campaign that runs what failed the last time, those alone (`only_last_failed`), which may
+    raise CampaignError.
+    """
+    usable = (_usable(store, entry.task, settings.fresh) for entry in entries)
+    found = [
+        replace(entry, stored=record, why=why)
+        for entry, (record, why) in zip(entries, usable, strict=True)
+    ]
+    return only_last_failed(found, store) if settings.last_failed else found
+
+
+def _usable(store: Store, task: Task, fresh: bool) -> tuple[TaskRecord | None, str]:
+    record = store.read(task.key)
+    if record is None:
+        return None, "stored, but its record cannot be read" if (
+            store.runs / task.key
+        ).is_dir() else NOTHING_STORED
+    if fresh:
+        return None, "stored, but --fresh runs it anew"
+    stages = record.stages if isinstance(record, RunRecord) else ()
+    outcomes = {record.outcome, *(stage.outcome for stage in stages)}
+    if "crashed" in outcomes:
+        return None, "stored, but it crashed"
+    if "time_limit" in outcomes or any(stage.certificate_missing for stage in stages):
+        asked = store.request(task.key).get("time_limit")
+        before = asked if isinstance(asked, (int, float)) else 0.0
+        if not before >= task.time_limit:
+            return (
+                None,
+                f"stored, but it ran out of {before:g} s and would have {task.time_limit:g} s now",
+            )
+    if file := store.damaged_file(task.key):
+        return None, f"stored, but {file} is gone or cut off"
+    if store.needs_rerun(task.key):
+        return None, "stored, but to be run anew, which was interrupted"
+    return record, ""
+
+
+def worlds_tasks(
+    entries: Iterable[PlannedTask],
+    records: Mapping[str, TaskRecord],
+    others: Mapping[str, TaskRecord],
+    worlds: bool | None,
+) -> list[RunTask]:
+    """Return a task for each run whose plans must still be tried in perturbed worlds.
+
+    records: of the entries; others: records of the other runs of the folder, which compete for the
+    cheapest plan of a scene; worlds: see `CampaignSettings`.
+    """
+    if worlds is False:
+        return []
+    runs = [
+        (entry.task, record)
+        for entry in entries
+        if isinstance(entry.task, RunTask)
+        and isinstance(record := records.get(entry.task.key), RunRecord)
+    ]
+    if worlds is None:
+        stored = Stored(None, divided((*records.values(), *others.values()))[0])
+        cheapest = {
+            plans[0][0].key
+            for scene in {run.scene.name for _, run in runs}
+            if (plans := stored.cheapest(scene))
+        }
+        runs = [(task, run) for task, run in runs if run.key in cheapest]
+    tasks = []
+    for task, run in runs:
+        wanted = tuple(
+            stage.index
+            for stage in (run.stages if worlds else run.stages[-1:])
+            if stage.verdict in HOLD
+            and (stage.survey is None or stage.survey.sources != survey_sources())
+        )
+        tasks += [replace(task, worlds=wanted)] if wanted else []
+    return tasks
+
+
+def reasons(entries: Sequence[PlannedTask], store: Store) -> list[str]:
+    """For each task why it would be run, "" where its record is used.
+
+    One of which another version is stored says that.
+    """
+    others = {identity(request) for request in store.requests()}
+    return [
+        "stored for other code, options, libraries or another scene file"
+        if entry.why == NOTHING_STORED and identity(task_to_json(entry.task)) in others
+        else entry.why
+        for entry in entries
+    ]
+
+
+def past_seconds(entries: Sequence[PlannedTask], store: Store) -> dict[str, float]:
+    """Key of a task that is to be run -> CPU seconds [s] that it took when it last ran into this folder, whatever code it was; without those that never did."""
+    keys: dict[str, list[str]] = {}
+    for request in store.requests():
+        keys.setdefault(identity(request), []).append(str(request.get("key")))
+    found: dict[str, float] = {}
+    for entry in entries:
+        if entry.stored is None:
+            before = [
+                record
+                for key in keys.get(identity(task_to_json(entry.task)), ())
+                if (record := store.read(key)) is not None
+            ]
+            if before:
+                found[entry.task.key] = max(
+                    before, key=lambda record: record.provenance.started
+                ).cpu_seconds
+    return found
+
+
+def only_last_failed(entries: Sequence[PlannedTask], store: Store) -> list[PlannedTask]:
+    """Of these tasks those that failed when the folder's campaign last ran, to be run anew, and those that are stored, as they are.
+
+    What is neither is left out. Raises CampaignError where there is no campaign, or nothing of this
+    choice failed.
+    """
+    records = tuple(filter(None, map(store.read, campaign_of(store.folder).keys)))
+    failing = failed_keys(records)
+    failed = {identity(store.request(key)) for key in failing}
+    again = {entry.task.key for entry in entries if identity(task_to_json(entry.task)) in failed}
+    if not again:
+        hint = "drop --last-failed."
+        if failing:
+            named = sorted(record.title for record in records if record.key in failing)
+            more = f" and {len(named) - 3} more" if len(named) > 3 else ""
+            hint = f"what did is not selected ({', '.join(named[:3])}{more}): select it as it was, by -k, --scene, --plugin or the file of `run`."
+        raise CampaignError(
+            f"nothing to run: nothing that is selected failed when the campaign in {store.folder} last ran; {hint}"
+        )
+    why = "it failed the last time"
+    return [
+        replace(entry, stored=None, why=why) if entry.task.key in again else entry
+        for entry in entries
+        if entry.task.key in again or entry.stored is not None
+    ]
