@@ -28,7 +28,7 @@ from reports.records.check_record import CheckRecord
 from reports.records.load import load
 from reports.records.record import HOLD, RunRecord, StageRecord
 from reports.rule import failures
-from validate.campaign.paper import table_rows
+from validate.tasks.paper import table_rows
 
 GOLDEN = Path(__file__).with_suffix(".csv")
 KEY = ("scene", "pipeline", "stage")

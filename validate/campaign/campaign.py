@@ -20,7 +20,7 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from models.codegen.compiler import find_compiler
 from models.scene import Scene
@@ -36,7 +36,6 @@ from reports.rule import fails, failures, findings
 from validate.campaign.dask import DaskEngine, open_dask
 from validate.campaign.engine import LOCAL, ExecutionContext, LocalEngine, check_engine, open_local
 from validate.campaign.growing_report import GrowingReport
-from validate.campaign.paper import measure
 from validate.campaign.results import TABLES, write_tables
 from validate.campaign.runs import (
     CampaignSettings,
@@ -60,17 +59,40 @@ from validate.processes.process import interrupts_wait
 from validate.store.provenance import gather
 from validate.store.store import Store
 from validate.tasks.leg import forget, must_wait
+from validate.tasks.paper import measure
 from validate.tasks.plugins import load_plugin
 from validate.tasks.task import PlannedLeg, RunTask, Task, TaskRecord, task_to_json
-
-if TYPE_CHECKING:
-    from validate.cli.narrator import PlainNarrator
 
 TITLE = "Plans through contact, replayed and scored"
 # Pause between two looks at what is not a task's end [s]; a task that ends is seen at once.
 _LOOK = 0.2
 # How often it is asked whether anybody is there to run tasks [s].
 _SILENCE = 5.0
+
+
+class Narrator(Protocol):
+    """Prints the progress of a campaign (validate.cli.narrator)."""
+
+    def begins(self, total: int, stored: int, anew: int) -> None:
+        """Before the first task. stored: tasks whose records are used; anew: stored tasks that run again."""
+
+    def notes(self, sentence: str) -> None:
+        """Print a fact."""
+
+    def warns(self, sentence: str) -> None:
+        """Print a warning."""
+
+    def runs(self, folders: Mapping[str, Path]) -> None:
+        """Called several times a second. folders: title of each running task -> its unfinished folder."""
+
+    def finished(self, record: TaskRecord) -> None:
+        """A task has ended."""
+
+    def found(self, runs: Sequence[RunRecord]) -> None:
+        """All runs of a scene have ended."""
+
+    def ends(self) -> None:
+        """After the last task, or after an interruption."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +119,7 @@ class CampaignResult:
         return 1 if self.failures else 0
 
 
-def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> CampaignResult:
+def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResult:
     """Run what is not stored and write campaign.json, results.csv, checks.csv, violation.csv and the report.
 
     Raises TouchstoneError for what the user can mend; KeyboardInterrupt passes through when
@@ -293,7 +315,7 @@ def _note_scene(
     record: TaskRecord,
     entries: Sequence[PlannedTask],
     records: Mapping[str, TaskRecord],
-    narrator: PlainNarrator,
+    narrator: Narrator,
 ) -> bool:
     """Print the summary of a scene and return True if the last of its runs has ended."""
     if isinstance(record, RunRecord):
@@ -314,7 +336,7 @@ def _tried(
     others: Mapping[str, TaskRecord],
     context: ExecutionContext,
     settings: CampaignSettings,
-    narrator: PlainNarrator,
+    narrator: Narrator,
 ) -> list[TaskRecord]:
     """Try the plans that `settings.worlds` selects in perturbed worlds; return the amended records."""
     tasks = worlds_tasks(entries, records, others, settings.worlds)
@@ -330,7 +352,7 @@ def _run(
     tasks: Sequence[Task],
     context: ExecutionContext,
     settings: CampaignSettings,
-    narrator: PlainNarrator,
+    narrator: Narrator,
 ) -> Generator[TaskRecord, None, None]:
     if not tasks:
         return
@@ -345,7 +367,7 @@ def run_tasks(
     engine: LocalEngine | DaskEngine,
     context: ExecutionContext,
     retries: int,
-    narrator: PlainNarrator,
+    narrator: Narrator,
 ) -> Generator[TaskRecord, None, None]:
     """Run all tasks and yield the record of each when it has finished. retries: of one that crashes, before all that wait. Raises MachineError."""
     waiting, crashes = deque(tasks), Counter[str]()

@@ -25,8 +25,9 @@ from reports.rule import failed_keys
 from validate.campaign.selection import matches, near, words_of
 from validate.campaign.stored import CampaignError, campaign_of, identity
 from validate.judge.score import check_limits
-from validate.store.provenance import check_key, survey_sources
+from validate.store.provenance import survey_sources
 from validate.store.store import Store
+from validate.tasks.check import check_key
 from validate.tasks.leg import Planned, leg_key, planned_legs, planned_stages
 from validate.tasks.path import LoadedRun
 from validate.tasks.plugins import DEFAULT_PLUGIN, Plugin, load_plugin, plugin_source

@@ -1,8 +1,8 @@
 """Where a result comes from: our commit and sources, the versions of what we stand on, the machine, the command.
 
-`content_key` (of a run) and `check_key` hash what decides the numbers of a task - scene, pipeline,
-options, seed, our sources, library versions, compiler - and no times, paths or hosts: equal
-content, equal key, wherever it runs.
+`content_key` (runs) and `function_key` (checks) hash everything that decides the numbers of a task:
+scene, pipeline, options, seed, our sources, library versions, compiler. They hash no times, paths
+or hosts: equal content has an equal key on every machine.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import os
 import platform
 import shlex
 import subprocess
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
@@ -27,9 +27,6 @@ from models.scene import Scene
 from models.scene.text import scene_text
 from reports.records.record import ProvenanceRecord
 from validate.processes.process import ROOT, THREADS, usable_cores
-
-if TYPE_CHECKING:
-    from validate.tasks.task import CheckTask
 
 SEED = 0
 LIBRARIES = (
@@ -143,19 +140,23 @@ def _digest_of_sources(methods: frozenset[str]) -> str:
     return hashlib.sha256(json.dumps(source_digests(methods)).encode()).hexdigest()
 
 
-def check_key(task: CheckTask) -> str:
-    """The key of a check: sha256 over what it asks, of what, and the sources that answer."""
-    digests = _digests_with(task.methods)
-    wanted = ("validate/tasks/check.py", "reports/", *task.sources)
-    asked = (task.kind, task.name, task.expected, task.function)
+def function_key(
+    asked: Sequence[Any], content: str, methods: Iterable[str], sources: Sequence[str]
+) -> str:
+    """Return the key of a function's answer.
+
+    asked: JSON data; content: text that decides the answer; methods: names of the methods that the
+    function runs; sources: beginnings of the paths of our sources that matter, () for all.
+    """
+    digests = _digests_with(methods)
     return _hash(
         {
-            "asked": [*asked, dict(task.arguments)],
-            "content": task.content,
+            "asked": asked,
+            "content": content,
             "sources": {
                 name: digest
                 for name, digest in digests.items()
-                if not task.sources or name.startswith(wanted)
+                if not sources or name.startswith(tuple(sources))
             },
         }
     )

@@ -25,6 +25,7 @@ from models.errors import MachineError, TouchstoneError
 from reports.records.check_record import CheckRecord
 from reports.records.record import MetricRecord, ProvenanceRecord
 from validate.processes.disk import raise_if_disk_ended
+from validate.store.provenance import function_key
 from validate.store.store import log_in, progress
 from validate.tasks.records import LOG_LINES
 from validate.tasks.stage import in_words
@@ -34,6 +35,13 @@ from validate.tasks.task import CheckTask, ChildExit
 # more than 5 s.
 _WRITING_SHARE = 0.05
 _WRITING_MOST = 5.0
+
+
+def check_key(task: CheckTask) -> str:
+    """Return the key of a check: its question, its content and the sources that answer."""
+    asked = [task.kind, task.name, task.expected, task.function, dict(task.arguments)]
+    sources = ("validate/tasks/check.py", "reports/", *task.sources) if task.sources else ()
+    return function_key(asked, task.content, task.methods, sources)
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from reports.records.record import (
     Verdict,
     thin,
 )
-from validate.campaign.paper import paper_row
+from validate.tasks.paper import paper_row
 
 if TYPE_CHECKING:
     from formulations.mpec import Certificate

@@ -14,8 +14,8 @@ from formulations.pipelines import (
 )
 from models.errors import UnknownNameError
 from reports.paper import TABLE_1
-from validate.campaign.paper import paper_row, table_rows
 from validate.tasks.leg import planned_stages
+from validate.tasks.paper import paper_row, table_rows
 from validate.tasks.task import RunTask, task_from_json, task_to_json
 
 TABLE_ONE = (

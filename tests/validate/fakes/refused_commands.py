@@ -53,7 +53,7 @@ def _serve() -> None:
         *MODULES,
         "reports.render",
         "validate.campaign.campaign",
-        "validate.campaign.paper",
+        "validate.tasks.paper",
         "validate.cli.all",
         "validate.cli.fmu",
     ):

@@ -27,6 +27,7 @@ from validate.processes.process import ROOT
 from validate.store import provenance
 from validate.store.provenance import content_key, source_digests
 from validate.store.store import Store
+from validate.tasks.check import check_key
 from validate.tasks.task import CheckTask
 
 
@@ -143,7 +144,7 @@ def test_a_key_is_of_the_sources_that_decide_and_of_no_others(
     whole = replace(one, sources=())
 
     def keys() -> tuple[str, ...]:
-        return key(STRICT), provenance.check_key(one), provenance.check_key(whole)
+        return key(STRICT), check_key(one), check_key(whole)
 
     before = keys()
     monkeypatch.setattr(

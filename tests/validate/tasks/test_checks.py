@@ -19,8 +19,7 @@ from reports.records.check_record import CheckRecord, StoredRecord
 from validate.campaign.runs import CampaignSettings, scene_cost, select
 from validate.campaign.stored import CampaignError
 from validate.fmu_check import DECISIVE
-from validate.store.provenance import check_key
-from validate.tasks.check import Course
+from validate.tasks.check import Course, check_key
 from validate.tasks.fmu_checks import check
 from validate.tasks.plugins import DEFAULT
 from validate.tasks.task import CheckTask, SceneReference, task_from_json, task_to_json

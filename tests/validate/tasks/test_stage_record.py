@@ -35,7 +35,6 @@ from reports.records.record import (
     TrackedRecord,
 )
 from tests.reports import record_factory as factory
-from validate.campaign.paper import paper_row
 from validate.judge.replay.result import (
     Difference,
     Event,
@@ -49,6 +48,7 @@ from validate.judge.score import Question, Score, Verdict
 from validate.judge.score.verdict import Metric
 from validate.tasks import scene_record as module
 from validate.tasks.leg import Planned
+from validate.tasks.paper import paper_row
 from validate.tasks.records import (
     LOG_LINES,
     Judged,

@@ -9,8 +9,8 @@ import pytest
 
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from validate.campaign import paper
-from validate.campaign.paper import (
+from validate.tasks import paper
+from validate.tasks.paper import (
     RELAXED_EPS,
     SOFTPLUS_EPS,
     TOLERANCE,
