@@ -343,6 +343,10 @@ def _torch_function(
     return function
 
 
+# PyTorch takes whole numbers of 64 bits.
+_LARGEST_INT = 2**63
+
+
 @lru_cache(maxsize=128)
 def _compiled(
     groups: tuple[tuple[sp.Symbol, ...], ...], entries: tuple[sp.Expr, ...]
@@ -355,7 +359,10 @@ def _compiled(
     fails).
     """
     plain = [
-        entry.replace(lambda e: e.is_number and not e.is_Number, lambda e: sp.Float(e, 17))
+        entry.replace(
+            lambda e: e.is_number and not (e.is_Integer and abs(e) < _LARGEST_INT),
+            lambda e: e.evalf(17),
+        )
         for entry in entries
     ]
     return sp.lambdify([list(group) for group in groups], plain, modules="torch", cse=True)

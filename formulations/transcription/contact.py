@@ -74,7 +74,7 @@ class SceneExpressions:
     Raises
     ------
     SceneError
-        for a function that Pyomo does not have (erf, atan2 ..)
+        for a function that Pyomo does not have (atan2)
     """
 
     def __init__(self, dynamics: Dynamics) -> None:

@@ -43,7 +43,7 @@ SMOOTH = (
 
 
 def check_smooth(scene: Scene, what: str, expressions: Iterable[Any]) -> None:
-    """Raises SceneError for a function that Pyomo does not have (erf, atan2 ..).
+    """Raises SceneError for a function that Pyomo does not have (atan2).
 
     Scenes have none with corners (models.scene.functions).
     """

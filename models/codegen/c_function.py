@@ -195,6 +195,8 @@ def _along(value: sp.Expr, moving: dict[sp.Symbol, sp.Expr]) -> sp.Expr:
 # Integer powers up to this one are written as products: exact, faster than pow(), and equal on
 # every libm.
 _LARGEST_PRODUCT = 4
+# Whole numbers up to this one are int literals in C; larger ones are literals of double.
+_LARGEST_INT = 2**31 - 1
 
 
 class _Printer(C99CodePrinter):
@@ -204,7 +206,7 @@ class _Printer(C99CodePrinter):
     """
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__({"math_macros": {}})  # M_PI and the like are POSIX, not C99
         self.lines: list[str] = []
         self._factors: dict[str, str] = {}
 
@@ -230,6 +232,20 @@ class _Printer(C99CodePrinter):
             product = "*".join([factor] * abs(int(exponent)))
             return f"({product})" if int(exponent) > 0 else f"(1.0/({product}))"
         return super()._print_Pow(expr)
+
+    def _print_NumberSymbol(self, expr: sp.NumberSymbol) -> str:  # noqa: N802 - SymPy finds it by this name
+        return self._print(sp.Float(expr, 17))
+
+    def _print_Exp1(self, expr: sp.NumberSymbol) -> str:  # noqa: N802 - SymPy finds it by this name
+        return self._print_NumberSymbol(expr)
+
+    def _print_Integer(self, expr: sp.Integer) -> str:  # noqa: N802 - SymPy finds it by this name
+        return str(expr) if abs(int(expr)) <= _LARGEST_INT else repr(float(expr))
+
+    def _print_Rational(self, expr: sp.Rational) -> str:  # noqa: N802 - SymPy finds it by this name
+        if max(abs(int(expr.p)), int(expr.q)) <= _LARGEST_INT:
+            return super()._print_Rational(expr)
+        return f"({float(expr)!r})"
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,7 @@ def compile_shared(
 
     include_dirs: absolute, or relative to the sources.
 
-    Raises MachineError with the compiler's first lines if it refuses.
+    Raises MachineError with the compiler's first errors if it refuses.
     """
     # Below the output, so that it goes with the output's own place if we are killed.
     with tempfile.TemporaryDirectory(prefix="touchstone-", dir=output.parent) as folder:
@@ -148,9 +148,9 @@ def compile_shared(
         ]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode != 0 or not output.exists():
-        lines = (
-            "; ".join(done.stderr.strip().splitlines()[:3]) or "it ended without writing a library"
-        )
+        said = done.stderr.strip().splitlines()
+        errors = [line for line in said if "error:" in line]
+        lines = "; ".join((errors or said)[:3]) or "it ended without writing a library"
         if os.strerror(errno.ENOSPC) in done.stderr:
             raise MachineError(
                 f"the C compiler ({compiler.version}) had no room for its files ({lines}); make room there."

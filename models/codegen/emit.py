@@ -33,7 +33,6 @@ from collections import Counter
 from pathlib import Path
 
 import sympy as sp
-from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from models.codegen.c_function import (
     SceneVectors,
@@ -45,7 +44,6 @@ from models.codegen.c_function import (
 )
 from models.codegen.text_cache import cached_text
 from models.dynamics import derive
-from models.errors import SceneError
 from models.scene import Scene
 
 _HEAD = """\
@@ -210,27 +208,18 @@ def slip_rate(x: SceneVectors, a: Vector) -> sp.Matrix:
 def emit_model(scene: Scene) -> str:
     """Text of `scene_model.h` (C99, no I/O, static inline functions only), which serves all parameter values of a scene."""
     vectors = SceneVectors.of(derive(scene))
-    try:
-        parts = [
-            _head(scene),
-            *_contact_functions(vectors),
-            *damping_functions(vectors),
-            *friction_functions(vectors),
-            *(
-                _factorised_acceleration(vectors)
-                if vectors.dynamics.acceleration is None
-                else _closed_acceleration(vectors)
-            ),
-            *_energy_functions(vectors),
-        ]
-    except PrintMethodNotImplementedError as error:
-        function = (
-            str(error).splitlines()[0].rpartition(": ")[2].rpartition(".")[2].rstrip("'>")
-        )  # a name, or the whole of a class
-        raise SceneError(
-            f"scene {scene.name}: its equations or their derivatives contain {function}, which has no form in C; "
-            "use smooth elementary functions (sin, exp, sqrt, tanh ..)."
-        ) from error
+    parts = [
+        _head(scene),
+        *_contact_functions(vectors),
+        *damping_functions(vectors),
+        *friction_functions(vectors),
+        *(
+            _factorised_acceleration(vectors)
+            if vectors.dynamics.acceleration is None
+            else _closed_acceleration(vectors)
+        ),
+        *_energy_functions(vectors),
+    ]
     return "\n".join([*parts, "#endif", ""])
 
 

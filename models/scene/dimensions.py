@@ -26,7 +26,7 @@ from typing import NamedTuple
 import sympy as sp
 
 from models.scene import Scene
-from models.scene.functions import is_longer, shortened
+from models.scene.functions import FUNCTIONS, is_longer, shortened
 from models.scene.scene import NamedExpression, depth_expressions, named_expressions
 from models.scene.values import base_exponents
 
@@ -36,11 +36,7 @@ _BASES = ("kg", "m", "s")
 _PURE: _Powers = (Fraction(0),) * len(_BASES)
 
 # What takes and gives pure numbers.
-_ELEMENTARY = (
-    *(sp.sin, sp.cos, sp.tan, sp.cot, sp.sec, sp.csc, sp.asin, sp.acos, sp.atan),
-    *(sp.sinh, sp.cosh, sp.tanh, sp.coth, sp.asinh, sp.acosh, sp.atanh),
-    *(sp.exp, sp.log, sp.erf, sp.erfc, sp.sinc, sp.gamma, sp.loggamma),
-)
+_ELEMENTARY = tuple(function for function in FUNCTIONS if function is not sp.atan2)
 # What gives a value of its arguments.
 _CHOOSING = (sp.Abs, sp.Max, sp.Min, sp.floor, sp.ceiling, sp.Mod)
 # Denominators of the numbers in formulas: moments of inertia, means, squares of halves. Their

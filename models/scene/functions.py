@@ -1,23 +1,33 @@
-"""The functions that the expressions of a scene may use: smooth ones, that have a form in C, as their derivatives have.
+"""The functions that the expressions of a scene may use.
 
-Plans need derivatives: Ipopt's are of the forces, and so of the second derivatives of the energies;
-gradients by rollouts, the error growth and the tracking gains are those of the C kernel. A corner
-has none. Of Max, Abs and Piecewise in a force the kernel makes do with one-sided slopes, but
-strict_lcp, relaxed_lcp, mpcc and collocation cannot; of sign and Heaviside, or of an energy
-with a corner, nothing can.
+    function_problem(scene)   # "forces[x] contains gamma(x), which a scene cannot use; .."
+
+Plans need derivatives. Ipopt takes those of the forces, and so the second derivatives of the
+energies. Gradients by rollouts, the error growth and the tracking gains are those of the C kernel.
+A corner has no derivative. The kernel takes one-sided slopes of Max, Abs and Piecewise in a force,
+but strict_lcp, relaxed_lcp, mpcc and collocation cannot. Nothing can use sign, Heaviside, or an
+energy with a corner.
 """
 
 from __future__ import annotations
 
-from functools import cache
+import math
+from collections.abc import Iterator
+from contextlib import suppress
 from itertools import islice
 
 import sympy as sp
 from sympy.core.function import ArgumentIndexError
-from sympy.printing.c import C99CodePrinter
-from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from models.scene.scene import Scene, named_expressions
+
+# Smooth functions that C99, numpy and PyTorch have. The derivatives of each are made of these functions, too.
+FUNCTIONS = (
+    *(sp.sin, sp.cos, sp.tan, sp.asin, sp.acos, sp.atan, sp.atan2),
+    *(sp.sinh, sp.cosh, sp.tanh, sp.asinh, sp.acosh, sp.atanh),
+    *(sp.exp, sp.log),
+)
+_OPERATIONS = (sp.Symbol, sp.Number, sp.NumberSymbol, sp.Add, sp.Mul, sp.Pow)
 
 # Functions with corners or jumps, and what to write instead; r is the radius of the rounding, a
 # parameter.
@@ -33,12 +43,14 @@ _ROUNDED = {
     sp.Mod: "a sine of the same period for Mod(x, y)",
 }
 _WITH_CORNERS = tuple(_ROUNDED)
+# Highest order of derivatives that enter a model: Ipopt's, of the forces of an energy.
+_DERIVATIVES = 3
 # Symbols, numbers and operations of an expression that is written out.
 _MOST_PARTS = 300
 
 
 def function_problem(scene: Scene) -> str | None:
-    """`forces[x] contains gamma, whose derivative polygamma has no form in C ..`, the first of them; None: all are smooth and have one."""
+    """Return a sentence on the first part that a scene cannot use; None if there is none."""
     for field, expression, *_ in named_expressions(scene):
         corners = sorted(
             expression.atoms(*_WITH_CORNERS),
@@ -52,14 +64,13 @@ def function_problem(scene: Scene) -> str | None:
             elif field.endswith((": stiffness", ": damping", ": coefficient")):
                 mend = "make it a parameter of its value"
             return f"{field} contains {shortened(corners[0])}, which is not differentiable everywhere, as plans need it; {mend}."
-        for name, function, count in sorted(
-            {(str(used.func), used.func, len(used.args)) for used in expression.atoms(sp.Function)},
-            key=str,
-        ):
-            missing = _missing(function, count)
-            if missing is not None:
-                what = name if missing == name else f"{name}, whose derivative contains {missing}"
-                return f"{field} contains {what}, which has no form in C; use smooth elementary functions (sin, exp, sqrt, tanh ..)."
+        for number in sorted(expression.atoms(sp.Number), key=str):
+            if number != 0 and float(abs(number)) in (0.0, math.inf):
+                return f"{field} contains {sp.N(number, 3)}, which no double holds; use numbers from 1e-300 to 1e300."
+        unusable = sorted(_unusable(expression, _DERIVATIVES), key=lambda text: (len(text), text))
+        if unusable:
+            names = ", ".join(function.__name__ for function in FUNCTIONS)
+            return f"{field} contains {unusable[0]}, which a scene cannot use; write it with + - * / **, sqrt, {names}."
     return None
 
 
@@ -79,17 +90,20 @@ def is_longer(expression: sp.Basic, parts: int) -> bool:
     return sum(1 for _ in islice(sp.preorder_traversal(expression), parts + 1)) > parts
 
 
-@cache
-def _missing(function: type[sp.Function], count: int) -> str | None:
-    """The function without a form in C in that of `count` arguments, or else in its derivatives."""
-    arguments = [sp.Dummy(f"x{index}", real=True) for index in range(count)]
-    value = function(*arguments)
-    try:
-        C99CodePrinter().doprint(value)
-        for argument in arguments:
-            C99CodePrinter().doprint(value.diff(argument))
-    except PrintMethodNotImplementedError as error:
-        return str(error).splitlines()[0].rpartition(": ")[2]
-    except ArgumentIndexError:  # no derivative by that argument, which may well be a constant
-        return None
-    return None
+def _unusable(expression: sp.Expr, derivatives: int) -> Iterator[str]:
+    """Parts that cannot be written in C, of the expression and of its derivatives up to an order.
+
+    A function of the scene's author is usable if its class has `_ccode` and `fdiff`.
+    """
+    for part in sp.preorder_traversal(expression):
+        if isinstance(part, _OPERATIONS) or part.func in FUNCTIONS:
+            continue
+        if not hasattr(part, "_ccode"):
+            yield shortened(part)
+        elif derivatives:
+            plain = [sp.Dummy(f"x{index}", real=True) for index in range(len(part.args))]
+            for argument in plain:
+                with suppress(ArgumentIndexError):  # constant in this argument
+                    slope = part.func(*plain).diff(argument)
+                    names = dict(zip(plain, part.args, strict=True))
+                    yield from _unusable(slope.xreplace(names), derivatives - 1)

@@ -321,10 +321,10 @@ MISTAKES = {
         "def f(n):\n  return f(n + 1)\nf(0)\nSCENE =",
         ["RecursionError"],
     ),
-    "a force without a form in C": (
+    "a force of a function that is not smooth C": (
         "forces=(u,",
         "forces=(u * sp.gamma(x + 2),",
-        ["forces[x] contains gamma", "no form in C"],
+        ["forces[x] contains gamma(x + 2)", "write it with", "sqrt"],
     ),
     "a start of too few numbers": (
         "start=(0.0, 0.0, 0.0, 0.0)",
@@ -486,7 +486,7 @@ def test_a_limit_on_an_unknown_figure_is_named_with_its_file(
         "quick in words",
         "an error of two lines",
         "an error of syntax",
-        "a force without a form in C",
+        "a force of a function that is not smooth C",
         None,
     ],
 )

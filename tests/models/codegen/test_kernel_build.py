@@ -138,6 +138,13 @@ def test_refused_code_shows_the_compilers_words(tmp_path: Path):
         )
 
 
+def test_compiler_message_shows_the_error_first(tmp_path: Path):
+    """The lines before it say in which file and function it is."""
+    sources = {"far.h": "static int f(void) { return MISSING; }", "near.c": '#include "far.h"\n'}
+    with pytest.raises(MachineError, match=r"near\.c: far\.h:1:\d+: error: .*MISSING"):
+        compile_shared(find_compiler(), sources, tmp_path / "near.so")
+
+
 def test_cache_that_cannot_be_a_folder_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     blocker = tmp_path / "file"
     blocker.write_text("not a folder")

@@ -6,13 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy as sp
+import torch
 from example_scenes import example_scene
 
+from formulations.shooting.reference import reference_rollout
+from formulations.transcription.residuals import rows_of
 from models.catalog import load_scene
 from models.codegen.kernel import Kernel, KernelError, Rollout, load_kernel
 from models.contact_law import ContactLaw, RelaxationError, contact_force
 from models.dynamics import derive
-from models.scene import Scene
+from models.scene import Coordinate, Input, Parameter, Scene, Task
 from tests.models.test_scene_bank import points
 
 NAMES = ("three_cart", "two_link_arm", "two_body_collision", "bouncing_mass", "oscillator")
@@ -48,6 +52,58 @@ def test_stiffness_energy_power_and_cost_are_those_of_the_scene(name: str):
         + end(q[-1], v[-1]).item()
     )
     assert kernel.cost(q, v, u[:-1]) == pytest.approx(expected, rel=1e-13)
+
+
+_X, _RATE, _PUSH = sp.symbols("x rate push", real=True)
+# Each constant and each function that a scene may contain, of a coordinate near 0.4.
+_TERMS = (
+    *(_X * constant for constant in (sp.pi, sp.E, sp.EulerGamma, sp.GoldenRatio, sp.Catalan)),
+    *(_X * constant for constant in (sp.TribonacciConstant, sp.sqrt(2), sp.log(2), 2 / sp.pi)),
+    *(_X * constant for constant in (sp.log(10), sp.sin(1), sp.Integer(10) ** 30)),
+    *(_X * constant for constant in (sp.Rational(10**20, 10**15 + 1), sp.Float("1e-200"))),
+    *(function(_X) for function in (sp.sin, sp.cos, sp.tan, sp.asin, sp.acos, sp.atan)),
+    *(function(_X) for function in (sp.sinh, sp.cosh, sp.tanh, sp.asinh, sp.atanh, sp.exp)),
+    *(sp.acosh(_X + 2), sp.log(_X + 2, 2), sp.atan2(_X, 2), sp.cbrt(_X), 2**_X, (_X + 1) ** _X),
+)
+
+
+def test_every_constant_and_function_has_its_value_in_c():
+    """Each term is scaled to 1 J. Warnings are errors: a macro that C99 lacks does not compile."""
+    weights = sp.symbols(f"w:{len(_TERMS)}", positive=True)
+    values = [float(term.subs(_X, 0.4)) for term in _TERMS]
+    potential = sp.Add(*(weight * term for weight, term in zip(weights, _TERMS, strict=True)))
+    scene = Scene(
+        name="terms",
+        title="terms",
+        source="this test",
+        coordinates=(Coordinate(symbol=_X, velocity=_RATE, unit="rad"),),
+        inputs=(Input(symbol=_PUSH, unit="N m"),),
+        parameters=tuple(
+            Parameter(symbol=weight, value=1 / value, unit="J")
+            for weight, value in zip(weights, values, strict=True)
+        ),
+        kinetic_energy=_RATE**2 / 2,
+        potential_energy=potential,
+        forces=(_PUSH,),
+        contacts=(),
+        task=Task(start=(0.4, 0.0), goal=(None, None), running_cost=_PUSH**2, step=0.01, steps=2),
+    )
+    kernel, at, none = load_kernel(scene), np.array([[0.4]]), np.zeros((1, 0))
+    assert kernel.energy(at, 0 * at)[1].item() == pytest.approx(len(_TERMS), rel=1e-13)
+    slope = sum(
+        float(term.diff(_X).subs(_X, 0.4)) / value
+        for term, value in zip(_TERMS, values, strict=True)
+    )
+    torque = -kernel.acceleration(at, 0 * at, 0 * at, none).item()
+    assert torque == pytest.approx(slope, rel=1e-12)
+    start, push = torch.tensor([0.4, 0.0]).double(), torch.zeros((2, 1)).double()
+    _, v, _ = reference_rollout(scene, push, start)
+    assert v.numpy() == pytest.approx(
+        kernel.rollout(start.numpy(), push.numpy(), 0.01).v, rel=1e-12
+    )
+    assert rows_of([term / value for term, value in zip(_TERMS, values, strict=True)], [_X])(
+        at
+    ) == pytest.approx(1.0, rel=1e-13)
 
 
 @pytest.mark.parametrize(("law", "eps"), LAWS)
