@@ -31,7 +31,14 @@ from enum import Enum
 import sympy as sp
 
 from models.errors import SceneError
-from models.scene.values import as_expression, as_number, check_name, check_text, settle
+from models.scene.values import (
+    as_expression,
+    as_number,
+    check_name,
+    check_text,
+    named_fields,
+    settle,
+)
 
 
 class DampingLaw(Enum):
@@ -49,6 +56,7 @@ class DampingLaw(Enum):
         return "N s/m" if self is DampingLaw.KELVIN_VOIGT else "s/m"
 
 
+@named_fields
 @dataclass(frozen=True, kw_only=True)
 class Contact:
     """One unilateral contact: `penetration` phi(q) [m], positive in contact, and `stiffness` k [N/m], lam = k*max(phi, 0).
@@ -134,6 +142,7 @@ class Contact:
         return f"gap_{self.name}"
 
 
+@named_fields
 @dataclass(frozen=True, kw_only=True)
 class Friction:
     """Coulomb friction along one tangential direction; see the module docstring.

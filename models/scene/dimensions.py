@@ -12,7 +12,8 @@ variables of "a mass of 1 kg" do; so nobody who leaves units out is accused:
 - a number that multiplies is pure if formulas have it (1/2, 1/12, 2/5); any other may be a measured
   one (9.81) and hides its unit;
 - what holds neither parameter nor input (v**2/2, 4*q) may be multiplied by 1 kg, 1 N/m ..; only
-  where a parameter multiplies it, its own sums must agree;
+  where a parameter multiplies it, its own sums must agree; in penetrations and slips only a number
+  beside it may hide a unit (0.2*omega), and omega alone is no slip;
 - functions that SymPy does not define hide theirs.
 """
 
@@ -118,13 +119,23 @@ def _misfits(
         try:
             for term in sp.Add.make_args(quantity.expression):
                 kind, powers = reader.of(term)
-                if kind == _DECLARED and isinstance(powers, tuple) and powers != expected:
+                declared = kind == _DECLARED or (kind == _BARE and _is_length(quantity, term))
+                if declared and isinstance(powers, tuple) and powers != expected:
                     yield (
                         quantity,
                         f"{shortened(term)} is in {_text(powers)}, but {quantity.what} must be in {quantity.unit}",
                     )
         except _MismatchError as mismatch:
             yield quantity, str(mismatch)
+
+
+def _is_length(quantity: NamedExpression, term: sp.Expr) -> bool:
+    """Return whether a term of variables alone must have its unit: no number in it may hide one."""
+    return (
+        quantity.field.endswith((": penetration", ": slip"))
+        and not term.atoms(sp.Float)
+        and (term.as_coeff_Mul()[0] in (1, -1))
+    )
 
 
 class _Reader:

@@ -25,6 +25,7 @@ from models.scene.values import (
     check_symbol,
     check_text,
     check_unit,
+    named_fields,
     settle,
     settle_bounds,
 )
@@ -33,6 +34,7 @@ from models.scene.values import (
 _SHAPES = {"box": (2,), "disc": (1,), "line": (1,), "wall": (1, 2)}
 
 
+@named_fields
 @dataclass(frozen=True, kw_only=True)
 class Limit:
     """The largest value of a metric of the score with which a plan still holds, and the reason for that number.
@@ -97,6 +99,7 @@ def known_motion_limits(energy: str) -> tuple[Limit, ...]:
     )
 
 
+@named_fields
 @dataclass(frozen=True, kw_only=True)
 class Answer:
     """A known answer of the scene: what it is, its value, tolerance and source.
@@ -122,6 +125,7 @@ class Answer:
             )
 
 
+@named_fields
 @dataclass(frozen=True, kw_only=True)
 class Shape:
     """How a body is drawn: its centre and angle as expressions in q [m, rad].
@@ -173,6 +177,7 @@ class _Named:
         return where
 
 
+@named_fields
 @dataclass(frozen=True, kw_only=True)
 class Parameter(_Named):
     """A physical constant of the scene.
@@ -219,6 +224,7 @@ class Parameter(_Named):
         )
 
 
+@named_fields
 @dataclass(frozen=True, kw_only=True)
 class Coordinate(_Named):
     """A generalised position q and its velocity v = dq/dt.
@@ -262,6 +268,7 @@ class Coordinate(_Named):
         return f"{self.unit}/s"
 
 
+@named_fields
 @dataclass(frozen=True, kw_only=True)
 class Input(_Named):
     """An actuator: a generalised force or torque u within [lower, upper], in `unit`."""
@@ -278,13 +285,13 @@ class Input(_Named):
         settle_bounds(self, where, "lower", "upper")
 
 
+@named_fields
 @dataclass(frozen=True, kw_only=True)
 class Task:
     """What is to be done: from `start` to `goal` in `steps` steps of `step` seconds, at least cost.
 
     start, goal: (2*nq,) positions then velocities; a goal of None leaves its component free at the
-        end, and a goal of nothing but None is
-    a free end. running_cost: an expression in q, v, u and parameters, summed over the starts of the
+        end; goal=() leaves all of them free. running_cost: an expression in q, v, u and parameters, summed over the starts of the
         steps (not integrated: as in the
     paper, cost = sum_t u^2); final_cost: an expression in q, v and parameters, of the last state,
         added to that sum.
@@ -300,6 +307,8 @@ class Task:
     def __post_init__(self) -> None:
         for field in ("start", "goal"):
             values = getattr(self, field)
+            if field == "goal" and (values is None or values == ()):
+                values = (None,) * len(self.start)
             if isinstance(values, str) or not isinstance(values, Iterable):
                 raise SceneError(
                     f"task: {field} must be positions, then velocities, as a tuple of numbers, not {values!r}."

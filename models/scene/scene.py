@@ -30,11 +30,18 @@ from typing import Any, NamedTuple
 
 import sympy as sp
 
-from models.errors import SceneError
+from models.errors import SceneError, nearest
 from models.scene.contacts import Contact, Friction
 from models.scene.parts import Answer, Coordinate, Input, Limit, Parameter, Shape, Task
 from models.scene.quasi_static import LAG, check_quasi_static, relaxation_parameter
-from models.scene.values import as_expression, as_number, check_symbol, check_text, settle
+from models.scene.values import (
+    as_expression,
+    as_number,
+    check_symbol,
+    check_text,
+    named_fields,
+    settle,
+)
 
 # Words of C and of our own generated code; they and Python's may not name a quantity.
 _WORDS_OF_C = """
@@ -44,6 +51,9 @@ _WORDS_OF_C = """
 _RESERVED = frozenset((*keyword.kwlist, *_WORDS_OF_C.split()))
 # Numbers in a plan: 8 GB.
 _MOST_NUMBERS = 10**9
+
+# A limit's metric that is this much like a missing one is the missing one misspelt.
+_ALIKE = 0.8
 
 # What the parts of a scene are made of.
 _PARTS = {
@@ -102,6 +112,7 @@ class Counted:
         return next((limit for limit in self.limits if limit.metric == metric), None)
 
 
+@named_fields
 @dataclass(frozen=True, kw_only=True)
 class Scene(Counted):
     """The single source of one scene; see the module docstring.
@@ -492,12 +503,18 @@ def _check_limits(scene: Scene) -> None:
         if count > 1:
             raise _fail(scene, f"there are {count} limits on {metric}; leave one of them.")
     goal = scene.task.goal
-    for part, values in (("position", goal[: scene.nq]), ("velocity", goal[scene.nq :])):
-        if all(value is None for value in values):
-            continue
-        for metric in (f"terminal_{part}_error", f"replay_terminal_{part}_error"):
-            if scene.limit(metric) is None:
-                raise _fail(
-                    scene,
-                    f"task.goal asks for a {part}, but no limit says how near is near enough; add Limit(metric={metric!r}, value=.., reason=..).",
-                )
+    parts = {"position": goal[: scene.nq], "velocity": goal[scene.nq :]}
+    asked = [part for part, values in parts.items() if any(value is not None for value in values)]
+    needed = [f"{of}terminal_{part}_error" for part in asked for of in ("", "replay_")]
+    missing = [metric for metric in needed if scene.limit(metric) is None]
+    if not missing:
+        return
+    stated = [limit.metric for limit in scene.limits if limit.metric not in needed]
+    near = nearest(missing[0], stated, _ALIKE)
+    if near is not None:
+        raise _fail(scene, f"limit on {near!r}: did you mean {missing[0]!r}?")
+    fields = "".join(f"{part}=.., " for part in asked)
+    raise _fail(
+        scene,
+        f"task.goal asks for a {' and a '.join(asked)}, but no limit says how near is near enough: {', '.join(missing)}; add *goal_limits({fields}reason=..).",
+    )

@@ -14,12 +14,16 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import MISSING, fields
+from functools import wraps
 from numbers import Real
-from typing import Any
+from typing import Any, TypeVar
 
 import sympy as sp
 
-from models.errors import SceneError
+from models.errors import SceneError, did_you_mean
+
+_Part = TypeVar("_Part")
 
 # Exponents of (kg, m, s, rad) of every unit a scene may use; rad is kept, as FMI 2.0's BaseUnit has
 # it.
@@ -81,6 +85,52 @@ _NARROWING = (
     "nonzero",
     "imaginary",
 )
+
+
+# The value that says "none" of a field, by the field's name.
+_NONE = {
+    "contacts": "() if there are none",
+    "inputs": "() if there are none",
+    "parameters": "() if there are none",
+    "goal": "() if any end will do",
+}
+
+
+def named_fields(kind: type[_Part]) -> type[_Part]:
+    """Make a dataclass answer missing and unknown fields in a sentence."""
+    create, every = kind.__init__, fields(kind)
+    needed = [
+        each.name for each in every if each.default is MISSING and each.default_factory is MISSING
+    ]
+    names = [each.name for each in every]
+
+    @wraps(create)
+    def checked(self: Any, *unnamed: Any, **given: Any) -> None:
+        if unnamed:
+            raise SceneError(
+                f"{kind.__name__}: {unnamed[0]!r} has no name; write {kind.__name__}({names[0]}=..)."
+            )
+        unknown = next((name for name in given if name not in names), None)
+        if unknown is not None:
+            advice = did_you_mean(unknown, names, f"its fields are {', '.join(names)}.")
+            raise SceneError(f"{_called(kind, given)}: there is no field {unknown!r}; {advice}")
+        missing = [name for name in needed if name not in given]
+        if missing:
+            verb = "is" if len(missing) == 1 else "are"
+            advice = "".join(f"; {name}={_NONE[name]}" for name in missing if name in _NONE)
+            raise SceneError(
+                f"{_called(kind, given)}: {', '.join(missing)} {verb} missing{advice}."
+            )
+        create(self, **given)
+
+    kind.__init__ = checked  # type: ignore[method-assign]
+    return kind
+
+
+def _called(kind: type, given: dict[str, Any]) -> str:
+    """Name an unfinished part in a message."""
+    name = given.get("name", given.get("symbol", given.get("metric", "")))
+    return f"{kind.__name__.lower()} {name}".rstrip()
 
 
 def check_name(what: str, name: Any) -> None:

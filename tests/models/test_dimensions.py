@@ -124,6 +124,14 @@ def wrong(**given: Any) -> str:
             ["friction f: slip: l*v is in m^2/s"],
         ),
         (
+            {"frictions": (Friction(name="f", slip=omega - v, coefficient=mu, contact="wall"),)},
+            ["friction f: slip: omega is in 1/s … in m/s"],
+        ),
+        (
+            {"contacts": (contact(penetration=q**2),)},
+            ["contact wall: penetration: q**2 is in m^2 … in m"],
+        ),
+        (
             {"frictions": (Friction(name="f", slip=v, coefficient=k, contact="wall"),)},
             ["friction f: coefficient: k is in N/m", "must be in 1"],
         ),
@@ -166,7 +174,7 @@ class Hill(sp.Function):
     {"forces": (-c * v - sp.tanh(v) * q**2, u * l * sp.atan2(l, q))},
     {"forces": (u - m * g * sp.erf((v * c / k) / 0.1), -0.03 * omega)},
     {"contacts": (contact(penetration=l * (theta - HALF), stiffness=k / 2, damping=3),)},
-    {"contacts": (contact(penetration=sp.sin(theta) + q - 1, stiffness=40, depth=sp.Max(l, 2 * l)),
+    {"contacts": (contact(penetration=1.0 * sp.sin(theta) + q - 1, stiffness=40, depth=sp.Max(l, 2 * l)),
                   )},
     {"contacts": (contact(damping=HALF / 3, damping_law=DampingLaw.HUNT_CROSSLEY),)},
     {"frictions": (Friction(name="f", slip=v + omega / 5, coefficient=mu * 2,

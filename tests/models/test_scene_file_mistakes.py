@@ -149,9 +149,29 @@ MISTAKES = {
     "a field that is none": (
         'title="a',
         'titel="", title="a',
-        ["unexpected keyword argument 'titel'"],
+        ["scene own: there is no field 'titel'; did you mean title?"],
     ),
-    "a field that is missing": ('    source="this test",\n', "", ["missing", "'source'"]),
+    "a field that is missing": ('    source="this test",\n', "", ["scene own: source is missing."]),
+    "no contacts": (
+        f"{CONTACT},\n",
+        "",
+        ["scene own: contacts is missing; contacts=() if there are none."],
+    ),
+    "no goal": (
+        f"{GOAL}, ",
+        "",
+        ["task: goal is missing; goal=() if any end will do."],
+    ),
+    "a field without its name": (
+        "Task(start=",
+        "Task(",
+        ["Task: (0.0, 0.0, 0.0, 0.0) has no name; write Task(start=..)."],
+    ),
+    "a limit of the goal misspelt": (
+        '*goal_limits(position=0.01, velocity=0.02, reason="near")',
+        'Limit(metric="terminal_position_eror", value=1.0, reason="near")',
+        ["limit on 'terminal_position_eror': did you mean 'terminal_position_error'?"],
+    ),
     "a field twice": ('title="a', 'source="", title="a', ["SyntaxError", "source"]),
     "an error of syntax": ("forces=(u,", "forces=(u,,", ["SyntaxError", "line 19"]),
     "an error of indentation": (
