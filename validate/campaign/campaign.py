@@ -12,10 +12,7 @@ from __future__ import annotations
 import hashlib
 import math
 import shutil
-import time
-from collections import Counter, deque
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -33,8 +30,8 @@ from reports.records.check_record import CheckRecord, divided
 from reports.records.load import CAMPAIGN
 from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, TimeStepRecord
 from reports.rule import fails, failures, findings
-from validate.campaign.dask import DaskEngine, open_dask
-from validate.campaign.engine import LOCAL, ExecutionContext, LocalEngine, check_engine, open_local
+from validate.campaign.dask import open_dask
+from validate.campaign.engine import LOCAL, ExecutionContext, check_engine, open_local
 from validate.campaign.growing_report import GrowingReport
 from validate.campaign.results import TABLES, write_tables
 from validate.campaign.runs import (
@@ -45,6 +42,7 @@ from validate.campaign.runs import (
     with_stored,
     worlds_tasks,
 )
+from validate.campaign.scheduler import run_tasks
 from validate.campaign.stored import (
     campaign_of,
     check_folder,
@@ -58,23 +56,19 @@ from validate.processes.disk import write_durably
 from validate.processes.process import interrupts_wait
 from validate.store.provenance import gather
 from validate.store.store import Store
-from validate.tasks.leg import forget, must_wait
+from validate.tasks.leg import forget
 from validate.tasks.paper import measure
 from validate.tasks.plugins import load_plugin
-from validate.tasks.task import PlannedLeg, RunTask, Task, TaskRecord, task_to_json
+from validate.tasks.task import RunTask, Task, TaskRecord, path_of, task_to_json
 
 TITLE = "Plans through contact, replayed and scored"
-# Pause between two looks at what is not a task's end [s]; a task that ends is seen at once.
-_LOOK = 0.2
-# How often it is asked whether anybody is there to run tasks [s].
-_SILENCE = 5.0
 
 
 class Narrator(Protocol):
     """Prints the progress of a campaign (validate.cli.narrator)."""
 
-    def begins(self, total: int, stored: int, anew: int) -> None:
-        """Before the first task. stored: tasks whose records are used; anew: stored tasks that run again."""
+    def begins(self, total: int, stored: int) -> None:
+        """Before the first task. stored: tasks whose records are used."""
 
     def notes(self, sentence: str) -> None:
         """Print a fact."""
@@ -163,16 +157,11 @@ def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResu
         return done
 
     waiting = [entry.task.key for entry in entries if entry.stored is None]
-    anew = (
-        store.mark_for_rerun(waiting)
-        if settings.fresh or settings.last_failed
-        else [key for key in waiting if store.needs_rerun(key)]
-    )
     # campaign.json is written before the first task ends, so that a killed campaign can be shown.
     # If nothing runs, the old file keeps the date and command that made the results.
     if waiting or before is None or not same_campaign(campaign, before):
         write_durably(settings.out / CAMPAIGN, campaign.model_dump_json(indent=1))
-    narrator.begins(len(entries), len(records), len(anew))
+    narrator.begins(len(entries), len(records))
     if others:
         narrator.notes(
             f"{len(others)} other runs and checks of the campaign in {settings.out} stay in its tables and report"
@@ -185,7 +174,8 @@ def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResu
     try:
         to_run = [entry.task for entry in entries if entry.stored is None]
         if settings.fresh and to_run:
-            forget(map(_path, to_run), store.legs)
+            store.discard(waiting)
+            forget(map(path_of, to_run), store.legs)
             shutil.rmtree(store.surveys, ignore_errors=True)
         loaded = {entry.task.key: entry.loaded for entry in entries if entry.loaded is not None}
         context = ExecutionContext(store=store, provenance=provenance, loaded=loaded)
@@ -201,7 +191,6 @@ def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResu
                     write()
                     growing.update()
                 if settings.stop_early and fails(record):
-                    store.unmark(key for key in anew if key not in records)
                     break
         if len(records) == len(entries):
             for record in _tried(entries, records, others, context, settings, narrator):
@@ -360,76 +349,3 @@ def _run(
     opened = open_local if settings.engine == LOCAL else partial(open_dask, where)
     with opened(settings.jobs, context, len(tasks)) as engine:
         yield from run_tasks(tasks, engine, context, settings.retries, narrator)
-
-
-def run_tasks(
-    tasks: Sequence[Task],
-    engine: LocalEngine | DaskEngine,
-    context: ExecutionContext,
-    retries: int,
-    narrator: Narrator,
-) -> Generator[TaskRecord, None, None]:
-    """Run all tasks and yield the record of each when it has finished. retries: of one that crashes, before all that wait. Raises MachineError."""
-    waiting, crashes = deque(tasks), Counter[str]()
-    running: dict[Future[TaskRecord | None], Task] = {}
-    asked, said = time.monotonic(), ""
-    while waiting or running:
-        for task in _startable(waiting, list(running.values()), engine.jobs, context):
-            running[engine.submit(task)] = task
-        narrator.runs(_begun(running.values(), context))
-        if time.monotonic() - asked > _SILENCE:
-            asked, why = time.monotonic(), engine.why_idle(len(running))
-            if why and why != said:
-                narrator.warns(why)
-            said = why
-        for future in wait(running, timeout=_LOOK, return_when=FIRST_COMPLETED).done:
-            task = running[future]
-            record = engine.result(task, future)
-            del running[future]
-            if record is None:
-                running[engine.submit(task)] = task
-            elif record.outcome == "crashed" and crashes[task.key] < retries:
-                crashes[task.key] += 1
-                narrator.warns(f"{task.title} crashed and will be tried again: {record.message}")
-                waiting.appendleft(task)
-            else:
-                yield record
-
-
-def _startable(
-    waiting: deque[Task], running: list[Task], jobs: int | None, context: ExecutionContext
-) -> Iterator[Task]:
-    """The tasks that may run beside those that do, taken out of what waits. jobs: at most so many at a time."""
-    for task in tuple(waiting):
-        if jobs is not None and len(running) >= jobs:
-            return
-        if not _uses_what_comes(task, (*waiting, *running), context) and (
-            not running or not _waits(task, running, context)
-        ):
-            waiting.remove(task)
-            running.append(task)
-            yield task
-
-
-def _waits(task: Task, running: Iterable[Task], context: ExecutionContext) -> bool:
-    """Whether a task is to be left for later, since it would run a leg that one of the running is about to store."""
-    return must_wait(_path(task), map(_path, running), context.store.legs, task.time_limit)
-
-
-def _uses_what_comes(task: Task, others: Iterable[Task], context: ExecutionContext) -> bool:
-    """Return whether an unfinished task is about to store a leg that this run uses."""
-    if not isinstance(task, RunTask) or not task.uses:
-        return False
-    coming = {leg.key for other in others if other is not task for leg in _path(other)}
-    return any(not (context.store.legs / key).exists() for key in coming.intersection(task.uses))
-
-
-def _begun(tasks: Iterable[Task], context: ExecutionContext) -> dict[str, Path]:
-    """What those of the tasks are called that have an unfinished folder, wherever they run -> that folder."""
-    folders = {path.name.split("-")[1]: path for path in context.unfinished()}
-    return {task.title: folders[task.key[:12]] for task in tasks if task.key[:12] in folders}
-
-
-def _path(task: Task) -> tuple[PlannedLeg, ...]:
-    """The legs of a run; a check has none."""
-    return task.legs if isinstance(task, RunTask) else ()

@@ -328,7 +328,7 @@ def _usable(store: Store, task: Task, fresh: bool) -> tuple[TaskRecord | None, s
             store.runs / task.key
         ).is_dir() else NOTHING_STORED
     if fresh:
-        return None, "stored, but --fresh runs it anew"
+        return None, "stored, but --fresh runs it again"
     stages = record.stages if isinstance(record, RunRecord) else ()
     outcomes = {record.outcome, *(stage.outcome for stage in stages)}
     if "crashed" in outcomes:
@@ -343,8 +343,6 @@ def _usable(store: Store, task: Task, fresh: bool) -> tuple[TaskRecord | None, s
             )
     if file := store.damaged_file(task.key):
         return None, f"stored, but {file} is gone or cut off"
-    if store.needs_rerun(task.key):
-        return None, "stored, but to be run anew, which was interrupted"
     return record, ""
 
 

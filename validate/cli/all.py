@@ -31,10 +31,10 @@ _RULE = "\n\n".join(
 )
 _EPILOG = f"""{_RULE}
 
-What is stored is used again, except runs that crashed, ran out of a shorter
-time limit than they would have now, or were to be run anew (--fresh,
---last-failed) when that was interrupted. The key of a run is the hash of its
-content: scene, pipeline with all options, our sources, library versions.
+Stored runs are used again, except runs that crashed or ran out of a shorter
+time limit. --fresh deletes the stored runs that are selected, then runs them.
+The key of a run is the hash of its content: scene, pipeline with all options,
+our sources, library versions.
 
 \b
 Examples:

@@ -30,28 +30,19 @@ class PlainNarrator:
     """One line a finished run."""
 
     def __init__(self) -> None:
-        self.total = self.stored = self.done = self.anew = 0
+        self.total = self.stored = self.done = 0
         self._refused: list[RunRecord] = []  # of scenes whose other runs have not ended
 
-    def begins(self, total: int, stored: int, anew: int) -> None:
-        """stored: runs and checks whose records are used.
-
-        anew: others, of which a record is stored too.
-        """
-        self.total, self.stored, self.anew = total, stored, anew
-        again = f", {anew} of them again" if anew else ""
-        self.notes(f"{stored} stored, {total - stored} to run{again}")
+    def begins(self, total: int, stored: int) -> None:
+        """Print the number of tasks. stored: runs and checks whose records are used."""
+        self.total, self.stored = total, stored
+        self.notes(f"{stored} stored, {total - stored} to run")
 
     def so_far(self, out: Path) -> str:
         """How many runs there is a result of, in words."""
         if not out.is_dir():
             return f"{out} is gone, and what was stored in it with it"
-        count = f"{self.stored + self.done} of {self.total} runs"
-        return (
-            f"{count} are done, what {out} holds of the others is kept"
-            if self.anew
-            else f"{count} are stored in {out}"
-        )
+        return f"{self.stored + self.done} of {self.total} runs are stored in {out}"
 
     def notes(self, sentence: str) -> None:
         """What is worth knowing, on a line."""
@@ -99,7 +90,7 @@ class PlainNarrator:
 class BarNarrator(PlainNarrator):
     """The same lines above a bar that says what is running."""
 
-    def begins(self, total: int, stored: int, anew: int) -> None:
+    def begins(self, total: int, stored: int) -> None:
         """Show the bar."""
         from rich.console import Console
         from rich.progress import (
@@ -129,7 +120,7 @@ class BarNarrator(PlainNarrator):
             transient=True,
             expand=True,
         )
-        super().begins(total, stored, anew)
+        super().begins(total, stored)
         self._task = self._progress.add_task("", total=total, completed=stored, left="")
         self._progress.start()
         self._began, self._said = time.monotonic(), 0.0

@@ -174,7 +174,9 @@ SELECTING = options(
         metavar="EXPR",
         help="Only what matches by the name of its scene, pipeline or method: words joined by and, or, not, in upper or lower case. =NAME is a whole name; FMU and stress name the checks.",
     ),
-    click.option("--fresh", is_flag=True, help="Run again what is stored."),
+    click.option(
+        "--fresh", is_flag=True, help="Delete the stored runs that are selected, then run them."
+    ),
     click.option(
         "--worlds/--no-worlds",
         default=None,

@@ -35,7 +35,6 @@ from validate.processes.disk import (
     fsync_whole,
     read_json,
     refusals_in_words,
-    remove,
     renamed,
     tail,
 )
@@ -49,8 +48,6 @@ MACHINE = "machine.txt"
 FILES = "files.json"
 # How much of a log is read, from its end [bytes].
 _LOG_BYTES = 1_000_000
-# In the folder of a stored run that is to be run anew; the new run takes its place, and has none.
-_DUE = "due"
 _OLD = "-old"
 # Letters and digits of what tells one unfinished folder of a task from another.
 _TOKEN = 32
@@ -140,29 +137,10 @@ class Store:
         """What was asked for in a stored task; nothing if that cannot be read."""
         return _request(self.runs / key / REQUEST)
 
-    def mark_for_rerun(self, keys: Iterable[str]) -> list[str]:
-        """Mark stored runs as to be run anew, until they are, whatever ends this campaign.
-
-        The keys of those that are stored. Raises MachineError.
-        """
-        stored = [key for key in keys if os.path.exists(self.runs / key / RECORD)]
-        for key in stored:
-            mark = self.runs / key / _DUE
-            with (
-                refusals_in_words(mark),
-                contextlib.suppress(FileNotFoundError),
-            ):  # another campaign replaces it at this moment
-                mark.touch()
-        return stored
-
-    def needs_rerun(self, key: str) -> bool:
-        """Whether a stored run is marked as to be run anew."""
-        return os.path.exists(self.runs / key / _DUE)  # False too where the folder cannot be read
-
-    def unmark(self, keys: Iterable[str]) -> None:
-        """Take back what `mark_for_rerun` asked for; what was run anew since has no mark."""
+    def discard(self, keys: Iterable[str]) -> None:
+        """Delete stored runs. A campaign that is killed meanwhile leaves the others as they were."""
         for key in keys:
-            remove(self.runs / key / _DUE)
+            shutil.rmtree(self.runs / key, ignore_errors=True)
 
     def requests(self) -> Iterator[dict[str, Any]]:
         """What was asked for in each stored task that can be read."""

@@ -325,21 +325,6 @@ def link_file(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def must_wait(
-    wanted: Sequence[PlannedLeg],
-    running: Iterable[Sequence[PlannedLeg]],
-    stored: Path,
-    limit: float,
-) -> bool:
-    """Whether a run of this path and time limit [s] would run a leg that one of the running is about to store."""
-    theirs = {leg.key for path in running for leg in path}
-    mine = {key for leg in wanted for key in (leg.key, leg.alone)}
-    return any(
-        not any((stored / name).exists() for name in (key, timeout_key(key, limit)))
-        for key in mine & theirs
-    )
-
-
 def forget(paths: Iterable[Sequence[PlannedLeg]], stored: Path) -> None:
     """Take away stored legs: they are to be run anew. What cannot be removed is used again."""
     for key in {key for path in paths for leg in path for key in (leg.key, leg.alone)}:

@@ -220,6 +220,11 @@ TaskRecord: TypeAlias = RunRecord | CheckRecord
 _TASK: TypeAdapter[Task] = TypeAdapter(Task)
 
 
+def path_of(task: Task) -> tuple[PlannedLeg, ...]:
+    """Return the legs of a run; a check has none."""
+    return task.legs if isinstance(task, RunTask) else ()
+
+
 def task_to_json(task: Task) -> dict[str, Any]:
     """Everything that a child and a resumed campaign need."""
     return _TASK.dump_python(task, mode="json")

@@ -5,7 +5,7 @@ import importlib.util
 import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,16 +13,17 @@ from typing import Any
 import pytest
 from wording import unsaid
 
+from formulations.method import Pipeline
 from models.errors import MachineError
-from validate.campaign import campaign as module
-from validate.campaign.campaign import run_tasks
+from validate.campaign import scheduler
 from validate.campaign.dask import DaskEngine, local_cluster
 from validate.campaign.engine import ExecutionContext, LocalEngine, open_local
 from validate.campaign.runs import CampaignSettings, select
+from validate.campaign.scheduler import dependencies, run_tasks
 from validate.processes.process import usable_cores
 from validate.store.provenance import gather
 from validate.store.store import Store
-from validate.tasks.task import ChildExit
+from validate.tasks.task import ChildExit, PlannedLeg, RunTask
 from validate.tasks.worker import record_for_crash
 
 pytestmark = pytest.mark.process
@@ -121,13 +122,6 @@ def test_who_crashed_is_tried_again_before_all_that_wait(campaign: Campaign, eng
     assert done == [one, two, three]
 
 
-@dataclass(frozen=True)
-class _Named:
-    """A cell that is its name."""
-
-    key: str
-
-
 class _Two:
     """An engine for two cells at a time, each of which ends at the second look; started: in order.
 
@@ -141,13 +135,13 @@ class _Two:
         self.beside: list[set[str]] = []
         self._looks: dict[Future[Any], list[Any]] = {}
 
-    def submit(self, cell: _Named) -> Future[Any]:
+    def submit(self, cell: RunTask) -> Future[Any]:
         future: Future[Any] = Future()
         self.started.append(cell.key)
         self._looks[future] = [cell, 2]
         return future
 
-    def result(self, cell: _Named, future: Future[Any]) -> Any:
+    def result(self, cell: RunTask, future: Future[Any]) -> Any:
         return future.result()
 
     def look(self, _running: Sequence[Any]) -> None:
@@ -159,20 +153,54 @@ class _Two:
                 future.set_result(SimpleNamespace(key=told[0].key, outcome="solved"))
 
 
-def test_what_must_wait_is_left_for_later(campaign: Campaign, monkeypatch: pytest.MonkeyPatch):
+def _run_of(name: str, legs: str, uses: tuple[str, ...] = ()) -> RunTask:
+    """A run whose legs are called by one letter each."""
+    path = tuple(PlannedLeg(n, n + 1, leg, f"{leg} alone") for n, leg in enumerate(legs))
+    pipeline = Pipeline(name=name, title=name, legs=())
+    return RunTask(
+        key=name, scene="s", scene_name="s", pipeline=pipeline, plugin="", time_limit=1.0,
+        legs=path, uses=uses,
+    )  # fmt: skip
+
+
+def test_dependencies_first_run_makes_the_common_leg():
+    tasks = [_run_of("one", "ab"), _run_of("two", "ac"), _run_of("three", "d")]
+    assert dependencies(tasks) == {"one": set(), "two": {"one"}, "three": set()}
+
+
+def test_dependencies_leg_that_may_begin_its_path():
+    """The second run may leave its start; its leg is then the first run's."""
+    tasks = [_run_of("one", "a"), _run_of("two", "b")]
+    tasks[1] = replace(tasks[1], legs=(PlannedLeg(0, 1, "b", "a"),))
+    assert dependencies(tasks)["two"] == {"one"}
+
+
+def test_dependencies_run_that_reads_legs_of_later_runs():
+    tasks = [_run_of("best", "x", uses=("a", "z")), _run_of("one", "a"), _run_of("two", "y")]
+    assert dependencies(tasks) == {"best": {"one"}, "one": set(), "two": set()}
+
+
+def test_dependencies_runs_that_read_each_other_do_not_wait():
+    tasks = [_run_of("one", "a", uses=("b",)), _run_of("two", "b", uses=("a",))]
+    assert dependencies(tasks) == {"one": set(), "two": set()}
+
+
+def test_run_tasks_starts_a_task_after_its_dependencies(campaign: Campaign):
     engine: Any = _Two()
-
-    def waits(cell: Any, running: Sequence[Any], context: ExecutionContext) -> bool:
-        return any(cell.key[0] == other.key[0] for other in running)
-
-    monkeypatch.setattr(module, "_waits", waits)
-    cells: list[Any] = [_Named(name) for name in ("a1", "a2", "a3", "b1", "b2")]
+    tasks: list[Any] = [
+        _run_of("best", "x", uses=("a", "b")),
+        _run_of("a1", "a"),
+        _run_of("a2", "ac"),
+        _run_of("b1", "b"),
+        _run_of("b2", "bd"),
+    ]
     narrator: Any = SimpleNamespace(runs=engine.look)
-    done = [record.key for record in run_tasks(cells, engine, campaign.context, 0, narrator)]
-    assert engine.started == ["a1", "b1", "a2", "b2", "a3"]
+    done = [record.key for record in run_tasks(tasks, engine, campaign.context, 0, narrator)]
+    assert engine.started[:2] == ["a1", "b1"]
+    assert sorted(engine.started[2:]) == ["a2", "b2", "best"]
     assert sorted(done) == sorted(engine.started)
     assert max(map(len, engine.beside)) == 2
-    assert all(len({name[0] for name in names}) == len(names) for names in engine.beside)
+    assert {"a1", "a2"} not in engine.beside
 
 
 @pytest.mark.parametrize(("jobs", "expected"), [(None, usable_cores()), (1, 1), (3, 3)])
@@ -208,7 +236,7 @@ def test_a_cluster_without_workers_is_waited_for_and_told_of_once(
             raise BrokenPipeError
 
     campaign.watch, campaign.dumb = watch, True
-    monkeypatch.setattr(module, "_SILENCE", 0.1)
+    monkeypatch.setattr(scheduler, "_IDLE_CHECK_S", 0.1)
     with pytest.raises(BrokenPipeError):
         campaign.run(campaign.dask())
     (said,) = campaign.told
@@ -223,7 +251,7 @@ def test_workers_of_this_machine_that_nobody_starts_anew_are_not_waited_for(
 
     nannies = [SimpleNamespace(status=Status.closed), SimpleNamespace(status=Status.failed)]
     campaign.cluster, campaign.dumb = SimpleNamespace(workers=dict(enumerate(nannies))), True
-    monkeypatch.setattr(module, "_SILENCE", 0.0)
+    monkeypatch.setattr(scheduler, "_IDLE_CHECK_S", 0.0)
     with pytest.raises(MachineError) as caught:
         campaign.run(campaign.dask())
     assert not unsaid(

@@ -161,7 +161,7 @@ def test_the_bar_has_the_numbers_whole_and_what_runs_as_far_as_there_is_room(
     monkeypatch.setattr(rich.console, "Console", lambda **_: terminal())
     monkeypatch.setattr(narrator.time, "monotonic", lambda: float(next(clock)))
     bar = narrator.BarNarrator()
-    bar.begins(30, 4, 2)
+    bar.begins(30, 4)
     progress(tmp_path, "the certificate of stage 1 (strict_lcp)")
     busy = "three_cart_steps_50_step_0p1 x softplus_dc+strict"
     bar.runs({busy: tmp_path, f"{busy} (2 of 2)": tmp_path})
@@ -170,7 +170,7 @@ def test_the_bar_has_the_numbers_whole_and_what_runs_as_far_as_there_is_room(
     bar.ends()
     lines = re.split(r"[\r\n]+", re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.getvalue()))
     assert max(map(len, lines)) <= width
-    assert "4 stored, 26 to run, 2 of them again" in lines
+    assert "4 stored, 26 to run" in lines
     assert not unsaid(" ".join(" ".join(lines).split()), "[5/30] three_cart x strict: solved")
     before, after = (
         lines[: (done := next(place for place, line in enumerate(lines) if "[5/30]" in line))],
@@ -206,7 +206,7 @@ def test_what_does_not_apply_to_a_scene_is_told_once_for_each_reason_when_its_ru
         refused("own", "a reason: so."),
     ]
     plain = narrator.PlainNarrator()
-    plain.begins(4, 0, 0)
+    plain.begins(4, 0)
     for run in (*runs, factory.run("strict", None, "strict_lcp")):
         plain.finished(run)
     assert plain.done == 4
@@ -225,7 +225,7 @@ def test_what_does_not_apply_is_told_at_the_end_where_the_other_runs_of_its_scen
     """Ctrl-C, or -x: the scene is never whole."""
     run = refused("mpcc", "m: it has none.")
     plain = narrator.PlainNarrator()
-    plain.begins(3, 0, 0)
+    plain.begins(3, 0)
     plain.finished(run)
     plain.ends()
     assert capsys.readouterr().err.splitlines() == [
@@ -233,7 +233,7 @@ def test_what_does_not_apply_is_told_at_the_end_where_the_other_runs_of_its_scen
         "not applicable: mpcc: it has none.",
     ]
     whole = narrator.PlainNarrator()
-    whole.begins(1, 0, 0)
+    whole.begins(1, 0)
     whole.finished(run)
     whole.found([run])
     capsys.readouterr()
@@ -243,7 +243,7 @@ def test_what_does_not_apply_is_told_at_the_end_where_the_other_runs_of_its_scen
 
 def test_of_a_folder_that_is_gone_nothing_is_said_to_be_stored(tmp_path):
     plain = narrator.PlainNarrator()
-    plain.begins(3, 1, 0)
+    plain.begins(3, 1)
     assert plain.so_far(tmp_path) == f"1 of 3 runs are stored in {tmp_path}"
     gone = tmp_path / "gone"
     assert not unsaid(plain.so_far(gone), f"{gone} is gone")

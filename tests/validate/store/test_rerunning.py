@@ -10,7 +10,7 @@ from killed_campaigns import FAKES_FOLDER
 from wording import unsaid
 
 from validate.campaign.campaign import run_campaign
-from validate.campaign.runs import CampaignSettings, reasons, select, with_stored
+from validate.campaign.runs import CampaignSettings, select, with_stored
 from validate.cli.narrator import PlainNarrator
 from validate.store.provenance import command_line
 from validate.store.store import Store
@@ -46,7 +46,7 @@ def test_last_failed_runs_those_and_keeps_the_rest(cli, dry_run, ran):
         "only_exit_seven": "it failed the last time",
     }
     again = cli("all", *FAKES, "--out", str(ran), "--lf", "--json")
-    assert again.stderr.splitlines()[0] == "1 stored, 2 to run, 2 of them again"
+    assert again.stderr.splitlines()[0] == "1 stored, 2 to run"
     assert {row["pipeline"] for row in json.loads(again.stdout)["results"]} == set(why)
 
 
@@ -69,8 +69,8 @@ class _Stopped(PlainNarrator):
         raise KeyboardInterrupt
 
 
-def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch, capsys):
-    """Also where nothing is heard of the interruption: the marks lie in the store."""
+def test_fresh_interrupted_goes_on(tmp_path, monkeypatch):
+    """The same command without --fresh runs only the runs that --fresh did not reach."""
     monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
     settings = CampaignSettings(
         out=tmp_path,
@@ -81,40 +81,29 @@ def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch,
         worlds=False,
     )
     whole = run_campaign(settings, PlainNarrator())
+    before = {path: path.read_bytes() for path in tmp_path.glob("runs/*/record.json")}
     stopped = _Stopped()
     with pytest.raises(KeyboardInterrupt):
         run_campaign(replace(settings, fresh=True), stopped)
-    assert (stopped.stored, stopped.done, stopped.anew, stopped.total) == (0, 1, 2, 2)
-    assert not unsaid(stopped.so_far(tmp_path), f"1 of 2 runs are done … {tmp_path}")
-    assert "0 stored, 2 to run, 2 of them again" in capsys.readouterr().err
-    kept = {path.parent.name: path.read_bytes() for path in tmp_path.glob("runs/*/record.json")}
-    assert len(kept) == 2
-    store, (chosen, _) = Store(tmp_path), select(settings)
-    assert sorted(reasons(with_stored(chosen, store, settings), store)) == [
-        "",
-        "stored, but to be run anew, which was interrupted",
-    ]
+    assert (stopped.stored, stopped.done, stopped.total) == (0, 1, 2)
+    assert stopped.so_far(tmp_path) == f"1 of 2 runs are stored in {tmp_path}"
+    assert len(list(tmp_path.glob("runs/*/record.json"))) == 1
     resumed = PlainNarrator()
     again = run_campaign(settings, resumed)
-    assert (resumed.stored, resumed.done, resumed.anew) == (1, 1, 1)
+    assert (resumed.stored, resumed.done) == (1, 1)
     assert [record.key for record in again.records] == [record.key for record in whole.records]
-    done = [
-        path.parent.name
-        for path in tmp_path.glob("runs/*/record.json")
-        if path.read_bytes() != kept[path.parent.name]
-    ]
-    assert len(done) == 1, "each cell was run anew once"
+    assert all(path.read_bytes() != content for path, content in before.items())
+    store, (chosen, _) = Store(tmp_path), select(settings)
     assert all(entry.stored for entry in with_stored(chosen, store, settings))
 
 
 def test_what_a_stop_at_the_first_failure_leaves_stays_as_it_is(cli, dry_run, ran):
     done = cli("all", *FAKES, "--out", str(ran), "--lf", "-x", "-j", "1")
-    assert done.stderr.splitlines()[0] == "1 stored, 2 to run, 2 of them again"
+    assert done.stderr.splitlines()[0] == "1 stored, 2 to run"
     assert not unsaid(
         done.stderr,
         "first failure (-x)",
-        "2 of 3 runs are done",
-        f"{ran} holds of the others is kept",
+        f"2 of 3 runs are stored in {ran}",
     )
     plan = json.loads(dry_run(*FAKES, "--out", str(ran), "-k", CHOICE, "--json").stdout)
     assert {run["why"] for run in plan["runs"]} == {"", "stored, but it crashed"}

@@ -11,7 +11,6 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
-from wording import unsaid
 
 from models.errors import MachineError
 from reports.records.check_record import CheckRecord
@@ -128,35 +127,13 @@ def test_a_record_of_another_key_is_not_the_tasks(store: Store):
     assert store.read("other") is store.read("nowhere") is store.read("\0") is None
 
 
-def test_a_mark_stays_until_it_is_taken_back(store: Store):
-    run = factory.runs()[0]
-    put(store, run.key, run)
-    put(store, "without a record")
-    assert store.mark_for_rerun([run.key, "without a record", "nowhere"]) == [run.key]
-    assert [store.needs_rerun(key) for key in (run.key, "without a record", "nowhere")] == [
-        True,
-        False,
-        False,
-    ]
-    store.unmark([run.key, "nowhere"])
-    assert not store.needs_rerun(run.key)
-
-
-def test_a_disk_that_takes_no_mark_is_told_with_the_mark(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-):
-    run = factory.runs()[0]
-    put(store, run.key, run)
-
-    def full(path: Path) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device", str(path))
-
-    monkeypatch.setattr(Path, "touch", full)
-    with pytest.raises(MachineError) as told:
-        store.mark_for_rerun([run.key])
-    assert not unsaid(
-        told.value, f"cannot write {store.runs / run.key}", "the disk is full", "make room"
-    )
+def test_discard_deletes_the_named_runs_only(store: Store):
+    kept, gone = factory.runs()[:2]
+    for run in (kept, gone):
+        put(store, run.key, run)
+    store.discard([gone.key, "nowhere"])
+    assert store.read(gone.key) is None
+    assert store.read(kept.key) == kept
 
 
 @pytest.mark.parametrize(("processor", "told"), [("Z80", "Z80"), ("", "vax")])

@@ -17,7 +17,6 @@ from models.trajectory_netcdf import read_netcdf
 from validate.tasks.leg import (
     PlannedLeg,
     legs_in,
-    must_wait,
     place,
     planned_legs,
     planned_stages,
@@ -174,9 +173,6 @@ def test_what_used_up_the_time_of_a_cell_does_so_once(lost, tmp_path):
     assert taken[0].limit == 12.0
     for limit in (24.0, None):  # with more time it is run again; later in a path it says nothing
         assert take(lost.out / "legs", key, limit, 1, tmp_path / "leg_2", scene) is None
-    legs = (PlannedLeg(0, 1, key, key),)
-    assert not must_wait(legs, [legs], lost.out / "legs", 12.0)
-    assert must_wait(legs, [legs], lost.out / "legs", 24.0)
 
 
 def test_the_time_of_a_pipeline_is_that_of_its_stages_wherever_they_ran(whole):
@@ -274,17 +270,3 @@ def test_plans_of_legs_lie_in_the_run(whole):
             range(len(plans))
         )
         assert not [path for path in folder.iterdir() if path.is_dir()]
-
-
-def test_a_stored_leg_is_waited_for_by_nobody(tmp_path):
-    mine, theirs = (
-        (PlannedLeg(0, 1, "short", "short"), PlannedLeg(1, 2, "long", "last")),
-        (PlannedLeg(0, 1, "short", "short"),),
-    )
-    assert must_wait(mine, [(), theirs], tmp_path, 1.0)
-    assert must_wait(
-        mine, [(PlannedLeg(0, 1, "last", "last"),)], tmp_path, 1.0
-    )  # it may come to start as that does
-    assert not must_wait(mine, [(), (PlannedLeg(0, 2, "other", "other"),)], tmp_path, 1.0)
-    (tmp_path / "short").mkdir(parents=True)
-    assert not must_wait(mine, [theirs], tmp_path, 1.0)
