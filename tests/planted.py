@@ -191,8 +191,11 @@ def tests_of(defect: Defect, tree: Path) -> tuple[list[str], list[str]]:
 
 @dataclass(frozen=True)
 class Result:
+    """A planted defect. found_by: the test that failed, ""; in_first: by the first tier."""
+
     defect: Defect
     found_by: str
+    in_first: bool
     seconds: float
 
 
@@ -200,33 +203,36 @@ def tried(defect: Defect, copy: Path) -> Result | None:
     """Plant a defect in a copy of the tree and run the tests; None if it cannot be built."""
     began, place = monotonic(), copy / defect.path
     sound = place.read_text(encoding="utf-8")
-    failed, files = [], []
+    failed, files, in_first = [], [], False
     place.write_text(defect.source, encoding="utf-8")
     try:
         if not _can_be_imported(defect.path, copy):
             return None
         near, others = tests_of(defect, copy)
-        for files, marks in ((near, "not slow"), (others, "not slow"), ([*near, *others], "slow")):
+        for files, marks in ((near, FIRST), (others, FIRST), ([*near, *others], REST)):
             if not files:
                 continue
-            code, output = _run(copy, [*PYTEST, "-m", f"{marks} and not peer", *files])
+            code, output = _run(copy, [*PYTEST, "-m", marks, *files])
             if _DOES_NOT_COMPILE.search(output):
                 return None
             if code not in (0, _NONE_CHOSEN):
-                failed = who_failed(output, copy)
+                failed, in_first = who_failed(output, copy), marks == FIRST
                 break
     finally:
         place.write_text(sound, encoding="utf-8")
     if failed and not failed[0].startswith(_HANGS):
         named = "::" in failed[0]
         code, output = _run(
-            copy, [*PYTEST, failed[0]] if named else [*PYTEST, "--collect-only", *files]
+            copy,
+            [*PYTEST, "-m", "not peer", failed[0]]
+            if named
+            else [*PYTEST, "--collect-only", *files],
         )
         if code != 0:
             raise SystemExit(
                 f"{failed[0]} fails without any defect too; fix it first: {_last_line(output)}"
             )
-    return Result(defect, "".join(failed[:1]), monotonic() - began)
+    return Result(defect, "".join(failed[:1]), in_first, monotonic() - began)
 
 
 def _can_be_imported(path: str, copy: Path) -> bool:
@@ -257,6 +263,9 @@ def who_failed(said: str, copy: Path) -> list[str]:
 # The exit code of pytest where no test has the marks asked for; how it is started.
 _NONE_CHOSEN = 5
 PYTEST = ("-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
+# The tests of README's command, and the others.
+FIRST = "(whole or not slow) and not peer"
+REST = "slow and not (whole or peer)"
 
 
 def _last_line(text: str) -> str:
@@ -347,15 +356,17 @@ def main() -> None:
 
 
 def _summary(results: list[Result]) -> str:
-    """Return how many defects were found, in all and by room."""
+    """Return how many defects were found: in all, by the first tier, and by room."""
     drawn_in = Counter(result.defect.room for result in results)
     found_in = Counter(result.defect.room for result in results if result.found_by)
     rooms = ", ".join(f"{room} {found_in[room]} of {count}" for room, count in drawn_in.items())
-    return f"{found_in.total()} of {len(results)} found: {rooms}"
+    first = sum(result.in_first for result in results)
+    return f"{found_in.total()} of {len(results)} found, {first} by the first tier: {rooms}"
 
 
 def _row(result: Result) -> str:
-    found = f"`{result.found_by}`" if result.found_by else "**survived**"
+    tier = "" if result.in_first else " (slow)"
+    found = f"`{result.found_by}`{tier}" if result.found_by else "**survived**"
     return f"| {result.defect.room} | {str(result.defect).replace('|', chr(92) + '|')} | {found} | {result.seconds:.0f} |"
 
 

@@ -55,7 +55,10 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", TEXTS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.whole) if name == "tutorial" else name for name in TEXTS],
+)
 def test_every_snippet_runs(
     name: str,
     elsewhere: Path,

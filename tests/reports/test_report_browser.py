@@ -58,6 +58,7 @@ def desk(chromium, page_file):
     return chromium.open(page_file)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("width", "dark"),
     [(1400, False), (1400, True), (390, False)],

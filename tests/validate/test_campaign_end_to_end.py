@@ -13,7 +13,7 @@ from reports.pages.section import run_page
 from reports.records.record import RunRecord
 from reports.traces import read_motion
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.whole]
 
 CHOICE = ("all", "--scene", "three_cart", "-k", "softplus_gd+relu_gd")
 

@@ -55,6 +55,7 @@ def killed(cache, temporary, tmp_path_factory):
     return folder / "whole", kill_and_resume(folder, cache, _KILLS, 1, "-j", "2", cells=CELLS)
 
 
+@pytest.mark.whole
 def test_a_killed_campaign_loses_nothing_and_leaves_nothing(killed, temporary):
     _, seen = killed
     assert seen.faults == []
