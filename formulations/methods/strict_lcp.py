@@ -56,9 +56,6 @@ _ATTACK = Work(5e6, 1000)
 # A plan that misses its own time step by more than this was never one: the first guess is a better
 # start.
 _BROKEN = 1e-2
-# Part of the remaining time an attack may take: a cut-off attack leaves modes that can still be
-# solved exactly, in a twentieth of its time.
-_ATTACK_SHARE = 0.8
 _CUT_OFF = "The search for contact modes was cut off by its limit or stalled; with more time, or a warm start, a cheaper plan may be found."
 
 
@@ -230,11 +227,9 @@ class StrictLCPSession(Session):
         """
         options, from_plan = self._attack_options(budget, start), self._options.ipopt()
         if start is None or not is_first:
-            return self._solver.attempt(budget, options, from_plan=from_plan, share=_ATTACK_SHARE)
+            return self._solver.attempt(budget, options, from_plan=from_plan)
         most = min(options["max_iter"], budget.iterations + _FROM_PLAN)
-        result = self._solver.attempt(
-            budget, {**options, "max_iter": most}, from_plan=from_plan, share=_ATTACK_SHARE
-        )
+        result = self._solver.attempt(budget, {**options, "max_iter": most}, from_plan=from_plan)
         if (
             result.outcome is not Outcome.ITERATION_LIMIT
             or budget.is_over
@@ -243,7 +238,7 @@ class StrictLCPSession(Session):
             return result
         self._solver.load(start)
         inside = {**self._attack_options(budget, start), **self._options.cold_barrier()}
-        return self._solver.attempt(budget, inside, from_plan=from_plan, share=_ATTACK_SHARE)
+        return self._solver.attempt(budget, inside, from_plan=from_plan)
 
     def _ipopt(self, start: Trajectory | None) -> dict[str, Any]:
         return {**self._options.ipopt(), **(self._options.cold_barrier() if start is None else {})}

@@ -103,7 +103,6 @@ class CompiledModel:
         options: Mapping[str, Any],
         after: IpoptResult | None = None,
         *,
-        share: float = 1.0,
         callback: Callback | None = None,
     ) -> IpoptResult:
         """Solve from the values of the model's variables, or with all that another solve knew, and write the point where it ended into the model.
@@ -113,7 +112,6 @@ class CompiledModel:
         budget : of the stage
         options : Ipopt's; max_iter counts for the whole stage
         after : the other solve, whose point and multipliers this one starts from
-        share : part of the remaining time this run may take
         callback : called after each iteration; False stops
         """
         problem = self.problem(budget)
@@ -135,7 +133,7 @@ class CompiledModel:
             options=left,
             warm_start=start,
             callback=callback,
-            time_limit=share * budget.remaining,
+            time_limit=budget.remaining,
         )
         budget.add(result, problem)
         if np.all(np.isfinite(result.x)):

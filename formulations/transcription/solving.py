@@ -451,7 +451,6 @@ class PlanSolver(CompiledModel):
         from_plan: IpoptOptions,
         sharpest: float = np.inf,
         after: IpoptResult | None = None,
-        share: float = 1.0,
         release_at: float | None = None,
     ) -> IpoptResult:
         """Solve the stage.
@@ -460,11 +459,10 @@ class PlanSolver(CompiledModel):
         plan that reaches it.
 
         from_plan: Ipopt's options where it goes on from a plan; sharpest: as in `StageRules`;
-            share: part of the remaining time of each solve;
         release_at: eps of softplus contact at which the goal may be let go, None where it may not.
         """
         monitor = Monitor(watches_goal=release_at is not None)
-        result = self.run(budget, options, after, share=share, callback=monitor)
+        result = self.run(budget, options, after, callback=monitor)
         is_lost = release_at is not None and (
             monitor.has_lost_goal or result.outcome is Outcome.INFEASIBLE
         )
@@ -473,7 +471,7 @@ class PlanSolver(CompiledModel):
             if plan is not None:
                 self.load(plan)
                 monitor = Monitor()
-                result = self.run(budget, options, share=share, callback=monitor)
+                result = self.run(budget, options, callback=monitor)
                 is_lost = False
         if budget.is_over or not (
             is_lost or monitor.is_out or result.outcome is Outcome.INFEASIBLE
@@ -492,7 +490,7 @@ class PlanSolver(CompiledModel):
         elif not monitor.is_out:
             shortfall = f"Ipopt ended where the constraints cannot be met any better, {result.residuals.constraint_violation:.3g} short"
             return replace(result, message=f"{no_plan(self._scene)}: {shortfall}.")
-        again = self.run(budget, options, share=share)
+        again = self.run(budget, options)
         if again.outcome is Outcome.INFEASIBLE and found.is_solved:
             message = f"{again.message}. The goal can be reached nearly (with softened contact: {found.words}), but no plan was found from there."
             return replace(again, outcome=Outcome.STALLED, message=message)

@@ -42,7 +42,7 @@ CHEAP: dict[str, dict[str, object]] = {
         "LENGTHS": (500, 2000),
         "MODEL_LENGTHS": (50, 100),
         "EXPONENT": 100.0,
-        "A_STEP": 100.0,
+        "TIME_EXPONENT": 100.0,
     },  # seconds are for the campaign
     "h14_creep": {"COEFFICIENTS": (0.05, 0.8), "STEPS": (0.01, 0.005)},
     "h18_hold": {"COUNTS": (10, 40), "FINE": 320},

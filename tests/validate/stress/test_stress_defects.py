@@ -258,7 +258,7 @@ def test_an_adjoint_that_is_a_hundred_thousandth_off(monkeypatch):
     monkeypatch.setattr(h08_long_horizon, "LENGTHS", (500, 1000))
     monkeypatch.setattr(h08_long_horizon, "MODEL_LENGTHS", (50, 100))
     monkeypatch.setattr(h08_long_horizon, "EXPONENT", 100.0)  # seconds are for the campaign
-    monkeypatch.setattr(h08_long_horizon, "A_STEP", 100.0)
+    monkeypatch.setattr(h08_long_horizon, "TIME_EXPONENT", 100.0)
 
     def wrong(self: Kernel, *arguments: object, **bars: object) -> tuple[Any, Any]:
         u_bar, start_bar = adjoint(self, *arguments, **bars)
