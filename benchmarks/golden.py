@@ -40,6 +40,7 @@ FIGURES = (
     "replay_terminal_error",
     "replay_error",
     "physics_scaled",
+    "answer_error",
 )
 COLUMNS: tuple[str, ...] = (*KEY, *WORDS, *FIGURES)
 SEPARATOR = "|"
@@ -203,6 +204,14 @@ def cost_faults(before: Row, after: Row, printed: float | None = None) -> list[s
     return [f"cost {before['cost']} -> {after['cost']}"]
 
 
+def answer_faults(before: Row, after: Row) -> list[str]:
+    """Return a phrase if a replay's distance from the closed form of its scene has changed."""
+    values, value = _numbers(before, "answer_error"), _numbers(after, "answer_error")
+    if not values or any(abs(value[0] - old) <= ROUNDING * old for old in values if value):
+        return []
+    return [f"answer_error {before['answer_error']} -> {after['answer_error'] or '-'}"]
+
+
 def moved(before: Row, after: Row) -> list[str]:
     """Return the words and figures that lie outside the spread of the frozen campaigns."""
     found = [
@@ -245,7 +254,9 @@ def compared(before: Sequence[Row], after: Sequence[Row]) -> Iterator[tuple[str,
         name = " | ".join(key)
         if key not in old or key not in new:
             yield ("new" if key in new else "left"), name
-        elif wrong := cost_faults(old[key], new[key], printed.get(key)):
+        elif wrong := (
+            cost_faults(old[key], new[key], printed.get(key)) + answer_faults(old[key], new[key])
+        ):
             yield "worse", f"{name}: {', '.join(wrong)}"
         else:
             words = moved(old[key], new[key])

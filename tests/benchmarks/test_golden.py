@@ -63,6 +63,9 @@ def test_committed_campaigns_are_complete():
         ({}, {"iterations": "300"}, "moved"),
         ({"iterations": "90|310"}, {"iterations": "300"}, "kept"),
         ({}, {"replay_error": ""}, "moved"),
+        ({"answer_error": "0.0076124315"}, {"answer_error": "0.007612432"}, "kept"),
+        ({"answer_error": "0.0076124315"}, {"answer_error": "0.00761245"}, "worse"),
+        ({"answer_error": "0.0076124315"}, {}, "worse"),
     ],
 )
 def test_compared_row_word(before: dict[str, str], after: dict[str, str], word: str):
