@@ -215,7 +215,10 @@ def _build(scene: Scene) -> Dynamics:
     slip = sp.Matrix(scene.nf, 1, [friction.slip for friction in scene.frictions])
     limit = [
         item.coefficient
-        * (pressing[item.contact] if item.contact is not None else item.normal_force)
+        * sp.Add(
+            *(pressing[name] for name in item.pressing),
+            0 if item.normal_force is None else item.normal_force,
+        )
         for item in scene.frictions
     ]
 

@@ -288,7 +288,7 @@ def _scene(scene: Scene) -> str:
             f"`{item.name}`",
             f"`{item.slip}`",
             f"`{item.coefficient}`",
-            item.contact or f"`{item.normal_force}`",
+            " + ".join(item.pressing) or f"`{item.normal_force}`",
             _number(item.nominal),
             item.description,
         )

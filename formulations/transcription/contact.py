@@ -450,9 +450,7 @@ def add_friction(
     names = [friction.name for friction in scene.frictions]
     block.set_frictions = pyo.Set(initialize=names)
     block.set_pressed = pyo.Set(
-        initialize=[
-            (item.name, item.contact) for item in scene.frictions if item.contact is not None
-        ],
+        initialize=[(item.name, contact) for item in scene.frictions for contact in item.pressing],
         dimen=2,
     )
     block.variable_friction = pyo.Var(block.set_steps, block.set_frictions, initialize=0.0)

@@ -27,13 +27,18 @@ typedef struct {
     double limit[NF];     /* mu N [N] */
 } FrictionStep;
 
-/* Solve the symmetric positive definite system K x = b of size n in place (K destroyed); 0, or 1 if K is singular. */
+/* A pivot below this share of its diagonal entry is rounding: frictions before it hold the same motion already. */
+#define FRICTION_REDUNDANT 1e-14
+
+/* Solve the symmetric positive semidefinite system K x = b of size n in place (K destroyed); a friction whose motion those before it
+ * hold already gets 0. Returns 0, or 1 if K has no numbers. */
 SCENE_FUNCTION int friction_solve(int n, double K[NF][NF], double *x)
 {
     for (int j = 0; j < n; j++) {
+        const double diagonal = K[j][j];
         for (int k = 0; k < j; k++) K[j][j] -= K[j][k] * K[j][k];
-        if (!(K[j][j] > 0.0)) return 1;
-        K[j][j] = sqrt(K[j][j]);
+        if (!(K[j][j] >= -INFINITY)) return 1; /* NaN */
+        K[j][j] = K[j][j] > FRICTION_REDUNDANT * diagonal ? sqrt(K[j][j]) : INFINITY;
         for (int i = j + 1; i < n; i++) {
             for (int k = 0; k < j; k++) K[i][j] -= K[i][k] * K[j][k];
             K[i][j] /= K[j][j];

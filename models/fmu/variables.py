@@ -302,7 +302,10 @@ def friction_nominals(scene: Scene) -> list[float]:
     pressing = {contact.name: contact.stiffness * contact.nominal for contact in scene.contacts}
     forces = [
         item.coefficient
-        * (pressing[item.contact] if item.contact is not None else sp.sympify(item.normal_force))
+        * sp.Add(
+            *(pressing[name] for name in item.pressing),
+            0 if item.normal_force is None else item.normal_force,
+        )
         for item in scene.frictions
     ]
     return [max(float(force.subs(start).subs(scene.parameter_values)), 1e-6) for force in forces]

@@ -152,11 +152,12 @@ def _check_frictions(scene: Scene) -> None:
     contacts = [contact.name for contact in scene.contacts]
     for friction in scene.frictions:
         where = f"friction {friction.name}"
-        if friction.contact is not None and friction.contact not in contacts:
+        unknown = next((name for name in friction.pressing if name not in contacts), None)
+        if unknown is not None:
             known = f"its contacts are {', '.join(contacts)}" if contacts else "it has no contacts"
             raise _fail(
                 scene,
-                f"{where}: there is no contact {friction.contact!r} to press the surfaces together; {known}.",
+                f"{where}: there is no contact {unknown!r} to press the surfaces together; {known}.",
             )
         slope = [sp.diff(friction.slip, velocity) for velocity in velocities]
         at_rest = friction.slip.subs(dict.fromkeys(velocities, 0))

@@ -149,7 +149,7 @@ class Friction:
 
     slip: s(q, v) [m/s], linear in the velocities; coefficient: mu [-], of parameters. The pressing
         force N [N] is either that of
-    `contact` (by name) or `normal_force`, an expression in positions and parameters that is never
+    `contact` (by name; the sum of several by a tuple of names) or `normal_force`, an expression in positions and parameters that is never
         negative. nominal: a typical
     slip speed [m/s], the unit in which regularised friction is smooth and slip is called zero.
     """
@@ -157,7 +157,7 @@ class Friction:
     name: str
     slip: sp.Expr
     coefficient: sp.Expr
-    contact: str | None = None
+    contact: str | tuple[str, ...] | None = None
     normal_force: sp.Expr | None = None
     nominal: float = 0.1
     description: str = ""
@@ -179,6 +179,13 @@ class Friction:
             raise SceneError(
                 f"{where}: nominal (a typical slip speed in m/s) must be positive, not {self.nominal:g}."
             )
+
+    @property
+    def pressing(self) -> tuple[str, ...]:
+        """Names of the contacts whose forces press the surfaces together; none with a normal force."""
+        if self.contact is None:
+            return ()
+        return (self.contact,) if isinstance(self.contact, str) else tuple(self.contact)
 
     @property
     def force_name(self) -> str:

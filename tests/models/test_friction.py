@@ -1,5 +1,7 @@
 """Dry friction: what a scene may say of it, Coulomb's law in the time step, and its exact adjoint."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -71,6 +73,10 @@ def two_coupled_frictions() -> Scene:
                   step=STEP, steps=STEPS),
         limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
     )  # fmt: skip
+
+
+# Shares of one coefficient that two frictions of the same slip have.
+PAIR = {"left": sp.Rational(1, 4), "right": sp.Rational(3, 4)}
 
 
 def roll(
@@ -192,6 +198,23 @@ def test_adjoint_is_the_derivative(law: ContactLaw, eps: float | None) -> None:
     assert float((u_bar * along_u).sum() + start_bar @ along_start) == pytest.approx(
         expected, rel=1e-6
     )
+
+
+def test_adjoint_of_frictions_with_one_slip_is_the_derivative() -> None:
+    """Where both stick, their equations say one thing twice."""
+    scene = two_coupled_frictions()
+    belt = scene.frictions[0]
+    belts = tuple(replace(belt, name=name, coefficient=mu * share) for name, share in PAIR.items())
+    double = replace(scene, frictions=(*belts, scene.frictions[1]))
+    rng = np.random.default_rng(2)
+    u = 8.0 * rng.normal(size=(STEPS, 1))
+    found = []
+    for one in (scene, double):
+        kernel = load_kernel(one)
+        result = roll(kernel, one, u)
+        found.append((result.v, *kernel.adjoint(result, u, 1 + result.q, result.v)))
+    for single, pair in zip(*found, strict=True):
+        assert pair == pytest.approx(single, rel=1e-9, abs=1e-10)
 
 
 def test_friction_is_in_the_equations_and_in_the_plan() -> None:

@@ -309,7 +309,9 @@ class Equations:
         S = now["direction"][sticks]
         system = np.zeros((n + len(S), n + len(S)))
         system[:n, :n], system[:n, n:], system[n:, :n] = now["mass"], -S.T, S
-        solution = np.linalg.solve(system, np.concatenate([force, -now["slip_rate"][sticks]]))
+        right = np.concatenate([force, -now["slip_rate"][sticks]])
+        # Frictions that hold one motion share their force: the system is singular, but consistent.
+        solution = np.linalg.lstsq(system, right)[0]
         friction[sticks] = solution[n:]
         return solution[:n], friction
 

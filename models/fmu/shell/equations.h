@@ -21,7 +21,7 @@ static inline void slip_adjoint(const Model *m, double weight, int j, Tangent *b
 static inline void reserve_adjoint(const Model *m, double weight, int j, Tangent *bar) { (void)m, (void)weight, (void)j, (void)bar; }
 static inline void friction_power_adjoint(const Model *m, double weight, Tangent *bar) { (void)m, (void)weight, (void)bar; }
 static inline int sticking_adjoint(const Model *m, Tangent *bar) { return (void)m, (void)bar, 0; }
-static inline void slipping_adjoint(const Model *m, Tangent *bar) { (void)m, (void)bar; }
+static inline int slipping_adjoint(const Model *m, Tangent *bar) { return (void)m, (void)bar, 0; }
 #endif
 
 /* Half-width of the hysteresis around gap = 0, as a share of the contact's nominal penetration. Event location leaves a gap
@@ -379,7 +379,7 @@ static inline int model_adjoint(const Model *m, Tangent *bar)
     if (sticking_adjoint(m, bar)) return 1;
     if (scene_acceleration_vjp(m->q, m->v, m->u, m->lam, m->p, bar->a, bar->q, bar->v, bar->u, bar->lam)) return 1;
     if (scene_acceleration_parameter_vjp(m->q, m->v, m->u, m->lam, m->p, m->a, bar->a, bar->p)) return 1;
-    slipping_adjoint(m, bar);
+    if (slipping_adjoint(m, bar)) return 1;
     DAMPED(damping_adjoint(m, bar);)
     for (int i = 0; i < NC; i++) {
         if (!m->modes[i]) continue;

@@ -9,6 +9,8 @@
 #ifndef FRICTION_MODES_H
 #define FRICTION_MODES_H
 
+#include <float.h>
+
 #include "friction.h"
 #include "model.h"
 
@@ -31,14 +33,46 @@ static inline int friction_rates(const Model *m, const double *q, const double *
     return friction_columns(1.0, m->p, q, v, u, lam, rates);
 }
 
-/* Solve (S M^-1 S') x = b on the sticking frictions; entries of x elsewhere become zero. x holds b. Frictions that hold the same
- * motion twice share the force: a share of 1e-13 on the diagonal decides how. */
-static inline int solve_sticking(const FrictionStep *rates, const int *modes, double *x)
+/* Sticking frictions whose slips are multiples of one slip form a group. They share its force as their limits are, so that all of them
+ * begin to slip at once. */
+typedef struct {
+    int leader[NF];     /* the first friction of the group, -1 for what slips */
+    double ratio[NF];   /* |slip / slip of the leader| */
+    double share[NF];   /* friction force / force of the group along the leader's slip */
+    double limit[NF];   /* of the group, at its leader */
+} Sharing;
+
+/* Whether the slips of two frictions are multiples of each other. */
+static inline int is_parallel(const FrictionStep *rates, int i, int j)
+{
+    return rates->hW[i][j] * rates->hW[j][i] >= (1.0 - 1e-12) * rates->hW[i][i] * rates->hW[j][j];
+}
+
+static inline void share_sticking(const FrictionStep *rates, const int *modes, Sharing *g)
+{
+    for (int j = 0; j < NF; j++) {
+        g->leader[j] = modes[j] ? -1 : j;
+        g->limit[j] = g->share[j] = 0.0;
+        for (int i = 0; i < j && g->leader[j] == j; i++)
+            if (g->leader[i] == i && is_parallel(rates, i, j)) g->leader[j] = i;
+        if (modes[j]) continue;
+        const double ratio = g->leader[j] == j ? 1.0 : rates->hW[j][g->leader[j]] / rates->hW[g->leader[j]][g->leader[j]];
+        g->ratio[j] = fabs(ratio);
+        g->share[j] = copysign(fmax(rates->limit[j], DBL_MIN), ratio);
+        g->limit[g->leader[j]] += fabs(ratio * g->share[j]);
+    }
+    for (int j = 0; j < NF; j++)
+        if (!modes[j]) g->share[j] /= g->limit[g->leader[j]];
+}
+
+/* Solve (S M^-1 S') x = b on the leaders of the sticking frictions; entries of x elsewhere become zero. x holds b. Leaders that hold
+ * the same motion together share the force: a share of 1e-13 on the diagonal decides how. */
+static inline int solve_leaders(const FrictionStep *rates, const Sharing *g, double *x)
 {
     double K[NF][NF], b[NF], largest = 0.0;
     int at[NF], n = 0;
     for (int j = 0; j < NF; j++)
-        if (!modes[j]) at[n++] = j;
+        if (g->leader[j] == j) at[n++] = j;
     for (int i = 0; i < n; i++) {
         b[i] = x[at[i]];
         for (int j = 0; j < n; j++) K[i][j] = rates->hW[at[i]][at[j]];
@@ -48,6 +82,17 @@ static inline int solve_sticking(const FrictionStep *rates, const int *modes, do
     if (n > 0 && friction_solve(n, K, b)) return 1;
     for (int j = 0; j < NF; j++) x[j] = 0.0;
     for (int i = 0; i < n; i++) x[at[i]] = b[i];
+    return 0;
+}
+
+/* The forces x of sticking frictions that change their slip accelerations by b; entries of x elsewhere become zero. x holds b. */
+static inline int solve_sticking(const FrictionStep *rates, const int *modes, double *x)
+{
+    Sharing g;
+    share_sticking(rates, modes, &g);
+    if (solve_leaders(rates, &g, x)) return 1;
+    for (int j = NF - 1; j >= 0; j--) /* a leader comes before its followers */
+        if (g.leader[j] >= 0) x[j] = g.share[j] * x[g.leader[j]];
     return 0;
 }
 
@@ -93,7 +138,11 @@ static inline int decide_friction(const Model *m, const double *q, const double 
     friction_balance(0, 0.0, &rates, undecided, f);
     for (int j = 0; j < NF; j++) {
         int mode = s[j] > 0.0 ? 1 : -1;
-        if (undecided[j]) mode = fabs(f[j]) < rates.limit[j] ? 0 : f[j] > 0.0 ? -1 : 1;
+        if (undecided[j]) {
+            mode = f[j] > 0.0 ? -1 : 1;
+            for (int i = 0; i < NF; i++) /* a group sticks if one of it does */
+                if (undecided[i] && fabs(f[i]) < rates.limit[i] && (i == j || is_parallel(&rates, i, j))) mode = 0;
+        }
         else if (fabs(s[j]) <= SLIP_BAND * scene_friction_nominals[j]) {
             /* Nothing presses: it slips the way it is about to, so that a slip that only passes zero is one event. */
             const double rate = slip_at_end(&rates, f, j);
@@ -164,6 +213,16 @@ static inline int friction_tangent(const Model *m, Tangent *d)
     if (friction_columns(1.0, m->p, m->q, m->v, m->u, m->lam, &rates) || solve_sticking(&rates, modes, rate)) return 1;
     for (int j = 0; j < NF; j++)
         if (!modes[j]) d->lam[NC + j] = rate[j];
+    if (NF > 1) { /* the shares follow the limits */
+        Sharing g;
+        double group[NF] = {0.0};
+        share_sticking(&rates, modes, &g);
+        for (int j = 0; j < NF; j++)
+            if (!modes[j] && rates.limit[j] > 0.0) group[g.leader[j]] += g.ratio[j] * limit[j];
+        for (int j = 0; j < NF; j++)
+            if (!modes[j] && rates.limit[j] > 0.0)
+                d->lam[NC + j] += m->lam[NC + j] * (limit[j] / rates.limit[j] - group[g.leader[j]] / g.limit[g.leader[j]]);
+    }
     return 0;
 }
 
@@ -231,22 +290,41 @@ static inline int sticking_adjoint(const Model *m, Tangent *bar)
 {
     double rate_bar[NF];
     FrictionStep rates;
+    Sharing g;
     if (friction_columns(1.0, m->p, m->q, m->v, m->u, m->lam, &rates)) return 1;
+    share_sticking(&rates, m->modes + NC, &g);
     for (int j = 0; j < NF; j++) {
-        rate_bar[j] = -bar->lam[NC + j];
+        rate_bar[j] = 0.0;
         for (int i = 0; i < NQ; i++) rate_bar[j] -= rates.A[j][i] * bar->a[i];
     }
-    if (solve_sticking(&rates, m->modes + NC, rate_bar)) return 1;
+    for (int j = 0; j < NF; j++)
+        if (g.leader[j] >= 0) rate_bar[g.leader[j]] -= g.share[j] * bar->lam[NC + j];
+    if (solve_leaders(&rates, &g, rate_bar)) return 1;
     scene_slip_rate_vjp(m->q, m->v, m->a, m->p, rate_bar, bar->q, bar->v, bar->a, bar->p);
     return 0;
 }
 
-/* After it: through the limits of what slips, to the contact forces that press it. */
-static inline void slipping_adjoint(const Model *m, Tangent *bar)
+/* After it: through the limits of what slips, and the shares of what sticks, to the contact forces that press it. */
+static inline int slipping_adjoint(const Model *m, Tangent *bar)
 {
+    const int *modes = m->modes + NC;
     double limit_bar[NF];
-    for (int j = 0; j < NF; j++) limit_bar[j] = -m->modes[NC + j] * bar->lam[NC + j];
+    for (int j = 0; j < NF; j++) limit_bar[j] = -modes[j] * bar->lam[NC + j];
+    if (NF > 1) {
+        FrictionStep rates;
+        Sharing g;
+        double group[NF] = {0.0};
+        if (friction_columns(1.0, m->p, m->q, m->v, m->u, m->lam, &rates)) return 1;
+        share_sticking(&rates, modes, &g);
+        for (int j = 0; j < NF; j++)
+            if (!modes[j]) group[g.leader[j]] += bar->lam[NC + j] * m->lam[NC + j];
+        for (int j = 0; j < NF; j++)
+            if (!modes[j] && rates.limit[j] > 0.0)
+                limit_bar[j] = bar->lam[NC + j] * m->lam[NC + j] / rates.limit[j]
+                    - g.ratio[j] * group[g.leader[j]] / g.limit[g.leader[j]];
+    }
     limit_adjoint(m, limit_bar, bar);
+    return 0;
 }
 
 #endif

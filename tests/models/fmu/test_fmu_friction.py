@@ -66,6 +66,34 @@ def mass_on_a_belt() -> Scene:
     )  # fmt: skip
 
 
+def sledge(*frictions: Friction) -> Scene:
+    """A sledge that bounces on two runners of unequal stiffness, with these frictions."""
+    springs = (("front", k), ("rear", 3 * k))
+    return block(
+        name="sledge",
+        parameters=PARAMETERS,
+        coordinates=(
+            Coordinate(symbol=x1, velocity=w1, unit="m"),
+            Coordinate(symbol=z, velocity=wz, unit="m"),
+        ),
+        kinetic_energy=m * (w1**2 + wz**2) / 2,
+        potential_energy=m * g * z,
+        forces=(push, sp.Integer(0)),
+        contacts=tuple(
+            Contact(name=name, bodies=("sledge", "ground"), depth=1.0,
+                    depth_reason="nothing here goes as deep", penetration=-z, stiffness=stiffness)
+            for name, stiffness in springs
+        ),
+        frictions=frictions,
+        task=Task(start=(0.0, -0.02, 0.9, 0.0), goal=(0.0,) * 4, running_cost=push**2, step=0.01,
+                  steps=100),
+    )  # fmt: skip
+
+
+RUNNERS = sledge(
+    *(Friction(name=name, slip=w1, coefficient=mu, contact=name) for name in ("front", "rear"))
+)
+SOLE = sledge(Friction(name="sole", slip=w1, coefficient=mu, contact=("front", "rear")))
 SCENES = [block(), mass_on_a_belt(), two_coupled_frictions()]
 SHARES = (9.0, -25.0, 0.0, 13.0)
 
@@ -412,3 +440,27 @@ def test_order_four_through_touch_and_release(scene: Scene) -> None:
     errors = errors_of(scene, parts, np.linspace(0.0, end, 61), (end / 240, end / 480, end / 9600))
     assert errors[-1] < 1e-8
     assert np.log2(errors[0] / errors[1]) > 3.3
+
+
+def test_frictions_of_one_slip_move_as_one_that_both_contacts_press() -> None:
+    """They share the force as their limits are, and stick and slip at the same times."""
+    shares = ["friction_front", "friction_rear"]
+    gentle = signal(SOLE, [Piece(part.end, 0.4 * part.u) for part in pieces(SOLE)])
+    how: dict = {"output_interval": 0.001, "input": gentle}
+    both = simulate(RUNNERS, [*states(RUNNERS), *shares], **how)
+    one = simulate(SOLE, states(SOLE), **how)
+    for name in states(SOLE):
+        assert both[name] == pytest.approx(one[name], rel=0, abs=1e-9), name
+    assert both[shares[1]] == pytest.approx(3.0 * both[shares[0]], rel=1e-9, abs=1e-12)
+    assert 0.1 < np.mean(np.abs(both["w1"]) < 1e-12) < 0.9
+
+
+def test_derivatives_of_shared_sticking_forces_are_exact(drive: Callable) -> None:
+    names = drive(RUNNERS, "me", "3.0").names
+    knowns, unknowns = (*names.q, *names.v, *names.u), (*names.der_v, *names.friction)
+    model = drive(RUNNERS, "me", "3.0").continuous([0.1, -0.02], [0.0, 0.3], np.array([1.5]))
+    exact = np.array([model.directional(unknowns, knowns, seed) for seed in np.eye(len(knowns))]).T
+    back = np.array([model.adjoint(unknowns, knowns, seed) for seed in np.eye(len(unknowns))])
+    assert exact[names.der_v.index("der(w1)")] == pytest.approx(0.0, abs=1e-12)
+    assert exact[-2:, knowns.index("push")] == pytest.approx([-0.25, -0.75])
+    assert back == pytest.approx(exact, rel=1e-12, abs=1e-12)

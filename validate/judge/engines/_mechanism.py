@@ -202,10 +202,10 @@ class _Slides:
             for x, y in touch.centres or ():
                 self._join(x, y, 1)
         for friction in scene.frictions:
-            if friction.contact is not None:
+            for contact in friction.pressing:
                 slip, touch = (
                     _slip(scene, friction),
-                    next(touch for touch in touches if touch.name == friction.contact),
+                    next(touch for touch in touches if touch.name == contact),
                 )
                 pressed, along = np.flatnonzero(touch.normal), np.flatnonzero(slip > 0.0)
                 if len(pressed) != 1 or len(along) != 1 or along[0] == pressed[0]:
@@ -214,7 +214,7 @@ class _Slides:
                     )
                 self._join(int(along[0]), int(pressed[0]), 2)
                 below = np.flatnonzero(slip < 0.0)
-                self.under[friction.contact] = int(below[0]) if len(below) else None
+                self.under[contact] = int(below[0]) if len(below) else None
 
     def _join(self, one: int, other: int, axis: int) -> None:
         first, second = sorted((self.owner[one], self.owner[other]))
@@ -366,13 +366,12 @@ def _with_friction(scene: Scene, touches: list[Touch]) -> tuple[tuple[Touch, ...
     rubs = []
     for friction in scene.frictions:
         coefficient = float(friction.coefficient.subs(values))
-        if friction.contact is not None:
+        if friction.pressing:
             slip = None
             with contextlib.suppress(CannotExpressError):
                 slip = _slip(scene, friction)
-            found[friction.contact] = replace(
-                found[friction.contact], friction=coefficient, slip=slip
-            )
+            for contact in friction.pressing:
+                found[contact] = replace(found[contact], friction=coefficient, slip=slip)
             continue
         pressed = sp.S.Zero if friction.normal_force is None else friction.normal_force.subs(values)
         if pressed.free_symbols:
