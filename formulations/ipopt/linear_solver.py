@@ -11,7 +11,6 @@ ours: two_discs 53 and 14 ms (`python -m benchmarks suite -k linear_algebra` mea
 from __future__ import annotations
 
 import ctypes
-import logging
 import os
 from functools import cache
 from pathlib import Path
@@ -33,14 +32,13 @@ _CALLS = ("ma27ad_", "ma27bd_", "ma27cd_", "ma27id_")
 # What decides which compiler there is and where its work is kept.
 _DECISIVE = ("CC", "PATH", "HOME", "TOUCHSTONE_CACHE", "XDG_CACHE_HOME")
 
-logger = logging.getLogger(__name__)
-_known: dict[tuple[str | None, ...], Path | str] = {}
+_known: dict[tuple[str | None, ...], Path] = {}
 
 
 def ldlt_library() -> Path:
     """The compiled library, with the entry points ma27id_, ma27ad_, ma27bd_, ma27cd_.
 
-    Tried once, and again if it has gone.
+    Compiled again if it has gone.
 
     Raises
     ------
@@ -49,14 +47,8 @@ def ldlt_library() -> Path:
     """
     place = tuple(map(os.environ.get, _DECISIVE))
     known = _known.get(place)
-    if known is None or (isinstance(known, Path) and not known.exists()):
-        try:
-            known = _compiled()
-        except MachineError as error:
-            known = str(error)
-        _known[place] = known
-    if isinstance(known, str):
-        raise MachineError(known)
+    if known is None or not known.exists():
+        known = _known[place] = _compiled()
     return known
 
 
@@ -75,18 +67,13 @@ def _compiled() -> Path:
     return path
 
 
-@cache
-def _tell(why: str) -> None:
-    logger.info("Ipopt's linear systems are factorised by MUMPS: %s", why)
-
-
 def linear_solver(asked: str = "") -> str:
-    """What Ipopt factorises with: what is asked for, else what $TOUCHSTONE_LINEAR_SOLVER names, else `ldlt` where it can be had.
+    """Return the solver that is asked for, else that of $TOUCHSTONE_LINEAR_SOLVER, else `ldlt` if this Ipopt can load one.
 
     Raises
     ------
     MachineError
-        for a name there is not, and where `ldlt` is insisted on and cannot be had
+        for an unknown name, an `ldlt` that cannot be compiled, and one that this Ipopt cannot load
     """
     insisted = asked or os.environ.get("TOUCHSTONE_LINEAR_SOLVER", "")
     if insisted and insisted not in LINEAR_SOLVERS:
@@ -95,13 +82,7 @@ def linear_solver(asked: str = "") -> str:
         )
     if insisted == MUMPS:
         return MUMPS
-    try:
-        ldlt_library()
-    except MachineError as error:
-        if insisted:
-            raise
-        _tell(str(error))
-        return MUMPS
+    ldlt_library()
     if loads_solvers():
         return LDLT
     if insisted:

@@ -207,7 +207,7 @@ class IpoptProblem:
         keys = [r * self.n + c for r, c in (*affine, *slopes)]
         unique, place = np.unique(np.concatenate(keys), return_inverse=True)
         affine_count = sum(len(r) for r, _ in affine)
-        self._affine_place, self._slope_place = place[:affine_count], place[affine_count:]
+        self._affine_place = place[:affine_count]
         self._entry_row, self._entry_column = np.divmod(unique, max(self.n, 1))
         objective_row = self._rows - 1
         self._objective_start = int(np.searchsorted(self._entry_row, objective_row))
@@ -220,17 +220,17 @@ class IpoptProblem:
         renumbered = np.cumsum(used) - 1
         self._jacobian_rows = renumbered[self._entry_row[: self._objective_start]].astype(np.int32)
         self._jacobian_columns = self._entry_column[: self._objective_start].astype(np.int32)
-        self._value_rows = (
-            np.concatenate([g.rows for g in self._curved])
-            if self._curved
-            else np.empty(0, dtype=np.intp)
-        )
+        self._value_places = [g.rows.astype(np.int32) for g in self._curved]
+        self._slope_places = _split(place[affine_count:], slopes)
 
     def _settle_hessian(self) -> None:
-        keys = [r * self.n + c for r, c in (g.curvature_entries for g in self._curved)] or [
-            np.empty(0, dtype=np.intp)
+        entries = [g.curvature_entries for g in self._curved]
+        keys = [r * self.n + c for r, c in entries] or [np.empty(0, dtype=np.intp)]
+        unique, place = np.unique(np.concatenate(keys), return_inverse=True)
+        self._curvature_places = [
+            group.curvature_places(places)
+            for group, places in zip(self._curved, _split(place, entries), strict=True)
         ]
-        unique, self._curvature_place = np.unique(np.concatenate(keys), return_inverse=True)
         rows, columns = np.divmod(unique, max(self.n, 1))
         self._hessian_rows, self._hessian_columns = rows.astype(np.int32), columns.astype(np.int32)
 
@@ -391,6 +391,13 @@ class IpoptProblem:
         worst = int(np.argmax(violation))
         return float(violation[worst]), self.trivial[worst].name if violation[worst] > 0 else ""
 
+    def _point(self, x: np.ndarray) -> np.ndarray:
+        """The point as the tapes read it. Raises ValueError for another length."""
+        point = np.ascontiguousarray(x, dtype=float)
+        if point.shape != (self.n,):
+            raise ValueError(f"the point has shape {point.shape}, the problem needs ({self.n},)")
+        return point
+
     # -- functions, under the names cyipopt asks for
     #   -----------------------------------------------------------------------------------
 
@@ -407,16 +414,12 @@ class IpoptProblem:
         -------
         the minimised objective, and the constraints (m,) [units of the constraints]
         """
+        x, curved = self._point(x), np.zeros(self._rows)
+        for group, places in zip(self._curved, self._value_places, strict=True):
+            group.add_values(x, places, curved)
         with np.errstate(all="ignore"):
-            total = self._constants + np.bincount(
-                self._entry_row, self._affine * x[self._entry_column], self._rows
-            )
-            if self._curved:
-                total += np.bincount(
-                    self._value_rows,
-                    np.concatenate([g.values(x) for g in self._curved]),
-                    self._rows,
-                )
+            affine = np.bincount(self._entry_row, self._affine * x[self._entry_column], self._rows)
+            total = self._constants + affine + curved
         return float(total[-1]), total[self._sent]
 
     def derivatives(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -433,14 +436,10 @@ class IpoptProblem:
         gradient (n,) of the minimised objective, and entries (nonzeros,) of the Jacobian at the
             places of `jacobianstructure` [row per variable]
         """
-        entries = self._affine
-        if self._curved:
-            with np.errstate(all="ignore"):
-                entries = entries + np.bincount(
-                    self._slope_place,
-                    np.concatenate([g.slopes(x) for g in self._curved]),
-                    len(entries),
-                )
+        x, entries = self._point(x), np.zeros(len(self._affine))
+        for group, places in zip(self._curved, self._slope_places, strict=True):
+            group.add_slopes(x, places, entries)
+        entries += self._affine
         gradient = np.zeros(self.n)
         gradient[self._entry_column[self._objective_start :]] = entries[self._objective_start :]
         return gradient, entries[: self._objective_start]
@@ -514,11 +513,10 @@ class IpoptProblem:
         multipliers = np.zeros(self._rows)
         multipliers[self._sent] = lagrange
         multipliers[-1] = factor
-        if not self._curved:
-            return np.zeros(0)
-        with np.errstate(all="ignore"):
-            values = np.concatenate([g.curvatures(x, multipliers) for g in self._curved])
-            return np.bincount(self._curvature_place, values, minlength=len(self._hessian_rows))
+        x, entries = self._point(x), np.zeros(len(self._hessian_rows))
+        for group, places in zip(self._curved, self._curvature_places, strict=True):
+            group.add_curvatures(x, multipliers, places, entries)
+        return entries
 
     def hessianstructure(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns (nonzeros,) of the Hessian's entries, rows >= columns [-].
@@ -548,6 +546,12 @@ def compile_model(model: Any) -> IpoptProblem:
     """
     with PauseGC():
         return IpoptProblem(model)
+
+
+def _split(places: np.ndarray, entries: list[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
+    """The places of each group, from those of all groups' entries in a row."""
+    ends = np.cumsum([len(rows) for rows, _ in entries], dtype=np.intp)
+    return [part.astype(np.int32) for part in np.split(places, ends)[:-1]]
 
 
 def _read_constraint(read: TermReader, row: int, constraint: Any) -> tuple[Any, Any]:

@@ -1,25 +1,22 @@
-"""Term shapes: a signature (what the expression walker wrote down) becomes three generated functions, once per process.
+"""Term shapes: a signature (what the expression walker wrote down) becomes tapes, once per process.
 
     0.5 * k * (q[3] - q[1])**2   and   0.5 * k * (q[8] - q[2])**2
 
 have one signature: two variable slots, one Param slot. It is analysed once: the affine part goes to
-the sparse linear rows, what is left is differentiated exactly, and what depends on data alone is
-computed once per refresh.
+the sparse linear rows, the rest is differentiated exactly, and nodes that depend on data alone are
+computed once per refresh. Values, slopes and Hessian are a `Tape` each.
 
-A generated function is numpy source with one statement an operation, so that neither nesting nor
-recursion limits the size. It takes `x` (one row for each variable slot), `p` (one row for each
-hoisted data value) and writes `out`; every row is an array over the instances of the shape, so that
-a thousand equal terms cost as many numpy calls as one. `TermGroup` holds all terms of one shape in
-one model.
+`TermGroup` holds all terms of one shape in one model.
 
-Hessians of large terms are a generated Hessian-vector product, multiplied by few directions:
-columns that share no row are read off one product (Curtis, Powell and Reid, 1974), so that a sum of
-five thousand separate terms needs one direction, a dense Hessian as many as it has columns.
+Hessians of large terms are a Hessian-vector product, multiplied by few directions: columns that
+share no row are read off one product (Curtis, Powell and Reid, 1974), so that a sum of five
+thousand separate terms needs one direction, a dense Hessian as many as it has columns. The
+instances of the product's tape are the terms once for each direction.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -30,71 +27,13 @@ from formulations.ipopt.graph import (
     DATUM,
     SEED,
     UNARY,
-    VARIABLE,
     Graph,
     gradient,
     hessian_sparsity,
     split_linear,
 )
 from formulations.ipopt.read import Bucket
-
-_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
-
-
-def _softplus(z):
-    return np.logaddexp(0.0, z)
-
-
-def _logistic(z):
-    """1 / (1 + exp(-z)), to full relative accuracy on both sides (and without SciPy, whose import costs 0.9 CPU s once Pyomo is there)."""
-    small = np.exp(-np.abs(z))
-    return np.where(z >= 0.0, 1.0, small) / (1.0 + small)
-
-
-def _sech2(z):
-    """1 / cosh(z)**2, which overflows for no z."""
-    c = np.cosh(z)
-    return (1.0 / c) / c
-
-
-def _falling_power(base, exponent, order):
-    """Derivative of base**p of this order: p (p-1) ..
-
-    (p-order+1) base**(p-order), and 0 where the factor is 0 (so that x**p at x = 0 is right for p =
-    0, 1, 2, ..).
-    """
-    factor = np.ones_like(exponent)
-    for k in range(int(order)):
-        factor = factor * (exponent - k)
-    return np.where(factor == 0.0, 0.0, factor * np.power(base, exponent - order))
-
-
-_NAMESPACE = {
-    "softplus": _softplus, "logistic": _logistic, "sech2": _sech2, "falling_power": _falling_power,
-    "pow": np.power, "div": np.divide,
-    "neg": np.negative, "inf": np.inf, "nan": np.nan, **{name: getattr(np, name) for name in UNARY},
-}  # fmt: skip
-
-
-def _name(graph: Graph, node: int, hoisted: Mapping[int, int]) -> str:
-    if graph.op[node] == CONSTANT:
-        value = repr(graph.args[node][0])
-        return f"({value})" if value.startswith("-") else value
-    return f"p[{hoisted[node]}]" if node in hoisted else f"t{node}"
-
-
-def _statement(graph: Graph, node: int, hoisted: Mapping[int, int], row: Mapping[int, int]) -> str:
-    op, args = graph.op[node], graph.args[node]
-    if op == VARIABLE:
-        return f"t{node} = x[{row[args[0]]}]"
-    if op == SEED:
-        return f"t{node} = seed[{row[args[0]]}]"
-    names = [_name(graph, a, hoisted) for a in args]
-    if op in _INFIX and not (
-        op == "div" and all(graph.op[a] == CONSTANT for a in args)
-    ):  # there Python would raise, numpy gives inf or NaN
-        return f"t{node} = {names[0]} {_INFIX[op]} {names[1]}"
-    return f"t{node} = {op}({', '.join(names)})"
+from formulations.ipopt.tape import Tape, record
 
 
 def hoist(graph: Graph, roots: Sequence[int]) -> dict[int, int]:
@@ -108,41 +47,6 @@ def hoist(graph: Graph, roots: Sequence[int]) -> dict[int, int]:
     }
 
 
-def generate(
-    graph: Graph,
-    outputs: Sequence[int],
-    hoisted: Mapping[int, int],
-    row: Mapping[int, int],
-    name: str,
-) -> Callable[..., None]:
-    """A function `(x, p, out, seed=None)` that writes outputs[k] to out[k].
-
-    `hoisted[node]` is the row of p that holds a data node; `row[i]` is the row of x (and of seed)
-    that holds variable i.
-    """
-    order = [
-        n
-        for n in graph.reachable(*outputs, until=hoisted.__contains__)
-        if n not in hoisted and graph.op[n] != CONSTANT
-    ]
-    for node in order:
-        if graph.op[node] == DATUM:
-            raise ValueError(
-                f"datum {graph.args[node][0]} is used by a generated function but was not hoisted"
-            )
-    lines = [f"def {name}(x, p, out, seed=None):"]
-    lines += [f"    {_statement(graph, node, hoisted, row)}" for node in order]
-    lines += [f"    out[{k}] = {_name(graph, node, hoisted)}" for k, node in enumerate(outputs)]
-    lines.append("    return")
-    namespace = dict(_NAMESPACE)
-    exec(
-        compile("\n".join(lines), f"<term shape: {name}>", "exec"), namespace
-    )  # source made above from numbers and known names
-    return namespace[name]
-
-
-# Working set of one block of directions [numbers]: 64 MB.
-_BLOCK = 8_000_000
 # A pattern with a larger filled share than this is taken as dense: looking for columns without a
 # common row would cost and find none.
 _DENSE_SHARE = 0.1
@@ -191,49 +95,6 @@ def column_groups(pairs: np.ndarray, size: int) -> np.ndarray:
     return groups
 
 
-def _generate_by_products(
-    graph: Graph,
-    products: dict[int, int],
-    pairs: np.ndarray,
-    hoisted: Mapping[int, int],
-    row: dict[int, int],
-    operations: int,
-) -> Callable[..., None]:
-    """A function `(x, p, out)` that writes the Hessian entry of local pair pairs[:, k] to out[k].
-
-    x (curved variables, instances) and out (entries, instances) as in `generate`; pairs (2,
-    entries) [-].
-    """
-    order = list(products)
-    product = generate(graph, [products[i] for i in order], hoisted, row, "hessian_product")
-    size = len(row)
-    place = np.full(size, -1, dtype=np.intp)
-    place[[row[slot] for slot in order]] = np.arange(len(order))
-    groups = column_groups(pairs, size)
-    count = int(groups.max()) + 1
-    entry_place, entry_group = place[pairs[0]], groups[pairs[1]]
-    by_group = np.argsort(entry_group, kind="stable")
-    starts = np.searchsorted(entry_group[by_group], np.arange(count + 1))
-
-    def hessian(x: np.ndarray, p: list[np.ndarray], out: np.ndarray) -> None:
-        """Write the entries into out (entries, instances) [row per variable^2].
-
-        Raises nothing: NaN or inf where the model has no number.
-        """
-        instances = out.shape[1]
-        block = max(1, min(count, _BLOCK // max(1, operations * instances)))
-        for start in range(0, count, block):
-            stop = min(count, start + block)
-            seed = (groups[:, None] == np.arange(start, stop)).astype(float)[:, :, None]
-            columns = np.empty((len(order), stop - start, instances))
-            product(x, p, columns, seed)
-            mine = by_group[starts[start] : starts[stop]]
-            at = entry_place[mine]
-            out[mine] = np.where((at >= 0)[:, None], columns[at, entry_group[mine] - start], 0.0)
-
-    return hessian
-
-
 # Above this product of variables and operations a symbolic Hessian would cost more source than it
 # saves; the Hessian is then evaluated through one generated Hessian-vector product. 20 000
 # operations compile in about 0.3 s.
@@ -246,23 +107,23 @@ Signature = tuple[Hashable, ...]
 class ExpressionShape:
     """One analysed signature.
 
-    Slots number the variables of a term; functions take rows over instances (see codegen).
-
-    prepare(None, data, out) fills out (1 + len(linear) + number of hoisted values, instances):
-    constant, linear coefficients, hoisted values.
+    Slots number the variables of a term. The outputs of `prepare` are the constant, the linear
+    coefficients and the hoisted values; its data are the numbers and Params of a term.
     """
 
     linear: tuple[int, ...]  # slots with a linear coefficient
-    curved: tuple[
-        int, ...
-    ]  # slots of the nonlinear part: row k of `x` in the functions below is slot curved[k]
+    curved: tuple[int, ...]  # slots of the nonlinear part: variable k of the tapes is curved[k]
     hoisted: int
-    prepare: Callable[..., None]
-    value: Callable[..., None] | None  # None: the term is affine
+    prepare: Tape
+    value: Tape | None  # None: the term is affine
     slope_slots: tuple[int, ...]  # positions in `curved` of the gradient entries
-    slope: Callable[..., None] | None
+    slope: Tape | None
     hessian_pairs: np.ndarray  # (2, entries) positions in `curved` of each Hessian entry
-    hessian: Callable[..., None] | None
+    hessian: Tape | None
+    # (curved, directions) of the product, and the output and direction (2, entries) of each entry,
+    # the output below 0 where there is none; None: the outputs of `hessian` are the entries
+    directions: np.ndarray | None = None
+    output: np.ndarray | None = None
 
 
 @lru_cache(
@@ -352,24 +213,46 @@ def _compile_shape(graph: Graph, root: int) -> ExpressionShape:
     hoisted = hoist(graph, [nonlinear, *slope_nodes, *products.values(), *entries.values()])
     slots = tuple(sorted(linear))
     raw = {node: graph.args[node][0] for node, op in enumerate(graph.op) if op == DATUM}
-    prepare = generate(graph, [constant, *(linear[s] for s in slots), *hoisted], raw, {}, "prepare")
+    prepare = record(graph, [constant, *(linear[s] for s in slots), *hoisted], raw, {})
     pairs = np.searchsorted(np.array(curved, dtype=np.intp), pairs)
-    hessian = None
+    hessian = directions = output = None
     if directional:
-        hessian = _generate_by_products(graph, products, pairs, hoisted, local, operations)
+        seeds = {n: len(hoisted) + local[graph.args[n][0]] for n in _seeds(graph)}
+        hessian = record(graph, list(products.values()), {**hoisted, **seeds}, local)
+        directions, output = _directions(pairs, [local[slot] for slot in products], len(curved))
     elif entries:
-        hessian = generate(graph, list(entries.values()), hoisted, local, "hessian")
+        hessian = record(graph, list(entries.values()), hoisted, local)
     return ExpressionShape(
         linear=slots,
         curved=curved,
         hoisted=len(hoisted),
         prepare=prepare,
-        value=generate(graph, [nonlinear], hoisted, local, "value") if curved else None,
+        value=record(graph, [nonlinear], hoisted, local) if curved else None,
         slope_slots=tuple(local[s] for s in slopes),
-        slope=generate(graph, slope_nodes, hoisted, local, "slope") if slope_nodes else None,
+        slope=record(graph, slope_nodes, hoisted, local) if slope_nodes else None,
         hessian_pairs=pairs,
         hessian=hessian,
+        directions=directions,
+        output=output,
     )
+
+
+def _seeds(graph: Graph) -> list[int]:
+    return [node for node, op in enumerate(graph.op) if op == SEED]
+
+
+def _directions(
+    pairs: np.ndarray, products: Sequence[int], size: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Directions (size, count), and in which product and direction each entry (2, entries) is read.
+
+    products: the row of the Hessian that each output is; an entry of another row is zero.
+    """
+    groups = column_groups(pairs, size)
+    of_row = np.full(size, -1, dtype=np.intp)
+    of_row[list(products)] = np.arange(len(products))
+    directions = (groups[:, None] == np.arange(groups.max() + 1)).astype(float)
+    return directions, np.stack([of_row[pairs[0]], groups[pairs[1]]])
 
 
 def _symbolic_hessian(graph: Graph, slopes: dict[int, int]) -> dict[tuple[int, int], int]:
@@ -380,6 +263,10 @@ def _symbolic_hessian(graph: Graph, slopes: dict[int, int]) -> dict[tuple[int, i
             if j <= i and node != graph.zero:
                 nodes[i, j] = node
     return nodes
+
+
+_NONE = np.empty(0)
+_NOWHERE = np.empty(0, dtype=np.int32)
 
 
 class TermGroup:
@@ -398,9 +285,13 @@ class TermGroup:
         self.columns = np.array(bucket.slots, dtype=np.intp).reshape(count, -1).T.copy()
         self._numbers = np.array(bucket.numbers, dtype=float).reshape(count, -1).T
         self._params = np.array(bucket.params, dtype=np.intp).reshape(count, -1).T
-        self._curved = self.columns[list(shape.curved)]
+        self._curved = self.columns[list(shape.curved)].astype(np.int32)
         self._prepared = np.empty((1 + len(shape.linear) + shape.hoisted, count))
-        self._hoisted: list[np.ndarray] = []
+        self._hoisted = self._prepared[1 + len(shape.linear) :]
+        self._along = self._hoisted
+        self._curved_along = self._curved
+        if shape.directions is not None:
+            self._curved_along = np.tile(self._curved, shape.directions.shape[1])
 
     # -- structure
     #   --------------------------------------------------------------------------------------------------------------
@@ -429,7 +320,7 @@ class TermGroup:
         rows, columns (gradient slots * N,) [-]
         """
         slots = list(self.shape.slope_slots)
-        return np.tile(self.rows, len(slots)), self._curved[slots].ravel()
+        return np.tile(self.rows, len(slots)), self._curved[slots].ravel().astype(np.intp)
 
     @property
     def curvature_entries(self) -> tuple[np.ndarray, np.ndarray]:
@@ -441,8 +332,25 @@ class TermGroup:
         -------
         larger column, smaller column (pairs * N,) [-]
         """
-        first, second = (self._curved[slots].ravel() for slots in self.shape.hessian_pairs)
+        first, second = (
+            self._curved[slots].ravel().astype(np.intp) for slots in self.shape.hessian_pairs
+        )
         return np.maximum(first, second), np.minimum(first, second)
+
+    def curvature_places(self, places: np.ndarray) -> np.ndarray:
+        """Where `add_curvatures` shall add, from the places (pairs * N,) of the `curvature_entries`.
+
+        Raises nothing.
+        """
+        places = places.astype(np.int32).reshape(-1, len(self.rows))
+        shape = self.shape
+        if shape.hessian is None or shape.directions is None or shape.output is None:
+            return places
+        found, (output, direction) = shape.output[0] >= 0, shape.output
+        size = (shape.hessian.outputs, shape.directions.shape[1], len(self.rows))
+        spread = np.full(size, -1, dtype=np.int32)
+        spread[output[found], direction[found]] = places[found]
+        return spread
 
     # -- values
     #   -----------------------------------------------------------------------------------------------------------------
@@ -452,8 +360,16 @@ class TermGroup:
 
         Raises nothing: NaN or inf where the model has no number.
         """
-        self.shape.prepare(None, [*self._numbers, *data[self._params]], self._prepared)
-        self._hoisted = list(self._prepared[1 + len(self.shape.linear) :])
+        given = np.ascontiguousarray(np.concatenate([self._numbers, data[self._params]]))
+        place = np.arange(self._prepared.size, dtype=np.int32)
+        self._prepared[:] = 0.0
+        self.shape.prepare.run(
+            _NONE, _NOWHERE, given, np.ones(len(self.rows)), place, self._prepared
+        )
+        if self.shape.directions is not None:
+            seeds = np.repeat(self.shape.directions, len(self.rows), axis=1)
+            count = self.shape.directions.shape[1]
+            self._along = np.concatenate([np.tile(self._hoisted, count), seeds])
 
     @property
     def constants(self) -> np.ndarray:
@@ -475,22 +391,39 @@ class TermGroup:
 
         Raises nothing: NaN or inf where the model has no number.
         """
-        out = np.empty((1, len(self.rows)))
-        self.shape.value(x[self._curved], self._hoisted, out)  # pyright: ignore[reportOptionalCall] - asked only where is_curved
-        return self.weights * out[0]
+        out = np.zeros(len(self.rows))
+        self.add_values(x, np.arange(len(out), dtype=np.int32), out)
+        return out
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Weighted gradient entries (gradient slots * N,) at x (n,), in the order of `slope_entries` [row per variable].
 
         Raises nothing: NaN or inf where the model has no number.
         """
-        out = np.empty((len(self.shape.slope_slots), len(self.rows)))
-        if self.shape.slope is not None:
-            self.shape.slope(x[self._curved], self._hoisted, out)
-        return (self.weights * out).ravel()
+        out = np.zeros(len(self.shape.slope_slots) * len(self.rows))
+        self.add_slopes(x, np.arange(len(out), dtype=np.int32), out)
+        return out
 
-    def curvatures(self, x: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
-        """Weighted Hessian entries times the multiplier of each term's row.
+    def add_values(self, x: np.ndarray, places: np.ndarray, total: np.ndarray) -> None:
+        """Add the weighted values of the nonlinear parts at x (n,) to their places (N,) in total.
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
+        if self.shape.value is not None:
+            self.shape.value.run(x, self._curved, self._hoisted, self.weights, places, total)
+
+    def add_slopes(self, x: np.ndarray, places: np.ndarray, total: np.ndarray) -> None:
+        """Add the weighted gradient entries at x (n,) to their places (gradient slots * N,) in total.
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
+        if self.shape.slope is not None:
+            self.shape.slope.run(x, self._curved, self._hoisted, self.weights, places, total)
+
+    def add_curvatures(
+        self, x: np.ndarray, multipliers: np.ndarray, places: np.ndarray, total: np.ndarray
+    ) -> None:
+        """Add the weighted Hessian entries times the multiplier of each term's row.
 
         Raises nothing: NaN or inf where the model has no number.
 
@@ -498,12 +431,12 @@ class TermGroup:
         ----------
         x : (n,) point [units of the variables]
         multipliers : (constraints + 1,) of all rows [objective per row]
-
-        Returns
-        -------
-        (pairs * N,) entries in the order of `curvature_entries` [objective per variable^2]
+        places : of `curvature_places`
+        total : entries of the Hessian, changed here [objective per variable^2]
         """
-        out = np.empty((self.shape.hessian_pairs.shape[1], len(self.rows)))
-        if self.shape.hessian is not None:
-            self.shape.hessian(x[self._curved], self._hoisted, out)
-        return (self.weights * multipliers[self.rows] * out).ravel()
+        if self.shape.hessian is None:
+            return
+        scale = self.weights * multipliers[self.rows]
+        if self.shape.directions is not None:
+            scale = np.tile(scale, self.shape.directions.shape[1])
+        self.shape.hessian.run(x, self._curved_along, self._along, scale, places, total)

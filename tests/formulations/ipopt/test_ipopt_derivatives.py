@@ -16,7 +16,8 @@ from pyomo.core.expr.calculus.derivatives import Modes, differentiate
 
 from formulations.ipopt import compile_model, shapes
 from formulations.ipopt.graph import Graph, hessian_sparsity
-from formulations.ipopt.shapes import column_groups, generate, hoist
+from formulations.ipopt.shapes import column_groups, hoist
+from formulations.ipopt.tape import record
 
 # Both roads round each operation once or twice; a dozen nested operations lose at most four of
 # sixteen digits.
@@ -462,14 +463,21 @@ def leaf(graph, name):
 
 
 def evaluate(graph, node):
-    outputs, hoisted = [node], hoist(graph, [node])
+    hoisted = hoist(graph, [node])
     data = {n: graph.args[n][0] for n in range(len(graph.op)) if graph.op[n] == "datum"}
-    prepared = np.empty((len(hoisted), 1))
-    out = np.empty((1, 1))
-    with np.errstate(all="ignore"):
-        generate(graph, hoisted, data, {}, "prepare")(None, [np.array([P])], prepared)
-        generate(graph, outputs, hoisted, {0: 0}, "value")([np.array([X])], list(prepared), out)
-    return out[0, 0]
+    prepared = outputs_of(record(graph, list(hoisted), data, {}), [[]], [[P]])
+    return outputs_of(record(graph, [node], hoisted, {0: 0}), [[X]], prepared.reshape(-1, 1))[0]
+
+
+def outputs_of(tape, x, data):
+    """Outputs (outputs * instances,) for variables x and data, each with one row an instance."""
+    points, rows = np.array(x, dtype=float), np.array(data, dtype=float)
+    columns = np.arange(points.size, dtype=np.int32).reshape(points.shape).T.copy()
+    count = len(points)
+    total = np.zeros(tape.outputs * count)
+    places = np.arange(len(total), dtype=np.int32)
+    tape.run(points.ravel(), columns, rows.T.copy(), np.ones(count), places, total)
+    return total
 
 
 @pytest.mark.slow
