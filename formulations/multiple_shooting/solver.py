@@ -513,25 +513,40 @@ class Solver:
                     if rolled
                     else self._moved(x, u, length * dx, length * du)
                 )
-                lin = None if trial is None else self._linearise(*trial)
-                if trial is not None and lin is not None:
-                    if self._penalty(*trial, goal, nu, lin.next - trial[0][1:]) <= limit:
-                        return *trial, lin, length
+                gap = None if trial is None else self._gap(*trial)
+                if trial is not None and gap is not None:
+                    lin = self._lower_at(trial, gap, goal, nu, limit)
                     # what the step leaves open because the scene is not linear, closed by one more
                     # linear step
-                    if not rolled:
-                        ddx, ddu = self._stages.forward(
-                            lin.next - trial[0][1:] - (1.0 - length) * self._stages.gap
-                        )
+                    if lin is None and not rolled:
+                        ddx, ddu = self._stages.forward(gap - (1.0 - length) * self._stages.gap)
                         trial = self._moved(*trial, ddx, ddu)
-                        lin = self._linearise(*trial)
-                        if (
-                            lin is not None
-                            and self._penalty(*trial, goal, nu, lin.next - trial[0][1:]) <= limit
-                        ):
-                            return *trial, lin, length
+                        gap = self._gap(*trial)
+                        if gap is not None:
+                            lin = self._lower_at(trial, gap, goal, nu, limit)
+                    if lin is not None:
+                        return *trial, lin, length
                 length *= 0.5
         return None
+
+    def _gap(self, x: np.ndarray, u: np.ndarray) -> np.ndarray | None:
+        """The gaps (steps, 2*nq) between the nodes; None where a step is not finite."""
+        started = perf_counter()
+        ends = self.steps.ends(x[:-1], u, self.steps.scene.task.step, self.law, self.eps)
+        self.evaluate_seconds += perf_counter() - started
+        return None if ends is None else ends - x[1:]
+
+    def _lower_at(
+        self,
+        trial: tuple[np.ndarray, np.ndarray],
+        gap: np.ndarray,
+        goal: GoalTerm,
+        nu: float,
+        limit: float,
+    ) -> Linearised | None:
+        """The linearised steps at a trial whose penalty function is at most `limit`, else None."""
+        lower = self._penalty(*trial, goal, nu, gap) <= limit
+        return self._linearise(*trial) if lower else None
 
     def _moved(
         self, x: np.ndarray, u: np.ndarray, dx: np.ndarray, du: np.ndarray

@@ -3,6 +3,7 @@
     steps = load_steps(scene)
     # x (n, 2*nq), u (n, nu) -> next, lam, A (n, 2*nq, 2*nq), B (n, 2*nq, nu)
     steps.linearise(x, u, step=0.01)
+    steps.ends(x, u, step=0.01)  # next alone
     # u = clip(u_plan + gain (x - x_plan), lower, upper)
     steps.follow(start, x_plan, u_plan, gain, step=0.01)
 
@@ -127,6 +128,29 @@ class Steps(Kernel):
             *self.head(n, step, law, eps), *(address(array) for array in arrays)
         )
         return Linearised(next=after, lam=lam, A=by_x, B=by_u) if done == n else None
+
+    def ends(
+        self,
+        x: np.ndarray,
+        u: np.ndarray,
+        step: float,
+        law: ContactLaw = ContactLaw.RELU,
+        eps: float | None = None,
+    ) -> np.ndarray | None:
+        """Where one step from each state ends: `next` (n, 2*nq) of `linearise`, without derivatives.
+
+        Parameters and errors are those of `linearise`.
+        """
+        scene, n = self.scene, len(u)
+        x, u = self._array("x", x, n, 2 * scene.nq), self._array("u", u, n, scene.nu)
+        after, lam = np.empty_like(x), np.empty((n, scene.nl))
+        done = self._single.kernel_linearise(
+            *self.head(n, step, law, eps),
+            *(address(array) for array in (x, u, after, lam)),
+            None,
+            None,
+        )
+        return after if done == n else None
 
     def follow(
         self,

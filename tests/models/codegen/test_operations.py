@@ -379,6 +379,7 @@ def test_steps_one_by_one_are_the_rollout_bit_for_bit(name: str):
     alone = steps.linearise(x[:-1], u, 0.005)
     assert np.array_equal(alone.next, x[1:])
     assert np.array_equal(alone.lam, whole.lam)
+    assert np.array_equal(steps.ends(x[:-1], u, 0.005), x[1:])
     run = steps.follow(
         x[0], np.zeros((40, x.shape[1])), u, np.zeros((40, scene.nu, x.shape[1])), 0.005
     )
@@ -405,6 +406,7 @@ def test_non_finite_steps_are_reported():
     steps = steps_of("three_cart")
     x = np.array([STATES["three_cart"]])
     assert steps.linearise(x, np.array([[np.inf, 0.0]]), 0.01) is None
+    assert steps.ends(x, np.array([[np.inf, 0.0]]), 0.01) is None
     run = steps.follow(
         x[0],
         np.zeros((3, 6)),
