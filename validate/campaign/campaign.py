@@ -28,7 +28,7 @@ from reports.pages.section import PAGES, REPORT
 from reports.paper import SCENE
 from reports.records.check_record import CheckRecord, divided
 from reports.records.load import CAMPAIGN
-from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, TimeStepRecord
+from reports.records.record import CampaignRecord, RunRecord, TimeStepRecord
 from reports.rule import fails, failures, findings
 from validate.campaign.dask import open_dask
 from validate.campaign.engine import LOCAL, ExecutionContext, check_engine, open_local
@@ -114,107 +114,200 @@ class CampaignResult:
 
 
 def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResult:
-    """Run what is not stored and write campaign.json, results.csv, checks.csv, violation.csv and the report.
+    """Run the tasks that are not stored; write campaign.json, the tables and the report.
 
-    Raises TouchstoneError for what the user can mend; KeyboardInterrupt passes through when
-    children are stopped and what finished is written.
+    Raises TouchstoneError for mistakes of the user. KeyboardInterrupt passes through after the
+    children are stopped and the finished tasks are written.
     """
-    entries, left_out = checked_selection(settings)
-    # the compiled time step and the FMU need one: better said now than by every task
-    find_compiler()
-    store = Store(settings.out)
-    store.prepare()
-    entries = with_stored(entries, store, settings)
-    for name, text in settings.files.items():
-        write_durably(settings.out / name, text)
-    provenance = gather(settings.command)
-    selected, scenes = [entry.task.key for entry in entries], scenes_of(entries)
-    named = {identity(task_to_json(entry.task)): entry.task.key for entry in entries}
-    before = found_campaign(settings.out)
-    # The keys of the folder's campaign from now on, in order.
-    keys = (
-        with_others(store, before, named)
-        if settings.is_part and before is not None
-        else tuple(named.values())
-    )
-    records = {entry.task.key: entry.stored for entry in entries if entry.stored is not None}
-    others = {
-        key: record
-        for key in set(keys).difference(selected)
-        if (record := store.read(key)) is not None
-    }
-    steps = time_steps(scenes.values(), () if before is None else before.time_steps)
-    campaign = _campaign(
-        settings, entries, left_out, steps, before if others else None, keys, provenance
-    )
+    return _Campaign(settings, narrator).run()
 
-    def write() -> tuple[RunRecord, ...]:
-        """Write the tables and return the runs of the folder."""
-        done, checks = divided(
-            {**others, **records}[key] for key in keys if key in others or key in records
-        )
-        write_tables(settings.out, done, checks, campaign.violation)
-        return done
 
-    waiting = [entry.task.key for entry in entries if entry.stored is None]
-    # campaign.json is written before the first task ends, so that a killed campaign can be shown.
-    # If nothing runs, the old file keeps the date and command that made the results.
-    if waiting or before is None or not same_campaign(campaign, before):
-        write_durably(settings.out / CAMPAIGN, campaign.model_dump_json(indent=1))
-    narrator.begins(len(entries), len(records))
-    if others:
-        narrator.notes(
-            f"{len(others)} other runs and checks of the campaign in {settings.out} stay in its tables and report"
+class _Campaign:
+    """A campaign in its folder."""
+
+    def __init__(self, settings: CampaignSettings, narrator: Narrator) -> None:
+        self._settings = settings
+        self._narrator = narrator
+        entries, self._left_out = checked_selection(settings)
+        # The compiled time step and the FMU need a compiler: one error instead of one for each task.
+        find_compiler()
+        self._store = Store(settings.out)
+        self._store.prepare()
+        self._entries = with_stored(entries, self._store, settings)
+        self._plugin = load_plugin(settings.plugin)
+        self._provenance = gather(settings.command)
+        # Records of the selected tasks, by key.
+        self._records = {
+            entry.task.key: entry.stored for entry in self._entries if entry.stored is not None
+        }
+        self._selected = [entry.task.key for entry in self._entries]
+        self._before = found_campaign(settings.out)
+        # Keys of all tasks of the folder's campaign from now on, in order.
+        self._keys = self._keys_in_folder()
+        # Records of the tasks of the folder that are not selected.
+        self._others = {
+            key: record
+            for key in set(self._keys).difference(self._selected)
+            if (record := self._store.read(key)) is not None
+        }
+        self._campaign = self._campaign_record()
+
+    def _keys_in_folder(self) -> tuple[str, ...]:
+        named = {identity(task_to_json(entry.task)): entry.task.key for entry in self._entries}
+        if self._settings.is_part and self._before is not None:
+            return with_others(self._store, self._before, named)
+        return tuple(named.values())
+
+    def _campaign_record(self) -> CampaignRecord:
+        """Return the content of campaign.json."""
+        scenes = scenes_of(self._entries)
+        known = () if self._before is None else self._before.time_steps
+        steps = time_steps(scenes.values(), known)
+        earlier = self._before if self._others else None
+        title, command = self._settings.title or TITLE, self._settings.command
+        quick, violation = self._settings.quick, ()
+        if earlier is not None:
+            title = self._settings.title or earlier.title
+            quick, violation = quick and earlier.quick, earlier.violation
+            if set(self._selected) <= set(earlier.keys):
+                command = earlier.command
+            named = {item.scene for item in steps}
+            steps = (*(item for item in earlier.time_steps if item.scene not in named), *steps)
+        if SCENE in scenes and not violation:
+            violation = measure(scenes[SCENE])
+        return CampaignRecord(
+            title=title,
+            command=command,
+            quick=quick,
+            left_out=self._left_out if quick == self._settings.quick else (),
+            violation=violation,
+            time_steps=steps,
+            started=self._provenance.started,
+            keys=self._keys,
+            provenance=self._provenance,
         )
-    unstable = [
-        item.warning for item in campaign.time_steps if item.warning and item.scene in scenes
-    ]
-    for sentence in (*unstable, *warnings_of(scenes.values())):
-        narrator.warns(sentence)
-    try:
-        to_run = [entry.task for entry in entries if entry.stored is None]
-        if settings.fresh and to_run:
-            store.discard(waiting)
-            forget(map(path_of, to_run), store.legs)
-            shutil.rmtree(store.surveys, ignore_errors=True)
-        loaded = {entry.task.key: entry.loaded for entry in entries if entry.loaded is not None}
-        context = ExecutionContext(store=store, provenance=provenance, loaded=loaded)
-        plugin = load_plugin(settings.plugin)
+
+    def run(self) -> CampaignResult:
+        """Run the tasks that are not stored; see `run_campaign`."""
+        for name, text in self._settings.files.items():
+            write_durably(self._settings.out / name, text)
+        tasks = [entry.task for entry in self._entries if entry.stored is None]
+        # campaign.json is written before the first task ends, so that a killed campaign can be
+        # shown. If nothing runs, the old file keeps the date and command that made the results.
+        if tasks or self._before is None or not same_campaign(self._campaign, self._before):
+            content = self._campaign.model_dump_json(indent=1)
+            write_durably(self._settings.out / CAMPAIGN, content)
+        self._announce()
+        try:
+            self._run_tasks(tasks)
+            if len(self._records) == len(self._entries):
+                self._try_worlds()
+        finally:
+            with interrupts_wait():
+                self._collect()
+                self._narrator.ends()
+                runs = self._write_tables()
+        report = self._plugin.write_report(self._settings.out)
+        done, checks = divided(self._records[key] for key in self._selected if key in self._records)
+        return CampaignResult(
+            records=done,
+            checks=checks,
+            failures=failures(done, checks, runs),
+            findings=findings(done),
+            conclusions=three_findings(runs),
+            left_out=self._left_out,
+            report=report,
+        )
+
+    def _announce(self) -> None:
+        """Print the number of tasks, and warnings about scenes."""
+        self._narrator.begins(len(self._entries), len(self._records))
+        if self._others:
+            self._narrator.notes(
+                f"{len(self._others)} other runs and checks of the campaign in "
+                f"{self._settings.out} stay in its tables and report"
+            )
+        scenes = scenes_of(self._entries)
+        unstable = [
+            item.warning
+            for item in self._campaign.time_steps
+            if item.warning and item.scene in scenes
+        ]
+        for sentence in (*unstable, *warnings_of(scenes.values())):
+            self._narrator.warns(sentence)
+
+    def _run_tasks(self, tasks: Sequence[Task]) -> None:
+        """Run tasks; the tables and the report grow with each scene that ends."""
+        if self._settings.fresh and tasks:
+            self._store.discard(task.key for task in tasks)
+            forget(map(path_of, tasks), self._store.legs)
+            shutil.rmtree(self._store.surveys, ignore_errors=True)
         with (
-            closing(GrowingReport(partial(plugin.write_report, settings.out))) as growing,
-            closing(_run(to_run, context, settings, narrator)) as finished,
+            closing(
+                GrowingReport(partial(self._plugin.write_report, self._settings.out))
+            ) as report,
+            closing(self._finished(tasks)) as finished,
         ):
             for record in finished:
-                records[record.key] = record
-                narrator.finished(record)
-                if _note_scene(record, entries, records, narrator):
-                    write()
-                    growing.update()
-                if settings.stop_early and fails(record):
+                self._records[record.key] = record
+                self._narrator.finished(record)
+                if isinstance(record, RunRecord) and self._scene_ended(record.scene.name):
+                    self._write_tables()
+                    report.update()
+                if self._settings.stop_early and fails(record):
                     break
-        if len(records) == len(entries):
-            for record in _tried(entries, records, others, context, settings, narrator):
-                records[record.key] = record
-    finally:
-        with interrupts_wait():
-            # What this campaign stored and nobody heard of: it was stopped at that moment.
-            for record in filter(None, [store.read(key) for key in selected if key not in records]):
-                if record.provenance.started == provenance.started:
-                    records[record.key] = record
-                    narrator.finished(record)
-            narrator.ends()
-            told = write()
-    report = load_plugin(settings.plugin).write_report(settings.out)
-    done, checks = divided(records[key] for key in selected if key in records)
-    return CampaignResult(
-        records=done,
-        checks=checks,
-        failures=failures(done, checks, told),
-        findings=findings(done),
-        conclusions=three_findings(told),
-        left_out=left_out,
-        report=report,
-    )
+
+    def _finished(self, tasks: Sequence[Task]) -> Generator[TaskRecord, None, None]:
+        """Yield the record of each task when it ends."""
+        if not tasks:
+            return
+        settings = self._settings
+        where = settings.engine.partition(":")[2]
+        opened = open_local if settings.engine == LOCAL else partial(open_dask, where)
+        loaded = {
+            entry.task.key: entry.loaded for entry in self._entries if entry.loaded is not None
+        }
+        context = ExecutionContext(store=self._store, provenance=self._provenance, loaded=loaded)
+        with opened(settings.jobs, context, len(tasks)) as engine:
+            yield from run_tasks(tasks, engine, context, settings.retries, self._narrator)
+
+    def _scene_ended(self, scene: str) -> bool:
+        """Return whether all runs of a scene have ended, and if so print the scene's summary."""
+        keys = [
+            entry.task.key
+            for entry in self._entries
+            if isinstance(entry.task, RunTask) and entry.task.scene_name == scene
+        ]
+        if any(key not in self._records for key in keys):
+            return False
+        self._narrator.found(divided(self._records[key] for key in keys)[0])
+        return True
+
+    def _try_worlds(self) -> None:
+        """Try the plans that `settings.worlds` selects in perturbed worlds."""
+        tasks = worlds_tasks(self._entries, self._records, self._others, self._settings.worlds)
+        if not tasks:
+            return
+        count = f"{len(tasks)} runs" if len(tasks) > 1 else tasks[0].title
+        self._narrator.notes(f"in perturbed worlds: the plans of {count}")
+        with closing(self._finished(tasks)) as finished:
+            for record in finished:
+                self._records[record.key] = record
+
+    def _collect(self) -> None:
+        """Take the records that this campaign stored and did not receive before it was stopped."""
+        missing = [key for key in self._selected if key not in self._records]
+        for record in filter(None, map(self._store.read, missing)):
+            if record.provenance.started == self._provenance.started:
+                self._records[record.key] = record
+                self._narrator.finished(record)
+
+    def _write_tables(self) -> tuple[RunRecord, ...]:
+        """Write the tables and return the runs of the folder."""
+        records = {**self._others, **self._records}
+        done, checks = divided(records[key] for key in self._keys if key in records)
+        write_tables(self._settings.out, done, checks, self._campaign.violation)
+        return done
 
 
 def checked_selection(settings: CampaignSettings) -> tuple[list[PlannedTask], tuple[str, ...]]:
@@ -228,46 +321,6 @@ def checked_selection(settings: CampaignSettings) -> tuple[list[PlannedTask], tu
     if settings.last_failed:
         campaign_of(settings.out)
     return entries, left_out
-
-
-def _campaign(
-    settings: CampaignSettings,
-    entries: Sequence[PlannedTask],
-    left_out: tuple[str, ...],
-    steps: tuple[TimeStepRecord, ...],
-    earlier: CampaignRecord | None,
-    keys: tuple[str, ...],
-    provenance: ProvenanceRecord,
-) -> CampaignRecord:
-    """What campaign.json says. earlier: the campaign of the folder whose other runs stay, if there are any; keys: of all runs and checks from now on."""
-    title, command, quick, violation = settings.title or TITLE, settings.command, settings.quick, ()
-    if earlier is not None:
-        title, quick, violation = (
-            settings.title or earlier.title,
-            quick and earlier.quick,
-            earlier.violation,
-        )
-        command = (
-            earlier.command
-            if {entry.task.key for entry in entries} <= set(earlier.keys)
-            else command
-        )
-        named = {item.scene for item in steps}
-        steps = (*(item for item in earlier.time_steps if item.scene not in named), *steps)
-    papers = scenes_of(entries).get(SCENE)
-    if papers is not None and not violation:
-        violation = measure(papers)
-    return CampaignRecord(
-        title=title,
-        command=command,
-        quick=quick,
-        left_out=left_out if quick == settings.quick else (),
-        violation=violation,
-        time_steps=steps,
-        started=provenance.started,
-        keys=keys,
-        provenance=provenance,
-    )
 
 
 def time_steps(
@@ -298,54 +351,3 @@ def time_steps(
             )
         )
     return tuple(found)
-
-
-def _note_scene(
-    record: TaskRecord,
-    entries: Sequence[PlannedTask],
-    records: Mapping[str, TaskRecord],
-    narrator: Narrator,
-) -> bool:
-    """Print the summary of a scene and return True if the last of its runs has ended."""
-    if isinstance(record, RunRecord):
-        keys = [
-            entry.task.key
-            for entry in entries
-            if isinstance(entry.task, RunTask) and entry.task.scene_name == record.scene.name
-        ]
-        if all(key in records for key in keys):
-            narrator.found(divided(records[key] for key in keys)[0])
-            return True
-    return False
-
-
-def _tried(
-    entries: Sequence[PlannedTask],
-    records: Mapping[str, TaskRecord],
-    others: Mapping[str, TaskRecord],
-    context: ExecutionContext,
-    settings: CampaignSettings,
-    narrator: Narrator,
-) -> list[TaskRecord]:
-    """Try the plans that `settings.worlds` selects in perturbed worlds; return the amended records."""
-    tasks = worlds_tasks(entries, records, others, settings.worlds)
-    if not tasks:
-        return []
-    count = f"{len(tasks)} runs" if len(tasks) > 1 else tasks[0].title
-    narrator.notes(f"in perturbed worlds: the plans of {count}")
-    with closing(_run(tasks, context, settings, narrator)) as finished:
-        return list(finished)
-
-
-def _run(
-    tasks: Sequence[Task],
-    context: ExecutionContext,
-    settings: CampaignSettings,
-    narrator: Narrator,
-) -> Generator[TaskRecord, None, None]:
-    if not tasks:
-        return
-    where = settings.engine.partition(":")[2]
-    opened = open_local if settings.engine == LOCAL else partial(open_dask, where)
-    with opened(settings.jobs, context, len(tasks)) as engine:
-        yield from run_tasks(tasks, engine, context, settings.retries, narrator)
