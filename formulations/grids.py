@@ -134,17 +134,13 @@ def replayed_goal_error(scene: Scene, kernel: Kernel, plan: Trajectory) -> float
 
 
 # Steps in one of the plan's on which it is followed: on ten feedback seems to take a tenth less
-# (hopper_planar: 0.80 instead of 0.87 of the plan's inputs). What it may take where the scene sets
-# no limit; what is said of a motion that leaves every bound.
+# (hopper_planar: 0.80 instead of 0.87 of the plan's inputs).
 _PARTS = 50
-_SHARE = 0.5
+# Departure of a motion that leaves every bound.
 _LOST = 1e6
-_LIMITS = (
-    "replay_error",
-    "replay_terminal_position_error",
-    "replay_terminal_velocity_error",
-    "feedback_share",
-)
+# Limits of following a plan that hold where the scene sets none; the judge has the same.
+# replay_error: of a coordinate's nominal.
+DEFAULTS = {"replay_error": 0.01, "feedback_share": 0.5, "feedback_effort": 0.25}
 
 
 def finer_scene(scene: Scene, parts: int) -> Scene:
@@ -232,7 +228,7 @@ def _followed(scene: Scene, plan: Trajectory, parts: int) -> tuple[np.ndarray | 
             np.eye(scene.nu) + by_u[t].T @ value @ by_u[t], by_u[t].T @ value @ by_x[t]
         )
         value = np.eye(len(size)) + by_x[t].T @ value @ (by_x[t] - by_u[t] @ gains[t])
-    x, u, off = x_plan[0], np.empty_like(plan.u), 0.0
+    x, u, off = x_plan[0], np.empty_like(plan.u), np.zeros(scene.nq)
     for t in range(plan.steps):
         u[t] = np.clip(plan.u[t] - half * (gains[t] @ ((x - x_plan[t]) / size)), lower, upper)
         motion = steps.rollout(x, np.repeat(u[t : t + 1], parts, axis=0), h)
@@ -240,19 +236,24 @@ def _followed(scene: Scene, plan: Trajectory, parts: int) -> tuple[np.ndarray | 
             return lost
         x, off = (
             np.concatenate([motion.q[-1], motion.v[-1]]),
-            max(off, float(np.abs(motion.q[-1] - plan.q[t + 1]).max())),
+            np.maximum(off, np.abs(motion.q[-1] - plan.q[t + 1])),
         )
     position, velocity = (float(np.linalg.norm(part)) for part in np.split(miss(x, goal), 2))
-    share = float(np.linalg.norm((u - plan.u) / half) / max(np.linalg.norm(plan.u / half), 1e-300))
-    allowed = {
-        name: None if (limit := scene.limit(name)) is None else limit.value for name in _LIMITS
+    added = (u - plan.u) / half
+    departures = {
+        "replay_error": off if scene.limit("replay_error") else off / size[: scene.nq],
+        "replay_terminal_position_error": position,
+        "replay_terminal_velocity_error": velocity,
+        "feedback_share": np.linalg.norm(added) / max(np.linalg.norm(plan.u / half), 1e-300),
+        "feedback_effort": np.sqrt(np.mean(added**2, axis=0)),
     }
-    allowed["feedback_share"] = allowed["feedback_share"] or _SHARE
-    return u, min(
-        max(
-            value / limit
-            for value, limit in zip((off, position, velocity, share), allowed.values(), strict=True)
-            if limit
-        ),
-        _LOST,
+    allowed = {
+        name: DEFAULTS.get(name) if (limit := scene.limit(name)) is None else limit.value
+        for name in departures
+    }
+    parts_allowed = (
+        float(np.max(value, initial=0.0)) / limit
+        for name, value in departures.items()
+        if (limit := allowed[name])
     )
+    return u, min(max(parts_allowed, default=0.0), _LOST)

@@ -1,6 +1,6 @@
 """Exact contact for every scene: run several pipelines from a cold start and keep the cheapest plan.
 
-    mpcc applies and has a plan:  mpcc, relaxed+strict, softplus_dc+strict
+    mpcc has a plan to follow:    mpcc, relaxed+strict, softplus_dc+strict
     otherwise:                    relaxed_walk+strict, relaxed+strict, softplus_dc+strict,
                                   softly_shot+strict
     none of these has a plan:     strict
@@ -102,7 +102,8 @@ class BestExactSession(Session):
         """
         self._method.check_stage(eps, time_limit)
         ends = monotonic() + time_limit
-        found = list(self._found(warm_start, ends))
+        crashed: list[str] = []
+        found = list(self._found(warm_start, ends, crashed))
         best = _best([solution for _, solution in found])
         attempts = tuple(
             Attempt(start=words, outcome=each.outcome, cost=each.cost) for words, each in found
@@ -113,6 +114,8 @@ class BestExactSession(Session):
             if len(found) > 1
             else best.message
         )
+        if crashed:
+            message = f"{ended(message)} {' '.join(crashed)}"
         return replace(
             best,
             method=self._method.name,
@@ -125,11 +128,17 @@ class BestExactSession(Session):
             starts=attempts if len(found) > 1 else best.starts,
         )
 
-    def _found(self, start: Trajectory | None, ends: float) -> Iterator[tuple[str, Solution]]:
-        """Yield the name and the solution of each pipeline, then of each solve on finer steps."""
+    def _found(
+        self, start: Trajectory | None, ends: float, crashed: list[str]
+    ) -> Iterator[tuple[str, Solution]]:
+        """Yield the name and the solution of each pipeline, then of each solve on finer steps.
+
+        Once a plan is found, an error in another way costs that way alone: a sentence in `crashed`.
+        """
         scene = self._scene
         solved: list[Solution] = []
-        by_modes = False  # whether mpcc has a plan
+        by_modes = False  # whether mpcc has a plan that is followed
+        first_error: Exception | None = None
         for way in self._method.ways:
             if way is _MODES and load_method("mpcc").accepts(scene) is not None:
                 continue
@@ -137,14 +146,24 @@ class BestExactSession(Session):
                 continue
             if way is _STRICT and solved:
                 continue
-            found = _with_departure(scene, self._way(way, start, ends))
+            try:
+                found = _with_departure(scene, self._way(way, start, ends))
+            except Exception as error:  # noqa: BLE001 - plans that are found are kept
+                first_error = first_error or error
+                crashed.append(_crash(way.name, error))
+                continue
             solved += [found] if found.outcome is Outcome.SOLVED else []
-            by_modes = by_modes or (way is _MODES and bool(solved))
+            by_modes = by_modes or (way is _MODES and bool(solved) and _is_followed(found))
             yield way.name, found
             if monotonic() >= ends:
                 break
+        if first_error is not None and not solved:
+            raise first_error
         if solved and not _is_followed(cheapest := _cheapest(solved)):
-            yield from self._on_finer_steps(cheapest, ends)
+            try:
+                yield from self._on_finer_steps(cheapest, ends)
+            except Exception as error:  # noqa: BLE001 - plans that are found are kept
+                crashed.append(_crash("strict on finer steps", error))
 
     def _way(self, way: Pipeline, start: Trajectory | None, ends: float) -> Solution:
         """Return the last stage of a pipeline, with the iterations and seconds of all its stages.
@@ -199,6 +218,11 @@ def _with_departure(scene: Scene, found: Solution) -> Solution:
     return replace(
         found, residuals={**found.residuals, _DEPARTURE: departure(scene, found.trajectory)}
     )
+
+
+def _crash(way: str, error: Exception) -> str:
+    """Return a sentence on an error within a pipeline."""
+    return f"{way} ended with an error ({type(error).__name__}: {str(error).rstrip('.')})."
 
 
 def _is_followed(found: Solution) -> bool:

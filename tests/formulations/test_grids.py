@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations.grids import departure, finer_scene, motion_on_finer_steps, scene_of
+from formulations.grids import DEFAULTS, departure, finer_scene, motion_on_finer_steps, scene_of
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
+from validate.judge.score.table import FEEDBACK, TABLE
 
 SMALL = load_scene("three_cart").with_task(
     start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100
@@ -34,9 +35,10 @@ def _finer(inputs: float, fine: int = 50) -> Trajectory:
 
 
 def _ending_at(plan: Trajectory, **limits: float) -> Scene:
-    """The small scene with the plan's own end for a goal, and no limits that count but these."""
+    """The small scene with the plan's own end for a goal, and no limits of its own that count but these."""
     scene = SMALL.with_task(goal=(*plan.q[-1], *plan.v[-1]), steps=40, step=0.05)
-    values = dict.fromkeys((limit.metric for limit in scene.limits), 1e9) | limits
+    kept = {limit.metric for limit in scene.limits} - set(DEFAULTS)
+    values = dict.fromkeys(kept, 1e9) | limits
     return replace(
         scene,
         limits=tuple(
@@ -60,26 +62,21 @@ def test_what_departs_is_counted_in_the_limits_of_the_scene():
     Coarser steps depart by what they are wrong.
     """
     coarse = _finer(1.5, fine=1)
-    names = (
-        "replay_error",
-        "replay_terminal_position_error",
-        "replay_terminal_velocity_error",
-        "feedback_share",
-    )
-    alone = {
-        name: departure(_ending_at(coarse, **{"feedback_share": 1e9, name: 0.01}), coarse)
-        for name in names
-    }
+    goal = ("replay_terminal_position_error", "replay_terminal_velocity_error")
+    names, open_ = (*goal, *DEFAULTS), dict.fromkeys(DEFAULTS, 1e9)
+    alone = {name: departure(_ending_at(coarse, **open_ | {name: 0.01}), coarse) for name in names}
     assert all(value > 1e-2 for value in alone.values())
     assert departure(_ending_at(coarse, **dict.fromkeys(names, 0.01)), coarse) == pytest.approx(
         max(alone.values())
     )
-    assert departure(
-        _ending_at(coarse, replay_error=0.02, feedback_share=1e9), coarse
-    ) == pytest.approx(alone["replay_error"] / 2.0)
+    assert departure(_ending_at(coarse, **open_ | {"replay_error": 0.02}), coarse) == pytest.approx(
+        alone["replay_error"] / 2.0
+    )
     assert departure(_ending_at(coarse), coarse) == pytest.approx(
-        alone["feedback_share"] * 0.01 / 0.5
-    ), "half of the inputs, where no limit is set"
+        max(alone[name] * 0.01 / limit for name, limit in DEFAULTS.items())
+    ), "the judge's own limits, where the scene sets none"
+    defaults = {entry.name: entry.default for entry in (*TABLE, *FEEDBACK)}
+    assert {name: defaults[name][0] for name in DEFAULTS} == DEFAULTS
     finer = _finer(1.5, fine=10)
     assert departure(_ending_at(finer, feedback_share=0.01), finer) < 0.25 * alone["feedback_share"]
 

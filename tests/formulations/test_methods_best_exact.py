@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import sympy as sp
 
@@ -22,7 +23,7 @@ from formulations.solution import Outcome, Seconds, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
-from models.trajectory import Trajectory
+from models.trajectory import Trajectory, uniform_grid
 
 ROOT = Path(__file__).parents[2]
 SMALL = load_scene("three_cart").with_task(
@@ -115,6 +116,35 @@ def test_a_leg_without_a_plan_is_not_followed(monkeypatch: pytest.MonkeyPatch):
         "softly_shot+strict",
     ]
     assert [name for name, cost in costs.items() if cost is None] == list(costs)[1:3]
+
+
+@pytest.mark.parametrize("first", [True, False], ids=["at_first", "after_a_plan"])
+def test_a_crash_of_one_way_costs_no_plan(monkeypatch: pytest.MonkeyPatch, first: bool):
+    """With no plan at all the error is raised."""
+    u = np.zeros((SMALL.task.steps, SMALL.nu))
+    motion = load_kernel(SMALL).rollout(np.array(SMALL.task.start), u, SMALL.task.step)
+    grid = uniform_grid(SMALL.task.step, SMALL.task.steps)
+    plan = Trajectory(t=grid, q=motion.q, v=motion.v, u=u, lam=motion.lam)
+    good = Solution(
+        method="strict_lcp", outcome=Outcome.SOLVED, message="Solved.", trajectory=plan, cost=2.0
+    )
+
+    def way(_session: object, pipeline: Pipeline, *_: object) -> Solution:
+        if (pipeline.name == "relaxed+strict") == first:
+            raise ArithmeticError("a pivot is zero.")
+        return good
+
+    relaxed, softplus = find_pipeline("relaxed+strict"), find_pipeline("softplus_dc+strict")
+    monkeypatch.setattr(best_exact.METHOD, "ways", (relaxed, softplus))
+    monkeypatch.setattr(best_exact.BestExactSession, "_way", way)
+    monkeypatch.setattr(best_exact, "departure", lambda _scene, _plan: 0.1)
+    found = solved(SMALL)
+    assert (found.outcome, found.cost) == (Outcome.SOLVED, 2.0)
+    lost = "relaxed+strict" if first else "softplus_dc+strict"
+    assert f"{lost} ended with an error (ArithmeticError: a pivot is zero)." in found.message
+    monkeypatch.setattr(best_exact.METHOD, "ways", (relaxed if first else softplus,))
+    with pytest.raises(ArithmeticError, match="a pivot is zero"):
+        solved(SMALL)
 
 
 @pytest.fixture(scope="module")
