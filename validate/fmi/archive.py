@@ -411,7 +411,7 @@ def binary_name(version: str, identifier: str) -> str:
 
 
 def _is_three(version: str) -> bool:
-    return re.fullmatch(r"3\.0(\.\d+)?(-[0-9A-Za-z.]+)?", version) is not None
+    return re.fullmatch(r"3\.0(\.\d+)?", version) is not None
 
 
 def _size(count: int) -> str:

@@ -179,7 +179,9 @@ class Cvode:
         """
         self.close()
         self.time = time
-        call, size, context, logger = functions(), len(self.y), ctypes.c_void_p(), ctypes.c_void_p()
+        call, context, logger = functions(), ctypes.c_void_p(), ctypes.c_void_p()
+        # CVODE refuses systems of size 0; a model without states has one constant number here.
+        size = max(1, len(self.y))
 
         def made(pointer: int | None, free: Callable[[Any], Any]) -> int:
             self._accepted(0 if pointer else -1)
@@ -196,7 +198,8 @@ class Cvode:
         self.vector = made(call.N_VNew_Serial(size, context), call.N_VDestroy)
         tolerances = made(call.N_VNew_Serial(size, context), call.N_VDestroy)
         for vector, values in ((self.vector, self.y), (tolerances, self.absolute)):
-            ctypes.memmove(array_of(vector), values.ctypes.data, 8 * size)
+            padded = values if len(values) else np.ones(size)
+            ctypes.memmove(array_of(vector), padded.ctypes.data, 8 * size)
         matrix = made(call.SUNDenseMatrix(size, size, context), call.SUNMatDestroy)
         linear = made(call.SUNLinSol_Dense(self.vector, matrix, context), call.SUNLinSolFree)
         memory = made(

@@ -145,6 +145,7 @@ EXPORT int integration_rates(double time, void *y, void *yp, void *data)
     run->fault = CALL_REFUSED;
     if (at(run, time, data_of(run, y)) || fill(fmu, GET_DERIVATIVES, rate, fmu->states)) return -1;
     if (read_values(fmu, fmu->rate_references, fmu->rates, rate + fmu->states)) return -1;
+    if (fmu->states + fmu->rates == 0) rate[0] = 0.0; /* the constant number of a model without states */
     for (int64_t i = 0; i < fmu->states + fmu->rates; i++) sum += rate[i];
     run->fault = isfinite(sum) ? DONE : RATE_NOT_FINITE;
     run->fault_time = time;

@@ -46,6 +46,31 @@ def made(method: tuple[int, int], y: np.ndarray, **more: Any) -> Cvode:
     return Cvode(method, y, **(given | more))
 
 
+@pytest.mark.parametrize("method", [ADAMS, BDF], ids=["Adams", "BDF"])
+def test_a_model_without_states_is_followed_to_its_events(method: tuple[int, int]):
+    """Such a model has outputs and event indicators of time and inputs alone."""
+
+    def still(_time: float, _y: int, filled: int, _: None) -> int:
+        (ctypes.c_double * 1).from_address(array_of(filled))[:] = [0.0]
+        return 0
+
+    def half(time: float, _y: int, filled: int, _: None) -> int:
+        (ctypes.c_double * 1).from_address(filled)[:] = [time - 0.5]
+        return 0
+
+    solver = made(
+        method,
+        np.zeros(0),
+        rates=FILLS(still),
+        indicators=FILLS(half),
+        count=1,
+        absolute=np.zeros(0),
+    )
+    solver.renew(0.0)
+    assert solver.advance(1.0, 2.0, one_step=False) == ROOT_RETURN
+    assert solver.time == pytest.approx(0.5, abs=1e-12)
+
+
 @pytest.mark.parametrize(("method", "name"), [(ADAMS, "Adams"), (BDF, "BDF")])
 @pytest.mark.parametrize("one_step", [False, True])
 def test_it_is_scikit_sundaes_cvode_bit_for_bit(method: tuple[int, int], name: str, one_step: bool):

@@ -71,7 +71,7 @@ def test_ours_is_let_in_and_unpacked(tmp_path: Path):
     assert problems(archive.path) == ()
 
 
-@pytest.mark.parametrize("version", ["3.0", "3.0.1", "3.0-rc.1"])
+@pytest.mark.parametrize("version", ["3.0", "3.0.1"])
 def test_fmi_3_has_other_names_for_platforms(tmp_path: Path, version: str):
     text = GOOD.replace('"2.0"', f'"{version}"')
     assert (
@@ -458,13 +458,13 @@ def test_other_texts_may_be_anything_that_is_no_doctype(tmp_path: Path):
     assert checks(nested) == ["xml"], "what is dangerous ends it"
 
 
-@pytest.mark.parametrize("version", ["3.0.1-beta", "3.1", "3.0.", "4.0", "2.0.4", ""])
+@pytest.mark.parametrize("version", ["3.0.1-beta", "3.0-rc.1", "3.1", "3.0.", "4.0", "2.0.4", ""])
 def test_versions(version: str, tmp_path: Path):
     text = GOOD.replace('"2.0"', f'"{version}"')
     path = write(
         tmp_path / "m.fmu", {DESCRIPTION: text, "binaries/x86_64-linux/m.so": b"x", LIBRARY: b"x"}
     )
-    assert checks(path) == ([] if version == "3.0.1-beta" else ["version"])
+    assert checks(path) == ["version"], "signatures of functions changed between pre-releases"
 
 
 @pytest.mark.parametrize(
