@@ -73,10 +73,16 @@ class PlanTable:
             )
         self._rows = rows[1:]
         self.rows = len(self._rows)
+        head = rows[0][1]
+        while head and not head[-1] and not any("".join(row[len(head) - 1 :]) for _, row in rows):
+            head = head[:-1]  # each line ends with a comma
         self.units: dict[str, str] = {}
         names = []
-        for cell in rows[0][1]:
+        lower = [_name_and_unit(cell)[0].lower() for cell in head]
+        for cell in head:
             name, unit = _name_and_unit(cell)
+            if name.lower() == "time" and lower.count("time") == 1 and "t" not in lower:
+                name = "t"
             names.append(name)
             if unit is not None:
                 self.units[name] = unit
@@ -96,9 +102,13 @@ class PlanTable:
     def _check_form(self) -> None:
         for name in self.names:
             if not name:
-                raise TrajectoryError(
-                    f"{self.where}: column {self.names.index(name) + 1} has no name; an index, as pandas writes it, is left out by index=False."
+                place = self.names.index(name) + 1
+                advice = (
+                    "an index, as pandas writes it, is left out by index=False"
+                    if place == 1
+                    else "name it in the first line, or delete it"
                 )
+                raise TrajectoryError(f"{self.where}: column {place} has no name; {advice}.")
             if self.names.count(name) > 1:
                 raise TrajectoryError(f"{self.where}: the column {name!r} stands there twice.")
         for number, row in self._rows:
@@ -152,10 +162,11 @@ class PlanTable:
 
 
 def _name_and_unit(cell: str) -> tuple[str, str | None]:
-    """Name and unit of a column's head: `q1 [m]`, but q[1] is a name, as FMUs number them.
+    """Name and unit of a column's head: `q1 [m]` or `q1 (m)`; q[1] and der(q) are names of FMUs.
 
     Names are in Unicode's composed form: an umlaut may be written in two ways that look the same.
     """
+    cell = re.sub(r"(?<=\S)\s+\(([^()]*)\)$", r" [\1]", cell)
     split = re.fullmatch(r"(.*?)(\s*)\[([^\[\]]*)\]", cell)
     if split is None or (not split.group(2) and re.fullmatch(r"\d+(\s*,\s*\d+)*", split.group(3))):
         return unicodedata.normalize("NFC", cell), None
@@ -264,6 +275,8 @@ def real_numbers(what: str, values: Any) -> np.ndarray:
     TrajectoryError
         For anything that only looks like numbers: complex ones, masked ones, dates and durations.
     """
+    if callable(detach := getattr(values, "detach", None)):  # a tensor of PyTorch
+        values = detach().cpu()
     try:
         given = np.asanyarray(values)
     except (TypeError, ValueError) as error:
@@ -305,8 +318,13 @@ def _real(what: str, cell: Any) -> float:
     raise TrajectoryError(f"plan: {what} must be real numbers, but holds {reprlib.repr(text)}.")
 
 
+def _one_row(values: np.ndarray) -> np.ndarray:
+    """Return (n, 1) and (1, n) as (n,), others unchanged."""
+    return values.ravel() if values.ndim == 2 and 1 in values.shape else values
+
+
 class ArrayTable:
-    """The same of arrays by column names (a mapping, or a pandas DataFrame): inputs and forces may be one shorter than `t`, or end in NaN.
+    """The same of arrays by column names (a mapping, a pandas DataFrame or a structured array): inputs and forces may be one shorter than `t`, or end in NaN.
 
     declared: scheme and hold, as a CSV would.
     """
@@ -316,6 +334,19 @@ class ArrayTable:
         self.where, self.source = "plan", "arrays"
         self.declared = {key: value for key, value in declared.items() if value is not None}
         self.units: dict[str, str] = {}
+        if isinstance(columns, np.ndarray):
+            if columns.dtype.names is None:
+                raise TrajectoryError(
+                    f"plan: an array of shape {columns.shape} has no column names; give {{'t': array[:, 0], ..}}."
+                )
+            columns = {name: columns[name] for name in columns.dtype.names}
+        if hasattr(columns, "reset_index") and "t" not in columns:
+            if columns.index.name == "t":
+                columns = columns.reset_index()
+            elif type(columns.index).__name__ != "RangeIndex":
+                raise TrajectoryError(
+                    "plan: the column 't' is missing; if the index is the time in s, give plan.reset_index(names='t')."
+                )
         names = list(columns.columns if hasattr(columns, "columns") else columns)
         for name in names:
             if not isinstance(name, str):
@@ -325,7 +356,7 @@ class ArrayTable:
             if names.count(name) > 1:
                 raise TrajectoryError(f"plan: the column {name!r} stands there twice.")
         self._columns = {
-            name: real_numbers(f"the column {name!r}", columns[name]) for name in names
+            name: _one_row(real_numbers(f"the column {name!r}", columns[name])) for name in names
         }
         self.names = tuple(self._columns)
         self.given = tuple(

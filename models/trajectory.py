@@ -133,6 +133,11 @@ class Trajectory:
             )
         if not (np.diff(self.t) > 0).all():
             index = int(np.argmin(np.diff(self.t) > 0))
+            if self.t[index + 1] == self.t[index]:
+                raise TrajectoryError(
+                    f"plan: time must increase, but two rows have the time {self.t[index]:g} (t[{index}] and t[{index + 1}]). If that is a jump of held inputs, delete the first of "
+                    "the two: a row's inputs hold from its time on; if inputs are lines, let the second row follow a thousandth of a step later."
+                )
             raise TrajectoryError(
                 f"plan: time must increase, but t[{index + 1}] = {self.t[index + 1]:g} follows t[{index}] = {self.t[index]:g}."
             )

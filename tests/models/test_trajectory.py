@@ -6,7 +6,9 @@ from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+import torch
 from wording import saying, unsaid
 
 from models.catalog import load_scene
@@ -92,10 +94,11 @@ def test_velocities_left_out_are_those_of_the_time_step(reading):
     PLAIN.replace("\n", "\r\n"), "\ufeff" + PLAIN, PLAIN.replace(",", ";"),
     PLAIN.replace(",", ";").replace("0.5", "0,5"), PLAIN.replace(",", "\t"),
     PLAIN.replace(",", " , "), PLAIN.replace("t,q1", '"t","q1"'), "# mine\n\n" + PLAIN + "\n",
-    PLAIN.replace(",,", ""),
+    PLAIN.replace(",,", ""), PLAIN.replace("\n", ",\n"), PLAIN.replace("t,", "Time,", 1),
+    PLAIN.replace("t,q1", "t (s),q1 (m)", 1),
 ],
 ids=["CRLF", "BOM", "semicolons", "decimal commas", "tabs", "spaces", "quotes", "comments",
-     "short last row"])  # fmt: skip
+     "short last row", "commas at the end", "time", "units in brackets"])  # fmt: skip
 def test_csv_of_other_programs_is_read(reading, text: str):
     plan = reading(text)
     assert plan.t.tolist() == [0.0, 1.0, 2.0]
@@ -110,7 +113,7 @@ def test_csv_of_other_programs_is_read(reading, text: str):
     ("t,q1,q1,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'q1'", "twice"]),
     ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,x,2,3,1,0\n", ["line 3", "'q1'", "'x'"]),
     ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,nan,2,3,1,0\n", ["line 3, column 'q1': 'nan'", "finite"]),
-    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n0,1,2,3,1,0\n", ["time must increase"]),
+    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n0,1,2,3,1,0\n", ["time must increase", "two rows have the time 0", "jump"]),
     ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1\n", ["line 3"]),
     ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0,7\n1,1,2,3,1,0\n", ["line 2", "7 cells", "6 columns"]),
     ("# mine\n\nt,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,x,2,3,1,0\n", ["line 5", "'x'"]),
@@ -121,9 +124,10 @@ def test_csv_of_other_programs_is_read(reading, text: str):
      ["line 3, column 'q1': '1e999' is not a finite number"]),
     ("0,0,1,2,1,0\n1,1,2,3,1,0\n2,1,2,3,1,0\n", ["first line holds numbers", "header"]),
     (",t,q1,q2,q3,u1,u3\n0,0,0,1,2,1,0\n1,1,1,2,3,1,0\n", ["column 1 has no name", "index=False"]),
-    ("time,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'time'", "did you mean 't'?"]),
+    ("zeit,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'zeit'", "unknown"]),
+    ("t,q1,q2,,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["column 4 has no name", "delete it"]),
     ("t,Q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'Q1'", "did you mean 'q1'?"]),
-    ("t,q1,q2,q3,u1 (kN),u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'u1 (kN)'", "did you mean 'u1'?"]),
+    ("t,q1,q2,q3,u1 (kN),u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["the column 'u1' is in 'kN', but 'N' is expected"]),
 ])  # fmt: skip
 def test_bad_csv_names_line_and_column(tmp_path: Path, reading, text: str, words: list[str]):
     with pytest.raises(TrajectoryError) as caught:
@@ -296,9 +300,11 @@ ARRAYS = {
     {"u1": [True, True, True]},
     {"u1": np.array([1, Decimal(1), "1.0", None], dtype=object)},
     {"q1": ["0", " 1 ", "2.", "+3e0"]}, {"q1": np.ma.masked_array(np.arange(4.0))},
+    {"u1": torch.ones(3, requires_grad=True), "q1": torch.arange(4.0)},
+    {"q1": np.arange(4.0)[:, None], "u1": np.ones((1, 3))},
 ],
 ids=["as long as t", "ends in NaN", "one shorter", "no array", "truth", "objects", "text",
-     "a mask that masks nothing"])  # fmt: skip
+     "a mask that masks nothing", "tensors", "columns of a matrix"])  # fmt: skip
 def test_arrays_by_name_are_a_plan(scene, changes: dict):
     plan = trajectory_from(ArrayTable(ARRAYS | changes, scheme="semi_implicit_euler"), scene)
     assert (plan.steps, plan.scheme, plan.missing) == (3, Scheme.SEMI_IMPLICIT_EULER, {"v", "lam"})
@@ -328,6 +334,20 @@ def test_arrays_by_name_are_a_plan(scene, changes: dict):
 def test_wrong_arrays_are_named(scene, changes: dict, words: str):
     with pytest.raises(TrajectoryError, match=saying(words)):
         trajectory_from(ArrayTable(ARRAYS | changes), scene)
+
+
+def test_time_may_be_the_index_and_columns_fields(scene):
+    full = {name: np.append(values, np.nan)[:4] for name, values in ARRAYS.items()}
+    fields = np.zeros(4, dtype=[(name, float) for name in full])
+    for name, values in full.items():
+        fields[name] = values
+    frame = pd.DataFrame(full).set_index("t")
+    for plan in (frame, fields, fields.view(np.recarray)):
+        assert trajectory_from(ArrayTable(plan), scene).q[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0]
+    with pytest.raises(TrajectoryError, match=r"reset_index\(names='t'\)"):
+        ArrayTable(frame.rename_axis("seconds"))
+    with pytest.raises(TrajectoryError, match=r"shape \(4, 2\) has no column names"):
+        ArrayTable(np.zeros((4, 2)))
 
 
 def test_arrays_without_time_are_refused(scene):

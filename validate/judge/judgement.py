@@ -21,6 +21,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from models.catalog import as_scene
 from models.errors import TrajectoryError
 from models.fmu import build_fmu
@@ -231,7 +233,7 @@ def wire_fmu(
     where = f"map {map_path}" if map_path is not None else f"FMU {fmu}"
     if isinstance(plan, (str, Path)):
         table: Table = PlanTable(Path(plan))
-    elif isinstance(plan, Mapping) or hasattr(plan, "columns"):
+    elif isinstance(plan, (Mapping, np.ndarray)) or hasattr(plan, "columns"):
         table = ArrayTable(plan)
     else:
         raise TrajectoryError(
@@ -293,7 +295,7 @@ def as_trajectory(
             if says_itself
             else read_csv(Path(plan), scene, hold, scheme)
         )
-    if isinstance(plan, Mapping) or hasattr(plan, "columns"):
+    if isinstance(plan, (Mapping, np.ndarray)) or hasattr(plan, "columns"):
         return trajectory_from(ArrayTable(plan, hold=hold, scheme=scheme), scene)
     raise TrajectoryError(
         f"plan: a {type(plan).__name__} is no plan; give the path of a CSV, arrays by column name, a DataFrame, a Trajectory or a Solution."
