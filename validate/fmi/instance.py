@@ -27,6 +27,7 @@ import numpy as np
 from fmpy import fmi2, fmi3
 from fmpy.fmi1 import _FMU, FMICallException
 
+from validate.fmi import logger
 from validate.fmi.archive import FmuError
 from validate.fmi.description import Package, interface_of
 
@@ -167,7 +168,7 @@ class _Fmi2(_Calls):
     def make(self, log: Callable[..., None], options: Mapping[str, Any]) -> None:
         if self.callbacks is None:
             own = fmi2.fmi2CallbackFunctions()
-            own.logger = fmi2.fmi2CallbackLoggerTYPE(log)
+            own.logger, own.componentEnvironment, self.sink = logger.made(log)
             own.allocateMemory, own.freeMemory = (
                 fmi2.defaultCallbacks.allocateMemory,
                 fmi2.defaultCallbacks.freeMemory,
