@@ -30,6 +30,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _COMMANDS = {
     "all": "Run every scene by every pipeline, replay and score each plan, write the report.",
     "run": "Run a campaign of your own: scenes, changes, sweeps and pipelines from a TOML file.",
+    "new": "Write a scene file that runs, or a plan that fits a scene.",
     "list": "Scenes, pipelines and methods.",
     "show": "One run of a campaign: its stages, verdict, questions, metrics, options, log and the command that runs it again.",
     "report": "Rebuild results.csv and report.html of a campaign from its records.",
