@@ -1,4 +1,4 @@
-"""Solve a compiled problem by one run of Ipopt, through cyipopt, and judge the answer before believing it.
+"""Solve a compiled problem by one run of Ipopt, and judge the answer before believing it.
 
 A start is what the caller has: a point, perhaps multipliers, perhaps only some of them.
 """
@@ -14,6 +14,7 @@ from typing import Any
 import cyipopt
 import numpy as np
 
+from formulations.ipopt.interface import Nlp
 from formulations.ipopt.linear_solver import MUMPS, linear_solver, settings
 from formulations.ipopt.options import (
     DEFAULTS,
@@ -142,41 +143,27 @@ def run(
     BaseException
         what a callback raised, as it was
     """
-    nlp = cyipopt.Problem(
-        n=problem.n,
-        m=problem.m,
-        problem_obj=functions,
-        lb=problem.lower,
-        ub=problem.upper,
-        cl=problem.constraint_lower,
-        cu=problem.constraint_upper,
+    x = np.array(start.x, dtype=float)
+    lagrange, zl, zu = (
+        np.zeros(size) if given is None else np.array(given, dtype=float)
+        for given, size in (
+            (start.lagrange, problem.m),
+            (start.zl, problem.n),
+            (start.zu, problem.n),
+        )
     )
+    nlp = Nlp(problem, functions)
     try:
         for name, value in options.items():
             for part, setting in settings(name, value):
-                try:
-                    nlp.add_option(part, setting)
-                except TypeError as error:
+                if not nlp.set_option(part, setting):
                     raise UnknownOptionError(
                         f"Ipopt does not accept {value!r} for the option '{name}'"
-                    ) from error
-        duals = (
-            {}
-            if start.lagrange is None
-            else {"lagrange": start.lagrange, "zl": start.zl, "zu": start.zu}
-        )
-        x, info = nlp.solve(start.x, **duals)
+                    )
+        status = nlp.solve(x, lagrange, zl, zu)
     finally:
         nlp.close()
-    if functions.error is not None:
-        raise functions.error
-    return IpoptExit(
-        status=int(info["status"]),
-        x=np.array(x, dtype=float),
-        lagrange=np.array(info["mult_g"], dtype=float).reshape(problem.m),
-        zl=np.array(info["mult_x_L"], dtype=float),
-        zu=np.array(info["mult_x_U"], dtype=float),
-    )
+    return IpoptExit(status=status, x=x, lagrange=lagrange, zl=zl, zu=zu)
 
 
 # Multipliers of constraints that repeat each other grow without end where rounding hides it. Of
