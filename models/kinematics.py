@@ -1,13 +1,16 @@
 """Where a scene's bodies are drawn and how far its contacts are apart, at given positions: what files of plans and replays hold for those who know no scene.
 
-# x, y and angle of every shape;    gap_columns(scene, q, "node")      # the gap of every contact
-pose_columns(scene, q, "node")
+shape_places(scene)                 # which parts of a pose are constant, or a coordinate
+pose_columns(scene, q, "node")      # the other parts
+gap_columns(scene, q, "node")       # the gap of every contact
 goal_poses(scene)                   # where the goal puts every shape
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import sympy as sp
@@ -16,12 +19,37 @@ from models.dynamics import derive
 from models.netcdf import Column, as_columns
 from models.scene import Scene
 
+# Functions of expressions, kept with the scene object: making one takes up to 0.3 s.
+_COMPILED: WeakKeyDictionary[Scene, dict[tuple[sp.Expr, ...], Callable[..., list[Any]]]] = (
+    WeakKeyDictionary()
+)
+
+
+def shape_places(
+    scene: Scene,
+) -> list[tuple[float | str | None, float | str | None, float | str | None]]:
+    """Return what x, y [m] and angle [rad] of each shape are.
+
+    A number if the part never changes, the name of a coordinate if the part is that coordinate,
+    None if it is another function of the coordinates: files then hold it (`pose_columns`).
+    """
+    names = {coordinate.symbol: coordinate.name for coordinate in scene.coordinates}
+
+    def place(expression: sp.Expr) -> float | str | None:
+        if expression in names:
+            return names[expression]
+        value = expression.subs(scene.parameter_values)
+        return None if value.free_symbols else float(value)
+
+    return [(place(item.x), place(item.y), place(item.angle)) for item in scene.shapes]
+
 
 def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
-    """Where each shape is drawn: columns `pose_x_<n>`, `pose_y_<n>` [m] and `pose_angle_<n>` [rad] of the n-th shape, from 1.
+    """Return where each shape is drawn, if `shape_places` does not say it.
 
-    Numbers, because a shape may have any name, and NetCDF does not allow all of them; the name
-    stands in the description.
+    Columns are `pose_x_<n>`, `pose_y_<n>` [m] and `pose_angle_<n>` [rad] of the n-th shape, from 1,
+    because a shape may have any name, and NetCDF does not allow all of them; the name stands in the
+    description.
 
     Parameters
     ----------
@@ -33,28 +61,23 @@ def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
     Returns
     -------
     list[Column]
-        Three columns a shape (n,); of what never changes one value, along a dimension of its own: more than half of them.
+        A column (n,) for each part that is a function of the coordinates, in single precision.
 
     Raises
     ------
     TypeError
         For another number of coordinates.
     """
-    expressions = [value for shape in scene.shapes for value in (shape.x, shape.y, shape.angle)]
-    named = [
-        (f"pose_{part}_{place}", unit, f"{part} of {shape.name}")
-        for place, shape in enumerate(scene.shapes, 1)
-        for part, unit in (("x", "m"), ("y", "m"), ("angle", "rad"))
-    ]
-    moving = {coordinate.symbol for coordinate in scene.coordinates}
-    return [
-        column
-        if expression.free_symbols & moving
-        else replace(column, dimension="once", values=column.values[:1])
-        for column, expression in zip(
-            as_columns(named, evaluate(scene, expressions, q), dimension), expressions, strict=True
+    parts = [
+        (f"pose_{part}_{number}", unit, f"{part} of {shape.name}", getattr(shape, part))
+        for number, (shape, places) in enumerate(
+            zip(scene.shapes, shape_places(scene), strict=True), 1
         )
+        for part, unit, place in zip(("x", "y", "angle"), ("m", "m", "rad"), places, strict=True)
+        if place is None
     ]
+    values = evaluate(scene, [expression for *_, expression in parts], q)
+    return as_columns([part[:3] for part in parts], values.astype(np.float32), dimension)
 
 
 def gap_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
@@ -70,7 +93,7 @@ def gap_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
     Returns
     -------
     list[Column]
-        A column (n,) a contact.
+        A column (n,) a contact, in single precision.
 
     Raises
     ------
@@ -81,7 +104,8 @@ def gap_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
         (item.gap_name, "m", f"gap, negative in contact, {item.description or item.name}")
         for item in scene.contacts
     ]
-    return as_columns(named, -evaluate(scene, list(derive(scene).penetration), q), dimension)
+    gaps = -evaluate(scene, list(derive(scene).penetration), q)
+    return as_columns(named, gaps.astype(np.float32), dimension)
 
 
 def goal_poses(scene: Scene) -> list[tuple[float, float, float | None] | None]:
@@ -131,7 +155,10 @@ def evaluate(scene: Scene, expressions: list[sp.Expr], q: np.ndarray) -> np.ndar
     """
     if not expressions:
         return np.zeros((len(q), 0))
-    symbols = [coordinate.symbol for coordinate in scene.coordinates]
-    numbers = [expression.subs(scene.parameter_values) for expression in expressions]
-    values = sp.lambdify(symbols, numbers, modules=[np], cse=True)(*q.T)
+    compiled, key = _COMPILED.setdefault(scene, {}), tuple(expressions)
+    if key not in compiled:
+        symbols = [coordinate.symbol for coordinate in scene.coordinates]
+        numbers = [expression.subs(scene.parameter_values) for expression in expressions]
+        compiled[key] = sp.lambdify(symbols, numbers, modules=[np], cse=True)
+    values = compiled[key](*q.T)
     return np.column_stack([np.broadcast_to(value, len(q)) for value in values]).astype(float)

@@ -4,7 +4,7 @@ write_netcdf(path, trajectory, scene)
 trajectory = read_netcdf(path, scene)        # bit for bit what was written
 
 Beside the plan stand the gaps of its contacts and the poses of the scene's shapes at its nodes
-(models.kinematics), which nobody reads back: they are for those who draw it without the scene. A
+(models.kinematics), in single precision: the report draws them without the scene. A
 plan may have tracking gains with it, K (steps, nu, 2*nq) of u = u_plan + K (x_plan - x), as columns
 `gain_<input>_<position or velocity>`.
 """

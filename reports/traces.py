@@ -88,9 +88,8 @@ def read_motion(folder: Path, run: RunRecord, stage: StageRecord) -> Motion:
             found[what] = _columns(folder / files[what], run.scene)
         except _DAMAGED as error:
             problems.append(f"{files[what]} cannot be read ({_reason(error)}).")
-    plan = found["trajectory"]
-    replay, tracked = (_replay(run.scene, plan, found[what]) for what in ("replay", "tracked"))
-    return Motion(_plan(run.scene, plan), replay, tracked, tuple(problems))
+    replay, tracked = (_replay(run.scene, found[what]) for what in ("replay", "tracked"))
+    return Motion(_plan(run.scene, found["trajectory"]), replay, tracked, tuple(problems))
 
 
 def read_plan(folder: Path, run: RunRecord, stage: StageRecord) -> Trace | None:
@@ -127,6 +126,7 @@ def _columns(path: Path, scene: SceneRecord) -> dict[str, Array]:
     names = [
         "t",
         "knots",
+        "position_error",
         *(item.name for item in (*scene.coordinates, *scene.inputs, *scene.frictions)),
     ]
     names += [f"{what}_{contact.name}" for contact in scene.contacts for what in ("lam", "gap")]
@@ -160,14 +160,16 @@ def _plan(scene: SceneRecord, columns: Mapping[str, Array]) -> Trace | None:
     )
 
 
-def _replay(
-    scene: SceneRecord, plan: Mapping[str, Array], columns: Mapping[str, Array]
-) -> Trace | None:
-    """A replay with the inputs as applied, by their own names, and with its distance from the plan, linear between the plan's nodes."""
+def _replay(scene: SceneRecord, columns: Mapping[str, Array]) -> Trace | None:
+    """A replay with the inputs as applied, by their own names.
+
+    Its distance from the plan is linear between the plan's nodes.
+    """
     if not len(columns.get("t", ())):
         return None
     t, told = columns["t"], dict(columns)
     knots = told.pop("knots", np.zeros(0)).astype(int)
+    away = told.pop("position_error", np.zeros(0))
     if len(knots) and knots.min() >= 0 and knots.max() < len(t):
         rows = np.arange(len(t))
         for item in scene.inputs:
@@ -176,19 +178,8 @@ def _replay(
                 told[item.name] = applied[
                     np.clip(np.searchsorted(knots, rows, side="right") - 1, 0, len(applied) - 1)
                 ]
-        pairs = [
-            (plan[item.name], columns[item.name])
-            for item in scene.coordinates
-            if item.name in plan and item.name in columns
-        ]
-        if pairs and all(
-            len(planned) >= len(knots) and len(replayed) == len(t) for planned, replayed in pairs
-        ):
-            difference = np.max(
-                [np.abs(replayed[knots] - planned[: len(knots)]) for planned, replayed in pairs],
-                axis=0,
-            )
-            told["position_error"] = np.interp(t, t[knots], difference)
+        if len(away) == len(knots):
+            told["position_error"] = np.interp(t, t[knots], away)
     return _thinned(scene, t, told)
 
 
@@ -200,14 +191,12 @@ def _thinned(scene: SceneRecord, t: Array, columns: Mapping[str, Array]) -> Trac
         if 0 < len(values) <= len(t)
     }
     poses = {}
-    for place, shape in enumerate(scene.shapes, 1):
-        parts = [thinned.get(f"pose_{part}_{place}") for part in ("x", "y", "angle")]
-        # What never changes has one value.
-        whole = [
-            np.broadcast_to(part, len(keep))
-            for part in parts
-            if part is not None and len(part) in (1, len(keep))
+    for number, shape in enumerate(scene.shapes, 1):
+        parts = [
+            _part(thinned, f"pose_{part}_{number}" if place is None else place, len(keep))
+            for part, place in zip(("x", "y", "angle"), shape.place, strict=True)
         ]
+        whole = [part for part in parts if part is not None]
         if len(whole) == len(parts):
             poses[shape.name] = np.column_stack(whole)
     return Trace(
@@ -215,6 +204,14 @@ def _thinned(scene: SceneRecord, t: Array, columns: Mapping[str, Array]) -> Trac
         {name: values for name, values in thinned.items() if not name.startswith("pose_")},
         poses,
     )
+
+
+def _part(columns: Mapping[str, Array], place: str | float, length: int) -> Array | None:
+    """Return a part of a pose at every time: a constant, or a column that is as long."""
+    if isinstance(place, float):
+        return np.full(length, place)
+    values = columns.get(place)
+    return values if values is not None and len(values) == length else None
 
 
 def contact_phases(trace: Trace | None, contact: str) -> list[tuple[float, float]]:

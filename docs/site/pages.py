@@ -29,7 +29,7 @@ import models.scene
 import touchstone
 from formulations.pipelines import PIPELINES, load_method, method_names
 from models.catalog import load_scene, scene_names
-from models.kinematics import pose_columns
+from models.kinematics import evaluate
 from models.scene import Scene
 from reports.pages.player import placed
 from reports.pages.scene import safe_mathml
@@ -192,8 +192,8 @@ def _picture(scene: Scene) -> str:
         )
         for item in scene.shapes
     ]
-    columns = pose_columns(scene, np.array([scene.task.start[: scene.nq]]), "node")
-    poses = np.array([column.values[0] for column in columns]).reshape(-1, 3)
+    parts = [part for shape in scene.shapes for part in (shape.x, shape.y, shape.angle)]
+    poses = evaluate(scene, parts, np.array([scene.task.start[: scene.nq]])).reshape(-1, 3)
     reach = [max(item.size) * {"disc": 1.0, "wall": 0.0}.get(item.kind, 0.5) for item in records]
     low = np.min([pose[:2] - far for pose, far in zip(poses, reach, strict=True)], axis=0)
     high = np.max([pose[:2] + far for pose, far in zip(poses, reach, strict=True)], axis=0)

@@ -89,7 +89,7 @@ def stage_files(index: int, stages: int) -> dict[str, str]:
 
 
 # Increment it with every change of a stored field: a store of another version is refused.
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 
 Verdict = Literal[
     "holds",
@@ -134,8 +134,10 @@ class ContactRecord(QuantityRecord):
 
 
 class ShapeRecord(Model):
-    """How a body is drawn; where it is, stands in the NetCDF files, by its place among the shapes.
+    """How a body is drawn.
 
+    place: x, y [m] and angle [rad] of its pose: a number that never changes, the name of a
+        coordinate, or None: a column of the NetCDF files, by the shape's number.
     goal: x, y [m] and angle [rad] at the goal, the angle None where the goal leaves it open; None
         where it leaves the place open, or the body never moves.
     """
@@ -143,6 +145,7 @@ class ShapeRecord(Model):
     name: str
     kind: str
     size: tuple[Finite, ...]
+    place: tuple[Finite | str | None, Finite | str | None, Finite | str | None] = (None, None, None)
     goal: tuple[Finite, Finite, Finite | None] | None = None
 
 
@@ -464,7 +467,7 @@ class ProvenanceRecord(Model):
 class RunRecord(Model):
     """One run: a scene by a pipeline."""
 
-    schema_version: Literal[6] = SCHEMA_VERSION
+    schema_version: Literal[7] = SCHEMA_VERSION
     key: str
     scene: SceneRecord
     pipeline: str
@@ -544,7 +547,7 @@ class TimeStepRecord(Model):
 class CampaignRecord(Model):
     """What belongs to the campaign as a whole; stored as DIR/campaign.json."""
 
-    schema_version: Literal[6] = SCHEMA_VERSION
+    schema_version: Literal[7] = SCHEMA_VERSION
     title: str
     command: str
     started: str

@@ -164,7 +164,12 @@ def _motions(stage: StageRecord) -> dict[str, Mapping[str, Sequence[float]]]:
     cost = stage.cost if stage.cost is not None and abs(stage.cost) < 1e4 else 490.0
     push = 2.0 + cost / 490.0
     plan = simulate((stage.eps or None) if stage.method != "relaxed_lcp" else None, push)
-    replay = {**simulate(None, push + 0.02), "knots": list(range(len(plan["t"])))}
+    replay = simulate(None, push + 0.02)
+    away = [
+        max(abs(replay[name][row] - plan[name][row]) for name in ("q1", "q2", "q3"))
+        for row in range(len(plan["t"]))
+    ]
+    replay |= {"knots": list(range(len(away))), "position_error": away}
     found = {"trajectory": plan}
     if stage.replay is not None:
         found["replay"] = replay

@@ -80,6 +80,7 @@ def test_a_plan_and_its_replay_are_read_as_they_were_written(factory, tmp_path):
         "lam_right": [0.0, 1.0, 0.0, 0.0],
         "knots": [0, 2, 3],
         "applied_u1": [8.0, 9.0],
+        "position_error": [0.0, 1.0, 1.25],
     }
     factory.write_motion(place / "replay.nc", moved)
     found = factory.motion(folder, run, run.stages[0])
@@ -89,8 +90,7 @@ def test_a_plan_and_its_replay_are_read_as_they_were_written(factory, tmp_path):
     assert {name: poses.tolist() for name, poses in found.plan.poses.items()} == {
         "left": [[place] * 3 for place in (0.0, 1.0, 2.0, 3.0)]
     }
-    # The plan's nodes are rows 0, 2 and 3 of the replay: there it is at 0, 1 and 2, the replay at
-    # 0, 2 and 3.25 of q2, and so on.
+    # The plan's nodes are rows 0, 2 and 3 of the replay.
     assert found.replay.columns["position_error"].tolist() == pytest.approx([0.0, 0.5, 1.0, 1.25])
     assert found.replay.columns["u1"].tolist() == [8.0, 8.0, 9.0, 9.0]
     assert contact_phases(found.replay, "right") == [(1.0, 2.0)]
@@ -171,7 +171,7 @@ def test_each_motion_is_read_from_its_own_file(factory, tmp_path):
         factory, tmp_path, run, trajectory={"t": t, "q1": [1.0, 2.0, 3.0]},
         replay={"t": t, "q1": [4.0, 5.0, 6.0]},
         tracked={"t": t, "q1": [7.0, 8.0, 9.0], "u1": [1.0, 1.0, 1.0], "knots": [0, 1, 2],
-                 "applied_u1": [5.0, 6.0]},
+                 "applied_u1": [5.0, 6.0], "position_error": [6.0, 6.0, 6.0]},
     )  # fmt: skip
     assert [
         trace.columns["q1"].tolist() for trace in (found.plan, found.replay, found.tracked)
@@ -214,41 +214,35 @@ def test_files_that_cannot_be_read_are_told_and_the_others_shown(factory, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("knots", "error"),
-    [([0, 1], [1.0, 2.0, 2.0]), ([0, 2], [1.0, 2.0, 3.0]), ([0, 3], None), ([-1, 2], None),
-     ([], None), ([0, 1, 2, 2], None)],
+    ("knots", "away", "error"),
+    [([0, 1], [1.0, 2.0], [1.0, 2.0, 2.0]), ([0, 2], [1.0, 3.0], [1.0, 2.0, 3.0]),
+     ([0, 3], [1.0, 3.0], None), ([-1, 2], [1.0, 3.0], None), ([], [], None),
+     ([0, 1, 2], [1.0, 3.0], None)],
 )  # fmt: skip
-def test_the_error_is_that_of_the_plans_nodes(factory, tmp_path, knots, error):
-    """The replay is 1, 2, 4 and the plan 0, 0, 1 of q1; of q2 it is nearer."""
+def test_the_error_is_linear_between_the_plans_nodes(factory, tmp_path, knots, away, error):
     run = factory.run("strict", None, "strict_lcp")
-    t = [0.0, 1.0, 2.0]
-    replay = {"t": t, "q1": [1.0, 2.0, 4.0], "q2": [0.5, 0.5, 0.5]} | (
-        {"knots": knots} if knots else {}
-    )
-    found = written(
-        factory,
-        tmp_path,
-        run,
-        trajectory={"t": t, "q1": [0.0, 0.0, 1.0], "q2": [0.0, 0.0, 0.0]},
-        replay=replay,
-    ).replay
-    if error is None:
-        assert "position_error" not in found.columns
-    else:
-        planned = {0: 0.0, 1: 0.0, 2: 1.0}
-        largest = [
-            max(abs(replay["q1"][knot] - planned[node]), 0.5) for node, knot in enumerate(knots)
-        ]
-        assert found.columns["position_error"].tolist() == pytest.approx(
-            np.interp(t, [t[knot] for knot in knots], largest).tolist()
-        )
+    replay = {"t": [0.0, 1.0, 2.0], "q1": [1.0, 2.0, 4.0]}
+    if knots:
+        replay |= {"knots": knots, "position_error": away}
+    found = written(factory, tmp_path, run, replay=replay).replay
+    told = found.columns.get("position_error")
+    assert (None if told is None else told.tolist()) == error
+
+
+def test_a_pose_is_a_constant_a_coordinate_or_a_column(factory, tmp_path):
+    run = factory.run("strict", None, "strict_lcp")
+    shape = run.scene.shapes[0].model_copy(update={"place": ("q1", 0.5, None)})
+    run = run.model_copy(update={"scene": run.scene.model_copy(update={"shapes": (shape,)})})
+    columns = {"t": [0.0, 1.0], "q1": [3.0, 4.0], "pose_angle_1": [7.0, 8.0]}
+    found = written(factory, tmp_path, run, trajectory=columns).plan
+    assert found.poses["left"].tolist() == [[3.0, 0.5, 7.0], [4.0, 0.5, 8.0]]
 
 
 def test_what_is_no_column_of_finite_numbers_is_missing(factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp")
     t = [0.0, 1.0, 2.0]
     one = {
-        "pose_x_1": [5.0], "pose_y_1": [1.0, 2.0, 3.0], "pose_angle_1": [0.5],
+        "pose_x_1": [5.0] * 3, "pose_y_1": [1.0, 2.0, 3.0], "pose_angle_1": [0.5] * 3,
         "pose_x_2": [1.0, 2.0], "pose_y_2": t, "pose_angle_2": t,
         "pose_x_3": t, "pose_y_3": t,
     }  # fmt: skip

@@ -111,7 +111,7 @@ MODULES = (
     "scipy.special",
     "sympy",
     "pyomo.environ",
-    "h5netcdf",
+    "h5py",
     "psutil",
     "fmpy",
     "validate.tasks.child",

@@ -26,6 +26,7 @@ from models.netcdf import Column, write_columns
 from models.scene import Scene
 from models.trajectory import Trajectory, data_frame
 from reports.records.record import (
+    LONGEST,
     ContactRecord,
     QuantityRecord,
     RunRecord,
@@ -35,7 +36,7 @@ from reports.records.record import (
 )
 from reports.render import framed, render_run
 from validate.judge.judgement import Judgement
-from validate.judge.replay.netcdf import storable, storable_name, write_replay
+from validate.judge.replay.netcdf import storable, storable_name, write_drawn
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import ForeignModel, Subject
 from validate.store.provenance import gather
@@ -246,8 +247,8 @@ def _page(
             ("replay", replay),
             ("tracked", None if replay is None else replay.tracked),
         ):
-            if motion is not None and len(motion.t):
-                write_replay(folder / files[what], motion, drawn)
+            if plan is not None and motion is not None and len(motion.t):
+                write_drawn(folder / files[what], motion, drawn, plan, LONGEST)
         return render_run(run, Path(place), engines)
 
 

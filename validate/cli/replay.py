@@ -300,9 +300,9 @@ def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
     if replay is None or plan is None:
         return
     if len(replay.t):
-        write_replay(out / "replay.nc", replay, subject)
+        write_replay(out / "replay.nc", replay, subject, plan)
     if replay.tracked is not None and len(replay.tracked.t):
-        write_replay(out / "tracked.nc", replay.tracked, subject)
+        write_replay(out / "tracked.nc", replay.tracked, subject, plan)
         if isinstance(subject, Scene) and replay.tracked.feedback is not None:
             write_netcdf(out / "plan.nc", plan, subject, replay.tracked.feedback.gains)
 

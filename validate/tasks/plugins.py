@@ -54,7 +54,7 @@ _build_fmu = _late("models.fmu:build_fmu")
 _certify = _late("formulations.mpec:certify_solution")
 _judge = _late("validate.judge.judgement:judge_trajectory")
 _survey = _late("validate.judge.robustness:survey")
-_write_replay = _late("validate.judge.replay.netcdf:write_replay")
+_write_replay = _late("validate.judge.replay.netcdf:write_drawn")
 
 
 def _checks(scenes: Sequence[SceneReference]) -> list[CheckTask]:
@@ -84,7 +84,7 @@ class Plugin:
     certify: Callable[[Scene, Solution], Solution] = _certify
     judge: Callable[[Scene, Path, Trajectory], Judgement] = _judge
     survey: Callable[[Scene, Trajectory, Mapping[str, float], bool], Survey] = _survey
-    write_replay: Callable[[Path, Replay, Scene], None] = _write_replay
+    write_replay: Callable[[Path, Replay, Scene, Trajectory, int], None] = _write_replay
     write_report: Callable[[Path], Path] = _write_report
 
     def __post_init__(self) -> None:

@@ -11,7 +11,7 @@ from sympy.printing.mathml import mathml
 
 from models.codegen.emit import step_operations
 from models.dynamics import Dynamics, derive
-from models.kinematics import goal_poses
+from models.kinematics import goal_poses, shape_places
 from models.scene import Coordinate, Input, Parameter, Scene
 from models.scene.contacts import Contact, DampingLaw
 from reports.records.record import (
@@ -86,9 +86,12 @@ def scene_record(scene: Scene) -> SceneRecord:
                 size=tuple(
                     float(sp.sympify(size).subs(scene.parameter_values)) for size in shape.size
                 ),
+                place=place,
                 goal=goal,
             )
-            for shape, goal in zip(scene.shapes, goal_poses(scene), strict=True)
+            for shape, place, goal in zip(
+                scene.shapes, shape_places(scene), goal_poses(scene), strict=True
+            )
         ),
         waived=tuple(
             f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None

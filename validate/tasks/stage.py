@@ -21,6 +21,7 @@ from formulations.method import Kind, Leg, StoredStages
 from formulations.solution import Outcome, Seconds, Solution, as_asked
 from models.errors import MachineError, TouchstoneError, TrajectoryError
 from models.trajectory_netcdf import write_netcdf
+from reports.records.record import LONGEST
 from validate.processes.disk import raise_if_disk_ended
 from validate.store.store import progress
 from validate.tasks.leg import Planned, StoredStage, leg_files, link_file
@@ -220,7 +221,7 @@ class Judge:
             tracked = None if replay is None else replay.tracked
             for name, motion in (("replay", replay), ("tracked", tracked)):
                 if motion is not None:
-                    plugin.write_replay(folder / names[name], motion, scene)
+                    plugin.write_replay(folder / names[name], motion, scene, trajectory, LONGEST)
             if tracked is not None and tracked.feedback is not None:
                 write_netcdf(
                     folder / names["trajectory"], trajectory, scene, tracked.feedback.gains

@@ -221,7 +221,7 @@ def _fake_plugin(score=_score) -> Plugin:
         quick=("soft+good",), checks=lambda scenes: (),
         compile=lambda scene: None, build_fmu=lambda scene: Path(os.devnull),
         judge=lambda scene, fmu, trajectory: _judge(score, scene, fmu, trajectory),
-        write_replay=lambda path, replay, scene: None,
+        write_replay=lambda *_: None,
         write_report=_write_report,
     )  # fmt: skip
 

@@ -20,7 +20,7 @@ from validate.tasks import child
 load_scene("three_cart")  # once, in the server
 
 
-def _write_replay(path: Path, replay: object, scene: object) -> None:
+def _write_replay(path: Path, *_: object) -> None:
     write_columns(
         path,
         [Column(name="t", dimension="time", values=np.arange(3.0), unit="s")],

@@ -16,6 +16,7 @@ from killed_campaigns import FAKES_FOLDER
 from formulations.method import Leg, Pipeline
 from formulations.pipelines import load_method, method_names
 from models.catalog import load_scene
+from models.kinematics import pose_columns, shape_places
 from models.netcdf import read_columns
 from models.scene.text import scene_text
 from models.trajectory import Trajectory, uniform_grid
@@ -196,10 +197,23 @@ def test_files_of_plans_have_gaps_and_poses(tmp_path):
     assert columns["gap_left"].values[0] == pytest.approx(0.1)
     assert columns["gap_left"].values[-1] == pytest.approx(0.05)
     assert columns["gap_right"].values[0] == pytest.approx(-0.1)
-    assert [columns[f"pose_{part}_1"].values[-1] for part in ("x", "y", "angle")] == pytest.approx(
-        [2.05, 0.25, 0.0]
-    )
-    assert (columns["pose_x_2"].description, columns["pose_angle_2"].unit) == ("x of middle", "rad")
+    # Of a cart x is a coordinate, and the rest never changes.
+    assert shape_places(SCENE)[0] == ("q1", 0.25, 0.0)
+    assert not [name for name in columns if name.startswith("pose_")]
+
+
+def test_files_hold_poses_that_are_functions_of_coordinates(tmp_path):
+    scene = load_scene("cart_pole_walls")
+    q = np.array([[0.5, 0.0], [0.5, np.pi / 2]])
+    assert shape_places(scene)[0] == ("x", -0.05, 0.0)
+    assert shape_places(scene)[1] == (None, None, None)
+    columns = {column.name: column for column in pose_columns(scene, q, "node")}
+    length = scene.parameter_values[next(p.symbol for p in scene.parameters if p.name == "l")]
+    assert columns.keys() == {"pose_x_2", "pose_y_2", "pose_angle_2"}
+    assert columns["pose_x_2"].values == pytest.approx([0.5, 0.5 + length / 2])
+    assert columns["pose_y_2"].values == pytest.approx([length / 2, 0.0], abs=1e-7)
+    assert columns["pose_angle_2"].values == pytest.approx([np.pi / 2, 0.0], abs=1e-7)
+    assert (columns["pose_x_2"].description, columns["pose_angle_2"].unit) == ("x of pole", "rad")
 
 
 def test_a_key_is_content():
@@ -268,8 +282,7 @@ def test_the_file_of_a_scene_without_contacts_or_inputs_has_its_motion_alone(tmp
         scene,
     )
     columns, _ = read_columns(tmp_path / "trajectory.nc")
-    moving = {name for name in columns if not name.startswith("pose_")}
-    assert moving == {"t", scene.coordinates[0].name, scene.coordinates[0].velocity_name}
+    assert columns.keys() == {"t", scene.coordinates[0].name, scene.coordinates[0].velocity_name}
     assert columns[scene.coordinates[0].name].values == pytest.approx(q[:, 0])
 
 

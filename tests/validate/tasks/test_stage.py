@@ -198,7 +198,7 @@ def judge_of(log: list[Any], answer: Any) -> Judge:
     plugin: Any = SimpleNamespace(
         build_fmu=lambda scene: log.append("build") or "the FMU", judge=judge, certify=lambda scene,
         solution: replace(solution, message="certified"),
-        write_replay=lambda path, replay, scene: log.append((path.name, replay)),
+        write_replay=lambda path, replay, *_: log.append((path.name, replay)),
     )  # fmt: skip
     return Judge(plugin, SCENE, SimpleNamespace(lap=lambda name: log.append(f"lap {name}")))  # type: ignore[arg-type]
 

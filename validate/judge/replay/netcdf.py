@@ -1,7 +1,8 @@
 """Replays as NetCDF-4 files, with units; what is no array stands in the attribute `facts`, as JSON.
 
-write_replay(path, replay, scene)
-columns, attributes = read_columns(path)     # models.netcdf: bit for bit what was written
+write_replay(path, replay, scene, plan)         # every number, bit for bit
+write_drawn(path, replay, scene, plan, 1500)    # the columns and rows that a report draws
+columns, attributes = read_columns(path)        # models.netcdf
 
 Of a scene of ours the poses of its shapes stand there too (models.kinematics), for those who draw
 it without the scene. A tracked replay is a file of its own, with the inputs it applied; the law
@@ -12,13 +13,17 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
+
+import numpy as np
 
 from models.errors import TrajectoryError
 from models.kinematics import pose_columns
 from models.netcdf import Column, as_columns, write_columns
 from models.scene import Scene
+from models.trajectory import Trajectory
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
 
@@ -64,21 +69,67 @@ def _groups(scene: Subject) -> dict[str, list[tuple[str, str, str]]]:
     }
 
 
-def write_replay(path: Path, replay: Replay, scene: Subject) -> None:
-    """Write a replay of this scene. Raises MachineError if the file cannot be written."""
+# The groups of `_groups` that a report draws.
+_DRAWN = ("q", "lam", "gap", "friction")
+
+
+def write_replay(path: Path, replay: Replay, scene: Subject, plan: Trajectory) -> None:
+    """Write all columns of a replay of this plan. Raises MachineError if the file cannot be written."""
+    groups = _groups(scene)
+    rows = np.arange(len(replay.t))
+    _write(path, replay, scene, plan, {name: getattr(replay, name) for name in groups}, rows)
+
+
+def write_drawn(path: Path, replay: Replay, scene: Subject, plan: Trajectory, longest: int) -> None:
+    """Write the part of a replay that a report draws, in single precision but for the times.
+
+    At most `longest` rows, evenly spread, and with them the nodes of the plan, the events and the
+    extremes of every column. Raises MachineError if the file cannot be written.
+    """
+    arrays = {
+        name: np.asarray(values, np.float32)
+        for name in _DRAWN
+        if (values := getattr(replay, name)) is not None
+    }
+    rows = np.arange(len(replay.t))
+    if len(rows) > longest:
+        evenly = np.linspace(0, rows[-1], longest).round().astype(int)
+        times = [event.time for event in replay.events]
+        events = np.minimum(np.searchsorted(replay.t, times), rows[-1])
+        extremes = [
+            ends(values, axis=0)
+            for values in arrays.values()
+            if values.shape[1]
+            for ends in (np.argmin, np.argmax)
+        ]
+        rows = np.unique(np.concatenate([evenly, replay.knots, events, *extremes]))
+    _write(path, replay, scene, plan, arrays, rows)
+
+
+def _write(
+    path: Path,
+    replay: Replay,
+    scene: Subject,
+    plan: Trajectory,
+    arrays: Mapping[str, np.ndarray | None],
+    rows: np.ndarray,
+) -> None:
+    """Write these arrays of a replay, at these rows, which hold all nodes."""
     if replay.scene != scene.name:
         raise TrajectoryError(
             f"file {path}: the replay is of scene {replay.scene}, not of {scene.name}."
         )
-    columns = [Column(name="t", dimension="time", values=replay.t, unit="s", description="time")]
+    columns = [
+        Column(name="t", dimension="time", values=replay.t[rows], unit="s", description="time")
+    ]
     for field, group in _groups(scene).items():
-        if (values := getattr(replay, field)) is not None:
-            columns += as_columns(group, values.reshape(len(values), len(group)), "time")
+        if (values := arrays.get(field)) is not None:
+            columns += as_columns(group, values[rows].reshape(len(rows), len(group)), "time")
     columns.append(
         Column(
             name="knots",
             dimension="node",
-            values=replay.knots,
+            values=np.searchsorted(rows, replay.knots),
             unit="1",
             description="rows that are nodes of the plan",
         )
@@ -91,6 +142,17 @@ def write_replay(path: Path, replay: Replay, scene: Subject) -> None:
             ],
             replay.applied,
             "step",
+        )
+    if plan.has_states and len(plan.q) >= len(replay.knots):
+        away = replay.q[replay.knots] - plan.q[: len(replay.knots)]
+        columns.append(
+            Column(
+                name="position_error",
+                dimension="node",
+                values=np.abs(away).max(axis=1, initial=0.0).astype(np.float32),
+                unit="/".join(dict.fromkeys(item.unit for item in scene.coordinates)),
+                description="largest difference of a coordinate to the plan",
+            )
         )
     facts = {
         "outcome": replay.outcome.name,
@@ -106,7 +168,7 @@ def write_replay(path: Path, replay: Replay, scene: Subject) -> None:
         "effort": None if replay.effort is None else asdict(replay.effort),
     }
     columns = (
-        [*columns, *pose_columns(scene, replay.q, "time")]
+        [*columns, *pose_columns(scene, replay.q[rows], "time")]
         if isinstance(scene, Scene)
         else storable(columns)
     )

@@ -150,7 +150,7 @@ def test_files_hold_the_law_and_what_it_did(
     tracked = caught.tracked
     gains = tracked.feedback.gains
     write_netcdf(tmp_path / "plan.nc", still, scene, gains)
-    write_replay(tmp_path / "tracked.nc", tracked, scene)
+    write_replay(tmp_path / "tracked.nc", tracked, scene, still)
     (planned, _), (followed, attributes) = (
         read_columns(tmp_path / name) for name in ("plan.nc", "tracked.nc")
     )
