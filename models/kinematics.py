@@ -16,7 +16,7 @@ import numpy as np
 import sympy as sp
 
 from models.dynamics import derive
-from models.netcdf import Column, as_columns
+from models.netcdf import Column, as_columns, drawn
 from models.scene import Scene
 
 # Functions of expressions, kept with the scene object: making one takes up to 0.3 s.
@@ -77,7 +77,7 @@ def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
         if place is None
     ]
     values = evaluate(scene, [expression for *_, expression in parts], q)
-    return as_columns([part[:3] for part in parts], values.astype(np.float32), dimension)
+    return as_columns([part[:3] for part in parts], drawn(values), dimension)
 
 
 def gap_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
@@ -105,7 +105,7 @@ def gap_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
         for item in scene.contacts
     ]
     gaps = -evaluate(scene, list(derive(scene).penetration), q)
-    return as_columns(named, gaps.astype(np.float32), dimension)
+    return as_columns(named, drawn(gaps), dimension)
 
 
 def goal_poses(scene: Scene) -> list[tuple[float, float, float | None] | None]:

@@ -1,12 +1,13 @@
 """Writes the report of a campaign: pages that ask nothing of any network, and lead to each other by relative links.
 
     write_report(Path("runs/all"))  ->  runs/all/report.html, and in runs/all/pages a page for each
-                                    scene, each run and each thing that is worth one
+                                    scene, each run and each thing that is worth one, and the
+                                    style and script that these share
     write_single(Path("runs/all"))  ->  runs/all/single.html, which holds all of it
 
 Pages are pure functions of what is stored in the folder: no clock, no machine, no solver. A strict
 Content-Security-Policy allows exactly the style and the script that are inside a page, by their
-hashes. What goes across runs is drawn from the numbers of the records each time; a run's page,
+hashes, or the files beside it. What goes across runs is drawn from the numbers of the records each time; a run's page,
 which costs far more, only if there is none that is younger than its record and this program.
 `is_current` says whether anything would change.
 """
@@ -26,6 +27,7 @@ import threading
 import uuid
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +48,7 @@ from reports.pages import (
     table1,
     violation,
 )
-from reports.pages.section import PAGES, REPORT, Report, Section, run_page, scene_page
+from reports.pages.section import PAGES, REPORT, Report, Section, scene_page
 from reports.records.check_record import CheckRecord
 from reports.records.engines_record import TruthRecord
 from reports.records.load import ReportError, Stored, load, record_files
@@ -77,10 +79,15 @@ _OTHERS = {
     "time-spent": (campaign.time_spent,),
     "provenance": (campaign.provenance,),
 }
+# Style and script of all pages of a campaign but its report.html, beside them.
+_STYLE = "report.css"
+_SCRIPT = "report.js"
 _SCRIPTS = ("common.js", "figures.js", "tables.js", "player.js")
 _LEAD = "Does this plan through contact hold? Every plan below was replayed with exact contact, in continuous time, and scored."
 _AGAIN = "python -m reports DIR"
 _BACK = [(f"../{REPORT}", "The whole report")]
+# Of a page, the bytes that hold the key of its run.
+_HEAD = 2_000
 # Fewer pages than this a process are written sooner without it.
 _WORTH = 8
 
@@ -133,6 +140,8 @@ def write_report(folder: Path, jobs: int | None = None) -> Path:
         (folder / PAGES).mkdir(exist_ok=True)
     except OSError as problem:
         raise _refused(folder / PAGES, "pages", problem) from problem
+    write_page(folder / PAGES / _STYLE, _style(), folder)
+    write_page(folder / PAGES / _SCRIPT, _script(), folder)
     beside = Report(report.stored, folder, at="")
     others = _others(beside)
     for name, sections in others.items():
@@ -143,6 +152,7 @@ def write_report(folder: Path, jobs: int | None = None) -> Path:
             lead=_title(report),
             again=_AGAIN,
             back=_BACK,
+            shared=True,
         )
         write_page(folder / PAGES / f"{name}.html", text, folder)
     program = _program()
@@ -159,6 +169,7 @@ def write_report(folder: Path, jobs: int | None = None) -> Path:
             lead=one.title,
             again=_AGAIN,
             back=back,
+            shared=True,
         )
         write_page(folder / PAGES / scene_page(one), text, folder)
     _write_runs(templates, beside, len(os.sched_getaffinity(0)) if jobs is None else jobs)
@@ -281,16 +292,26 @@ def page(
     again: str,
     quick: bool = False,
     back: Sequence[tuple[str, str]] = (),
+    shared: bool = False,
+    key: str = "",
 ) -> str:
-    """A page of these sections, with its contents, style and script. again: the command that writes it anew; back: (address, words) of other pages."""
-    style, script = _asset("report.css"), "\n".join(_asset(name) for name in _SCRIPTS)
+    """Return a page of these sections, with its contents, style and script.
+
+    again: the command that writes it again; back: (address, words) of other pages; shared: style
+    and script are the files beside it; key: of the run that the page is of.
+    """
+    style, script = _style(), _script()
+    # Some browsers take a local file for another origin than the file beside it.
+    allowed = ["'self' file:"] * 2 if shared else [f"'{_hash(style)}'", f"'{_hash(script)}'"]
     return templates.render(
         "page.html",
         sections=[
             (item, Markup(templates.render(item.template, section=item, **item.values)))
             for item in sections
         ],
-        policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; img-src blob:; base-uri 'none'; form-action 'none'",
+        policy=f"default-src 'none'; style-src {allowed[0]}; script-src {allowed[1]}; img-src blob:; base-uri 'none'; form-action 'none'",
+        key=key,
+        shared=(_STYLE, _SCRIPT) if shared else (),
         style=Markup(style),
         script=Markup(script),
         title=title,
@@ -432,8 +453,10 @@ def _write_run(templates: Templates, report: Report, one: RunRecord) -> None:
         lead=one.scene.title,
         again=_AGAIN,
         back=back,
+        shared=True,
+        key=one.key,
     )
-    write_page(report.folder / PAGES / run_page(one), text, report.folder)
+    write_page(report.folder / PAGES / report.pages[one.key], text, report.folder)
 
 
 def _program() -> int:
@@ -447,7 +470,22 @@ def _program() -> int:
 
 def _due(report: Report) -> list[RunRecord]:
     program = _program()
-    return [one for one in report.stored.runs if _is_due(report, run_page(one), [one], program)]
+    return [
+        one
+        for one in report.stored.runs
+        if (page := report.pages.get(one.key)) is not None
+        and (
+            _is_due(report, page, [one], program)
+            or not _is_of(report.folder / PAGES / page, one.key)
+        )
+    ]
+
+
+def _is_of(path: Path, key: str) -> bool:
+    """Return whether a page is of the run of this key; one of its name may be of an earlier run."""
+    with contextlib.suppress(OSError), path.open("rb") as file:
+        return f'name="run" content="{key}"'.encode() in file.read(_HEAD)
+    return False
 
 
 def _is_due(report: Report, page: str, runs: Sequence[RunRecord], newest: int) -> bool:
@@ -487,6 +525,16 @@ def _asset(name: str) -> str:
     text = (_HERE / "assets" / name).read_text(encoding="utf-8")
     lines = (line.strip() for line in re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL).splitlines())
     return "\n" + "".join(f"{line}\n" for line in lines if line and not line.startswith("//"))
+
+
+@cache
+def _style() -> str:
+    return _asset("report.css")
+
+
+@cache
+def _script() -> str:
+    return "\n".join(_asset(name) for name in _SCRIPTS)
 
 
 def _hash(text: str) -> str:

@@ -186,6 +186,7 @@ class Listed(NamedTuple):
     why: str
     anchor: str
     view: RunView | None
+    has_page: bool
 
 
 def all_runs(report: Report) -> Section | None:
@@ -215,4 +216,5 @@ def _listed(report: Report, run: RunRecord) -> Listed:
         why,
         report.anchor(run),
         view_of(report, run) if report.single else None,
+        report.single or run.key in report.pages,
     )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,10 +20,12 @@ from reports.traces import Motion, Trace, read_motion, read_plan
 # The campaign's page, and the folder of all others beside it.
 REPORT = "report.html"
 PAGES = "pages"
-# A key as campaigns make them, of which so many characters tell runs apart: links to pages stand in
-# report.html by the thousand.
-_DIGEST = re.compile(r"[0-9a-f]{64}")
-_SHORT = 16
+# Length of the digest of a key that tells runs of one name apart.
+_SHORT = 8
+# Characters of a name that the name of a file keeps.
+_KEPT = re.compile(r"[^\w.-]+", re.ASCII)
+# Longest part of a page's name that stands for a scene or a pipeline.
+_LONGEST = 80
 # Names of scenes that are names of files as they are.
 _PLAIN = re.compile(r"[\w-]{1,80}", re.ASCII)
 
@@ -72,9 +76,17 @@ class Report:
     def _anchors(self) -> dict[int, str]:
         return {id(run): f"run-{place}" for place, run in enumerate(self.stored.runs, 1)}
 
+    @cached_property
+    def pages(self) -> dict[str, str]:
+        """The names of the pages of runs, by their keys."""
+        return run_pages(self.stored.runs)
+
     def link(self, run: RunRecord) -> str:
-        """What a link to the run leads to."""
-        return f"#{self.anchor(run)}" if self.single else self.at + quote(run_page(run))
+        """What a link to the run leads to: its page, or its row among all runs if it has none."""
+        if self.single:
+            return f"#{self.anchor(run)}"
+        page = self.pages.get(run.key)
+        return self.at + (quote(page) if page else f"runs.html#{self.anchor(run)}")
 
     def scene_anchor(self, scene: SceneRecord) -> str:
         """Where the scene stands on a page that has all of them."""
@@ -104,21 +116,35 @@ class Report:
         return read_plan(self.folder / "runs" / run.key, run, stage)
 
 
-def run_page(run: RunRecord) -> str:
-    """The name of the run's page: its key, which is also that of a folder.
+def run_pages(runs: Sequence[RunRecord]) -> dict[str, str]:
+    """Return the names of the pages of runs, by their keys.
 
-    Of a digest the beginning.
+    A name is `SCENE--PIPELINE.html`, with part of a digest of the key if runs would share it. A run
+    that does not apply to its scene has no page.
     """
-    return f"{run.key[:_SHORT] if _DIGEST.fullmatch(run.key) else run.key}.html"
+    names = {
+        run.key: f"{_plain(run.scene.name)}--{_plain(run.pipeline)}"
+        for run in runs
+        if run.verdict != "not applicable"
+    }
+    counts = Counter(name.lower() for name in names.values())
+    return {
+        key: f"{name}.html" if counts[name.lower()] == 1 else f"{name}-{_digest(key)[:_SHORT]}.html"
+        for key, name in names.items()
+    }
+
+
+def _plain(name: str) -> str:
+    return _KEPT.sub("-", name).strip("-.")[:_LONGEST] or "unnamed"
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8", "replace")).hexdigest()
 
 
 def scene_page(scene: SceneRecord) -> str:
     """The name of the scene's page; of a name that is none of a file, a digest."""
-    name = (
-        scene.name
-        if _PLAIN.fullmatch(scene.name)
-        else hashlib.sha256(scene.name.encode("utf-8", "replace")).hexdigest()[:16]
-    )
+    name = scene.name if _PLAIN.fullmatch(scene.name) else _digest(scene.name)[:16]
     return f"scene-{name}.html"
 
 

@@ -92,4 +92,4 @@ def run_file(full_folder: Path) -> Path:
     from reports.render import PAGES, write_report
 
     write_report(full_folder)
-    return full_folder / PAGES / "strict-0123456789abcdef.html"
+    return full_folder / PAGES / "three_cart--strict.html"

@@ -12,6 +12,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 from wording import unsaid
 
+from reports.pages.section import run_pages
 from reports.records.check_record import CheckRecord
 from reports.render import PAGES, framed, write_report, write_single
 
@@ -199,6 +200,12 @@ def test_the_player_moves(chromium, run_file):
     assert desk.evaluate(f"{inside}.querySelector('canvas').toDataURL()") != before
 
 
+def _files_of(path: Path) -> set[str]:
+    """Addresses of a page and of the files it needs: those of a campaign's folder of pages share two."""
+    shared = ("report.css", "report.js") if path.parent.name == PAGES else ()
+    return {place.resolve().as_uri() for place in (path, *(path.parent / name for name in shared))}
+
+
 def test_hostile_strings_do_nothing(chromium, hostile_folder, factory):
     page = chromium.open(write_single(hostile_folder))
     assert page.messages == []
@@ -225,7 +232,7 @@ def test_names_of_small_bodies_do_not_overlap(chromium, factory, tmp_path):
     )
     run = run.model_copy(update={"scene": run.scene.model_copy(update={"shapes": shapes})})
     write_report(factory.store(tmp_path / "small", [run]))
-    page = chromium.open(tmp_path / "small" / "pages" / f"{run.key}.html")
+    page = chromium.open(tmp_path / "small" / "pages" / run_pages([run])[run.key])
     pairs = page.evaluate("""(() => {
       const player = document.querySelector("[data-player]"), slider = player.querySelector("input"), pen = player.querySelector("canvas").getContext("2d");
       const write = pen.fillText.bind(pen);
@@ -513,7 +520,7 @@ def test_links_lead_from_page_to_page_and_back(chromium, pages):
 
 
 def test_a_closed_stage_is_opened_by_the_contents_of_its_page(chromium, pages):
-    page = chromium.open(next(pages[1].glob("softplus_dc-strict*.html")))
+    page = chromium.open(next(pages[1].glob("*--softplus_dc-strict*.html")))
     first = "document.querySelector('details.stage')"
     assert page.evaluate(f"{first}.open") is False
     page.evaluate(f"document.querySelector(`nav.contents a[href='#${{{first}.id}}']`).click()")
@@ -529,13 +536,13 @@ def test_axe_finds_no_violation(chromium, page_file, pages, width, dark):
     script = (Path(axe.__path__[0]) / "axe.min.js").read_text(encoding="utf-8")
     kinds = (
         pages[0],
-        next(pages[1].glob("softplus_dc-strict*.html")),
+        next(pages[1].glob("*--softplus_dc-strict*.html")),
         next(pages[1].glob("scene-*.html")),
     )
     for path in (page_file,) if dark else kinds:
         page = chromium.open(path, width=width, dark=dark)
         assert page.messages == []
-        assert page.requests == [path.resolve().as_uri()]
+        assert {*page.requests} == _files_of(path)
         # Two runs with all they hold stand for the others: hundreds of plots more are the same
         # markup.
         page.evaluate(
@@ -556,11 +563,7 @@ def test_axe_finds_no_violation(chromium, page_file, pages, width, dark):
 @pytest.mark.parametrize("width", [1400, 390])
 def test_no_page_complains_asks_or_scrolls_sideways(chromium, pages, width):
     """Every page that is no run's, of whatever it tells, with all it folds open."""
-    kinds = [
-        path
-        for path in (pages[0], *sorted(pages[1].glob("*.html")))
-        if not path.name.endswith(("-0123456789abcdef.html", "-0.html"))
-    ]
+    kinds = [path for path in (pages[0], *sorted(pages[1].glob("*.html"))) if "--" not in path.name]
     assert {path.stem for path in kinds} >= {
         "report",
         "runs",
@@ -572,6 +575,6 @@ def test_no_page_complains_asks_or_scrolls_sideways(chromium, pages, width):
         page.evaluate(
             "document.querySelectorAll('details').forEach((item) => { item.open = true; })"
         )
-        assert (page.messages, page.requests) == ([], [path.resolve().as_uri()])
+        assert (page.messages, {*page.requests}) == ([], _files_of(path))
         assert page.evaluate("document.documentElement.scrollWidth") <= width, path.name
         page.call("Page.close")

@@ -62,7 +62,7 @@ def told(text: str) -> tuple[str, str, list[str], list[tuple[str, str]], str]:
         ("pages/scene-hill", "hill", "A hill", HILL, OF_SCENE),
         ("pages/provenance", "Provenance", CAMPAIGN, ["provenance"], [WHOLE]),
         ("pages/runs", "All runs", CAMPAIGN, ["runs"], [WHOLE]),
-        ("pages/x-key", "x on hill", "A hill", ["one"],
+        ("pages/hill--x", "x on hill", "A hill", ["one"],
          [WHOLE, ("scene-hill.html", "The scene hill"), ("runs.html", "All runs")]),
     ],
 )  # fmt: skip
@@ -86,8 +86,9 @@ def test_there_are_no_other_pages(folder: Path):
     assert names - set(_OTHERS) == {
         "scene-three_cart",
         "scene-hill",
-        "x-key",
-        "strict-0123456789abcdef",
+        "hill--x",
+        "three_cart--strict",
+        "report",
     }
     assert names >= {"runs", "provenance"}
 
@@ -128,7 +129,7 @@ def test_a_report_is_current_where_it_is_younger_than_all_it_is_made_of(folder: 
         assert not is_current(folder), path
         os.utime(path, ns=(before, before))
         assert is_current(folder), path
-    for name in ("pages", "pages/x-key.html", "report.html", "runs/x-key/record.json"):
+    for name in ("pages", "pages/hill--x.html", "report.html", "runs/x-key/record.json"):
         path = folder / name
         before = path.parent.stat().st_mtime_ns
         path.rename(folder.parent / "away")

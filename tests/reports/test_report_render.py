@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from wording import unsaid
 
+from reports.pages.section import run_pages
 from reports.records.load import ReportError
 from reports.records.record import StageRecord
 from reports.render import write_report, write_single
@@ -195,7 +196,7 @@ def test_missing_and_odd_data_are_a_dash_and_never_an_exception(factory, tmp_pat
     ]
     write_report(folder := factory.store(tmp_path / "odd", [*runs, factory.runs()[0]]))
     for run, stage in zip(runs, odd, strict=True):
-        page = Parsed((folder / "pages" / f"{run.key}.html").read_text(encoding="utf-8"))
+        page = Parsed((folder / "pages" / run_pages([run])[run.key]).read_text(encoding="utf-8"))
         assert "softplus_dc" in page.text
         told = [
             not unsaid(page.text, words)
@@ -232,7 +233,7 @@ def test_missing_and_odd_motions_are_a_dash_and_never_an_exception(factory, tmp_
             factory.write_motion(path, columns)
     write_report(folder)
     for run, (_, said) in zip(runs, _ODD_MOTIONS, strict=True):
-        page = Parsed((folder / "pages" / f"{run.key}.html").read_text(encoding="utf-8"))
+        page = Parsed((folder / "pages" / run_pages([run])[run.key]).read_text(encoding="utf-8"))
         assert (
             f"{what}.nc {said}" in page.text
             or f"No {'planned trajectory' if what == 'trajectory' else 'replay'} is {said}"
@@ -261,7 +262,7 @@ def test_pages_of_long_motions_stay_small(factory, tmp_path):
         path.name: path.stat().st_size
         for path in (folder / "report.html", *(folder / "pages").iterdir())
     }
-    assert {"report.html", "scene-three_cart.html", f"{run.key}.html"} <= set(sizes)
+    assert {"report.html", "scene-three_cart.html", run_pages([run])[run.key]} <= set(sizes)
     assert max(sizes.values()) < 300_000
 
 

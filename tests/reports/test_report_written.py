@@ -11,7 +11,8 @@ from urllib.parse import unquote
 import pytest
 
 from reports import render as module
-from reports.records.load import ReportError
+from reports.pages.section import run_pages
+from reports.records.load import ReportError, load
 from reports.render import PAGES, write_report, write_single
 
 
@@ -43,6 +44,7 @@ def test_every_link_leads_to_an_anchor_of_a_page(full_folder):
         path.resolve(): path.read_text(encoding="utf-8")
         for path in (full_folder / "report.html", *(full_folder / PAGES).iterdir())
     }
+    assert {path.name for path in texts if path.suffix != ".html"} == {"report.css", "report.js"}
     anchors = {path: set(re.findall(r' id="([^"]+)"', text)) for path, text in texts.items()}
     for path, text in texts.items():
         for address, anchor in re.findall(r' href="([^"#]*)(?:#([^"]*))?"', text):
@@ -55,7 +57,7 @@ def test_every_link_leads_to_an_anchor_of_a_page(full_folder):
         "runs",
         "provenance",
         "scene-three_cart",
-        "strict-0123456789abcdef",
+        "three_cart--strict",
     } <= names
 
 
@@ -80,16 +82,17 @@ def test_pages_together_show_every_figure_of_the_single_file(full_folder):
 def test_a_page_that_stands_is_left_and_any_other_is_written(folder: Path):
     write_report(folder)
     before = _written(folder)
-    chain = next(name for name in before if name.startswith("relaxed-strict"))
+    chain = next(name for name in before if name.startswith("three_cart--relaxed-strict"))
     write_report(folder)
     again = _written(folder)
-    of_runs = {name for name in before if (folder / "runs" / name.removesuffix(".html")).exists()}
+    keys = {name: key for key, name in run_pages(load(folder).runs).items()}
+    of_runs = before.keys() & keys.keys()
     standing = {name for name in before if again[name] == before[name]}
     assert standing == of_runs | {"scene-three_cart.html"}
     assert len(of_runs) == 3
-    os.utime(folder / "runs" / chain.removesuffix(".html") / "record.json")
+    os.utime(folder / "runs" / keys[chain] / "record.json")
     os.utime(folder / "runs" / "other" / "record.json")
-    (folder / PAGES / "strict-0123456789abcdef.html").unlink()
+    (folder / PAGES / "three_cart--strict.html").unlink()
     write_report(folder)
     last = _written(folder)
     assert {name for name in again if again[name] != last[name]} == set(again)
@@ -134,7 +137,7 @@ def test_few_pages_start_no_process(factory, tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(threading, "active_count", lambda: 1)
     monkeypatch.delattr(module.multiprocessing, "get_context")
     write_report(folder, 8)
-    assert "strict-0123456789abcdef.html" in _written(folder)
+    assert "three_cart--strict.html" in _written(folder)
 
 
 @pytest.mark.slow
@@ -146,7 +149,7 @@ def test_what_a_process_leaves_undone_is_done_here(
     monkeypatch.setattr(threading, "active_count", lambda: 1)
     monkeypatch.setattr(module, "_write_some", lambda *_: os._exit(9))
     write_report(folder, 2)
-    assert {f"{run.key}.html" for run in factory.runs()} < set(_written(folder))
+    assert {*run_pages(factory.runs()).values()} < set(_written(folder))
 
 
 def test_a_file_in_the_place_of_the_pages_is_one_sentence(folder: Path):
@@ -157,7 +160,7 @@ def test_a_file_in_the_place_of_the_pages_is_one_sentence(folder: Path):
 
 
 def test_a_folder_in_the_place_of_a_page_is_one_sentence(folder: Path):
-    (folder / PAGES / "strict-0123456789abcdef.html" / "in").mkdir(parents=True)
+    (folder / PAGES / "three_cart--strict.html" / "in").mkdir(parents=True)
     with pytest.raises(ReportError, match="cannot be written"):
         write_report(folder)
     assert [path.name for path in folder.rglob(".partial*")] == []

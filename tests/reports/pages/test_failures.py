@@ -156,7 +156,7 @@ def test_a_limit_is_told_where_runs_share_it_and_a_link_to_each_scene(factory):
     ((name, link, limit, mine),) = group.scenes
     assert (name, link, limit, [(item.by, item.limit, item.link) for item in mine]) == (
         "bank", "pages/scene-bank.html", "",
-        [("0.43 m", "0.050 m", "pages/bank-a.html"), ("0.43 m", "0.070 m", "pages/bank-b.html")],
+        [("0.43 m", "0.050 m", "pages/bank--a.html"), ("0.43 m", "0.070 m", "pages/bank--b.html")],
     )  # fmt: skip
     assert section().anchor == "failures"
     assert section().title == "What failed, by cause"

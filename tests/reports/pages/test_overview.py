@@ -13,7 +13,7 @@ import pytest
 from wording import unsaid
 
 from reports.pages import overview
-from reports.pages.section import Report
+from reports.pages.section import Report, run_pages
 from reports.records.load import Stored, load
 from reports.render import _OTHERS, PAGES, render, write_report
 
@@ -59,8 +59,8 @@ def test_links_lead_there_and_back(folder):
         assert 'href="../report.html"' in text
     scene = (folder / PAGES / "scene-other.html").read_text(encoding="utf-8")
     run = next(run for run in Report(load(folder), folder).stored.runs if run.scene.name == "other")
-    assert f'href="{run.key}.html"' in scene
-    assert 'href="scene-other.html"' in (folder / PAGES / f"{run.key}.html").read_text(
+    assert f'href="{run_pages([run])[run.key]}"' in scene
+    assert 'href="scene-other.html"' in (folder / PAGES / run_pages([run])[run.key]).read_text(
         encoding="utf-8"
     )
     assert "ours beside Table I of the paper" in (

@@ -1,14 +1,16 @@
 """All runs in a table, and what is told of one: why it has its verdict, its metrics stage by stage, and both of its ends; all runs as one table, and the head of a run's page: the verdict with what decided it."""
 
 import html
+import os
 import re
+from hashlib import sha256
 
 import pytest
 from wording import unsaid
 
 from reports.pages import run as one_run
 from reports.pages.run import decision_of, not_applicable, view_of
-from reports.pages.section import Report, run_page
+from reports.pages.section import Report, run_pages
 from reports.records.load import Stored
 from reports.records.record import RunRecord, TrackedRecord
 from reports.render import PAGES, write_report
@@ -42,7 +44,7 @@ def test_every_run_is_a_row_with_the_numbers_of_its_last_stage():
     assert ([item.value for item in first.errors], first.why, first.link, first.anchor) == (
         [0.1, 0.2, 0.3],
         "",
-        "pages/a-key.html",
+        "pages/three_cart--a.html",
         "run-1",
     )
     assert (second.run.cost, second.run.integral_cost, second.run.solving_cpu, second.errors) == (
@@ -214,7 +216,7 @@ def rows_of(folder) -> list[list[str]]:
     assert table is not None
     return [
         [words(cell) for cell in re.findall(r"<t[hd].*?</t[hd]>", row, re.DOTALL)]
-        for row in re.findall(r"<tr>.*?</tr>", table[0], re.DOTALL)
+        for row in re.findall(r"<tr[^>]*>.*?</tr>", table[0], re.DOTALL)
     ]
 
 
@@ -273,7 +275,7 @@ def test_the_page_of_a_run_begins_with_its_verdict(factory, tmp_path):
     )
     folder = factory.store(tmp_path / "all", [run])
     write_report(folder)
-    text = words((folder / PAGES / run_page(run)).read_text(encoding="utf-8"))
+    text = words((folder / PAGES / run_pages([run])[run.key]).read_text(encoding="utf-8"))
     order = [
         "strict on three_cart ✗ violates",
         "Question 4. Do its inputs give its motion, and the goal? ✗ no",
@@ -291,12 +293,53 @@ def test_the_page_of_a_run_begins_with_its_verdict(factory, tmp_path):
     assert text.count("ends 0.12 m from the goal") == 1, "what decided is told once"
 
 
-def test_long_keys_are_cut_in_links_and_others_are_not(factory):
+def test_run_pages_names_are_readable_and_unique(factory):
+    def ran(pipeline: str, key: str, **changes: object) -> RunRecord:
+        run = factory.run(pipeline, None, "strict_lcp")
+        return run.model_copy(update={"key": key, **changes})
+
+    runs = [
+        ran("softplus_dc+strict", "a"),
+        ran("a b/c", "b"),
+        ran("../☃", "c"),
+        ran("twice", "d"),
+        ran("Twice", "e"),
+        ran("refused", "f", verdict="not applicable"),
+    ]
+    names = run_pages(runs)
+    assert [names.get(key) for key in "abc"] == [
+        "three_cart--softplus_dc-strict.html",
+        "three_cart--a-b-c.html",
+        "three_cart--unnamed.html",
+    ]
+    assert names["d"] == f"three_cart--twice-{sha256(b'd').hexdigest()[:8]}.html"
+    assert names["e"] == f"three_cart--Twice-{sha256(b'e').hexdigest()[:8]}.html"
+    assert "f" not in names
+
+
+def test_a_run_without_a_page_has_a_row_that_links_lead_to(factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp")
-    assert run_page(run) == "strict-0123456789abcdef.html"
-    assert (
-        run_page(run.model_copy(update={"key": "0123456789abcdef" * 4})) == "0123456789abcdef.html"
-    )
+    refused = factory.run("mpcc", None, "strict_lcp", key="r", stages=(), verdict="not applicable")
+    assert report(run, refused).link(refused) == "pages/runs.html#run-2"
+    folder = factory.store(tmp_path / "all", [run, refused])
+    write_report(folder)
+    text = (folder / PAGES / "runs.html").read_text(encoding="utf-8")
+    assert '<tr id="run-2"><td>three_cart</td><th scope="row">mpcc</th>' in text
+    assert len(list((folder / PAGES).glob("*--*.html"))) == 1
+
+
+def test_a_page_of_an_earlier_run_of_its_name_is_written_again(factory, tmp_path):
+    """Both records are older than the page, as after a change and its reversal."""
+    folder = tmp_path / "all"
+    run = factory.run("strict", None, "strict_lcp")
+    texts = []
+    for key in ("one", "two"):
+        factory.store(folder, [run.model_copy(update={"key": key})])
+        for path in (folder / "runs" / key, folder / "runs" / key / "record.json"):
+            os.utime(path, (1, 1))
+        write_report(folder)
+        texts.append((folder / PAGES / "three_cart--strict.html").read_text(encoding="utf-8"))
+    assert ["<code>one</code>" in texts[0], "<code>two</code>" in texts[1]] == [True, True]
 
 
 def test_a_metric_that_could_not_be_measured_decides_with_its_reason(factory, tmp_path):
@@ -311,6 +354,6 @@ def test_a_metric_that_could_not_be_measured_decides_with_its_reason(factory, tm
     folder = factory.store(tmp_path / "all", [run])
     write_report(folder)
     assert not unsaid(
-        words((folder / PAGES / run_page(run)).read_text(encoding="utf-8")),
+        words((folder / PAGES / run_pages([run])[run.key]).read_text(encoding="utf-8")),
         "Decided by replay_error : … 0.02 m.",
     )

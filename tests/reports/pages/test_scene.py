@@ -9,7 +9,7 @@ import pytest
 from wording import unsaid
 
 from reports.pages import scene as module
-from reports.pages.section import Report
+from reports.pages.section import Report, run_pages
 from reports.records.load import load
 from reports.render import PAGES, write_report
 
@@ -53,7 +53,7 @@ def test_it_plays_the_cheapest_plan_that_holds_beside_replay_goal_and_forces(fac
     assert data["plan"]
     assert data["replay"]
     assert all(shape["goal"] == [2.5, 0.0, 0.0] for shape in data["shapes"])
-    assert f'href="{cheap.key}.html">Its run</a>' in text
+    assert f'href="{run_pages([cheap])[cheap.key]}">Its run</a>' in text
     motion = text[text.index('id="scene-1"') : text.index('id="pareto-1"')]
     assert "Contact force, " in motion
     assert "Positions: plan dotted, replay solid" in motion

@@ -44,7 +44,7 @@ def test_seconds_are_told_by_group_and_the_slowest_first():
         )
     )
     slow, quick = found.values["slowest"]
-    assert (slow.run.pipeline, slow.link) == ("slow", "pages/slow-key.html")
+    assert (slow.run.pipeline, slow.link) == ("slow", "pages/three_cart--slow.html")
     assert dict(zip(found.values["groups"], slow.groups, strict=True)) == {
         "starting": 3.0, "compiling": 0.0, "modelling": 0.0, "evaluating": 0.0,
         "linear algebra": 0.0, "judging": 3.0, "other": 4.0,
@@ -154,8 +154,8 @@ def test_what_a_runs_origin_has_other_than_the_campaigns():
     found = campaign.provenance(report(same, far, title="x"))
     assert not unsaid(found.said, "1 of 2 runs come from elsewhere")
     assert [(run.pipeline, link, len(differs)) for run, link, differs in found.values["runs"]] == [
-        ("same", "pages/same-key.html", 0),
-        ("far", "pages/far-key.html", 9),
+        ("same", "pages/three_cart--same.html", 0),
+        ("far", "pages/three_cart--far.html", 9),
     ]
     assert "none of 1 run come" in campaign.provenance(report(same)).said
     assert campaign.provenance(report(far, same)).values["first"] is other, (
@@ -257,11 +257,11 @@ DIGEST = "0123456789abcdef" * 4
 @pytest.mark.parametrize(
     ("key", "name", "run_link", "scene_link"),
     [
-        ("plain", "bank", "plain.html", "scene-bank.html"),
-        (DIGEST, "three_cart-2", "0123456789abcdef.html", "scene-three_cart-2.html"),
-        (DIGEST[1:], "a" * 80, f"{DIGEST[1:]}.html", f"scene-{'a' * 80}.html"),
-        ("a b", "a/b", "a%20b.html", "scene-c14cddc033f64b9d.html"),
-        (DIGEST + "0", "", f"{DIGEST}0.html", "scene-e3b0c44298fc1c14.html"),
+        ("plain", "bank", "bank--one.html", "scene-bank.html"),
+        (DIGEST, "three_cart-2", "three_cart-2--one.html", "scene-three_cart-2.html"),
+        (DIGEST, "a" * 80, f"{'a' * 80}--one.html", f"scene-{'a' * 80}.html"),
+        ("a b", "a/b", "a-b--one.html", "scene-c14cddc033f64b9d.html"),
+        (DIGEST, "", "unnamed--one.html", "scene-e3b0c44298fc1c14.html"),
     ],
 )  # fmt: skip
 def test_links_lead_to_pages_or_to_anchors(key: str, name: str, run_link: str, scene_link: str):

@@ -118,8 +118,8 @@ def test_every_metric_of_a_sweep_is_drawn_in_its_unit():
     assert not unsaid(section.said, "1 sweep: k on hill")
     (sweep,) = section.values["sweeps"]
     assert [(item.run.key, item.link, item.curve, item.x) for item in sweep.runs] == [
-        ("a-1", "pages/a-1.html", "a", 1.0), ("a-2", "pages/a-2.html", "a", 2.0),
-        ("a-4", "pages/a-4.html", "a", 4.0),
+        ("a-1", "pages/hill_k_1--a.html", "a", 1.0), ("a-2", "pages/hill_k_2--a.html", "a", 2.0),
+        ("a-4", "pages/hill_k_4--a.html", "a", 4.0),
     ]  # fmt: skip
     assert sweep.words == "a holds at k = 2 N/m and 4 N/m."
     cost, error, position, velocity, cpu = sweep.first
@@ -141,7 +141,7 @@ def test_every_metric_of_a_sweep_is_drawn_in_its_unit():
         "c0",
         "circle",
         "a on hill_k_1: k 1 N/m, replay error 0.01 rad, violates",
-        "pages/a-1.html",
+        "pages/hill_k_1--a.html",
         (1.0, 0.01),
     )
     assert (

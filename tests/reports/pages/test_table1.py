@@ -476,7 +476,7 @@ def test_plans_are_drawn_from_the_loosest_to_the_tightest(tmp_path):
         "s",
     )
     assert drawn(off).lines == {"Softplus": ("c0", [(1e-5, 0.1), (1e-3, 0.2), (1e-1, 0.4)])}
-    link = "pages/one.html"
+    link = "pages/three_cart--one.html"
     assert drawn(off).marks[0] == Mark(
         "c0 full",
         "circle",

@@ -57,7 +57,6 @@ def test_the_same_files_whatever_happened_to_them(folder: Path):
 
 
 def test_pages_or_one_file(folder: Path):
-    keys = json.loads((folder / "campaign.json").read_bytes())["keys"]
     told = _report(folder, "-j", "1")
     assert told.exception is None
     assert f"report:  {folder / 'report.html'}" in told.stdout
@@ -69,7 +68,8 @@ def test_pages_or_one_file(folder: Path):
             "time-spent.html",
             "provenance.html",
         ),
-        *(f"{key[:16]}.html" for key in keys),
+        *(f"three_cart--{name}.html" for name in ("only_good", "soft_alone")),
+        *("report.css", "report.js"),
     }
     shutil.rmtree(folder / "pages")
     assert f"report:  {folder / 'single.html'}" in _report(folder, "--single-file").stdout
@@ -105,7 +105,8 @@ def test_a_record_that_is_gone_is_told(folder: Path):
 def test_a_motion_that_is_gone_is_told_and_its_page_drawn_anew(folder: Path):
     _report(folder)
     (lost, *_) = sorted(folder.glob("runs/*/trajectory.nc"))
-    page = folder / "pages" / f"{lost.parent.name[:16]}.html"
+    name = json.loads((lost.parent / "record.json").read_bytes())["pipeline"]
+    page = folder / "pages" / f"three_cart--{name}.html"
     before = page.read_text(encoding="utf-8")
     lost.unlink()
     told = _report(folder)

@@ -21,7 +21,7 @@ import numpy as np
 
 from models.errors import TrajectoryError
 from models.kinematics import pose_columns
-from models.netcdf import Column, as_columns, write_columns
+from models.netcdf import Column, as_columns, drawn, write_columns
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.judge.replay.result import Replay
@@ -87,9 +87,7 @@ def write_drawn(path: Path, replay: Replay, scene: Subject, plan: Trajectory, lo
     extremes of every column. Raises MachineError if the file cannot be written.
     """
     arrays = {
-        name: np.asarray(values, np.float32)
-        for name in _DRAWN
-        if (values := getattr(replay, name)) is not None
+        name: drawn(values) for name in _DRAWN if (values := getattr(replay, name)) is not None
     }
     rows = np.arange(len(replay.t))
     if len(rows) > longest:
@@ -149,7 +147,7 @@ def _write(
             Column(
                 name="position_error",
                 dimension="node",
-                values=np.abs(away).max(axis=1, initial=0.0).astype(np.float32),
+                values=drawn(np.abs(away).max(axis=1, initial=0.0)),
                 unit="/".join(dict.fromkeys(item.unit for item in scene.coordinates)),
                 description="largest difference of a coordinate to the plan",
             )
