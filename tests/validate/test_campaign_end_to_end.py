@@ -90,7 +90,9 @@ def test_the_folder_holds_everything(twice):
         )
         assert set(trace.poses) == {"left", "middle", "right"}
         gap = trace.columns["q2"] - trace.columns["q1"] - 0.5
-        assert trace.columns["gap_left"] == pytest.approx(gap, abs=1e-9)
+        assert trace.columns["gap_left"] == pytest.approx(
+            gap, abs=1e-5
+        )  # of positions of some metres, 6 digits
     assert motion.replay.columns["position_error"].max() == pytest.approx(
         last.metric("replay_error").value, rel=1e-6
     )

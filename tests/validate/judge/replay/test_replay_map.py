@@ -492,9 +492,9 @@ def moved(folder: Path, wired: Wire) -> Replay:
 def test_any_name_of_variables_columns_and_contacts_works(
     folder: Path, wired: Wire, moved: Replay, name: str
 ):
-    foreign, _ = called(folder, wired, name)
+    foreign, plan = called(folder, wired, name)
     assert foreign.model.coordinates[0].name == name
-    write_replay(folder / "named.nc", moved, foreign.model)
+    write_replay(folder / "named.nc", moved, foreign.model, plan)
     columns, _ = read_columns(folder / "named.nc")
     assert name in columns or any(item.description.startswith(name) for item in columns.values())
     assert f"gap_{name}" in columns or any(
