@@ -29,6 +29,7 @@ from pyomo.core.expr.numvalue import is_potentially_variable
 from pyomo.mpec import Complementarity, complements
 
 from formulations.ampl.source import BinarySource, NlError, TextSource
+from formulations.ipopt.model import unbounded_if_huge
 
 
 def read_nl(
@@ -527,6 +528,12 @@ class _Reader:
                 f"{self.file}: row {number} complements the {lacking[0]} bound of variable {bounds.complements}, which has none. "
                 "Give the variable that bound, or complement its other side."
             )
+        if sides == 3:  # a huge bound is none
+            huge = (
+                unbounded_if_huge(of.lower) == -math.inf,
+                unbounded_if_huge(of.upper) == math.inf,
+            )
+            sides = {(False, True): 1, (True, False): 2}.get(huge, sides)
         if sides == 1:
             return complements(body >= 0, variable >= of.lower)
         if sides == 2:

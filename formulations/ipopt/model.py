@@ -282,6 +282,10 @@ def read_bounds(variables: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:
     return lower, upper
 
 
+# Ipopt's nlp_upper_bound_inf.
+_NO_BOUND = 1e19
+
+
 def bounds_of(variable: Any) -> tuple[float, float]:
     """Current bounds of a variable, infinite where there is none.
 
@@ -291,7 +295,15 @@ def bounds_of(variable: Any) -> tuple[float, float]:
         low, high = variable.bounds
     except ValueError as error:
         raise MissingValueError(f"a bound of variable '{variable.name}' has no value") from error
-    return -math.inf if low is None else float(low), math.inf if high is None else float(high)
+    return (
+        -math.inf if low is None else unbounded_if_huge(float(low)),
+        math.inf if high is None else unbounded_if_huge(float(high)),
+    )
+
+
+def unbounded_if_huge(bound: float) -> float:
+    """Return the bound, infinite if it is a number that Ipopt, AMPL and GAMS take for none."""
+    return math.copysign(math.inf, bound) if abs(bound) >= _NO_BOUND else bound
 
 
 def read_bound(expression: Any, kind: str, component: Any, unbounded: float) -> float:
@@ -305,4 +317,4 @@ def read_bound(expression: Any, kind: str, component: Any, unbounded: float) -> 
         raise MissingValueError(
             f"a bound of {kind} '{component.name}' has no value ({' '.join(str(error).split())})"
         ) from error
-    return unbounded if number is None else float(number)
+    return unbounded if number is None else unbounded_if_huge(float(number))

@@ -30,7 +30,7 @@ from pyomo.mpec import Complementarity
 from pyomo.repn import generate_standard_repn
 
 from formulations.ipopt.graph import UNARY
-from formulations.ipopt.model import MissingValueError, bounds_of, read_number
+from formulations.ipopt.model import MissingValueError, bounds_of, read_number, unbounded_if_huge
 from formulations.ipopt.read import TermReader
 from formulations.ipopt.shapes import TermGroup, shape_of
 
@@ -498,8 +498,8 @@ def read_local(model: Any, near: float) -> LocalModel:
     def add_row(
         source: Any, body: Any, lower: Any, upper: Any, argument: int | None = None
     ) -> None:
-        low = -math.inf if lower is None else number_of(lower)
-        high = math.inf if upper is None else number_of(upper)
+        low = -math.inf if lower is None else unbounded_if_huge(number_of(lower))
+        high = math.inf if upper is None else unbounded_if_huge(number_of(upper))
         rows.append((source, argument, _filled(source, body, number_of(body)), low, high))
         bodies.append(body)
 
@@ -572,7 +572,9 @@ def _bounded(condition: Any, argument: Any) -> tuple[Any, Any, Any]:
     """(lower, body, upper) of an argument, by Pyomo's own reading of it."""
     form = condition._canonical_expression(argument)
     lower, body, upper = (form[0], form[1], form[0]) if len(form) == 2 else form
-    low, high = (None if bound is None else number_of(bound) for bound in (lower, upper))
+    low, high = (
+        None if bound is None else unbounded_if_huge(number_of(bound)) for bound in (lower, upper)
+    )
     return (None if low == -math.inf else low), body, (None if high == math.inf else high)
 
 

@@ -73,6 +73,11 @@ FORMS = {
         (1, 2),
         (0, 2),
     ),
+    "range up to a number that is no bound": (
+        lambda m: complements(pyo.inequality(0, m.x, 2e27), m.y >= 0),
+        (1, 2),
+        (0, 2),
+    ),
     "equality first": (lambda m: complements(m.x == m.y, m.y), (1, 3), (2, 2)),
     "equality second": (lambda m: complements(m.y, m.x + m.y == 2), (2, 2), (1, 1)),
     "equality beside a bound, which holds too": (
