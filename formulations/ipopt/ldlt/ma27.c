@@ -31,12 +31,15 @@ static int as_int(double number)
  * matrices (2001), on exponents. False where an entry is not finite. */
 static int scale_rows(int n, int nz, const int *irn, const int *icn, const double *a, double *scale, int *exponent, int *shift, int *most)
 {
-    enum { SWEEPS = 3, NONE = -100000, LIMIT = 300 };
+    enum { SWEEPS = 3, NONE = -100000, LIMIT = 300, INFINITE = 0x7ff, BIAS = 1022 }; /* the last two: of the bits of a double */
     for (int k = 0; k < nz; k++) {
-        if (!isfinite(a[k]))
+        uint64_t bits;
+        memcpy(&bits, a + k, sizeof bits);
+        int biased = (int)(bits >> 52) & INFINITE;
+        if (biased == INFINITE)
             return 0;
-        exponent[k] = NONE;
-        if (a[k] != 0.0)
+        exponent[k] = a[k] != 0.0 ? biased - BIAS : NONE;
+        if (biased == 0 && a[k] != 0.0)
             frexp(a[k], &exponent[k]);
     }
     for (int sweep = 0; sweep < SWEEPS; sweep++) {
@@ -44,10 +47,8 @@ static int scale_rows(int n, int nz, const int *irn, const int *icn, const doubl
             most[i] = NONE;
         for (int k = 0; k < nz; k++) {
             int i = irn[k] - 1, j = icn[k] - 1, e = exponent[k] + shift[i] + shift[j];
-            if (e > most[i])
-                most[i] = e;
-            if (e > most[j])
-                most[j] = e;
+            most[i] = e > most[i] ? e : most[i]; /* stored always: a branch here is guessed wrong half the time */
+            most[j] = e > most[j] ? e : most[j];
         }
         for (int i = 0; i < n; i++)
             if (most[i] > NONE / 2) {

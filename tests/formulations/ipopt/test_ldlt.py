@@ -327,3 +327,10 @@ def test_a_cache_named_from_here_is_built_in(monkeypatch, tmp_path):
 def test_an_option_of_mumps_asks_for_mumps():
     assert solver_of(mumps_pivtol=1e-3) == "mumps"
     assert solver_of(mumps_pivtol=1e-3, linear_solver="ldlt") == "ldlt"
+
+
+def test_factor_subnormal_entries_are_scaled():
+    factor = Factor(sparse.csr_array(sparse.diags_array(np.array([1e-310, -4e-320, 3.0]))))
+    assert factor.negative == 1
+    x = factor.solve(np.array([1e-310, 4e-320, 6.0]))
+    np.testing.assert_allclose(x, [1.0, -1.0, 2.0], rtol=1e-4)
