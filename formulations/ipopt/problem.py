@@ -6,20 +6,24 @@ Params, fixed values, bounds and starts are read as often as one likes. A maximi
 handed on as -f (`sense` is -1). Evaluations return NaN or inf where the model does: Ipopt answers
 with a shorter step.
 
-`Evaluations` are the functions as Ipopt calls them: one evaluation a point, time counted.
+`Evaluations` are the functions as cyipopt calls them: one evaluation a point, time counted. cyipopt
+forgets what the Hessian raises: Ctrl-C there is swallowed and the solve runs on. So the first
+unexpected error of any callback is kept, the solve is stopped at the next iteration, and `run`
+raises the error afterwards, as it was.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import wraps
 from typing import Any
 
 import numpy as np
+from cyipopt import CyIpoptEvaluationError
 from pyomo.common.gc_manager import PauseGC
 from pyomo.common.numeric_types import native_numeric_types
 
-from formulations.ipopt.interface import UndefinedError
 from formulations.ipopt.model import (
     EvaluatedExpression,
     MissingValueError,
@@ -37,9 +41,26 @@ from formulations.ipopt.read import TermReader
 from formulations.ipopt.shapes import TermGroup, shape_of
 
 
+def _keeping(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The method, raising nothing but what Ipopt understands as 'cut the step'."""
+
+    @wraps(function)
+    def call(self: Evaluations, *arguments: Any) -> Any:
+        if self.error is None:
+            try:
+                return function(self, *arguments)
+            except CyIpoptEvaluationError:
+                raise
+            except BaseException as error:  # noqa: BLE001 - kept and raised after the solve, KeyboardInterrupt too
+                self.error = error
+        raise CyIpoptEvaluationError("the solve is being stopped")
+
+    return call
+
+
 def _finite(values: Any, what: str) -> Any:
     if not np.all(np.isfinite(values)):
-        raise UndefinedError(f"{what} is not a finite number at this point")
+        raise CyIpoptEvaluationError(f"{what} is not a finite number at this point")
     return values
 
 
@@ -48,7 +69,7 @@ class Evaluations:
 
     `after` is asked after each iteration whether to go on.
 
-    Each callback raises UndefinedError where a number is not finite: Ipopt then shortens
+    Each callback raises CyIpoptEvaluationError where a number is not finite: Ipopt then shortens
     its step.
     """
 
@@ -58,8 +79,11 @@ class Evaluations:
         self._last: dict[str, tuple[np.ndarray, Any]] = dict.fromkeys(
             ("values", "derivatives"), (np.full(problem.n, np.nan), None)
         )
+        self.error: BaseException | None = None
         self.seconds = 0.0
         self.calls = {"values": 0, "derivatives": 0, "hessians": 0}
+        self.jacobianstructure = problem.jacobianstructure
+        self.hessianstructure = problem.hessianstructure
 
     def _counted(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
         begin = time.perf_counter()
@@ -70,41 +94,46 @@ class Evaluations:
 
     def _at(self, x: np.ndarray, what: str) -> tuple[Any, np.ndarray]:
         if not np.array_equal(x, self._last[what][0]):
-            self._last[what] = x, self._counted(what, getattr(self._problem, what), x)
+            self._last[what] = x.copy(), self._counted(what, getattr(self._problem, what), x)
         return self._last[what][1]
 
+    @_keeping
     def objective(self, x: np.ndarray) -> float:
         """The minimised objective at x (n,) [units of the objective].
 
-        Raises UndefinedError where one is not finite.
+        Raises CyIpoptEvaluationError where one is not finite.
         """
         return _finite(self._at(x, "values")[0], "the objective")
 
+    @_keeping
     def constraints(self, x: np.ndarray) -> np.ndarray:
         """Values (m,) of the constraints at x (n,) [units of the constraints].
 
-        Raises UndefinedError where one is not finite.
+        Raises CyIpoptEvaluationError where one is not finite.
         """
         return _finite(self._at(x, "values")[1], "a constraint")
 
+    @_keeping
     def gradient(self, x: np.ndarray) -> np.ndarray:
         """Gradient (n,) of the minimised objective at x (n,) [objective per variable].
 
-        Raises UndefinedError where one is not finite.
+        Raises CyIpoptEvaluationError where one is not finite.
         """
         return _finite(self._at(x, "derivatives")[0], "the gradient")
 
+    @_keeping
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Entries (nonzeros,) of the Jacobian at x (n,) [constraint per variable].
 
-        Raises UndefinedError where one is not finite.
+        Raises CyIpoptEvaluationError where one is not finite.
         """
         return _finite(self._at(x, "derivatives")[1], "the Jacobian")
 
+    @_keeping
     def hessian(self, x: np.ndarray, lagrange: np.ndarray, factor: float) -> np.ndarray:
         """Entries (nonzeros,) of the Lagrangian's Hessian at x (n,), lagrange (m,) [objective per variable^2].
 
-        Raises UndefinedError where one is not finite.
+        Raises CyIpoptEvaluationError where one is not finite.
         """
         return _finite(
             self._counted("hessians", self._problem.hessian, x, lagrange, factor), "the Hessian"
@@ -112,7 +141,12 @@ class Evaluations:
 
     def intermediate(self, *numbers: Any) -> bool:
         """Ipopt's question after each iteration, whether to go on."""
-        return self._after(*numbers)
+        if self.error is None:
+            try:
+                return self._after(*numbers)
+            except BaseException as error:  # noqa: BLE001 - as above
+                self.error = error
+        return False
 
 
 class IpoptProblem:
@@ -364,7 +398,7 @@ class IpoptProblem:
             raise ValueError(f"the point has shape {point.shape}, the problem needs ({self.n},)")
         return point
 
-    # -- functions, under the names Ipopt's callbacks have
+    # -- functions, under the names cyipopt asks for
     #   -----------------------------------------------------------------------------------
 
     def values(self, x: np.ndarray) -> tuple[float, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Solve a compiled problem by one run of Ipopt, and judge the answer before believing it.
+"""Solve a compiled problem by one run of Ipopt, through cyipopt, and judge the answer before believing it.
 
 A start is what the caller has: a point, perhaps multipliers, perhaps only some of them.
 """
@@ -14,7 +14,6 @@ from typing import Any
 import cyipopt
 import numpy as np
 
-from formulations.ipopt.interface import Nlp
 from formulations.ipopt.linear_solver import MUMPS, linear_solver, settings
 from formulations.ipopt.options import (
     DEFAULTS,
@@ -143,27 +142,41 @@ def run(
     BaseException
         what a callback raised, as it was
     """
-    x = np.array(start.x, dtype=float)
-    lagrange, zl, zu = (
-        np.zeros(size) if given is None else np.array(given, dtype=float)
-        for given, size in (
-            (start.lagrange, problem.m),
-            (start.zl, problem.n),
-            (start.zu, problem.n),
-        )
+    nlp = cyipopt.Problem(
+        n=problem.n,
+        m=problem.m,
+        problem_obj=functions,
+        lb=problem.lower,
+        ub=problem.upper,
+        cl=problem.constraint_lower,
+        cu=problem.constraint_upper,
     )
-    nlp = Nlp(problem, functions)
     try:
         for name, value in options.items():
             for part, setting in settings(name, value):
-                if not nlp.set_option(part, setting):
+                try:
+                    nlp.add_option(part, setting)
+                except TypeError as error:
                     raise UnknownOptionError(
                         f"Ipopt does not accept {value!r} for the option '{name}'"
-                    )
-        status = nlp.solve(x, lagrange, zl, zu)
+                    ) from error
+        duals = (
+            {}
+            if start.lagrange is None
+            else {"lagrange": start.lagrange, "zl": start.zl, "zu": start.zu}
+        )
+        x, info = nlp.solve(start.x, **duals)
     finally:
         nlp.close()
-    return IpoptExit(status=status, x=x, lagrange=lagrange, zl=zl, zu=zu)
+    if functions.error is not None:
+        raise functions.error
+    return IpoptExit(
+        status=int(info["status"]),
+        x=np.array(x, dtype=float),
+        lagrange=np.array(info["mult_g"], dtype=float).reshape(problem.m),
+        zl=np.array(info["mult_x_L"], dtype=float),
+        zu=np.array(info["mult_x_U"], dtype=float),
+    )
 
 
 # Multipliers of constraints that repeat each other grow without end where rounding hides it. Of
