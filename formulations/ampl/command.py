@@ -45,11 +45,15 @@ _OWN = {
 }
 
 
+# AMPL's codes from here on are of problems without a solution.
+_NO_SOLUTION = 200
+
+
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command.
 
-    The exit code is 0 where an answer was written or printed, 2 for what cannot be read, 3 where
-    the answer cannot be written.
+    The exit code is 0 where an answer was written for AMPL or a solution printed, 1 where none was
+    found, 2 for what cannot be read, 3 where the answer cannot be written.
     """
     given = list(sys.argv[1:] if words is None else words)
     flags, rest = (
@@ -67,7 +71,7 @@ def main(words: Sequence[str] | None = None) -> int:
     for_ampl = bool({"-AMPL", "-s"} & set(flags))
     environment = next((os.environ[name] for name in _ENVIRONMENT if name in os.environ), "")
     try:
-        message = _solved(
+        message, code = _solved(
             Path(stubs[0]),
             [*shlex.split(environment), *(word for word in rest if "=" in word)],
             for_ampl,
@@ -78,7 +82,8 @@ def main(words: Sequence[str] | None = None) -> int:
     except _UnwrittenError as unwritten:
         print(f"{NAME}: {unwritten}", file=sys.stderr)
         return 3
-    return _told(message) if message else 0
+    written = _told(message) if message else 0
+    return written or (1 if code >= _NO_SOLUTION and not for_ampl else 0)
 
 
 def _told(text: str) -> int:
@@ -105,8 +110,8 @@ class _UnwrittenError(Exception):
     """What ends the command with exit code 3, in one sentence."""
 
 
-def _solved(stub: Path, words: list[str], for_ampl: bool) -> str:
-    """Solve, and write the answer for AMPL; what is to be printed."""
+def _solved(stub: Path, words: list[str], for_ampl: bool) -> tuple[str, int]:
+    """Solve, and write the answer for AMPL; return the text to print and AMPL's code."""
     own, others = _split(words)
     try:
         problem = read_problem(
@@ -145,7 +150,9 @@ def _solved(stub: Path, words: list[str], for_ampl: bool) -> str:
             )
         except OSError as error:
             raise _UnwrittenError(f"{target} cannot be written: {error.strerror}.") from error
-    return message if not for_ampl or own["outlev"] else ""
+    if not for_ampl and code >= _NO_SOLUTION:
+        message = f"{message} (AMPL's code {code})"
+    return message if not for_ampl or own["outlev"] else "", code
 
 
 def _split(words: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -503,11 +503,14 @@ def test_the_multiplier_of_the_variables_side_is_a_suffix_that_pyomo_reads(stub,
 
 
 @pytest.mark.slow
-def test_an_infeasible_problem_says_so_in_its_code(stub):
+def test_an_infeasible_problem_says_so_in_its_code(stub, capsys):
     path = stub(c=7.0, a=40.0, bounds="0 0.5 1")
     assert main([str(path), "-AMPL"]) == 0
     message, *_, code = read_sol(path)
     assert (code, "infeasible" in message) == (200, True)
+    capsys.readouterr()
+    assert main([str(path)]) == 1
+    assert capsys.readouterr().out.strip().endswith("(AMPL's code 200)")
 
 
 def test_what_the_solver_refuses_is_code_500_with_the_reason(stub, capsys):
