@@ -13,6 +13,7 @@ from typing import Any
 
 import cyipopt
 import numpy as np
+from pyomo.core.expr.visitor import identify_variables
 
 from formulations.ipopt.linear_solver import MUMPS, linear_solver, settings
 from formulations.ipopt.options import (
@@ -331,6 +332,10 @@ def _decided_without_ipopt(problem: IpoptProblem, start: Start) -> IpoptExit | N
     )
 
 
+# Names listed in a sentence.
+_NAMES = 4
+
+
 def _judge(
     problem: IpoptProblem, answer: IpoptExit, options: Mapping[str, Any]
 ) -> tuple[Outcome, str, Residuals]:
@@ -352,6 +357,10 @@ def _judge(
     message = f"{name_of(answer.status)}: {certificate.sentence}"
     if outcome is Outcome.EVALUATION_ERROR:
         message += _undefined(problem, answer.x)
+    if outcome is Outcome.REFUSED:
+        message = (
+            f"{name_of(answer.status)}: {_too_many_equations(problem) or certificate.sentence}"
+        )
     if outcome is Outcome.DIVERGED and not (finite and _is_unbounded(problem, answer.x)):
         return (
             Outcome.STALLED,
@@ -376,6 +385,30 @@ def _judge(
         f"{name_of(answer.status)}, but {certificate.sentence} does not meet the tolerances",
         certificate,
     )
+
+
+def _too_many_equations(problem: IpoptProblem) -> str:
+    """Return a sentence on more equations than free variables; empty if there are not more."""
+    equal = np.flatnonzero(problem.constraint_lower == problem.constraint_upper)
+    if len(equal) <= problem.n:
+        return ""
+    fixed = dict.fromkeys(
+        variable.name
+        for row in equal
+        for variable in identify_variables(problem.equations[row].body)
+        if variable.fixed
+    )
+    free = _some([variable.name for variable in problem.variables])
+    unfix = f"unfix {_some(list(fixed))} or " if fixed else ""
+    noun = "variable" if problem.n == 1 else "variables"
+    return (
+        f"{len(equal)} equations for {problem.n} free {noun} ({free}): {unfix}leave an equation out"
+    )
+
+
+def _some(names: list[str]) -> str:
+    """List the first names."""
+    return ", ".join(names[:_NAMES]) + (", .." if len(names) > _NAMES else "")
 
 
 def _undefined(problem: IpoptProblem, x: np.ndarray) -> str:

@@ -158,9 +158,14 @@ class Lifted:
         shadow.del_component("relaxation")
         shadow.relaxation = pyo.Block()
         self.products(active=False)
-        if shadow.component("user_objective") is not None:
-            shadow.user_objective.activate()
+        if self.objective is not None:
+            self.objective.activate()
         return shadow.relaxation
+
+    @property
+    def objective(self) -> Any | None:
+        """The objective of the shadow, None for a problem without one."""
+        return next(self.shadow.component_objects(pyo.Objective, descend_into=False), None)
 
     def products(self, *, active: bool) -> None:
         """Switch all products v w <= mpec_bound on or off."""
@@ -169,6 +174,10 @@ class Lifted:
                 pair.data.ccon.activate()
             else:
                 pair.data.ccon.deactivate()
+
+
+# Components of a shadow.
+_OWN = ("user_rows", "slack", "slack_rows", "pair", "relaxation")
 
 
 def lift(model: Any) -> Lifted:
@@ -189,7 +198,9 @@ def lift(model: Any) -> Lifted:
             shadow.user_rows = pyo.Reference(dict(enumerate(rows)), ctype=pyo.Constraint)
         objective = active_objective(model)
         if objective is not None:
-            shadow.user_objective = pyo.Objective(expr=objective.expr, sense=objective.sense)
+            # Messages name it as the user does; the other components have names of their own.
+            name = "user_objective" if objective.name in _OWN else objective.name
+            shadow.add_component(name, pyo.Objective(expr=objective.expr, sense=objective.sense))
         shadow.slack = pyo.VarList(domain=pyo.Reals)
         shadow.slack_rows = pyo.ConstraintList()
         conditions = tuple(

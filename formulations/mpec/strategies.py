@@ -101,7 +101,7 @@ class L1Penalty(Strategy):
 
     def attach(self, lifted: Lifted) -> Any:
         """No products; a weighted penalty in the objective."""
-        block, given = lifted.relaxation(), lifted.shadow.component("user_objective")
+        block, given = lifted.relaxation(), lifted.objective
         block.weight = pyo.Param(mutable=True, initialize=1.0)
         penalty = sum((block.weight * pair.first * pair.second for pair in lifted.pairs), start=0.0)
         if given is None:

@@ -88,6 +88,22 @@ def test_a_square_system_without_objective():
     assert result.x == pytest.approx([math.sqrt(2)] * 2)
 
 
+@pytest.mark.parametrize(("fixed", "words"), [
+    (True, "4 equations for 1 free variable (speed): unfix mass or leave an equation out"),
+    (False, "4 equations for 2 free variables (speed, mass): leave an equation out"),
+])  # fmt: skip
+def test_more_equations_than_variables_are_counted(fixed: bool, words: str):
+    m = pyo.ConcreteModel()
+    m.speed, m.mass = pyo.Var(initialize=1.0), pyo.Var(initialize=2.0)
+    m.rows = pyo.Constraint([1, 2, 3, 4], rule=lambda m, i: m.speed**i + m.mass == 3)
+    m.goal = pyo.Objective(expr=m.speed)
+    if fixed:
+        m.mass.fix()
+    result = solve(compile_model(m))
+    assert result.outcome is Outcome.REFUSED
+    assert result.message == f"Not_Enough_Degrees_Of_Freedom: {words}"
+
+
 def test_no_variable_at_all():
     m = quadratic()
     m.x.fix(1.0)

@@ -166,6 +166,15 @@ def _pair(first, second):
     return lambda m: m.add_component("pair", Complementarity(expr=complements(first(m), second(m))))
 
 
+def _log_of_nothing(m):
+    """A coefficient that has no value, in an objective with a name of its own."""
+    m.nothing = pyo.Var(initialize=0.0)
+    m.nothing.fix()
+    next(m.component_objects(pyo.Objective)).deactivate()
+    m.effort = pyo.Objective(expr=m.x * pyo.log(m.nothing))
+    _pair(_nonnegative, lambda m: m.x >= 0)(m)
+
+
 def _beside(change):
     """A change to a model whose pair is as it should be."""
 
@@ -209,6 +218,7 @@ def _external(m):
     (_external, ["pair"], ModelRefusedError), (_no_value, ["p"], MissingValueError),
     (_beside(lambda m: m.add_component("either", Disjunction(expr=[[m.x >= 1], [m.y >= 1]]))),
      ["'either", "Disjunct"], ModelRefusedError),
+    (_log_of_nothing, ["'effort'", "finite"], MissingValueError),
     (_beside(lambda m: m.x.set_value(math.nan, skip_validation=True)), ["'x'", "nan"],
      MissingValueError),
     (_beside(lambda m: m.add_component("more", pyo.Objective(expr=m.x))), ["2 objectives"],
