@@ -7,13 +7,16 @@ live here but in the NetCDF files beside the record, which `stage_files` names a
 reads; of arrays a record has the columns of an iteration history alone, `thin` as plots show them.
 
 Such columns are tuples in memory and in JSON the base64 of their bytes (float64, little-endian):
-read ten times as fast as digits, and a third as long. A list of numbers is read as well.
+read ten times as fast as digits, and a third as long. A list of numbers is read as well. The
+equations of a scene are compressed text there.
 """
 
 from __future__ import annotations
 
 import base64
+import json
 import sys
+import zlib
 from array import array
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -63,6 +66,8 @@ Floats = Annotated[tuple[FiniteFloat, ...], BeforeValidator(_floats), _written]
 
 # More points than this no plot can show.
 LONGEST = 1500
+# Width of the plot of an iteration history [pixel].
+LONGEST_HISTORY = 340
 # What the files of a stage hold.
 _FILES = ("trajectory", "replay", "tracked")
 
@@ -156,6 +161,28 @@ class EquationRecord(Model):
     mathml: str
 
 
+def _packed(equations: Sequence[EquationRecord]) -> str:
+    text = json.dumps([[item.caption, item.mathml] for item in equations])
+    return base64.b64encode(zlib.compress(text.encode())).decode("ascii")
+
+
+def _unpacked(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    try:
+        text = zlib.decompress(base64.b64decode(value, validate=True))
+        return [{"caption": caption, "mathml": mathml} for caption, mathml in json.loads(text)]
+    except (zlib.error, TypeError, RecursionError) as error:
+        raise ValueError("the equations are damaged") from error
+
+
+# In JSON the base64 of compressed text: a fifth of the MathML, which would be a third of a record.
+Equations = Annotated[
+    tuple[EquationRecord, ...],
+    BeforeValidator(_unpacked),
+    PlainSerializer(_packed, return_type=str, when_used="json"),
+]
+
 # Caption of the equation that a scene has whose cost is not of its steps alone.
 FINAL_COST = "cost of the last state, added to that sum"
 
@@ -178,7 +205,7 @@ class SceneRecord(Model):
     goal: tuple[Finite | None, ...]  # None: this component of the end is free
     step: Finite
     steps: int
-    equations: tuple[EquationRecord, ...] = ()
+    equations: Equations = ()
     absent: tuple[str, ...] = ()
     answers: tuple[QuantityRecord, ...] = ()
     shapes: tuple[ShapeRecord, ...] = ()

@@ -383,7 +383,7 @@ class DaskEngine:
         )
         write_request(folder, task, context.provenance)
         write_durably(folder / LOG, "")
-        write_durably(folder / RECORD, record.model_dump_json(indent=1))
+        write_durably(folder / RECORD, record.model_dump_json())
         context.store.commit(folder, record.key)
         return record
 

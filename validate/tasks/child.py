@@ -54,7 +54,7 @@ def main(folder: Path) -> int:
                 if task.worlds
                 else run_path(task, provenance, folder, profile)
             )
-        write_durably(folder / RECORD, record.model_dump_json(indent=1))
+        write_durably(folder / RECORD, record.model_dump_json())
     except MachineError as error:
         return _machine(folder, error)
     except OSError as error:

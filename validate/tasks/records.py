@@ -16,6 +16,7 @@ from pydantic import BaseModel
 
 from formulations.solution import ModelSize, Outcome, Seconds, Solution
 from reports.records.record import (
+    LONGEST_HISTORY,
     CertificateRecord,
     MetricRecord,
     QuestionRecord,
@@ -372,10 +373,10 @@ def _plain(value: object) -> Any:
 
 
 def _history(history: Mapping[str, Sequence[float]]) -> dict[str, tuple[float, ...]]:
-    """Columns thinned to what a plot can show.
+    """Columns thinned to the pixels of a plot.
 
     Iterations in which any column is not finite are left out.
     """
     rows = [row for row in zip(*history.values(), strict=False) if all(map(math.isfinite, row))]
-    kept = [rows[place] for place in thin(len(rows))]
+    kept = [rows[place] for place in thin(len(rows), LONGEST_HISTORY)]
     return {name: tuple(float(row[column]) for row in kept) for column, name in enumerate(history)}

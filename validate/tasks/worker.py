@@ -95,7 +95,7 @@ class Worker:
 
     def _file(self, record: TaskRecord) -> None:
         if self._amends and (self._store.runs / record.key).is_dir():
-            write_durably(self._store.runs / record.key / RECORD, record.model_dump_json(indent=1))
+            write_durably(self._store.runs / record.key / RECORD, record.model_dump_json())
             return
         has_plan = isinstance(record, RunRecord) and any(stage.has_plan for stage in record.stages)
         for path in tuple(self._folder.iterdir()):
@@ -151,7 +151,7 @@ class Worker:
             if isinstance(run, RunRecord):
                 return unfinished_survey(self._task, run, child)
         record = record_for_crash(self._task, self._provenance, child, self._folder, self._loaded)
-        write_durably(self._folder / RECORD, record.model_dump_json(indent=1))
+        write_durably(self._folder / RECORD, record.model_dump_json())
         return record
 
 

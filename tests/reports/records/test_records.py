@@ -7,6 +7,7 @@ import base64
 import json
 import os
 import struct
+import zlib
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -30,9 +31,11 @@ from reports.records.load import (
 from reports.records.record import (
     LONGEST,
     SCHEMA_VERSION,
+    EquationRecord,
     LegRecord,
     MetricRecord,
     RunRecord,
+    SceneRecord,
     StageRecord,
     stage_files,
     thin,
@@ -408,3 +411,18 @@ def test_cheapest_other_scene_and_verdict_left_out():
         ("tracked", 2.0),
         ("mpcc", 3.0),
     ]
+
+
+def test_equations_are_packed_in_json_and_read_back():
+    equation = EquationRecord(caption="dynamics <of> ü", mathml="<math>" + "<mi>x</mi>" * 500)
+    scene = factory.scene().model_copy(update={"equations": (equation, equation)})
+    text = scene.model_dump_json()
+    assert len(text) < 5000
+    assert type(scene).model_validate_json(text) == scene
+
+
+@pytest.mark.parametrize("text", ["###", "MTIz", base64.b64encode(zlib.compress(b"[1]")).decode()])
+def test_damaged_equations_are_refused(text: str):
+    record = json.loads(factory.scene().model_dump_json()) | {"equations": text}
+    with pytest.raises(ValidationError, match="equations"):
+        SceneRecord.model_validate(record)

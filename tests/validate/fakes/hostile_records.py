@@ -1,5 +1,6 @@
 """A campaign's folder with spoilt records and files, and all that reads one: load, results, `report`, `show`, resume, --dry-run, --lf, shared stages; spoilt results of a planner, a compiler, a cell, an isolated call; and what reads them."""
 
+import gzip
 import hashlib
 import json
 import random
@@ -185,7 +186,7 @@ def spoilt_leg(rng: random.Random, folder: Path) -> Path:
         "stages": [{**good_record()["stages"][0], "has_plan": False}],
     }  # fmt: skip
     (folder / "leg_1").mkdir(exist_ok=True)
-    (folder / "leg_1" / "leg.json").write_bytes(spoilt_json(rng, content))
+    (folder / "leg_1" / "leg.json.gz").write_bytes(gzip.compress(spoilt_json(rng, content)))
     return folder
 
 
@@ -299,7 +300,7 @@ def spoilt_stored_leg(rng: random.Random, folder: Path) -> Path:
     source = folder / "legs" / KEY
     source.mkdir(parents=True, exist_ok=True)
     (source / "trajectory_1.nc").write_bytes(_PLAN)
-    (source / "leg.json").write_bytes(spoilt_json(rng, content))
+    (source / "leg.json.gz").write_bytes(gzip.compress(spoilt_json(rng, content)))
     return folder
 
 

@@ -1,5 +1,6 @@
 """A leg that several pipelines of a scene have runs once, and gives the same numbers as if it had run in each."""
 
+import gzip
 import json
 import shutil
 import subprocess
@@ -219,7 +220,9 @@ def test_killed_in_between_and_resumed(whole, fakes, method):
     }
 
 
-@pytest.mark.parametrize("damage", ["stages", "plan", "missing", "empty", "another", "number"])
+@pytest.mark.parametrize(
+    "damage", ["stages", "plan", "missing", "empty", "cut", "another", "number"]
+)
 def test_a_damaged_leg_is_put_aside(whole, tmp_path, damage):
     shutil.copytree(whole.out / "legs", tmp_path / "legs")
     scene, stored = load_scene("three_cart"), tmp_path / "legs"
@@ -229,19 +232,27 @@ def test_a_damaged_leg_is_put_aside(whole, tmp_path, damage):
     assert {path.name for path in (tmp_path / "leg_1").iterdir()} == {
         path.name for path in leg.iterdir()
     }
-    content = json.loads((leg / "leg.json").read_text())
+    content = json.loads(gzip.decompress((leg / "leg.json.gz").read_bytes()))
     if damage == "stages":
-        (leg / "leg.json").write_text(json.dumps({**content, "stages": content["stages"][:2]}))
+        (leg / "leg.json.gz").write_bytes(
+            gzip.compress(json.dumps({**content, "stages": content["stages"][:2]}).encode())
+        )
     elif damage == "plan":
         (leg / "trajectory_3.nc").write_bytes((leg / "trajectory_3.nc").read_bytes()[:-1] + b"x")
     elif damage == "missing":
         (leg / "trajectory_2.nc").unlink()
     elif damage == "empty":
-        (leg / "leg.json").write_text("")
+        (leg / "leg.json.gz").write_bytes(b"")
+    elif damage == "cut":
+        (leg / "leg.json.gz").write_bytes((leg / "leg.json.gz").read_bytes()[:-40])
     elif damage == "number":
-        (leg / "leg.json").write_text(json.dumps({**content, "stages": content["stages"][::-1]}))
+        (leg / "leg.json.gz").write_bytes(
+            gzip.compress(json.dumps({**content, "stages": content["stages"][::-1]}).encode())
+        )
     else:
-        (leg / "leg.json").write_text(json.dumps({**content, "key": "0" * 64}))
+        (leg / "leg.json.gz").write_bytes(
+            gzip.compress(json.dumps({**content, "key": "0" * 64}).encode())
+        )
     assert take(stored, leg.name, None, 3, tmp_path / "leg_2", scene) is None
     assert not leg.exists()  # no run meets it again
     assert not (tmp_path / "leg_2").exists()
@@ -253,7 +264,7 @@ def test_legs_of_a_run_are_read_up_to_the_first_that_is_not_whole(whole, tmp_pat
     for number, key in enumerate(keys, 1):
         shutil.copytree(whole.out / "legs" / key, place(tmp_path, number))
     assert [leg.key for leg in legs_in(tmp_path, legs)] == keys
-    (place(tmp_path, 2) / "leg.json").write_text("[]")
+    (place(tmp_path, 2) / "leg.json.gz").write_bytes(b"[]")
     assert [leg.key for leg in legs_in(tmp_path, legs)] == keys[:1]
 
 
