@@ -242,10 +242,13 @@ class _Campaign:
             self._store.discard(task.key for task in tasks)
             forget(map(path_of, tasks), self._store.legs)
             shutil.rmtree(self._store.surveys, ignore_errors=True)
+        write = partial(self._plugin.write_report, self._settings.out)
+
+        def first(path: Path) -> None:
+            self._narrator.notes(f"report:  {path} (grows with each scene)")
+
         with (
-            closing(
-                GrowingReport(partial(self._plugin.write_report, self._settings.out))
-            ) as report,
+            closing(GrowingReport(write, first)) as report,
             closing(self._finished(tasks)) as finished,
         ):
             for record in finished:

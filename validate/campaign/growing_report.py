@@ -1,6 +1,6 @@
 """Rewrite the report of a running campaign, in a thread, as scenes end.
 
-with closing(GrowingReport(write)) as report:
+with closing(GrowingReport(write, print)) as report:
 report.update()             # call it when a scene has ended
 """
 
@@ -10,16 +10,22 @@ import contextlib
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 
 # Largest share of the campaign's time spent on rewriting; with every core busy it delays the tasks.
 _SHARE = 0.05
 
 
 class GrowingReport:
-    """Rewrite a report at most once at a time. write: writes the whole report of the stored runs."""
+    """Rewrite a report at most once at a time.
 
-    def __init__(self, write: Callable[[], object]) -> None:
+    write: writes the whole report of the stored runs and returns its path; first: called with the
+    path when the report exists.
+    """
+
+    def __init__(self, write: Callable[[], Path], first: Callable[[Path], None]) -> None:
         self._write = write
+        self._first: Callable[[Path], None] | None = first
         self._thread = ThreadPoolExecutor(1)
         self._writing: Future[float] | None = None
         self._next = 0.0  # time.monotonic() of the next rewrite at the earliest
@@ -38,7 +44,10 @@ class GrowingReport:
         """Write the report and return the duration [s]. The last write of the campaign reports errors."""
         began = time.monotonic()
         with contextlib.suppress(Exception):
-            self._write()
+            path = self._write()
+            if self._first is not None:
+                self._first(path)
+                self._first = None
         return time.monotonic() - began
 
     def close(self) -> None:

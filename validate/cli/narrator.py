@@ -1,4 +1,4 @@
-"""Says on stderr how a campaign goes: a bar on a terminal, one plain line a finished run anywhere else."""
+"""Says on stderr how a campaign goes: a bar and a line a scene on a terminal, a line a finished run anywhere else."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from reports.findings import NOT_ASKED
 from reports.judged import end_of
 from reports.records.check_record import CheckRecord
 from reports.records.record import HOLD, RunRecord
+from reports.rule import fails
 from validate.cli.table import in_words, one_line, say
 from validate.store.store import progress_in
 
@@ -78,9 +79,13 @@ class PlainNarrator:
         """
         self.done += 1
         if record.outcome != "refused":
-            self.notes(f"[{self.stored + self.done}/{self.total}] {_summary(record)}")
+            if self._is_worth_a_line(record):
+                self.notes(f"[{self.stored + self.done}/{self.total}] {_summary(record)}")
         elif isinstance(record, RunRecord):
             self._refused.append(record)
+
+    def _is_worth_a_line(self, record: RunRecord | CheckRecord) -> bool:
+        return True
 
     def ends(self) -> None:
         """The last run finished, or the campaign was interrupted: what did not apply and was not told is told."""
@@ -88,7 +93,7 @@ class PlainNarrator:
 
 
 class BarNarrator(PlainNarrator):
-    """The same lines above a bar that says what is running."""
+    """A line for each scene and each failure, above a bar that says what is running."""
 
     def begins(self, total: int, stored: int) -> None:
         """Show the bar."""
@@ -143,6 +148,9 @@ class BarNarrator(PlainNarrator):
         """A run or check ended with this record."""
         super().finished(record)
         self._progress.advance(self._task)
+
+    def _is_worth_a_line(self, record: RunRecord | CheckRecord) -> bool:
+        return fails(record)
 
     def ends(self) -> None:
         """Take the bar away."""

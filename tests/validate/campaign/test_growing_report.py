@@ -25,16 +25,21 @@ def settled(written: list[object], count: int) -> None:
         time.sleep(0.005)
 
 
+def ignored(path: Path) -> None:
+    """Take the path of a report."""
+
+
 def test_growing_report_waits_twenty_times_the_duration():
     written: list[object] = []
     go = threading.Event()
 
-    def write() -> None:
+    def write() -> Path:
         go.wait(20.0)
         time.sleep(0.1)
         written.append(None)
+        return Path("report.html")
 
-    with closing(GrowingReport(write)) as report:
+    with closing(GrowingReport(write, ignored)) as report:
         for _ in range(3):
             report.update()
         assert not written, "update does not block"
@@ -49,24 +54,31 @@ def test_growing_report_waits_twenty_times_the_duration():
 def test_growing_report_rewrites_when_it_is_due(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(growing_report, "_SHARE", 1e9)
     written: list[object] = []
-    with closing(GrowingReport(lambda: written.append(None))) as report:
+    told: list[Path] = []
+
+    def write() -> Path:
+        written.append(None)
+        return Path("report.html")
+
+    with closing(GrowingReport(write, told.append)) as report:
         for count in (1, 2):
             report.update()
             settled(written, count)
             settled_future(report)
             time.sleep(0.001)
     assert len(written) == 2
+    assert told == [Path("report.html")], "the path is reported once"
 
 
 @pytest.mark.parametrize("error", [MachineError("the disk is full."), ValueError("a bug")])
 def test_growing_report_leaves_errors_to_the_last_write(error: Exception):
     asked: list[object] = []
 
-    def write() -> None:
+    def write() -> Path:
         asked.append(None)
         raise error
 
-    with closing(GrowingReport(write)) as report:
+    with closing(GrowingReport(write, ignored)) as report:
         report.update()
         settled(asked, 1)
         settled_future(report)

@@ -165,20 +165,24 @@ def test_the_bar_has_the_numbers_whole_and_what_runs_as_far_as_there_is_room(
     progress(tmp_path, "the certificate of stage 1 (strict_lcp)")
     busy = "three_cart_steps_50_step_0p1 x softplus_dc+strict"
     bar.runs({busy: tmp_path, f"{busy} (2 of 2)": tmp_path})
-    bar.finished(factory.run("strict", None, "strict_lcp"))
+    bar.finished(factory.run("good", None, "strict_lcp"))
+    bar.finished(factory.run("strict", None, "strict_lcp", outcome="crashed", verdict="no plan"))
+    bar.found([factory.run("good", None, "strict_lcp")])
     bar.runs({busy: tmp_path})
     bar.ends()
     lines = re.split(r"[\r\n]+", re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.getvalue()))
     assert max(map(len, lines)) <= width
     assert "4 stored, 26 to run" in lines
-    assert not unsaid(" ".join(" ".join(lines).split()), "[5/30] three_cart x strict: solved")
+    assert not unsaid(" ".join(" ".join(lines).split()), "[6/30] three_cart x strict: crashed")
+    assert not any("three_cart x good" in line for line in lines), "runs that hold have no line"
+    assert any(line.startswith("so far: three_cart: 1 of 1 runs") for line in lines)
     before, after = (
-        lines[: (done := next(place for place, line in enumerate(lines) if "[5/30]" in line))],
+        lines[: (done := next(place for place, line in enumerate(lines) if "[6/30]" in line))],
         lines[done:],
     )
     assert not any("about" in line for line in before), "nobody knows before a cell has finished"
     assert any(
-        re.search(r" 5/30 \d+:\d\d:\d\d about \d+ min left three_cart", line) for line in after
+        re.search(r" 6/30 \d+:\d\d:\d\d about \d+ min left three_cart", line) for line in after
     ), lines
     assert any("strict_lcp" in line for line in lines) == (width == 200)
 
