@@ -208,7 +208,7 @@ def _thinned(scene: SceneRecord, t: Array, columns: Mapping[str, Array]) -> Trac
 
 def _part(columns: Mapping[str, Array], place: str | float, length: int) -> Array | None:
     """Return a part of a pose at every time: a constant, or a column that is as long."""
-    if isinstance(place, float):
+    if not isinstance(place, str):
         return np.full(length, place)
     values = columns.get(place)
     return values if values is not None and len(values) == length else None
