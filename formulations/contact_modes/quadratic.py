@@ -42,9 +42,9 @@ _ZERO = 1e-6  # part of the largest multiplier that counts as zero
 
 @dataclass(frozen=True, kw_only=True)
 class ModeStationarity:
-    """The strongest class that holds, the number of biactive pairs, and their least multiplier [1/N] (0 without pairs)."""
+    """Whether no multiplier of a biactive pair is negative, the number of these pairs, and their least multiplier [1/N] (0 without pairs)."""
 
-    letter: str
+    strong: bool
     biactive: int
     least: float
 
@@ -54,13 +54,14 @@ class ModeStationarity:
         if not self.biactive:
             return "S-stationary: no contact touches without pressing."
         pairs = "pair touches" if self.biactive == 1 else "pairs touch"
-        return f"{self.letter}-stationary: {self.biactive} {pairs} without pressing, with multipliers of at least {self.least:.3g}."
+        kind = "S-stationary" if self.strong else "Not S-stationary"
+        return f"{kind}: {self.biactive} {pairs} without pressing, with multipliers of at least {self.least:.3g}."
 
 
-def classify(
+def stationarity_of(
     of_force: np.ndarray, of_separation: np.ndarray, biactive: np.ndarray
 ) -> ModeStationarity:
-    """Say of which class the signs of the multipliers are.
+    """Return the stationarity that the signs of the multipliers show.
 
     Parameters
     ----------
@@ -74,18 +75,10 @@ def classify(
     """
     pairs = np.stack([of_force[biactive], of_separation[biactive]])
     if not pairs.size:
-        return ModeStationarity(letter="S", biactive=0, least=0.0)
+        return ModeStationarity(strong=True, biactive=0, least=0.0)
     zero = _ZERO * max(1.0, float(np.abs(np.stack([of_force, of_separation])).max()))
-    low, high = pairs.min(axis=0), pairs.max(axis=0)
-    is_zero = (np.abs(pairs) <= zero).any(axis=0)
-    classes = (
-        ("S", low >= -zero),
-        ("M", (low > zero) | is_zero),
-        ("C", (low * high >= 0.0) | is_zero),
-        ("A", high >= -zero),
-    )
-    letter = next((letter for letter, holds in classes if holds.all()), "W")
-    return ModeStationarity(letter=letter, biactive=int(biactive.sum()), least=float(low.min()))
+    least = float(pairs.min())
+    return ModeStationarity(strong=least >= -zero, biactive=int(biactive.sum()), least=least)
 
 
 # of the active set before it counts as going in circles; from a neighbour's set 2 to 4 are needed
@@ -122,8 +115,8 @@ class ModesAnswer:
     dual_infeasibility: float
 
     def stationarity(self) -> ModeStationarity:
-        """Give the class of the pairs that touch without pressing."""
-        return classify(self.of_force, self.of_separation, self.biactive)
+        """Return the stationarity by the pairs that touch without pressing."""
+        return stationarity_of(self.of_force, self.of_separation, self.biactive)
 
     @property
     def biactive_multiplier(self) -> np.ndarray:

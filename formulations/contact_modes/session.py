@@ -267,7 +267,7 @@ class MpccSession(Session):
         outcome, message = search.outcome, f"{search.message} {stationarity.sentence}"
         outcome, message = checked(outcome, message, residuals, self._promises())
         certificate = None
-        if outcome is Outcome.SOLVED and stationarity.letter != "S":
+        if outcome is Outcome.SOLVED and not stationarity.strong:
             certificate = certify_plan(self._scene, plan)
             outcome, message = _stationary(certificate, message)
         residuals |= {

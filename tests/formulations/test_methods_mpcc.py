@@ -96,7 +96,7 @@ def test_with_search_it_reaches_the_best_known_plan(best: Solution) -> None:
     left, right = mode_sequence(best.trajectory.lam > 0)
     assert left[0][1] == 179
     assert right == ((276, 307),)
-    assert "S-stationary" in best.message
+    assert " S-stationary" in best.message
     assert best.residuals["least_biactive_multiplier"] >= 0
     assert best.residuals["windows_tried"] > 16
 

@@ -11,7 +11,7 @@ import formulations.transcription.compiled
 from formulations.contact_modes.dual_active_set import interior_point_active_set
 from formulations.contact_modes.linear import BandedLU, is_linear, linear_scene
 from formulations.contact_modes.nonlinear import NonlinearModes
-from formulations.contact_modes.quadratic import ModesProblem, classify
+from formulations.contact_modes.quadratic import ModesProblem, stationarity_of
 from formulations.contact_modes.search import closed_steps
 from formulations.contact_modes.session import MpccSession
 from formulations.pipelines import load_method
@@ -267,13 +267,16 @@ def test_models_used_before_give_the_same_starts(compiled: list[object]) -> None
     assert first.cost == min(start.cost for start in first.starts if start.cost is not None)
 
 
-@pytest.mark.parametrize(("pairs", "letter", "least"), [
-    ([(1.0, 2.0), (0.0, 3.0)], "S", 0.0), ([(1.0, 2.0), (0.0, -3.0)], "M", -3.0),
-    ([(-1.0, -2.0), (1.0, 1.0)], "C", -2.0),
-    ([(-1.0, 2.0), (1.0, 1.0)], "A", -1.0), ([(-1.0, 2.0), (-1.0, -1.0)], "W", -1.0),
-    ([], "S", 0.0),
+@pytest.mark.parametrize(("pairs", "strong", "least", "words"), [
+    ([(1.0, 2.0), (0.0, 3.0)], True, 0.0, "S-stationary: 2 pairs touch"),
+    ([(1.0, 2.0), (0.0, -3.0)], False, -3.0, "Not S-stationary: 2 pairs touch"),
+    ([(-1.0, 2.0)], False, -1.0, "Not S-stationary: 1 pair touches"),
+    ([(-4e-5, 2.0)], True, -4e-5, "S-stationary: 1 pair touches"),
+    ([], True, 0.0, "S-stationary: no contact touches"),
 ])  # fmt: skip
-def test_classes(pairs: list[tuple[float, float]], letter: str, least: float) -> None:
+def test_stationarity_of_pairs_is_decided_by_signs(
+    pairs: list[tuple[float, float]], strong: bool, least: float, words: str
+) -> None:
     force, separation = (
         np.full((8, 1), 50.0),
         np.full((8, 1), -50.0),
@@ -281,8 +284,9 @@ def test_classes(pairs: list[tuple[float, float]], letter: str, least: float) ->
     biactive = np.zeros((8, 1), dtype=bool)
     for t, (of_force, of_separation) in enumerate(pairs):
         force[t], separation[t], biactive[t] = of_force, of_separation, True
-    found = classify(force, separation, biactive)
-    assert (found.letter, found.biactive, found.least) == (letter, len(pairs), least)
+    found = stationarity_of(force, separation, biactive)
+    assert (found.strong, found.biactive, found.least) == (strong, len(pairs), least)
+    assert found.sentence.startswith(words)
 
 
 @pytest.mark.parametrize(("contact", "shift"), [(0, -2), (0, 2), (1, -2), (1, 2)])
