@@ -36,9 +36,9 @@ REACHED = 1e-4
 # CPU seconds for reading the model and judging the point.
 _BESIDE = 30.0
 _COLUMNS = ("problem", "variables", "rows", "pairs", "status", "objective", "published",
-            "against it", "bound", "class", "primal", "complementarity", "dual",
+            "against it", "bound", "stationary", "primal", "complementarity", "dual",
             "CPU s", "strategy", "peer's objective", "peer's CPU s", "remark")  # fmt: skip
-_PAGE = ("problem", "pairs", "status", "objective", "published", "against it", "class",
+_PAGE = ("problem", "pairs", "status", "objective", "published", "against it", "stationary",
          "primal, complementarity, dual", "CPU s", "by",
          "CasADi + Ipopt", "its CPU s")  # fmt: skip
 
@@ -68,8 +68,9 @@ def solve_one(model: Any, proof_seconds: float, published: float = math.nan) -> 
         found = certify(model)
         told |= {
             "objective": sum(pyo.value(item) for item in model.component_data_objects(pyo.Objective,
-                active=True)), "class": found.stationarity.letter,
-                "b_stationary": found.b_stationary, "feasible": found.feasible,
+                active=True)),
+            "stationary": "S" if found.strong else "B" if found.b_stationary else "-",
+            "b_stationary": found.b_stationary, "feasible": found.feasible,
             "primal": found.primal, "complementarity": found.complementarity, "dual": found.dual,
             "biactive": found.biactive,
         }  # fmt: skip
@@ -180,7 +181,7 @@ def _line(row: dict[str, Any], published: float | None) -> tuple[str | float | N
     return (
         row["problem"], row.get("variables"), row.get("rows"), row.get("pairs"), row["status"],
         row.get("objective"), published,
-        _against(row, published), row.get("bound"), row.get("class"), row.get("primal"),
+        _against(row, published), row.get("bound"), row.get("stationary"), row.get("primal"),
         row.get("complementarity"), row.get("dual"), row.get("solve_s"), row.get("strategy"),
         row.get("peer_objective") if row.get("peer_feasible") else row.get("peer_reason",
             "infeasible" if "peer_s" in row else None), row.get("peer_s"),

@@ -465,6 +465,21 @@ class IpoptProblem:
         """
         return self.derivatives(x)[0]
 
+    def slope_size(self, x: np.ndarray) -> float:
+        """Return the largest derivative of the objective at x (n,) [objective per variable]."""
+        return float(np.max(np.abs(self.gradient(x)), initial=0.0))
+
+    def slope_size_nearby(self, x: np.ndarray) -> float:
+        """Return the largest derivative at x and a step of max(1, |x|) from it on either side.
+
+        1 at most, and if the objective has no slope: derivatives that vanish at a solution are
+        measured by those around it, so that a cost in another unit is stationary at the same points.
+        """
+        step = np.maximum(1.0, np.abs(x)) * np.where(np.arange(len(x)) % 2, -1.0, 1.0)
+        sizes = [self.slope_size(point) for point in (x, x + step, x - step)]
+        found = max((size for size in sizes if np.isfinite(size)), default=0.0)
+        return min(1.0, found) if found > 0.0 else 1.0
+
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Entries (nonzeros,) of the Jacobian at x (n,), at the places of `jacobianstructure` [constraint per variable].
 

@@ -129,19 +129,6 @@ def refined(problem: IpoptProblem, result: IpoptResult, size: float = 1.0) -> Re
     return best
 
 
-def slope_size(problem: IpoptProblem, x: np.ndarray) -> float:
-    """Largest derivative of the objective at x (n,) [objective per variable]. Raises nothing."""
-    return float(np.max(np.abs(problem.gradient(x)), initial=0.0))
-
-
-def _size_of_slopes(problem: IpoptProblem, x: np.ndarray) -> float:
-    """Largest derivative of the objective at x (n,) and a step of max(1, |x|) from it on either side; 1 at most, and where there is none."""
-    step = np.maximum(1.0, np.abs(x)) * np.where(np.arange(len(x)) % 2, -1.0, 1.0)
-    sizes = [slope_size(problem, point) for point in (x, x + step, x - step)]
-    found = max((size for size in sizes if np.isfinite(size)), default=0.0)
-    return min(1.0, found) if found > 0.0 else 1.0
-
-
 def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, size: float) -> float:
     """Largest of: violation, slope of a free variable, slope or multiplier with the wrong sign.
 
@@ -159,7 +146,7 @@ def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, size:
     off_low = ~equal & (lagrange < 0) & (g - problem.constraint_lower > 1e-10)
     off_high = ~equal & (lagrange > 0) & (problem.constraint_upper - g > 1e-10)
     loose = np.abs(lagrange[off_low | off_high])
-    scale = max(size, slope_size(problem, x))
+    scale = max(size, problem.slope_size(x))
     worst = max(float(np.max(wrong, initial=0.0)), float(np.max(loose, initial=0.0))) / scale
     error = max(problem.violation(x), worst)
     return error if np.isfinite(error) and np.isfinite(g).all() else float("inf")
@@ -172,7 +159,7 @@ def _newton(
     x, y = result.x.copy(), result.lagrange.copy()
     low, high = problem.lower, problem.upper
 
-    size = min(1.0, slope_size(problem, x))
+    size = min(1.0, problem.slope_size(x))
 
     def active(gap: np.ndarray, multiplier: np.ndarray) -> np.ndarray:
         """Mask (k,) of the limits at distance gap (k,) with multiplier (k,) that are active [-].
@@ -383,7 +370,7 @@ class Branching:
         self.unbounded = False  # whether some branch turned out to be
         # whether the branch last given to `past_saddle` does, and it found none that is better
         self.curves_down = False
-        self._size = _size_of_slopes(work.branches.problem, work.branch_point(start))
+        self._size = work.branches.problem.slope_size_nearby(work.branch_point(start))
 
     def polish(self, x: np.ndarray) -> Branch | None:
         """The best branch reached from a point of the relaxation.
@@ -674,7 +661,7 @@ class Branching:
         self, problem: IpoptProblem, result: IpoptResult, options: dict[str, Any]
     ) -> Refined:
         better = refined(problem, result, self._size)
-        size = min(self._size, slope_size(problem, better.x))
+        size = min(self._size, problem.slope_size(better.x))
         if better.error <= _UNREFINED or not size > 0.0 or self._budget.is_over:
             return better
         tight = {

@@ -33,7 +33,7 @@ from formulations.ipopt.model import NotSmoothError
 from formulations.ipopt.pyomo_solver import PyomoAnswer, PyomoPlugin, pyomo_multipliers
 from formulations.mpec.branching import BETTER, Branch, Branching
 from formulations.mpec.certificate.certificate import certify
-from formulations.mpec.certificate.derivatives import values_set
+from formulations.mpec.certificate.local import values_set
 from formulations.mpec.homotopy import (
     Path,
     PathPoint,

@@ -298,16 +298,16 @@ class SecondsRecord(Model):
 
 
 class CertificateRecord(Model):
-    """A plan judged in the strict model of its scene by code that shares nothing with the solver.
+    """A plan judged in the strict model of its scene, without the solver.
 
     All residuals unscaled.
 
-    primal: largest violation [units of the scene], worst: of which constraint; complementarity:
-        largest min(lam, lam - k phi) [N]; dual:
-    what the multipliers leave of the gradient (relative; None: none were found); letter: S, M, C,
-        A, W or -; biactive: pairs with both sides
-    zero, of `pairs`; least: their smallest multiplier, where there is only one choice (unique);
-        b_stationary: None where not known.
+    primal: largest violation [units of the scene], worst: of which constraint
+    complementarity: largest min(lam, lam - k phi) [N]
+    dual: part of the gradient that the multipliers leave (relative; None if it is not known)
+    biactive: pairs with both sides zero, of `pairs`
+    strong: whether the plan is S-stationary; if not, `obstacle` is what prevents it
+    b_stationary: whether no direction goes down to first order; None if that is not known
     """
 
     holds: bool
@@ -316,12 +316,10 @@ class CertificateRecord(Model):
     worst: str = ""
     complementarity: Finite | None
     dual: Finite | None
-    letter: str
-    meaning: str
+    strong: bool
+    obstacle: str = ""
     pairs: int
     biactive: int
-    least: Finite | None = None
-    unique: bool = False
     b_stationary: bool | None = None
     sentence: str
 

@@ -1,5 +1,8 @@
 """Certificates in the report."""
 
+from html import unescape
+
+import pytest
 from wording import unsaid
 
 from reports.records.record import CertificateRecord
@@ -7,21 +10,37 @@ from reports.render import write_single
 
 CERTIFICATE = CertificateRecord(
     holds=True, feasible=True, primal=1e-13, worst="constraint_goal_position[q1]",
-    complementarity=0.0, dual=7e-13, letter="S",
-    meaning="S: multipliers of all biactive pairs are non-negative", pairs=1000, biactive=2,
-    least=0.275, unique=True, b_stationary=True,
+    complementarity=0.0, dual=7e-13, strong=True, pairs=1000, biactive=2, b_stationary=True,
     sentence="all is well",
 )  # fmt: skip
 
 
-def test_the_page_shows_the_certificate(factory, tmp_path) -> None:
+OBSTACLE = "the first side of 'contact[3]' has the multiplier -2"
+
+
+def _page(factory, tmp_path, certificate: CertificateRecord) -> str:
     run = factory.run("strict", None, "strict_lcp")
-    last = run.stages[-1].model_copy(update={"certificate": CERTIFICATE})
+    last = run.stages[-1].model_copy(update={"certificate": certificate})
     records = [run.model_copy(update={"stages": (last,)})]
-    text = write_single(factory.store(tmp_path / "all", records)).read_text(encoding="utf-8")
+    return write_single(factory.store(tmp_path / "all", records)).read_text(encoding="utf-8")
+
+
+def test_page_strong_plan_shows_residuals_and_pairs(factory, tmp_path) -> None:
+    text = _page(factory, tmp_path, CERTIFICATE)
     assert not unsaid(
-        text, "judged by code that shares nothing with the solver", "class S",
-        "the only ones there are", "2 pairs have",
-        "multipliers of at least 0.275",
+        text, "recomputed without the solver", ">S-stationary<",
+        "2 pairs have both sides zero, no multiplier of these is negative",
         "constraint_goal_position[q1]",
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(("b_stationary", "words"), [
+    (True, "; B-stationary: no direction goes down"),
+    (False, "; not B-stationary: a direction goes down"), (None, "-2<"),
+])  # fmt: skip
+def test_page_plan_that_is_not_strong_names_the_obstacle(
+    factory, tmp_path, b_stationary, words
+) -> None:
+    weak = {"strong": False, "obstacle": OBSTACLE, "b_stationary": b_stationary}
+    text = unescape(_page(factory, tmp_path, CERTIFICATE.model_copy(update=weak)))
+    assert not unsaid(text, ">not S-stationary<", OBSTACLE, words)

@@ -46,13 +46,10 @@ _Record = TypeVar("_Record", bound=BaseModel)
 
 
 def certificate_record(certificate: Certificate | None) -> CertificateRecord | None:
-    """The record of a certificate, if there is one."""
+    """Return the record of a certificate, if there is one."""
     if certificate is None:
         return None
-    stationarity = certificate.stationarity
-    return _copied(
-        CertificateRecord, certificate, letter=stationarity.letter, meaning=stationarity.value
-    )
+    return _copied(CertificateRecord, certificate)
 
 
 def _copied(record: type[_Record], source: object, **own: Any) -> _Record:

@@ -1,4 +1,1 @@
-"""The judge of a point: everything read from the Pyomo model again, by Pyomo's own means.
-
-Nothing here knows how the point was found.
-"""
+"""Judge a point by the Pyomo model alone, whoever computed the point."""

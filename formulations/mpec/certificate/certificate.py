@@ -1,18 +1,14 @@
-"""What can be said of the point that a Pyomo model's variables hold, whoever computed it.
+"""Judge the point that a Pyomo model's variables hold, whoever computed it.
 
 certificate = certify(model)
 certificate.holds  # feasible, complementary, and no direction goes down to first order
-certificate.stationarity.letter       # S, M, C, A, W or -
 print(certificate.sentence)
 
-Beside residuals and class it says whether the constraints would still hold if the complementarity
-held exactly:
+A point may satisfy every residual only because complementarity is not exact:
 
     x y >= 1,   0 <= x complementary to y >= 0        at   x = 5e-13, y = 2e12
 
-satisfies every residual to 1e-12, and there is no solution: the row lives on the 5e-13. Here the
-smaller side of each pair is moved to 0, and the other constraints are asked how much of their
-violation no small step of the variables can mend.
+`forced` is the largest violation of the constraints after the step that makes every pair exact.
 """
 
 from __future__ import annotations
@@ -26,110 +22,46 @@ import numpy as np
 import scipy.sparse as sparse
 from pyomo.common.collections import ComponentMap
 from pyomo.common.gc_manager import PauseGC
-from scipy.linalg import null_space
-from scipy.optimize import linprog
 from scipy.sparse.linalg import lsqr
 
 from formulations.ipopt.model import refuse_no_model
-from formulations.mpec.certificate.derivatives import LocalModel, Pair, Rows, read_local
-from formulations.mpec.certificate.stationarity import (
-    ActiveSet,
-    Stationarity,
-    StationarityVerdict,
-    active_set,
-    class_of,
-    classify,
-    steepest_piece,
-)
+from formulations.mpec.certificate.local import LocalModel, Pair, read_local
+from formulations.mpec.certificate.stationarity import Stationarity, Verdict, active_set, judge
 from formulations.mpec.kinks import has_kinks, smooth_copy
 
-# The step may change a variable by this, relative to max(1, |x|): far more than tolerances ask for,
-# far less than another solution.
+# Largest step of a variable that makes pairs exact, relative to max(1, |x|): far more than
+# tolerances need, far less than another solution.
 _SMALL_STEP = 1e-2
 # Sides that are 0 but for rounding of their own terms need no step.
 _ROUNDING = 4.0 * float(np.finfo(float).eps)
-# A side is made exact where this much of it is left at most.
+# Share of a side that may be left by the step, and of the largest side.
 _EXACT = 1e-3
-# What linear algebra leaves of the largest side in every other.
 _SOLVED = 1e-12
-# Up to this many variables other steps than the shortest are sought (by a dense null space) where
-# that one breaks a row, and found directly.
-_DENSE = 600
 
 
-def _forced_violation(local: LocalModel, tolerance: float) -> float:
-    """Largest violation of a row or bound (relative to max(1, |bound|)), to first order, after the step that makes every pair exact.
+def _forced_violation(local: LocalModel) -> float:
+    """Return the largest violation (relative to max(1, |bound|)), to first order, after the shortest step that makes every pair exact.
 
-    The shortest step is taken where it keeps the violation within the tolerance, else the best; inf
-    if no small one makes the pairs exact.
+    inf if no small step does.
     """
-    rows, scale = local.rows, local.rows.size
+    rows = local.rows
     x = rows.value[local.jacobian.shape[0] :]
     sides, matrix = _closed_sides(local)
-
-    def violation(now: np.ndarray) -> float:
-        """Largest relative violation where rows and bounds have the values now (rows,) [units of the rows]. Raises nothing."""
-        return float(np.max(rows.violation(now) / scale, initial=0.0))
-
-    rounding = _ROUNDING * (
-        abs(matrix) @ np.abs(x) + np.abs(sides - matrix @ x)
-    )  # of its terms and its constant
-    if np.all(np.abs(sides) <= rounding):
-        return violation(rows.value)
-    radius = sparse.diags(_SMALL_STEP * np.maximum(1.0, np.abs(x)))
-    scaled = matrix @ radius
-    norm = np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
-    norm = np.where(norm > 0, norm, 1.0)
-    scaled, wanted = sparse.diags(1.0 / norm) @ scaled, -sides / norm
-    if len(x) <= _DENSE:
-        shortest = np.linalg.lstsq(scaled.toarray(), wanted, rcond=1e-13)[0]
-    else:
+    rounding = _ROUNDING * (abs(matrix) @ np.abs(x) + np.abs(sides - matrix @ x))
+    step = np.zeros(len(x))
+    if np.any(np.abs(sides) > rounding):
+        radius = _SMALL_STEP * np.maximum(1.0, np.abs(x))
+        scaled = matrix @ sparse.diags(radius)
+        length = np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
+        length = np.where(length > 0.0, length, 1.0)
+        scaled, wanted = sparse.diags(1.0 / length) @ scaled, -sides / length
         shortest = lsqr(scaled, wanted, atol=1e-15, btol=1e-15)[0]
-    missed = np.abs(scaled @ shortest - wanted)
-    if np.any(
-        missed > 4.0 * rounding / norm + _EXACT * np.abs(wanted) + _SOLVED * np.max(np.abs(wanted))
-    ):
-        return float("inf")
-    everything = local.matrix @ radius
-    moved = rows.value + everything @ shortest
-    simple = violation(moved) if np.all(np.abs(shortest) <= 1.0) else float("inf")
-    return (
-        simple
-        if simple <= tolerance or len(x) > _DENSE
-        else min(simple, _mended(rows, scaled, everything, shortest, moved))
-    )
-
-
-def _mended(
-    rows: Rows,
-    scaled: sparse.csr_matrix,
-    everything: sparse.csr_matrix,
-    shortest: np.ndarray,
-    moved: np.ndarray,
-) -> float:
-    """Least t: low - t scale <= moved + everything N z <= high + t scale, |shortest + N z| <= 1.
-
-    N spans the steps that leave the sides where they are: as equations of the program they would
-    hold within its tolerance only, which is what is in question.
-    """
-    basis = null_space(scaled.toarray(), rcond=1e-12)
-    free = everything @ basis
-    low, high, scale = rows.lower, rows.upper, rows.size
-    below, above = np.isfinite(low), np.isfinite(high)
-    none = np.zeros((len(shortest), 1))
-    answer = linprog(
-        np.append(np.zeros(basis.shape[1]), 1.0),
-        A_ub=np.vstack([
-            np.hstack([-free[below], -scale[below][:, None]]),
-            np.hstack([free[above], -scale[above][:, None]]),
-            np.hstack([basis, none]), np.hstack([-basis, none]),
-        ]),
-        b_ub=np.concatenate([(moved - low)[below], (high - moved)[above], 1.0 - shortest,
-                             1.0 + shortest]),
-        bounds=[*[(None, None)] * basis.shape[1], (0.0, None)],
-        method="highs",
-    )  # fmt: skip
-    return float(answer.fun) if answer.status == 0 else float("inf")
+        left = np.abs(scaled @ shortest - wanted)
+        exact = 4.0 * rounding / length + _EXACT * np.abs(wanted)
+        if np.any(left > exact + _SOLVED * np.max(np.abs(wanted))) or np.any(np.abs(shortest) > 1):
+            return math.inf
+        step = radius * shortest
+    return _largest(rows.violation(rows.value + local.matrix @ step) / rows.size)
 
 
 def _closed_sides(local: LocalModel) -> tuple[np.ndarray, sparse.csr_matrix]:
@@ -147,8 +79,8 @@ def _closed_sides(local: LocalModel) -> tuple[np.ndarray, sparse.csr_matrix]:
 
 # Feasibility relative to max(1, |bound|); complementarity as min(G, H) of a pair, in the user's
 # units; dual residual relative to the largest derivative of the objective, at the point or around
-# it, where that is less than 1 (`slope_nearby`). A point polished by this package has 1e-12 in the
-# first two; a solver without polish about 1e-8.
+# it, if that is less than 1. A point polished by this package has 1e-12 in the first two; a solver
+# without polish about 1e-8.
 FEASIBILITY = 1e-6
 COMPLEMENTARITY = 1e-6
 STATIONARITY = 1e-5
@@ -158,7 +90,7 @@ _ACTIVE = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """Up to which violation a point counts as feasible: of rows, bounds and sides relative to max(1, |bound|); and of min(G, H) of a pair."""
+    """Violation up to which a point counts as feasible: of rows, bounds and sides relative to max(1, |bound|); and of min(G, H) of a pair."""
 
     feasibility: float = FEASIBILITY
     complementarity: float = COMPLEMENTARITY
@@ -183,38 +115,32 @@ class Multipliers:
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """What can be said of a point.
+    """Residuals and stationarity of a point.
 
     primal: largest violation of a row, a bound or a side of a pair [user's units]; complementarity:
-        largest min(G, H); product: largest |G H|
-    forced: what the constraints would be violated by (relative) if the pairs held exactly, to first
-        order
-    dual: residual of the multipliers of the class (relative); given_dual: residual and wrong signs
-        of the multipliers that came with the point, NaN if
-    none did
-    biactive: pairs with both sides zero; descent: steepest slope of a piece (0: B-stationary; NaN:
-        not all pieces were looked at)
-    least: smallest multiplier of a biactive pair (NaN where others exist or none were found);
-        unique: whether the multipliers are the only ones (LICQ)
+        largest min(G, H)
+    forced: violation of the constraints (relative) if the pairs held exactly, to first order
+    dual: residual of the multipliers (relative); given_dual: residual and wrong signs of the
+        multipliers given by the caller, NaN if none were given
+    biactive: pairs with both sides zero; obstacle: what prevents strong stationarity, in words
+    descent: slope of a direction that goes down (0: B-stationary; NaN: not known)
     worst: the name of the component with the largest violation; objective: in the model's own sense
     """
 
     primal: float
     primal_relative: float
     complementarity: float
-    product: float
     forced: float
     dual: float
     given_dual: float
     pairs: int
     biactive: int
     stationarity: Stationarity
+    obstacle: str
     descent: float
     worst: str
     objective: float
     tolerances: Tolerances = Tolerances()
-    least: float = math.nan
-    unique: bool = False
     notes: tuple[str, ...] = field(default=())
 
     @property
@@ -235,30 +161,27 @@ class Certificate:
         )
 
     @property
-    def b_stationary(self) -> bool | None:
-        """None where there are too many biactive pairs to know.
+    def strong(self) -> bool:
+        """Whether the point is strongly stationary (S-stationary), which implies B-stationary."""
+        return self.stationarity is Stationarity.STRONG
 
-        By linearisation: strong stationarity implies it.
-        """
-        if self.stationarity is Stationarity.STRONG:
+    @property
+    def b_stationary(self) -> bool | None:
+        """Whether no direction goes down to first order; None if that is not known."""
+        if self.strong:
             return True
         return None if math.isnan(self.descent) else self.descent >= -STATIONARITY
 
     @property
     def holds(self) -> bool:
-        """Feasible, complementary and B-stationary; and multipliers that came along are right."""
+        """Feasible, complementary and B-stationary; and multipliers that were given are right."""
         return (
             self.feasible and self.b_stationary is True and not self.given_dual > STATIONARITY * 10
         )
 
     @property
     def sentence(self) -> str:
-        """Residuals, class and B-stationarity in words."""
-        b = {
-            True: "B-stationary",
-            False: f"not B-stationary (slope {self.descent:.1e} of the gradient)",
-            None: "B-stationarity unknown",
-        }[self.b_stationary]
+        """Residuals and stationarity in words."""
         measured = f"primal {self.primal:.1e}, complementarity {self.complementarity:.1e}, in the model's units, dual {self.dual:.1e} of the gradient"
         if not self._within:
             where = (
@@ -266,17 +189,23 @@ class Certificate:
                 if self.worst and not self.primal_relative <= self.tolerances.feasibility
                 else ""
             )
-            return f"{measured}; not feasible{where}, so it is stationary in no class"
+            return f"{measured}; not feasible{where}, so it is not stationary"
         if not self.forced <= FEASIBILITY:
             violated = f"violated by {self.forced:.1e}" if self.forced < math.inf else "unknown"
             return f"{measured}; feasible only because complementarity is not exact (constraints {violated} if the pairs held exactly)"
-        return f"{measured}; class {self.stationarity.letter}, {b}, {self.biactive} of {self.pairs} pairs biactive{self._signs}"
+        return f"{measured}; {self.stationary_as}, {self.biactive} of {self.pairs} pairs biactive"
 
     @property
-    def _signs(self) -> str:
-        if not self.biactive or math.isnan(self.least):
-            return ""
-        return f" with {'unique ' if self.unique else ''}multipliers of at least {self.least:.3g}"
+    def stationary_as(self) -> str:
+        """Stationarity in words, and what prevents it."""
+        if self.strong:
+            return "S-stationary"
+        consequence = {
+            True: "but B-stationary: no direction goes down",
+            False: f"and not B-stationary: a direction goes down (slope {self.descent:.1e} of the gradient)",
+            None: "B-stationarity unknown",
+        }[self.b_stationary]
+        return f"not S-stationary ({self.obstacle}), {consequence}"
 
 
 def certify(
@@ -284,7 +213,6 @@ def certify(
 ) -> Certificate:
     """Judge the current values of a model's variables. The model is only read.
 
-    With more than ten biactive pairs B-stationarity is known only where it follows from class S.
     Absolute values, minima and maxima of variables are judged as the pairs that they are
     (`formulations.mpec.kinks`).
 
@@ -316,55 +244,41 @@ def certify(
     sources = [*local.rows.sources, *(pair.source for pair in local.pairs)]
     worst = _largest(violations)
     active = active_set(local, _ACTIVE)
-    found, given, computable = (
-        StationarityVerdict(kind=Stationarity.NONE, residual=math.nan),
-        math.nan,
-        _is_finite(local),
-    )
-    if computable:
-        given = math.nan if multipliers is None else _given_residual(local, active, multipliers)
-        shown = (
-            Stationarity.NONE
-            if multipliers is None or not given <= STATIONARITY
-            else _given_class(local, active, multipliers)
-        )
-        found = (
-            StationarityVerdict(kind=shown, residual=given)
-            if shown is Stationarity.STRONG
-            else classify(active, STATIONARITY, shown)
-        )
-        if found.kind is Stationarity.STRONG:
-            found = replace(found, descent=0.0)
-        elif (
-            not found.descent < -STATIONARITY
-        ):  # one wrong multiplier may show too gentle a slope where several together show a steep one
-            found = replace(found, descent=steepest_piece(active, STATIONARITY)[0])
+    found, given, forced, notes = _NOT_COMPUTED, math.nan, math.nan, local.notes
+    if _is_finite(local):
+        found, forced = judge(local, active, STATIONARITY), _forced_violation(local)
+        given = math.nan if multipliers is None else _given_residual(local, multipliers)
+    else:
+        notes = (*notes, found.obstacle)
     return Certificate(
         primal=worst,
         primal_relative=_largest(relative),
         complementarity=_largest(np.maximum(0.0, np.minimum(first, second))),
-        product=_largest(np.abs(first * second)),
-        forced=_forced_violation(local, FEASIBILITY) if computable else math.nan,
+        forced=forced,
         dual=found.residual,
         given_dual=given,
         pairs=len(local.pairs),
         biactive=len(active.both),
         stationarity=found.kind,
+        obstacle=found.obstacle,
         descent=found.descent,
         tolerances=tolerances,
-        least=found.least,
-        unique=found.unique,
         worst=""
         if worst == 0.0
         else str(sources[int(np.argmax(np.nan_to_num(violations, nan=np.inf)))].name),
         objective=local.objective,
-        notes=local.notes
-        if computable
-        else (*local.notes, "a function or derivative is not a finite number at this point"),
+        notes=notes,
     )
 
 
-def _given_residual(local: LocalModel, active: ActiveSet, multipliers: Multipliers) -> float:
+_NOT_COMPUTED = Verdict(
+    kind=Stationarity.NONE,
+    residual=math.nan,
+    obstacle="a function or derivative is not a finite number at this point",
+)
+
+
+def _given_residual(local: LocalModel, multipliers: Multipliers) -> float:
     """Largest of: what the multipliers leave of the gradient; wrong signs.
 
     Multipliers of what is not active. Relative to the scale.
@@ -394,7 +308,7 @@ def _given_residual(local: LocalModel, active: ActiveSet, multipliers: Multiplie
         _wrong(nu, first, 1.0),
         _wrong(mu, second, 1.0),
     )
-    return _largest(np.concatenate(wrong)) / active.scale
+    return _largest(np.concatenate(wrong)) / local.scale
 
 
 def _wrong(multiplier: np.ndarray, distance: np.ndarray, size: np.ndarray | float) -> np.ndarray:
@@ -415,13 +329,6 @@ def _pair_multipliers(pair: Pair, multipliers: Multipliers) -> tuple[float, floa
     """(nu, mu) of the two sides, in the signs of the pair."""
     given = multipliers.pairs.get(pair.source, (0.0, 0.0))
     return pair.first_flip * given[pair.arguments[0]], pair.second_flip * given[pair.arguments[1]]
-
-
-def _given_class(local: LocalModel, active: ActiveSet, multipliers: Multipliers) -> Stationarity:
-    return class_of(
-        [_pair_multipliers(local.pairs[k], multipliers) for k in active.both],
-        STATIONARITY * active.scale,
-    )
 
 
 def _largest(values: np.ndarray) -> float:

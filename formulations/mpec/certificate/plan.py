@@ -1,11 +1,11 @@
 """A scene's plan as a point of the exact contact problem: certify_plan(scene, plan), whoever made the plan.
 
 certificate = certify_plan(load_scene("three_cart"), solution.trajectory)
-certificate.holds, certificate.stationarity.letter, certificate.sentence
+certificate.holds, certificate.strong, certificate.sentence
 
 The plan is written into the strict Pyomo model of the scene - every complementarity condition as
 `pyomo.mpec` states it, nothing relaxed, nothing transformed - and judged there by `certify`.
-Multipliers are computed anew from the model's gradients: those of the solver are not asked.
+Multipliers are computed from the model's gradients, without those of the solver.
 """
 
 from __future__ import annotations

@@ -92,7 +92,7 @@ def scholtes1() -> pyo.ConcreteModel:
 
 
 def scholtes4() -> pyo.ConcreteModel:
-    """The solution is C- and M-stationary with multipliers that grow along every relaxation."""
+    """The solution is not S-stationary; multipliers grow along every relaxation."""
     m = pyo.ConcreteModel()
     m.z = pyo.Var([1, 2], bounds=(0, None), initialize={1: 0, 2: 1})
     m.top = pyo.Var(initialize=0)

@@ -38,8 +38,8 @@ def plan(
     scene: str = "three_cart",
 ) -> RunRecord:
     certificate = CertificateRecord(
-        holds=True, feasible=True, primal=0.0, complementarity=0.0, dual=None, letter="S",
-        meaning="", pairs=0, biactive=0, sentence=""
+        holds=True, feasible=True, primal=0.0, complementarity=0.0, dual=None, strong=True,
+        pairs=0, biactive=0, sentence=""
     )  # fmt: skip
     survey = SurveyRecord(
         alone=share(arrived), feedback=None if followed is None else share(followed), checked=10,

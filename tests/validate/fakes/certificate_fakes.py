@@ -12,9 +12,9 @@ from formulations.solution import Solution
 from models.scene import Scene
 
 CERTIFICATE = Certificate(
-    primal=0.0, primal_relative=0.0, complementarity=0.0, product=0.0, forced=0.0, dual=0.0,
+    primal=0.0, primal_relative=0.0, complementarity=0.0, forced=0.0, dual=0.0,
     given_dual=0.0, pairs=3, biactive=0,
-    stationarity=Stationarity.STRONG, descent=0.0, worst="", objective=1.0,
+    stationarity=Stationarity.STRONG, obstacle="", descent=0.0, worst="", objective=1.0,
 )  # fmt: skip
 
 

@@ -89,11 +89,10 @@ def plan(*forces: tuple[float, float]) -> Trajectory:
 
 def certificate(**changes: Any) -> Certificate:
     said = {
-        "primal": 1e-7, "primal_relative": 2e-7, "complementarity": 3e-7, "product": 4e-7,
-        "forced": 5e-7, "dual": 6e-7, "given_dual": math.nan,
-        "pairs": 40, "biactive": 3, "stationarity": Stationarity.STRONG, "descent": 0.0,
+        "primal": 1e-7, "primal_relative": 2e-7, "complementarity": 3e-7, "forced": 5e-7,
+        "dual": 6e-7, "given_dual": math.nan,
+        "pairs": 40, "biactive": 3, "stationarity": Stationarity.STRONG, "obstacle": "a sign", "descent": 0.0,
         "worst": "constraint_time[3]", "objective": 12.5,
-        "least": 0.125, "unique": True,
     }  # fmt: skip
     return Certificate(**(said | changes))
 
@@ -101,8 +100,8 @@ def certificate(**changes: Any) -> Certificate:
 CERTIFIED = certificate()
 CERTIFICATE = CertificateRecord(
     holds=True, feasible=True, primal=1e-7, worst="constraint_time[3]", complementarity=3e-7,
-    dual=6e-7, letter="S", meaning=Stationarity.STRONG.value,
-    pairs=40, biactive=3, least=0.125, unique=True, b_stationary=True, sentence=CERTIFIED.sentence,
+    dual=6e-7, strong=True, obstacle="a sign",
+    pairs=40, biactive=3, b_stationary=True, sentence=CERTIFIED.sentence,
 )  # fmt: skip
 
 
@@ -330,18 +329,10 @@ def test_what_a_certificate_does_not_know_is_missing():
                 primal=math.inf,
                 complementarity=math.nan,
                 dual=math.nan,
-                least=math.nan,
-                unique=False,
             )
         )
     ).certificate
-    assert (found.primal, found.complementarity, found.dual, found.least, found.unique) == (
-        None,
-        None,
-        None,
-        None,
-        False,
-    )
+    assert (found.primal, found.complementarity, found.dual) == (None, None, None)
     assert (found.holds, found.feasible) == (False, False)
 
 

@@ -1,7 +1,8 @@
-"""Biactive pairs, force and gap both zero: the certificate reports the stationarity class, not only that the point is feasible.
+"""Biactive pairs, force and gap both zero: the certificate reports stationarity, not only feasibility.
 
 Three carts at rest that just touch: every pair of the plan is biactive. And the origin of min (x -
-1)^2 + (y - 1)^2 on the two axes: C-stationary, feasible, and yet there are ways down from it.
+1)^2 + (y - 1)^2 on the two axes: feasible, with multipliers of the wrong sign, so that directions go
+down from it.
 """
 
 from __future__ import annotations
@@ -36,29 +37,25 @@ def measure() -> Found:
     origin = certify(_corner())
     solved = solve_mpec(_corner())
     wrong = []
-    if plan.biactive != 2 * STEPS or plan.stationarity is not Stationarity.STRONG or not plan.holds:
+    if plan.biactive != 2 * STEPS or not plan.strong or not plan.holds:
         wrong.append(f"resting carts: {plan.sentence}")
     if (
         not origin.feasible
         or origin.biactive != 1
-        or origin.stationarity is not Stationarity.CLARKE
+        or origin.stationarity is not Stationarity.WEAK
         or origin.b_stationary is not False
     ):
         wrong.append(f"origin: {origin.sentence}")
     certificate = solved.certificate
-    if (
-        not solved.solved
-        or certificate is None
-        or certificate.stationarity is not Stationarity.STRONG
-    ):
+    if not solved.solved or certificate is None or not certificate.strong:
         wrong.append(f"from the origin: {solved.message}")
     return finding(
-        f"Carts at rest: class {plan.stationarity.letter}, {plan.biactive} of {plan.pairs} pairs biactive. The origin: class {origin.stationarity.letter}, "
-        f"feasible but with a descent direction (slope {origin.descent:.1f}); from there the solver goes on to {solved.objective:.3f}.",
+        f"Carts at rest: {plan.stationary_as}, {plan.biactive} of {plan.pairs} pairs biactive. The origin: feasible, {origin.stationary_as}; "
+        f"from there the solver continues to {solved.objective:.3f}.",
         none_of(
-            "classes told wrongly",
+            "stationarity reported wrongly",
             wrong,
-            reason="S for the carts, C and not B-stationary for the origin, S for the solution",
+            reason="S-stationary for the carts and the solution; the origin is not, and not B-stationary",
         ),
         at_most(
             "objective the solver reaches from the origin, off 1",
@@ -72,7 +69,7 @@ def measure() -> Found:
 
 CASE = StressCase(
     title="Biactive pairs (force and gap both zero)",
-    expected="The stationarity class is reported, not only feasibility.",
+    expected="Stationarity is reported, not only feasibility.",
     scenes=("three_cart",),
     quick=True,
 )

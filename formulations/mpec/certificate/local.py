@@ -1,0 +1,407 @@
+"""A Pyomo model at its current values, to first order.
+
+local = read_local(model, 1e-6)
+local.rows.value, local.gradient, local.sides
+
+Values are by `pyomo.value`. Derivatives are by the compiler of `formulations.ipopt`, and are
+compared with differences of Pyomo's values along a random direction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyomo.environ as pyo
+import scipy.sparse as sparse
+from pyomo.core.expr.numvalue import is_potentially_variable
+from pyomo.core.expr.visitor import identify_variables
+from pyomo.mpec import Complementarity
+
+from formulations.ipopt import MissingValueError, ModelRefusedError, compile_model
+from formulations.ipopt.model import bounds_of
+
+# Steps of the differences, relative to max(1, |x|). A row passes if one of them agrees.
+_STEPS = (1e-4, 1e-6, 1e-8)
+# Derivatives that differ by less agree, relative to the largest that the direction can make of them.
+_AGREE = 1e-6
+# Rounding of a value, relative.
+_ROUNDING = 1e-14
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rows:
+    """lower <= value <= upper, each (rows,), of the components `sources`: constraints, arguments of complementarities that must hold, and variables.
+
+    arguments: which argument of `complements` a row is; None for the others
+    """
+
+    sources: tuple[Any, ...]
+    arguments: tuple[int | None, ...]
+    value: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @property
+    def size(self) -> np.ndarray:
+        """The larger of its finite bounds, at least 1 (rows,) [units of the rows]."""
+        bounds = np.abs([self.lower, self.upper])
+        return np.maximum(1.0, np.max(np.where(np.isfinite(bounds), bounds, 0.0), axis=0))
+
+    def violation(self, value: np.ndarray) -> np.ndarray:
+        """By how much these values (rows,) are beyond their bounds (rows,) [units of the rows].
+
+        Raises nothing: NaN where one is NaN.
+        """
+        with np.errstate(invalid="ignore"):
+            return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pair:
+    """Two sides 0 <= first, 0 <= second, complementary.
+
+    A flip is -1 where a side is the negative of what the user wrote (upper bound); arguments: which
+    argument of `complements` each side is
+    """
+
+    source: Any
+    first: float
+    second: float
+    first_flip: float
+    second_flip: float
+    arguments: tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LocalModel:
+    """The model to first order at a point.
+
+    objective: in the model's own sense; gradient (n,): of what is minimised; scale: largest
+        derivative of the objective, at least its size nearby
+    rows: those with jacobian (m, n), then the variables within their bounds; pairs with gradients
+        first_jacobian, second_jacobian (pairs, n), in the signs of `Pair`
+    """
+
+    variables: tuple[Any, ...]
+    objective: float
+    gradient: np.ndarray
+    rows: Rows
+    jacobian: sparse.csr_matrix
+    pairs: tuple[Pair, ...]
+    first_jacobian: sparse.csr_matrix
+    second_jacobian: sparse.csr_matrix
+    notes: tuple[str, ...] = ()
+    scale: float = 1.0
+
+    @property
+    def sides(self) -> np.ndarray:
+        """The first and the second sides (2, pairs) of the pairs [units of the sides]."""
+        return np.array(
+            [[pair.first for pair in self.pairs], [pair.second for pair in self.pairs]], dtype=float
+        )
+
+    @property
+    def matrix(self) -> sparse.csr_matrix:
+        """Gradients of all rows (m + n, n) [row per variable]."""
+        return sparse.vstack(
+            [self.jacobian, sparse.identity(len(self.variables), format="csr")], format="csr"
+        )
+
+
+@contextmanager
+def values_set(variables: Iterable[Any], numbers: Iterable[float]) -> Iterator[None]:
+    """Variables at these numbers for the time being.
+
+    Their values and staleness come back whatever happens.
+    """
+    variables = list(variables)
+    kept = [(variable, variable.value, variable.stale) for variable in variables]
+    try:
+        for variable, number in zip(variables, numbers, strict=True):
+            variable.set_value(number, skip_validation=True)
+        yield
+    finally:
+        for variable, number, stale in kept:
+            variable.set_value(number, skip_validation=True)
+            variable.stale = stale
+
+
+def number_of(expression: Any) -> float:
+    """Pyomo's value of an expression; NaN where it has none."""
+    try:
+        number = pyo.value(expression, exception=False)
+    except (ArithmeticError, ValueError, OverflowError):
+        return math.nan
+    return math.nan if number is None or isinstance(number, complex) else float(number)
+
+
+def _filled(source: Any, expression: Any, number: float) -> float:
+    """Return the number; raise MissingValueError if it is NaN because an Expression is empty."""
+    hole = _empty_expression(expression) if math.isnan(number) else None
+    if hole is not None:
+        raise MissingValueError(
+            f"'{source.name}' needs the Expression '{hole}', which is empty: give it a value, or deactivate '{source.name}'"
+        )
+    return number
+
+
+def _empty_expression(expression: Any) -> str | None:
+    """Return the name of an empty Expression inside an expression."""
+    stack = [expression]
+    while stack:
+        node = stack.pop()
+        if hasattr(node, "is_expression_type") and node.is_expression_type():
+            if node.is_named_expression_type() and node.expr is None:
+                return node.name
+            stack.extend(node.args)
+    return None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Derivatives:
+    """First derivatives of expressions by the n variables.
+
+    gradient (n,): of the minimised objective, scale: its size at the point and nearby; jacobian
+        (expressions, n): of the others
+    """
+
+    variables: tuple[Any, ...]
+    gradient: np.ndarray
+    scale: float
+    jacobian: sparse.csr_matrix
+    notes: tuple[str, ...] = ()
+
+
+def derivatives_of(bodies: Sequence[Any], goal: Any, sense: Any = pyo.minimize) -> Derivatives:
+    """Return the derivatives of Pyomo expressions and of an objective at the variables' values.
+
+    They are NaN if the model cannot be compiled, or if Pyomo's values contradict them.
+    """
+    scratch = pyo.ConcreteModel()
+    variable_rows = [k for k, body in enumerate(bodies) if is_potentially_variable(body)]
+    scratch.expression = pyo.Constraint(variable_rows, rule=lambda _, k: (None, bodies[k], 0.0))
+    scratch.goal = pyo.Objective(expr=goal, sense=sense)
+    try:
+        problem = compile_model(scratch)
+    except (ModelRefusedError, MissingValueError) as error:
+        return _unknown([*bodies, goal], f"no derivatives: {error}")
+    x = np.array([math.nan if v.value is None else v.value for v in problem.variables], dtype=float)
+    gradient, entries = problem.derivatives(x)
+    row, column = problem.jacobianstructure()
+    number = np.array([equation.index() for equation in problem.equations], dtype=int)
+    jacobian = sparse.csr_matrix(
+        (entries, (number[row], column)), shape=(len(bodies), len(problem.variables))
+    )
+    both = sparse.vstack([jacobian, problem.sense * gradient], format="csr")
+    wrong = _contradicted([*bodies, goal], problem.variables, x, both)
+    if len(wrong):
+        note = f"Pyomo's values contradict the derivatives of {len(wrong)} expressions: please report this model"
+        return _unknown([*bodies, goal], note)
+    scale = max(problem.slope_size_nearby(x), problem.slope_size(x))
+    return Derivatives(
+        variables=problem.variables, gradient=gradient, scale=scale, jacobian=jacobian
+    )
+
+
+def _unknown(expressions: Sequence[Any], note: str) -> Derivatives:
+    found = {
+        id(variable): variable
+        for expression in expressions
+        if is_potentially_variable(expression)
+        for variable in identify_variables(expression, include_fixed=False)
+    }
+    n = len(found)
+    return Derivatives(
+        variables=tuple(found.values()),
+        gradient=np.full(n, math.nan),
+        scale=1.0,
+        jacobian=sparse.csr_matrix((len(expressions) - 1, n)),
+        notes=(note,),
+    )
+
+
+def _contradicted(
+    expressions: Sequence[Any], variables: Sequence[Any], x: np.ndarray, jacobian: sparse.csr_matrix
+) -> np.ndarray:
+    """Return the numbers of expressions whose slope along a random direction is not that of Pyomo's values.
+
+    Values that are not numbers contradict nothing.
+    """
+    random = np.random.default_rng(0)
+    direction = random.choice([-1.0, 1.0], len(x)) * random.uniform(0.5, 1.0, len(x))
+    direction *= np.maximum(1.0, np.abs(x))
+    slope, size = jacobian @ direction, abs(jacobian) @ np.abs(direction)
+    wrong = np.arange(len(expressions))
+    for step in _STEPS:
+        ahead, behind = (
+            _values_at(
+                [expressions[k] for k in wrong.tolist()], variables, x + side * step * direction
+            )
+            for side in (1.0, -1.0)
+        )
+        difference = (ahead - behind) / (2.0 * step)
+        limit = _AGREE * (1.0 + size[wrong]) + _ROUNDING * np.abs(ahead) / step
+        wrong = wrong[np.abs(difference - slope[wrong]) > limit]
+    return wrong
+
+
+def _values_at(expressions: Sequence[Any], variables: Sequence[Any], x: np.ndarray) -> np.ndarray:
+    with values_set(variables, x.tolist()):
+        return np.array([number_of(expression) for expression in expressions])
+
+
+def read_local(model: Any, near: float) -> LocalModel:
+    """Return all active components at their current values.
+
+    Parameters
+    ----------
+    model : a Pyomo model
+    near : a box within this of a bound is a pair with that bound
+
+    Raises
+    ------
+    MissingValueError
+        where a component needs an Expression that is empty
+    """
+    rows: list[tuple[Any, int | None, float, float, float]] = []
+    bodies: list[Any] = []
+
+    def add_row(
+        source: Any, body: Any, lower: Any, upper: Any, argument: int | None = None
+    ) -> None:
+        low = -math.inf if lower is None else number_of(lower)
+        high = math.inf if upper is None else number_of(upper)
+        rows.append((source, argument, _filled(source, body, number_of(body)), low, high))
+        bodies.append(body)
+
+    for constraint in model.component_data_objects(
+        pyo.Constraint, active=True, descend_into=pyo.Block
+    ):
+        lower, body, upper = constraint.to_bounded_expression(evaluate_bounds=True)
+        add_row(constraint, body, lower, upper)
+    pairs: list[Pair] = []
+    sides: list[tuple[Any, Any]] = []
+    for condition in model.component_data_objects(
+        Complementarity, active=True, descend_into=pyo.Block
+    ):
+        bounded = [_bounded(condition, argument) for argument in condition._args]
+        local = _local_pair(condition, bounded, near)
+        if (
+            local is None
+        ):  # an equality among its sides, or a box inside whose bounds the other side is 0
+            for argument, (lower, body, upper) in _imposed(bounded):
+                add_row(condition, body, lower, upper, argument)
+            continue
+        pair, expressions = local
+        for expression, number in zip(expressions, (pair.first, pair.second), strict=True):
+            _filled(condition, expression, number)
+        pairs.append(pair)
+        sides.append(expressions)
+    goal, sense, objective = 0.0, pyo.minimize, 0.0
+    for item in model.component_data_objects(pyo.Objective, active=True, descend_into=pyo.Block):
+        goal, sense = item.expr, item.sense
+        objective = _filled(item, goal, number_of(goal))
+    m, k = len(rows), len(pairs)
+    first, second = zip(*sides, strict=True) if sides else ((), ())
+    found = derivatives_of([*bodies, *first, *second], goal, sense)
+    rows += [
+        (variable, None, number_of(variable), *bounds_of(variable)) for variable in found.variables
+    ]
+    sources, arguments, values, lower, upper = tuple(zip(*rows, strict=True)) or ((),) * 5
+    flips = [
+        sparse.diags([getattr(pair, name) for pair in pairs], shape=(k, k))
+        for name in ("first_flip", "second_flip")
+    ]
+    return LocalModel(
+        variables=found.variables,
+        objective=objective,
+        gradient=found.gradient,
+        scale=found.scale,
+        rows=Rows(
+            sources=sources,
+            arguments=arguments,
+            value=np.array(values),
+            lower=np.array(lower),
+            upper=np.array(upper),
+        ),
+        jacobian=found.jacobian[:m],
+        pairs=tuple(pairs),
+        first_jacobian=(flips[0] @ found.jacobian[m : m + k]).tocsr(),
+        second_jacobian=(flips[1] @ found.jacobian[m + k :]).tocsr(),
+        notes=found.notes,
+    )
+
+
+def _bounded(condition: Any, argument: Any) -> tuple[Any, Any, Any]:
+    """(lower, body, upper) of an argument, by Pyomo's own reading of it."""
+    form = condition._canonical_expression(argument)
+    lower, body, upper = (form[0], form[1], form[0]) if len(form) == 2 else form
+    low, high = (None if bound is None else number_of(bound) for bound in (lower, upper))
+    return (None if low == -math.inf else low), body, (None if high == math.inf else high)
+
+
+def _local_pair(
+    condition: Any, sides: list[tuple[Any, Any, Any]], near: float
+) -> tuple[Pair, tuple[Any, Any]] | None:
+    """Return the condition near this point as a pair, and its two expressions; None without a pair."""
+    counts = [(lower is not None) + (upper is not None) for lower, _, upper in sides]
+    if counts == [1, 1]:
+        (a, a_flip), (b, b_flip) = (_distance(*side) for side in sides)
+        pair = Pair(
+            source=condition,
+            first=a,
+            second=b,
+            first_flip=a_flip,
+            second_flip=b_flip,
+            arguments=(0, 1),
+        )
+        return pair, (sides[0][1], sides[1][1])
+    if sorted(counts) != [0, 2]:
+        return None
+    arguments = (0, 1) if counts == [2, 0] else (1, 0)
+    (lower, body, upper), (_, free, _) = (sides[k] for k in arguments)
+    if (
+        lower >= upper
+    ):  # equal: an equality; above: a range that holds no number, which is a row nothing can meet
+        return None
+    value, other = number_of(body), number_of(free)
+    to_low, to_high = value - lower, upper - value
+    if min(to_low, to_high) > near and abs(other) <= near:
+        return None
+    low = to_low <= near or (to_high > near and other > 0)
+    flip, distance = (1.0, to_low) if low else (-1.0, to_high)
+    pair = Pair(
+        source=condition,
+        first=distance,
+        second=flip * other,
+        first_flip=flip,
+        second_flip=flip,
+        arguments=arguments,
+    )
+    return pair, (body, free)
+
+
+def _distance(lower: Any, body: Any, upper: Any) -> tuple[float, float]:
+    """Return the distance to the one bound of a side, and its flip."""
+    value = number_of(body)
+    return (value - lower, 1.0) if upper is None else (upper - value, -1.0)
+
+
+def _imposed(sides: list[tuple[Any, Any, Any]]) -> list[tuple[int, tuple[Any, Any, Any]]]:
+    """(number of the argument, relation) for what must hold where there is no choice.
+
+    Inside a box the free side is 0.
+    """
+    counts = [(lower is not None) + (upper is not None) for lower, _, upper in sides]
+    fixed = any(
+        count == 2 and lower == upper
+        for count, (lower, _, upper) in zip(counts, sides, strict=True)
+    )
+    if sorted(counts) == [0, 2] and not fixed:
+        return [(k, side if counts[k] else (0.0, side[1], 0.0)) for k, side in enumerate(sides)]
+    return [(k, side) for k, side in enumerate(sides) if counts[k]]
