@@ -33,16 +33,6 @@ class SmoothCopy:
     block: Any
 
 
-def has_kinks(model: Any) -> bool:
-    """Whether an active objective, constraint or complementarity has an absolute value, a minimum or a maximum of variables."""
-    kinds = (pyo.Objective, pyo.Constraint, Complementarity)
-    return any(
-        _has_kink(side)
-        for data in model.component_data_objects(kinds, active=True, descend_into=Block)
-        for side in _sides(data)
-    )
-
-
 def smooth_copy(model: Any) -> SmoothCopy:
     """A copy of the model without absolute values, minima and maxima of its variables.
 
@@ -81,21 +71,6 @@ def smooth_copy(model: Any) -> SmoothCopy:
             if data.parent_block() is not block:
                 data._args = tuple(visitor.walk_expression(side) for side in data._args)
     return SmoothCopy(model=copy, users=users, block=block)
-
-
-def _sides(data: Any) -> tuple[Any, ...]:
-    return tuple(data._args or ()) if hasattr(data, "_args") else (data.expr,)
-
-
-def _has_kink(expression: Any) -> bool:
-    todo = [expression]
-    while todo:
-        node = todo.pop()
-        if isinstance(node, AbsExpression | MaxExpression | MinExpression) and not node.is_fixed():
-            return True
-        if hasattr(node, "is_expression_type") and node.is_expression_type():
-            todo += [argument for argument in node.args if argument is not None]
-    return False
 
 
 def _free_name(model: Any) -> str:

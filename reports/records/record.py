@@ -298,7 +298,7 @@ class SecondsRecord(Model):
 
 
 class CertificateRecord(Model):
-    """A plan judged in the strict model of its scene, without the solver.
+    """A plan judged in the strict Pyomo model of its scene, without the multipliers of its method.
 
     All residuals unscaled.
 

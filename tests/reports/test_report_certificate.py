@@ -28,7 +28,7 @@ def _page(factory, tmp_path, certificate: CertificateRecord) -> str:
 def test_page_strong_plan_shows_residuals_and_pairs(factory, tmp_path) -> None:
     text = _page(factory, tmp_path, CERTIFICATE)
     assert not unsaid(
-        text, "recomputed without the solver", ">S-stationary<",
+        text, "multipliers computed again from the model", ">S-stationary<",
         "2 pairs have both sides zero, no multiplier of these is negative",
         "constraint_goal_position[q1]",
     )  # fmt: skip

@@ -22,12 +22,19 @@ import numpy as np
 import scipy.sparse as sparse
 from pyomo.common.collections import ComponentMap
 from pyomo.common.gc_manager import PauseGC
+from scipy.optimize import linprog
 from scipy.sparse.linalg import lsqr
 
-from formulations.ipopt.model import refuse_no_model
-from formulations.mpec.certificate.local import LocalModel, Pair, read_local
-from formulations.mpec.certificate.stationarity import Stationarity, Verdict, active_set, judge
-from formulations.mpec.kinks import has_kinks, smooth_copy
+from formulations.ipopt.model import NotSmoothError, refuse_no_model
+from formulations.mpec.certificate.local import LocalModel, Pair, Rows, read_local
+from formulations.mpec.certificate.stationarity import (
+    PROGRAM,
+    Stationarity,
+    Verdict,
+    active_set,
+    judge,
+)
+from formulations.mpec.kinks import smooth_copy
 
 # Largest step of a variable that makes pairs exact, relative to max(1, |x|): far more than
 # tolerances need, far less than another solution.
@@ -40,32 +47,65 @@ _SOLVED = 1e-12
 
 
 def _forced_violation(local: LocalModel) -> float:
-    """Return the largest violation (relative to max(1, |bound|)), to first order, after the shortest step that makes every pair exact.
+    """Return the largest violation, to first order, after a small step that makes every pair exact.
 
-    inf if no small step does.
+    The shortest step, or if that violates a constraint, the step that violates the constraints
+    least. Relative to max(1, |bound|); inf if no small step makes the pairs exact.
     """
     rows = local.rows
     x = rows.value[local.jacobian.shape[0] :]
     sides, matrix = _closed_sides(local)
     rounding = _ROUNDING * (abs(matrix) @ np.abs(x) + np.abs(sides - matrix @ x))
-    step = np.zeros(len(x))
-    if np.any(np.abs(sides) > rounding):
-        radius = _SMALL_STEP * np.maximum(1.0, np.abs(x))
-        scaled = matrix @ sparse.diags(radius)
-        length = np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
-        length = np.where(length > 0.0, length, 1.0)
-        scaled, wanted = sparse.diags(1.0 / length) @ scaled, -sides / length
-        shortest = lsqr(scaled, wanted, atol=1e-15, btol=1e-15)[0]
-        left = np.abs(scaled @ shortest - wanted)
-        exact = 4.0 * rounding / length + _EXACT * np.abs(wanted)
-        if np.any(left > exact + _SOLVED * np.max(np.abs(wanted))) or np.any(np.abs(shortest) > 1):
-            return math.inf
-        step = radius * shortest
-    return _largest(rows.violation(rows.value + local.matrix @ step) / rows.size)
+    if not np.any(np.abs(sides) > rounding):
+        return _largest(rows.violation(rows.value) / rows.size)
+    radius = sparse.diags(_SMALL_STEP * np.maximum(1.0, np.abs(x)))
+    scaled = matrix @ radius
+    length = np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
+    length = np.where(length > 0.0, length, 1.0)
+    scaled, wanted = sparse.diags(1.0 / length) @ scaled, -sides / length
+    step = lsqr(scaled, wanted, atol=1e-15, btol=1e-15)[0]
+    exact = 4.0 * rounding / length + _EXACT * np.abs(wanted) + _SOLVED * np.max(np.abs(wanted))
+    if np.any(np.abs(scaled @ step - wanted) > exact):
+        return math.inf
+    change = (local.matrix @ radius).tocsr()
+    violation = _largest(rows.violation(rows.value + change @ step) / rows.size)
+    if violation <= FEASIBILITY and np.all(np.abs(step) <= 1.0):
+        return violation
+    return _least_violation(rows, change, scaled, step)
+
+
+def _least_violation(
+    rows: Rows, change: sparse.csr_matrix, scaled: sparse.csr_matrix, step: np.ndarray
+) -> float:
+    """Return the least violation after a step of at most 1 that moves the sides as this step does.
+
+    The unit of the linear program is the size of the step, so that the program's tolerance is a
+    small share of the step. inf if there is no such step.
+    """
+    unit = float(np.max(np.abs(step)))
+    low, high = rows.lower - rows.value, rows.upper - rows.value
+    reach = np.asarray(abs(change).sum(axis=1)).ravel()
+    below, above = low > -reach, high < reach  # the others hold after every step
+    matrix = sparse.vstack([-change[below], change[above]])
+    size = np.concatenate([rows.size[below], rows.size[above]])
+    answer = linprog(
+        np.append(np.zeros(len(step)), 1.0),
+        A_ub=sparse.hstack([matrix, sparse.csr_matrix(-size[:, None])], format="csc"),
+        b_ub=np.concatenate([-low[below], high[above]]) / unit,
+        A_eq=sparse.hstack([scaled, sparse.csr_matrix((scaled.shape[0], 1))], format="csc"),
+        b_eq=scaled @ step / unit,
+        bounds=[*[(-1.0 / unit, 1.0 / unit)] * len(step), (0.0, None)],
+        method="highs",
+        options=PROGRAM,
+    )
+    return unit * float(answer.fun) if answer.status == 0 else math.inf
 
 
 def _closed_sides(local: LocalModel) -> tuple[np.ndarray, sparse.csr_matrix]:
-    """(values, gradients) of what the pairs say is 0: the smaller side of each, and the free side of a box between its bounds."""
+    """Return values and gradients of the sides that pairs hold at 0.
+
+    They are the smaller side of each pair, and the free side of a box between its bounds.
+    """
     rows, (first, second) = local.rows, local.sides
     held = np.flatnonzero(
         np.array([argument is not None for argument in rows.arguments], dtype=bool)
@@ -90,7 +130,11 @@ _ACTIVE = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """Violation up to which a point counts as feasible: of rows, bounds and sides relative to max(1, |bound|); and of min(G, H) of a pair."""
+    """Largest violations of a feasible point.
+
+    feasibility: of rows, bounds and sides, relative to max(1, |bound|); complementarity: of
+        min(G, H) of a pair
+    """
 
     feasibility: float = FEASIBILITY
     complementarity: float = COMPLEMENTARITY
@@ -98,8 +142,9 @@ class Tolerances:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Multipliers:
-    """gradient (sense * f) = sum rows[c] gradient c + sum bounds[x] + sum of pairs: by component, missing ones are 0.
+    """Multipliers by component; missing multipliers are 0.
 
+    gradient (sense * f) = sum rows[c] gradient c + sum bounds[x] + sum of pairs
     rows, bounds: positive pushes away from a lower bound. pairs: (multiplier of the body of the
         first argument, of the second) of `complements`.
     """
@@ -150,7 +195,7 @@ class Certificate:
 
     @property
     def lives_on_tolerance(self) -> bool:
-        """Whether everything holds within the tolerances, but some constraint would not if the pairs held exactly."""
+        """Whether the point is within tolerances, but no point with exact pairs is near."""
         return self._within and not self.forced <= FEASIBILITY
 
     @property
@@ -230,13 +275,14 @@ def certify(
         where a component needs an Expression that is empty
     """
     refuse_no_model(model)
-    if has_kinks(model):
+    try:
+        with PauseGC():
+            local = read_local(model, _ACTIVE)
+    except NotSmoothError:
         found = certify(smooth_copy(model).model, tolerances=tolerances)
         return replace(
             found, notes=(*found.notes, "absolute values, minima and maxima are written as pairs")
         )
-    with PauseGC():
-        local = read_local(model, _ACTIVE)
     first, second = local.sides
     negative = np.fmax(0.0, -np.fmin(first, second))
     violations = np.append(local.rows.violation(local.rows.value), negative)
@@ -244,12 +290,13 @@ def certify(
     sources = [*local.rows.sources, *(pair.source for pair in local.pairs)]
     worst = _largest(violations)
     active = active_set(local, _ACTIVE)
-    found, given, forced, notes = _NOT_COMPUTED, math.nan, math.nan, local.notes
+    given, forced, notes = math.nan, math.nan, local.notes
     if _is_finite(local):
         found, forced = judge(local, active, STATIONARITY), _forced_violation(local)
         given = math.nan if multipliers is None else _given_residual(local, multipliers)
     else:
-        notes = (*notes, found.obstacle)
+        notes = notes or ("a function or derivative is not a finite number at this point",)
+        found = Verdict(kind=Stationarity.NONE, residual=math.nan, obstacle=notes[0])
     return Certificate(
         primal=worst,
         primal_relative=_largest(relative),
@@ -271,17 +318,10 @@ def certify(
     )
 
 
-_NOT_COMPUTED = Verdict(
-    kind=Stationarity.NONE,
-    residual=math.nan,
-    obstacle="a function or derivative is not a finite number at this point",
-)
-
-
 def _given_residual(local: LocalModel, multipliers: Multipliers) -> float:
-    """Largest of: what the multipliers leave of the gradient; wrong signs.
+    """Return the largest residual of the given multipliers, relative to the scale.
 
-    Multipliers of what is not active. Relative to the scale.
+    Residuals are the rest of the gradient, and multipliers with a wrong sign or of inactive rows.
     """
     rows, m = local.rows, local.jacobian.shape[0]
     y = np.array(
@@ -312,9 +352,9 @@ def _given_residual(local: LocalModel, multipliers: Multipliers) -> float:
 
 
 def _wrong(multiplier: np.ndarray, distance: np.ndarray, size: np.ndarray | float) -> np.ndarray:
-    """A multiplier of what is not active counts whole, as for who looks for multipliers without knowing these; of what is active, times the distance.
+    """Return by how much each multiplier (rows,) is wrong.
 
-    All (rows,), or (pairs,). Raises nothing.
+    An inactive row counts with its whole multiplier, an active row times its distance.
     """
     return np.abs(multiplier) * np.where(distance <= _ACTIVE * size, np.maximum(0.0, distance), 1.0)
 
@@ -326,13 +366,13 @@ def _row_multiplier(source: Any, argument: int | None, multipliers: Multipliers)
 
 
 def _pair_multipliers(pair: Pair, multipliers: Multipliers) -> tuple[float, float]:
-    """(nu, mu) of the two sides, in the signs of the pair."""
+    """Return the multipliers (nu, mu) of the two sides, in the signs of the pair."""
     given = multipliers.pairs.get(pair.source, (0.0, 0.0))
     return pair.first_flip * given[pair.arguments[0]], pair.second_flip * given[pair.arguments[1]]
 
 
 def _largest(values: np.ndarray) -> float:
-    """Largest value, 0 for none; NaN stays NaN, and -0.0 does not."""
+    """Return the largest value: 0.0 for no value, NaN if a value is NaN, never -0.0."""
     return float(np.max(values)) + 0.0 if values.size else 0.0
 
 

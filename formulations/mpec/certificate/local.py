@@ -3,13 +3,14 @@
 local = read_local(model, 1e-6)
 local.rows.value, local.gradient, local.sides
 
-Values are by `pyomo.value`. Derivatives are by the compiler of `formulations.ipopt`, and are
-compared with differences of Pyomo's values along a random direction.
+Values are by `pyomo.value`. Derivatives are by the compiler of `formulations.ipopt`, and every
+expression's are compared with a difference of Pyomo's values along a random direction.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,15 +19,17 @@ from typing import Any
 import numpy as np
 import pyomo.environ as pyo
 import scipy.sparse as sparse
+from pyomo.core.expr.calculus.derivatives import Modes, differentiate
+from pyomo.core.expr.calculus.diff_with_pyomo import DifferentiationException
 from pyomo.core.expr.numvalue import is_potentially_variable
-from pyomo.core.expr.visitor import identify_variables
+from pyomo.core.expr.visitor import evaluate_fixed_subexpressions, identify_variables
 from pyomo.mpec import Complementarity
 
 from formulations.ipopt import MissingValueError, ModelRefusedError, compile_model
-from formulations.ipopt.model import bounds_of
+from formulations.ipopt.model import NotSmoothError, bounds_of, unbounded_if_huge
 
-# Steps of the differences, relative to max(1, |x|). A row passes if one of them agrees.
-_STEPS = (1e-4, 1e-6, 1e-8)
+# Step of the differences, relative to max(1, |x|): near the root of the machine's precision.
+_STEP = 1e-8
 # Derivatives that differ by less agree, relative to the largest that the direction can make of them.
 _AGREE = 1e-6
 # Rounding of a value, relative.
@@ -35,8 +38,9 @@ _ROUNDING = 1e-14
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rows:
-    """lower <= value <= upper, each (rows,), of the components `sources`: constraints, arguments of complementarities that must hold, and variables.
+    """lower <= value <= upper, each (rows,).
 
+    sources: the components: constraints, arguments of complementarities that must hold, variables
     arguments: which argument of `complements` a row is; None for the others
     """
 
@@ -48,14 +52,14 @@ class Rows:
 
     @property
     def size(self) -> np.ndarray:
-        """The larger of its finite bounds, at least 1 (rows,) [units of the rows]."""
+        """Return the larger finite bound of each row (rows,), at least 1 [units of the rows]."""
         bounds = np.abs([self.lower, self.upper])
         return np.maximum(1.0, np.max(np.where(np.isfinite(bounds), bounds, 0.0), axis=0))
 
     def violation(self, value: np.ndarray) -> np.ndarray:
-        """By how much these values (rows,) are beyond their bounds (rows,) [units of the rows].
+        """Return by how much these values (rows,) exceed their bounds [units of the rows].
 
-        Raises nothing: NaN where one is NaN.
+        NaN if a value or a bound is NaN.
         """
         with np.errstate(invalid="ignore"):
             return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
@@ -100,14 +104,14 @@ class LocalModel:
 
     @property
     def sides(self) -> np.ndarray:
-        """The first and the second sides (2, pairs) of the pairs [units of the sides]."""
+        """Return the first and the second sides of the pairs (2, pairs) [units of the sides]."""
         return np.array(
             [[pair.first for pair in self.pairs], [pair.second for pair in self.pairs]], dtype=float
         )
 
     @property
     def matrix(self) -> sparse.csr_matrix:
-        """Gradients of all rows (m + n, n) [row per variable]."""
+        """Return the gradients of all rows (m + n, n) [row per variable]."""
         return sparse.vstack(
             [self.jacobian, sparse.identity(len(self.variables), format="csr")], format="csr"
         )
@@ -115,10 +119,7 @@ class LocalModel:
 
 @contextmanager
 def values_set(variables: Iterable[Any], numbers: Iterable[float]) -> Iterator[None]:
-    """Variables at these numbers for the time being.
-
-    Their values and staleness come back whatever happens.
-    """
+    """Set variables to these numbers inside the context; restore values and staleness after it."""
     variables = list(variables)
     kept = [(variable, variable.value, variable.stale) for variable in variables]
     try:
@@ -132,7 +133,7 @@ def values_set(variables: Iterable[Any], numbers: Iterable[float]) -> Iterator[N
 
 
 def number_of(expression: Any) -> float:
-    """Pyomo's value of an expression; NaN where it has none."""
+    """Return Pyomo's value of an expression; NaN if it has none."""
     try:
         number = pyo.value(expression, exception=False)
     except (ArithmeticError, ValueError, OverflowError):
@@ -177,19 +178,29 @@ class Derivatives:
     notes: tuple[str, ...] = ()
 
 
-def derivatives_of(bodies: Sequence[Any], goal: Any, sense: Any = pyo.minimize) -> Derivatives:
+def derivatives_of(
+    valued: Sequence[tuple[Any, float]], objective: tuple[Any, float], sense: Any = pyo.minimize
+) -> Derivatives:
     """Return the derivatives of Pyomo expressions and of an objective at the variables' values.
 
-    They are NaN if the model cannot be compiled, or if Pyomo's values contradict them.
+    They are NaN if Pyomo's values contradict them.
+
+    Parameters
+    ----------
+    valued, objective : expressions and their values by Pyomo
+    sense : of the objective
+
+    Raises
+    ------
+    ModelRefusedError, MissingValueError
+        if the expressions cannot be compiled; the number of an expression is in the message
     """
+    bodies, goal = [body for body, _ in valued], objective[0]
     scratch = pyo.ConcreteModel()
     variable_rows = [k for k, body in enumerate(bodies) if is_potentially_variable(body)]
     scratch.expression = pyo.Constraint(variable_rows, rule=lambda _, k: (None, bodies[k], 0.0))
     scratch.goal = pyo.Objective(expr=goal, sense=sense)
-    try:
-        problem = compile_model(scratch)
-    except (ModelRefusedError, MissingValueError) as error:
-        return _unknown([*bodies, goal], f"no derivatives: {error}")
+    problem = compile_model(scratch)
     x = np.array([math.nan if v.value is None else v.value for v in problem.variables], dtype=float)
     gradient, entries = problem.derivatives(x)
     row, column = problem.jacobianstructure()
@@ -198,9 +209,9 @@ def derivatives_of(bodies: Sequence[Any], goal: Any, sense: Any = pyo.minimize) 
         (entries, (number[row], column)), shape=(len(bodies), len(problem.variables))
     )
     both = sparse.vstack([jacobian, problem.sense * gradient], format="csr")
-    wrong = _contradicted([*bodies, goal], problem.variables, x, both)
-    if len(wrong):
-        note = f"Pyomo's values contradict the derivatives of {len(wrong)} expressions: please report this model"
+    wrong = _contradicted([*valued, objective], problem.variables, x, both)
+    if wrong:
+        note = f"Pyomo's values contradict the derivatives of {wrong} expressions: please report this model"
         return _unknown([*bodies, goal], note)
     scale = max(problem.slope_size_nearby(x), problem.slope_size(x))
     return Derivatives(
@@ -226,33 +237,43 @@ def _unknown(expressions: Sequence[Any], note: str) -> Derivatives:
 
 
 def _contradicted(
-    expressions: Sequence[Any], variables: Sequence[Any], x: np.ndarray, jacobian: sparse.csr_matrix
-) -> np.ndarray:
-    """Return the numbers of expressions whose slope along a random direction is not that of Pyomo's values.
+    valued: Sequence[tuple[Any, float]],
+    variables: Sequence[Any],
+    x: np.ndarray,
+    jacobian: sparse.csr_matrix,
+) -> int:
+    """Return how many expressions have another slope along a random direction by Pyomo's values.
 
-    Values that are not numbers contradict nothing.
+    Values that are not numbers contradict nothing. Where a difference is too rough, because of
+    curvature or rounding, Pyomo's derivatives decide.
     """
+    expressions, values = zip(*valued, strict=True)
     random = np.random.default_rng(0)
     direction = random.choice([-1.0, 1.0], len(x)) * random.uniform(0.5, 1.0, len(x))
     direction *= np.maximum(1.0, np.abs(x))
+    with values_set(variables, (x + _STEP * direction).tolist()):
+        ahead = np.array([number_of(expression) for expression in expressions])
     slope, size = jacobian @ direction, abs(jacobian) @ np.abs(direction)
-    wrong = np.arange(len(expressions))
-    for step in _STEPS:
-        ahead, behind = (
-            _values_at(
-                [expressions[k] for k in wrong.tolist()], variables, x + side * step * direction
-            )
-            for side in (1.0, -1.0)
-        )
-        difference = (ahead - behind) / (2.0 * step)
-        limit = _AGREE * (1.0 + size[wrong]) + _ROUNDING * np.abs(ahead) / step
-        wrong = wrong[np.abs(difference - slope[wrong]) > limit]
-    return wrong
+    limit = _AGREE * (1.0 + size) + _ROUNDING * np.abs(ahead) / _STEP
+    differs = np.flatnonzero(np.abs((ahead - np.array(values)) / _STEP - slope) > limit)
+    return sum(not _is_pyomos(expressions[k], variables, jacobian[k]) for k in differs.tolist())
 
 
-def _values_at(expressions: Sequence[Any], variables: Sequence[Any], x: np.ndarray) -> np.ndarray:
-    with values_set(variables, x.tolist()):
-        return np.array([number_of(expression) for expression in expressions])
+def _is_pyomos(expression: Any, variables: Sequence[Any], slopes: sparse.csr_matrix) -> bool:
+    """Whether these derivatives (1, n) are those that Pyomo computes; False if it has none."""
+    found = list(identify_variables(expression, include_fixed=False))
+    try:
+        # Pyomo would differentiate by a Param that is an exponent, too.
+        numeric = evaluate_fixed_subexpressions(expression)
+        theirs = differentiate(numeric, wrt_list=found, mode=Modes.reverse_numeric)
+    except (DifferentiationException, ArithmeticError, ValueError):
+        return False
+    own = {id(variables[k]): slope for k, slope in zip(slopes.indices, slopes.data, strict=True)}
+    pyomos = {id(variable): slope for variable, slope in zip(found, theirs, strict=True)}
+    limit = _AGREE * max(1.0, float(np.max(np.abs(slopes.data), initial=0.0)))
+    return all(
+        abs(own.get(key, 0.0) - pyomos.get(key, 0.0)) <= limit for key in own.keys() | pyomos.keys()
+    )
 
 
 def read_local(model: Any, near: float) -> LocalModel:
@@ -266,7 +287,9 @@ def read_local(model: Any, near: float) -> LocalModel:
     Raises
     ------
     MissingValueError
-        where a component needs an Expression that is empty
+        if a component needs an Expression that is empty
+    NotSmoothError
+        for an absolute value, a minimum or a maximum of variables
     """
     rows: list[tuple[Any, int | None, float, float, float]] = []
     bodies: list[Any] = []
@@ -274,8 +297,8 @@ def read_local(model: Any, near: float) -> LocalModel:
     def add_row(
         source: Any, body: Any, lower: Any, upper: Any, argument: int | None = None
     ) -> None:
-        low = -math.inf if lower is None else number_of(lower)
-        high = math.inf if upper is None else number_of(upper)
+        low = -math.inf if lower is None else unbounded_if_huge(number_of(lower))
+        high = math.inf if upper is None else unbounded_if_huge(number_of(upper))
         rows.append((source, argument, _filled(source, body, number_of(body)), low, high))
         bodies.append(body)
 
@@ -285,7 +308,7 @@ def read_local(model: Any, near: float) -> LocalModel:
         lower, body, upper = constraint.to_bounded_expression(evaluate_bounds=True)
         add_row(constraint, body, lower, upper)
     pairs: list[Pair] = []
-    sides: list[tuple[Any, Any]] = []
+    sides: list[tuple[tuple[Any, float], tuple[Any, float]]] = []
     for condition in model.component_data_objects(
         Complementarity, active=True, descend_into=pyo.Block
     ):
@@ -297,18 +320,28 @@ def read_local(model: Any, near: float) -> LocalModel:
             for argument, (lower, body, upper) in _imposed(bounded):
                 add_row(condition, body, lower, upper, argument)
             continue
-        pair, expressions = local
-        for expression, number in zip(expressions, (pair.first, pair.second), strict=True):
+        pair, valued = local
+        for expression, number in valued:
             _filled(condition, expression, number)
         pairs.append(pair)
-        sides.append(expressions)
+        sides.append(valued)
     goal, sense, objective = 0.0, pyo.minimize, 0.0
     for item in model.component_data_objects(pyo.Objective, active=True, descend_into=pyo.Block):
         goal, sense = item.expr, item.sense
         objective = _filled(item, goal, number_of(goal))
     m, k = len(rows), len(pairs)
-    first, second = zip(*sides, strict=True) if sides else ((), ())
-    found = derivatives_of([*bodies, *first, *second], goal, sense)
+    valued = [*zip(bodies, [value for _, _, value, _, _ in rows], strict=True)]
+    valued += [first for first, _ in sides] + [second for _, second in sides]
+    try:
+        found = derivatives_of(valued, (goal, objective), sense)
+    except NotSmoothError:
+        raise
+    except (ModelRefusedError, MissingValueError) as error:
+        sources = [*(source for source, *_ in rows), *(pair.source for pair in [*pairs, *pairs])]
+        why = re.sub(
+            r"expression\[(\d+)\]", lambda number: sources[int(number[1])].name, str(error)
+        )
+        found = _unknown([*(body for body, _ in valued), goal], f"no derivatives: {why}")
     rows += [
         (variable, None, number_of(variable), *bounds_of(variable)) for variable in found.variables
     ]
@@ -338,20 +371,25 @@ def read_local(model: Any, near: float) -> LocalModel:
 
 
 def _bounded(condition: Any, argument: Any) -> tuple[Any, Any, Any]:
-    """(lower, body, upper) of an argument, by Pyomo's own reading of it."""
+    """Return (lower, body, upper) of an argument, as Pyomo reads it."""
     form = condition._canonical_expression(argument)
     lower, body, upper = (form[0], form[1], form[0]) if len(form) == 2 else form
-    low, high = (None if bound is None else number_of(bound) for bound in (lower, upper))
+    low, high = (
+        None if bound is None else unbounded_if_huge(number_of(bound)) for bound in (lower, upper)
+    )
     return (None if low == -math.inf else low), body, (None if high == math.inf else high)
 
 
 def _local_pair(
     condition: Any, sides: list[tuple[Any, Any, Any]], near: float
-) -> tuple[Pair, tuple[Any, Any]] | None:
-    """Return the condition near this point as a pair, and its two expressions; None without a pair."""
+) -> tuple[Pair, tuple[tuple[Any, float], tuple[Any, float]]] | None:
+    """Return the condition near this point as a pair, its expressions and their values.
+
+    None without a pair.
+    """
     counts = [(lower is not None) + (upper is not None) for lower, _, upper in sides]
     if counts == [1, 1]:
-        (a, a_flip), (b, b_flip) = (_distance(*side) for side in sides)
+        (a, a_flip, a_value), (b, b_flip, b_value) = (_distance(*side) for side in sides)
         pair = Pair(
             source=condition,
             first=a,
@@ -360,7 +398,7 @@ def _local_pair(
             second_flip=b_flip,
             arguments=(0, 1),
         )
-        return pair, (sides[0][1], sides[1][1])
+        return pair, ((sides[0][1], a_value), (sides[1][1], b_value))
     if sorted(counts) != [0, 2]:
         return None
     arguments = (0, 1) if counts == [2, 0] else (1, 0)
@@ -383,17 +421,17 @@ def _local_pair(
         second_flip=flip,
         arguments=arguments,
     )
-    return pair, (body, free)
+    return pair, ((body, value), (free, other))
 
 
-def _distance(lower: Any, body: Any, upper: Any) -> tuple[float, float]:
-    """Return the distance to the one bound of a side, and its flip."""
+def _distance(lower: Any, body: Any, upper: Any) -> tuple[float, float, float]:
+    """Return the distance to the one bound of a side, its flip, and the value of its expression."""
     value = number_of(body)
-    return (value - lower, 1.0) if upper is None else (upper - value, -1.0)
+    return (value - lower, 1.0, value) if upper is None else (upper - value, -1.0, value)
 
 
 def _imposed(sides: list[tuple[Any, Any, Any]]) -> list[tuple[int, tuple[Any, Any, Any]]]:
-    """(number of the argument, relation) for what must hold where there is no choice.
+    """Return (number of the argument, relation) of the relations that hold without a choice.
 
     Inside a box the free side is 0.
     """

@@ -22,7 +22,7 @@ from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 from formulations.mpec.certificate.local import LocalModel, Rows
 
 # Tightest tolerance that HiGHS accepts. (As tight a dual one makes its simplex method fail.)
-_PROGRAM = {"primal_feasibility_tolerance": 1e-10}
+PROGRAM = {"primal_feasibility_tolerance": 1e-10}
 # Status of SciPy for numerical difficulties.
 _NUMERICAL = 4
 # Share of the tolerance that a program may use: HiGHS holds bounds within its own.
@@ -45,12 +45,14 @@ class Stationarity(Enum):
 class ActiveSet:
     """Conditions that hold with equality within a tolerance.
 
-    normals (k, n): their gradients; lowest, highest (k,): limits of their multipliers, each 0 or
-        infinite
+    normals (k, n): their gradients, each divided by the sum of its absolute entries, which is in
+        sizes (k,): HiGHS reads entries below 1e-9 as 0
+    lowest, highest (k,): limits of their multipliers, each 0 or infinite
     both (b,): numbers of the biactive pairs; first, second (b,): rows of their sides in `normals`
     """
 
     normals: sparse.csr_matrix
+    sizes: np.ndarray
     lowest: np.ndarray
     highest: np.ndarray
     both: np.ndarray
@@ -68,10 +70,13 @@ def active_set(local: LocalModel, tolerance: float) -> ActiveSet:
         [local.matrix[chosen], local.first_jacobian[first], local.second_jacobian[second]],
         format="csr",
     )
+    sizes = np.asarray(abs(normals).sum(axis=1)).ravel()
+    sizes[sizes == 0.0] = 1.0
     sides = np.concatenate([both[first], both[second]])
     place = np.count_nonzero(chosen) + np.flatnonzero(sides)
     return ActiveSet(
-        normals=normals,
+        normals=(sparse.diags(1.0 / sizes) @ normals).tocsr(),
+        sizes=sizes,
         lowest=np.concatenate(
             [np.where(high, -np.inf, 0.0)[chosen], np.where(sides, 0.0, -np.inf)]
         ),
@@ -144,12 +149,12 @@ def _least_sum(active: ActiveSet, gradient: np.ndarray, free: np.ndarray, most: 
             np.append(lowest, np.zeros(2 * n)),
             np.append(active.highest, np.full(2 * n, most)),
         ]),
-        "options": _PROGRAM,
+        "options": PROGRAM,
     }  # fmt: skip
     answer = linprog(**program, method="highs-ds")
     if answer.status == _NUMERICAL:
         answer = linprog(**program, method="highs-ipm")
-    if answer.x is None:
+    if answer.status:
         return Balance(y=np.full(k, math.nan), rest=np.full(n, math.nan))
     y = np.clip(answer.x[:k], lowest, active.highest)
     return Balance(y=y, rest=gradient - active.normals.T @ y)
@@ -159,32 +164,36 @@ def falling_piece(active: ActiveSet, gradient: np.ndarray, tolerance: float) -> 
     """Return which sides (b,) to hold at 0 so that the objective falls: True for the first.
 
     Each biactive pair has a binary number that is 1 if its first side may rise, 0 if its second may.
-    An empty answer means that no piece falls by more than the tolerance; None that it is not known.
+    A direction is the difference of two that are not negative, and costs half the tolerance per
+    component, so that small components of the gradient add up to no slope.
+    An empty answer means that every piece has multipliers within the tolerance; None that it is not
+    known.
     """
+    half = 0.5 * tolerance
     n, pairs = active.normals.shape[1], len(active.both)
     first, second = active.normals[active.first], active.normals[active.second]
-    longest = [sparse.diags(np.asarray(abs(side).sum(axis=1)).ravel()) for side in (first, second)]
+    one = sparse.identity(pairs)  # no side rises by more than 1 along |d| <= 1
     rows = sparse.bmat(
-        [[active.normals, None], [first, -longest[0]], [second, longest[1]]], format="csc"
+        [[active.normals, -active.normals, None], [first, -first, -one], [second, -second, one]],
+        format="csc",
     )
     none = np.full(2 * pairs, -np.inf)
     answer = milp(
-        np.append(gradient, np.zeros(pairs)),
+        np.concatenate([gradient + half, half - gradient, np.zeros(pairs)]),
         constraints=LinearConstraint(
             rows,
             np.append(np.where(active.highest > 0.0, 0.0, -np.inf), none),
             np.concatenate([
-                np.where(active.lowest < 0.0, 0.0, np.inf), np.zeros(pairs),
-                longest[1].diagonal(),
+                np.where(active.lowest < 0.0, 0.0, np.inf), np.zeros(pairs), np.ones(pairs),
             ]),
         ),
-        bounds=Bounds(np.append(-np.ones(n), np.zeros(pairs)), np.ones(n + pairs)),
-        integrality=np.append(np.zeros(n), np.ones(pairs)),
+        bounds=Bounds(0.0, 1.0),
+        integrality=np.append(np.zeros(2 * n), np.ones(pairs)),
         options=_PIECES,
     )  # fmt: skip
-    if answer.mip_dual_bound is not None and answer.mip_dual_bound >= -tolerance:
+    if answer.mip_dual_bound is not None and answer.mip_dual_bound >= -half:
         return np.zeros(0, dtype=bool)
-    return None if answer.x is None else answer.x[n:] < 0.5
+    return None if answer.x is None else answer.x[2 * n :] < 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,7 +236,7 @@ def judge(local: LocalModel, active: ActiveSet, tolerance: float) -> Verdict:
     side = pair.arguments[worst // len(active.both)]
     obstacle = (
         f"the {'second' if side else 'first'} side of '{pair.source.name}' has the multiplier "
-        f"{weak.y[sides[worst]] * local.scale:.3g}"
+        f"{weak.y[sides[worst]] / active.sizes[sides[worst]] * local.scale:.3g}"
     )
     return Verdict(
         kind=Stationarity.WEAK,

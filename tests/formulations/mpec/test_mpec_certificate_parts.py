@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pyomo.environ as pyo
 import pytest
+import scipy.sparse as sparse
 from pyomo.mpec import Complementarity, complements
 from wording import unsaid
 
@@ -55,9 +56,10 @@ def test_what_is_active_stands_in_its_columns():
         gradient=(3.0, -4.0, 0.5),
     )  # fmt: skip
     found = active_set(model, 0.1)
-    assert found.normals.toarray().tolist() == [
+    assert found.sizes.tolist() == [15, 24, 1, 1, 2, 4, 3, 4]
+    np.testing.assert_allclose((sparse.diags(found.sizes) @ found.normals).toarray(), [
         [4, 5, 6], [7, 8, 9], [1, 0, 0], [0, 1, 0], [1, 0, 1], [3, 0, 1], [0, 2, 1], [0, 3, 1],
-    ]  # fmt: skip
+    ])  # fmt: skip
     assert found.lowest.tolist() == [0, -INF, 0, -INF, -INF, 0, -INF, 0]
     assert found.highest.tolist() == [INF, 0, INF, 0, INF, INF, INF, INF]
     assert (found.both.tolist(), found.first.tolist(), found.second.tolist()) == ([2], [5], [7])
@@ -159,6 +161,17 @@ def test_forced_violation_row_that_lives_on_a_side(others: int):
     assert _forced_violation(model) == pytest.approx(0.1)
     off = local([row(0.5), *x[1:]], pairs=[(pair(0.5, 5.0), (1, 0, *rest), (0, 1, *rest))])
     assert _forced_violation(off) == INF
+
+
+@pytest.mark.parametrize(("x", "violation"), [(1e-7, 0.0), (0.99e-4, 0.0), (1.5e-4, 0.5e-2)])
+def test_forced_violation_other_variable_follows_side(x: float, violation: float):
+    """If x closes, 100 x = w moves w by 100 x, but by 0.01 at most."""
+    model = local(
+        [row(x), row(5.0), row(100 * x)],
+        [(row(0.0, lower=0.0, upper=0.0), (100.0, 0.0, -1.0)), (row(-1.0, upper=0.0), (0, 0, 1))],
+        [(pair(x, 5.0), (1, 0, 0), (0, 1, 0))],
+    )
+    assert _forced_violation(model) == pytest.approx(violation, rel=1e-6, abs=1e-6 * x)
 
 
 def test_a_pair_that_no_small_step_makes_exact_forces_everything():

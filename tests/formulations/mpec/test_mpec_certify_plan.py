@@ -83,7 +83,7 @@ def test_multipliers_agree_with_those_of_the_solver() -> None:
     unit = sparse.diags(1.0 / length) @ active.normals
     sides = [*active.first, *active.second]
     alike = (unit @ unit[sides].T).toarray() > 1.0 - 1e-12
-    found = (y * length) @ alike / length[sides]
+    found = (y * length) @ alike / length[sides] / active.sizes[sides]
     assert found.min() == pytest.approx(solution.residuals["least_biactive_multiplier"], rel=1e-6)
 
 

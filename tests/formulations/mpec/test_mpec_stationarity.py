@@ -52,7 +52,8 @@ def judged(model: LocalModel, tolerance: float = TOLERANCE) -> Verdict:
     ((2.0, 0.5), STRONG, ""), ((0.0, 0.0), STRONG, ""), ((0.5, -4e-6), STRONG, ""),
     ((0.0, -2.0), WEAK, "second side of 'pair' has the multiplier -2"),
     ((-2.0, 0.0), WEAK, "first side of 'pair' has the multiplier -2"),
-    ((-1.0, -2.5), WEAK, "second side of 'pair' has the multiplier -2.5"),
+    ((-1.0, -2.5), WEAK, "first side of 'pair' has the multiplier -1"),
+    ((-1.0, -9.0), WEAK, "second side of 'pair' has the multiplier -9"),
     ((1.0, -2.0), WEAK, "second side of 'pair' has the multiplier -2"),
 ])  # fmt: skip
 def test_judge_pair_signs_decide_and_are_named(multipliers, kind, obstacle):
@@ -113,6 +114,27 @@ def test_judge_weak_point_without_descent_is_b_stationary():
     """x = z = y: both sides of the pair x, y rise together, which no piece allows."""
     held = [((1, 0, -1), STAYS), ((0, 1, -1), STAYS)]
     found = judged(at((0.0, 0.0, -1.0), held, [((1, 0, 0), (0, 1, 0))]))
+    assert (found.kind, found.descent) == (WEAK, 0.0)
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1e-6, 1e6, 1e16])
+def test_judge_row_and_side_in_another_unit_same_verdict(unit: float):
+    """A row that holds x, and a side that lets y fall."""
+    pairs = [((0, unit, 0), (0, 0, 1))]
+    held = judged(at((1.0, 1.0, 1.0), [((unit, 0, 0), RISES)], pairs))
+    assert (held.kind, held.descent) == (STRONG, 0.0)
+    falls = judged(at((1.0, -1.0, 1.0), [((unit, 0, 0), RISES)], pairs))
+    assert (falls.kind, falls.descent) == (WEAK, pytest.approx(-1.0))
+    assert falls.obstacle == f"the first side of 'pair' has the multiplier {-1.0 / unit:.3g}"
+
+
+@pytest.mark.parametrize("others", [10, 300])
+def test_judge_components_within_tolerance_add_up_to_no_descent(others: int):
+    """x = z = y: B-stationary by the pair x, y; the other variables have no condition."""
+    rest = [0.0] * others
+    held = [((1, 0, -1, *rest), STAYS), ((0, 1, -1, *rest), STAYS)]
+    small = [0.4 * TOLERANCE] * others
+    found = judged(at((0.0, 0.0, -1.0, *small), held, [((1, 0, 0, *rest), (0, 1, 0, *rest))]))
     assert (found.kind, found.descent) == (WEAK, 0.0)
 
 
