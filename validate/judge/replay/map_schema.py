@@ -274,6 +274,14 @@ class Dimensions:
         found = None if not unit else self._of_fmu(unit) if of_fmu else _ours(unit)
         return bool(found) and found not in [_ours(name) for name in QUANTITIES[what]]
 
+    def is_rate(self, unit: str | None) -> bool:
+        """Whether a variable in this unit of the FMU is a velocity, by the unit's definition or name."""
+        defined = self._defined.get(unit)
+        if defined is None:
+            return unit in _RATES
+        powers = self._of_fmu(unit or "")
+        return powers == {"m": 1, "s": -1} or (powers == {"s": -1} and int(defined.rad) == 1)
+
     def _of_fmu(self, unit: str) -> dict[str, int] | None:
         defined = self._defined.get(unit)
         if defined is None:
@@ -306,6 +314,7 @@ def _ours(unit: str) -> dict[str, int] | None:
         return None
 
 
+# Velocities by their names, in an FMU that defines no units.
 _RATES = ("m/s", "rad/s")
 
 
@@ -371,10 +380,10 @@ class Named:
         return "" if variable.type in REAL else f"{name!r} is of type {variable.type}, but {_TAKEN}"
 
 
-def by_equal_names(named: Named, table: Table) -> MapFile:
+def by_equal_names(named: Named, table: Table, dimensions: Dimensions) -> MapFile:
     """Columns are what the FMU's variables of their names are: inputs; lam_X (with gap_X) contacts.
 
-    friction_X left out where it is a force; in m/s or rad/s velocities; else positions.
+    friction_X left out where it is a force; in a unit of velocity velocities; else positions.
     """
     by_name = named.by_name
     sections: dict[str, dict[str, Any]] = {"inputs": {}, "positions": {}, "contacts": {}}
@@ -400,7 +409,7 @@ def by_equal_names(named: Named, table: Table) -> MapFile:
             sections["contacts"][contact] = (
                 {"force": name, "gap": gap} if gap in by_name else {"force": name}
             )
-        elif variable.unit in _RATES:
+        elif dimensions.is_rate(variable.unit):
             rates.append(name)
         else:
             sections["positions"][name] = name

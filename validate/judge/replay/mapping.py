@@ -57,7 +57,7 @@ def wire(
     Raises MapError, TrajectoryError.
     """
     named = Named(package)
-    whole = given or map_schema.by_equal_names(named, table)
+    whole = given or map_schema.by_equal_names(named, table, Dimensions(package.description))
     wiring = _Wiring(package, named, table, whole, where)
     return wiring.foreign(), wiring.trajectory(hold)
 
@@ -277,13 +277,20 @@ class _Wiring:
     def _velocity_column(self, position: str) -> str:
         return self.map.velocities[position].column or f"v_{position}"
 
+    @property
+    def _time(self) -> str:
+        """The column of times: a table calls `time` t."""
+        named = self.map.plan.time
+        renamed = named not in self._table.names and named.lower() == "time"
+        return "t" if renamed else named
+
     def _force_column(self, contact: str) -> str:
         return self.map.contacts[contact].column or f"lam_{contact}"
 
     def _check_columns(self) -> None:
         given, table = self.map, self._table
         self._check_roles()
-        needed = [given.plan.time, *given.inputs]
+        needed = [self._time, *given.inputs]
         for name in needed:
             if name not in table.given:
                 near = "" if name in table.names else map_schema.hint(name, table.names)
@@ -305,13 +312,13 @@ class _Wiring:
                 raise TrajectoryError(
                     f"{table.where}: the column {name!r} is unknown{map_schema.hint(name, known)}; {self._where} names {', '.join(sorted(known))}."
                 )
-        table.check_unit(given.plan.time, "s")
+        table.check_unit(self._time, "s")
         for name in given.contacts:
             table.check_unit(self._force_column(name), *CONTACT_UNITS["force"])
 
     def _check_roles(self) -> None:
         """A column is one thing."""
-        given, roles = self.map, {self.map.plan.time: "the time (plan.time)"}
+        given, roles = self.map, {self._time: "the time (plan.time)"}
         claims = [
             (name, f"inputs.{name}", "call one of the two otherwise") for name in given.inputs
         ]
@@ -505,7 +512,7 @@ class _Wiring:
             given.goal.get(item.velocity_name) if item.name in given.velocities else None
             for item in coordinates
         ]
-        times = self._table.column(given.plan.time, False)
+        times = self._table.column(self._time, False)
         return subject.ForeignModel(
             name=Path(self._package.path).stem,
             coordinates=coordinates,
@@ -734,7 +741,7 @@ class _Wiring:
         who = "--hold" if hold else f"{self._where} (plan.hold)"
         held = declared_hold(table, hold or given.plan.hold, who)
         t, u, u_end = times_and_inputs(
-            table, given.plan.time, list(given.inputs), held, self._duration(missing)
+            table, self._time, list(given.inputs), held, self._duration(missing)
         )
         nodes, steps = len(t), len(t) - 1
 
@@ -764,7 +771,7 @@ class _Wiring:
 
     def _duration(self, missing: frozenset[str]) -> tuple[float, float] | None:
         """How long a plan of inputs alone is meant to last, and how near to that is as long: half its own last step."""
-        duration, times = self.map.task.duration, self._table.column(self.map.plan.time, False)
+        duration, times = self.map.task.duration, self._table.column(self._time, False)
         return (
             (duration, float(times[-1] - times[-2]) / 2.0)
             if duration is not None and "q" in missing

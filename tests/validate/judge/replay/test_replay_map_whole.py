@@ -432,7 +432,7 @@ def test_a_bound_may_be_the_fmus_own_but_for_rounding(whole):
     [
         (ROWS.replace(",M,", ",m,"), "the column 'M' is missing"),
         (ROWS.replace("pressed", "presed"), "'presed' … (near it: pressed)"),
-        (ROWS.replace("time,", "time [ms],"), "time"),
+        (ROWS.replace("time,", "time [ms],"), "the column 't' is in 'ms'"),
         (ROWS.replace("F,", "F [kN],"), "inputs.F: … 'F' is in 'kN' … 'N'"),
     ],
 )  # fmt: skip
@@ -469,8 +469,10 @@ def variables(*items: tuple[str, str, str] | tuple[str, str, str, Any]) -> Any:
     return Named(SimpleNamespace(description=SimpleNamespace(modelVariables=found)))  # type: ignore[arg-type]
 
 
-def equal(named: Any, columns: str) -> Any:
-    return by_equal_names(named, SimpleNamespace(names=columns.split(","), where="plan p"))  # type: ignore[arg-type]
+def equal(named: Any, columns: str, *units: Any) -> Any:
+    dimensions = Dimensions(SimpleNamespace(unitDefinitions=units))
+    table: Any = SimpleNamespace(names=columns.split(","), where="plan p")
+    return by_equal_names(named, table, dimensions)
 
 
 FMU = (("u", "input", "N"), ("x", "output", "m"), ("y", "output", "m"),
@@ -495,6 +497,18 @@ def test_columns_are_what_the_variables_of_their_names_are():
         "a": ("lam_a", None),
         "b": ("lam_b", "gap_b"),
     }
+
+
+def test_a_velocity_is_known_by_the_definition_of_its_unit():
+    """knot: 1 m/s but for a factor; m/s is called so, but defined as a length here."""
+    named = variables(("x", "output", "inch"), ("y", "output", "m/s"), ("a", "output", "turn"),
+                      ("vx", "output", "knot"), ("wa", "output", "rpm"))  # fmt: skip
+    defined = [unit_of("inch", m=1), unit_of("m/s", m=1), unit_of("turn", rad=1)]
+    defined += [unit_of("knot", m=1, s=-1), unit_of("rpm", rad=1, s=-1)]
+    found = equal(named, "t,x,y,vx", *defined)
+    assert list(found.positions) == ["x", "y", "vx"]  # two positions, one velocity: no pairs
+    found = equal(named, "t,x,a,vx,wa", *defined)
+    assert (list(found.positions), list(found.velocities)) == (["x", "a"], ["x", "a"])
 
 
 def test_rates_without_as_many_positions_are_positions():
