@@ -277,3 +277,28 @@ def test_a_state_that_is_restored_but_for_one_integer_is_found(tmp_path: Path):
     (row,) = [row for row in rows if (row.name, row.type) == (_RESTORES, "CS")]
     assert row.status is Status.FAILED, row.sentence
     assert "differs" in row.sentence
+
+
+@pytest.mark.parametrize(
+    ("declared", "status"),
+    [('tolerance="1e-4"', Status.PASSED), ('tolerance="1e-6"', Status.FAILED)],
+)
+def test_states_may_be_off_by_the_declared_tolerance(declared: str, status: Status, tmp_path: Path):
+    """A solver inside that is 2e-4 of each step off."""
+    loop = """    while (m->start + (m->solver_steps + 1) * SOLVER_STEP < end + 1e-6 * SOLVER_STEP) {
+        calculate(m);
+        for (int k = 0; k < NX; k++) m->r[STATE(k)] += SOLVER_STEP * m->r[RATE(k)];
+        m->time = m->start + ++m->solver_steps * SOLVER_STEP;
+"""
+    inexact = """    for (int once = 0; once < 1; once++) {
+        calculate(m);
+        for (int k = 0; k < NX; k++) m->r[STATE(k)] += 1.0002 * step * m->r[RATE(k)];
+        m->time = end;
+"""
+    model = next(model for model in FOREIGN if model.name == "van_der_pol")
+    experiment = f'startTime="0" stopTime="1" stepSize="0.001" {declared}'
+    model = replace(model, experiment=experiment)
+    name = "derivatives are those of the states"
+    rows = check_fmu(build_shell(model, tmp_path, (loop, inexact)), names=[name]).rows
+    (row,) = [row for row in rows if row.name == name]
+    assert row.status is status, row.sentence
