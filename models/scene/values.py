@@ -98,7 +98,8 @@ _NONE = {
 
 def named_fields(kind: type[_Part]) -> type[_Part]:
     """Make a dataclass answer missing and unknown fields in a sentence."""
-    create, every = kind.__init__, fields(kind)
+    as_dataclass: Any = kind
+    create, every = kind.__init__, fields(as_dataclass)
     needed = [
         each.name for each in every if each.default is MISSING and each.default_factory is MISSING
     ]
