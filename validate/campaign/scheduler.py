@@ -26,7 +26,10 @@ _IDLE_CHECK_S = 5.0
 class Engine(Protocol):
     """Runs tasks. jobs: tasks at a time, None for all."""
 
-    jobs: int | None
+    @property
+    def jobs(self) -> int | None:
+        """Return how many tasks run at a time."""
+        ...
 
     def submit(self, task: Task) -> Future[TaskRecord | None]:
         """Start a task."""
