@@ -276,7 +276,8 @@ def real_numbers(what: str, values: Any) -> np.ndarray:
         For anything that only looks like numbers: complex ones, masked ones, dates and durations.
     """
     if callable(detach := getattr(values, "detach", None)):  # a tensor of PyTorch
-        values = detach().cpu()
+        tensor: Any = detach()
+        values = tensor.cpu()
     try:
         given = np.asanyarray(values)
     except (TypeError, ValueError) as error:
