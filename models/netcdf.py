@@ -81,7 +81,7 @@ def as_columns(
 def drawn(values: np.ndarray) -> np.ndarray:
     """Return values in single precision, rounded to the 6 digits that a plot shows.
 
-    The last bits of the fraction become zeros, which compress to nothing.
+    The last bits of the fraction become zeros, which compress to nothing. Raises nothing.
     """
     bits = np.array(values, np.float32).view(np.uint32)
     return ((bits + (1 << _LOST_BITS - 1)) >> _LOST_BITS << _LOST_BITS).view(np.float32)

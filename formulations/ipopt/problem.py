@@ -466,7 +466,10 @@ class IpoptProblem:
         return self.derivatives(x)[0]
 
     def slope_size(self, x: np.ndarray) -> float:
-        """Return the largest derivative of the objective at x (n,) [objective per variable]."""
+        """Return the largest derivative of the objective at x (n,) [objective per variable].
+
+        Raises nothing.
+        """
         return float(np.max(np.abs(self.gradient(x)), initial=0.0))
 
     def slope_size_nearby(self, x: np.ndarray) -> float:
@@ -474,6 +477,7 @@ class IpoptProblem:
 
         1 at most, and if the objective has no slope: derivatives that vanish at a solution are
         measured by those around it, so that a cost in another unit is stationary at the same points.
+        Raises nothing.
         """
         step = np.maximum(1.0, np.abs(x)) * np.where(np.arange(len(x)) % 2, -1.0, 1.0)
         sizes = [self.slope_size(point) for point in (x, x + step, x - step)]

@@ -25,7 +25,6 @@ from models.catalog import scene_names
 from models.errors import TouchstoneError, did_you_mean
 from models.scene import Scene
 from models.scene.checks import check_expressions
-from models.toml_text import TomlError, mistake, read_toml
 from validate.campaign.runs import CampaignSettings, referred
 from validate.campaign.schema import (
     FREE,
@@ -37,6 +36,7 @@ from validate.campaign.schema import (
     resolved_text,
 )
 from validate.judge.score import metric_names
+from validate.processes.toml_text import TomlError, mistake, read_toml
 from validate.tasks.plugins import DEFAULT_PLUGIN, load_plugin
 from validate.tasks.task import SceneReference, Variant, state_names, varied
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from models.toml_text import is_number, toml_text, toml_value
+from validate.processes.toml_text import is_number, toml_text, toml_value
 
 if TYPE_CHECKING:
     from formulations.method import Method

@@ -25,8 +25,14 @@ from pyomo.core.expr.numvalue import is_potentially_variable
 from pyomo.core.expr.visitor import evaluate_fixed_subexpressions, identify_variables
 from pyomo.mpec import Complementarity
 
-from formulations.ipopt import MissingValueError, ModelRefusedError, compile_model
-from formulations.ipopt.model import NotSmoothError, bounds_of, unbounded_if_huge
+from formulations.ipopt.model import (
+    MissingValueError,
+    ModelRefusedError,
+    NotSmoothError,
+    bounds_of,
+    unbounded_if_huge,
+)
+from formulations.ipopt.problem import compile_model
 
 # Step of the differences, relative to max(1, |x|): near the root of the machine's precision.
 _STEP = 1e-8
@@ -52,14 +58,17 @@ class Rows:
 
     @property
     def size(self) -> np.ndarray:
-        """Return the larger finite bound of each row (rows,), at least 1 [units of the rows]."""
+        """Return the larger finite bound of each row (rows,), at least 1 [units of the rows].
+
+        Raises nothing.
+        """
         bounds = np.abs([self.lower, self.upper])
         return np.maximum(1.0, np.max(np.where(np.isfinite(bounds), bounds, 0.0), axis=0))
 
     def violation(self, value: np.ndarray) -> np.ndarray:
         """Return by how much these values (rows,) exceed their bounds [units of the rows].
 
-        NaN if a value or a bound is NaN.
+        NaN if a value or a bound is NaN. Raises nothing.
         """
         with np.errstate(invalid="ignore"):
             return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
@@ -104,7 +113,10 @@ class LocalModel:
 
     @property
     def sides(self) -> np.ndarray:
-        """Return the first and the second sides of the pairs (2, pairs) [units of the sides]."""
+        """Return the first and the second sides of the pairs (2, pairs) [units of the sides].
+
+        Raises nothing.
+        """
         return np.array(
             [[pair.first for pair in self.pairs], [pair.second for pair in self.pairs]], dtype=float
         )

@@ -88,7 +88,10 @@ def active_set(local: LocalModel, tolerance: float) -> ActiveSet:
 
 
 def at_bounds(rows: Rows, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return masks (rows,) of those within the tolerance of their lower, and of their upper bound."""
+    """Return masks (rows,) of those within the tolerance of their lower, and of their upper bound.
+
+    Raises nothing.
+    """
     with np.errstate(invalid="ignore"):
         low = np.isfinite(rows.lower) & (
             rows.value - rows.lower <= tolerance * np.maximum(1.0, np.abs(rows.lower))
@@ -124,7 +127,7 @@ def balance(
 
     If that leaves more than the tolerance in a component, multipliers are preferred that do not.
 
-    free: numbers of conditions whose multipliers may have any sign
+    free: numbers of conditions whose multipliers may have any sign. Raises nothing.
     """
     found = _least_sum(active, gradient, free, np.inf)
     if found.largest > tolerance and -found.slope <= len(gradient) * tolerance:
@@ -167,7 +170,7 @@ def falling_piece(active: ActiveSet, gradient: np.ndarray, tolerance: float) -> 
     A direction is the difference of two that are not negative, and costs half the tolerance per
     component, so that small components of the gradient add up to no slope.
     An empty answer means that every piece has multipliers within the tolerance; None that it is not
-    known.
+    known. Raises nothing.
     """
     half = 0.5 * tolerance
     n, pairs = active.normals.shape[1], len(active.both)

@@ -87,7 +87,7 @@ def tried(reader: Reader, rng: random.Random, folder: Path) -> str:
 
 
 def _toml(data: dict[str, Any]) -> str:
-    from models.toml_text import toml_text, toml_value
+    from validate.processes.toml_text import toml_text, toml_value
 
     plain = {key: "" if value is None else value for key, value in data.items()}
     return "\n".join(f"{toml_text(str(key))} = {toml_value(value)}" for key, value in plain.items())

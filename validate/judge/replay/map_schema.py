@@ -27,9 +27,9 @@ from pydantic_core import PydanticCustomError
 from models.errors import TouchstoneError, did_you_mean
 from models.plan_table import Table
 from models.scene.values import base_exponents
-from models.toml_text import TomlError, is_number, mistake, read_toml
 from validate.fmi.archive import DESCRIPTION, FmuError
 from validate.fmi.description import REAL, Package
+from validate.processes.toml_text import TomlError, is_number, mistake, read_toml
 
 
 class MapError(TouchstoneError):

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from models.toml_text import toml_text, toml_value
 from validate.campaign import schema
 from validate.campaign.read import ConfigError, read_campaign
 from validate.campaign.schema import CampaignFile
 from validate.judge.replay import map_schema
 from validate.judge.replay.map_schema import MapError, MapFile, read_map
+from validate.processes.toml_text import toml_text, toml_value
 
 LIMIT = {"value": 0.5, "reason": "r"}
 LEG = {
