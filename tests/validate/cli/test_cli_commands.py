@@ -134,7 +134,7 @@ def test_a_command_imports_what_it_needs(cli_environment, tmp_path, arguments, s
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("al",), "did you mean all?"), (("frobnicate",), "there are all, run, list"),
+        (("al",), "did you mean all?"), (("frobnicate",), "there are all, run, new, list"),
         (("show", "nothing", "--in", "nowhere/at_all"), "no campaign in this folder"),
         (("run",), "give a campaign file"),
         (("run", "nowhere.toml"), "No such file"),

@@ -294,7 +294,6 @@ def test_a_dataframe_says_no_more_and_no_less_than_its_numbers(held):
     assert as_trajectory(integers, scene).u[:, 0].tolist() == [2.0] * STEPS
     for wrong, words in (
         (frame.drop(columns="u3"), "the column 'u3' is missing"),
-        (frame.set_index("t"), "the column 't' is missing"),
         (pandas.concat([frame, frame[["u1"]]], axis=1), "the column 'u1' stands there twice"),
         (
             frame.set_axis(pandas.MultiIndex.from_product([["a"], frame.columns]), axis=1),
