@@ -36,12 +36,11 @@ from validate.judge.replay.map_schema import (
     Signal,
 )
 from validate.judge.replay.result import Difference
-from validate.judge.replay.wiring import INTERNAL_STEP, Variables
+from validate.judge.replay.wiring import INTERNAL_STEP, Variables, columns_or_zeros
 
 # Steps that the task of an FMU counts as.
 _STEPS = 500
-# How far a bound in the map may lie beyond the FMU's own, as a share of it: rounding of a change of
-# units.
+# Largest relative excess of a bound in the map over the FMU's own bound: rounding of units.
 _ROUNDING = 1e-9
 
 
@@ -723,8 +722,7 @@ class _Wiring:
     def trajectory(self, hold: str | None) -> Trajectory:
         """The plan; what it does not say is in `missing`, with zeros in its place."""
         given, table = self.map, self._table
-        # Without positions in the map it says none, and no velocities unless every position has
-        # one.
+        # No velocities unless every position has one.
         velocities = (
             [self._velocity_column(name) for name in given.positions]
             if "v" not in self.lacks
@@ -738,22 +736,18 @@ class _Wiring:
         missing = missing_groups(table, groups) | {
             group for group in ("q", "v") if not groups[group]
         }
-        who = "--hold" if hold else f"{self._where} (plan.hold)"
-        held = declared_hold(table, hold or given.plan.hold, who)
+        where = "--hold" if hold else f"{self._where} (plan.hold)"
+        held = declared_hold(table, hold or given.plan.hold, where)
         t, u, u_end = times_and_inputs(
             table, self._time, list(given.inputs), held, self._duration(missing)
         )
-        nodes, steps = len(t), len(t) - 1
+        nodes = len(t)
 
         def group(key: str, rows: int) -> np.ndarray:
-            """Columns of a group, (rows, n) [unit of each column], zeros where the plan has none.
-
-            Raises TrajectoryError.
-            """
-            columns = groups[key]
-            if key in missing or not columns:
-                return np.zeros((rows, len(given.contacts if key == "lam" else given.positions)))
-            return np.column_stack([table.column(column, rows < nodes) for column in columns])
+            shape = (rows, len(given.contacts if key == "lam" else given.positions))
+            return columns_or_zeros(
+                table, () if key in missing else groups[key], shape, rows < nodes
+            )
 
         try:
             return Trajectory(
@@ -761,7 +755,7 @@ class _Wiring:
                 q=group("q", nodes),
                 v=group("v", nodes),
                 u=u,
-                lam=group("lam", steps),
+                lam=group("lam", nodes - 1),
                 hold=held,
                 missing=missing,
                 u_end=u_end,
@@ -772,8 +766,6 @@ class _Wiring:
     def _duration(self, missing: frozenset[str]) -> tuple[float, float] | None:
         """How long a plan of inputs alone is meant to last, and how near to that is as long: half its own last step."""
         duration, times = self.map.task.duration, self._table.column(self._time, False)
-        return (
-            (duration, float(times[-1] - times[-2]) / 2.0)
-            if duration is not None and "q" in missing
-            else None
-        )
+        if duration is None or "q" not in missing:
+            return None
+        return duration, float(times[-1] - times[-2]) / 2.0

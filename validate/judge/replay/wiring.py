@@ -9,11 +9,12 @@ plan's inputs between its nodes: constant over a step, or a line to the next nod
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from models.plan_table import Table
 from models.trajectory import Hold, Trajectory
 
 # The outputs a replay can use beside positions and velocities; what an FMU lacks is computed from
@@ -378,3 +379,15 @@ def _to_nearest(points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """(n,) distance of each point from the nearest node [s]."""
     after = np.clip(np.searchsorted(nodes, points), 1, len(nodes) - 1)
     return np.minimum(np.abs(points - nodes[after]), np.abs(points - nodes[after - 1]))
+
+
+def columns_or_zeros(
+    table: Table, columns: Sequence[str], shape: tuple[int, int], may_be_shorter: bool
+) -> np.ndarray:
+    """Return columns of a plan (rows, n) [unit of each column], zeros (rows, n) if there are none.
+
+    Raises TrajectoryError.
+    """
+    if not columns:
+        return np.zeros(shape)
+    return np.column_stack([table.column(column, may_be_shorter) for column in columns])
