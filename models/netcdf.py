@@ -29,9 +29,9 @@ _DIMENSIONS = b"_Netcdf4Coordinates"
 _ONLY_DIMENSION = "This is a netCDF dimension but not a netCDF variable."
 # Columns up to this size [byte] are stored as they are: a compressed one needs as much for itself.
 _SMALL = 256
-# Of deflate. Higher levels are slower and save less than 1 %.
+# Level of deflate. Higher levels are slower and save less than 1 %.
 _LEVEL = 4
-# Of the 23 bits of a fraction in single precision, those that `drawn` rounds away.
+# Bits that `drawn` rounds away, of the 23 of a fraction in single precision.
 _LOST_BITS = 5
 # By this the file grows in memory [byte].
 _INCREMENT = 1 << 16

@@ -86,7 +86,7 @@ _SCRIPTS = ("common.js", "figures.js", "tables.js", "player.js")
 _LEAD = "Does this plan through contact hold? Every plan below was replayed with exact contact, in continuous time, and scored."
 _AGAIN = "python -m reports DIR"
 _BACK = [(f"../{REPORT}", "The whole report")]
-# Of a page, the bytes that hold the key of its run.
+# Bytes at the start of a page that hold the key of its run.
 _HEAD = 2_000
 # Fewer pages than this a process are written sooner without it.
 _WORTH = 8

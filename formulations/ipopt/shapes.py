@@ -338,7 +338,7 @@ class TermGroup:
         return np.maximum(first, second), np.minimum(first, second)
 
     def curvature_places(self, places: np.ndarray) -> np.ndarray:
-        """Where `add_curvatures` shall add, from the places (pairs * N,) of the `curvature_entries`.
+        """Return the places for `add_curvatures`, from the places (pairs * N,) of the `curvature_entries`.
 
         Raises nothing.
         """

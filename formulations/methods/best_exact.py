@@ -45,6 +45,7 @@ from formulations.pipelines import (
     solve_stages,
 )
 from formulations.solution import Attempt, Outcome, Seconds, Solution, as_asked, ended
+from models.errors import MachineError
 from models.scene import Scene
 from models.trajectory import Trajectory
 
@@ -148,6 +149,8 @@ class BestExactSession(Session):
                 continue
             try:
                 found = _with_departure(scene, self._way(way, start, ends))
+            except MachineError:  # a full disk, for example, ends the other ways too
+                raise
             except Exception as error:  # noqa: BLE001 - plans that are found are kept
                 first_error = first_error or error
                 crashed.append(_crash(way.name, error))
@@ -162,6 +165,8 @@ class BestExactSession(Session):
         if solved and not _is_followed(cheapest := _cheapest(solved)):
             try:
                 yield from self._on_finer_steps(cheapest, ends)
+            except MachineError:
+                raise
             except Exception as error:  # noqa: BLE001 - plans that are found are kept
                 crashed.append(_crash("strict on finer steps", error))
 

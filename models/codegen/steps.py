@@ -137,7 +137,7 @@ class Steps(Kernel):
         law: ContactLaw = ContactLaw.RELU,
         eps: float | None = None,
     ) -> np.ndarray | None:
-        """Where one step from each state ends: `next` (n, 2*nq) of `linearise`, without derivatives.
+        """Return the end of one step from each state: `next` (n, 2*nq) of `linearise`, without derivatives.
 
         Parameters and errors are those of `linearise`.
         """

@@ -124,6 +124,7 @@ def named_fields(kind: type[_Part]) -> type[_Part]:
             )
         create(self, **given)
 
+    # A dataclass has no hook before its own __init__, where Python refuses unknown names.
     kind.__init__ = checked  # type: ignore[method-assign]
     return kind
 

@@ -82,7 +82,7 @@ class Report:
         return run_pages(self.stored.runs)
 
     def link(self, run: RunRecord) -> str:
-        """What a link to the run leads to: its page, or its row among all runs if it has none."""
+        """Return the target of links to the run: its page, or its row among all runs if it has none."""
         if self.single:
             return f"#{self.anchor(run)}"
         page = self.pages.get(run.key)

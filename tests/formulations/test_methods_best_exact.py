@@ -22,6 +22,7 @@ from formulations.pipelines import (
 from formulations.solution import Outcome, Seconds, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
+from models.errors import MachineError
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 
@@ -144,6 +145,15 @@ def test_a_crash_of_one_way_costs_no_plan(monkeypatch: pytest.MonkeyPatch, first
     assert f"{lost} ended with an error (ArithmeticError: a pivot is zero)." in found.message
     monkeypatch.setattr(best_exact.METHOD, "ways", (relaxed if first else softplus,))
     with pytest.raises(ArithmeticError, match="a pivot is zero"):
+        solved(SMALL)
+
+
+def test_machine_error_in_one_way_ends_the_run(monkeypatch: pytest.MonkeyPatch):
+    def way(_session: object, _pipeline: Pipeline, *_: object) -> Solution:
+        raise MachineError("the disk is full.")
+
+    monkeypatch.setattr(best_exact.BestExactSession, "_way", way)
+    with pytest.raises(MachineError, match="the disk is full"):
         solved(SMALL)
 
 

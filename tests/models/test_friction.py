@@ -201,7 +201,7 @@ def test_adjoint_is_the_derivative(law: ContactLaw, eps: float | None) -> None:
 
 
 def test_adjoint_of_frictions_with_one_slip_is_the_derivative() -> None:
-    """Where both stick, their equations say one thing twice."""
+    """The equations of two sticking frictions with one slip are dependent."""
     scene = two_coupled_frictions()
     belt = scene.frictions[0]
     belts = tuple(replace(belt, name=name, coefficient=mu * share) for name, share in PAIR.items())

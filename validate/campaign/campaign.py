@@ -91,7 +91,7 @@ class Narrator(Protocol):
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """What came of a campaign.
+    """The outcome of a campaign.
 
     records, checks, failures, findings: of what was selected; findings are what the replay found
         that fails nothing (reports.rule). conclusions:

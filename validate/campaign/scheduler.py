@@ -57,7 +57,7 @@ class Listener(Protocol):
 def dependencies(tasks: Iterable[Task]) -> dict[str, set[str]]:
     """Return for the key of each task the keys of the tasks that must end before it.
 
-    Of several runs with a common leg the first one makes it. A run that reads legs of other runs
+    The first of several runs with a common leg makes the leg. A run that reads legs of other runs
     (`RunTask.uses`) waits for their makers.
     """
     makers: dict[str, str] = {}

@@ -1,4 +1,4 @@
-"""What the child of one task does (validate.tasks.worker): FOLDER/task.json says what to run.
+"""Run one task in a child process (validate.tasks.worker). FOLDER/task.json names the task.
 
 FOLDER/record.json is the answer.
 

@@ -43,7 +43,7 @@ from validate.store.provenance import content_key
 from validate.tasks.task import PlannedLeg
 
 CONTENT = "leg.json.gz"
-# Of gzip. Higher levels save less than 5 %.
+# Level of gzip. Higher levels save less than 5 %.
 _LEVEL = 4
 _FILES = ("trajectory", "replay", "tracked")
 # Outcomes that another run might not have.
