@@ -11,8 +11,9 @@ SCENES = 16
 PIPELINES = 19
 # Bytes: what opens at once over a slow line, and what is read on paper. The page of a scene draws
 # every relaxation at each of its eps, about ten plots each of 4 kB, and lists all of its stages: as
-# much as report.html.
-LARGEST = {"report.html": 600_000, "overview": 150_000, "run": 300_000, "scene": 600_000}
+# much as report.html. The overview has some 650 links; a page name that says scene and pipeline, here
+# of 45 letters, is 18 longer than a digest: 12 kB, of which 10 are added to the 150 of digests.
+LARGEST = {"report.html": 600_000, "overview": 160_000, "run": 300_000, "scene": 600_000}
 
 
 @pytest.fixture(scope="module")
@@ -57,11 +58,9 @@ def test_pages_keep_their_budget(folder):
     assert len(overview[0].encode()) <= LARGEST["overview"]
     assert len(text.encode()) <= LARGEST["report.html"]
     sizes = {
-        path.name: path.stat().st_size
-        for path in (folder / PAGES).iterdir()
-        if re.fullmatch(r"[0-9a-f]{16}", path.stem)
+        path.name: path.stat().st_size for path in (folder / PAGES).iterdir() if "--" in path.stem
     }
-    assert len(sizes) == SCENES * PIPELINES
+    assert len(sizes) == SCENES * PIPELINES * 3 // 4, "runs that do not apply have no page"
     assert 50_000 < max(sizes.values()) <= LARGEST["run"]
     scenes = [path.stat().st_size for path in (folder / PAGES).glob("scene-*.html")]
     assert len(scenes) == SCENES
