@@ -250,7 +250,7 @@ def test_a_full_disk_is_one_sentence(cli, cli_environment, tmp_path):
     arguments = [sys.executable, "-m", "validate", "all", *GOOD, "--out", str(tmp_path / "out")]
     cli("all", *GOOD, "--out", str(tmp_path / "before"))  # so that the scene is compiled already
     done = subprocess.run(
-        ["sh", "-c", 'ulimit -f 24; exec "$@"', "sh", *arguments],
+        ["sh", "-c", 'ulimit -f 12; exec "$@"', "sh", *arguments],
         capture_output=True,
         text=True,
         env=cli_environment,
