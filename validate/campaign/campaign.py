@@ -288,7 +288,7 @@ class _Campaign:
 
     def _try_worlds(self) -> None:
         """Try the plans that `settings.worlds` selects in perturbed worlds."""
-        tasks = worlds_tasks(self._entries, self._records, self._others, self._settings.worlds)
+        tasks = worlds_tasks(self._entries, self._in_folder(), self._settings.worlds)
         if not tasks:
             return
         count = f"{len(tasks)} runs" if len(tasks) > 1 else tasks[0].title
@@ -305,10 +305,14 @@ class _Campaign:
                 self._records[record.key] = record
                 self._narrator.finished(record)
 
+    def _in_folder(self) -> dict[str, TaskRecord]:
+        """Return the records of all tasks of the folder in the order of the campaign, by key."""
+        records = {**self._others, **self._records}
+        return {key: records[key] for key in self._keys if key in records}
+
     def _write_tables(self) -> tuple[RunRecord, ...]:
         """Write the tables and return the runs of the folder."""
-        records = {**self._others, **self._records}
-        done, checks = divided(records[key] for key in self._keys if key in records)
+        done, checks = divided(self._in_folder().values())
         write_tables(self._settings.out, done, checks, self._campaign.violation)
         return done
 

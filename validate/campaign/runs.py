@@ -349,13 +349,12 @@ def _usable(store: Store, task: Task, fresh: bool) -> tuple[TaskRecord | None, s
 def worlds_tasks(
     entries: Iterable[PlannedTask],
     records: Mapping[str, TaskRecord],
-    others: Mapping[str, TaskRecord],
     worlds: bool | None,
 ) -> list[RunTask]:
     """Return a task for each run whose plans must still be tried in perturbed worlds.
 
-    records: of the entries; others: records of the other runs of the folder, which compete for the
-    cheapest plan of a scene; worlds: see `CampaignSettings`.
+    records: of all tasks of the folder, by key, in the order of the campaign, which decides between
+    plans of one cost; worlds: see `CampaignSettings`.
     """
     if worlds is False:
         return []
@@ -366,7 +365,7 @@ def worlds_tasks(
         and isinstance(record := records.get(entry.task.key), RunRecord)
     ]
     if worlds is None:
-        stored = Stored(None, divided((*records.values(), *others.values()))[0])
+        stored = Stored(None, divided(records.values())[0])
         cheapest = {
             plans[0][0].key
             for scene in {run.scene.name for _, run in runs}

@@ -99,19 +99,31 @@ def test_the_cheapest_plan_of_a_scene_is_tried_or_all_or_none(tmp_path: Path):
     }
 
     def keys(worlds: bool | None) -> list[str]:
-        return [task.key for task in worlds_tasks(entries, records, {}, worlds)]
+        return [task.key for task in worlds_tasks(entries, records, worlds)]
 
     assert keys(None) == [cheap.task.key]
     assert keys(True) == [cheap.task.key, expensive.task.key]
     assert keys(False) == []
-    (task,) = worlds_tasks(entries, records, {}, None)
+    (task,) = worlds_tasks(entries, records, None)
     assert task.worlds == (0,)
     stored = {"another": a_run(cheap, 1.0, "holds").model_copy(update={"key": "another"})}
-    assert worlds_tasks(entries, records, stored, None) == [], "the cheapest is not of this part"
+    both = {**records, **stored}
+    assert worlds_tasks(entries, both, None) == [], "the cheapest is not of this part"
     records[cheap.task.key] = a_run(cheap, 2.0, "holds", SurveyRecord(sources=survey_sources()))
     assert keys(None) == [], "it was tried"
     records[cheap.task.key] = a_run(cheap, 2.0, "holds", SurveyRecord(sources="other code"))
     assert keys(None) == [cheap.task.key]
+
+
+def test_of_two_plans_of_one_cost_the_first_of_the_campaign_is_tried(tmp_path: Path):
+    entries, _ = select(
+        CampaignSettings(out=tmp_path, scenes=("wall_pendulum",), expression="strict")
+    )
+    first, second = (entry.task.key for entry in entries[:2])
+    records = {entry.task.key: a_run(entry, 2.0, "holds") for entry in entries[:2]}
+    assert [task.key for task in worlds_tasks(entries, records, None)] == [first]
+    part = [entry for entry in entries if entry.task.key == second]
+    assert worlds_tasks(part, records, None) == [], "a part of the campaign does not change that"
 
 
 def a_run(
