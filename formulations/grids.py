@@ -23,6 +23,7 @@ from models.codegen.kernel import Kernel, Rollout, load_kernel
 from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw
 from models.errors import TrajectoryError
+from models.limits import input_share, limit_of, replay_limits
 from models.scene import Scene
 from models.scene.goal import distance, goal_state, miss
 from models.schemes import Scheme
@@ -134,13 +135,10 @@ def replayed_goal_error(scene: Scene, kernel: Kernel, plan: Trajectory) -> float
 
 
 # Steps in one of the plan's on which it is followed: on ten feedback seems to take a tenth less
-# (hopper_planar: 0.80 instead of 0.87 of the plan's inputs).
+# (hopper_planar: 0.80 instead of 0.87 of the plan's inputs). Departure of a motion that leaves every
+# bound.
 _PARTS = 50
-# Departure of a motion that leaves every bound.
 _LOST = 1e6
-# Limits of following a plan that hold where the scene sets none; the judge has the same.
-# replay_error: of a coordinate's nominal.
-DEFAULTS = {"replay_error": 0.01, "feedback_share": 0.5, "feedback_effort": 0.25}
 
 
 def finer_scene(scene: Scene, parts: int) -> Scene:
@@ -184,8 +182,8 @@ def departure(scene: Scene, plan: Trajectory) -> float:
     -------
     float
         Of distance from the plan's positions, of distance from the goal's positions and velocities
-        at the end, each over the scene's limit, and of the feedback's root mean square over that of
-        the inputs, each in half their range, over its limit [-].
+        at the end, each over the judge's limit, and of the feedback's share of the inputs
+        (`models.limits.input_share`) over its limit [-].
 
     Raises
     ------
@@ -239,21 +237,13 @@ def _followed(scene: Scene, plan: Trajectory, parts: int) -> tuple[np.ndarray | 
             np.maximum(off, np.abs(motion.q[-1] - plan.q[t + 1])),
         )
     position, velocity = (float(np.linalg.norm(part)) for part in np.split(miss(x, goal), 2))
-    added = (u - plan.u) / half
-    departures = {
-        "replay_error": off if scene.limit("replay_error") else off / size[: scene.nq],
+    share = input_share(plan.t, u - plan.u, plan.u, half)
+    of = {
         "replay_terminal_position_error": position,
         "replay_terminal_velocity_error": velocity,
-        "feedback_share": np.linalg.norm(added) / max(np.linalg.norm(plan.u / half), 1e-300),
-        "feedback_effort": np.sqrt(np.mean(added**2, axis=0)),
+        "feedback_share": _LOST if share is None else share,
+        "feedback_effort": float(np.sqrt(np.mean(((u - plan.u) / half) ** 2, axis=0)).max()),
     }
-    allowed = {
-        name: DEFAULTS.get(name) if (limit := scene.limit(name)) is None else limit.value
-        for name in departures
-    }
-    parts_allowed = (
-        float(np.max(value, initial=0.0)) / limit
-        for name, value in departures.items()
-        if (limit := allowed[name])
-    )
-    return u, min(max(parts_allowed, default=0.0), _LOST)
+    departs = [float((off / replay_limits(scene)).max(initial=0.0))]
+    departs += [value / limit for name, value in of.items() if (limit := limit_of(scene, name))]
+    return u, min(max(departs), _LOST)

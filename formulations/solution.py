@@ -121,7 +121,7 @@ def ended(message: str) -> str:
 
 def as_asked(scene: Scene, solution: Solution) -> Solution:
     """Turn SOLVED into STALLED, and say so, where the cost is above what the scene asks for: a local optimum."""
-    limit = scene.limit("cost")
+    limit = scene.limit("replay_cost")
     most = None if limit is None else limit.value
     if (
         solution.outcome is not Outcome.SOLVED

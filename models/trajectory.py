@@ -451,8 +451,7 @@ def read_csv(
     comments. A column may say its unit, `q1 [m]`, which must then be the scene's. A column without
     a number is none. `t` and the inputs are needed; positions, velocities, contact forces and
     friction forces may be absent, each group whole. Then positions stand still at the task's start,
-    forces are 0, velocities backward differences with the task's velocities at the start if the
-    plan starts at the task's positions. A plan of inputs alone whose last row has inputs, and which
+    forces are 0, velocities central differences with the task's velocities at the start. A plan of inputs alone whose last row has inputs, and which
     would last as long as the task with one more step, gets that step.
 
     Parameters
@@ -667,7 +666,7 @@ def _units(scene: Scene) -> dict[str, str]:
 
 
 def _velocities(t: np.ndarray, q: np.ndarray, scene: Scene) -> np.ndarray:
-    """(nodes, nq) backward differences; see `read_csv` for the first."""
-    v = np.diff(q, axis=0) / np.diff(t)[:, None]
-    at_start = np.allclose(q[0], scene.task.start[: scene.nq], rtol=1e-9, atol=1e-9)
-    return np.vstack([scene.task.start[scene.nq :] if at_start else v[0], v])
+    """Return the task's start velocities and behind them differences, (nodes, nq)."""
+    v = np.gradient(q, t, axis=0, edge_order=min(2, len(t) - 1))
+    v[0] = scene.task.start[scene.nq :]
+    return v

@@ -184,10 +184,6 @@ _CAUSES = {
     ),
     "friction_violation": ("Planned friction exceeds its cone", _EXACT),
     "friction_dissipation_error": ("Planned friction does not oppose the slip", _EXACT),
-    "unexplained_force": (
-        "The plan moves by forces that neither its inputs nor contact give",
-        "Plan with the scene's own equations.",
-    ),
     "max_penetration": (
         "Bodies penetrate deeper than the contact's model reaches",
         "Push more slowly, or give the scene a contact model that reaches deeper.",
@@ -296,11 +292,9 @@ def cause_of(run: RunRecord) -> Cause | None:
             f"Undecided: the replay's own error leaves {spaced(cause)} open",
             "Replay with tighter tolerances.",
         )
-    if cause in ("cost", "replay_cost"):
+    if cause == "replay_cost":
         sentence, advice = f"{_DEAR} ({spaced(stage.outcome)})", stage.advice
-        advice = (
-            _ELSEWHERE if cause == "cost" and stage.outcome in ("solved", "stalled") else advice
-        )
+        advice = _ELSEWHERE if stage.outcome in ("solved", "stalled") else advice
     elif cause.startswith("terminal"):
         sentence, advice = f"{_AWAY} ({spaced(stage.outcome)})", stage.advice
     else:

@@ -159,9 +159,9 @@ SCENE = Scene(
     ),
     limits=limits(
         feedback_share=(
-            0.85,
-            "the leg's spring pays for the hops: the plan's own inputs are 7 % of half their range, and half of that is next to nothing; exact plans "
-            "need 0.77 of it (5 % of the half-range), relaxed ones 2.2 and more",
+            0.75,
+            "the leg's spring pays for the hops: the plan's own inputs are 7 % of half their range, so that a share of them is next to nothing; exact plans "
+            "need 0.34 to 0.66 of them (5 % of the half-range), averaged over a fiftieth of the plan",
         ),
         terminal_position_error=(
             0.05,

@@ -126,12 +126,9 @@ def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
             steps=STEPS,
         ),
         limits=limits(
-            **dict.fromkeys(
-                ("cost", "replay_cost"),
-                (
-                    hit,
-                    "the cheapest throw of rigid discs that brings disc 2 onto the goal itself: who pays more neither hits nor saves",
-                ),
+            replay_cost=(
+                hit,
+                "the cheapest throw of rigid discs that brings disc 2 onto the goal itself: who pays more neither hits nor saves",
             ),
             law_error=(
                 0.01,

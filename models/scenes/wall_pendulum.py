@@ -10,8 +10,8 @@ the wall where l*theta = 0.1 m, h = 0.01 s, T = 20, the bounds of 4 N m and 1.5 
     0.8) and the weights Q = I, R = 1.
 
 Chosen here, because a scene of this kind has one cost for all methods:
-- the cost is the sum over the starts of the steps, t = 0..T-1, of theta^2 + omega^2 + u^2 in rad,
-  rad/s, N m. The end is free and weighs nothing:
+- methods minimise the sum over the starts of the steps, t = 0..T-1, of theta^2 + omega^2 + u^2 in
+  rad, rad/s, N m; the judge measures its integral in steps of h. The end is free and weighs nothing:
   the originals weigh it with the value of a controller that ignores the wall, and ask it to lie in
   that controller's safe set.
 - one wall, on the side the pendulum falls to; the originals that have two put the other out of
@@ -85,13 +85,9 @@ SCENE = Scene(
         steps=20,
     ),
     limits=limits(
-        cost=(
-            13.7626,
-            "what doing nothing costs, 13.76265 on this grid: the wall throws the pendulum back by itself, and a torque has to be worth its price",
-        ),
         replay_cost=(
-            13.7151,
-            "what doing nothing costs in continuous time, 13.71517, at the starts of the same 20 steps",
+            13.6634,
+            "what doing nothing costs, 13.66347: the wall throws the pendulum back by itself, and a torque has to be worth its price",
         ),
         replay_error=(
             5e-4,

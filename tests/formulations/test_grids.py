@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations.grids import DEFAULTS, departure, finer_scene, motion_on_finer_steps, scene_of
+from formulations.grids import departure, finer_scene, motion_on_finer_steps, scene_of
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
+from models.limits import FEEDBACK_EFFORT, FEEDBACK_SHARE, REPLAY_ERROR
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.score.table import FEEDBACK, TABLE
@@ -17,6 +18,12 @@ from validate.judge.score.table import FEEDBACK, TABLE
 SMALL = load_scene("three_cart").with_task(
     start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100
 )
+
+DEFAULTS = {
+    "replay_error": REPLAY_ERROR,
+    "feedback_share": FEEDBACK_SHARE,
+    "feedback_effort": FEEDBACK_EFFORT,
+}
 
 
 def _finer(inputs: float, fine: int = 50) -> Trajectory:

@@ -36,7 +36,6 @@ from models.scenes.two_discs import (
     WEIGHT,
     two_discs,
 )
-from models.trajectory import uniform_grid
 from tests.formulations.transcription.rollouts import rolled_out
 from tests.models.test_fingers import tip
 from validate.judge.replay.run import replay
@@ -355,12 +354,11 @@ def test_doing_nothing_in_the_wall_pendulum_costs_more_than_its_limit():
     scene = load_scene("wall_pendulum")
     steps = scene.task.steps
     idle = rolled_out(scene, np.zeros((steps, 1)))
-    limit = scene.limit("cost")
+    limit = scene.limit("replay_cost")
     assert scene.answers[0].value < limit.value < load_kernel(scene).cost(idle.q, idle.v, idle.u)
     motion = replay(scene, build_fmu(scene), idle)
-    nodes = np.searchsorted(motion.t, uniform_grid(scene.task.step, steps)[:-1] - 1e-9)
-    asked = scene.limit("replay_cost")
-    assert 0.0 < (motion.q[nodes] ** 2 + motion.v[nodes] ** 2).sum() - asked.value < 2e-4
+    rate = (motion.q**2 + motion.v**2)[:, 0] / scene.task.step
+    assert 0.0 < np.trapezoid(rate, motion.t) - limit.value < 2e-3
 
 
 @pytest.mark.parametrize("name", ["cart_pole_walls", "acrobot_limits"])

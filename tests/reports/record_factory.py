@@ -201,7 +201,7 @@ def trace(t: Sequence[float], **columns: Sequence[float]) -> Trace:
 
 QUESTIONS = (
     (1, "Is it a plan of this task?"), (2, "Does it say that it reaches the goal?"),
-    (3, "Is what it claims of its forces physical?"),
+    (3, "Is what it claims of its velocities and forces physical?"),
     (4, "Do its inputs give its motion, and the goal?"), (5, "Is the replayed motion possible?"),
     (6, "Does it solve its own discrete equations?"),
     (None, "Is the judge well?"),

@@ -25,7 +25,6 @@ def ended(factory, verdict: str, *, name: str = "strict", outcome: str = "solved
 @pytest.mark.parametrize(
     ("cause", "begins"),
     [
-        ("cost", "costs more than … allows (solved)"),
         ("replay_cost", "costs more than … allows (solved)"),
         ("a_new_metric", "A limit is exceeded: a new metric"),
     ],
@@ -41,7 +40,7 @@ def test_causes_that_are_metrics_have_a_sentence_and_an_advice(factory, cause, b
     [
         ("contact_law_error", "eps", "lam_"), ("ghost_impulse", "eps", "lam_"),
         ("motion", "page of the run", "scheme"),
-        ("unstable", "multiple_shooting", "feedback"), ("cost", "mpcc", "another guess"),
+        ("unstable", "multiple_shooting", "feedback"), ("replay_cost", "mpcc", "another guess"),
     ],
 )  # fmt: skip
 def test_what_to_do_about_a_plan_of_somebody_elses_names_nothing_of_ours(
@@ -72,9 +71,9 @@ def test_a_method_of_exact_contact_is_not_sent_to_exact_contact(factory):
     ("outcome", "says"), [("stalled", "A local optimum"), ("iteration_limit", "Do this.")]
 )
 def test_a_plan_that_is_too_dear_is_a_local_optimum_unless_it_was_cut_off(factory, outcome, says):
-    assert cause_of(ended(factory, "violates", cause="cost", outcome=outcome)).advice.startswith(
-        says
-    )
+    assert cause_of(
+        ended(factory, "violates", cause="replay_cost", outcome=outcome)
+    ).advice.startswith(says)
 
 
 def test_each_cause_stands_once_the_most_frequent_first(factory):

@@ -29,7 +29,6 @@ from validate.judge.replay.result import Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.tracking import TrackingError, design_feedback, nominals
 from validate.judge.replay.wiring import Feedback, measure_effort
 from validate.judge.score import Score, score, wants_feedback
-from validate.judge.score.unexplained import with_velocities
 from validate.judge.simulator import (
     LIMITS,
     REFERENCE,
@@ -139,9 +138,7 @@ class _Judged:
         self.feedback: Feedback | None = None
         if self.plan.has_states and scene.nu:
             with suppress(TrackingError):
-                self.feedback = design_feedback(
-                    load_kernel(scene), scene, with_velocities(scene, self.plan, judgement.replay)
-                )
+                self.feedback = design_feedback(load_kernel(scene), scene, self.plan)
 
     def row(self, engine: str) -> EngineVerdict:
         """Ask one engine. Raises UnknownNameError, MachineError."""
@@ -158,7 +155,10 @@ class _Judged:
             )
         tolerances = about.tolerances[-len(PARTS) :] or (1.0,) * len(PARTS)
         base = Drive(
-            scene=self.scene.continuous(), plan=self.plan, start=self.plan.start, rows=ROWS
+            scene=self.scene.continuous(),
+            plan=self.plan,
+            start=np.array(self.scene.task.start, dtype=float),
+            rows=ROWS,
         )
         drives = [
             replace(base, parts=parts, tolerance=tolerance)

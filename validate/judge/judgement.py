@@ -7,8 +7,7 @@
     print(verdict)  # holds: every question asked is answered yes; closest to its limit: ..
     verdict.holds, verdict.score.value("replay_error"), verdict.replay.t
 
-The inputs alone are replayed first. Where they do not give the motion (question 4) and the plan's
-own motion is consistent, a second replay follows it with limited feedback; where a plan that
+The inputs alone are replayed first. Where they do not give the motion (question 4), a second replay follows it with limited feedback; where a plan that
 declares no scheme fails, a third tells whether it was held the other way
 (validate.judge.score.verdict).
 """
@@ -36,7 +35,6 @@ from validate.judge.replay import Replay
 from validate.judge.replay.run import Track, replay, replay_foreign
 from validate.judge.replay.subject import Foreign, Subject
 from validate.judge.score import Score, metric_names, score, wants_feedback
-from validate.judge.score.unexplained import with_velocities
 from validate.judge.score.verdict import Question, Verdict
 from validate.processes.isolated import Limits
 
@@ -131,15 +129,10 @@ def judge_trajectory(
 
     def follow(opened: Replay) -> Trajectory | None:
         scored.append((opened, score(scene, plan, opened)))
-        return (
-            with_velocities(scene, plan, opened)
-            if feedback or wants_feedback(scored[-1][1].metrics)
-            else None
-        )
+        return plan if plan.has_states and wants_feedback(scored[-1][1].metrics) else None
 
-    says_all = "v" not in plan.missing or not plan.has_states
-    track = True if feedback and says_all else follow
-    return _judged(scene, plan, partial(replay, scene, fmu, limits=limits), track, scored)
+    run = partial(replay, scene, fmu, limits=limits)
+    return _judged(scene, plan, run, True if feedback else follow, scored)
 
 
 def _judged(

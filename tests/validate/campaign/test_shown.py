@@ -331,7 +331,7 @@ FMU = ForeignModel(
     contacts=(ForeignContact(name="left/stop", force_name="pushed", gap_name="room",
                              description="a spring"),
                              ForeignContact(name="wall", force_name="f", gap_name="g")),
-    task=ForeignTask(start=(None,) * 6, goal=(1.0, None, None, None, None, 2.0), step=0.25,
+    task=ForeignTask(goal=(1.0, None, None, None, None, 2.0), step=0.25,
                      horizon=5.0),
     limits=(Limit(metric="replay_error", value=None, reason="odd"),
             Limit(metric="cost", value=3.0, reason="dear")),

@@ -55,7 +55,7 @@ def write(path: Path, text: str) -> str:
 
 
 def test_a_foreign_fmu_is_judged_by_its_map(command: Command, folder: Path):
-    deep = FULL_MAP.replace("[goal]", "depth = 0.2\n[goal]")
+    deep = FULL_MAP.replace("[start]", "depth = 0.2\n[start]")
     write(folder / "deep.toml", deep)
     code, out, _ = command(
         "plan.csv", "--fmu", "cart.fmu", "--map", "deep.toml", "--json", "--out", "told"
@@ -74,7 +74,7 @@ def test_a_foreign_fmu_is_judged_by_its_map(command: Command, folder: Path):
     assert metrics["max_penetration"]["limit"] == 0.2
     assert told["why"].startswith("holds for what this FMU shows (questions 1, 2, 3, 4, 5)")
     assert any("an FMU keeps its equations to itself" in text for text in told["not_asked"])
-    assert not {"physics", "defect", "unexplained_force"} & set(metrics)
+    assert not {"physics", "defect"} & set(metrics)
     answers = {item["number"]: item["answer"] for item in told["questions"]}
     assert answers | {6: "not asked", None: "not asked"} == answers
     # Its Co-Simulation has a step of its own that nobody can halve, so its distance from the
@@ -89,7 +89,7 @@ def test_a_gap_whose_sign_contradicts_the_force_decides_nothing(command: Command
 
     The other way round nobody knows how deep it is.
     """
-    given = FULL_MAP.replace("[goal]", "depth = 0.2\n[goal]")
+    given = FULL_MAP.replace("[start]", "depth = 0.2\n[start]")
     for scale, code, word in (("0.001", 0, "holds"), ("-0.001", 1, "undecided")):
         turned = given.replace('"stop.gap", scale = 0.001', f'"stop.gap", scale = {scale}')
         found, out, _ = command(
@@ -124,7 +124,7 @@ def test_a_goal_whose_limits_the_map_waives_is_no_goal(command: Command, folder:
 
 def test_what_is_not_named_is_said_and_not_shown(command: Command, folder: Path):
     bare = '[inputs]\nF = { variable = "drive.force", scale = 0.001 }\n[positions]\nx = { variable = "body.pos", scale = 0.001 }\n'
-    bare += '[contacts.stop]\nforce = "stop.push"\n[start]\n"body.vel" = 2000\n[limits]\nghost_impulse = 1.0\nreplay_error = 1e-3\n'
+    bare += '[contacts.stop]\nforce = "stop.push"\n[start]\n"body.pos" = 300\n"body.vel" = 2000\n[limits]\nghost_impulse = 1.0\nreplay_error = 1e-3\n'
     write_plan(folder / "short.csv", "t,x,F,lam_stop")
     code, out, _ = command(
         "short.csv", "--fmu", "cart.fmu", "--map", write(folder / "bare.toml", bare), "--json"
@@ -133,7 +133,7 @@ def test_what_is_not_named_is_said_and_not_shown(command: Command, folder: Path)
     metrics = {metric["name"]: metric for metric in told["metrics"]}
     assert (code, told["verdict"]) == (0, "consistent"), told["why"]
     assert not unsaid(
-        told["why"], "consistent", "questions 1, 3, 4)", "asks for nothing", "give it a [goal]"
+        told["why"], "consistent", "questions 1, 4)", "asks for nothing", "give it a [goal]"
     )
     assert (
         metrics["ghost_impulse"]["reason"]
@@ -148,13 +148,14 @@ def test_what_is_not_named_is_said_and_not_shown(command: Command, folder: Path)
     ):
         assert any(words in text for text in told["not_asked"]), words
     assert metrics["replay_error"]["value"] < 1e-7
-    assert metrics["replay_error"]["limit"] == 1e-3
+    assert metrics["replay_error"]["limit"] == pytest.approx(1e-3)
 
 
 def test_a_plan_that_drives_no_input_is_judged_by_what_the_fmu_does_alone(
     command: Command, folder: Path
 ):
     bare = '[positions]\nx = { variable = "body.pos", scale = 0.001 }\n'
+    bare += "[start]\n'body.pos' = 300\n"
     write_plan(folder / "idle.csv", "t,x")
     code, out, _ = command(
         "idle.csv", "--fmu", "cart.fmu", "--map", write(folder / "idle.toml", bare), "--json"
@@ -395,7 +396,7 @@ def test_html_of_somebodys_fmu_shows_what_the_map_names(command: Command, folder
     """Under names of contacts and columns that files cannot have, too."""
     named = FULL_MAP.replace(
         "[contacts.stop]", '[contacts."stop/end"]\ncolumn = "lam_stop"'
-    ).replace("[goal]", "depth = 0.2\n[goal]")
+    ).replace("[start]", "depth = 0.2\n[start]")
     code, _, err = command(
         "plan.csv",
         "--fmu",

@@ -56,6 +56,9 @@ x = { variable = "body.vel", scale = 0.001, unit = "m/s" }
 [contacts.stop]
 force = "stop.push"
 gap = { variable = "stop.gap", scale = 0.001, unit = "m" }
+[start]
+"body.pos" = 300
+"body.vel" = 2000
 [goal]
 x = 0.2
 [limits]

@@ -231,4 +231,4 @@ def test_friction_whose_load_changes_on_the_way_is_that_of_any_part_of_a_step(fo
         },
     )
     assert wrong.verdict.value == "violates"
-    assert not unsaid(wrong.score.why, "neither inputs nor contact give")
+    assert not unsaid(wrong.score.why, "friction that the replay does not have")

@@ -537,19 +537,3 @@ def test_a_plan_of_a_coarse_grid_that_declares_no_scheme_is_told_its_step_and_on
         < metric.limit
         < np.abs(plan.q - told.replay.q[told.replay.knots]).max()
     )
-
-
-def test_feedback_follows_the_velocities_that_explain_the_positions():
-    """Of a plan that says none: those of the exact motion, or backward differences, which are the velocities of semi-implicit Euler."""
-    scene, exact = made(Hold.ZERO_ORDER)
-    coarse = load_kernel(scene).rollout(exact.start, exact.u, H)
-    euler = replace(exact, q=coarse.q, v=coarse.v)
-    off = np.abs(np.diff(exact.q, axis=0) / H - exact.v[1:]).max()
-    for plan, near in ((exact, 0.02 * off), (euler, 1e-9)):
-        told = replace(
-            plan,
-            v=np.vstack([plan.v[:1], np.diff(plan.q, axis=0) / H]),
-            missing=frozenset({"v", "lam"}),
-        )
-        followed = judge(scene, told, feedback=True).replay.tracked.feedback.reference
-        assert np.abs(followed[:, 3:] - plan.v).max() < near

@@ -266,7 +266,6 @@ def test_feedback_acts_at_the_nodes_of_the_plan_however_many_rows_are_given_back
     feedback = Feedback(
         gains=np.full((2, 1, 2), [1.0, 0.0]), reference=np.zeros((3, 2)), u=plan.u,
         lower=np.full(1, -9.0), upper=np.full(1, 9.0), scale=np.ones(1),
-        loop=np.zeros((2, 2, 2)), push=np.zeros((2, 2, 1)),
     )  # fmt: skip
     given: list[float] = []
 

@@ -88,7 +88,7 @@ class ContactEntry(_Strict):
     """A contact: its force, positive when it pushes, and its gap, negative in contact, as variables of the FMU.
 
     column: of the planned force, lam_<name> without one; depth: penetration at which the FMU's
-        model of the contact ends, in the unit of the gap [m].
+        model of the contact ends, in the unit of the gap [m]; nominal_force: a typical force [N].
     """
 
     force: Signal | None = None
@@ -96,6 +96,7 @@ class ContactEntry(_Strict):
     column: str | None = None
     depth: float | None = Field(default=None, gt=0.0)
     depth_reason: str = ""
+    nominal_force: float | None = Field(default=None, gt=0.0)
 
     @model_validator(mode="after")
     def _of_a_depth(self) -> ContactEntry:

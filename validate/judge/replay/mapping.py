@@ -14,6 +14,7 @@ import numpy as np
 
 from models.errors import TrajectoryError
 from models.plan_table import Table, lack_of
+from models.printed import rounding
 from models.scene.parts import Limit
 from models.trajectory import (
     Trajectory,
@@ -40,6 +41,8 @@ from validate.judge.replay.wiring import INTERNAL_STEP, Variables, columns_or_ze
 
 # Steps that the task of an FMU counts as.
 _STEPS = 500
+# Largest difference of the plan's first row and the FMU's start value, in nominals.
+_SAME_START = 1e-6
 # Largest relative excess of a bound in the map over the FMU's own bound: rounding of units.
 _ROUNDING = 1e-9
 
@@ -58,7 +61,9 @@ def wire(
     named = Named(package)
     whole = given or map_schema.by_equal_names(named, table, Dimensions(package.description))
     wiring = _Wiring(package, named, table, whole, where)
-    return wiring.foreign(), wiring.trajectory(hold)
+    wired = wiring.foreign(), wiring.trajectory(hold)
+    wiring.check_first_row()
+    return wired
 
 
 class _Wiring:
@@ -405,7 +410,7 @@ class _Wiring:
         )
 
     def _settings(self) -> list[tuple[int, float]]:
-        """Start variables and their values: those of the map, and positions and velocities of the plan's first row that can be set."""
+        """Return the references and values of the map's [start]."""
         given, found = self.map, {}
         taken = {
             self._reference(f"parameters.{name}", name): f"parameters.{name}"
@@ -423,22 +428,42 @@ class _Wiring:
                         path,
                         f"{lack_of(self._table, value)} in the plan{map_schema.hint(value, self._table.names)}.",
                     )
-                if unit := self._variable(path, name).unit:
-                    self._table.check_unit(value, unit)
-                value = float(self._table.column(value, False)[0])
+                value = self._first(path, name, value)
             found[self._startable(path, name)] = float(value)
+        return list(found.items())
+
+    def _first(self, path: str, name: str, column: str) -> float:
+        """Return the first value of a plan's column, in the FMU's unit."""
+        first = float(self._table.column(column, False)[0])
+        for _, own, signal in self._positions + self._velocities:
+            if own == column and signal.variable == name:
+                return (first - signal.offset) / signal.scale
+        if unit := self._variable(path, name).unit:
+            self._table.check_unit(column, unit)
+        return first
+
+    def check_first_row(self) -> None:
+        """Raise MapError if the plan's first row differs from a start value that [start] leaves out."""
+        named = {self._place(name) for name in self.map.start}
         for _, column, signal in self._positions + self._velocities:
             variable = self._by_name[signal.variable]
             if (
-                column in self._table.given
-                and variable.initial in ("exact", "approx")
-                and variable.start is not None
+                column not in self._table.given
+                or int(variable.valueReference) in named
+                or variable.initial not in ("exact", "approx")
+                or variable.start is None
             ):
-                first = float(self._table.column(column, False)[0])
-                found.setdefault(
-                    int(variable.valueReference), (first - signal.offset) / signal.scale
+                continue
+            values = self._table.column(column, False)
+            nominal = map_schema.positive(variable.nominal) * abs(signal.scale)
+            start = signal.scale * float(variable.start) + signal.offset
+            if abs(values[0] - start) > _SAME_START * nominal + rounding(values, nominal)[0]:
+                raise self._fail(
+                    "start",
+                    f"the plan begins with {column} = {values[0]:g}, but the FMU starts at "
+                    f"{start:g}; add '{signal.variable}' = '{column}' if the task starts there, "
+                    "or correct the plan.",
                 )
-        return list(found.items())
 
     def _uncertain(self, internal: str | None) -> tuple[subject.ForeignParameter, ...]:
         """The parameters that may be otherwise: all with a value but `internal`, the FMU's own step."""
@@ -522,11 +547,11 @@ class _Wiring:
                     force_name=self._force_column(name),
                     gap_name=f"gap_{name}",
                     depth=entry.depth,
+                    nominal_force=entry.nominal_force,
                 )
                 for name, entry in given.contacts.items()
             ),
             task=subject.ForeignTask(
-                start=self._start(),
                 goal=tuple(goal),
                 step=(float(np.ptp(times)) if given.task.duration is None else given.task.duration)
                 / _STEPS,
@@ -542,50 +567,13 @@ class _Wiring:
             startable=tuple(begin),
         )
 
-    def _start(self) -> tuple[float | None, ...]:
-        """(2*nq,) what the map's [start] says of positions and velocities, in the plan's unit.
-
-        None where the plan starts as it says.
-        """
-        given = self.map
-        numbers = {
-            self._place(name): value
-            for name, value in given.start.items()
-            if not isinstance(value, str)
-        }
-
-        def at(signal: Signal | None) -> float | None:
-            value = None if signal is None else numbers.get(self._place(signal.variable))
-            return None if value is None or signal is None else signal.scale * value + signal.offset
-
-        return tuple(
-            at(signals.get(name))
-            for signals in (given.positions, given.velocities)
-            for name in given.positions
-        )
-
     def _limits(self) -> tuple[Limit, ...]:
-        """Those of the map.
-
-        How near the replay must come to the goal is asked of the plan itself too, where the map has
-        no other word for that.
-        """
+        """Return the limits of the map."""
         given = self.map.limits
         limits = [
             Limit(metric=name, value=entry.value, reason=entry.reason or "set in the map")
             for name, entry in given.items()
         ]
-        for part in ("position", "velocity"):
-            replayed = f"replay_terminal_{part}_error"
-            if replayed in given and f"terminal_{part}_error" not in given:
-                entry = given[replayed]
-                limits.append(
-                    Limit(
-                        metric=f"terminal_{part}_error",
-                        value=entry.value,
-                        reason=entry.reason or "as near as its replay must come",
-                    )
-                )
         return tuple(limits)
 
     def _accuracy(self) -> Difference | None:
@@ -613,10 +601,6 @@ class _Wiring:
         given, found = self.map, []
         if given.task.duration is None:
             found.append("duration_error: the map gives no [task] duration")
-        if any(value is None for value in self._start()[: len(given.positions)]):
-            found.append(
-                "start_error: the map's [start] gives no number for every position, so nothing is asked of where the plan starts"
-            )
         for name, signal in given.inputs.items():
             bound = self._input(name, signal)
             ends = [
@@ -650,7 +634,7 @@ class _Wiring:
                 "ghost_impulse, missed_impulse: not every contact has both force and gap in the map"
             )
         found.append(
-            "contact_law_error, unexplained_force, defect: an FMU keeps its equations to itself; only a scene has them"
+            "contact_law_error, defect: an FMU keeps its equations to itself; only a scene has them"
         )
         return tuple(found)
 

@@ -206,7 +206,7 @@ class Recorded:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Replay(Recorded):
-    """The plan's inputs applied, from the plan's start, to the true continuous contact dynamics.
+    """The plan's inputs applied, from the task's start, to the true continuous contact dynamics.
 
     t (n,) [s]: every node of the plan, points between them, and every event, to which the rows of
     `Recorded` belong; knots (nodes,): rows of t that are plan nodes. Every number is finite; a

@@ -72,7 +72,7 @@ def replay(
     limits: Limits | None = None,
     track: Track = False,
 ) -> Replay:
-    """Apply the plan's inputs from its start to the FMU of the scene.
+    """Apply the plan's inputs, from the task's start, to the FMU of the scene.
 
     limits: run the FMU in a child process of its own; None runs it here, which is for our own FMU
         in a process that is a child already.
@@ -91,7 +91,7 @@ def replay(
     ):
         job = Job(
             package=package, variables=find_variables(package, scene), plan=trajectory,
-            start=trajectory.start, limits=limits,
+            start=np.array(scene.task.start, dtype=float), limits=limits,
             tolerances=tolerances, fineness=fineness, event_budget=event_budget, ours=True,
         )  # fmt: skip
         job = with_steps_of(scene, job)

@@ -59,13 +59,14 @@ class ForeignInput:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignContact:
-    """A contact that the map names; depth [m]: penetration at which its model ends."""
+    """A contact that the map names; depth [m]: penetration at which its model ends; nominal_force [N]: a typical one."""
 
     name: str
     force_name: str
     gap_name: str
     description: str = ""
     depth: float | None = None
+    nominal_force: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,14 +89,13 @@ class ForeignParameter:
 class ForeignTask:
     """What a plan on somebody's FMU is to do.
 
-    start, goal: (2*nq,) positions, then velocities; None where nothing is asked. step [s]: a task
+    goal: (2*nq,) positions, then velocities; None where nothing is asked. step [s]: a task
         of an FMU has none of its own, and counts as one of
     500 steps, so that a plan may be a thousandth of its duration off and a motion is seen as often
         however few rows its plan has.
     horizon: how long a plan of this task lasts [s], None where the map does not say.
     """
 
-    start: tuple[float | None, ...]
     goal: tuple[float | None, ...]
     step: float
     horizon: float | None = None

@@ -378,7 +378,6 @@ def feedback_from(subject: Subject, plan: Trajectory, A: np.ndarray, B: np.ndarr
     return Feedback(
         gains=gains, reference=np.hstack([plan.q, plan.v]), u=plan.u, lower=lower, upper=upper,
         scale=scale,
-        loop=(A - B @ gains) * (sizes / sizes[:, None]), push=B * (scale / sizes[:, None]),
     )  # fmt: skip
 
 

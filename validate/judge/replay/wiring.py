@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from models.limits import input_share
 from models.plan_table import Table
 from models.trajectory import Hold, Trajectory
 
@@ -69,9 +70,7 @@ class Feedback:
 
     gains K (steps, nu, nx); reference x_plan (nodes, nx) positions, then velocities; u (steps, nu)
     of the plan; lower, upper (nu,) bounds, may be infinite; scale (nu,): what an input's effort is
-    a share of (half the width of its bounds, or the plan's own largest value). loop (steps, nx,
-    nx), push (steps, nx, nu): how the linearised motion falls behind the plan, in nominal sizes, x'
-    = loop x + push w, where inputs w are missing, in scales.
+    a share of (half the width of its bounds, or the plan's own largest value).
     """
 
     gains: np.ndarray
@@ -80,8 +79,6 @@ class Feedback:
     lower: np.ndarray
     upper: np.ndarray
     scale: np.ndarray
-    loop: np.ndarray
-    push: np.ndarray
 
     def at(self, step: int, state: np.ndarray) -> np.ndarray:
         """The input applied from the start of a step on: what is asked for, saturated.
@@ -135,8 +132,7 @@ class Effort:
         peak_share: the largest over the inputs as a share of
     the input's scale (half the width of its bounds); plan_share: root mean square of all that was
         added over that of the plan's own inputs, each input in
-    its scale, or its part of the motion that both make, where that is more (None: the plan's inputs
-        are all 0, but something was added); saturated:
+    its scale and averaged over windows (models.limits.input_share); saturated:
     share of the steps in which some input stood at a bound that the plan did not ask for.
     """
 
@@ -162,48 +158,17 @@ def measure_effort(plan: Trajectory, applied: np.ndarray, feedback: Feedback) ->
             rms=zero, peak=zero, rms_share=0.0, peak_share=0.0, plan_share=0.0, saturated=0.0
         )
     rms, peak = np.sqrt((h[:, None] * added**2).sum(axis=0) / h.sum()), added.max(axis=0)
-    own = np.sqrt((h[:, None] * plan.u[:steps] ** 2).sum(axis=0) / h.sum())
-    share = float(np.linalg.norm(rms / feedback.scale)), float(np.linalg.norm(own / feedback.scale))
-    # Dither and kicks that cancel are large, and make no motion.
     held = HeldInputs(plan)
-    part = _part_of_motion(
-        feedback, given, held.values[:steps] + held.slopes[:steps] * h[:, None] / 2.0, h
-    )
+    own = held.values[:steps] + held.slopes[:steps] * h[:, None] / 2.0
     at_bound = ((applied <= feedback.lower) | (applied >= feedback.upper)) & (added > 0.0)
     return Effort(
         rms=tuple(rms.tolist()),
         peak=tuple(peak.tolist()),
         rms_share=float((rms / feedback.scale).max()),
         peak_share=float((peak / feedback.scale).max()),
-        plan_share=max(share[0] / share[1], part)
-        if share[1] > 0.0
-        else None
-        if share[0] > 0.0
-        else 0.0,
+        plan_share=input_share(plan.t[: steps + 1], given, own, feedback.scale),
         saturated=float(at_bound.any(axis=1).mean()),
     )
-
-
-def _part_of_motion(feedback: Feedback, added: np.ndarray, own: np.ndarray, h: np.ndarray) -> float:
-    """Of the motion that inputs (steps, nu) make, those added and the plan's own, the part of those added; 0 where neither makes any.
-
-    What inputs make is how far the loop's positions would fall behind without them, in the root
-    mean square over the steps h (steps,) [s].
-    """
-    missing = np.stack([added, own], axis=2) / feedback.scale[:, None]
-    nq, behind, squares = (
-        feedback.loop.shape[1] // 2,
-        np.zeros((feedback.loop.shape[1], 2)),
-        np.zeros(2),
-    )
-    with np.errstate(over="ignore", invalid="ignore"):
-        for loop, push, lack, step in zip(
-            feedback.loop, feedback.push, missing, h.tolist(), strict=False
-        ):
-            behind = loop @ behind + push @ lack
-            squares += step * (behind[:nq] ** 2).sum(axis=0)
-        of_added, both = float(np.sqrt(squares[0])), float(np.sqrt(squares).sum())
-    return of_added / both if 0.0 < both < np.inf else 0.0
 
 
 class HeldInputs:

@@ -44,7 +44,6 @@ from validate.judge.robustness.worlds import (
     moved,
     perturbations,
 )
-from validate.judge.score.unexplained import with_velocities
 from validate.judge.score.verdict import Verdict
 
 SAMPLES = 1000
@@ -245,9 +244,7 @@ def robustness(
         trajectory = trajectory.from_zero()
         causes, judgement = perturbations(subject, trajectory, kinds), judge(subject, trajectory)
         assert judgement.replay is not None  # of a plan
-        arena_of = partial(
-            SceneArena.of, subject, with_velocities(subject, trajectory, judgement.replay)
-        )
+        arena_of = partial(SceneArena.of, subject, trajectory)
     # The plan of an FMU without a goal is consistent at best: then its own motion is what is asked.
     holds = judgement.holds or (
         isinstance(scene, WiredFmu) and judgement.verdict is Verdict.CONSISTENT

@@ -210,7 +210,9 @@ def nominal_world(subject: Subject, plan: Trajectory) -> World:
     """The world as the scene, or somebody's FMU, says it is."""
     return World(
         parameters=np.array([item.value for item in subject.parameters]),
-        start=np.array(plan.start if isinstance(subject, Scene) else subject.begin, dtype=float),
+        start=np.array(
+            subject.task.start if isinstance(subject, Scene) else subject.begin, dtype=float
+        ),
         gain=np.ones(subject.nu),
         noise=np.zeros((plan.steps, subject.nu)),
     )

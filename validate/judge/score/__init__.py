@@ -19,13 +19,12 @@ import numpy as np
 from models.codegen.kernel import KernelError
 from models.errors import SceneError, TrajectoryError, did_you_mean
 from models.scene import Scene
-from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
 from validate.judge.score.cause import ScoredPlan, cause_of, explain
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.measures import MEASURES, halved, times_the_law
+from validate.judge.score.measures import MEASURES, halved, is_relaxed, times_the_law
 from validate.judge.score.table import FEEDBACK, FOLLOWED, GROWTH, TABLE, Measured, MetricEntry
 from validate.judge.score.verdict import (
     Contradicted,
@@ -56,10 +55,8 @@ _NEEDS = {
     "v": "the plan does not say its velocities",
     "lam": "the plan does not say its contact forces",
     "friction": "the plan does not say its friction forces",
-    "pressing": "the plan does not say the contact forces that press on its frictions",
     "scheme": "the plan declares no scheme",
     "no scheme": "the plan declares a scheme, whose own equations are asked instead",
-    "no defect": "the plan declares a scheme, whose own equations are asked instead",
 }
 
 # Of every metric, of a replay with feedback too.
@@ -69,7 +66,11 @@ _NAMES = tuple(entry.name for entry in (*TABLE, *GROWTH, *FOLLOWED))
 _INSTEAD = {
     name: f"limit {name.removesuffix('error')}position_error and {name.removesuffix('error')}velocity_error, each with its reason."
     for name in ("terminal_error", "replay_terminal_error", "discrete_terminal_error")
-} | {"physics": "limit physics_scaled.", "grid_error": "limit replay_error, which it explains."}
+} | {
+    "physics": "limit physics_scaled.",
+    "cost": "limit replay_cost, the cost of the true motion.",
+    "grid_error": "limit replay_error, which it explains.",
+}
 
 
 def metric_names() -> tuple[str, ...]:
@@ -153,14 +154,9 @@ def score(
     by_hold = (
         other_hold is not None
         and other_hold.ok
-        and _moves_so(scene, replace(trajectory, hold=held), other_hold)
+        and score(scene, replace(trajectory, hold=held), other_hold).verdict is Verdict.HOLDS
     )
     scored = replace(scored, verdict=verdict, waived=waived, other_hold=by_hold)
-    if verdict is Verdict.VIOLATES and scored.questions.get(Question.MOTION) == "no":
-        by_positions = scored.fails("unexplained_force") and _moves_so(
-            scene, replace(trajectory, missing=trajectory.missing | {"v"}), replay
-        )
-        scored = replace(scored, own=_as_declared(scored, rows), other_velocities=by_positions)
     return Score(
         metrics=metrics, verdict=verdict, why=explain(scored), cause=cause_of(scored),
         judged=judged, waived=waived,
@@ -185,33 +181,21 @@ def _scored(
         scene=scene, trajectory=plan, replay=replay, metrics=metrics, verdict=verdict,
         questions=found,
         halved=partial(halved, case), times_the_law=partial(times_the_law, case),
+        is_relaxed=partial(is_relaxed, case),
     ), judged  # fmt: skip
-
-
-def _as_declared(scored: ScoredPlan, rows: list[MetricEntry]) -> ScoredPlan | None:
-    """A plan that declares no scheme as one of the scheme that makes its motion, by its own forces or by those of the true law; None where none does."""
-    plan = scored.trajectory
-    if (
-        plan.scheme is not None
-        or plan.hold is not Hold.ZERO_ORDER
-        or not isinstance(scored.scene, Scene)
-    ):
-        return None
-    asked = [entry for entry in rows if entry.name in ("defect", "law_error")]
-    for scheme in Scheme:
-        declared = replace(plan, scheme=scheme)
-        case = Evidence(scored.scene, declared, scored.replay)
-        if any(_metric(entry, case).ok for entry in asked):
-            return _scored(scored.scene, declared, scored.replay, rows, followed=False)[0]
-    return None
 
 
 # What asks for anything to be reached: the goal by its limits, unless they are waived, and limits
 # on the cost.
 _ASKING = frozenset(
-    f"{of}{what}"
-    for of in ("", "replay_")
-    for what in ("terminal_position_error", "terminal_velocity_error", "cost")
+    (
+        "replay_cost",
+        *(
+            f"{of}terminal_{part}_error"
+            for of in ("", "replay_")
+            for part in ("position", "velocity")
+        ),
+    )
 )
 
 
@@ -230,19 +214,6 @@ def _of_what_is_asked(
         or (scene.nf > 0 and "friction" not in plan.missing)
     )
     return Verdict.CONSISTENT if claims else Verdict.NOT_APPLICABLE
-
-
-def _moves_so(scene: Subject, plan: Trajectory, replay: Replay | None) -> bool:
-    """Whether question 4 is answered yes."""
-    case = Evidence(scene, plan, replay)
-    of_motion = [
-        entry for entry in TABLE if entry.applies(scene) and entry.question is Question.MOTION
-    ]
-    return all(
-        metric.ok is True
-        for metric in (_metric(entry, case) for entry in of_motion)
-        if metric.is_judged
-    )
 
 
 def _check_belongs(scene: Subject, trajectory: Trajectory, replay: Replay) -> None:
@@ -266,9 +237,6 @@ def _why_not_asked(entry: MetricEntry, case: Evidence) -> str:
         # a plan that declares none.
         absent = {
             "scheme": plan.scheme is None, "no scheme": plan.scheme is not None,
-            "no defect": plan.scheme is not None and not plan.missing,
-            "pressing": "lam" in plan.missing and isinstance(scene,
-                Scene) and any(item.contact is not None for item in scene.frictions),
         }.get(need, need in plan.missing)  # fmt: skip
         if (need == "friction" and not scene.nf) or (need == "lam" and not scene.nc):
             absent = False

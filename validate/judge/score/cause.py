@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -47,8 +47,6 @@ _NEAR_A_TURN = 0.1
 _ADVICE_EXACT = "tighten eps, or go on from it with exact contact (`strict`, `mpcc`)"
 # What a metric says of itself where it fails first.
 _CAUSES = {
-    "physics_scaled": f": a relaxed contact law; {_ADVICE_EXACT}",
-    "contact_law_error": ": a relaxed contact law, or forces of another motion",
     "defect": "; if another integrator made it, leave the declaration of the scheme out",
 }
 
@@ -57,12 +55,10 @@ _CAUSES = {
 class ScoredPlan:
     """One plan with its metrics and answers.
 
-    other_hold, other_velocities: whether question 4 is answered yes with the inputs held the other
-        way, and with the velocities that the positions take; own: the plan as one of the scheme
-        that makes its motion, where it declares
-    none; halved: the grid errors [m or rad] with the step halved ever again until they are so
+    other_hold: whether the plan holds with the inputs held the other way; halved: the grid errors [m or rad] with the step halved ever again until they are so
         small, times_the_law: how many times what contact gives the planned
-    forces are, (nc,) [-] (validate.judge.score.measures); both raise Unmeasured.
+    forces are, (nc,) [-] (validate.judge.score.measures); both raise Unmeasured; is_relaxed:
+    whether the planned forces follow a relaxed law.
     """
 
     scene: Subject
@@ -73,10 +69,9 @@ class ScoredPlan:
     questions: Mapping[Question, Answer]
     waived: tuple[str, ...] = ()
     other_hold: bool = False
-    other_velocities: bool = False
-    own: ScoredPlan | None = None
     halved: Callable[[float], Iterator[float]] = lambda near: iter(())
     times_the_law: Callable[[], np.ndarray] = lambda: np.ones(0)
+    is_relaxed: Callable[[], bool] = lambda: False
 
     def value(self, name: str) -> float | None:
         """Of a metric; None if it was not measured."""
@@ -129,13 +124,11 @@ def cause_of(scored: ScoredPlan) -> str:
 
 _IMPULSES = ("ghost_impulse", "missed_impulse")
 # Of what is asked about the motion, what says its cause by its own name.
-_NAMED = ("unexplained_force", "replay_cost")
+_NAMED = ("replay_cost",)
 
 
 def _cause_of_motion(scored: ScoredPlan) -> str:
     """Why the inputs do not give the motion, by what the metrics show."""
-    if scored.own is not None:
-        return _cause_of_motion(scored.own)
     growth = scored.value("amplification")
     unstable = growth is not None and growth >= _UNSTABLE
     if scored.fails("defect"):
@@ -348,16 +341,13 @@ def _cause(first: Metric, scored: ScoredPlan) -> str:
         return f" (it lasts {scored.trajectory.duration:.6g} s, the task {scored.scene.task.horizon:.6g} s)"
     if first.question is Question.TASK or first.question is Question.GOAL:
         return ""
-    if first.name in ("physics_scaled", "contact_law_error") and (
-        multiple := _multiple_of_the_law(scored)
-    ):
-        return multiple
+    if first.name in ("physics_scaled", "contact_law_error", "contact_force_error"):
+        return _of_forces(scored)
+    if first.name == "velocity_error":
+        few = _few_digits(scored.trajectory)
+        return f"; it may be {few}" if few else ""
     if first.name in _CAUSES:
-        return _CAUSES[first.name] + (
-            f", or {few}"
-            if first.name == "contact_law_error" and (few := _few_digits(scored.trajectory))
-            else ""
-        )
+        return _CAUSES[first.name]
     if first.name == "max_penetration":
         return _of_depth(scored)
     if first.name in (
@@ -369,7 +359,7 @@ def _cause(first: Metric, scored: ScoredPlan) -> str:
             scored.questions.get(Question.MOTION) == "yes"
         ):  # no relaxed law gives the motion that the true one gives
             return "; its inputs give its motion all the same: if another integrator made it, leave the declaration of the scheme out"
-        return _CAUSES["physics_scaled"]
+        return _of_forces(scored)
     if first.question is Question.MOTION:
         return _of_motion(first, scored)
     by_the_grid = _is_by_the_grid(first.name, scored)
@@ -400,6 +390,30 @@ def _jumps_by_turns(scored: ScoredPlan) -> bool:
         np.abs(jumps - 2.0 * math.pi * turns) < math.pi
     )
     return bool(((turns != 0.0) & near).any())
+
+
+def _of_forces(scored: ScoredPlan) -> str:
+    """Why the planned forces are not those of contact, by tests of their own."""
+    if multiple := _multiple_of_the_law(scored):
+        return multiple
+    if scored.is_relaxed():
+        return f": a relaxed contact law; {_ADVICE_EXACT}"
+    few = _few_digits(scored.trajectory)
+    return f"; it may be {few}" if few else ""
+
+
+def _departure(scored: ScoredPlan) -> str:
+    """When and where the replay leaves the plan."""
+    plan, replay, scene = scored.trajectory, scored.replay, scored.scene
+    metric = scored.metrics.get("replay_error")
+    if replay is None or not replay.ok or metric is None or metric.limit is None or metric.ok:
+        return ""
+    beyond = np.abs(plan.q - replay.q[replay.knots]) > metric.limit
+    if not beyond.any():
+        return ""
+    node = int(np.argmax(beyond.any(axis=1)))
+    name = scene.coordinates[int(np.argmax(beyond[node]))].name
+    return f"; {name} is beyond that limit from t = {plan.t[node]:.3g} s on"
 
 
 def _multiple_of_the_law(scored: ScoredPlan) -> str:
@@ -452,27 +466,11 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
     plan = scored.trajectory
     if scored.other_hold:
         return f"; {_held_the_other_way(scored)}"
-    if scored.other_velocities:
-        return "; with the velocities that its positions take it does not: its own are those of another motion, or of other times"
     if not plan.has_states or first.value is None:
         return ""
-    if scored.own is not None and scored.own.trajectory.scheme is not None:
-        scheme, own, what = scored.own.trajectory.scheme.value, scored.own, "own motion is that"
-        if own.fails("defect"):  # of velocities alone: forces that are wrong were asked before
-            what, own = (
-                "positions are those",
-                replace(
-                    own,
-                    metrics={name: item for name, item in own.metrics.items() if name != "defect"},
-                ),
-            )
-        return f"; the plan's {what} of {scheme} with its steps of {plan.duration / plan.steps:.3g} s{_of_motion(first, own)}"
     unstable = _unstable(scored)
     if plan.scheme is None:
-        if scored.fails("unexplained_force") and first.name != "unexplained_force":
-            return f": {_ENTRIES['unexplained_force'].quote(percent(scored.value('unexplained_force') or 0.0))}"
-        few = _few_digits(plan) if first.name == "unexplained_force" else ""
-        return unstable + (f"; it may be {few}" if few else "")
+        return f"{_departure(scored)}{unstable}"
     grid = scored.metrics.get("grid_error")
     if grid is None or grid.value is None:
         return unstable
@@ -558,7 +556,7 @@ def _quote(metric: Metric) -> str:
     value, limit = _told_apart(
         metric.value,
         metric.limit or 0.0,
-        None if name in ("unexplained_force", EFFORT, SHARE) else metric.unit,
+        None if name in (EFFORT, SHARE) else metric.unit,
     )
     phrase = _ENTRIES[name].quote(value)
     if name != metric.name:

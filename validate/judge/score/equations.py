@@ -2,11 +2,6 @@
 
 Shapes as in Trajectory and Replay: nodes = steps + 1; phi (steps, nc) is the penetration at the
 *start* of each step, where the plan's lam (steps, nc) belongs.
-
-`half_unit` tells how finely numbers are printed: what a plan may be off by without being wrong.
-
-    half_unit(np.round(motion, 4), most=1.0)     # 5e-05: four decimals
-    half_unit(motion, most=1.0)                  # 0.0: all the digits of float64
 """
 
 from __future__ import annotations
@@ -78,32 +73,30 @@ def defect(q: np.ndarray, v: np.ndarray, acceleration: np.ndarray, h: np.ndarray
     return np.concatenate([np.abs(positions).max(axis=0), np.abs(velocities).max(axis=0)])
 
 
-def contact_law_error(
-    lam: np.ndarray, law: np.ndarray, least: np.ndarray, most: np.ndarray, h: np.ndarray
-) -> float:
-    """Sum over steps and contacts of h times the distance of lam from what the true law gives over the step.
+def rate_misfit(t: np.ndarray, q: np.ndarray, v: np.ndarray, step: float) -> np.ndarray:
+    """Distance of the velocities from the slopes of the positions before and after their row.
 
     Parameters
     ----------
-    lam : (steps, nc) planned contact forces [N].
-    law : (nodes, nc) of the true law at the nodes [N].
-    least, most : (steps, nc) of the true law within each step, on the true motion from its start
-        [N].
-    h : (steps,) [s].
+    t : (nodes,) [s].
+    q, v : (nodes, nq) [m or rad], [m/s or rad/s].
+    step : shortest time over which a slope is taken [s].
 
     Returns
     -------
-    [N s]
+    (nodes - 2, nq) of the rows between the first and the last, 0 between the two slopes.
 
     Raises
     ------
     ValueError : if the shapes do not fit.
     """
-    low, high = (
-        np.minimum(np.minimum(law[:-1], law[1:]), least),
-        np.maximum(np.maximum(law[:-1], law[1:]), most),
-    )
-    return float((h[:, None] * np.maximum(np.maximum(lam - high, low - lam), 0.0)).sum())
+    inner, slopes = t[1:-1], []
+    for h, sign in ((np.diff(t)[:-1], -1.0), (np.diff(t)[1:], 1.0)):
+        other = np.clip(inner + sign * np.maximum(h, step), t[0], t[-1])
+        moved = np.array([np.interp(other, t, column) for column in q.T]).reshape(q.shape[1], -1).T
+        slopes.append((moved - q[1:-1]) / (other - inner)[:, None])
+    low, high = np.minimum(*slopes), np.maximum(*slopes)
+    return np.maximum(np.maximum(v[1:-1] - high, low - v[1:-1]), 0.0)
 
 
 def outside(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -167,28 +160,10 @@ def excess_impulse(lam: np.ndarray, other: np.ndarray, h: np.ndarray) -> float:
     return float((h[:, None] * np.maximum(lam - other, 0.0)).sum())
 
 
-def friction_violation(friction: np.ndarray, limit: np.ndarray) -> float:
-    """Coulomb's law: the largest max(abs(f) - mu N, 0) over steps and frictions.
-
-    Parameters
-    ----------
-    friction, limit : (steps, nf) f and mu N [N].
-
-    Returns
-    -------
-    [N]
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
-    """
-    return float(np.maximum(np.abs(friction) - limit, 0.0).max(initial=0.0))
-
-
 def friction_dissipation_error(
     friction: np.ndarray, least: np.ndarray, most: np.ndarray, slip: np.ndarray
 ) -> np.ndarray:
-    """Largest abs of mu N abs(s) + f s, with the mu N in its range that makes it smallest: 0 where it sticks or slips against all of mu N.
+    """Return abs of mu N abs(s) + f s, with the mu N in its range that makes it smallest: 0 where it sticks or slips against all of mu N.
 
     Parameters
     ----------
@@ -198,7 +173,7 @@ def friction_dissipation_error(
 
     Returns
     -------
-    (nf,) [W]
+    (steps, nf) [W]
 
     Raises
     ------
@@ -206,37 +181,7 @@ def friction_dissipation_error(
     """
     against = -friction * np.sign(slip)
     off = np.maximum(np.maximum(least - against, against - most), 0.0)
-    return (off * np.abs(slip)).max(axis=0, initial=0.0)
-
-
-def friction_impulse_error(
-    plan: np.ndarray, step_of: np.ndarray, friction: np.ndarray, duration: np.ndarray
-) -> float:
-    """Integral over time of abs(f - f_plan), by the trapezoid rule on the pieces of the replay's grid.
-
-    Parameters
-    ----------
-    plan : (steps, nf) f_plan [N].
-    step_of : (n-1,) the plan's step of each piece [-].
-    friction : (n, nf) f of the replay [N].
-    duration : (n-1,) of each piece [s].
-
-    Returns
-    -------
-    [N s]
-
-    Raises
-    ------
-    ValueError, IndexError : if the shapes do not fit.
-    """
-    planned = plan[step_of]
-    return float(
-        (
-            (np.abs(friction[:-1] - planned) + np.abs(friction[1:] - planned))
-            / 2
-            * duration[:, None]
-        ).sum()
-    )
+    return off * np.abs(slip)
 
 
 def energy_residual(
@@ -291,55 +236,3 @@ def energy_turnover(
             np.abs(dissipated_work).max(),
         )
     )
-
-
-# More digits than these are as good as all.
-_DIGITS = 12
-# A unit of so many decimals at most is taken for one that was chosen.
-_FEW = 1e-6
-# Rounding of numbers that were read from text or came of a product.
-_ROUNDING = 1e-13
-# Numbers that would be printed coarser than this share of what counts as large are taken as they
-# stand: 2.5 is 2.5, not something near it.
-_MOST = 5e-4
-
-
-def half_unit(values: np.ndarray, most: float) -> float:
-    """Half a unit of the last printed digit of some numbers.
-
-    Decimals are looked for over all numbers of a group (the positions, the forces, ..); where there
-    are more than six, significant digits: small numbers that are printed with a few of those have
-    many decimals.
-
-    Parameters
-    ----------
-    values : (n,) or (rows, columns) numbers of one kind [any unit].
-    most : what counts as large here, in the same unit.
-
-    Returns
-    -------
-    0 where all digits are given, or so few that they are the number: half a unit would be more than
-        5e-4 of `most`.
-    """
-    sizes = np.abs(values[values != 0.0])
-    if not sizes.size:
-        return 0.0
-    unit = _decimals(sizes)
-    half = (unit if unit >= _FEW else max(unit, _significant(sizes))) / 2.0
-    return half if half <= _MOST * most else 0.0
-
-
-def _decimals(sizes: np.ndarray) -> float:
-    for digits in range(_DIGITS + 1):
-        if (np.abs(sizes - np.round(sizes, digits)) <= _ROUNDING * np.maximum(sizes, 1.0)).all():
-            return 10.0**-digits
-    return 0.0
-
-
-def _significant(sizes: np.ndarray) -> float:
-    exponents = np.floor(np.log10(sizes))
-    for digits in range(1, _DIGITS + 1):
-        scaled = sizes * 10.0 ** (digits - 1 - exponents)
-        if (np.abs(scaled - np.round(scaled)) <= _ROUNDING * scaled).all():
-            return float(10.0 ** (exponents.max() + 1 - digits))
-    return 0.0

@@ -6,14 +6,18 @@ for an Unmeasured.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
+import sympy as sp
+from numpy.polynomial.legendre import leggauss
 
 from models import collocation
 from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
+from models.limits import WINDOWS
+from models.printed import columns_rounding
 from models.scene import Scene
 from models.scene.contacts import DampingLaw
 from models.scene.goal import goal_state
@@ -22,18 +26,19 @@ from models.trajectory import Trajectory
 from validate.judge.replay.result import Difference, Replay, ReplayOutcome
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.wiring import HeldInputs
-from validate.judge.score.equations import half_unit
-from validate.judge.score.own_steps import Departures, OwnSteps, Stepper, force_window, least_slip
+from validate.judge.score.forces import (
+    by_convention,
+    force_window,
+    least_slip,
+    typical_force,
+    within_steps,
+)
 from validate.judge.score.verdict import LeavesBounds, Unmeasured
 
-# What counts as a contact force at least, of the inputs' range: a plan that only grazes is not held
-# to a millionth of a newton.
-_OF_RANGE = 0.1
-# Small steps of a step of the task at first, how often they are halved, and what that changes of a
-# cost where they are enough.
-_PARTS = 50
-_DOUBLINGS = 8
-_SETTLED = 1e-4
+# Gauss-Legendre points and weights on (0, 1): exact for squares of cubics and of lines.
+_POINTS, _WEIGHTS = (
+    part / 2.0 + shift for part, shift in zip(leggauss(4), (0.5, 0.0), strict=True)
+)
 
 
 class Evidence:
@@ -41,9 +46,6 @@ class Evidence:
 
     def __init__(self, scene: Subject, trajectory: Trajectory, replay: Replay | None) -> None:
         self.scene, self.trajectory, self._replay = scene, trajectory, replay
-        self._own_steps: dict[
-            bytes, OwnSteps
-        ] = {}  # by velocities: three metrics ask for the same ones
         # By parts: a metric and the sentence ask for the same ones, 7 s each by collocation.
         self._own_motions: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
@@ -61,12 +63,16 @@ class Evidence:
         """The scene's compiled functions. Raises Unmeasured for somebody's FMU."""
         return load_kernel(self.equations)
 
+    @property
+    def lacking(self) -> Mapping[str, str]:
+        """What an external FMU does not offer of q, v, lam, gap, and why; empty for a scene."""
+        return {} if isinstance(self.scene, Scene) else self.scene.lacks
+
     def need(self, *parts: str) -> None:
-        """Raise Unmeasured if the plan does not say, or somebody's FMU does not offer, one of these: q, v, lam, gap."""
-        lacks = {} if isinstance(self.scene, Scene) else self.scene.lacks
+        """Raise Unmeasured if an external FMU does not offer one of these: q, v, lam, gap."""
         for part in parts:
-            if part in lacks:
-                raise Unmeasured(f"{lacks[part]}.")
+            if part in self.lacking:
+                raise Unmeasured(f"{self.lacking[part]}.")
 
     @property
     def q(self) -> np.ndarray:
@@ -102,85 +108,61 @@ class Evidence:
         return np.full_like(h, step) if np.allclose(h, step, rtol=1e-9, atol=0.0) else h
 
     def cost_of(self, t: np.ndarray, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
-        """The task's cost of a motion: its running cost at the starts of the task's own steps, whatever grid the plan has, and the final cost.
+        """The task's cost of a motion: the integral of its running cost for each step of the task, and the final cost.
 
-        Where inputs change within a step of the task, each counts for its part of the step. Between
-        the rows positions are cubics.
+        Between the rows positions are cubics, without inertia chords.
 
         Parameters
         ----------
         t : (n,) times of the rows [s].
         q, v : (n, nq) positions [m or rad], velocities [m/s or rad/s].
-        u : (steps, nu) inputs of the plan [N or N m].
+        u : (steps, nu) inputs at the starts of the plan's steps [N or N m].
 
         Raises
         ------
-        Unmeasured : for somebody's FMU.
+        Unmeasured : for an external FMU.
         """
-        step = self.scene.task.step
-        if len(t) == len(u) + 1 and (self.h == step).all():
-            return self.kernel.cost(q, v, u)
-        count = max(1, round(self.trajectory.duration / step))
-        held, nodes, starts = self.held_inputs, self.trajectory.t, t[0] + step * np.arange(count)
-        within = nodes[1:-1][
-            np.abs((nodes[1:-1] - t[0]) / step - np.round((nodes[1:-1] - t[0]) / step)) > 1e-9
-        ]
-        times = np.sort(np.concatenate([starts, within[within < starts[-1] + step]]))
-        rows, steps = (
-            np.searchsorted(of, times + 1e-9 * step, side="right") - 1 for of in (starts, nodes)
-        )
-        steps = np.clip(steps, 0, len(u) - 1)
-        inputs = u[steps] + held.slopes[steps] * np.maximum(times - nodes[steps], 0.0)[:, None]
-        moved_q, moved_v = _at_times(starts, *_without_repeats(t, q, v))
-
-        def cost(state: int, inputs: np.ndarray) -> float:
-            return self.kernel.cost(
-                np.vstack([moved_q[state : state + len(inputs)], q[-1:]]),
-                np.vstack([moved_v[state : state + len(inputs)], v[-1:]]),
-                inputs,
-            )
-
-        parts = np.diff(np.append(times, starts[-1] + step)) / step
-        if len(times) == count:
-            return cost(0, inputs)
-        final = cost(0, inputs[:0])
-        return final + sum(
-            part * (cost(row, one[None]) - final)
-            for row, one, part in zip(rows, inputs, parts, strict=True)
-        )
+        h, nodes, held = np.diff(t)[:, None], self.trajectory.t, self.held_inputs
+        step = np.clip(np.searchsorted(nodes, t[:-1], side="right") - 1, 0, len(u) - 1)
+        first = u[step] + held.slopes[step] * (t[:-1] - nodes[step])[:, None]
+        moved, begins, ends = np.diff(q, axis=0), h * v[:-1], h * v[1:]
+        if self.equations.relaxation_index is not None:
+            begins = ends = moved
+        cost = self._final_cost(q[-1], v[-1])
+        for s, weight in zip(_POINTS, _WEIGHTS, strict=True):
+            place = q[:-1] + s * begins
+            place += s**2 * (3.0 * moved - 2.0 * begins - ends)
+            place += s**3 * (begins + ends - 2.0 * moved)
+            speed = begins + 2.0 * s * (3.0 * moved - 2.0 * begins - ends)
+            speed += 3.0 * s**2 * (begins + ends - 2.0 * moved)
+            speed = np.divide(speed, h, out=v[:-1].copy(), where=h > 0.0)
+            rate = self._running_cost(place, speed, first + s * h * held.slopes[step])
+            cost += weight * float(h[:, 0] @ rate) / self.scene.task.step
+        return cost
 
     @property
-    def cost_between_rows(self) -> float:
-        """By how much a cost of the plan may be that of the cubics between its rows: of the true motion from each row on it is another; 0 on the task's grid.
+    def cost_of_rows(self) -> float:
+        """The task's cost as the plan's own method counts it: by the states at the starts of the steps, inputs that are lines at their middle.
 
-        Infinite where that is not known. Raises Unmeasured without positions, velocities or
-        equations.
+        Raises Unmeasured without positions, velocities or equations.
         """
-        if (self.h == self.scene.task.step).all():
-            return 0.0
-        found, change, parts = np.nan, np.nan, _PARTS
-        while parts <= _PARTS * 2**_DOUBLINGS and not change <= _SETTLED * abs(found):
-            before, found = found, self.cost_of(*self._own_rows(parts), self.trajectory.u)
-            change, parts = abs(found - before), 2 * parts
-        cubics = self.cost_of(self.trajectory.t, self.q, self.v, self.trajectory.u)
-        return float(np.nan_to_num(abs(found - cubics) + 2.0 * change, nan=np.inf))
+        q, v, h = self.q, self.v, self.h
+        u = self.trajectory.u + self.held_inputs.slopes * h[:, None] / 2.0
+        rate = self._running_cost(q[:-1], v[:-1], u)
+        return float(h / self.scene.task.step @ rate) + self._final_cost(q[-1], v[-1])
 
-    def _own_rows(self, parts: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rows of the plan, and between them the true motion from each on, in so many parts a step of the task: t (n,) [s], q, v (n, nq)."""
-        plan, held, step, rows = self.trajectory, self.held_inputs, self.scene.task.step, []
-        for row, length in enumerate(self.h):
-            count = parts * max(1, round(length / step))
-            late = length / count * np.arange(count)
-            u = held.values[row] + held.slopes[row] * (late + length / count / 2.0)[:, None]
-            run = self.kernel.rollout(
-                np.concatenate([self.q[row], self.v[row]]), u, float(length) / count
-            )
-            rows.append((plan.t[row] + late, run.q[:-1], run.v[:-1]))
-        t, q, v = (
-            np.concatenate(part)
-            for part in zip(*rows, (plan.t[-1:], self.q[-1:], self.v[-1:]), strict=True)
-        )
-        return t, q, v
+    def _running_cost(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """(n,) of states (n, nq) and inputs (n, nu), for a step of the task."""
+        return np.broadcast_to(self._running(q.T, v.T, u.T), (len(q),))
+
+    @cached_property
+    def _running(self) -> Callable[..., np.ndarray]:
+        d = derive(self.equations)
+        cost = d.running_cost.subs(self.equations.parameter_values)
+        return sp.lambdify([list(d.q), list(d.v), list(d.u)], cost, modules=[np])
+
+    def _final_cost(self, q: np.ndarray, v: np.ndarray) -> float:
+        return self.kernel.cost(q[None], v[None], np.zeros((0, self.scene.nu)))
 
     @cached_property
     def push(self) -> np.ndarray:
@@ -250,148 +232,122 @@ class Evidence:
         Raises Unmeasured without positions or equations.
         """
         return self.kernel.contact_force(
-            self.q, v=self.own_velocities if self.equations.damped else None
+            self.q, v=self.trajectory.v if self.equations.damped else None
         )
 
     @cached_property
-    def stepper(self) -> Stepper:
-        """The true motion over the plan's steps. Raises Unmeasured for somebody's FMU."""
-        return Stepper(self.kernel, self.held_inputs)
+    def typical_force(self) -> float:
+        """Yardstick of contact forces [N] (`forces.typical_force`); of an FMU the map's.
 
-    @cached_property
-    def departures(self) -> Departures:
-        """The velocities that lead from each of the plan's positions to the next."""
-        return self.stepper.departures(
-            self.q, self.start_velocity, np.array([item.nominal for item in self.scene.coordinates])
-        )
-
-    @cached_property
-    def own_velocities(self) -> np.ndarray:
-        """Velocities of the plan, (nodes, nq) [m/s or rad/s].
-
-        Where it says none, those that its positions take. Raises Unmeasured without positions.
+        Raises Unmeasured if the map states none.
         """
-        if "v" not in self.trajectory.missing:
-            return self.trajectory.v
-        return np.vstack([self.departures.v, self.departures.last])
-
-    def own_steps(self, v: np.ndarray) -> OwnSteps:
-        """The true motion over each step from the plan's positions and given velocities.
-
-        Parameters
-        ----------
-        v : (steps, nq) velocities at the starts of the steps [m/s or rad/s].
-
-        Raises
-        ------
-        Unmeasured : where it cannot be found.
-        """
-        own = self._own_steps.get(v.tobytes())
-        if own is None:
-            mass, start, end = self.masses[1:], self.q[:-1], self.q[1:]
-            typical = np.concatenate(
-                [
-                    sizes(mass, np.diff(v, axis=0, append=v[-1:])),
-                    sizes(mass, (end - start) / self.h[:, None] - v),
-                ]
-            )
-            nominal = float(
-                sizes(mass, np.array([item.nominal for item in self.scene.coordinates])).max()
-            )
-            scale = max(float(typical.max()), 1e-6 * nominal)
-            own = self._own_steps[v.tobytes()] = self.stepper.run(
-                np.hstack([start, v]),
-                lambda dv: sizes(mass, dv),
-                scale,
-                lambda: self.reference_force,
-            )
-        return own
+        if isinstance(self.scene, Scene):
+            return typical_force(self.scene, self.kernel)
+        stated = [item.nominal_force for item in self.scene.contacts]
+        known = [force for force in stated if force is not None]
+        if not known:
+            raise Unmeasured("the map states no nominal_force of a contact.")
+        return max(known)
 
     @cached_property
-    def reference_force(self) -> float:
-        """The force that unexplained ones are measured by, in the norm of M^-1 [kg^0.5 m/s^2].
+    def within_steps(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Positions and velocities of the plan at parts of its steps, (steps, nq) each.
 
-        The largest contact force of the replay, or a tenth of the inputs' range where that is more;
-        without contact their range, and without inputs the largest force of the motion, or what
-        moves it by its nominal within the plan. Raises Unmeasured without positions or equations.
+        Raises Unmeasured without positions.
         """
-        scene, kernel = self.equations, self.kernel
-        q = self.opened_q
-        v, u, none = np.zeros_like(q), np.zeros((len(q), scene.nu)), np.zeros((len(q), scene.nl))
-        mass, largest = self.masses_at(q), 0.0
-        still = kernel.acceleration(q, v, u, none)
-        for contact in range(scene.nc):
-            push = none.copy()
-            push[:, contact] = self.opened_lam[:, contact]
-            largest = max(
-                largest, float(sizes(mass, kernel.acceleration(q, v, u, push) - still).max())
-            )
-        share = _OF_RANGE if largest > 0.0 else 1.0
-        ranges = [item.upper - item.lower for item in scene.inputs]
-        for place, width in enumerate(ranges):
-            pull = u.copy()
-            pull[:, place] = share * (
-                width if np.isfinite(width) else 2.0 * np.abs(self.trajectory.u[:, place]).max()
-            )
-            largest = max(
-                largest, float(sizes(mass, kernel.acceleration(q, v, pull, none) - still).max())
-            )
-        if largest > 0.0:
-            return largest
-        nominal = (
-            np.array([item.nominal for item in scene.coordinates]) / self.trajectory.duration**2
-        )
-        return max(float(sizes(mass, still).max()), float(sizes(mass, nominal).max()))
+        return within_steps(self.q, self.trajectory.v, np.diff(self.trajectory.t))
 
     @cached_property
-    def masses(self) -> np.ndarray:
-        """Mass matrices along the plan, (nodes, nq, nq) [kg or kg m^2].
+    def law_within(self) -> np.ndarray:
+        """Contact forces of the true law at parts of the plan's steps, (parts, steps, nc) [N].
 
         Raises Unmeasured without positions or equations.
         """
-        return self.masses_at(self.q)
-
-    def masses_at(self, q: np.ndarray) -> np.ndarray:
-        """Mass matrices (n, nq, nq) [kg or kg m^2] at positions q (n, nq).
-
-        Raises Unmeasured for somebody's FMU.
-        """
-        d = derive(self.equations)
-        mass = d.function(d.mass_matrix, d.q)
-        if d.structure.constant_mass and len(q):
-            return np.repeat(mass(q[0])[None], len(q), axis=0)
-        return np.array([np.array(mass(row), dtype=float).reshape(len(row), len(row)) for row in q])
+        damped = self.equations.damped
+        return np.array(
+            [
+                self.kernel.contact_force(q, v=v if damped else None)
+                for q, v in zip(*self.within_steps, strict=True)
+            ]
+        )
 
     @cached_property
-    def printing(self) -> dict[str, float]:
-        """Half a unit of the last printed digit of the plan's t, q, v, u and lam.
+    def laws(self) -> dict[str, np.ndarray]:
+        """Contact forces (steps, nc) [N] of the true law by each convention."""
+        return by_convention(self.law_within, self._replayed_means)
 
-        In the unit of the group.
-        """
-        plan, items = self.trajectory, self.scene.coordinates
-        nominal = min((item.nominal for item in items), default=1.0)
-        ranges = [item.upper - item.lower for item in self.scene.inputs]
-        largest = [
-            width if np.isfinite(width) else float(np.abs(plan.u[:, index]).max())
-            for index, width in enumerate(ranges)
-        ]
-        uniform = plan.has_uniform_grid() or bool(
-            np.allclose(np.diff(plan.t), self.scene.task.step, rtol=1e-9, atol=0.0)
+    @property
+    def _replayed_means(self) -> np.ndarray | None:
+        """Mean contact forces of the replay over the plan's steps, (steps, nc) [N]; None if unknown."""
+        if self._replay is None or not self._replay.ok or self._replay.contact_impulse is None:
+            return None
+        impulses = np.diff(self._replay.contact_impulse[self._replay.knots], axis=0)
+        return impulses / np.diff(self.trajectory.t)[:, None]
+
+    @cached_property
+    def convention(self) -> str:
+        """Convention by which the plan's contact forces are nearest to the law; empty if they are not stated."""
+        if "lam" in self.trajectory.missing or not self.scene.nc:
+            return ""
+        off = {name: self.h @ np.abs(self.lam - law) for name, law in self.laws.items()}
+        return min(off, key=lambda name: float(off[name].sum()))
+
+    @cached_property
+    def rounding_of_law(self) -> np.ndarray:
+        """Change of the contact forces by the rounding of the plan's positions, (steps, nc) [N]."""
+        d, rounding = derive(self.equations), self.rounding["q"]
+        if not rounding.any():
+            return np.zeros_like(self.lam)
+        jacobian = d.function(d.gap_jacobian, d.q)
+        moved = np.array(
+            [
+                np.abs(jacobian(q).reshape(self.scene.nc, -1)) @ r
+                for q, r in zip(self.q, rounding, strict=True)
+            ]
         )
+        return self.k * np.maximum(moved[:-1], moved[1:])
+
+    @cached_property
+    def impulse_yardstick(self) -> float:
+        """Contact impulse by which differences are measured [N s].
+
+        The impulse that plan and replay have in common, at least a typical force for a fiftieth of
+        the plan. Of an FMU whose map states no typical force the larger of the two impulses.
+        """
+        try:
+            least = self.typical_force * self.trajectory.duration / WINDOWS
+        except Unmeasured:
+            lam = np.maximum(self.replay.lam[:, : self.scene.nc], 0.0)
+            replayed = ((lam[:-1] + lam[1:]) / 2.0 * self.duration[:, None]).sum()
+            return max(self.planned_impulse, float(replayed))
+        try:
+            common = np.minimum(np.abs(self.lam), self.force_window[1])
+        except Unmeasured:
+            return least
+        return max(least, float(self.h @ common.sum(axis=1)))
+
+    @cached_property
+    def rounding(self) -> dict[str, np.ndarray]:
+        """By how much each number of the plan's q, v, u and lam may be rounded (`models.printed`)."""
+        plan, items = self.trajectory, self.scene.coordinates
+        nominals = np.array([item.nominal for item in items])
+        ranges = np.array([item.upper - item.lower for item in self.scene.inputs])
+        try:
+            force = self.typical_force
+        except Unmeasured:
+            force = 0.0
         return {
-            # Of a grid that is no grid to all its digits; a tenth of a step may be lost so.
-            "t": 0.0 if uniform else half_unit(plan.t, 200.0 * float(np.diff(plan.t).min())),
-            "q": half_unit(plan.q, nominal),
-            "v": half_unit(plan.v, nominal),
-            "u": half_unit(plan.u, min(largest, default=0.0)),
-            "lam": half_unit(plan.lam, float(np.abs(plan.lam).max(initial=0.0))),
+            "q": columns_rounding(plan.q, nominals),
+            "v": columns_rounding(plan.v, nominals),
+            "u": columns_rounding(plan.u, np.where(np.isfinite(ranges), ranges, 0.0)),
+            "lam": columns_rounding(plan.lam, force),
         }
 
     @cached_property
     def printing_acceleration(self) -> float:
         """By how much printing may change an acceleration of the plan [m/s^2, rad/s^2]: tried by rounding states, inputs and true forces anew."""
-        plan, size = self.trajectory, self.printing
-        if not any(size[group] for group in ("q", "v", "u", "lam")):
+        plan, size = self.trajectory, self.rounding
+        if not any(part.any() for part in size.values()):
             return 0.0
         random = np.random.default_rng(0)
 
@@ -406,7 +362,8 @@ class Evidence:
 
                 Raises KeyError for no group.
                 """
-                return values + scale * size[group] * random.choice((-1.0, 1.0), size=values.shape)
+                signs = random.choice((-1.0, 1.0), size=values.shape)
+                return values + scale * size[group][: len(values)] * signs
 
             q, v, u = moved("q", plan.q[:-1]), moved("v", plan.v[:-1]), moved("u", plan.u)
             lam = plan.lam.copy()
@@ -424,12 +381,24 @@ class Evidence:
         return HeldInputs(self.trajectory)
 
     @property
-    def start_velocity(self) -> np.ndarray:
-        """Velocities of the task's start, (nq,) [m/s or rad/s].
+    def task_start(self) -> np.ndarray:
+        """Where the task starts, (2*nq,) [m or rad], then [m/s or rad/s]: of an FMU its own state at the start.
 
-        Raises TypeError where the task gives none.
+        Raises Unmeasured without a whole replay of an FMU.
         """
-        return np.array(self.scene.task.start[self.scene.nq :], dtype=float)
+        if isinstance(self.scene, Scene):
+            return np.array(self.scene.task.start, dtype=float)
+        return np.concatenate([self.replay.q[0], self.replay.v[0]])
+
+    @property
+    def has_inertia(self) -> bool:
+        """Whether velocities are states: of every external FMU, and of scenes without a relaxation time."""
+        return not isinstance(self.scene, Scene) or self.scene.relaxation_index is None
+
+    @property
+    def start_velocity(self) -> np.ndarray:
+        """Velocities of the task's start, (nq,) [m/s or rad/s]."""
+        return self.task_start[self.scene.nq :]
 
     @property
     def friction(self) -> np.ndarray:
@@ -446,12 +415,58 @@ class Evidence:
         At the start of the step; of a plan that declares no scheme at both its ends. Raises
         Unmeasured without positions or equations.
         """
-        forces, kernel = self.trajectory.lam, self.kernel
-        first = np.maximum(kernel.friction_limit(self.q[:-1], forces), 0.0)
+        kernel, (first, *_, last) = self.kernel, self.pressing
+        begins = np.maximum(kernel.friction_limit(self.q[:-1], first), 0.0)
         if self.trajectory.scheme is not None:
-            return first, first
-        last = np.maximum(kernel.friction_limit(self.q[1:], forces), 0.0)
-        return np.minimum(first, last), np.maximum(first, last)
+            return begins, begins
+        ends = np.maximum(kernel.friction_limit(self.q[1:], last), 0.0)
+        return np.minimum(begins, ends), np.maximum(begins, ends)
+
+    @cached_property
+    def pressing(self) -> np.ndarray:
+        """Contact forces that press on frictions at parts of the plan's steps, (parts, steps, nl) [N]: the plan's, or the law's if it states none."""
+        parts = len(self.within_steps[0])
+        forces = np.repeat(self.trajectory.lam[None], parts, axis=0)
+        if "lam" in self.trajectory.missing:
+            forces[:, :, : self.scene.nc] = self.law_within
+        return forces
+
+    @cached_property
+    def friction_excess(self) -> np.ndarray:
+        """By how much each friction force exceeds mu N of its own convention and all rounding, (steps, nf) [N].
+
+        Raises Unmeasured without positions or equations.
+        """
+        limits = np.array(
+            [
+                np.maximum(self.kernel.friction_limit(q, lam), 0.0)
+                for q, lam in zip(self.within_steps[0], self.pressing, strict=True)
+            ]
+        )
+        more = self.rounding["lam"][:, : self.scene.nc] + (
+            self.rounding_of_law if self.scene.nc else 0.0
+        )
+        moved = self.trajectory.lam.copy()
+        moved[:, : self.scene.nc] = self.pressing[0][:, : self.scene.nc] + more
+        rounded = self.kernel.friction_limit(self.q[:-1], moved) - self.kernel.friction_limit(
+            self.q[:-1], self.pressing[0]
+        )
+        allowed = self.rounding["lam"][:, self.scene.nc :] + np.abs(rounded)
+        if self.trajectory.scheme is not None:
+            known = [limits[0]]
+        else:
+            found = by_convention(limits, None)
+            known = [found[self.convention]] if self.convention in found else [*found.values()]
+        over = [np.maximum(np.abs(self.friction) - limit - allowed, 0.0) for limit in known]
+        return min(over, key=lambda excess: float(self.h @ excess.sum(axis=1)))
+
+    @property
+    def typical_friction(self) -> np.ndarray:
+        """Mu N of a typical force at the task's start, (nf,) [N]."""
+        lam = np.full((1, self.scene.nl), self.typical_force if self.scene.nc else 0.0)
+        return np.maximum(
+            self.kernel.friction_limit(self.task_start[None, : self.scene.nq], lam)[0], 0.0
+        )
 
     @cached_property
     def slip(self) -> np.ndarray:
@@ -640,24 +655,6 @@ class Evidence:
         self.need("gap")
         return self.replay.gap
 
-    @property
-    def opened_q(self) -> np.ndarray:
-        """Positions of the replay of the inputs alone, as far as it got, (n, nq) [m or rad].
-
-        Without one the plan's.
-        """
-        return (
-            self.trajectory.q if self._replay is None or not len(self._replay.t) else self._replay.q
-        )
-
-    @property
-    def opened_lam(self) -> np.ndarray:
-        """Contact forces that belong to `opened_q`, (n, nc) [N].
-
-        Raises Unmeasured without a replay and without positions of the plan.
-        """
-        return self.law if self._replay is None or not len(self._replay.t) else self._replay.lam
-
     @cached_property
     def force_window(self) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest of the replay's contact forces within a step of each of the plan's, (steps, nc) each [N].
@@ -690,44 +687,3 @@ class Evidence:
         Raises Unmeasured without a whole replay.
         """
         return np.diff(self.replay.t)
-
-
-def _without_repeats(
-    t: np.ndarray, q: np.ndarray, v: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows whose times increase."""
-    rows = np.flatnonzero(np.diff(t, prepend=-np.inf) > 0.0)
-    return t[rows], q[rows], v[rows]
-
-
-def _at_times(
-    times: np.ndarray, t: np.ndarray, q: np.ndarray, v: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """q, v at `times`: rows where there are such, as there are in the replay of a plan on the task's own grid; else of the cubics between rows."""
-    near = np.minimum(np.searchsorted(t, times * (1.0 - 1e-12)), len(t) - 1)
-    if np.allclose(t[near], times, rtol=1e-12, atol=0.0):
-        return q[near], v[near]
-    from scipy.interpolate import CubicHermiteSpline  # 0.3 CPU s to import
-
-    motion = CubicHermiteSpline(t, q, v)
-    return motion(times), motion(times, 1)
-
-
-def sizes(mass: np.ndarray, dv: np.ndarray) -> np.ndarray:
-    """Size of changes of velocity in the norm of the mass matrix: sqrt(dv' M dv).
-
-    Parameters
-    ----------
-    mass : (n, nq, nq) [kg or kg m^2].
-    dv : (n, nq) or (nq,) changes [m/s or rad/s].
-
-    Returns
-    -------
-    (n,) [kg^0.5 m/s]
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
-    """
-    dv = np.broadcast_to(dv, mass.shape[:2])
-    return np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", dv, mass, dv), 0.0))

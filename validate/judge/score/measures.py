@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from models.dynamics import derive
+from models.limits import REPLAY_ERROR, WINDOWS
 from models.scene import Scene
-from models.scene.goal import distance, goal_state
+from models.scene.goal import distance
 from models.schemes import Scheme
 from models.trajectory import Hold
 from validate.judge.replay.result import Difference, Event
@@ -18,6 +20,7 @@ from validate.judge.replay.subject import Subject
 from validate.judge.score import equations as eq
 from validate.judge.score.depths import deepest
 from validate.judge.score.evidence import Evidence
+from validate.judge.score.forces import force_window
 from validate.judge.score.verdict import Contradicted, LeavesBounds, Unmeasured
 
 DEFECT = 1e-6
@@ -30,6 +33,8 @@ _CLEARLY = 1e-2
 # Forces are a multiple of the law's where that leaves this share of what the law itself leaves, or
 # less.
 _EXPLAINED = 0.1
+# Largest share of forces that fall while the gap closes, of a law by the gap alone.
+_MONOTONE = 0.05
 # Where next to nothing moves, energy is measured by this share of what moving at nominal speeds
 # would take.
 _AT_REST = 1e-3
@@ -58,20 +63,18 @@ def _nominals(scene: Subject) -> np.ndarray:
 
 
 def start_error(case: Evidence) -> Measured:
-    """Distance of the plan's first state from the task's start, of each component."""
-    nominals, task = _nominals(case.scene), case.equations.task
-    asked = np.abs(goal_state(task) - np.array(task.start))
+    """Distance of the plan's first state from where the replay starts, of each component."""
+    start, nominals = case.task_start, _nominals(case.scene)
+    asked = np.abs(case.goal - start)
     # A task of a micrometre is not started a millionth of a metre away.
     scales = np.fmin(np.concatenate([nominals, nominals]), np.where(asked > 0.0, asked, np.nan))
-    off = np.abs(case.trajectory.start - np.array(case.scene.task.start))
-    # Without inertia the velocity at the start is what the inputs make it: the task's says nothing.
-    said = "v" not in case.trajectory.missing and case.equations.relaxation_index is None
+    off = np.abs(np.concatenate([case.q[0], case.trajectory.v[0]]) - start)
+    # Without inertia the inputs decide the velocity at the start.
+    said = "v" not in {*case.trajectory.missing, *case.lacking} and case.has_inertia
     return Measured(
         values=off if said else off[: case.scene.nq],
         scales=scales if said else scales[: case.scene.nq],
-        allowed=np.repeat([case.printing["q"], case.printing["v"]], case.scene.nq)
-        if said
-        else case.printing["q"],
+        allowed=np.concatenate([case.rounding[of][0] for of in ("q", *(["v"] if said else []))]),
     )
 
 
@@ -97,7 +100,7 @@ def bound_violation(case: Evidence) -> Measured:
     return Measured(
         values=eq.outside(applied, lower, upper),
         scales=_ranges(lower, upper),
-        allowed=case.printing["u"],
+        allowed=case.rounding["u"].max(axis=0, initial=0.0),
     )
 
 
@@ -112,7 +115,7 @@ def velocity_bound_violation(case: Evidence) -> Measured:
     """At the starts of the steps: the end belongs to the goal."""
     bounds = _velocity_bounds(case)
     values = eq.outside(case.v[:-1], *bounds)
-    return Measured(values=values, scales=_ranges(*bounds), allowed=case.printing["v"])
+    return Measured(values=values, scales=_ranges(*bounds), allowed=case.rounding["v"].max(axis=0))
 
 
 def _ranges(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -136,7 +139,8 @@ def terminal_position_error(case: Evidence) -> Measured:
     """Euclidean distance of the plan's last positions from the goal."""
     nq = case.scene.nq
     return Measured(
-        values=distance(case.q[-1], case.goal[:nq]), allowed=case.printing["q"] * np.sqrt(nq)
+        values=distance(case.q[-1], case.goal[:nq]),
+        allowed=float(np.linalg.norm(case.rounding["q"][-1])),
     )
 
 
@@ -144,14 +148,14 @@ def terminal_velocity_error(case: Evidence) -> Measured:
     """Euclidean distance of the plan's last velocities from the goal."""
     nq = case.scene.nq
     return Measured(
-        values=distance(case.v[-1], case.goal[nq:]), allowed=case.printing["v"] * np.sqrt(nq)
+        values=distance(case.v[-1], case.goal[nq:]),
+        allowed=float(np.linalg.norm(case.rounding["v"][-1])),
     )
 
 
-def cost(case: Evidence) -> Measured:
-    """The task's cost of the plan; what it does between its rows is the replay's to say."""
-    value = case.cost_of(case.trajectory.t, case.q, case.v, case.trajectory.u)
-    return Measured(values=value, allowed=case.cost_between_rows)
+def cost(case: Evidence) -> float:
+    """The task's cost as the plan's own method counts it."""
+    return case.cost_of_rows
 
 
 # Question 3
@@ -165,7 +169,7 @@ def physics(case: Evidence) -> float:
 def physics_scaled(case: Evidence) -> Measured:
     """Complementarity violation, the same on any grid [s]."""
     value = eq.physics_scaled(lam=case.lam, push=case.push, k=case.k, length=case.length, h=case.h)
-    p_lam, p_push = case.printing["lam"], case.k * case.printing["q"]
+    p_lam, p_push = case.rounding["lam"][:, : case.scene.nc], case.rounding_of_law
     rounded = (
         p_lam * (2.0 * np.abs(case.lam) + np.abs(case.push))
         + np.abs(case.lam) * p_push
@@ -178,30 +182,59 @@ def physics_scaled(case: Evidence) -> Measured:
 
 
 def contact_law_error(case: Evidence) -> Measured:
-    """Impulse by which planned contact forces lie outside the range of the true law over their step [N s]."""
-    within, nc = case.own_steps(case.own_velocities[:-1]), case.scene.nc
-    value = eq.contact_law_error(
-        lam=case.lam, law=case.law, least=within.least[:, :nc], most=within.most[:, :nc], h=case.h
+    """Impulse by which the planned contact forces miss the law, by the convention that suits them best [N s]."""
+    law = case.laws[case.convention]
+    touching = (case.lam != 0.0) | (law > 0.0) | (case.law_within.max(axis=0) > 0.0)
+    off = case.rounding["lam"][:, : case.scene.nc] + case.rounding_of_law
+    return Measured(
+        values=float(case.h @ np.abs(case.lam - law).sum(axis=1)),
+        scales=case.impulse_yardstick,
+        allowed=float(case.h @ (touching * off).sum(axis=1)) + _grazing(case),
     )
-    touching = (
-        (case.lam != 0.0)
-        | (np.maximum(case.law[:-1], case.law[1:]) > 0.0)
-        | (within.most[:, :nc] > 0.0)
-    )
-    off = case.printing["lam"] + case.k * case.printing["q"]
-    allowed = float((case.h[:, None] * touching * off).sum()) + _grazing(case)
-    return Measured(values=value, scales=case.planned_impulse, allowed=allowed)
+
+
+def contact_force_error(case: Evidence) -> Measured:
+    """Largest planned contact force beyond all that the law gives within a step of it, or below [N]."""
+    within = case.law_within
+    least, most = within.min(axis=0), within.max(axis=0)
+    with suppress(Unmeasured):
+        replayed = case.force_window
+        least, most = np.minimum(least, replayed[0]), np.maximum(most, replayed[1])
+    off = np.maximum(case.lam - most, least - case.lam)
+    allowed = case.rounding["lam"][:, : case.scene.nc] + case.rounding_of_law
+    value = float((off - allowed).max(initial=0.0))
+    return Measured(values=value, scales=case.typical_force)
+
+
+def velocity_error(case: Evidence) -> Measured:
+    """Largest integral of abs(v - dq/dt) over a tenth of the plan, of each position [m or rad].
+
+    The difference that rows as coarse as these show of the true motion is no fault of the plan.
+    """
+    t, q, v, step = case.trajectory.t, case.q, case.v, case.scene.task.step
+    off = eq.rate_misfit(t, q, v, step)
+    with suppress(Unmeasured):
+        case.need("v")
+        knots = case.replay.knots
+        off = off - eq.rate_misfit(t, case.replay_q, case.replay_v[knots], step)
+    nodes, shortest = slice(1, -1), np.maximum(np.minimum(np.diff(t)[1:], np.diff(t)[:-1]), step)
+    off -= case.rounding["v"][nodes] + 2.0 * case.rounding["q"][nodes] / shortest[:, None]
+    weights = (t[2:] - t[:-2]) / 2.0
+    sums = np.vstack([0.0 * v[:1], np.cumsum(weights[:, None] * np.maximum(off, 0.0), axis=0)])
+    ends = (t[1:] + t[:-1]) / 2.0
+    later = [np.interp(ends + (t[-1] - t[0]) / 10.0, ends, column) for column in sums.T]
+    return Measured(values=(np.array(later).T - sums).max(axis=0), scales=_nominals(case.scene))
 
 
 def times_the_law(case: Evidence) -> np.ndarray:
     """How many times what the contact law gives the planned forces are, (nc,) [-]: 1 of a contact without force.
 
-    Of the start, the end or the mean of each step. Raises Unmeasured where that does not explain
-    them far better than the law itself does.
+    By one convention for all. Raises Unmeasured where that does not explain them far better than
+    the law itself does.
     """
     h, lam, least = case.h[:, None], case.lam, np.inf
     times = np.ones(case.scene.nc)
-    for law in (case.law[:-1], case.law[1:], 0.5 * (case.law[:-1] + case.law[1:])):
+    for law in case.laws.values():
         given = (h * law**2).sum(axis=0)
         found = np.divide(
             (h * law * lam).sum(axis=0), given, out=np.ones_like(given), where=given > 0.0
@@ -212,6 +245,21 @@ def times_the_law(case: Evidence) -> np.ndarray:
     if not math.isfinite(least):
         raise Unmeasured("the planned contact forces are no multiple of those of contact.")
     return times
+
+
+def is_relaxed(case: Evidence) -> bool:
+    """Whether the planned contact forces follow a relaxed law: they push at open gaps, the less the wider the gap is."""
+    if "lam" in case.trajectory.missing or not isinstance(case.scene, Scene):
+        return False
+    depth = case.kernel.penetration(case.q[:-1])
+    for lam, pen in zip(case.lam.T, depth.T, strict=True):
+        order = np.argsort(pen, kind="stable")
+        sorted_lam = lam[order]
+        falls = float((np.maximum.accumulate(sorted_lam) - sorted_lam).sum())
+        apart = float(lam[pen < 0.0].clip(0.0).sum())
+        if apart > _CLEARLY * float(np.abs(lam).sum()) and falls <= _MONOTONE * float(lam.sum()):
+            return True
+    return False
 
 
 def _grazing(case: Evidence) -> float:
@@ -225,38 +273,26 @@ def _grazing(case: Evidence) -> float:
 
 def force_sign_violation(case: Evidence) -> Measured:
     """Largest planned contact force that pulls [N]."""
-    pulls = max(float(-case.lam.min(initial=0.0)), 0.0)
-    return Measured(
-        values=pulls, scales=float(np.abs(case.lam).max(initial=0.0)), allowed=case.printing["lam"]
-    )
+    pulls = np.maximum(-case.lam, 0.0) - case.rounding["lam"][:, : case.scene.nc]
+    return Measured(values=float(pulls.max(initial=0.0)), scales=case.typical_force)
 
 
 def friction_violation(case: Evidence) -> Measured:
-    """How far a planned friction force exceeds mu N, with N what the plan itself presses with [N]."""
-    limit = case.friction_limits[1]
-    pressing = np.abs(case.trajectory.lam[:, : case.scene.nc]).max(axis=1, initial=0.0)[:, None]
-    mu = np.divide(limit, pressing, out=np.zeros_like(limit), where=pressing > 0.0)
-    allowed = case.printing["lam"] * (1.0 + float(mu.max(initial=0.0)))
-    return Measured(
-        values=eq.friction_violation(case.friction, limit),
-        scales=float(limit.max(initial=0.0)),
-        allowed=allowed,
-    )
+    """How far planned friction forces exceed mu N of their own rows, of each friction [N]."""
+    return Measured(values=case.friction_excess.max(axis=0), scales=case.typical_friction)
 
 
 def friction_dissipation_error(case: Evidence) -> Measured:
     """Power mu N |s| + f s that friction does not dissipate as it must, of each friction [W]."""
     (least, most), slip = case.friction_limits, case.slip
-    values = eq.friction_dissipation_error(case.friction, least, most, slip)
     nominal = np.array([item.nominal for item in case.scene.frictions])
-    largest = most.max(axis=0, initial=0.0)
-    p_slip = 2.0 * (
-        case.printing["v"] + float(np.abs(case.v).max(initial=0.0)) * case.printing["q"]
+    moving = np.abs(case.v[:-1]).max(axis=1) * case.rounding["q"][:-1].max(axis=1)
+    p_slip = 2.0 * (case.rounding["v"][:-1].max(axis=1) + moving)[:, None]
+    allowed = 2.0 * most * p_slip + 2.0 * case.rounding["lam"][:, case.scene.nc :] * np.abs(slip)
+    values = eq.friction_dissipation_error(case.friction, least, most, slip) - allowed
+    return Measured(
+        values=np.maximum(values, 0.0).max(axis=0), scales=case.typical_friction * nominal
     )
-    allowed = 2.0 * largest * p_slip + 2.0 * case.printing["lam"] * np.abs(slip).max(
-        axis=0, initial=0.0
-    )
-    return Measured(values=values, scales=largest * nominal, allowed=allowed)
 
 
 # Question 4
@@ -269,7 +305,7 @@ def replay_error(case: Evidence) -> Measured:
         values=values,
         error=case.error.position,
         scales=_nominals(case.scene),
-        allowed=case.printing["q"],
+        allowed=case.rounding["q"].max(axis=0),
     )
 
 
@@ -292,14 +328,10 @@ def replay_terminal_velocity_error(case: Evidence) -> tuple[float, float]:
 
 def replay_cost(case: Evidence) -> tuple[float, float]:
     """The task's cost of the replay, and its error."""
-    replay = case.replay
+    replay, error = case.replay, case.error.state
     u = case.trajectory.u if replay.applied is None else replay.applied
     case.need("q", "v")
-    own = bool(
-        (case.h == case.scene.task.step).all()
-    )  # else all rows tell more than those at the plan's nodes
-    rows, error = replay.knots if own else np.arange(len(replay.t)), case.error.state
-    t, q, v = replay.t[rows], replay.q[rows], replay.v[rows]
+    t, q, v = replay.t, replay.q, replay.v
     value = case.cost_of(t, q, v, u)
     around = (
         [case.cost_of(t, q + sign * error, v + sign * error, u) for sign in (1.0, -1.0)]
@@ -353,7 +385,9 @@ def halved(case: Evidence, near: float) -> Iterator[float]:
 def replay_limits(scene: Subject) -> np.ndarray:
     """How far each position of a replay may be from the plan's, (nq,) [m or rad], where that is asked. Raises nothing."""
     own, nominals = scene.limit("replay_error"), _nominals(scene)
-    return 1e-2 * nominals if own is None or own.value is None else np.full(scene.nq, own.value)
+    if own is None or own.value is None:
+        return REPLAY_ERROR * nominals
+    return np.full(scene.nq, own.value)
 
 
 # Question 5
@@ -420,13 +454,11 @@ def missed_impulse(case: Evidence) -> Measured:
 def _of_impulses(
     case: Evidence, window: Callable[[Evidence], np.ndarray], excess: Callable[[np.ndarray], float]
 ) -> Measured:
-    """Measured by the larger of the planned and the replayed contact impulse: a contact between two nodes may be planned with no force at all.
+    """Measured by the impulse that plan and replay have in common, or a typical force for a moment.
 
     excess: the impulse [N s], by one end of the window of the replay's forces, (steps, nc) [N].
     """
-    lam = np.maximum(case.replay.lam[:, : case.scene.nc], 0.0)
-    replayed = float(((lam[:-1] + lam[1:]) / 2.0 * case.duration[:, None]).sum())
-    printed = float(case.h.sum()) * case.scene.nc * case.printing["lam"]
+    printed = float((case.h[:, None] * case.rounding["lam"][:, : case.scene.nc]).sum())
     forces, lagging = window(case), case.replay.lagging
     value, error = excess(forces), _impulse_error(case)
     if (
@@ -439,7 +471,7 @@ def _of_impulses(
     return Measured(
         values=value,
         error=error,
-        scales=max(case.planned_impulse, replayed),
+        scales=case.impulse_yardstick,
         allowed=printed + _grazing(case),
     )
 
@@ -481,7 +513,8 @@ def replay_velocity_bound_violation(case: Evidence) -> Measured:
 
 def defect(case: Evidence) -> Measured:
     """How far the plan misses its declared scheme, of each component of the state."""
-    p_q, p_v, h = case.printing["q"], case.printing["v"], float(case.h.max())
+    p_q, p_v = (case.rounding[of].max(axis=0) for of in ("q", "v"))
+    h = float(case.h.max())
     scheme = case.trajectory.scheme
     if scheme is not Scheme.SEMI_IMPLICIT_EULER:
         # Stages are not stored: its forces are taken to be those of the true law there.
@@ -497,16 +530,15 @@ def defect(case: Evidence) -> Measured:
     return Measured(
         values=values,
         scales=np.concatenate([nominals, nominals]),
-        allowed=np.repeat([position, velocity], case.scene.nq),
+        allowed=np.concatenate([position, velocity]),
     )
 
 
 def _explained(case: Evidence) -> float:
     """What a defect at its limit explains if each step has one and none grows or dies: steps times 1e-6 of the nominal."""
-    return (
-        case.trajectory.steps * DEFECT * float(_nominals(case.scene).min())
-        + case.trajectory.steps * case.printing["q"]
-    )
+    return case.trajectory.steps * DEFECT * float(
+        _nominals(case.scene).min()
+    ) + case.trajectory.steps * float(case.rounding["q"].max(initial=0.0))
 
 
 def law_error(case: Evidence) -> Measured:
@@ -558,11 +590,35 @@ def energy_residual_relative(case: Evidence) -> float:
     return energy_residual(case) / max(turned, _AT_REST * typical)
 
 
-def friction_impulse_error(case: Evidence) -> float:
-    """Integral over time of the difference of planned and replayed friction [N s]."""
-    return eq.friction_impulse_error(
-        case.friction, case.step_of, case.replay.friction, case.duration
-    )
+def friction_impulse_error(case: Evidence) -> Measured:
+    """Impulse of planned friction beyond what the replay has within a step of it, or below [N s].
+
+    Frictions that hold a body together may share their load as they like: only what they do
+    together counts.
+    """
+    kernel, scene, nc = case.kernel, case.equations, case.scene.nc
+    least, most = force_window(case.replay.friction, case.step_of, case.trajectory.steps)
+    q, v, u = case.replay_q[:-1], case.replay_v[case.replay.knots[:-1]], case.trajectory.u
+    none = np.zeros_like(case.trajectory.lam)
+    still = kernel.acceleration(q, v, u, none)
+
+    def effect(friction: np.ndarray) -> np.ndarray:
+        """(steps, nq) accelerations by friction forces (steps, nf)."""
+        forces = none.copy()
+        forces[:, nc:] = friction
+        return kernel.acceleration(q, v, u, forces) - still
+
+    units = np.array([effect(row * np.ones((len(q), 1))) for row in np.eye(scene.nf)])
+    unit = np.abs(units).max(axis=0)
+    off = np.full(len(q), np.inf)
+    for true in (np.clip(case.friction, least, most), (least + most) / 2.0):
+        moved = np.abs(effect(case.friction - true))
+        share = np.divide(moved, unit, out=np.zeros_like(moved), where=unit > 0.0)
+        off = np.minimum(off, share.max(axis=1))
+    off -= case.rounding["lam"][:, nc:].max(axis=1)
+    held = float((np.abs(case.replay.friction[:-1]).sum(axis=1) * case.duration).sum())
+    least_impulse = float(case.typical_friction.max()) * case.trajectory.duration / WINDOWS
+    return Measured(values=float(case.h @ np.maximum(off, 0.0)), scales=max(held, least_impulse))
 
 
 # Closed forms that the scene states (models.scene.parts.Answer.measure): each measure gives a value

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from models.limits import FEEDBACK_EFFORT, FEEDBACK_SHARE, REPLAY_ERROR
 from models.scene import Scene
 from validate.judge.replay.result import Growth
 from validate.judge.replay.subject import Subject
@@ -23,7 +24,6 @@ from validate.judge.replay.wiring import Effort
 from validate.judge.score import measures
 from validate.judge.score.evidence import Evidence
 from validate.judge.score.measures import DEFECT, Measured
-from validate.judge.score.unexplained import LIMIT, unexplained_force
 from validate.judge.score.verdict import EFFORT, SHARE, TRACKED, LeavesBounds, Question, Unmeasured
 
 
@@ -38,8 +38,9 @@ class MetricEntry:
     default: the limit where the scene sets none, as a factor of the component's scale, with its
         reason; None: only a scene's limit judges it.
     needs: what the plan must say for the metric to be asked, of "q", "v", "lam", "friction",
-        "pressing" (what presses on a friction), "scheme", "no scheme", "no defect"; of_replay:
-    whether it is of the replay, and so has a twin where there is a replay with feedback.
+        "scheme", "no scheme"; of_replay:
+    whether it is of the replay, and so has a twin where there is a replay with feedback; limit_of:
+    the metric whose limit holds for this one too.
     """
 
     name: str
@@ -52,11 +53,12 @@ class MetricEntry:
     default: tuple[float, str] | None = None
     of_replay: bool = False
     quoted: str = ""
+    limit_of: str = ""
 
     @property
     def limited_by(self) -> str:
         """By which metric a scene limits this one."""
-        return self.name.removeprefix(TRACKED)
+        return self.limit_of or self.name.removeprefix(TRACKED)
 
     def unit(self, scene: Subject) -> str:
         """Of all its components, each told once."""
@@ -137,7 +139,6 @@ TABLE = (
         question=Question.TASK,
         units=_states,
         measure=measures.start_error,
-        applies=_is_scene,
         needs=("q",),
         default=(
             1e-6,
@@ -189,6 +190,7 @@ TABLE = (
         measure=measures.terminal_position_error,
         applies=_has_goal_position,
         needs=("q",),
+        limit_of="replay_terminal_position_error",
         meaning="norm of q_T - q_f in the plan",
         quoted="the plan itself ends {} from the goal",
     ),
@@ -199,18 +201,20 @@ TABLE = (
         measure=measures.terminal_velocity_error,
         applies=_has_goal_velocity,
         needs=("v",),
+        limit_of="replay_terminal_velocity_error",
         meaning="norm of v_T - v_f in the plan",
         quoted="the plan itself ends with {} more or less than the goal's velocity",
     ),
     MetricEntry(
-        name="cost",
-        question=Question.GOAL,
-        units=_unit("1"),
-        measure=measures.cost,
-        applies=_is_scene,
-        needs=("q", "v"),
-        meaning="the task's cost of the plan: sum of the running cost over the task's steps, parts of a step for their part, and the final cost",
-        quoted="the plan itself costs {}",
+        name="velocity_error",
+        question=Question.FORCES,
+        units=_positions,
+        measure=measures.velocity_error,
+        needs=("q", "v", "no scheme"),
+        limit_of="replay_error",
+        default=(REPLAY_ERROR, "1e-2 of the nominal, as the replay may differ from the plan"),
+        meaning="largest integral of |v - dq/dt| over a tenth of the plan",
+        quoted="its velocities are not those of its positions: they would move it {} elsewhere in a tenth of the plan",
     ),
     MetricEntry(
         name="contact_law_error",
@@ -221,10 +225,21 @@ TABLE = (
         needs=("lam", "q", "no scheme"),
         default=(
             0.01,
-            "1 % of the planned contact impulse: forces of the start of a step, of its end and means over it all lie in the range",
+            "1 % of the contact impulse that plan and replay have in common, or of a typical force for a fiftieth of the plan",
         ),
-        meaning="impulse by which the planned contact forces lie outside the range of the true law over their step",
-        quoted="its contact forces are not those of its own motion: impulse {} outside what the contact law gives",
+        meaning="impulse by which the planned contact forces miss the true law at the start, the middle or the end of their steps, or in the mean: one of these for the whole plan",
+        quoted="its contact forces are not those of its own motion: impulse {} from what the contact law gives",
+    ),
+    MetricEntry(
+        name="contact_force_error",
+        question=Question.FORCES,
+        units=_unit("N"),
+        measure=measures.contact_force_error,
+        applies=lambda scene: _is_scene(scene) and _has_contacts(scene),
+        needs=("lam", "q", "no scheme"),
+        default=(5e-3, "0.5 % of a typical force: the one under which the scene rests"),
+        meaning="largest planned contact force above or below all that the contact law gives within a step of it",
+        quoted="a planned contact force is {} from what the contact law gives within a step of it",
     ),
     MetricEntry(
         name="physics_scaled",
@@ -247,7 +262,7 @@ TABLE = (
         measure=measures.force_sign_violation,
         applies=_has_contacts,
         needs=("lam",),
-        default=(1e-6, "1e-6 of the largest force: contact does not pull"),
+        default=(1e-6, "1e-6 of a typical force: contact does not pull"),
         meaning="largest planned contact force that pulls",
         quoted="a planned contact force pulls with {}",
     ),
@@ -257,9 +272,12 @@ TABLE = (
         units=_unit("N"),
         measure=measures.friction_violation,
         applies=_has_friction,
-        needs=("friction", "q", "pressing"),
-        default=(1e-4, "1e-4 of the largest mu N: more is force that friction does not have"),
-        meaning="by how much a planned friction force exceeds mu N, with N what the plan itself presses with",
+        needs=("friction", "q"),
+        default=(
+            1e-4,
+            "1e-4 of mu N of a typical force: more is force that friction does not have",
+        ),
+        meaning="by how much a planned friction force exceeds mu N, with N what the plan itself presses with, or the contact law where it states no contact forces",
         quoted="a planned friction force exceeds mu N by {}",
     ),
     MetricEntry(
@@ -268,8 +286,8 @@ TABLE = (
         units=_unit("W"),
         measure=measures.friction_dissipation_error,
         applies=_has_friction,
-        needs=("friction", "v", "pressing"),
-        default=(1e-4, "1e-4 of the largest mu N times the nominal slip: more is creep"),
+        needs=("friction", "q", "v"),
+        default=(1e-4, "1e-4 of mu N of a typical force times the nominal slip: more is creep"),
         meaning="largest mu N |s| + f s in the plan: slip that is not held back by all of mu N, as in creep",
         quoted="it slips without all of mu N holding it back, by {}",
     ),
@@ -280,7 +298,7 @@ TABLE = (
         measure=measures.replay_error,
         needs=("q",),
         of_replay=True,
-        default=(1e-2, "1e-2 of the nominal"),
+        default=(REPLAY_ERROR, "1e-2 of the nominal"),
         meaning="largest position difference between plan and replay at the plan's nodes",
         quoted="driven by its inputs the motion departs from the plan by {}",
     ),
@@ -311,22 +329,8 @@ TABLE = (
         measure=measures.replay_cost,
         applies=_is_scene,
         of_replay=True,
-        meaning="the task's cost of the replay, at the starts of the task's steps",
+        meaning="the task's cost of the replay: the integral of its running cost for each step of the task, and the final cost",
         quoted="driven by its inputs the motion costs {}",
-    ),
-    MetricEntry(
-        name="unexplained_force",
-        question=Question.MOTION,
-        units=_unit("1"),
-        measure=unexplained_force,
-        applies=_is_scene,
-        needs=("q", "no defect"),
-        default=(
-            LIMIT,
-            "10 % of what counts as a large force: as much as a step of a good grid leaves open",
-        ),
-        meaning="largest mean force over a step that inputs and true contact do not explain, from the plan's own states, as a share of what counts as a large one: the largest of contact, at least a tenth of the inputs' range; that range without contact; the largest of the motion without inputs",
-        quoted="its own motion needs a force that neither inputs nor contact give, {} of what counts as a large force",
     ),
     MetricEntry(
         name="max_penetration",
@@ -349,7 +353,10 @@ TABLE = (
         applies=_has_contacts,
         needs=("lam",),
         of_replay=True,
-        default=(0.01, "1 % of the contact impulse"),
+        default=(
+            0.01,
+            "1 % of the contact impulse that plan and replay have in common, or of a typical force for a fiftieth of the plan",
+        ),
         meaning="impulse of planned contact force that the replay has at no time within a step of it: force at a distance",
         quoted="contact that the replay does not have: impulse {}",
     ),
@@ -361,9 +368,27 @@ TABLE = (
         applies=_has_contacts,
         needs=("lam",),
         of_replay=True,
-        default=(0.01, "1 % of the contact impulse"),
+        default=(
+            0.01,
+            "1 % of the contact impulse that plan and replay have in common, or of a typical force for a fiftieth of the plan",
+        ),
         meaning="impulse of the replay's contact force beyond what is planned at any time within a step of it",
         quoted="contact that the plan does not have: impulse {}",
+    ),
+    MetricEntry(
+        name="friction_impulse_error",
+        question=Question.POSSIBLE,
+        units=_unit("N s"),
+        measure=measures.friction_impulse_error,
+        applies=lambda scene: _is_scene(scene) and _has_friction(scene),
+        needs=("friction", "q", "no scheme"),
+        of_replay=True,
+        default=(
+            0.1,
+            "a tenth of the replay's friction impulse, or of mu N of a typical force for a fiftieth of the plan",
+        ),
+        meaning="impulse of planned friction beyond what the replay has within a step of it, or below",
+        quoted="friction that the replay does not have: impulse {}",
     ),
     MetricEntry(
         name="replay_velocity_bound_violation",
@@ -452,6 +477,15 @@ TABLE = (
         quoted="the replay's energy does not balance by {} of what is turned over",
     ),
     MetricEntry(
+        name="cost",
+        question=Question.SHOWN,
+        units=_unit("1"),
+        measure=measures.cost,
+        applies=_is_scene,
+        needs=("q", "v"),
+        meaning="the task's cost as methods minimise it: the running cost at the starts of the plan's steps, and the final cost",
+    ),
+    MetricEntry(
         name="physics",
         question=Question.SHOWN,
         units=_unit("N^2"),
@@ -515,16 +549,6 @@ TABLE = (
         meaning="order with which the discretisation error shrinks as the plan's own grid is refined under its inputs",
     ),
     MetricEntry(
-        name="friction_impulse_error",
-        question=Question.SHOWN,
-        units=_unit("N s"),
-        measure=measures.friction_impulse_error,
-        applies=_has_friction,
-        needs=("friction",),
-        of_replay=True,
-        meaning="impulse of the difference between planned and replayed friction forces (sticking forces are not unique)",
-    ),
-    MetricEntry(
         name="energy_residual",
         question=Question.JUDGE,
         units=_unit("J"),
@@ -578,7 +602,7 @@ FEEDBACK = (
             np.isfinite((item.lower, item.upper)).all() for item in scene.inputs
         ),
         default=(
-            0.25,
+            FEEDBACK_EFFORT,
             "a quarter of what the inputs can give, in the root mean square, corrects a plan; more makes another one",
         ),
         meaning="root mean square of what the feedback added to the plan's inputs, as a share of half their range; the largest over the inputs",
@@ -590,10 +614,10 @@ FEEDBACK = (
         units=_unit("1"),
         measure=_plan_share,
         default=(
-            0.5,
-            "half of what the plan itself gives, in the root mean square, or half of the motion corrects a plan; more makes another one",
+            FEEDBACK_SHARE,
+            "a quarter of what the plan itself gives, in the root mean square, corrects a plan; more makes another one",
         ),
-        meaning="root mean square of what the feedback added, as a share of that of the plan's own inputs, all inputs in halves of their ranges; or, where that is more, its part of the motion that both make",
+        meaning="root mean square of what the feedback added, as a share of that of the plan's own inputs, all inputs in halves of their ranges and averaged over a fiftieth of the plan",
         quoted="the RMS effort of the feedback is {} of what the plan's own inputs do",
     ),
     MetricEntry(

@@ -13,9 +13,8 @@ where one is, else yes. Where the judge is not well nothing that the replay says
 4 and 5 are undecided.
 
 The verdict of all: no plan | violates, if an asked question surely fails, even behind an undecided
-one | undecided | holds. Where question 4 fails or is undecided and the plan's own motion is
-consistent (unexplained_force of a plan without a scheme, defect of one with), limited feedback may
-help: questions 4 and 5 are then asked of the replay with feedback, with the same limits.
+one | undecided | holds. Where question 4 fails or is undecided, limited feedback may help:
+questions 4 and 5 are then asked of the replay with feedback, with the same limits.
 
 What the judge says: metrics, the answers to its questions, and a verdict with the sentence that
 decided it.
@@ -76,7 +75,7 @@ class Question(Enum):
 
     TASK = "Is it a plan of this task?"
     GOAL = "Does it say that it reaches the goal?"
-    FORCES = "Is what it claims of its forces physical?"
+    FORCES = "Is what it claims of its velocities and forces physical?"
     MOTION = "Do its inputs give its motion, and the goal?"
     POSSIBLE = "Is the replayed motion possible?"
     SCHEME = "Does it solve its own discrete equations?"
@@ -201,8 +200,6 @@ TRACKED = "tracked_"
 _OF_REPLAY = (Question.MOTION, Question.POSSIBLE)
 # Of the plan alone, which feedback cannot mend.
 _NOT_MENDED = (Question.TASK, Question.GOAL, Question.FORCES, Question.SCHEME)
-# Whether a plan's own motion is consistent, so that it can be followed: the one that was asked.
-_CONSISTENCY = ("unexplained_force", "defect")
 
 
 def compare(value: float, error: float, limit: float, margin: float = MARGIN) -> bool | None:
@@ -259,20 +256,11 @@ def is_of_feedback(name: str) -> bool:
 
 
 def wants_feedback(metrics: Sequence[Metric]) -> bool:
-    """Whether feedback is to be tried.
-
-    Where question 4 is not answered yes by the inputs alone, the plan's own motion is consistent,
-    and nothing else that feedback cannot mend surely fails.
-    """
+    """Return whether question 4 fails or is undecided and nothing that feedback cannot change surely fails."""
     found = answers(metrics)
-    if found[Question.MOTION] not in ("no", "undecided") or "no" in [
+    return found[Question.MOTION] in ("no", "undecided") and "no" not in [
         found[question] for question in _NOT_MENDED
-    ]:
-        return False
-    consistency = [
-        metric.ok for metric in metrics if metric.name in _CONSISTENCY and metric.is_judged
     ]
-    return bool(consistency) and all(ok is True for ok in consistency)
 
 
 def verdict_of(found: dict[Question, Answer]) -> Verdict:

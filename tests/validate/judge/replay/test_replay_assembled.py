@@ -34,7 +34,7 @@ MODEL = ForeignModel(
     name="cart", coordinates=(ForeignCoordinate(name="x", velocity_name="v"),),
     inputs=(ForeignInput(name="F"),),
     contacts=(ForeignContact(name="stop", force_name="lam", gap_name="gap"),),
-    task=ForeignTask(start=(None, None), goal=(None, 2.0), step=0.1, horizon=3.0),
+    task=ForeignTask(goal=(None, 2.0), step=0.1, horizon=3.0),
     notes=("a note of the map.",),
 )  # fmt: skip
 
@@ -42,7 +42,7 @@ MODEL = ForeignModel(
 LAW = Feedback(
     gains=np.zeros((2, 1, 2)), reference=np.zeros((3, 2)), u=np.array([[1.0], [2.0]]),
     lower=np.array([-9.0]), upper=np.array([9.0]),
-    scale=np.array([9.0]), loop=np.zeros((2, 2, 2)), push=np.zeros((2, 2, 1)),
+    scale=np.array([9.0]),
 )  # fmt: skip
 
 
@@ -439,7 +439,7 @@ def test_a_scene_is_replayed_with_feedback_where_its_replay_asks_for_it(
         NO_FMU,
         VARIABLES,
         plan,
-        [0.0, 0.0],
+        [0.0, 0.8],
     )
     assert (job.tolerances, job.fineness, job.event_budget, job.parts, job.max_step) == (
         (1e-11, 1e-13), (50, 100, 200), 10_000, 3, math.inf,

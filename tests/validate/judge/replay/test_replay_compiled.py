@@ -427,7 +427,7 @@ def test_with_feedback_each_step_is_asked_for_with_the_state_before_it(
     law = Feedback(
         gains=np.ones((3, 1, 2)), reference=np.zeros((4, 2)), u=np.ones((3, 1)),
         lower=np.array([-100.0]), upper=np.array([100.0]),
-        scale=np.array([1.0]), loop=np.zeros((3, 2, 2)), push=np.zeros((3, 2, 1)),
+        scale=np.array([1.0]),
     )  # fmt: skip
     run, answering, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, feedback=law)
     assert answering.calls == [(0, 1), (1, 2), (2, 3)]

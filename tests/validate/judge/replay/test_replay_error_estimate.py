@@ -469,7 +469,7 @@ def lagged(outcome: ReplayOutcome, method: str, known: Difference | None) -> tup
     model = ForeignModel(
         name="s", coordinates=(ForeignCoordinate(name="x", velocity_name="v"),), inputs=(),
         contacts=(ForeignContact(name="c", force_name="l", gap_name="g"),),
-        task=ForeignTask(start=(None, None), goal=(None, None), step=0.1),
+        task=ForeignTask(goal=(None, None), step=0.1),
     )  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Job, "run", simulate)

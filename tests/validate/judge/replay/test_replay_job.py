@@ -158,7 +158,7 @@ def test_a_child_is_asked_for_all_of_a_job(monkeypatch: pytest.MonkeyPatch):
 def test_a_child_is_given_the_feedback_and_an_endless_step(monkeypatch: pytest.MonkeyPatch):
     feedback = Feedback(
         gains=np.zeros(1), reference=np.ones(1), u=np.ones(2), lower=np.ones(3), upper=np.ones(4),
-        scale=np.ones(5), loop=np.ones(6), push=np.ones(7)
+        scale=np.ones(5)
     )  # fmt: skip
     constant = replace(PLAN, hold=Hold.ZERO_ORDER, u_end=None)
     _, requests = asked(

@@ -102,7 +102,7 @@ def test_what_cannot_be_asked_says_how_to_make_it_askable(wired: Wire):
     told = "\n".join(wired(BARE, "t,F\n0,1\n1,\n")[0].model.not_asked)
     assert not unsaid(
         told, "duration_error: the map gives no [task] duration",
-        "start_error: the map's [start] gives no number", "the map gives no [goal]",
+        "the map gives no [goal]",
         "max_penetration, ghost_impulse, missed_impulse: the map names no [contacts]",
     )  # fmt: skip
     assert not unsaid(
@@ -470,6 +470,8 @@ plan = {{ time = "the time" }}
 {json.dumps(f"u {name}", ensure_ascii=False)} = {{ variable = {json.dumps(f"{name} in", ensure_ascii=False)}, scale = 0.001 }}
 [positions]
 {key} = {{ variable = {key}, scale = 0.001, unit = "m" }}
+[start]
+{key} = {key}
 [contacts.{key}]
 gap = {{ variable = {json.dumps(f"{name} gap", ensure_ascii=False)}, scale = 0.001 }}
 """
@@ -506,9 +508,9 @@ def test_any_name_of_variables_columns_and_contacts_works(
 def test_any_name_works_without_a_map(folder: Path, wired: Wire, name: str):
     renamed(folder / "equal.fmu", {"body.pos": name})
     quoted = f'"{name}"'
-    foreign, plan = wired(None, f"t,{quoted},drive.force\n0,100,0\n0.1,100,\n", "equal.fmu")
+    foreign, plan = wired(None, f"t,{quoted},drive.force\n0,0,0\n0.1,100,\n", "equal.fmu")
     assert [item.name for item in foreign.model.coordinates] == [name]
-    assert plan.q[0, 0] == 100.0
+    assert plan.q[1, 0] == 100.0
 
 
 def test_friction_forces_of_a_plan_are_told_and_nothing_is_asked_of_them(folder: Path, wired: Wire):
@@ -517,10 +519,10 @@ def test_friction_forces_of_a_plan_are_told_and_nothing_is_asked_of_them(folder:
     A map has no place for them either. What is no force is a position.
     """
     scene = load_scene("transport")
-    q = np.zeros((3, 2))
+    q, v = (np.tile(part, (3, 1)) for part in np.split(np.array(scene.task.start), 2))
     write_csv(
         folder / "cargo.csv",
-        Trajectory(t=np.arange(3.0), q=q, v=q, u=q[1:, :1], lam=np.ones((2, 3))),
+        Trajectory(t=np.arange(3.0), q=q, v=v, u=np.zeros((2, 1)), lam=np.ones((2, 3))),
         scene,
     )
     foreign, read = wire(
@@ -531,7 +533,7 @@ def test_friction_forces_of_a_plan_are_told_and_nothing_is_asked_of_them(folder:
     for model in (foreign.model, wired(BARE, "t,F,friction_belt\n0,1,0.5\n0.1,,\n")[0].model):
         assert not unsaid(model.notes[-1], "friction forces (friction_belt)")
     renamed(folder / "angle.fmu", {"body.pos": "friction_angle"})
-    angle = wired(None, "t,friction_angle,drive.force\n0,100,0\n0.1,100,\n", "angle.fmu")[0].model
+    angle = wired(None, "t,friction_angle,drive.force\n0,0,0\n0.1,100,\n", "angle.fmu")[0].model
     assert [item.name for item in angle.coordinates] == ["friction_angle"]
 
 
@@ -570,9 +572,10 @@ def test_names_that_differ_in_case_alone_are_two(folder: Path, wired: Wire):
         (BARE.replace("\nF =", "\nt ="), "inputs.t: … 't' is that of the time (plan.time) already"),
         (BARE.replace('unit = "m/s"', 'unit = "m/s", column = "x"'),
          "velocities.x: … 'x' is that of positions.x already; give"),
-        (FULL_MAP + '[start]\n"drive.force" = 1\n',
+        (FULL_MAP.replace("[start]", '[start]\n"drive.force" = 1'),
          "start.drive.force: 'drive.force' is inputs.F already"),
-        (FULL_MAP + '[parameters]\n"body.mass" = 1\n[start]\n"body.mass" = 1\n',
+        (FULL_MAP.replace(
+            "[start]", '[parameters]\n"body.mass" = 1\n[start]\n"body.mass" = 1'),
          "start.body.mass: 'body.mass' is parameters.body.mass already"),
         (BARE + '[contacts.stop]\nforce = "stop.push"\ncolumn = "F"\n',
          "contacts.stop: … 'F' is that of inputs.F already"),
@@ -640,3 +643,21 @@ def test_hint_among_very_many_names_is_quick_and_right():
         r" \(near it: model\.part\[\d+\]\.länge_3, .*\)", hint("model.part[12345].lange_3", known)
     )
     assert time.process_time() - began < 3.0
+
+
+def test_first_row_other_than_the_start_is_refused(folder: Path, wired: Wire):
+    words = (
+        "map: start: the plan begins with x = 0.1, but the FMU starts at 0; add 'body.pos' = 'x'"
+    )
+    assert words in refusal(lambda: wired(BARE, "t,x,F\n0,0.1,1\n1,1,1\n"))
+    named = BARE + "[start]\n'body.pos' = 'x'\n"
+    foreign, _ = wired(named, "t,x,F\n0,0.1,1\n1,1,1\n")
+    assert foreign.start.tolist() == [100.0], "in the FMU's millimetres"
+
+
+def test_first_row_rounded_from_the_start_is_no_mistake(wired: Wire):
+    shifted = BARE.replace('scale = 0.001, unit = "m" }', "scale = 0.001, offset = 0.12345678 }")
+    wired(shifted, "t,x,F\n0,0.1234568,1\n1,0.2000001,1\n")
+    assert "the plan begins with x = 0.123457, but the FMU starts at 0.123457" in refusal(
+        lambda: wired(shifted, "t,x,F\n0,0.1234569,1\n1,0.2000001,1\n")
+    )

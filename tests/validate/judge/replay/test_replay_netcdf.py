@@ -243,7 +243,7 @@ def test_each_column_of_somebodys_replay_is_its_own(tmp_path: Path):
         )
     }
     model = ForeignModel(
-        name="cart", task=ForeignTask(start=(), goal=(), step=0.1),
+        name="cart", task=ForeignTask(goal=(), step=0.1),
         coordinates=(ForeignCoordinate(name="x", velocity_name="vx", unit="m", velocity_unit="m/s",
                                        description="place"),
                                        ForeignCoordinate(name="a", velocity_name="w", unit="rad",

@@ -59,7 +59,7 @@ def test_an_exact_plan_is_followed_where_alone_it_falls(scene: Scene, plans: dic
         > (told.value("tracked_replay_terminal_velocity_error") or 1.0)
     )
     assert (told.value("feedback_effort") or 1.0) < 0.25
-    assert (told.value("feedback_share") or 1.0) < 0.5
+    assert (told.value("feedback_share") or 1.0) < 0.25
     assert (told.value("tracked_energy_residual") or 1.0) < 1e-9
     planned = scene.task.step * plans["exact"].lam.sum()
     assert exact.tracked.contact_impulse[-1].sum() == pytest.approx(
@@ -74,17 +74,16 @@ def test_an_exact_plan_is_followed_where_alone_it_falls(scene: Scene, plans: dic
 def test_feedback_does_not_save_a_plan_whose_walls_push_from_a_distance(
     scene, plans, tells, declares
 ):
-    """With its forces in the plan, and with a plan that keeps them to itself, its scheme too: feedback is not even tried, and would not help."""
+    """With its forces in the plan, and with a plan that keeps them to itself, its scheme too."""
     plan = plans["cheat"]
     plan = plan if tells else replace(plan, lam=0.0 * plan.lam, missing=frozenset({"lam"}))
     plan = plan if declares else replace(plan, scheme=None)
     told = judge(scene, plan)
     assert told.verdict is Verdict.VIOLATES
-    assert told.replay.tracked is None
-    named = {(True, True): "physics_scaled", (True, False): "contact_law_error"}.get(
-        (tells, declares), "unexplained_force"
-    )
-    assert told.score.metric(named).ok is False
+    if tells:
+        assert told.replay.tracked is None
+        named = "physics_scaled" if declares else "contact_law_error"
+        assert told.score.metric(named).ok is False
     forced = score(scene, plan, replay(scene, build_fmu(scene), plan, track=True))
     assert (forced.verdict, forced.judged) == (Verdict.VIOLATES, "open")
 

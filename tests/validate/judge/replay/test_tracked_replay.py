@@ -116,6 +116,7 @@ def test_an_exact_plan_needs_no_feedback(scene: Scene, hold: Hold):
         slope = (u[min(step + 1, STEPS - 1), 0] - u[step, 0]) / H if hold is Hold.LINEAR else 0.0
         states.append(whole[:2] @ np.array([*states[-1], u[step, 0], slope]))
     plan = made(np.array(states), u, hold)
+    scene = scene.with_task(start=(0.01, -0.03))
     tracked = replay(scene, build_fmu(scene), plan, track=True).tracked
     assert tracked.effort.peak[0] < 1e-7
     assert np.abs(tracked.q[tracked.knots] - plan.q).max() < 1e-9
@@ -172,11 +173,10 @@ def test_files_hold_the_law_and_what_it_did(
 def test_a_plan_that_no_input_moves_is_not_saved_by_feedback(
     scene: Scene, still: Trajectory, caught: Replay
 ):
-    """It jumps upright by a claim: its own motion needs a force that nobody gives, so feedback is not tried, and its metrics judge nothing."""
+    """The plan's own inputs are zero: all that moves it is the feedback."""
     told = score(scene, still, caught)
-    assert told.metric("unexplained_force").ok is False
     assert (told.verdict, told.judged) == (Verdict.VIOLATES, "open")
-    assert judge_trajectory(scene, build_fmu(scene), still).replay.tracked is None
+    assert told.metric("feedback_share").ok is False
 
 
 @pytest.fixture(scope="module")
@@ -270,7 +270,7 @@ def test_the_command_is_content_with_feedback_unless_it_must_not_be(
     told = json.loads(capsys.readouterr().out)
     assert json.loads((tmp_path / "told/score.json").read_text()) == told
     assert (told["verdict"], told["judged"]) == ("holds with feedback", "feedback")
-    assert told["tracked"]["effort"]["plan_share"] < 0.5
+    assert told["tracked"]["effort"]["plan_share"] < 0.25
     assert {"tracked_replay_error", "feedback_effort", "feedback_share"} <= {
         metric["name"] for metric in told["metrics"]
     }
@@ -288,7 +288,7 @@ def test_without_a_replay_with_feedback_it_violates(reaching):
 
 @pytest.mark.parametrize(
     ("field", "name", "limit"),
-    [("rms_share", "feedback_effort", 0.25), ("plan_share", "feedback_share", 0.5)],
+    [("rms_share", "feedback_effort", 0.25), ("plan_share", "feedback_share", 0.25)],
 )
 def test_a_plan_that_feedback_must_replace_does_not_hold(
     reaching, field: str, name: str, limit: float

@@ -281,15 +281,6 @@ def test_weights_are_nominals_scales_and_at_the_end_all_steps_but_for_what_is_fr
     )
     assert law.reference[1].tolist() == [2.0, 3.0, -2.0, -3.0]
     assert law.u is plan.u
-    # 1 - 2/4 of each state, and the first is 2 m of 0.5 rad; a whole input, 4 N or 7 N, is as many
-    # nominals.
-    assert law.loop[0].tolist() == [
-        [0.5, 0.125, 0.5, 0.125],
-        [2.0, 0.5, 2.0, 0.5],
-        [0.5, 0.125, 0.5, 0.125],
-        [2.0, 0.5, 2.0, 0.5],
-    ]
-    assert law.push[0].tolist() == [[2.0, 3.5], [8.0, 14.0], [2.0, 3.5], [8.0, 14.0]]
 
 
 def test_an_fmu_is_linearised_in_its_units_and_told_in_the_plans(monkeypatch: pytest.MonkeyPatch):

@@ -33,7 +33,8 @@ from validate.processes.isolated import Limits
 
 SCENE = load_scene("three_cart")
 # A cart of 2 kg, thrown with 2 m/s and pushed with 4 N, before it meets the stop.
-FREE = FULL_MAP.partition("[contacts.stop]")[0] + "[limits]\nreplay_error = 3e-4\n"
+START = "[start]" + FULL_MAP.partition("[start]")[2].partition("[goal]")[0]
+FREE = FULL_MAP.partition("[contacts.stop]")[0] + START + "[limits]\nreplay_error = 3e-4\n"
 STEPS = 8
 TIME = 0.08
 FORCE = 4.0
@@ -215,7 +216,7 @@ def test_a_contact_between_two_rows_is_seen_and_as_deep_as_the_closed_form_says(
     build_foreign(tmp_path / "cart.fmu", kinds=kinds)
     limit = 0.103
     (tmp_path / "map.toml").write_text(
-        FULL_MAP.replace("[goal]", f"depth = {limit}\n[goal]"), encoding="utf-8"
+        FULL_MAP.replace("[start]", f"depth = {limit}\n[start]"), encoding="utf-8"
     )
     plan = write_plan(tmp_path / "plan.csv", "t,x,v_x,F", foreign_plan(1, 0.4))
     wired, found, expected = (

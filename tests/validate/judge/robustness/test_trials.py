@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from models.catalog import load_scene
 from models.errors import TrajectoryError
@@ -139,8 +140,10 @@ def test_where_the_end_is_free_what_the_motion_costs_is_asked():
         assert own.shares["replay_cost"] == pytest.approx(metric.value / metric.limit, rel=1e-5)  # type: ignore[operator]
         gain = next(item for item in perturbations(scene, judged.plan) if item.name == "gain of u")
         stuck = arena.trial(moved(arena.nominal, [gain], np.array([-50.0])))
-        theta, omega = stuck.states[:-1].T
-        cost = (theta**2 + omega**2).sum() + 20 * 0.1**2
+        fine = np.linspace(0.0, judged.plan.t[-1], 20001)
+        motion = CubicHermiteSpline(judged.plan.t, *stuck.states.T)
+        rate = motion(fine) ** 2 + motion(fine, 1) ** 2 + 0.1**2
+        cost = np.trapezoid(rate, fine) / scene.task.step
         assert stuck.shares["replay_cost"] == pytest.approx(cost / metric.limit), (  # type: ignore[operator]
             "what is commanded is paid, whatever the actuator makes of it"
         )

@@ -59,7 +59,7 @@ def following(given: Trajectory, most: float) -> Feedback:
     return Feedback(
         gains=np.tile([[1.0, 0.0]], (3, 1, 1)), reference=np.hstack([given.q, given.v]), u=given.u,
         lower=np.array([-9.0]), upper=np.array([most]),
-        scale=np.ones(1), loop=np.zeros((3, 2, 2)), push=np.zeros((3, 2, 1)),
+        scale=np.ones(1),
     )  # fmt: skip
 
 

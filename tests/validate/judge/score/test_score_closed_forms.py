@@ -15,8 +15,8 @@ from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.judge.replay.run import replay
 from validate.judge.score import Score, Verdict, equations, score
 from validate.judge.score.evidence import Evidence
+from validate.judge.score.forces import force_window
 from validate.judge.score.measures import MEASURES, ghost_impulse, missed_impulse
-from validate.judge.score.own_steps import force_window
 
 
 def judged(scene: Scene, *others: Scene) -> list[Score]:

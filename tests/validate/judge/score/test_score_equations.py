@@ -11,46 +11,8 @@ from models.scene.goal import distance
 from validate.judge.replay.result import Difference, Event
 from validate.judge.score import equations as eq
 from validate.judge.score import measures
-from validate.judge.score.equations import half_unit
-from validate.judge.score.own_steps import force_window
+from validate.judge.score.forces import force_window
 from validate.judge.score.verdict import Unmeasured
-
-# A contact that closes within the second of three steps of 0.1 s and is deepest at the end: the
-# law's force at the four nodes.
-LAW = np.array([[0.0], [0.0], [6.0], [10.0]])
-H = np.full(3, 0.1)
-
-
-# What it is within each step: nothing but a bounce between the first two nodes, which they do not
-# see.
-LEAST = np.minimum(LAW[:-1], LAW[1:])
-MOST = np.array([[3.0], [6.0], [11.0]])
-
-
-@pytest.mark.parametrize(
-    "forces",
-    [LAW[:-1], LAW[1:], (LAW[:-1] + LAW[1:]) / 2.0, MOST],
-    ids=["start", "end", "mean", "between"],
-)
-def test_forces_of_the_start_the_end_or_a_mean_of_a_step_are_those_of_contact(forces: np.ndarray):
-    assert eq.contact_law_error(forces, LAW, LEAST, MOST, H) == 0.0
-
-
-def test_forces_of_another_motion_are_counted_to_the_newton_second():
-    invented = LAW[:-1] + np.array([[5.0], [0.0], [0.0]])
-    assert eq.contact_law_error(invented, LAW, LEAST, MOST, H) == pytest.approx(0.1 * (5.0 - 3.0))
-    far = np.vstack([np.zeros((5, 1)), LAW])  # five steps before anything touches
-    least, most = np.minimum(far[:-1], far[1:]), np.maximum(far[:-1], far[1:])
-    planned = np.zeros((8, 1))
-    planned[1:3] = 4.0
-    planned[6:] = far[6:-1]
-    assert eq.contact_law_error(planned, far, least, most, np.full(8, 0.1)) == pytest.approx(
-        0.1 * 2 * 4.0
-    )
-    mirrored = -LAW[1:]
-    assert eq.contact_law_error(mirrored, LAW, LEAST, MOST, H) == pytest.approx(
-        0.1 * (0.0 + 6.0 + (10.0 + 6.0))
-    )
 
 
 def window(lam: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
@@ -97,50 +59,14 @@ def test_alternating_forces_are_not_excused(replayed: float):
     assert eq.excess_impulse(least, planned, h) == pytest.approx(0.1 * 5 * replayed)
 
 
-MOTION = np.random.default_rng(4).normal(size=(50, 3)) * np.array([1.0, 3.0, 20.0])
-
-
-@pytest.mark.parametrize("decimals", [3, 4, 6])
-def test_printed_decimals_are_found(decimals: int):
-    printed = np.array([float(f"{value:.{decimals}f}") for value in MOTION.ravel()]).reshape(
-        MOTION.shape
-    )
-    assert half_unit(printed, most=1e4) == pytest.approx(0.5 * 10.0**-decimals)
-    assert np.abs(printed - MOTION).max() <= half_unit(printed, most=1e4)
-
-
-@pytest.mark.parametrize("digits", [4, 7])
-def test_printed_digits_are_found(digits: int):
-    """%.4g of a motion that begins small: so many decimals that they are none that anybody chose.
-
-    The largest number has the coarsest unit, and counts.
-    """
-    motion = np.vstack([1e-5 * MOTION[:1], MOTION])
-    printed = np.array([float(f"{value:.{digits}g}") for value in motion.ravel()]).reshape(
-        motion.shape
-    )
-    assert half_unit(printed, most=1e4) == pytest.approx(
-        0.5 * 10.0 ** (2 - digits)
-    )  # the largest is some ten
-    assert np.abs(printed - motion).max() <= half_unit(printed, most=1e4)
-
-
-def test_few_decimals_are_decimals_though_the_largest_number_is_round():
-    """9.1234 beside 10.5: as five digits their unit would be 1e-3."""
-    assert half_unit(np.array([9.1234, 10.5, -0.0321]), most=10.0) == pytest.approx(5e-5)
-
-
-def test_all_digits_excuse_nothing_and_neither_do_round_numbers():
-    assert half_unit(MOTION, most=1.0) == 0.0
-    assert half_unit(np.zeros((5, 2)), most=1.0) == 0.0
-    assert (
-        half_unit(np.round(MOTION), most=1.0) == 0.0
-    )  # whole numbers are taken as they stand: half a metre is no rounding
-    assert half_unit(np.round(MOTION), most=1000.0) == pytest.approx(
-        0.5
-    )  # but it is where kilometres count
-    assert half_unit(np.round(MOTION), most=999.0) == 0.0
-    assert half_unit(0.01 * np.arange(500.0)[:, None] ** 2 / 3.0, most=1.0) == 0.0
+def test_rate_misfit_smooth_motion_next_to_nothing_and_alternating_all():
+    """Velocities of +-0.5 m/s in turn on a motion of 1 m/s^2."""
+    t = np.linspace(0.0, 1.0, 101)
+    q, v = t[:, None] ** 2 / 2.0, t[:, None].copy()
+    assert eq.rate_misfit(t, q, v, 0.01).max() == pytest.approx(0.0, abs=1e-12)
+    v[:, 0] += 0.5 * (-1.0) ** np.arange(101)
+    assert eq.rate_misfit(t, q, v, 0.01) == pytest.approx(np.full((99, 1), 0.495), abs=1e-9)
+    assert eq.rate_misfit(t, q, v, 0.1).min() > 0.4
 
 
 @pytest.mark.parametrize("place", range(5))
@@ -174,7 +100,7 @@ def test_friction_dissipates_all_of_its_range_or_sticks(side: float):
         found = eq.friction_dissipation_error(
             side * np.column_stack([first, second]), least, most, slip
         )
-        assert found == pytest.approx([expected, 0.25])
+        assert found.max(axis=0) == pytest.approx([expected, 0.25])
 
 
 def test_what_is_free_in_the_goal_is_no_distance_and_the_largest_difference_says_where():

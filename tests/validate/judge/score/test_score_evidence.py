@@ -1,7 +1,6 @@
 """What the metrics are computed from, by numbers that can be followed by hand: costs on any grid, printed digits, forces and motions in between."""
 
 import math
-from dataclasses import replace
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
@@ -10,16 +9,13 @@ import numpy as np
 import pytest
 
 from models.catalog import load_scene
-from models.codegen.kernel import KernelError, load_kernel
-from models.scene import Limit
+from models.codegen.kernel import KernelError
 from models.schemes import Scheme
-from models.trajectory import Hold, Trajectory, uniform_grid
+from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import ReplayOutcome
-from validate.judge.replay.wiring import HeldInputs
-from validate.judge.score import _metric
+from validate.judge.score import _metric, measures
 from validate.judge.score.depths import deepest, penetrations_within
-from validate.judge.score.evidence import Evidence, _at_times
-from validate.judge.score.own_steps import Stepper
+from validate.judge.score.evidence import Evidence
 from validate.judge.score.table import TABLE
 from validate.judge.score.verdict import LeavesBounds, Unmeasured
 
@@ -47,168 +43,78 @@ def carts(t: Any, u: Any = None, **more: Any) -> Evidence:
 # Costs
 
 
-def priced(
-    t: list[float],
-    u: list[list[float]],
-    step: float,
-    rows: tuple[Any, Any, Any],
-    hold: Hold = Hold.LINEAR,
-    end: Any = (5.0,),
-) -> Any:
-    """q, v, u of which the cost is asked, each time.
-
-    And the cost, of inputs alone, and 7 at the end.
-    """
-    empty = np.zeros((len(t), 1))
+def pendulum(
+    t: np.ndarray, u: np.ndarray, hold: Hold = Hold.ZERO_ORDER, end: float | None = None
+) -> Evidence:
+    """theta = t^3 on rows t (n,); a step of 0.01 s costs theta^2 + omega^2 + u^2."""
     plan = Trajectory(
-        t=np.array(t),
-        q=empty,
-        v=empty,
-        u=np.array(u),
-        lam=empty[1:],
-        hold=hold,
-        u_end=None if end is None else np.array(end),
-    )
-    asked: list[Any] = []
-
-    def cost(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
-        asked.append((q.ravel().tolist(), v.ravel().tolist(), u.ravel().tolist()))
-        return float((u**2).sum()) + 7.0
-
-    case: Any = SimpleNamespace(
-        scene=SimpleNamespace(task=SimpleNamespace(step=step)), h=np.diff(plan.t), trajectory=plan,
-        held_inputs=HeldInputs(plan),
-        kernel=SimpleNamespace(cost=cost),
+        t=t, q=t[:, None] ** 3, v=3.0 * t[:, None] ** 2, u=u[:, None],
+        lam=np.zeros((len(t) - 1, 1)), hold=hold, u_end=None if end is None else np.array([end]),
     )  # fmt: skip
-    return asked, Evidence.cost_of(case, *(np.array(part) for part in rows), plan.u)
+    return Evidence(load_scene("wall_pendulum"), plan, None)
 
 
-def test_a_cost_is_asked_at_the_starts_of_the_tasks_own_steps():
-    """q = t^3 from four rows, one of which is told twice: the first counts.
-
-    Inputs are lines of 8 and of 20/3 a second.
-    """
-    t = np.array([0.0, 0.25, 0.25, 0.5])
-    q, v = t[:, None] ** 3, 3.0 * t[:, None] ** 2
-    q[2], v[2] = 9.0, 9.0
-    own = np.array([0.0, 0.125, 0.25, 0.375, 0.5])
-    ((found, *others), _) = priced([0.0, 0.25, 0.5], [[1.0], [3.0]], 0.125, (t, q, v))
-    assert not others
-    assert found[0] == pytest.approx((own**3).tolist(), abs=1e-15)
-    assert found[1] == pytest.approx((3.0 * own**2).tolist(), abs=1e-15)
-    assert found[2] == pytest.approx([1.0, 2.0, 3.0, 4.0])
+# Integral of t^6 + 9 t^4 from 0 to 0.2, over a step.
+OF_STATES = (0.2**7 / 7 + 9.0 * 0.2**5 / 5) / 0.01
 
 
-def test_inputs_that_change_within_a_step_of_the_task_count_for_their_part():
-    """Inputs 0, 4, 0, 8, at 0, 0.1, 0.5, 0.9 of steps of 0.5: at the starts of the steps they are nothing. States are those of the starts."""
-    t = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
-    asked, found = priced(
-        [0.0, 0.1, 0.5, 0.9, 1.0],
-        [[0.0], [4.0], [0.0], [8.0]],
-        0.5,
-        (t, t[:, None], -t[:, None]),
-        Hold.ZERO_ORDER,
-        None,
+@pytest.mark.parametrize("rows", [2, 3, 9])
+def test_cost_cubic_motion_integral_on_any_rows(rows: int):
+    case = pendulum(np.linspace(0.0, 0.2, 5), np.array([0.0, 4.0, -2.0, 1.0]))
+    t = np.linspace(0.0, 0.2, 4 * (rows - 1) + 1)
+    found = case.cost_of(t, t[:, None] ** 3, 3.0 * t[:, None] ** 2, case.trajectory.u)
+    assert found == pytest.approx(OF_STATES + (16.0 + 4.0 + 1.0) * 5.0, rel=1e-12)
+
+
+def test_cost_sawtooth_integral_of_its_lines():
+    """Lines between 1 and -1 N m have a mean square of a third."""
+    t = np.linspace(0.0, 0.2, 5)
+    case = pendulum(t, np.array([1.0, -1.0, 1.0, -1.0]), Hold.LINEAR, 1.0)
+    found = case.cost_of(t, case.q, case.v, case.trajectory.u)
+    assert found == pytest.approx(OF_STATES + 20.0 / 3.0, rel=1e-12)
+    assert case.cost_of_rows < OF_STATES
+
+
+def test_cost_event_rows_count_nothing():
+    case = pendulum(np.array([0.0, 0.1, 0.2]), np.array([1.0, 2.0]))
+    t = np.array([0.0, 0.05, 0.05, 0.1, 0.2])
+    found = case.cost_of(t, t[:, None] ** 3, 3.0 * t[:, None] ** 2, case.trajectory.u)
+    assert found == pytest.approx(OF_STATES + 50.0, rel=1e-12)
+
+
+def test_cost_of_rows_is_the_sum_at_the_starts_of_the_steps():
+    """A step of the plan counts for its part of the task's."""
+    t = np.array([0.0, 0.01, 0.015, 0.2])
+    found = pendulum(t, np.array([1.0, 2.0, 3.0])).cost_of_rows
+    states = t**6 + 9.0 * t**4
+    assert found == pytest.approx(
+        1.0 + states[0] + 0.5 * (4.0 + states[1]) + 18.5 * (9.0 + states[2]), rel=1e-12
     )
-    assert found == pytest.approx(0.8 * 16.0 + 0.2 * 64.0 + 7.0)
-    assert asked[1:] == [
-        ([x, 1.0], [-x, -1.0], [u]) for x, u in ((0.0, 0.0), (0.0, 4.0), (0.5, 0.0), (0.5, 8.0))
-    ]
 
 
-def test_on_the_tasks_own_grid_a_cost_is_that_of_the_rows():
-    t, q, v = (
-        np.array([0.0, 0.25, 0.5]),
-        np.array([[1.0], [2.0], [3.0]]),
-        np.array([[4.0], [5.0], [6.0]]),
-    )
-    assert priced([0.0, 0.25, 0.5], [[7.0], [8.0]], 0.25, (t, q, v))[0] == [
-        ([1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0])
-    ]
-    more = np.array(
-        [0.0, 0.1, 0.25, 0.4, 0.5]
-    )  # rows between the nodes: those at the nodes are taken as they are
-    values = np.arange(5.0)[:, None]
-    assert priced([0.0, 0.25, 0.5], [[7.0], [8.0]], 0.25, (more, values, -values))[0] == [
-        ([0.0, 2.0, 4.0], [0.0, -2.0, -4.0], [7.0, 8.0])
-    ]
-
-
-def test_a_plan_shorter_than_half_a_step_costs_one():
-    t, rows = np.array([0.0, 0.04]), np.array([[1.0], [2.0]])
-    found = priced([0.0, 0.04], [[7.0]], 0.1, (t, rows, 10 * rows), Hold.ZERO_ORDER, None)
-    assert found[0] == [([1.0, 2.0], [10.0, 20.0], [7.0])]
-
-
-@pytest.mark.parametrize(("share", "ok"), [(1.001, True), (0.999, False)])
-@pytest.mark.parametrize("rows", [1, 20])
-def test_a_cost_is_held_to_its_limit_as_that_of_the_motion_however_many_rows_a_plan_has(
-    share: float, ok: bool, rows: int
-):
-    """A pendulum falls against its wall, made hard: with a row at its start and its end the cubic between them makes it a fifth dearer."""
-    scene, parts = load_scene("wall_pendulum").with_parameters(k=2e3, w=0.12), 2000
-    fine = load_kernel(scene).rollout(
-        np.array(scene.task.start), np.zeros((20 * parts, 1)), scene.task.step / parts
-    )
-    cost = float((fine.q[:-1:parts] ** 2 + fine.v[:-1:parts] ** 2).sum())
-    scene = replace(scene, limits=(Limit(metric="cost", value=share * cost, reason="a test"),))
-    steps, every = 20 // rows, parts * rows
+def test_cost_final_cost_counts_once():
+    scene = load_scene("two_discs")
+    t, q = np.array([0.0, 1.0]), np.tile(scene.task.start[:4], (2, 1))
     plan = Trajectory(
-        t=uniform_grid(scene.task.step * rows, steps),
-        q=fine.q[::every],
-        v=fine.v[::every],
-        u=np.zeros((steps, 1)),
-        lam=np.zeros((steps, 1)),
-    )
-    metric = _metric(
-        next(entry for entry in TABLE if entry.name == "cost"), Evidence(scene, plan, None)
-    )
-    assert (metric.ok, metric.error) == (ok, 0.0)
-    assert metric.value > 1.1 * cost if rows > 1 else metric.value == pytest.approx(cost, rel=1e-12)
-
-
-def test_rows_are_found_but_for_the_rounding_of_their_times():
-    t = np.array([0.0, 0.05, 0.1 * (1 + 3e-13), 0.2])
-    q = np.arange(4.0)[:, None]
-    found = _at_times(np.array([0.0, 0.1]), t, q, -q)
-    assert (found[0].tolist(), found[1].tolist()) == ([[0.0], [2.0]], [[0.0], [-2.0]])
-    between = _at_times(np.array([0.15]), t, q, np.full((4, 1), 10.0))
-    assert between[0][0, 0] == pytest.approx(2.5)
+        t=t, q=q, v=np.zeros((2, 4)), u=np.array([[3.0, 4.0]]), lam=np.zeros((1, 1))
+    )  # fmt: skip
+    case = Evidence(scene, plan, None)
+    assert case.cost_of(t, q, plan.v, plan.u) == pytest.approx(0.01 * 25.0 + 2.0)
 
 
 # Printed digits
 
 
-def test_each_group_has_its_own_last_digit():
-    """Four decimals of positions and five of velocities of half a nominal.
-
-    Three of inputs of 8 N, none of times on a grid, two of forces of 20 N.
-    """
-    random = np.random.default_rng(1)
-    q, v, u, lam = (
-        random.normal(size=(5, 3)),
-        random.normal(size=(5, 3)),
-        random.normal(size=(4, 2)),
-        20.0 * random.normal(size=(4, 2)),
-    )
-    printed = {
-        "q": np.round(q, 4),
-        "v": np.round(v, 5),
-        "u": np.round(u, 3),
-        "lam": np.round(lam, 2),
-    }
-    case = carts(0.01 * np.arange(5), **printed)
-    assert [case.printing[group] for group in ("t", "q", "v", "u", "lam")] == pytest.approx(
-        [0.0, 5e-5, 5e-6, 5e-4, 5e-3]
-    )
-    with pytest.raises(KeyError):
-        case.printing["x"]
-    late = carts([0.0, 0.0101, 0.0213, 0.0318, 0.0402], **printed)
-    assert late.printing["t"] == pytest.approx(5e-5)
-    assert carts([0.0, 1.01, 2.13, 3.18, 4.02], **printed).printing["t"] == pytest.approx(5e-3)
-    assert carts([0.0, 0.01, 0.02, 0.04, 0.05], **printed).printing["t"] == 0.0, (
-        "a hundredth is more than a tenth of a step"
-    )
+def test_rounding_each_column_has_its_own():
+    """Four and two decimals of positions, none of what has all digits."""
+    q = np.random.default_rng(1).normal(size=(5, 3))
+    q[:, 0], q[:, 1] = np.round(q[:, 0], 4), np.round(q[:, 1], 3)
+    case = carts(0.01 * np.arange(5), q=q)
+    assert case.rounding["q"].max(axis=0)[:2] == pytest.approx([5e-5, 5e-4])
+    assert case.rounding["q"][:, 2].max() < 1e-14
+    assert {group: part.shape for group, part in case.rounding.items()} == {
+        "q": (5, 3), "v": (5, 3), "u": (4, 2), "lam": (4, 2)
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(("group", "expected"), [("u", 0.5), ("lam", 1.0), ("v", 2.0 * 0.5)])
@@ -218,14 +124,20 @@ def test_what_printing_does_to_an_acceleration(group: str, expected: float):
     Damping makes 2 m/s^2 of 1 m/s.
     """
     case = carts(0.01 * np.arange(21))
-    case.__dict__["printing"] = dict.fromkeys(("t", "q", "v", "u", "lam"), 0.0) | {group: 0.5}
+    shapes = {"q": (21, 3), "v": (21, 3), "u": (20, 2), "lam": (20, 2)}
+    case.__dict__["rounding"] = {
+        name: np.full(shape, 0.5 * (name == group)) for name, shape in shapes.items()
+    }
     assert case.printing_acceleration == pytest.approx(expected, rel=1e-6)
 
 
 def test_printed_positions_change_the_forces_of_contacts():
     """Pressed 0.1 m together: 0.01 m each make at most 0.6 N on either side of the middle cart."""
     case = carts(0.01 * np.arange(21), q=np.tile([2.0, 2.4, 2.8], (21, 1)))
-    case.__dict__["printing"] = {"q": 0.01, "v": 0.0, "u": 0.0, "lam": 0.0}
+    case.__dict__["rounding"] = {
+        "q": np.full((21, 3), 0.01), "v": np.zeros((21, 3)),
+        "u": np.zeros((20, 2)), "lam": np.zeros((20, 2)),
+    }  # fmt: skip
     assert case.printing_acceleration == pytest.approx(30.0 * 0.04, rel=1e-6)
 
 
@@ -235,7 +147,8 @@ def test_printed_positions_change_the_forces_of_contacts():
 def test_friction_is_limited_at_both_ends_of_a_step_unless_a_scheme_says_where():
     limits = {1.0: [[-1.0, 3.0]], 2.0: [[2.0, 0.5]]}
     case: Any = SimpleNamespace(
-        trajectory=SimpleNamespace(lam="forces", scheme=None), q=np.array([[1.0], [2.0]]),
+        trajectory=SimpleNamespace(scheme=None), q=np.array([[1.0], [2.0]]),
+        pressing=("forces", "within", "forces"),
         kernel=SimpleNamespace(friction_limit=lambda q,
                                forces: np.array(limits[q[0, 0]]) if forces == "forces" else None),
     )  # fmt: skip
@@ -413,18 +326,6 @@ def test_what_has_left_every_bound_says_when():
         case.replay  # noqa: B018
 
 
-def test_the_motion_with_the_inputs_alone_is_the_replays_as_far_as_it_got():
-    case = carts([0.0, 0.01], q=np.array([[2.0, 2.4, 4.0], [2.0, 3.0, 4.0]]))
-    assert (case.opened_q is case.trajectory.q, case.opened_lam.tolist()) == (
-        True,
-        [pytest.approx([3.0, 0.0]), [0.0, 0.0]],
-    )
-    case._replay = SimpleNamespace(t=np.zeros(0), q=None, lam=None)
-    assert case.opened_q is case.trajectory.q
-    case._replay = SimpleNamespace(t=np.zeros(1), q="its own", lam="and its forces")
-    assert (case.opened_q, case.opened_lam) == ("its own", "and its forces")
-
-
 def test_ends_ask_for_velocities_only_where_the_goal_has_one():
     free = np.array([1.0, np.nan])
     case: Any = SimpleNamespace(
@@ -492,142 +393,89 @@ def test_an_error_that_nobody_knows_is_infinite():
     assert vars(of("error", case)) == dict.fromkeys(("position", "state", "gap"), math.inf)
 
 
-# Small steps within the plan's
+# Forces by one convention
 
 
-class Falling:
-    """A kernel of one coordinate under its input, whose parts are exact but for an error that shrinks with them."""
+def pressed(**plan: Any) -> Evidence:
+    """A mass of 1 kg that falls on a floor of 1e4 N/m, by its closed form: 40 steps of 2.5 ms."""
+    scene = load_scene("bouncing_mass").with_parameters(k=1e4)
+    w, t = 100.0, 0.0025 * np.arange(41)
+    swing = np.hypot(9.81 / w**2, 0.5 / w)
+    phase = np.arctan2(9.81 / w**2, 0.5 / w)
+    leaves = (np.pi + 2.0 * phase) / w
+    angle = w * np.minimum(t, leaves) - phase
+    q = -9.81 / w**2 - swing * np.sin(angle)
+    v = -swing * w * np.cos(angle)
+    late = np.maximum(t - leaves, 0.0)
+    q, v = q + v * late - 9.81 * late**2 / 2.0, v - 9.81 * late
+    given = {
+        "t": t, "q": q[:, None], "v": v[:, None], "u": np.zeros((40, 0)),
+        "lam": np.maximum(-1e4 * q[:-1, None], 0.0),
+    } | plan  # fmt: skip
+    return Evidence(scene, Trajectory(**given), None)
 
-    def __init__(self, error: float = 0.0, jump: bool = False) -> None:
-        self.scene, self.error, self.jump, self.parts = SimpleNamespace(nl=1), error, jump, []
 
-    def rollouts(self, x: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-        count = u.shape[1]
-        self.parts.append((len(x), count, h))
-        q, v = x[:, :1].copy(), x[:, 1:].copy()
-        for part in range(count):
-            q += h * (v + h * u[:, part] / 2)
-            v += h * u[:, part]
-        lam = np.cumsum(np.abs(u), axis=1)
-        off = (-1.0) ** len(self.parts) if self.jump else 1.0 / count
-        return lam, np.hstack([q, v + self.error * off])
+def test_typical_force_is_the_weight_that_rests_on_the_floor():
+    assert pressed().typical_force == pytest.approx(9.81, rel=1e-4)
 
 
-def stepper(
-    kernel: Falling,
-    t: list[float],
-    u: list[float],
-    hold: Hold = Hold.ZERO_ORDER,
-    end: float | None = None,
-) -> Stepper:
-    states = np.zeros((len(t), 1))
+@pytest.mark.parametrize("convention", ["start", "middle", "end", "mean"])
+def test_convention_is_the_one_of_the_stated_forces(convention: str):
+    laws = pressed().laws
+    case = pressed(lam=laws[convention].copy())
+    assert case.convention == convention
+    mixed = laws["start"].copy()
+    mixed[::2] = laws["end"][::2]
+    other = pressed(lam=mixed)
+    off = other.h @ np.abs(mixed - other.laws[other.convention])
+    assert off[0] > 0.01 * (other.h @ mixed)[0]
+
+
+def test_laws_mean_of_a_step_is_its_impulse():
+    case = pressed()
+    impulse = float(case.h @ case.laws["mean"][:, 0])
+    v = case.v[:, 0]
+    assert impulse == pytest.approx(v[-1] - v[0] + 9.81 * 0.1, rel=1e-3)
+
+
+def test_force_beyond_its_step_is_found_by_its_size():
+    lam = pressed().lam.copy()
+    lam[-1] += 0.5
+    found = measures.contact_force_error(pressed(lam=lam))
+    assert (found.values, found.scales) == (pytest.approx(0.5), pytest.approx(9.81, rel=1e-4))
+
+
+def test_velocities_that_alternate_are_counted_and_coarse_rows_are_not():
+    case = pressed()
+    assert measures.velocity_error(case).values.max() < 2e-4
+    v = case.v.copy()
+    v[:, 0] += 0.5 * (-1.0) ** np.arange(41)
+    found = measures.velocity_error(pressed(v=v))
+    assert found.values.max() == pytest.approx(0.5 * 0.01, rel=0.2)
+
+
+def test_friction_without_contact_forces_is_limited_by_the_law():
+    scene = load_scene("transport")
+    q = np.tile(scene.task.start[: scene.nq], (6, 1))
+    lam = np.zeros((5, 3))
+    lam[2, 2] = 5.0
     plan = Trajectory(
-        t=np.array(t),
-        q=states,
-        v=states,
-        u=np.array(u)[:, None],
-        lam=states[1:],
-        hold=hold,
-        u_end=None if end is None else np.array([end]),
-    )
-    return Stepper(kernel, HeldInputs(plan))
+        t=0.02 * np.arange(6), q=q, v=0.0 * q, u=np.zeros((5, 1)), lam=lam,
+        missing=frozenset({"lam"}),
+    )  # fmt: skip
+    case = Evidence(scene, plan, None)
+    limit = case.typical_friction
+    excess = case.friction_excess[:, 0]
+    assert excess.argmax() == 2
+    assert 0.0 < excess[2] <= 5.0
+    assert (limit > 0.0).all()
 
 
-def size_of(dv: np.ndarray) -> np.ndarray:
-    return np.abs(dv[:, 0])
-
-
-def none() -> float:
-    """By which nothing is small."""
-    return 0.0
-
-
-X = np.array([[1.0, 2.0], [3.0, -1.0], [0.0, 0.0]])
-
-
-def test_each_step_is_run_from_its_own_state_under_its_own_input():
-    """Steps of 0.5, 0.25 and 0.5 s; of equal length together."""
-    kernel = Falling()
-    found = stepper(kernel, [0.0, 0.5, 0.75, 1.25], [4.0, -8.0, 2.0]).run(X, size_of, 1.0, none)
-    assert found.ends == pytest.approx(
-        np.array([[1 + 1 + 0.5, 4.0], [3 - 0.25 - 0.25, -3.0], [0.25, 1.0]])
-    )
-    assert kernel.parts == [(1, 50, 0.005), (2, 50, 0.01), (1, 100, 0.0025), (2, 100, 0.005)]
-    assert (found.least.ravel().tolist(), found.most.ravel().tolist()) == (
-        [4.0, 8.0, 2.0],
-        [400.0, 800.0, 200.0],
-    )
-
-
-def test_inputs_that_are_lines_are_taken_in_the_middle_of_each_part():
-    """From 4 to 8 in half a second: their mean is 6, wherever it is cut."""
-    found = stepper(Falling(), [0.0, 0.5], [4.0], Hold.LINEAR, 8.0).run(X[:1], size_of, 1.0, none)
-    assert found.ends[0, 1] == pytest.approx(2.0 + 0.5 * 6.0, abs=1e-12)
-    assert found.least[0, 0] == pytest.approx(4.0 + 4.0 / 200)
-
-
-@pytest.mark.parametrize(("error", "parts"), [(0.0, 100), (0.09, 100), (0.11, 200), (0.21, 400)])
-def test_parts_are_doubled_until_they_change_less_than_a_thousandth(error: float, parts: int):
-    """An error of 1/n changes by half of what it was at n/2: 0.1/100 of a scale of 1."""
-    kernel = Falling(error)
-    stepper(kernel, [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0, none)
-    assert kernel.parts[-1][1] == parts
-
-
-def test_only_steps_that_are_not_settled_go_on_and_what_never_settles_is_said():
-    kernel = Falling(0.11)
-    with pytest.raises(Unmeasured, match=r"at t = 0 s, .*not to be had: 12800 parts"):
-        stepper(Falling(1.0, jump=True), [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0, none)
-    stepper(kernel, [0.0, 0.5, 1.0], [0.0, 0.0]).run(
-        X[:2], lambda dv: np.abs(dv[:, 0]) * np.array([1.0, 0.1]), 1.0, none
-    )
-    assert [(rows, parts) for rows, parts, _ in kernel.parts] == [(2, 50), (2, 100), (1, 200)]
-
-
-def test_what_never_settles_is_known_well_enough_where_little_force_is_left_open():
-    """It jumps by 2 to the end of a step of half a second: a force of 4, and a thousandth of 4100 is more."""
-    jumping = Falling(1.0, jump=True)
-    found = stepper(jumping, [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0, lambda: 4100.0)
-    assert found.ends[0, 1] in (1.0, 3.0)
-    with pytest.raises(Unmeasured):
-        stepper(Falling(1.0, jump=True), [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0, lambda: 3900.0)
-
-
-def test_a_position_that_changes_counts_as_a_velocity_over_its_step():
-    """Off by 0.11/n in position over a step of half a second: twice that in velocity."""
-    kernel = Falling()
-
-    def off(x: np.ndarray, u: np.ndarray, h: float) -> Any:
-        lam, ends = Falling.rollouts(kernel, x, u, h)
-        return lam, ends + np.array([0.055 / u.shape[1], 0.0])
-
-    kernel.rollouts = off
-    stepper(kernel, [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0, none)
-    assert kernel.parts[-1][1] == 200
-
-
-def test_departures_arrive_at_each_next_position():
-    """Under -9 and 3: x moves by h v + h^2 u/2, so v = (move - h^2 u/2)/h.
-
-    Off by 1 it changes by 1/h.
-    """
-    q = np.array([[1.0], [2.0], [1.5]])
-    found = stepper(Falling(), [0.0, 0.5, 0.75], [-9.0, 3.0]).departures(
-        q, np.array([0.0]), np.array([1.0])
-    )
-    assert found.v.ravel() == pytest.approx([(1.0 + 9.0 / 8) / 0.5, (-0.5 - 3.0 / 32) / 0.25])
-    assert np.abs(found.missed).max() < 1e-10
-    assert found.gains == pytest.approx([2.0, 4.0], rel=1e-6)
-
-
-def test_a_position_that_is_never_reached_is_missed():
-    """It moves as it likes: the best of all tries is told, and by how much it misses."""
-    kernel = Falling()
-    kernel.rollouts = lambda x, u, h: (
-        np.zeros((len(x), 1, 1)),
-        np.hstack([np.clip(x[:, 1:], -1.0, 1.0), x[:, 1:]]),
-    )
-    found = stepper(kernel, [0.0, 0.5], [0.0]).departures(
-        np.array([[0.0], [3.0]]), np.array([0.5]), np.array([1.0])
-    )
-    assert found.missed.ravel() == pytest.approx([2.0], abs=1e-3)
+def test_relaxed_forces_fall_with_the_gap_and_noise_does_not():
+    case = pressed()
+    gap = case.q[:-1]
+    relaxed = 1e4 * 2e-3 * np.logaddexp(0.0, -gap / 2e-3)
+    assert measures.is_relaxed(pressed(lam=relaxed))
+    assert not measures.is_relaxed(pressed())
+    noise = relaxed * np.random.default_rng(0).uniform(0.0, 2.0, size=relaxed.shape)
+    assert not measures.is_relaxed(pressed(lam=noise))

@@ -127,27 +127,21 @@ def test_a_question_is_as_good_as_its_worst_metric():
     assert Question.SHOWN not in found
 
 
-CONSISTENT = metric("unexplained_force", True, unit="1")
 DECLARED = metric("defect", True)
 
 
 @pytest.mark.parametrize(
     ("metrics", "wanted"),
     [
-        ((START, ABOVE, CONSISTENT), True),
+        ((START, ABOVE), True),
         ((START, ABOVE, DECLARED), True),
         ((START, metric("replay_error", None), DECLARED), True),  # undecided for the inputs alone
-        ((START, BELOW, CONSISTENT), False),  # they do: no feedback is needed
-        ((START, ABOVE), False),  # a plan of inputs alone says nothing that can be followed
-        ((START, ABOVE, metric("unexplained_force", False)), False),
+        ((START, BELOW), False),  # they do: no feedback is needed
         ((START, ABOVE, metric("defect", False)), False),
-        ((START, ABOVE, metric("defect", None)), False),
-        ((metric("start_error", False), ABOVE, CONSISTENT), False),  # feedback mends no start,
-        (
-            (metric("terminal_position_error", False), ABOVE, CONSISTENT),
-            False,
-        ),  # no plan that does not arrive,
-        ((metric("contact_law_error", False), ABOVE, CONSISTENT), False),  # no invented force,
+        ((START, ABOVE, metric("defect", None)), True),
+        ((metric("start_error", False), ABOVE), False),  # feedback mends no start,
+        ((metric("terminal_position_error", False), ABOVE), False),  # no plan that does not arrive,
+        ((metric("contact_law_error", False), ABOVE), False),  # no invented force,
         ((metric("law_error", False), ABOVE, DECLARED), False),  # no relaxed law
     ],
 )
@@ -168,7 +162,7 @@ def followed(**ok: bool | None) -> tuple[Metric, ...]:
         EFFORT: True,
         SHARE: True,
     } | ok
-    return (START, ABOVE, BELOW, CONSISTENT, *(metric(name, value) for name, value in kept.items()))
+    return (START, ABOVE, BELOW, *(metric(name, value) for name, value in kept.items()))
 
 
 @pytest.mark.parametrize(
@@ -260,7 +254,7 @@ def test_a_relaxed_law_is_named_before_what_follows_from_it():
     )
     assert not unsaid(
         why,
-        "not those of contact: … 0.7 s (scaled), limit 1e-05 s: a relaxed … tighten eps, … (`strict`, `mpcc`); … 0.27 m … 0.06 m; … ghost_impulse.",
+        "not those of contact: … 0.7 s (scaled), limit 1e-05 s; … 0.27 m … 0.06 m; … ghost_impulse.",
     )
 
 
@@ -280,15 +274,9 @@ def test_the_first_question_that_fails_speaks_first(first: Metric, says: str):
 
 
 def test_what_declares_no_scheme_hears_nothing_of_grids():
-    hidden = metric("unexplained_force", False, value=0.4, limit=0.1, unit="1")
-    why = told(STRAY, hidden, scheme=None)
-    assert not unsaid(why, "neither inputs nor contact give, 40 %")
+    why = told(STRAY, scheme=None)
     assert "grid" not in why
     assert "time step" not in why
-    assert not unsaid(
-        told(hidden, scheme=None),
-        "neither inputs nor contact give, 40 % … limit 10 %; it may be the plan's own digits",
-    )
     unstable = told(STRAY, metric_of_growth(549.0), scheme=None)
     assert not unsaid(unstable, "departs … by 0.2 m, limit 0.06 m; unstable … (amplification 550).")
 
