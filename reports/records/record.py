@@ -268,8 +268,6 @@ class ReplayRecord(Model):
     tolerance_difference: Finite | None = None  # reference at two tolerances
     step_difference: Finite | None = None  # everyday replay at two steps
     everyday_difference: Finite | None = None  # everyday against reference
-    rollback_difference: Finite | None = None  # halving within each step, summed
-    step_source: str = "none"  # what tells the error of the everyday replay's step
     events: int = 0
     seconds_reference: Finite = 0.0
     seconds_everyday: Finite = 0.0

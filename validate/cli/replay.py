@@ -364,24 +364,14 @@ def _print_engines(rows: list[EngineVerdict]) -> None:
 
 
 def _own_error(what: str, replay: Replay) -> str:
-    estimate, ratio, source = (
-        replay.error.estimate,
-        replay.error.step_ratio,
-        replay.error.step_source,
-    )
-    shrinks = (
-        ""
-        if ratio is None
-        else f"; half the step divides the everyday replay's error by {ratio:.3g}"
-    )
+    estimate = replay.error.estimate
     own = (
         "has no estimate"
         if estimate is None
         else f"is {_size(estimate.position)} in any position, {_size(estimate.state)} in the state"
     )
-    told = "" if source == "none" else f"; error of the step by {source}"
     events = "1 event" if len(replay.events) == 1 else f"{len(replay.events)} events"
-    return f"{what}'s own error {own} ({replay.method}; {events}{shrinks}{told}). {replay.message}".rstrip()
+    return f"{what}'s own error {own} ({replay.method}; {events}). {replay.message}".rstrip()
 
 
 def _size(value: float) -> str:

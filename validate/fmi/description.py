@@ -8,6 +8,7 @@ with unpacked(package) as package: ...
 from __future__ import annotations
 
 import gc
+import math
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -56,6 +57,15 @@ class Package(FmuArchive):
     def cosimulation(self) -> Any | None:
         """FMPy's description of Co-Simulation; None if it cannot run here."""
         return self.description.coSimulation if "CoSimulation" in self.kinds else None
+
+    def experiment(self, name: str) -> float | None:
+        """Return a positive number of the default experiment, as "tolerance" [-] or "stepSize" [s]; None if it states none."""
+        text = getattr(self.description.defaultExperiment, name, None)
+        try:
+            value = float(text) if text is not None else 0.0
+        except ValueError:
+            return None
+        return value if 0.0 < value < math.inf else None
 
 
 def interface_of(description: Any, kind: str) -> Any:

@@ -19,13 +19,13 @@
 /* In the order of CALLS in loops.py. */
 enum fmi_call {
     GET_REAL, SET_REAL, SET_TIME, SET_STATES, GET_STATES, GET_DERIVATIVES, GET_INDICATORS, COMPLETED_STEP, ENTER_EVENT, UPDATE_DISCRETE,
-    ENTER_CONTINUOUS, DO_STEP, SET_SLOPES, SAVE, RESTORE, CALLS
+    ENTER_CONTINUOUS, DO_STEP, SET_SLOPES, CALLS
 };
 
 /* Why a loop came back; in the order of Reason in loops.py. */
 enum reason {
     DONE, EVENT, CALL_REFUSED, RATE_NOT_FINITE, OUT_OF_BOUNDS, SUM_NOT_FINITE, OUTPUT_NOT_FINITE, SOLVER_FAILED, STOP_TIME_REFUSED,
-    SETUP_REFUSED, WANTS_END, NEVER_SETTLES, NOT_RESTORED, EARLY_RETURN
+    SETUP_REFUSED, WANTS_END, NEVER_SETTLES, EARLY_RETURN
 };
 
 typedef void (*function)(void);
@@ -290,13 +290,6 @@ struct stepping {
     double bound;
     double *outputs; /* (steps + 1, outputs): row 0 is given */
     double *applied; /* (inputs) */
-    /* Step halving: each step is made in half as many calls and at twice the FMU's own step too, and taken back. */
-    int64_t rolls_back, own_step_count;
-    const uint32_t *own_step_reference;
-    double own_step, same; /* share of its size to which a restored output is the one before */
-    void *place;           /* the FMU's saved state */
-    double *coarse;        /* (outputs) */
-    double *local;         /* (steps, outputs): fine less coarse */
     /* What came of it. */
     int64_t done; /* steps */
     double reached; /* where the FMU returned early [s] */
@@ -314,9 +307,10 @@ static enum reason do_step(struct stepping *run, double time, double length)
     return early ? EARLY_RETURN : DONE;
 }
 
-static enum reason advance(struct stepping *run, int64_t step, int64_t calls)
+static enum reason advance(struct stepping *run, int64_t step)
 {
     struct fmu *fmu = &run->fmu;
+    int64_t calls = run->parts;
     const double *value = run->values + step * fmu->inputs, *slope = run->slopes + step * fmu->inputs;
     double begin = run->times[step], length = run->times[step + 1] - begin;
     for (int64_t call = 0; call < calls; call++) {
@@ -334,43 +328,15 @@ static enum reason advance(struct stepping *run, int64_t step, int64_t calls)
     return DONE;
 }
 
-static int set_own_step(struct stepping *run, double length)
-{
-    return write_values(&run->fmu, run->own_step_reference, run->own_step_count, &length);
-}
-
-/* One step twice: coarsely, taken back, and finely. Leaves the coarse outputs in run->coarse. */
-static enum reason step_twice(struct stepping *run, int64_t step, const double *before, double *after)
-{
-    struct fmu *fmu = &run->fmu;
-    if (refused(fmu, SAVE, ((int (*)(void *, void **))fmu->call[SAVE])(fmu->component, &run->place))) return CALL_REFUSED;
-    if (set_own_step(run, 2.0 * run->own_step)) return CALL_REFUSED;
-    enum reason reason = advance(run, step, run->parts / 2 > 1 ? run->parts / 2 : 1);
-    if (reason != DONE) return reason;
-    if (read_values(fmu, fmu->output_references, fmu->outputs, run->coarse)) return CALL_REFUSED;
-    if (refused(fmu, RESTORE, ((int (*)(void *, void *))fmu->call[RESTORE])(fmu->component, run->place))) return CALL_REFUSED;
-    if (read_values(fmu, fmu->output_references, fmu->outputs, after)) return CALL_REFUSED;
-    double size = 0.0;
-    for (int64_t i = 0; i < run->bounded; i++) size = fmax(size, fabs(before[i]));
-    for (int64_t i = 0; i < run->bounded; i++)
-        if (!(fabs(after[i] - before[i]) <= run->same * size)) return NOT_RESTORED;
-    if (set_own_step(run, run->own_step)) return CALL_REFUSED;
-    return advance(run, step, run->parts);
-}
-
 /* Steps first .. last - 1 of the plan; run->done counts them. */
 EXPORT int64_t step_through(struct stepping *run, int64_t first, int64_t last)
 {
     struct fmu *fmu = &run->fmu;
     for (int64_t step = first; step < last; step++) {
-        double *before = run->outputs + step * fmu->outputs, *after = before + fmu->outputs;
-        enum reason reason = run->rolls_back ? step_twice(run, step, before, after) : advance(run, step, run->parts);
+        double *after = run->outputs + (step + 1) * fmu->outputs;
+        enum reason reason = advance(run, step);
         if (reason != DONE) return reason;
         if (read_values(fmu, fmu->output_references, fmu->outputs, after)) return CALL_REFUSED;
-        if (run->rolls_back) {
-            double *local = run->local + step * fmu->outputs;
-            for (int64_t i = 0; i < fmu->outputs; i++) local[i] = after[i] - run->coarse[i];
-        }
         if (!all_finite(after, fmu->outputs)) return OUTPUT_NOT_FINITE;
         for (int64_t i = 0; i < run->bounded; i++)
             if (fabs(after[i]) > run->bound) return OUT_OF_BOUNDS;

@@ -38,7 +38,6 @@ CALLS = (
     ("NewDiscreteStates", "UpdateDiscreteStates"),
     ("EnterContinuousTimeMode", "EnterContinuousTimeMode"), ("DoStep", "DoStep"),
     ("SetRealInputDerivatives", ""),
-    ("GetFMUstate", "GetFMUState"), ("SetFMUstate", "SetFMUState"),
 )  # fmt: skip
 
 # The functions of SUNDIALS that the loops call, in the order of loops.c; a solver is made in Python
@@ -58,7 +57,7 @@ _COUNTS = {"CALLS": len(CALLS), "SOLVER_CALLS": len(SOLVER)}
 Reason = IntEnum(
     "Reason",
     "DONE EVENT CALL_REFUSED RATE_NOT_FINITE OUT_OF_BOUNDS SUM_NOT_FINITE OUTPUT_NOT_FINITE SOLVER_FAILED STOP_TIME_REFUSED SETUP_REFUSED WANTS_END "
-    "NEVER_SETTLES NOT_RESTORED EARLY_RETURN",
+    "NEVER_SETTLES EARLY_RETURN",
     start=0,
 )
 

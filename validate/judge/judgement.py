@@ -181,9 +181,16 @@ class WiredFmu:
         Raises FmuError, MachineError, TrackingError.
         """
         run = partial(
-            replay_foreign, self.foreign, self.package, limits=self.limits, own_step=self.own_step
-        )
+            replay_foreign, self.foreign, self.package, limits=self.limits,
+            own_step=self.own_step, decides=self._decides,
+        )  # fmt: skip
         return _judged(self.foreign.model, self.plan, run, feedback)
+
+    def _decides(self, plan: Trajectory, replayed: Replay) -> bool:
+        """Whether no smaller error of this replay would change the verdict."""
+        found = score(self.foreign.model, plan, replayed)
+        unsure = [item for item in found.metrics if item.is_judged and item.ok is None]
+        return found.verdict is not Verdict.UNDECIDED or all(item.value is None for item in unsure)
 
 
 def wire_fmu(

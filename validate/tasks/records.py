@@ -301,8 +301,6 @@ def _replay(replay: Replay, score: Score | None) -> ReplayRecord:
         tolerance_difference=_position(error.tolerance),
         step_difference=_position(error.step),
         everyday_difference=_position(error.everyday),
-        rollback_difference=_position(error.rollback),
-        step_source=error.step_source,
         fmu=replay.fmu,
         judged="open" if score is None else score.judged,
         growth_rate=None if growth is None else finite(growth.rate),

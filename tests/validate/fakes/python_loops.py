@@ -17,7 +17,7 @@ from sksundae.cvode import CVODE
 
 from validate.fmi.description import Package
 from validate.judge.replay import everyday
-from validate.judge.replay.everyday import SAME, RollbackError, Stepping, early_return
+from validate.judge.replay.everyday import Stepping, early_return
 from validate.judge.replay.reference import ABSOLUTE_FRACTION, PARTS, STEP_LIMIT, ExchangeModel
 from validate.judge.replay.result import DIVERGENCE, ReplayOutcome, Run, Stop
 from validate.judge.replay.wiring import HeldInputs, Variables
@@ -321,20 +321,18 @@ def simulate(
     start: np.ndarray,
     inputs: HeldInputs,
     fineness: int,
-    *,
-    rolls_back: bool = False,
 ) -> Run:
     """What validate.judge.replay.everyday.simulate says."""
     with patch.object(everyday, "step_through", _step_through):
-        return everyday.simulate(package, variables, start, inputs, fineness, rolls_back=rolls_back)
+        return everyday.simulate(package, variables, start, inputs, fineness)
 
 
 def _step_through(stepping: Stepping, run: Run) -> None:
     fmu, inputs, times = stepping.fmu, stepping.inputs, stepping.inputs.times
-    given, own, states = stepping.given, stepping.own_step_of, stepping.states
+    given, states = stepping.given, stepping.states
     for step in range(len(inputs.values)):
         begin, length = float(times[step]), float(times[step + 1] - times[step])
-        value, before = inputs.begin(step, run.outputs[-1][:states]), run.outputs[-1]
+        value = inputs.begin(step, run.outputs[-1][:states])
         if inputs.feedback is not None:
             run.applied.append(value.copy())
 
@@ -358,21 +356,7 @@ def _step_through(stepping: Stepping, run: Run) -> None:
                 if answer.early:
                     raise early_return(answer.reached)
 
-        if stepping.rolls_back:
-            saved = fmu.save()
-            fmu.write(own, [2.0 * stepping.own_step] * own.count)
-            advance(max(1, stepping.parts // 2))
-            coarse = fmu.read(stepping.outputs).copy()
-            fmu.restore(saved)
-            fmu.forget(saved)
-            away = np.abs(fmu.read(stepping.outputs)[:states] - before[:states])
-            if not (away <= SAME * np.abs(before[:states]).max(initial=0.0)).all():
-                raise RollbackError
-            fmu.write(own, [stepping.own_step] * own.count)
-            advance(stepping.parts)
-            run.local.append(fmu.read(stepping.outputs) - coarse)
-        else:
-            advance(stepping.parts)
+        advance(stepping.parts)
         time, values = float(times[step + 1]), fmu.read(stepping.outputs).copy()
         if not np.isfinite(values).all():
             run.end_without_number(time)

@@ -123,14 +123,12 @@ def replay(**changes: Any) -> Replay:
 
 def error(by: float) -> ReplayError:
     """Each part of it another number; by: added to all."""
-    estimate, tolerance, step, everyday, rollback, lag = (
-        Difference(position=by + n, state=by + 10 * n, gap=by + 100 * n) for n in range(1, 7)
+    estimate, tolerance, step, everyday, lag = (
+        Difference(position=by + n, state=by + 10 * n, gap=by + 100 * n) for n in range(1, 6)
     )
     return ReplayError(
-        estimate=estimate, tolerance=tolerance, step=step, everyday=everyday, rollback=rollback,
-        lag=lag, step_source="second run",
-        step_ratio=4.0,
-    )  # fmt: skip
+        estimate=estimate, tolerance=tolerance, step=step, everyday=everyday, lag=lag
+    )
 
 
 def solution(**changes: Any) -> Solution:
@@ -195,8 +193,7 @@ def test_every_field_of_a_stage_stands_in_its_own():
         not_asked=("friction: none",), has_plan=True,
         replay=ReplayRecord(
             error_estimate=1.0, tolerance_difference=2.0, step_difference=3.0,
-            everyday_difference=4.0, rollback_difference=5.0,
-            step_source="second run", events=7, seconds_reference=0.75, seconds_everyday=0.375,
+            everyday_difference=4.0, events=7, seconds_reference=0.75, seconds_everyday=0.375,
             fmu="abc", message=ReplayOutcome.OK.value,
         ),
     )  # fmt: skip
@@ -278,14 +275,8 @@ def test_an_error_of_the_replay_that_is_not_known_is_missing():
         found.error_estimate,
         found.tolerance_difference,
         found.step_difference,
-        found.rollback_difference,
-    ) == (None, None, None, None)
-    assert (found.judged, found.growth_rate, found.tracked, found.step_source) == (
-        "open",
-        None,
-        None,
-        "none",
-    )
+    ) == (None, None, None)
+    assert (found.judged, found.growth_rate, found.tracked) == ("open", None, None)
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
 """How wrong a replay may be: `estimate`, from simulations of the same plan that differ in one thing.
 
 `difference` compares two runs at the plan's nodes: the reference at two tolerances, the everyday
-replay at two steps, the one with the other. `local_errors` adds up what halving each step changes,
-where the FMU restores its state.
+replay at two steps, the one with the other. Without a reference `converged` believes the steps of
+the everyday replay only where its finest results come together.
 
 `overlooked` finds contacts that the integrator stepped over: a gap that closes and opens again
 within a step leaves no change of sign. Between two recorded points without an event the gap is
@@ -18,8 +18,9 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -112,9 +113,7 @@ def fine_enough(scene: Scene, job: Job) -> Job:
     """
     if scene.lag is None or not job.fineness:
         return job
-    # Two runs tell the error of the step; a third, for its order, would take as long as both.
-    two = replace(job, fineness=tuple(sorted(job.fineness)[:2]))
-    return _finer(two, base_step(job.plan.t) / (_LAGS_IN_A_STEP * scene.lag) / min(job.fineness))
+    return _finer(job, base_step(job.plan.t) / (_LAGS_IN_A_STEP * scene.lag) / min(job.fineness))
 
 
 def twice_the_lag(package: Package, scene: Scene) -> Variables | None:
@@ -199,72 +198,53 @@ def difference(one: Recorded | None, other: Recorded | None) -> Difference | Non
     return Difference(position=position, state=float(state.max()), gap=gap)
 
 
-# Below this position difference [m or rad] a ratio is one of roundings.
-_ROUNDING = 1e-11
 # Two runs that differ by less than this share of the motion are the same run: ten thousand steps
 # round as much.
 _SAME = 1e-10
+# Results at so many steps tell an error bar: three that are nearer to each other than the three
+# before.
+FINEST = 4
 
 
-def heeds_step(coarse: Recorded | None, fine: Recorded | None) -> bool:
-    """Whether half the communication step changes anything.
-
-    If not, the FMU has a step of its own, and what is wrong with that one does not show.
-    """
-    if coarse is None or fine is None:
-        return True
-    one, other = np.hstack([coarse.q, coarse.v]), np.hstack([fine.q, fine.v])
-    return bool((np.abs(one - other) > _SAME * np.abs(other).max(initial=0.0)).any())
+def largest_difference(runs: Sequence[Recorded]) -> Difference | None:
+    """Largest difference of any two of some simulations; None of fewer than two."""
+    found = [difference(one, other) for one, other in combinations(runs, 2)]
+    return by_entry(lambda *values: max(values), *found) if found else None
 
 
-def local_errors(
-    fine: Recorded | None,
-    coarse_steps: Recorded | None,
-    times: np.ndarray,
-    carried: bool,
-    heeds: bool,
-) -> Difference | None:
-    """What halving each step changed in that step, summed over the steps.
+def all_the_same(runs: Sequence[Recorded]) -> bool:
+    """Whether the step changes nothing but rounding: then it is not the one that the FMU takes."""
+    first, *others = (np.hstack([run.q, run.v]) for run in runs)
+    size = _SAME * np.abs(first).max(initial=0.0)
+    return all((np.abs(first - other) <= size).all() for other in others)
+
+
+def converged(runs: Sequence[Recorded], *, heeds: bool) -> bool:
+    """Whether the results at ever finer steps come together.
 
     Parameters
     ----------
-    fine : the run that is kept, at the plan's nodes.
-    coarse_steps : where each coarse step ended, q, v (steps, nq) and gap (steps, nc), from the fine
-        run's node before it.
-    times : (nodes,) [s].
-    carried : an error of velocity goes on as one of position until the end, dq/dt = v. That
-        overstates (bouncing_mass: 12 times the error of the
-        coarser run, three_cart 4 times), the sum alone understates (0.4 to 0.6 times): forces turn an error of velocity round.
-    heeds : whether the FMU is known to obey its step.
+    runs
+        Results at the finest steps, the coarsest of them first.
+    heeds
+        Whether the FMU is known to obey the step; then results that are equal are right.
 
     Returns
     -------
-    None without a rollback, or if half the step changes nothing and it is not known that the FMU
-        heeds its step.
-
-    Raises
-    ------
-    ValueError : if the two runs have other shapes.
+    bool
+        Whether the three finer of four differ by less than the three coarser. No of fewer than
+        four.
     """
-    if fine is None or coarse_steps is None:
-        return None
-    q, v, gap = (
-        np.abs(getattr(fine, name)[1:] - getattr(coarse_steps, name)) for name in ("q", "v", "gap")
-    )
-    motion = np.abs(np.hstack([fine.q, fine.v]))
-    if not heeds and not (np.hstack([q, v]) > _SAME * motion.max(initial=0.0)).any():
-        return None
-    position, velocity = q.sum(axis=0), v.sum(axis=0)
-    moved = gap.sum(axis=0)
-    if carried and q.shape == v.shape:
-        drift = (times[-1] - times[1:]) @ v
-        position = position + drift
-        moved = moved + 2.0 * drift.max(initial=0.0)  # two bodies may come towards each other
-    return Difference(
-        position=float(position.max(initial=0.0)),
-        state=float(np.hypot(np.linalg.norm(position), np.linalg.norm(velocity))),
-        gap=float(moved.max(initial=0.0)),
-    )
+    if len(runs) < FINEST:
+        return False
+    last = runs[-FINEST:]
+    if all_the_same(last):
+        return heeds
+    finer, coarser = (largest_difference(part) for part in (last[1:], last[:-1]))
+    if finer is None or coarser is None:
+        return False
+    name = next(of for of in ("position", "gap", "state") if getattr(coarser, of) > 0.0)
+    return getattr(finer, name) < getattr(coarser, name)
 
 
 def larger(one: Difference | None, other: Difference | None) -> Difference | None:
@@ -277,82 +257,43 @@ def _larger_where_stated(measured: float, stated: float) -> float:
     return max(measured, stated) if math.isfinite(stated) else measured
 
 
-def step_ratio(before: Difference | None, after: Difference | None) -> float | None:
-    """Position difference of one step halving over that of the next.
-
-    None where there is none to speak of.
-    """
-    if before is None or after is None or after.position < _ROUNDING:
-        return None
-    return before.position / after.position
-
-
-# Halving the step divides an error of first order by 2, of the eighth by 256; an event within a
-# step makes that vary.
-_CONVERGES = 1.5, 300.0
-
-
-def tells_its_error(
-    first: Recorded | None, coarse: Recorded | None, fine: Recorded | None, *, heeds: bool
-) -> bool:
-    """Whether halving the step tells how wrong the finer run is: only if each halving changes less than the last, by as much as methods do.
-
-    Else the FMU has a step of its own: two runs make the same steps, but for rounding, or such as
-    fit into theirs. heeds : whether it is known to obey its step; then no change is no error.
-    """
-    before, after = difference(first, coarse), difference(coarse, fine)
-    ratio = step_ratio(before, after)
-    if heeds or before is None or after is None:
-        return (heeds or heeds_step(coarse, fine)) and (ratio is None or ratio >= _CONVERGES[0])
-    sizes = [item.position or item.gap or item.state for item in (before, after)]
-    return (
-        heeds_step(first, coarse)
-        and _CONVERGES[0] * sizes[1] <= sizes[0] <= _CONVERGES[1] * sizes[1]
-    )
-
-
 def estimate(
     *,
     tolerance: Difference | None,
     step: Difference | None,
     everyday: Difference | None,
     has_reference: bool,
-    ratio: float | None = None,
-    rollback: Difference | None = None,
     stated: Difference | None = None,
+    declared: Difference | None = None,
 ) -> ReplayError:
     """The error of the judged trajectory by the rule that `ReplayError` states."""
-    source = " and ".join(
-        name for name, found in (("second run", step), ("rollback", rollback)) if found is not None
-    )
+    judged = step
     if has_reference:
         # Where the looser reference did not get to the end, the everyday replay - another method -
         # is as far away as the judged run may be wrong.
-        judged = (
-            tolerance
-            if tolerance is not None or step is None
-            else larger(everyday, step)
-            if everyday is not None
-            else None
-        )
-        explains = (
-            step if step is None or stated is None else by_entry(_larger_where_stated, step, stated)
-        )
-        judged, stated = by_entry(_judged, tolerance, explains, everyday) or judged, None
-    else:
-        # All further halvings together change 1 + 1/ratio + 1/ratio^2 + ... times as much as the
-        # next: as much as the last one where the ratio is 2.
-        rest = max(1.0, 1.0 / (ratio - 1.0)) if ratio is not None and ratio > 1.0 else 1.0
-        judged = larger(by_entry(lambda last: rest * last, step), rollback)
-    if stated is not None:
-        judged, source = (
-            by_entry(_larger_where_stated, judged, stated) or stated,
-            f"{source}, stated" if source else "stated",
-        )
+        judged = tolerance
+        if tolerance is None and step is not None:
+            judged = larger(everyday, step) if everyday is not None else None
+        explains = larger_where_stated(step, stated) if step is not None else None
+        judged = by_entry(_judged, tolerance, explains, everyday) or judged
+    elif stated is not None:
+        judged = larger_where_stated(step, stated) or stated
+    elif declared is not None:
+        judged = by_entry(max, step, declared)
     return ReplayError(
-        estimate=judged, tolerance=tolerance, step=step, everyday=everyday, step_ratio=ratio,
-        rollback=rollback, step_source=source or "none", stated=stated,
-    )  # fmt: skip
+        estimate=judged, tolerance=tolerance, step=step, everyday=everyday, stated=stated
+    )
+
+
+def larger_where_stated(
+    measured: Difference | None, stated: Difference | None
+) -> Difference | None:
+    """The larger of the two, and what the runs say where nothing is stated; None if not measured."""
+    if stated is None or measured is None:
+        return measured
+    return by_entry(
+        lambda run, known: max(run, known) if math.isfinite(known) else run, measured, stated
+    )
 
 
 def _judged(tolerance: float, step: float, everyday: float) -> float:
@@ -361,44 +302,58 @@ def _judged(tolerance: float, step: float, everyday: float) -> float:
 
 
 def error_of(
-    subject: Subject, variables: Variables, simulated: Simulated
+    subject: Subject, variables: Variables, simulated: Simulated, package: Package
 ) -> tuple[ReplayError, bool]:
-    """The error of the run that is judged, and whether that of the everyday replay's step is known: not where half the step changes nothing."""
-    reference, everyday = simulated.reference, simulated.everyday
+    """The error of the run that is judged, and whether that of the everyday replay's step is known."""
     # A run that ended the process has no other beside it: what is compared must be there twice.
-    nodes = [
-        recorded(subject, variables, run, run.knots) if run.outcome is ReplayOutcome.OK else None
-        for run in (*reference, *everyday)
-    ]
-    loose, tight = nodes[:2] if len(reference) == 2 else (None, None)
-    first, coarse, fine = ([None, None, None, *nodes[len(reference) :]])[-3:]
-    is_known = tells_its_error(first, coarse, fine, heeds=variables.internal_step is not None)
-    counts = is_known or bool(reference)
-    error = estimate(
-        tolerance=difference(loose, tight),
-        step=difference(coarse, fine) if counts else None,
-        everyday=difference(fine, tight),
-        has_reference=bool(reference),
-        ratio=step_ratio(difference(first, coarse), difference(coarse, fine)),
-        rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None)
-        if everyday and counts
-        else None,
-        stated=subject.accuracy if isinstance(subject, ForeignModel) else None,
+    loose, tight, everyday = None, None, list[Recorded]()
+    if len(simulated.reference) == 2:
+        loose, tight = (_recorded(subject, variables, run) for run in simulated.reference)
+    for run in simulated.everyday:
+        found = _recorded(subject, variables, run)
+        # From a step that is too long to get to the end nothing follows of shorter ones.
+        everyday = [] if found is None else [*everyday, found]
+    stated = subject.accuracy if isinstance(subject, ForeignModel) else None
+    if simulated.reference:
+        step = largest_difference(everyday[-2:])
+        error = estimate(
+            tolerance=difference(loose, tight),
+            step=step,
+            everyday=difference(everyday[-1] if everyday else None, tight),
+            has_reference=True,
+            stated=stated,
+        )
+        return error, step is not None
+    known = converged(
+        everyday if simulated.coarsest_first else everyday[::-1],
+        heeds=variables.internal_step is not None,
     )
-    return error, is_known
+    error = estimate(
+        tolerance=None,
+        step=largest_difference(everyday[-FINEST:]) if known else None,
+        everyday=None,
+        has_reference=False,
+        stated=stated,
+        declared=_declared(package, everyday[-1]) if known else None,
+    )
+    return error, known
 
 
-def _local_errors(
-    subject: Subject, variables: Variables, run: Run, fine: Recorded | None, carried: bool
-) -> Difference | None:
-    if fine is None or len(run.local) != len(run.t) - 1:
+def _recorded(subject: Subject, variables: Variables, run: Run) -> Recorded | None:
+    """The run at the plan's nodes, if it got to the end."""
+    if run.outcome is not ReplayOutcome.OK:
         return None
-    coarse = [after - change for after, change in zip(run.outputs[1:], run.local, strict=True)]
-    ends = recorded(subject, variables, Run(t=run.t[1:], outputs=coarse))
-    return local_errors(
-        fine,
-        ends,
-        np.array(run.t),
-        carried,
-        heeds=variables.internal_step is not None or not carried,
+    return recorded(subject, variables, run, run.knots)
+
+
+def _declared(package: Package, motion: Recorded) -> Difference | None:
+    """The tolerance that an FMU declares for its own solver, of the sizes of the motion."""
+    tolerance = package.experiment("tolerance")
+    if tolerance is None:
+        return None
+    state = np.hypot(np.linalg.norm(motion.q, axis=1), np.linalg.norm(motion.v, axis=1))
+    return Difference(
+        position=tolerance * float(np.abs(motion.q).max(initial=0.0)),
+        state=tolerance * float(state.max(initial=0.0)),
+        gap=tolerance * float(np.abs(motion.gap).max(initial=0.0)),
     )

@@ -1,11 +1,7 @@
 """The everyday replay: a Co-Simulation FMU with its own fine step, one doStep a step of the plan, by the loop of loops.c.
 
-    run = simulate(package, variables, start, inputs, fineness=200)
+run = simulate(package, variables, start, inputs, fineness=200)
 
-Step halving by rollback: each step is made coarsely, taken back, and made again finely, from which
-the run goes on. What the two differ by is that step's local error, wherever earlier steps have
-brought the motion. The FMU must save and restore its state. The run itself is the plain one at the
-finer step, bit for bit.
 """
 
 from __future__ import annotations
@@ -16,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
-from fmpy.fmi2 import fmi2Fatal
 
 from validate.fmi import loops
 from validate.fmi.description import FmuError, Package
@@ -28,16 +23,6 @@ from validate.judge.replay.wiring import HeldInputs, Variables
 # Calls of doStep a plan step, of an FMU that has no internal step to set: its fineness over this.
 FINENESS_OF_A_CALL = 50
 _SHORTEST = 0.1
-# Outputs after the state is restored and those before it was left are the same within this share of
-# their size.
-SAME = 1e-9
-
-
-class RollbackError(Exception):
-    """The FMU says that it restores its state, and does not."""
-
-    def __init__(self) -> None:
-        super().__init__("the state it restores is not the one it saved")
 
 
 def base_step(times: np.ndarray) -> float:
@@ -74,30 +59,13 @@ def everyday_refusal(package: Package, inputs: HeldInputs) -> str | None:
     return None
 
 
-def offers_rollback(package: Package, variables: Variables) -> bool:
-    """Whether the Co-Simulation saves and restores its state - and takes half a step in the middle of a run."""
-    interface = package.cosimulation
-    if interface is None or not interface.canGetAndSetFMUstate:
-        return False
-    if variables.internal_step is None:
-        return bool(interface.canHandleVariableCommunicationStepSize)
-    owners = [
-        item
-        for item in package.description.modelVariables
-        if int(item.valueReference) == variables.internal_step
-    ]
-    return any(item.variability == "tunable" for item in owners)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Stepping:
     """An initialised FMU and what is to be done with it.
 
     parts: calls of doStep a step of the plan; slopes: whether the FMU is told those of the inputs;
         states: how many of the outputs are positions and
-    velocities, and come first; own_step_of: the reference of the FMU's own step, empty if it has
-        none to set; own_step: that step [s], twice that in a
-    coarse step.
+    velocities, and come first.
     """
 
     fmu: Instance
@@ -107,9 +75,6 @@ class Stepping:
     parts: int
     slopes: bool
     states: int
-    rolls_back: bool
-    own_step_of: References
-    own_step: float
 
 
 def simulate(
@@ -119,7 +84,6 @@ def simulate(
     inputs: HeldInputs,
     fineness: int,
     *,
-    rolls_back: bool = False,
     fmu: Instance | None = None,
 ) -> Run:
     """Step over the plan's grid.
@@ -136,13 +100,10 @@ def simulate(
         fineness/50 calls of doStep a step. Inputs that are lines
         within a step become stairs of `fineness` calls, each at its middle, for an FMU that takes
         no slopes: wrong by the square of a stair.
-    rolls_back : every step is made at half that fineness too, and taken back; what the two differ
-    by is `Run.local`. fmu : an instance that is as new, and stays loaded; None: one is loaded for
-    this run.
+    fmu : an instance that is as new, and stays loaded; None: one is loaded for this run.
 
     Raises
     ------
-    RollbackError : if the FMU does not restore its state.
     Fault : if it returns early.
     MachineError : without a compiler.
     """
@@ -168,12 +129,10 @@ def simulate(
             slopes = inputs.linear and interpolates and not package.is_three
             parts = 1 if own else max(1, fineness // FINENESS_OF_A_CALL)
             parts = fineness if inputs.linear and not slopes else parts
-            parts = 2 * ((parts + 1) // 2) if rolls_back and not own else parts
             stepping = Stepping(
                 fmu=fmu, given=given, outputs=References(variables.outputs), inputs=inputs,
                 parts=parts, slopes=slopes,
-                states=len(variables.q) + len(variables.v), rolls_back=rolls_back,
-                own_step_of=References(own), own_step=own_step,
+                states=len(variables.q) + len(variables.v),
             )  # fmt: skip
             if record_start(stepping, run):
                 step_through(stepping, run)
@@ -202,13 +161,12 @@ def record_start(stepping: Stepping, run: Run) -> bool:
 def step_through(stepping: Stepping, run: Run) -> None:
     """All steps of the plan, recorded in `run`, which holds the first node.
 
-    Raises RollbackError, FMICallException, Fault.
+    Raises FMICallException, Fault.
     """
     fmu, inputs, states = stepping.fmu, stepping.inputs, stepping.states
     given, width, steps = stepping.given.count, stepping.outputs.count, len(inputs.values)
     called = ["GetReal", "SetReal", "DoStep"]
     called += ["SetRealInputDerivatives"] if stepping.slopes else []
-    called += ["GetFMUstate", "SetFMUstate"] if stepping.rolls_back else []
     compiled, described = (
         loops.load(),
         loops.describe(fmu, called, inputs=stepping.given, outputs=stepping.outputs),
@@ -217,23 +175,15 @@ def step_through(stepping: Stepping, run: Run) -> None:
         np.array(array, dtype=float, order="C")
         for array in (inputs.times, inputs.values, inputs.slopes)
     )
-    outputs, local = np.empty((steps + 1, width)), np.empty((steps, width))
+    outputs = np.empty((steps + 1, width))
     outputs[0] = run.outputs[0]
-    orders, applied, coarse, own = (
-        np.ones(given, dtype=np.int32),
-        np.empty(given),
-        np.empty(width),
-        stepping.own_step_of,
-    )
+    orders, applied = np.ones(given, dtype=np.int32), np.empty(given)
     loop: Any = structure("stepping")(
         fmu=described, times=address_of(times), values=address_of(values), slopes=address_of(rates),
         linear=inputs.linear,
         gives_slopes=stepping.slopes, orders=address_of(orders), parts=stepping.parts,
         bounded=states, bound=DIVERGENCE,
-        outputs=address_of(outputs), applied=address_of(applied), rolls_back=stepping.rolls_back,
-        own_step_count=own.count,
-        own_step_reference=ctypes.addressof(own.array), own_step=stepping.own_step, same=SAME,
-        coarse=address_of(coarse), local=address_of(local),
+        outputs=address_of(outputs), applied=address_of(applied),
     )  # fmt: skip
     reason, place = Reason.DONE, ctypes.byref(loop)
     if inputs.feedback is None:
@@ -249,18 +199,10 @@ def step_through(stepping: Stepping, run: Run) -> None:
     run.knots.extend(range(1, done + 1))
     run.t.extend(times[1 : done + 1].tolist())
     run.outputs.extend(outputs[1 : done + 1])
-    if stepping.rolls_back:
-        run.local.extend(
-            local[: done + (reason in (Reason.OUTPUT_NOT_FINITE, Reason.OUT_OF_BOUNDS))]
-        )
-    if loop.place and loop.fmu.fault_status != fmi2Fatal:
-        fmu.forget(ctypes.c_void_p(loop.place))
     if reason is Reason.CALL_REFUSED:
         loops.refuse(fmu, loop.fmu)
     if reason is Reason.EARLY_RETURN:
         raise early_return(loop.reached)
-    if reason is Reason.NOT_RESTORED:
-        raise RollbackError
     if reason is Reason.OUTPUT_NOT_FINITE:
         run.end_without_number(times[done + 1])
     elif reason is Reason.OUT_OF_BOUNDS:

@@ -26,9 +26,7 @@ from validate.fmi.instance import faults_of
 from validate.fmi.loops import adopt, library_path
 from validate.fmi.surroundings import changes, listed, surroundings
 from validate.judge.replay.everyday import (
-    RollbackError,
     everyday_refusal,
-    offers_rollback,
     require_some_method,
 )
 from validate.judge.replay.everyday import simulate as simulate_everyday
@@ -37,7 +35,6 @@ from validate.judge.replay.result import ReplayOutcome, Run
 from validate.judge.replay.wiring import Feedback, HeldInputs, Variables, World, WorldInputs
 from validate.processes.isolated import (
     Ending,
-    Isolated,
     IsolatedCalls,
     Limits,
     packed,
@@ -46,9 +43,7 @@ from validate.processes.isolated import (
 )
 
 # Arrays of a run.
-_RECORDED = ("t", "outputs", "accumulated", "knots", "applied", "local")
-# Endings that may be the fault of a saved state alone: the job is done once more, without.
-_RETRIED = (Ending.SIGNAL, Ending.ABORT, Ending.NO_RESULT)
+_RECORDED = ("t", "outputs", "accumulated", "knots", "applied")
 # What an ending of the child means for the replay. The others are mistakes: of the user (a
 # sentence), of the machine, or ours.
 _ENDED = {
@@ -64,9 +59,9 @@ _ENDED = {
 class Simulated:
     """The runs of a replay.
 
-    reference, everyday: one run a tolerance or step, empty where the FMU cannot; refusal: why there
-        is no everyday run; note: what else is to be
-    recorded; CPU seconds of each.
+    reference, everyday: one run a tolerance or step, empty where the FMU cannot; coarsest_first:
+    whether the last everyday run has the shortest step; refusal: why there is no everyday run;
+    note: what else is to be recorded; CPU seconds of each.
     """
 
     reference: tuple[Run, ...]
@@ -75,6 +70,7 @@ class Simulated:
     seconds_reference: float
     seconds_everyday: float
     note: str = ""
+    coarsest_first: bool = True
 
     @property
     def judged(self) -> Run:
@@ -149,7 +145,6 @@ def _simulate(
     )
     variables, start, note = job.variables, job.start, ""
     reference: list[Run] = []
-    everyday: list[Run] = []
     with unpacked(package) as package, faults_of(package.path):
         refusal = everyday_refusal(package, inputs)
         require_some_method(package, refusal)
@@ -168,18 +163,13 @@ def _simulate(
                     )
                 )
         middle = clock.process_time()
-        rolls_back = job.rolls_back and offers_rollback(package, variables)
-        for fineness in job.fineness if refusal is None else ():
-            if rolls_back and fineness == job.fineness[-1]:
-                run, note = _rolled_back(package, variables, start, inputs, fineness)
-            else:
-                run = simulate_everyday(package, variables, start, inputs, fineness)
-            everyday.append(run)
+        everyday = [
+            simulate_everyday(package, variables, start, inputs, fineness)
+            for fineness in (job.fineness if refusal is None else ())
+        ]
         seconds = middle - began, clock.process_time() - middle
         if before is not None and (changed := changes(before, surroundings())):
-            note = (
-                f"{note} The FMU's code changed the process it runs in: {listed(changed)}.".lstrip()
-            )
+            note = f"The FMU's code changed the process it runs in: {listed(changed)}."
     return Simulated(
         reference=tuple(reference), everyday=tuple(everyday), refusal=refusal,
         seconds_reference=seconds[0], seconds_everyday=seconds[1], note=note,
@@ -195,24 +185,6 @@ def _kept(path: str) -> Package:
     return replace(package, folder=folder)
 
 
-def _rolled_back(
-    package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int
-) -> tuple[Run, str]:
-    """The run with rollback - or without, where the FMU cannot after all.
-
-    And the sentence that says so.
-    """
-    try:
-        run = simulate_everyday(package, variables, start, inputs, fineness, rolls_back=True)
-        if run.outcome is not ReplayOutcome.FMU_FAILED:
-            return run, ""
-        why = run.message.rstrip(".")
-    except RollbackError as error:
-        why = str(error)
-    run = simulate_everyday(package, variables, start, inputs, fineness)
-    return run, f"No step was rolled back: {why}." if run.outcome is ReplayOutcome.OK else ""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Simulations:
     """What is simulated of an FMU.
@@ -221,8 +193,7 @@ class Simulations:
         relative, of the reference, the looser first;
     fineness: internal steps a plan step of the everyday replay, the coarser first; parts, max_step:
         of the reference
-    (validate.judge.replay.reference.integrate); rolls_back: whether the last everyday run halves
-        its steps, where the FMU can; world: a perturbed one,
+    (validate.judge.replay.reference.integrate); world: a perturbed one,
     whose start and inputs are in the FMU's units.
     """
 
@@ -234,7 +205,6 @@ class Simulations:
     event_budget: int
     parts: int = PARTS
     max_step: float = math.inf
-    rolls_back: bool = True
     world: World | None = None
 
 
@@ -273,7 +243,6 @@ class Job(Simulations):
                     self,
                     tolerances=(),
                     fineness=(fineness,),
-                    rolls_back=self.rolls_back and fineness == self.fineness[-1],
                 )
                 for fineness in self.fineness
                 if package.cosimulation is not None
@@ -293,22 +262,9 @@ class Job(Simulations):
             run_isolated, limits=self.limits, what=f"FMU {package.path}", ours=self.ours
         )
 
-        def ask(rolls_back: bool) -> Isolated:
-            asked = {field.name: getattr(self, field.name) for field in fields(Simulations)}
-            return call(
-                "validate.judge.replay.job:simulate",
-                request,
-                arrays=packed(Simulations(**{**asked, "rolls_back": rolls_back}), feedback),
-            )
-
-        done, retried = ask(self.rolls_back), ""
-        if done.ending in _RETRIED and self.rolls_back and offers_rollback(package, self.variables):
-            again = ask(False)
-            if again.ok:
-                done, retried = (
-                    again,
-                    f"No step was rolled back, as the FMU did not survive it: {done.sentence}",
-                )
+        asked = {field.name: getattr(self, field.name) for field in fields(Simulations)}
+        arrays = packed(Simulations(**asked), feedback)
+        done = call("validate.judge.replay.job:simulate", request, arrays=arrays)
         if done.ending in _ENDED:
             ended: tuple[Run, ...] = (Run(outcome=_ENDED[done.ending], message=done.sentence),)
             reference = ended if self.tolerances and package.exchange is not None else ()
@@ -334,7 +290,7 @@ class Job(Simulations):
             else f"The FMU prints: {' '.join(done.output.split())[:_QUOTED]!r}."
         )
         return _simulated(
-            done.value, done.arrays, " ".join(text for text in (retried, strays, printed) if text)
+            done.value, done.arrays, " ".join(text for text in (strays, printed) if text)
         )
 
 

@@ -88,50 +88,32 @@ class Difference:
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayError:
-    """How wrong the judged trajectory may be, and what that is made of (None: could not be measured).
+    """How wrong the judged trajectory may be, and what that is made of (None: not measured).
 
-    tolerance: reference at two tolerances; step: everyday replay at two internal steps; everyday:
-        everyday (finer step)
-    against reference. `estimate` is what verdicts use: the tolerance difference, which overstates
-        the error of the tighter
-    run that is judged - unless the everyday replay, an independent method, differs from the
-        reference by more than its own
-    step halving explains; then that difference. Where the looser reference did not get to the end,
-        the larger of `everyday` and `step` counts. Without a reference (the FMU has no Model
-        Exchange) the finer everyday run is
-    judged and its step difference, the error of the coarser run to first order, is the estimate, 1
-        / (step_ratio - 1) times that where the ratio is below 2; there is
-    none if half the step changes nothing, or the ratio is below 1.5.
+    estimate: what verdicts use; None where nothing is known.
+    tolerance: the reference, Model Exchange by CVODE, at two tolerances. It overstates the error of
+        the tighter run, which is judged.
+    step: of the everyday replay, Co-Simulation. With a reference its two finest steps; without one
+        the largest difference among its four finest, if the three finer of them differ by less than
+        the three coarser.
+    everyday: the everyday replay against the reference.
+    stated: what the map says that the results of Co-Simulation are good to ([accuracy]); infinite
+        in what is not stated.
+    lag: of scenes without inertia the motion at twice the relaxation time against the judged one:
+        to first order what is left of it.
 
-    stated: what the author of an FMU says the results of its Co-Simulation are good to (the map's
-        [accuracy]), infinite in what is not stated;
-    it is the estimate where no run tells one, and else the larger of the two counts, in what is
-        stated. With a reference it explains `everyday`, as `step` does.
-
-    rollback: what halving a step changes within that step, summed over all steps
-        (validate.fmi.loops; None: the FMU does not restore its state).
-    Without a reference the larger of it and of `step` is the estimate; alone - no coarser run got
-        to the end - it is carried on by its velocities.
-    step_source: what told the everyday replay's own error: "second run", "rollback" or "second run
-        and rollback", and "stated" behind a comma
-    or alone; "none" where nothing did.
-
-    lag: the motion at twice the relaxation time against the one that is judged, of scenes without
-        inertia (models.scene.quasi_static): what is left of it, to first
-    order; in the estimate too.
-
-    step_ratio: how much the everyday replay's position difference shrank when its step was halved
-        once more (Richardson): 2^order where it
-    converges, about 1 or less where it does not; None where the differences are rounding already.
+    With a reference the estimate is `tolerance`, unless the everyday replay, an independent method,
+    differs from it by more than `step` or `stated` explains; then `everyday`. Where the looser
+    reference did not get to the end it is the larger of `everyday` and `step`.
+    Without a reference it is `step`, and at least what is stated, or else the tolerance that the
+    FMU declares for its own solver. What is stated stands alone where no convergence is seen.
+    `lag` is added.
     """
 
     estimate: Difference | None
     tolerance: Difference | None = None
     step: Difference | None = None
     everyday: Difference | None = None
-    step_ratio: float | None = None
-    rollback: Difference | None = None
-    step_source: str = "none"
     lag: Difference | None = None
     stated: Difference | None = None
 
@@ -159,7 +141,7 @@ class ReplayError:
             # velocity.
             unknown = [name for name in unknown if name != "velocity" or "position" not in unknown]
             return f"state [accuracy] {' and '.join(unknown)} in the map too, or take an FMU that {_EXCHANGE}"
-        if "stated" in self.step_source:
+        if self.stated is not None:
             return f"a better stated accuracy ([accuracy] in the map), if its author can vouch for it, or an FMU that {_EXCHANGE}"
         return f"a plan with shorter steps, or an FMU that {_EXCHANGE}"
 
@@ -276,8 +258,7 @@ class Run:
     """What one simulation recorded, point by point.
 
     Times, outputs of the model and accumulated quantities per point; rows that are nodes; events as
-    (time, indicator, closes); with feedback the inputs applied from the start of each step on; with
-    rollback what halving each step changed.
+    (time, indicator, closes); with feedback the inputs applied from the start of each step on.
     """
 
     t: list[float] = field(default_factory=list)
@@ -286,7 +267,6 @@ class Run:
     knots: list[int] = field(default_factory=list)
     events: list[tuple[float, int, bool]] = field(default_factory=list)
     applied: list[np.ndarray] = field(default_factory=list)
-    local: list[np.ndarray] = field(default_factory=list)
     outcome: ReplayOutcome = ReplayOutcome.OK
     message: str = ""
 

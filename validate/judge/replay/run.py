@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -14,6 +15,7 @@ from models.scene import Scene
 from models.trajectory import Hold, Trajectory
 from validate.fmi.description import FmuError, Package, read_package, unpacked
 from validate.judge.replay.error_estimate import (
+    FINEST,
     error_of,
     overlooked,
     with_lag_error,
@@ -23,7 +25,7 @@ from validate.judge.replay.error_estimate import (
 )
 from validate.judge.replay.everyday import FINENESS_OF_A_CALL
 from validate.judge.replay.job import Job, Simulated
-from validate.judge.replay.result import Event, Growth, Replay, ReplayError, ReplayOutcome
+from validate.judge.replay.result import Event, Growth, Replay, ReplayError, ReplayOutcome, Run
 from validate.judge.replay.subject import Foreign, ForeignModel, Subject, find_variables, recorded
 from validate.judge.replay.tracking import (
     TrackingError,
@@ -38,25 +40,30 @@ from validate.processes.isolated import Limits
 # tighter 1e-11 m, at 1.1 times the time.
 LOOSE = 1e-11
 TIGHT = 1e-13
-# Internal steps a plan step of the everyday replay: the ratio of the differences tells whether it
-# converges, the last two how far it is.
-FINENESS = (50, 100, 200)
+# Internal steps a plan step of the everyday replay beside the reference, which it only confirms.
+FINENESS = (100, 200)
+# Without a reference the step is divided by these numbers, until the verdict is decided: each
+# result costs as much as the two before it, and no step is a whole multiple of all the others.
+LADDER = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233, 377)
 # Co-Simulation tells its motion at the ends of its steps alone. Where it is judged, it is looked at
 # so often in a plan at least: three_cart has as many steps.
 LOOKS = 500
-# Four calls of doStep a step of the plan, and then one, which is judged: of a method of first order
-# the difference is three quarters of its error.
-OWN_STEP = (4 * FINENESS_OF_A_CALL, FINENESS_OF_A_CALL)
-# By how much communication steps are made shorter where halving them tells nothing, up to so many
-# calls in a plan. A small FMU takes 1 to 5 us a call.
+# Calls of doStep a step of the plan; the last is what is judged.
+OWN_STEP = tuple(FINENESS_OF_A_CALL * parts for parts in LADDER[FINEST - 1 :: -1])
+# By how much communication steps are made shorter where they do not explain how far Co-Simulation
+# is from the reference; and how many calls a plan may take. A small FMU takes 1 to 5 us a call.
 _SHORTER = 8
 _MOST_CALLS = 200_000
+# Steps that differ by less than this share are equal: times are printed with some ten digits.
+_SAME_STEP = 1e-6
 # How often a replay that steps over a contact is made again, each time with steps that would have
 # seen it.
 _CLOSER_LOOKS = 6
 # Whether to replay once more with feedback around the plan, or a function that gives the plan that
 # feedback is to follow, if any, by the replay of the inputs alone.
 Track = bool | Callable[[Replay], Trajectory | None]
+# Whether a replay is sure enough for a verdict.
+Decides = Callable[[Trajectory, Replay], bool]
 # Contact events before a replay is stopped as chattering; the plans of the scenes have 2 to 40.
 EVENT_BUDGET = 10_000
 
@@ -67,13 +74,14 @@ def replay(
     trajectory: Trajectory,
     *,
     tolerances: tuple[float, float] = (LOOSE, TIGHT),
-    fineness: tuple[int, ...] = FINENESS,
+    fineness: tuple[int, ...] | None = None,
     event_budget: int = EVENT_BUDGET,
     limits: Limits | None = None,
     track: Track = False,
 ) -> Replay:
     """Apply the plan's inputs, from the task's start, to the FMU of the scene.
 
+    fineness: internal steps a plan step of the everyday replay; None: as many as its error needs.
     limits: run the FMU in a child process of its own; None runs it here, which is for our own FMU
         in a process that is a child already.
     track: whether to replay once more with feedback around the plan, or a function that gives the
@@ -89,6 +97,8 @@ def replay(
         if limits is not None
         else unpacked(read_package(fmu)) as package
     ):
+        if fineness is None:
+            fineness = FINENESS if package.exchange is not None else OWN_STEP[::-1]
         job = Job(
             package=package, variables=find_variables(package, scene), plan=trajectory,
             start=np.array(scene.task.start, dtype=float), limits=limits,
@@ -150,7 +160,7 @@ def _seeing_all(
     Without an error estimate where that does not end.
     """
     for _ in range(_CLOSER_LOOKS):
-        simulated = _convergent(scene, job, feedback)
+        simulated = _explained(scene, job, feedback)
         found, applied = _assemble(scene, job, simulated), _applied(simulated, job.plan)
         longest = overlooked(kernel, found)
         if longest is None:
@@ -179,10 +189,14 @@ def replay_foreign(
     limits: Limits,
     track: Track = False,
     own_step: bool = False,
+    decides: Decides = lambda plan, found: True,
 ) -> Replay:
     """The same for an FMU without a scene, always in a child process.
 
     track: with feedback too, by the FMU's own directional derivatives.
+
+    decides: whether a replay, with or without `tracked`, is sure enough; without Model Exchange
+    steps are made shorter until it is, or until the number of calls is spent.
 
     own_step: judged is Co-Simulation with one doStep a step of the plan, whatever else the FMU
         offers; its error is what four change.
@@ -204,15 +218,32 @@ def replay_foreign(
         Raises FmuError, MachineError.
         """
         asked = looked_at if feedback is None else job  # feedback acts at the plan's own rows
-        simulated = _convergent(
-            foreign.model, asked, None if feedback is None else feedback.in_units(*foreign.units)
-        )
-        applied = (_applied(simulated, asked.plan) - foreign.input_offset) / foreign.input_scale
-        found = _assemble(foreign.model, asked, in_plan_units(foreign, simulated))
-        if asked is not job:
-            found = replace(found, knots=np.flatnonzero(np.isin(found.t, trajectory.t)))
-        return found, applied
 
+        def made(simulated: Simulated) -> Replay:
+            found = _assemble(foreign.model, asked, in_plan_units(foreign, simulated))
+            found = _pushing(foreign.model, found)
+            if asked is job:
+                return found
+            return replace(found, knots=np.flatnonzero(np.isin(found.t, trajectory.t)))
+
+        def is_enough(simulated: Simulated) -> bool:
+            found = made(simulated)
+            whole = found if feedback is None else replace(opened[0], tracked=found)
+            return found.error.estimate is not None and decides(trajectory, whole)
+
+        in_units = None if feedback is None else feedback.in_units(*foreign.units)
+        if package.exchange is not None and not own_step:
+            simulated = _explained(foreign.model, asked, in_units)
+        else:
+            asked, simulated = _accepted(asked, job, in_units)
+            if not own_step:
+                simulated = _refined(asked, simulated, in_units, is_enough)
+        applied = (_applied(simulated, asked.plan) - foreign.input_offset) / foreign.input_scale
+        if feedback is None:
+            opened.append(made(simulated))
+        return made(simulated), applied
+
+    opened: list[Replay] = []
     return _with_tracked(
         run(None)[0],
         track,
@@ -222,20 +253,32 @@ def replay_foreign(
     )
 
 
-def _convergent(subject: Subject, job: Job, feedback: Feedback | None) -> Simulated:
-    """The simulations, with shorter steps of Co-Simulation where halving those of the job does not tell its error, or why it is so far from the reference.
+def _pushing(model: ForeignModel, found: Replay) -> Replay:
+    """The replay with contact forces that push, where those of the FMU pull: the map has their sign wrong."""
+    h = np.diff(found.t)[:, None]
+    impulses = (h * (found.lam[:-1] + found.lam[1:]) / 2.0).sum(axis=0)
+    pulls = impulses < 0.0
+    if not pulls.any():
+        return found
+    names = ", ".join(
+        contact.name for contact, pull in zip(model.contacts, pulls, strict=True) if pull
+    )
+    note = f"By the FMU contact {names} pulls, so its force is taken with the other sign; say so in the map (scale = -1)."
+    lam = np.where(pulls, -1.0, 1.0) * found.lam
+    return replace(found, lam=lam, message=f"{found.message} {note}".lstrip())
+
+
+def _explained(subject: Subject, job: Job, feedback: Feedback | None) -> Simulated:
+    """The simulations, with shorter steps of Co-Simulation where those of the job do not explain how far it is from the reference.
 
     As they are where no number of calls that we pay for does.
     """
     first = simulated = job.run(feedback)
-    while (
-        job.tolerances
-        and simulated.everyday
-        and {run.outcome for run in (*simulated.reference, *simulated.everyday)}
-        == {ReplayOutcome.OK}
-    ):
-        error, is_known = error_of(subject, job.variables, simulated)
-        if error.estimate == error.tolerance if simulated.reference else is_known:
+    while simulated.everyday and {
+        run.outcome for run in (*simulated.reference, *simulated.everyday)
+    } == {ReplayOutcome.OK}:
+        error, _ = error_of(subject, job.variables, simulated, job.package)
+        if error.estimate == error.tolerance:
             return simulated
         job = replace(job, fineness=tuple(_SHORTER * fineness for fineness in job.fineness))
         if job.plan.steps * job.fineness[-1] > _MOST_CALLS * FINENESS_OF_A_CALL:
@@ -246,6 +289,74 @@ def _convergent(subject: Subject, job: Job, feedback: Feedback | None) -> Simula
             seconds_reference=first.seconds_reference,
         )
     return first
+
+
+def _accepted(job: Job, own_rows: Job, feedback: Feedback | None) -> tuple[Job, Simulated]:
+    """The simulations by Co-Simulation at those steps that the FMU takes, and their job.
+
+    own_rows: the job with no rows but the plan's, for an FMU that takes nothing but multiples of
+    one step.
+    """
+    coarsest_first = job.fineness[0] < job.fineness[-1]
+    simulated = replace(job.run(feedback), coarsest_first=coarsest_first)
+    accepted = _without_refused(simulated)
+    if accepted is not None:
+        return job, accepted
+    multiples = replace(own_rows, fineness=_multiples(own_rows))
+    again = _without_refused(multiples.run(feedback))
+    return (job, simulated) if again is None else (multiples, again)
+
+
+def _without_refused(simulated: Simulated) -> Simulated | None:
+    """The simulations without the steps that the FMU refused; None if it took none, or not its own."""
+    refused, accepted = (
+        tuple(
+            run for run in simulated.everyday if (run.outcome is ReplayOutcome.FMU_FAILED) is failed
+        )
+        for failed in (True, False)
+    )
+    if not refused:
+        return simulated
+    if not accepted or not (simulated.coarsest_first or simulated.judged is accepted[-1]):
+        return None
+    note = f"{simulated.note} Other communication steps are refused: {refused[0].message}".lstrip()
+    return replace(simulated, everyday=accepted, note=note)
+
+
+def _multiples(job: Job) -> tuple[int, ...]:
+    """Fineness by which each step of the plan is made of whole steps of the FMU, one call first."""
+    declared, step = job.package.experiment("stepSize"), float(np.diff(job.plan.t).min())
+    whole = round(step / declared) if declared is not None else 1
+    if declared is None or not math.isclose(step, whole * declared, rel_tol=_SAME_STEP):
+        whole = 1
+    return tuple(FINENESS_OF_A_CALL * part for part in range(1, whole + 1) if whole % part == 0)
+
+
+def _refined(
+    job: Job,
+    simulated: Simulated,
+    feedback: Feedback | None,
+    is_enough: Callable[[Simulated], bool],
+) -> Simulated:
+    """The simulations with ever shorter steps of Co-Simulation, until they are enough.
+
+    A step that the FMU refuses is one step too many of ours, and leaves what came before.
+    """
+    unit = job.fineness[0]
+    for parts in LADDER[len(job.fineness) :]:
+        fineness = parts * unit
+        too_many = job.plan.steps * fineness > _MOST_CALLS * FINENESS_OF_A_CALL
+        if too_many or simulated.judged.outcome is not ReplayOutcome.OK or is_enough(simulated):
+            break
+        finer = replace(job, fineness=(fineness,)).run(feedback)
+        if finer.judged.outcome is not ReplayOutcome.OK:
+            break
+        simulated = replace(
+            simulated,
+            everyday=(*simulated.everyday, *finer.everyday),
+            seconds_everyday=simulated.seconds_everyday + finer.seconds_everyday,
+        )
+    return simulated
 
 
 def with_rows(plan: Trajectory, longest: float) -> Trajectory:
@@ -281,13 +392,15 @@ def foreign_job(
         plan=trajectory.with_inputs_in(*foreign.units[1]), start=foreign.start, limits=limits,
         tolerances=(LOOSE, TIGHT), fineness=FINENESS, event_budget=EVENT_BUDGET,
     )  # fmt: skip
+    if package.exchange is None or own_step:
+        job = replace(job, fineness=OWN_STEP[::-1])
     if own_step and trajectory.hold is not Hold.LINEAR:  # lines are stairs of many calls
         if package.cosimulation is None:
             raise FmuError(
                 f"FMU {package.path}: it offers no Co-Simulation, so it has no step of its own; leave out --own-step."
             )
         variables = replace(foreign.variables, internal_step=None)
-        return replace(job, variables=variables, tolerances=(), fineness=OWN_STEP, rolls_back=False)
+        return replace(job, variables=variables, tolerances=(), fineness=OWN_STEP)
     return with_steps_of(foreign.model, job)
 
 
@@ -297,20 +410,27 @@ def in_plan_units(foreign: Foreign, simulated: Simulated) -> Simulated:
     Raises ValueError for runs of another FMU.
     """
     first = len(foreign.variables.q) + len(foreign.variables.v)
-    impulse_scale = foreign.scale[first : first + len(foreign.variables.lam)]
-    for run in (*simulated.reference, *simulated.everyday):
-        run.outputs = [foreign.scale * row + foreign.offset for row in run.outputs]
-        run.local = [foreign.scale * row for row in run.local]
-        run.accumulated = [
-            np.concatenate([impulse_scale * row[: len(impulse_scale)], row[len(impulse_scale) :]])
+    contacts = len(foreign.variables.lam)
+    impulse_scale = foreign.scale[first : first + contacts]
+
+    def told(run: Run) -> Run:
+        impulses = [
+            np.concatenate([impulse_scale * row[:contacts], row[contacts:]])
             for row in run.accumulated
         ]
-    return simulated
+        outputs = [foreign.scale * row + foreign.offset for row in run.outputs]
+        return replace(run, outputs=outputs, accumulated=impulses)
+
+    return replace(
+        simulated,
+        reference=tuple(map(told, simulated.reference)),
+        everyday=tuple(map(told, simulated.everyday)),
+    )
 
 
 def _assemble(subject: Subject, job: Job, simulated: Simulated) -> Replay:
     variables, judged = job.variables, simulated.judged
-    error, is_known = error_of(subject, variables, simulated)
+    error, is_known = error_of(subject, variables, simulated, job.package)
     names = [contact.name for contact in subject.contacts] + list(subject.force_names[subject.nc :])
     names += (
         [subject.contacts[index].pressing_name for index in subject.damped]
@@ -372,11 +492,10 @@ def _notes(
             else no_exchange
         )
         if not is_known:
-            halved = "Half the communication step changes nothing"
-            if error.step_ratio is not None:
-                halved = f"Halving the communication step again changes {1.0 / error.step_ratio:.2g} times as much"
             told = "its author states." if error.stated is not None else "cannot be told."
-            notes.append(f"{halved}: the FMU has a step of its own, and how wrong that is {told}")
+            notes.append(
+                f"Results at ever shorter communication steps do not come together; how wrong they are {told}"
+            )
     if isinstance(subject, ForeignModel):
         if error.tolerance is not None:
             if error.estimate != error.tolerance and error.everyday is not None:

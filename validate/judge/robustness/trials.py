@@ -619,11 +619,11 @@ class FmuArena(Arena):
             foreign_job(foreign, package, one, wired.limits, wired.own_step) for one in plans
         )
         parts = max(job.parts, math.ceil(float(np.diff(plan.t).max()) / self._longest))
-        self._job = replace(job, child=self._child, rolls_back=False, parts=parts)
-        factor = max(looked_at.fineness) // max(JUDGED)
-        steady = JUDGED if foreign.variables.internal_step is None else FINENESS
+        self._job = replace(job, child=self._child, parts=parts)
+        factor = max(looked_at.fineness) // max(JUDGED if package.exchange else OWN_STEP)
+        steady = OWN_STEP[::-1] if foreign.variables.internal_step is None else FINENESS
         self.levels = (
-            OWN_STEP[1:]
+            OWN_STEP[-1:]
             if wired.own_step
             else tuple(factor * fineness for fineness in steady)
             if whole or uneven
@@ -637,7 +637,7 @@ class FmuArena(Arena):
         }
         if not exchange:
             self.by, self.near = (
-                f"with {'a quarter of the' if wired.own_step else 'half the smallest'} step",
+                f"with {'a fifth of the' if wired.own_step else 'half the smallest'} step",
                 _NEAR,
             )
 

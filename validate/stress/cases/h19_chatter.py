@@ -7,6 +7,7 @@ or says that it does not resolve the plan.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -33,8 +34,12 @@ def measure() -> Found:
     plan = rolled(scene, u=u)
     result = replayed(scene, plan, like=base)
     verdict = score(scene, plan, result).verdict
-    error = replayed(scene, plan, like=base, fineness=COARSE).error
-    ratio = math.nan if error.step_ratio is None else error.step_ratio
+    coarse, error = (
+        replayed(scene, plan, like=base, fineness=pair).error for pair in pairwise(COARSE)
+    )
+    ratio = math.nan
+    if coarse.step is not None and error.step is not None and error.step.position > 0.0:
+        ratio = coarse.step.position / error.step.position
     converges = result.ok and ratio >= 1.5
     estimate = math.nan if result.error.estimate is None else result.error.estimate.position
     silent = (

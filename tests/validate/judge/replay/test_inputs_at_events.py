@@ -16,7 +16,8 @@ def moved(folder: Path, define: str, t: np.ndarray, force: np.ndarray, hold: str
     still = np.column_stack([t, np.full_like(t, 0.3), np.zeros_like(t), force, np.zeros_like(t)])
     plan = write_plan(folder / "plan.csv", plan=still)
     plan.write_text(f"# hold: {hold}\n" + plan.read_text(encoding="utf-8"), encoding="utf-8")
-    (folder / "cart.toml").write_text(FULL_MAP, encoding="utf-8")
+    at_rest = FULL_MAP.replace('"body.vel" = 2000', '"body.vel" = 0')
+    (folder / "cart.toml").write_text(at_rest, encoding="utf-8")
     wired = wire_fmu(
         build_foreign(folder / "cart.fmu", kinds=EXCHANGE, defines=(define,)),
         plan,

@@ -120,19 +120,17 @@ def test_cvode_in_c_with_feedback(version: str):
     same(*runs)
 
 
-@pytest.mark.parametrize("rolls_back", [False, True])
 @pytest.mark.parametrize("hold", list(Hold))
 def test_stepping_in_c_gives_the_bits_of_stepping_in_python(
-    carts: tuple[Package, Variables], hold: Hold, rolls_back: bool
+    carts: tuple[Package, Variables], hold: Hold
 ):
     plan = pushed("three_cart", hold)
     for inputs in (lambda: HeldInputs(plan), lambda: HeldInputs(plan, tracked("three_cart", plan))):
         runs = [
-            simulate(*carts, plan.start, inputs(), 20, rolls_back=rolls_back, compiled=compiled)
+            simulate(*carts, plan.start, inputs(), 20, compiled=compiled)
             for compiled in (True, False)
         ]
         assert runs[0].outcome is ReplayOutcome.OK
-        assert len(runs[0].local) == STEPS * rolls_back
         same(*runs)
 
 
@@ -299,11 +297,10 @@ class Loops:
         loop: Any = ctypes.cast(place, ctypes.POINTER(loops.structure("stepping"))).contents
         self.calls.append((first, last))
         self.told = {name: getattr(loop, name) for name, *_ in loop._fields_}
-        loop.done, loop.reached, loop.place = min(self.made, last), 0.3, 99
-        for array, size, base in ((loop.outputs, 3 * 4, 10.0), (loop.local, 3 * 3, 50.0)):
-            numbers = (ctypes.c_double * size).from_address(array)
-            for index in range(3 if base == 10.0 else 0, size):
-                numbers[index] = base + index
+        loop.done, loop.reached = min(self.made, last), 0.3
+        numbers = (ctypes.c_double * (3 * 4)).from_address(loop.outputs)
+        for index in range(3, 3 * 4):
+            numbers[index] = 10.0 + index
         return int(self.reason if self.made < last else everyday.Reason.DONE)
 
 
@@ -312,7 +309,6 @@ def stepped(
     done: int,
     monkeypatch: pytest.MonkeyPatch,
     *,
-    rolls_back: bool = False,
     feedback: Any = None,
     fault: int = 0,
 ) -> tuple[Run, Loops, Any]:
@@ -321,35 +317,26 @@ def stepped(
     plan = Trajectory(
         t=0.5 * np.arange(4), q=states, v=states, u=np.ones((3, 1)), lam=np.zeros((3, 0))
     )
-    answering, run, forgotten = (
-        Loops(reason, done),
-        Run(knots=[0], t=[0.0], outputs=[np.array([1.0, 2.0, 3.0])]),
-        [],
-    )
+    answering = Loops(reason, done)
+    run = Run(knots=[0], t=[0.0], outputs=[np.array([1.0, 2.0, 3.0])])
     instance = instance_of()
-    instance.forget = lambda place: forgotten.append(place.value)
     monkeypatch.setattr(loops, "load", lambda: answering)
     described = loops.describe(instance, [], inputs=References([3]), outputs=References([4, 5, 6]))
     described.fault_status = fault
     monkeypatch.setattr(loops, "describe", lambda *given, **named: described)
     stepping = everyday.Stepping(
         fmu=instance, given=References([3]), outputs=References([4, 5, 6]),
-        inputs=HeldInputs(plan, feedback), parts=1, slopes=False, states=2, rolls_back=rolls_back,
-        own_step_of=References([]), own_step=0.1,
+        inputs=HeldInputs(plan, feedback), parts=1, slopes=False, states=2,
     )  # fmt: skip
-    try:
-        everyday.step_through(stepping, run)
-    finally:
-        stepped.forgotten = forgotten  # type: ignore[attr-defined]
+    everyday.step_through(stepping, run)
     return run, answering, instance
 
 
 def test_all_steps_are_recorded_where_they_are_made(monkeypatch: pytest.MonkeyPatch):
     run, answering, _ = stepped(everyday.Reason.DONE, 3, monkeypatch)
-    assert (run.t, run.knots, run.local, answering.calls) == (
+    assert (run.t, run.knots, answering.calls) == (
         [0.0, 0.5, 1.0, 1.5],
         [0, 1, 2, 3],
-        [],
         [(0, 3)],
     )
     assert [row.tolist() for row in run.outputs[1:]] == [
@@ -357,68 +344,33 @@ def test_all_steps_are_recorded_where_they_are_made(monkeypatch: pytest.MonkeyPa
         [16.0, 17.0, 18.0],
         [19.0, 20.0, 21.0],
     ]
-    rolled, _, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, rolls_back=True)
-    assert [row.tolist() for row in rolled.local] == [
-        [50.0, 51.0, 52.0],
-        [53.0, 54.0, 55.0],
-        [56.0, 57.0, 58.0],
-    ]
-    assert stepped.forgotten == [99]  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
-    ("reason", "outcome", "local"),
-    [(everyday.Reason.OUTPUT_NOT_FINITE, ReplayOutcome.NOT_A_NUMBER, 2),
-     (everyday.Reason.OUT_OF_BOUNDS, ReplayOutcome.DIVERGED, 2),
-     (everyday.Reason.CALL_REFUSED, ReplayOutcome.OK, 1)],
+    ("reason", "outcome"),
+    [(everyday.Reason.OUTPUT_NOT_FINITE, ReplayOutcome.NOT_A_NUMBER),
+     (everyday.Reason.OUT_OF_BOUNDS, ReplayOutcome.DIVERGED),
+     (everyday.Reason.CALL_REFUSED, ReplayOutcome.OK)],
 )  # fmt: skip
-def test_what_ends_a_loop_ends_the_run_at_the_step_that_it_was_in(
-    reason, outcome, local, monkeypatch
-):
-    run, _, instance = stepped(reason, 1, monkeypatch, rolls_back=True)
-    assert (run.t, run.knots, run.outcome, len(run.local)) == ([0.0, 0.5], [0, 1], outcome, local)
+def test_what_ends_a_loop_ends_the_run_at_the_step_that_it_was_in(reason, outcome, monkeypatch):
+    run, _, instance = stepped(reason, 1, monkeypatch)
+    assert (run.t, run.knots, run.outcome) == ([0.0, 0.5], [0, 1], outcome)
     assert ("t = 1 s" in run.message) is (outcome is not ReplayOutcome.OK)
     assert bool(instance.refused) is (reason is everyday.Reason.CALL_REFUSED)
 
 
-def test_a_loop_is_told_its_bounds_and_within_which_share_a_state_is_restored(
-    monkeypatch: pytest.MonkeyPatch,
-):
-    """Two of the outputs are states; nothing may be beyond 1e9.
-
-    What is restored is the same within 1e-9 of its size.
-    """
-    for rolls_back in (True, False):
-        _, answering, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, rolls_back=rolls_back)
-        told = {
-            name: answering.told[name]
-            for name in (
-                "bounded",
-                "bound",
-                "same",
-                "rolls_back",
-                "linear",
-                "gives_slopes",
-                "parts",
-                "own_step_count",
-                "own_step",
-            )
-        }
-        assert told == {
-            "bounded": 2, "bound": 1e9, "same": 1e-9, "rolls_back": rolls_back, "linear": 0,
-            "gives_slopes": 0, "parts": 1, "own_step_count": 0, "own_step": 0.1,
-        }  # fmt: skip
+def test_a_loop_is_told_its_bounds(monkeypatch: pytest.MonkeyPatch):
+    """Two of the outputs are states; nothing may be beyond 1e9."""
+    _, answering, _ = stepped(everyday.Reason.DONE, 3, monkeypatch)
+    names = ("bounded", "bound", "linear", "gives_slopes", "parts")
+    assert {name: answering.told[name] for name in names} == {
+        "bounded": 2, "bound": 1e9, "linear": 0, "gives_slopes": 0, "parts": 1,
+    }  # fmt: skip
 
 
-def test_what_no_fmu_may_do_is_raised_and_nothing_is_freed_after_a_fatal_status(
-    monkeypatch: pytest.MonkeyPatch,
-):
+def test_a_step_that_ends_early_is_misbehaviour(monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(Misbehaviour, match=r"returned early at 0\.3 s.*not allowed"):
         stepped(everyday.Reason.EARLY_RETURN, 1, monkeypatch)
-    with pytest.raises(everyday.RollbackError):
-        stepped(everyday.Reason.NOT_RESTORED, 1, monkeypatch, rolls_back=True)
-    stepped(everyday.Reason.CALL_REFUSED, 1, monkeypatch, fault=4)
-    assert stepped.forgotten == []  # type: ignore[attr-defined]
 
 
 def test_with_feedback_each_step_is_asked_for_with_the_state_before_it(
@@ -437,18 +389,17 @@ def test_with_feedback_each_step_is_asked_for_with_the_state_before_it(
 
 
 @pytest.mark.parametrize(
-    ("linear", "interpolates", "internal", "fineness", "rolls_back", "parts", "slopes"),
+    ("linear", "interpolates", "internal", "fineness", "parts", "slopes"),
     [
-        (False, False, None, 200, False, 4, False), (False, False, None, 49, False, 1, False),
-        (False, False, 9, 200, False, 1, False), (True, True, None, 200, False, 4, True),
-        (True, False, None, 200, False, 200, False), (True, False, 9, 200, False, 200, False),
-        (False, False, None, 150, True, 4, False), (False, False, None, 50, True, 2, False),
-        (False, False, 9, 200, True, 1, False), (False, True, None, 200, False, 4, False),
-        (True, "by FMI 3.0", None, 200, False, 200, False),
+        (False, False, None, 200, 4, False), (False, False, None, 49, 1, False),
+        (False, False, 9, 200, 1, False), (True, True, None, 200, 4, True),
+        (True, False, None, 200, 200, False), (True, False, 9, 200, 200, False),
+        (False, False, None, 150, 3, False), (False, True, None, 200, 4, False),
+        (True, "by FMI 3.0", None, 200, 200, False),
     ],
 )  # fmt: skip
 def test_a_step_is_cut_as_its_fineness_and_its_inputs_need(
-    linear, interpolates, internal, fineness, rolls_back, parts, slopes, monkeypatch
+    linear, interpolates, internal, fineness, parts, slopes, monkeypatch
 ):
     found: list[Any] = []
     log: list[Any] = []
@@ -475,21 +426,11 @@ def test_a_step_is_cut_as_its_fineness_and_its_inputs_need(
         is_three=interpolates == "by FMI 3.0",
         cosimulation=SimpleNamespace(canInterpolateInputs=bool(interpolates)),
     )
-    run = everyday.simulate(
-        package, variables, np.array([9.0]), HeldInputs(plan), fineness, rolls_back=rolls_back
-    )
+    run = everyday.simulate(package, variables, np.array([9.0]), HeldInputs(plan), fineness)
     (stepping,) = found
     own = 0.5 / fineness
-    assert (
-        stepping.parts,
-        stepping.slopes,
-        stepping.states,
-        stepping.rolls_back,
-        stepping.own_step,
-    ) == (parts, slopes, 2, rolls_back, own)
-    assert (
-        stepping.own_step_of.array[:], stepping.given.array[:], stepping.outputs.array[:],
-    ) == ([] if internal is None else [internal], [5], [1, 2])  # fmt: skip
+    assert (stepping.parts, stepping.slopes, stepping.states) == (parts, slopes, 2)
+    assert (stepping.given.array[:], stepping.outputs.array[:]) == ([5], [1, 2])
     settings = [(6, 0.5), (7, 9.0)] + ([] if internal is None else [(internal, own)])
     assert log == [((8, 1),), (0.5, settings, [5], [3.0]), "unload"]
     assert (run.t, run.knots, run.outputs[0].tolist()) == ([0.5], [0], [1.0, 2.0])

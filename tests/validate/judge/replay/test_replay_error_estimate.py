@@ -12,14 +12,13 @@ from wording import unsaid
 from validate.judge.replay import Difference, Replay, ReplayError, ReplayOutcome
 from validate.judge.replay import error_estimate as module
 from validate.judge.replay.error_estimate import (
+    all_the_same,
+    converged,
     difference,
     estimate,
-    heeds_step,
     larger,
-    local_errors,
+    largest_difference,
     overlooked,
-    step_ratio,
-    tells_its_error,
     with_max_step,
     with_steps_of,
 )
@@ -63,60 +62,49 @@ def test_a_difference_is_the_largest_of_one_coordinate_one_node_and_one_gap(sign
 
 
 @SIGNS
-def test_a_run_heeds_its_step_if_half_the_step_changes_more_than_rounding(sign: float):
-    coarse, fine = still(), still()
-    assert not heeds_step(coarse, fine)
-    coarse.v[2, 1] = sign * 1e-10  # of a motion of 2
-    assert not heeds_step(coarse, fine)
-    coarse.v[2, 1] = sign * 3e-10
-    assert heeds_step(coarse, fine)
-    assert heeds_step(None, fine)
-    assert heeds_step(coarse, None)
+def test_runs_are_the_same_if_they_differ_by_no_more_than_rounding(sign: float):
+    one, other = still(), still()
+    assert all_the_same([one, other, one])
+    other.v[2, 1] = sign * 1e-10  # of a motion of 2
+    assert all_the_same([one, one, other])
+    other.v[2, 1] = sign * 3e-10
+    assert not all_the_same([one, one, other])
 
 
-TIMES = np.array([1.0, 1.5, 2.5, 3.0])
+def at(*places: float) -> list[Any]:
+    """Runs that differ in where they end."""
+    runs = [still() for _ in places]
+    for run, place in zip(runs, places, strict=True):
+        run.q[3, 1] += place
+    return runs
 
 
-@SIGNS
-def test_local_errors_are_summed_over_the_steps(sign: float):
-    fine, ends = still(), still(nodes=3)
-    ends.q[0, 0] += sign * 0.1
-    ends.q[2, 0] -= sign * 0.2
-    ends.v[1, 1] += sign * 0.04
-    ends.gap[0, 1] -= sign * 0.01
-    ends.gap[1, 1] += sign * 0.02
-    alone = local_errors(fine, ends, TIMES, carried=False, heeds=True)
-    assert alone == Difference(
-        position=pytest.approx(0.3),
-        state=pytest.approx(math.hypot(0.3, 0.04)),
-        gap=pytest.approx(0.03),
+def test_the_largest_difference_is_of_any_two_runs():
+    """Opposite errors do not hide each other: the second and the third run differ most."""
+    found = largest_difference(at(0.0, 0.3, -0.2, 0.1))
+    assert found == Difference(
+        position=pytest.approx(0.5), state=pytest.approx(0.5), gap=pytest.approx(0.0)
     )
-    # The second step ends at 2.5 s, half a second before the end: 0.02 of the other coordinate; two
-    # bodies may both come nearer by that.
-    carried = local_errors(fine, ends, TIMES, carried=True, heeds=True)
-    assert carried == Difference(
-        position=pytest.approx(0.3),
-        state=pytest.approx(math.hypot(0.3, 0.02, 0.04)),
-        gap=pytest.approx(0.03 + 2 * 0.02),
-    )
-    ends.v[0, 0] += sign * 0.4  # an error of the first step goes on for 1.5 s
-    assert local_errors(fine, ends, TIMES, carried=True, heeds=True).position == pytest.approx(
-        0.3 + 0.6
-    )
+    assert largest_difference(at(0.0)) is None
 
 
-def test_local_errors_of_a_run_that_heeds_no_step_are_not_known():
-    fine, ends = still(), still(nodes=3)
-    assert local_errors(fine, ends, TIMES, carried=True, heeds=False) is None
-    assert local_errors(fine, ends, TIMES, carried=True, heeds=True) == Difference(
-        position=0.0, state=0.0, gap=0.0
-    )
-    ends.q[1, 0] += 1e-9
-    assert local_errors(fine, ends, TIMES, carried=False, heeds=False).position == pytest.approx(
-        1e-9, rel=1e-3
-    )
-    assert local_errors(None, ends, TIMES, carried=True, heeds=True) is None
-    assert local_errors(fine, None, TIMES, carried=True, heeds=True) is None
+@pytest.mark.parametrize(
+    ("places", "heeds", "comes_together"),
+    [
+        ((1.0, 0.5, 0.33, 0.2), False, True),  # of first order, steps divided by 1, 2, 3, 5
+        ((0.0, 1.0, 0.5, 0.33, 0.2), False, True),  # the first of five is too coarse to count
+        ((0.4, 0.1, 0.9, 0.2), False, False),  # to and fro
+        ((0.0, 0.1, 0.25, 0.45), False, False),  # ever farther
+        ((1.0, 1.0, 0.93, 1.0), False, False),  # whole inner steps and a remainder
+        ((1.0, 0.5, 0.33), False, False),  # three tell nothing
+        ((0.0, 0.0, 0.0, 0.0), False, False),  # a step of its own
+        ((0.0, 0.0, 0.0, 0.0), True, True),  # the step that it is known to take: no error
+    ],
+)
+def test_results_come_together_where_three_finer_differ_by_less(
+    places: tuple[float, ...], heeds: bool, comes_together: bool
+):
+    assert converged(at(*places), heeds=heeds) is comes_together
 
 
 def test_the_larger_of_two_is_taken_entry_by_entry():
@@ -133,48 +121,10 @@ def of(position: float) -> Difference:
     return Difference(position=position, state=10 * position, gap=2 * position)
 
 
-def test_the_ratio_of_two_halvings_is_not_one_of_roundings():
-    assert step_ratio(of(8e-3), of(2e-3)) == pytest.approx(4.0)
-    assert step_ratio(of(8e-3), of(0.9e-11)) is None
-    assert step_ratio(of(8e-3), of(1.1e-11)) is not None
-    assert step_ratio(None, of(1.0)) is step_ratio(of(1.0), None) is None
-
-
-@pytest.mark.parametrize(
-    ("halvings", "heeds", "tells"),
-    [
-        ((3e-3, 2e-3), False, True), ((2.9e-3, 2e-3), False, False), ((2.9e-3, 2e-3), True, False),
-        ((1e-9, 0.9e-11), False, True),
-        ((1e-3, 0.0), False, False), ((1e-3, 0.0), True, True), ((None, 1e-3), False, True),
-        ((None, 1e-11), False, False),
-        ((2.9e-3, 1e-5), False, True), ((3.1e-3, 1e-5), False, False), ((3.1e-3, 1e-5), True, True),
-        ((1e-10, 5e-11), False, False),
-    ],
-)  # fmt: skip
-def test_halving_tells_where_it_changes_something_and_ever_less(
-    halvings: tuple[float | None, float], heeds: bool, tells: bool
-):
-    """Each halving changes two thirds of what the last one did at most.
-
-    Where nobody knows whether the step is heeded, no change says nothing, and so does
-
-    one that vanishes at once, or rounding.
-    """
-    (before, after), first, coarse, fine = halvings, still(), still(), still()
-    coarse.q = fine.q + after
-    first.q = coarse.q + (before or 0.0) * (1.0 + 1e-9)
-    assert tells_its_error(None if before is None else first, coarse, fine, heeds=heeds) is tells
-
-
 def test_the_estimate_is_the_tolerance_difference_where_the_everyday_replay_agrees():
     error = estimate(tolerance=of(1e-9), step=of(1e-6), everyday=of(1.2e-6), has_reference=True)
     assert error.estimate == of(1e-9)
-    assert (error.tolerance, error.step, error.everyday, error.step_source) == (
-        of(1e-9),
-        of(1e-6),
-        of(1.2e-6),
-        "second run",
-    )
+    assert (error.tolerance, error.step, error.everyday) == (of(1e-9), of(1e-6), of(1.2e-6))
 
 
 def test_an_everyday_replay_that_disagrees_beyond_its_own_error_becomes_the_estimate():
@@ -213,32 +163,16 @@ def test_the_estimate_where_a_run_did_not_get_to_the_end():
     assert estimate(tolerance=None, step=None, everyday=None, has_reference=True).estimate is None
 
 
-def test_without_a_reference_the_larger_of_second_run_and_rollback_counts():
-    found = estimate(
-        tolerance=None,
-        step=of(1e-6),
-        everyday=None,
-        rollback=of(2e-6),
-        ratio=2.5,
-        has_reference=False,
+def test_without_a_reference_the_declared_tolerance_is_the_least_error():
+    alone = {"tolerance": None, "everyday": None, "has_reference": False}
+    assert estimate(**alone, step=of(1e-6), declared=of(2e-6)).estimate == of(2e-6)
+    assert estimate(**alone, step=of(3e-6), declared=of(2e-6)).estimate == of(3e-6)
+    assert estimate(**alone, step=None, declared=of(2e-6)).estimate is None, (
+        "a tolerance says nothing of steps that do not come together"
     )
-    assert (found.estimate, found.step_source, found.step_ratio) == (
-        of(2e-6),
-        "second run and rollback",
-        2.5,
-    )
-    slow = estimate(tolerance=None, step=of(1e-6), everyday=None, ratio=1.5, has_reference=False)
-    assert (slow.step, slow.estimate.position) == (of(1e-6), pytest.approx(2e-6)), (
-        "two thirds, four ninths, ... of the last difference are still to come"
-    )
-    found = estimate(
-        tolerance=None, step=None, everyday=None, rollback=of(2e-6), has_reference=False
-    )
-    assert (found.estimate, found.step_source) == (of(2e-6), "rollback")
-    assert (
-        estimate(tolerance=None, step=None, everyday=None, has_reference=False).step_source
-        == "none"
-    )
+    stated = of(1e-9)
+    found = estimate(**alone, step=of(1e-6), declared=of(2e-6), stated=stated)
+    assert found.estimate == of(1e-6), "who states the accuracy knows more than the tolerance"
 
 
 def test_a_stated_accuracy_counts_where_it_is_stated_and_larger():
@@ -248,9 +182,8 @@ def test_a_stated_accuracy_counts_where_it_is_stated_and_larger():
         tolerance=None, step=of(1e-5), everyday=None, stated=stated, has_reference=False
     )
     assert found.estimate == Difference(position=1e-3, state=1e-4, gap=2e-5)
-    assert found.step_source == "second run, stated"
     alone = estimate(tolerance=None, step=None, everyday=None, stated=stated, has_reference=False)
-    assert (alone.estimate, alone.step_source) == (stated, "stated")
+    assert alone.estimate == stated
     assert not unsaid(alone.would_decide, "state [accuracy] gap")
     judged = estimate(
         tolerance=of(1e-9), step=None, everyday=None, stated=stated, has_reference=True
@@ -400,20 +333,17 @@ def test_a_longest_step_holds_in_every_simulation():
 
 
 def test_without_inertia_the_everyday_replay_is_fine_enough_for_its_lag():
-    """Steps of 0.5 s with a lag of 1 ms: 250 parts of twice the lag, which are five times 50.
-
-    Two of the three runs will do.
-    """
+    """Steps of 0.5 s with a lag of 1 ms: 250 parts of twice the lag, which are five times 50."""
 
     def found(lag: float | None, **more: Any) -> tuple[int, ...]:
         return module.fine_enough(
             SimpleNamespace(lag=lag), job_of([0.0, 0.5, 1.0], **more)
         ).fineness  # type: ignore[arg-type]
 
-    assert found(0.001) == (250, 500)
-    assert found(0.0009) == (300, 600)
-    assert found(0.1) == (50, 100)
-    assert found(0.001, fineness=(200, 100)) == (300, 600)
+    assert found(0.001) == (250, 500, 1000)
+    assert found(0.0009) == (300, 600, 1200)
+    assert found(0.1) == (50, 100, 200)
+    assert found(0.001, fineness=(200, 100)) == (600, 300)
     assert found(None) == (50, 100, 200)
     assert found(0.001, fineness=()) == ()
 
@@ -518,16 +448,3 @@ def test_twice_the_lag_is_another_parameter_of_the_fmu(monkeypatch: pytest.Monke
             lambda package, scene, knows=knows: (package, scene.lag if knows else 0),
         )
         assert module.twice_the_lag("package", scene) == (("package", 0.5) if knows else None)  # type: ignore[arg-type,comparison-overlap]
-
-
-def test_local_errors_without_as_many_velocities_as_positions_are_not_carried():
-    """A foreign FMU whose map names no velocity of its one position."""
-    fine, ends = still(), still(nodes=3)
-    ends.q[1, 0] += 0.1
-    for run in (fine, ends):
-        run.v = run.v[:, :1]
-    ends.v[0, 0] += 0.4
-    found = local_errors(fine, ends, TIMES, carried=True, heeds=True)
-    assert found == Difference(
-        position=pytest.approx(0.1), state=pytest.approx(math.hypot(0.1, 0.4)), gap=0.0
-    )

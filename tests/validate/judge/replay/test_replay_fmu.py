@@ -163,6 +163,6 @@ def test_a_start_that_already_touches_is_in_contact_from_the_first_moment():
     resting = replay(scene, build_fmu(scene), driven(scene, np.full((5, 1), 2.0)))
     assert resting.q[:, 0] == pytest.approx(0.02, abs=1e-12)
     assert resting.events == ()
-    touching = driven(scene.with_task(start=(0.0, 0.0)), np.full((5, 1), 1.0))
-    pushed = replay(scene, build_fmu(scene), touching)
+    touching = scene.with_task(start=(0.0, 0.0))
+    pushed = replay(touching, build_fmu(touching), driven(touching, np.full((5, 1), 1.0)))
     assert pushed.q[:, 0] == pytest.approx(0.01 * (1 - np.cos(10 * pushed.t)), abs=1e-10)

@@ -16,14 +16,11 @@ from validate.fmi.archive import FmuError
 from validate.judge.replay import ReplayOutcome
 from validate.judge.replay import job as module
 from validate.judge.replay.everyday import (
-    RollbackError,
     base_step,
     everyday_refusal,
-    offers_rollback,
     require_some_method,
 )
 from validate.judge.replay.job import Job, Simulations
-from validate.judge.replay.result import Run
 from validate.judge.replay.tracking import tracking_refusal
 from validate.judge.replay.wiring import Feedback, HeldInputs, Variables
 from validate.processes.isolated import Ending, Limits, unpacked_from
@@ -123,7 +120,6 @@ def test_a_child_is_asked_for_all_of_a_job(monkeypatch: pytest.MonkeyPatch):
         "event_budget",
         "parts",
         "max_step",
-        "rolls_back",
         "world",
     )
     assert [getattr(job, name) for name in names] == [
@@ -133,7 +129,6 @@ def test_a_child_is_asked_for_all_of_a_job(monkeypatch: pytest.MonkeyPatch):
         7,
         4,
         0.25,
-        True,
         None,
     ]
     sent, given = (
@@ -143,7 +138,7 @@ def test_a_child_is_asked_for_all_of_a_job(monkeypatch: pytest.MonkeyPatch):
     assert job.plan.hold is Hold.LINEAR
     ((reference,), (everyday,)) = found.reference, found.everyday
     assert (reference.t, reference.outputs, reference.accumulated, reference.knots,
-            reference.applied, reference.local) == ([0.0], [1.0], [2.0], [3.0], [4.0], [5.0])  # fmt: skip
+            reference.applied) == ([0.0], [1.0], [2.0], [3.0], [4.0])  # fmt: skip
     assert (reference.outcome, everyday.outcome) == (ReplayOutcome.OK, ReplayOutcome.DIVERGED)
     assert (everyday.message, everyday.t) == ("run 1", [10.0])
     assert reference.events == [(0.5, 1, True)]
@@ -182,9 +177,9 @@ def test_one_instance_a_process_takes_a_process_a_run(
     ]  # fmt: skip
     chosen = (answers[:2] if exchange else []) + (answers[2:] if cosimulation else [])
     found, requests = asked(monkeypatch, chosen, fmu)
-    runs = [((1e-11,), (), True), ((1e-13,), (), True)] if exchange else []
-    runs += [((), (50,), False), ((), (100,), True)] if cosimulation else []
-    assert [(job.tolerances, job.fineness, job.rolls_back) for _, _, job, *_ in requests] == runs
+    runs = [((1e-11,), ()), ((1e-13,), ())] if exchange else []
+    runs += [((), (50,)), ((), (100,))] if cosimulation else []
+    assert [(job.tolerances, job.fineness) for _, _, job, *_ in requests] == runs
     assert (len(found.reference), len(found.everyday)) == (2 * exchange, 2 * cosimulation)
     assert (found.seconds_reference, found.seconds_everyday) == (0.25 * len(runs), 0.5 * len(runs))
     assert found.refusal == ("no first" if exchange else "no second" if cosimulation else None)
@@ -224,27 +219,6 @@ def test_what_ended_a_child_is_the_outcome_of_its_one_run(ending, outcome, excha
 
 
 @pytest.mark.parametrize(
-    "ending",
-    [Ending.SIGNAL, Ending.ABORT, Ending.NO_RESULT, Ending.TIME_LIMIT, Ending.MEMORY_LIMIT],
-)
-@pytest.mark.parametrize("survives", [True, False])
-def test_what_does_not_survive_its_saved_state_runs_once_more_without(
-    ending: Ending, survives: bool, monkeypatch: pytest.MonkeyPatch
-):
-    again = told(["reference"], note="own", strays=1) if survives else ended(Ending.ABORT)
-    retried = ending not in (Ending.TIME_LIMIT, Ending.MEMORY_LIMIT)
-    found, requests = asked(monkeypatch, [ended(ending), again], package())
-    assert [job.rolls_back for _, _, job, *_ in requests] == ([True, False] if retried else [True])
-    if retried and survives:
-        assert not unsaid(
-            found.note,
-            f"own No step was rolled back … did not survive it: it was {ending.name}. … 1 process behind",
-        )
-    else:
-        assert found.reference[0].message == f"it was {ending.name}.", "the first end is told"
-
-
-@pytest.mark.parametrize(
     ("strays", "words"),
     [(1, "The FMU left 1 process behind"), (3, "The FMU left 3 processes behind"), (0, "")],
 )
@@ -263,68 +237,7 @@ def test_mistakes_of_the_machine_and_of_others_are_raised(monkeypatch: pytest.Mo
         asked(monkeypatch, [ended(Ending.ERROR)], package())
 
 
-@pytest.mark.parametrize(
-    ("first", "note", "rolled"),
-    [
-        (Run(), "", True),
-        (Run(outcome=ReplayOutcome.FMU_FAILED, message="it said no."),
-         "No step was rolled back: it said no.", False),
-        (RollbackError(), "No step was rolled back: … not the one it saved.", False),
-        (Run(outcome=ReplayOutcome.DIVERGED, message="gone"), "", True),
-    ],
-)  # fmt: skip
-def test_a_rollback_that_fails_is_left_out_and_said(
-    first: Any, note: str, rolled: bool, monkeypatch: pytest.MonkeyPatch
-):
-    calls: list[bool] = []
-    plain = Run(message="plain")
-
-    def simulate(*given: Any, rolls_back: bool = False) -> Run:
-        calls.append(rolls_back)
-        if rolls_back and isinstance(first, Exception):
-            raise first
-        return first if rolls_back else plain
-
-    monkeypatch.setattr(module, "simulate_everyday", simulate)
-    run, said = module._rolled_back("package", "variables", "start", "inputs", 200)  # type: ignore[arg-type]
-    assert (run is (first if rolled else plain), bool(said), calls) == (
-        True,
-        bool(note),
-        [True] if rolled else [True, False],
-    )
-    assert not unsaid(said, note)
-    plain.outcome = ReplayOutcome.DIVERGED
-    assert module._rolled_back("package", "variables", "start", "inputs", 200)[1] == "", (
-        "a run that fails anyway needs no such note"
-    )
-
-
 # What an interface must offer
-
-
-@pytest.mark.parametrize(
-    ("saves", "variable", "internal", "variability", "offered"),
-    [
-        (True, True, None, "", True), (True, False, None, "", False),
-        (False, True, None, "", False), (True, False, 7, "tunable", True),
-        (True, True, 7, "fixed", False), (False, True, 7, "tunable", False),
-    ],
-)  # fmt: skip
-def test_rollback_is_offered_where_a_state_is_saved_and_half_a_step_is_taken(
-    saves, variable, internal, variability, offered
-):
-    interface = SimpleNamespace(
-        canGetAndSetFMUstate=saves, canHandleVariableCommunicationStepSize=variable
-    )
-    items = [
-        SimpleNamespace(valueReference=3, variability="tunable"),
-        SimpleNamespace(valueReference=7, variability=variability),
-    ]
-    fmu: Any = SimpleNamespace(
-        cosimulation=interface, description=SimpleNamespace(modelVariables=items)
-    )
-    assert offers_rollback(fmu, replace(VARIABLES, internal_step=internal)) is offered
-    assert not offers_rollback(SimpleNamespace(cosimulation=None), VARIABLES)  # type: ignore[arg-type]
 
 
 def test_an_everyday_replay_is_refused_where_steps_must_be_equal():

@@ -351,8 +351,9 @@ def test_each_column_of_somebodys_replay_is_its_own(tmp_path: Path):
         (ReplayError(estimate=Difference(position=np.inf, state=np.inf, gap=np.inf)),
          "state [accuracy] position and gap in"),
         (ReplayError(estimate=Difference(position=1.0, state=1.0, gap=1.0),
-                     step_source="rollback, stated"), "a better stated accuracy"),
-        (ReplayError(estimate=Difference(position=1.0, state=1.0, gap=1.0), step_source="rollback"),
+                     stated=Difference(position=1.0, state=1.0, gap=1.0)),
+         "a better stated accuracy"),
+        (ReplayError(estimate=Difference(position=1.0, state=1.0, gap=1.0)),
          "a plan with shorter steps"),
     ],
 )  # fmt: skip
