@@ -136,7 +136,7 @@ def test_a_scene_is_given_by_name_too():
         told = judge("three_cart", rest, scheme=scheme)
         assert told.verdict is Verdict.VIOLATES
         assert not unsaid(
-            told.score.why, "plan itself ends 0.866 m … limit 0.05"
+            told.score.why, "plan itself ends 0.866 m … limit 0.06"
         )  # sqrt(3) times half a metre
         assert "step" not in told.score.why
         assert "driven" not in told.score.why
@@ -374,18 +374,21 @@ def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(
     )
     monkeypatch.setattr(module, "read_package", lambda path: "package")
     monkeypatch.setattr("validate.judge.replay.mapping.wire", lambda *given: (foreign, plan))
-    found = wire_fmu(Path("a.fmu"), {"t": plan.t}, limits="limits").judge(True)  # type: ignore[arg-type]
+    wired = wire_fmu(Path("a.fmu"), {"t": plan.t}, limits="limits")  # type: ignore[arg-type]
+    found = wired.judge(True)
     assert (found.scene, found.plan, found.replay) == ("model", plan, "replay 1")
     assert replays[0] == (
         (foreign, "package", plan),
-        {"limits": "limits", "own_step": False, "track": True},
+        {"limits": "limits", "own_step": False, "decides": wired._decides, "track": True},
     )
     assert scores[0] == (("model", plan, "replay 1"), {})
     assert len(replays) == len(scores) == 1 + again
     if again:
         other = replays[1][0][2]
         assert {other.hold, hold} == set(Hold)
-        assert replays[1][1] == {"limits": "limits", "own_step": False}
+        assert replays[1][1] == {
+            "limits": "limits", "own_step": False, "decides": wired._decides,
+        }  # fmt: skip
         assert scores[1] == (("model", plan, "replay 1"), {"other_hold": "replay 2"})
 
 
@@ -405,13 +408,12 @@ def test_a_plan_on_somebodys_fmu_is_wired_in_whatever_form_it_comes(
     (tmp_path / "plan.csv").write_text("t,u\n0,1\n1,\n")
     columns = {"t": np.array([0.0, 1.0]), "u": np.array([1.0])}
     for plan in (tmp_path / "plan.csv", str(tmp_path / "plan.csv"), columns):
-        subject, trajectory, run, feedback = wire_fmu(Path("a.fmu"), plan, hold="linear").judge(
-            True
-        )
+        wired = wire_fmu(Path("a.fmu"), plan, hold="linear")
+        subject, trajectory, run, feedback = wired.judge(True)
         assert (subject, trajectory, feedback) == ("model", "trajectory", True)
         assert (run.func, run.args, run.keywords) == (
             module.replay_foreign, (foreign, "package of a.fmu"),
-            {"limits": module.Limits(), "own_step": False},
+            {"limits": module.Limits(), "own_step": False, "decides": wired._decides},
         )  # fmt: skip
         package, table, map_file, hold, where = asked[-1]
         assert (package, table.names[0], map_file, hold, where) == (
@@ -425,7 +427,7 @@ def test_a_plan_on_somebodys_fmu_is_wired_in_whatever_form_it_comes(
     run = wire_fmu(
         Path("a.fmu"), columns, map_path=tmp_path / "map.toml", limits=module.Limits(seconds=2.0)
     ).judge()[2]  # type: ignore[index]
-    assert run.keywords == {"limits": module.Limits(seconds=2.0), "own_step": False}
+    assert (run.keywords["limits"], run.keywords["own_step"]) == (module.Limits(seconds=2.0), False)
     assert (asked[-1][2].limits["replay_error"].value, asked[-1][4]) == (
         0.5,
         f"map {tmp_path / 'map.toml'}",

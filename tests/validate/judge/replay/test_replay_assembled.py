@@ -14,7 +14,6 @@ from models.catalog import load_scene
 from models.trajectory import Hold, Trajectory
 from tests.validate.judge.replay.test_replay_job import JOB, NO_FMU, PLAN, START, VARIABLES
 from validate.judge.replay import Difference, ReplayError, ReplayOutcome
-from validate.judge.replay import error_estimate as estimate_module
 from validate.judge.replay import run as run_module
 from validate.judge.replay.job import Job, Simulated
 from validate.judge.replay.result import Event, Run
@@ -59,13 +58,12 @@ def foreign() -> Foreign:
 
 
 def test_numbers_of_an_fmu_become_those_of_the_plan():
-    """Values by scale and offset, local errors by scale, impulses by that of their forces.
+    """Values by scale and offset, impulses by the scale of their forces.
 
     Energies stay.
     """
     run = Run(
         outputs=[np.array([1.0, 1.0, 1.0, 1.0])],
-        local=[np.array([1.0, 2.0, 3.0, 4.0])],
         accumulated=[np.array([7.0, 8.0, 9.0])],
     )
     given = Simulated(
@@ -76,9 +74,9 @@ def test_numbers_of_an_fmu_become_those_of_the_plan():
         seconds_everyday=0.0,
     )
     found = run_module.in_plan_units(foreign(), given)
+    assert run.outputs[0].tolist() == [1.0, 1.0, 1.0, 1.0], "what was given is as it was"
     for one in (*found.reference, *found.everyday):
         assert one.outputs[0] == pytest.approx([2.1, 3.2, 4.3, 5.4])
-        assert one.local[0].tolist() == [2.0, 6.0, 12.0, 20.0]
         assert one.accumulated[0].tolist() == [28.0, 8.0, 9.0]
 
 
@@ -178,12 +176,7 @@ def test_a_replay_is_the_tighter_reference_and_is_compared_with_all_others():
         [0, 2, 3],
     )
     error = found.error
-    assert (error.tolerance, error.step, error.everyday, error.step_ratio) == (
-        at(0.25),
-        at(0.5),
-        at(0.5),
-        pytest.approx(1.0 / 0.5),
-    )
+    assert (error.tolerance, error.step, error.everyday) == (at(0.25), at(0.5), at(0.5))
     assert (found.seconds_reference, found.seconds_everyday, found.message) == (
         1.5,
         2.5,
@@ -193,21 +186,20 @@ def test_a_replay_is_the_tighter_reference_and_is_compared_with_all_others():
 
 
 def test_without_a_reference_the_finest_everyday_run_is_judged():
-    found = assembled(simulated([], [3.0, 2.0, 1.5], note="and a note"))
+    found = assembled(simulated([], [3.0, 2.0, 1.5, 1.25], note="and a note"))
     assert (found.method, found.q[-1].tolist(), found.error.tolerance, found.error.estimate) == (
         "everyday",
-        [1.5],
+        [1.25],
         None,
-        at(0.5),
+        at(1.75),
     )
     assert not unsaid(
         found.message, "No reference replay: … no Model Exchange. a note of the map. and a note"
     )
-    same = assembled(simulated([], [1.5, 1.5, 1.5]))
+    same = assembled(simulated([], [1.5, 1.5, 1.5, 1.5]))
     assert (same.error.estimate, not unsaid(same.message, "cannot be told")) == (None, True)
-    assert assembled(simulated([], [1.5, 1.5, 1.5]), internal_step=9).error.step == at(0.0), (
-        "an FMU with a step to set heeds it"
-    )
+    heeds = assembled(simulated([], [1.5, 1.5, 1.5, 1.5]), internal_step=9)
+    assert heeds.error.step == at(0.0), "an FMU with a step to set heeds it"
 
 
 def test_runs_that_were_cut_off_are_compared_with_nothing():
@@ -252,45 +244,12 @@ def test_what_the_notes_say_of_cosimulation():
     alone = simulated([], [1.5, 1.5])
     assert not unsaid(
         notes(stated, alone, ReplayError(estimate=None, stated=stated.accuracy), False),
-        "changes nothing: … its author states.",
+        "do not come together; … its author states.",
     )
     assert not unsaid(
-        notes(MODEL, alone, ReplayError(estimate=None, step_ratio=0.5), False),
-        "again changes 2 times as much: … cannot be told.",
+        notes(MODEL, alone, ReplayError(estimate=None), False),
+        "do not come together; … cannot be told.",
     )
-
-
-def test_local_errors_are_those_of_a_run_that_recorded_one_a_step():
-    outputs = [
-        np.array([0.0, 0.0, 0.0, 1.0]),
-        np.array([0.5, 0.0, 0.0, 1.0]),
-        np.array([1.0, 0.0, 0.0, 1.0]),
-    ]
-    local = [np.array([0.125, 0.0, 0.0, 0.0]), np.array([-0.25, 0.5, 0.0, 0.0])]
-    run = Run(t=[0.0, 0.5, 1.0], outputs=outputs, local=local, knots=[0, 1, 2])
-    fine = recorded(MODEL, VARIABLES, run, run.knots)
-    found = estimate_module._local_errors(MODEL, VARIABLES, run, fine, carried=False)
-    assert found == Difference(
-        position=pytest.approx(0.375), state=pytest.approx(math.hypot(0.375, 0.5)), gap=0.0
-    )
-    assert estimate_module._local_errors(MODEL, VARIABLES, run, None, carried=False) is None
-    assert (
-        estimate_module._local_errors(
-            MODEL, VARIABLES, replace(run, local=local[:1]), fine, carried=False
-        )
-        is None
-    )
-    still = replace(run, local=[np.zeros(4)] * 2)
-    assert estimate_module._local_errors(MODEL, VARIABLES, still, fine, carried=True) is None, (
-        "nobody knows whether it heeds its step"
-    )
-    assert (
-        estimate_module._local_errors(
-            MODEL, replace(VARIABLES, internal_step=5), still, fine, carried=True
-        )
-        is not None
-    )
-    assert estimate_module._local_errors(MODEL, VARIABLES, still, fine, carried=False) is not None
 
 
 def test_feedback_on_somebodys_fmu_is_in_its_units_and_told_in_the_plans(
@@ -442,7 +401,7 @@ def test_a_scene_is_replayed_with_feedback_where_its_replay_asks_for_it(
         [0.0, 0.8],
     )
     assert (job.tolerances, job.fineness, job.event_budget, job.parts, job.max_step) == (
-        (1e-11, 1e-13), (50, 100, 200), 10_000, 3, math.inf,
+        (1e-11, 1e-13), (100, 200), 10_000, 3, math.inf,
     )  # fmt: skip
     assert (job.limits, feedback) == (None, None)
     for track in (True, lambda replay: plan if replay.growth == "growth" else None):

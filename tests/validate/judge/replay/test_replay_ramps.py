@@ -23,7 +23,7 @@ T = np.array([0.0, 0.1, 0.3, 0.5])
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return mass_on_a_line()
+    return mass_on_a_line().with_task(start=(0.2, -1.0))
 
 
 def ramp(end: bool = True) -> Trajectory:

@@ -25,6 +25,9 @@ angle = { variable = "theta", scale = 57.29577951308232, offset = 3.0 }
 angle = { variable = "omega", scale = 57.29577951308232, column = "speed" }
 [parameters]
 w = 1e4
+[start]
+theta = "angle"
+omega = "speed"
 """
 
 
@@ -70,7 +73,7 @@ def test_a_stranger_is_caught_in_its_own_units(fmu: Path, tmp_path: Path):
 
 def test_an_fmu_is_linearised_as_it_is(fmu: Path, tmp_path: Path):
     """Exactly, for a linear FMU; with the wall's spring where the plan touches it."""
-    states = np.array([[0.0, 0.5], [0.05, 0.5], [0.2, 0.1], [0.25, 0.0]])
+    states = np.array([[0.0, 0.8], [0.05, 0.5], [0.2, 0.1], [0.25, 0.0]])
     rows = [
         f"{H * node!r},{angle!r},{speed!r},0.0"
         for node, (angle, speed) in enumerate(states.tolist())

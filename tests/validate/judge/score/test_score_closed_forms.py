@@ -166,11 +166,12 @@ def test_contact_impulses_without_inertia_are_as_wrong_as_their_error_says_and_i
                 (missed_impulse, equations.excess_impulse(least, planned, case.h)),
             ):
                 measured = measure(case)
-                found.append((abs(measured.values - true), measured.error, measured.scales))
-    off, error, scale = np.array(found).T
+                found.append((abs(measured.values - true), measured.error))
+                if planned is force:  # what ten times the error has to fit in
+                    assert 10.0 * measured.error <= 0.5 * 0.01 * measured.scales
+    off, error = np.array(found).T
     assert (off <= error + 1e-12).all()
     assert error.sum() <= 5.0 * off.sum()  # of a single plan those of two steps may cancel
-    assert (10.0 * error <= 0.5 * 0.01 * scale).all()  # what ten times it has to fit in
     assert off.max() > 1e-5
 
 
@@ -197,6 +198,7 @@ def test_a_finger_without_inertia_turns_back_before_the_box_or_touches_it_betwee
         hold=hold,
         u_end=u[-1],
     )
-    found = replay(pusher(), build_fmu(pusher()), still)
+    scene = pusher().with_task(start=(start, APART, 0.0, 0.0))
+    found = replay(scene, build_fmu(scene), still)
     assert [event.closes for event in found.events] == touches
     assert found.error.estimate.gap < 1e-3
