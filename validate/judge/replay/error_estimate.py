@@ -64,11 +64,38 @@ def overlooked(kernel: Kernel, replayed: Replay) -> float | None:
         replayed.gap[rows],
         np.stack([begins, ends], axis=1).reshape(len(rows), -1),
     )[0][::2]
-    dips = (first > 0.0) & (last > 0.0) & (begins < 0.0) & (ends > 0.0) & (lowest < 0.0) & (h > 0.0)
+    turns = (first > 0.0) & (last > 0.0) & (begins < 0.0) & (ends > 0.0) & (h > 0.0)
+    dips = turns & (lowest < 0.0)
     if not dips.any():
-        return None
+        return None if kernel.scene.lag is not None else _passed_through(kernel, replayed, turns)
     bend = (ends - begins)[dips] / np.broadcast_to(h, dips.shape)[dips]
     return float(np.min(2.0 * np.sqrt(-2.0 * lowest[dips] / bend))) / _WITHIN
+
+
+def _passed_through(kernel: Kernel, replayed: Replay, turns: np.ndarray) -> float | None:
+    """As `overlooked`, of a gap that turns round at once, as that of a thin plate does.
+
+    Its tangents at both rows meet in contact, and so do the positions there on their cubic.
+
+    Parameters
+    ----------
+    turns : (pieces, nc) whether a gap is open at both rows, falls first and rises then [-].
+    """
+    t, q, v, gap = replayed.t, replayed.q, replayed.v, replayed.gap
+    rate, found = -penetration_rates(kernel, q, v), []
+    for piece, contact in np.argwhere(turns):
+        h, (begins, ends) = t[piece + 1] - t[piece], rate[piece : piece + 2, contact]
+        first, last = gap[piece : piece + 2, contact]
+        s = (last - first - ends * h) / (begins - ends) / h
+        if not 0.0 < s < 1.0 or first + begins * s * h >= 0.0:
+            continue
+        moved, leaves, comes = q[piece + 1] - q[piece], h * v[piece], h * v[piece + 1]
+        place = q[piece] + s * leaves + s**2 * (3.0 * moved - 2.0 * leaves - comes)
+        place += s**3 * (leaves + comes - 2.0 * moved)
+        depth = float(kernel.penetration(place[None])[0, contact])
+        if depth > 0.0:
+            found.append(depth * (1.0 / ends - 1.0 / begins) / _WITHIN)
+    return min(found, default=None)
 
 
 def with_steps_of(subject: Subject, job: Job) -> Job:
@@ -299,6 +326,11 @@ def larger_where_stated(
 def _judged(tolerance: float, step: float, everyday: float) -> float:
     """The tolerance difference, unless the everyday replay differs from the reference by more than its own step explains."""
     return tolerance if everyday <= _EXPLAINED * (step + tolerance) else max(tolerance, everyday)
+
+
+def is_explained(error: ReplayError) -> bool:
+    """Whether steps and tolerances explain how far the everyday replay is from the reference."""
+    return error.estimate == error.tolerance
 
 
 def error_of(

@@ -1,5 +1,7 @@
 """Contact between two steps of an integrator: found where there is one, and never passed over in silence."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -84,6 +86,20 @@ def test_a_pane_thinner_than_a_step_sends_the_ball_back(missing: frozenset[str])
         [2.0 * (PLACE - 2e-4) - SPEED * scene.task.horizon, -SPEED], abs=2e-4
     )
     assert found.replay.error.estimate.state < 1e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("thickness", [4e-3, 2e-4, 2e-5])
+def test_a_plate_that_pushes_out_of_its_nearer_face_sends_the_ball_back(thickness: float):
+    """Its gap is |q - c| - w/2, which turns round at once: no smooth curve through the rows touches."""
+    plate = replace(PANE.contacts[0], penetration=w / 2 - sp.sqrt((q - c) ** 2 + w**2 / 10**8))
+    omega = 20.0 * np.sqrt(2.0) / (thickness / 2.0)  # it comes to rest in a third of the plate
+    scene = replace(PANE, name="plate", contacts=(plate,)).with_parameters(w=thickness, k=omega**2)
+    found = judge(scene, through(scene))
+    assert found.verdict.value == "violates"
+    face = PLACE - thickness / 2.0
+    back = scene.task.horizon - face / SPEED - np.pi / omega
+    assert found.replay.end == pytest.approx([face - SPEED * back, -SPEED], abs=1e-3 * thickness)
 
 
 @pytest.mark.slow

@@ -207,7 +207,10 @@ def stepped_over(
 
     lag: of a scene without inertia.
     """
-    rows, kernel = len(t), SimpleNamespace(scene=SimpleNamespace(lag=lag))
+    kernel = SimpleNamespace(
+        scene=SimpleNamespace(lag=lag), penetration=lambda q: np.full((1, 2), -1.0)
+    )
+    rows = len(t)
     replayed: Any = SimpleNamespace(
         t=np.array(t), gap=np.array(gap), q=np.zeros((rows, 1)), v=np.zeros((rows, 1))
     )

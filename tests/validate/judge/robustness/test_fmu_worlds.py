@@ -358,7 +358,10 @@ def test_the_command_takes_an_fmu(
     ] == 'world,body.mass,"share of limit, inputs alone"'
     assert run([*given[:-1], "body.mas"]) == 2
     assert not unsaid(capfd.readouterr().err, "did you mean body.mass?")
-    (tmp_path / "map.toml").write_text(FREE.replace("3e-4", "1e-300"), encoding="utf-8")
+    rows = (tmp_path / "plan.csv").read_text(encoding="utf-8").splitlines()
+    time, position, *others = rows[-2].split(",")
+    rows[-2] = ",".join([time, str(float(position) + 1.0), *others])
+    (tmp_path / "plan.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
     assert run(given) == 2
     assert not unsaid(capfd.readouterr().err, "does not hold to begin with", "--anyway")
     for wrong, parts in (
