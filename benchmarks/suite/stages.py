@@ -233,7 +233,7 @@ def cs_replay(size: Size, folder: Path) -> Work:
 
 
 def whole_replay(size: Size, folder: Path) -> Work:
-    """As `validate all` judges a plan: the reference at two tolerances, Co-Simulation at three steps."""
+    """As `validate all` judges a plan: the reference at two tolerances, Co-Simulation at two steps."""
     scene, plan = scene_of(size), pushed_plan(size)
     fmu = build_fmu(scene)
     replay(scene_of(_TINY), build_fmu(scene_of(_TINY)), pushed_plan(_TINY))

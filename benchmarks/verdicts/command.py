@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from benchmarks.options import COUNT, json_option, seed_option
-from benchmarks.verdicts import exact, search, wrong
+from benchmarks.verdicts import exact, ladders, search, wrong
 from benchmarks.verdicts.plans import (
     SKIPPED,
     Case,
@@ -25,7 +25,7 @@ from benchmarks.verdicts.plans import (
 from models.errors import TouchstoneError
 from validate.processes.disk import write_durably
 
-GROUPS = ("exact", "wrong", "search")
+GROUPS = ("exact", "wrong", "ladders", "search")
 SCENES = (
     "three_cart", "wall_pendulum", "cart_chain", "hopper", "two_discs", "transport",
     "two_discs_wall", "cart_pole_walls", "acrobot_limits", "hopper_planar",
@@ -113,7 +113,7 @@ def command(
     groups: tuple[str, ...], scenes: tuple[str, ...], only: str, tries: int, seed: int, finds: Path,
     file: Path | None
 ) -> int:  # fmt: skip
-    """Plans whose verdict is known, tried on the judge: GROUP is exact, wrong or search (default: all); exit code 1 where one is another."""
+    """Plans whose verdict is known, tried on the judge: GROUP is exact, wrong, ladders or search (default: all); exit code 1 where one is another."""
     groups = groups or GROUPS
     table: dict[str, Any] = {}
     faults = 0
@@ -121,12 +121,15 @@ def command(
     for group in (name for name in made if name in groups):
         table[group] = []
         faults += _told(made[group](scenes), only, table[group])
-    if only and not any(table.values()) and "search" not in groups:
+    if only and not any(table.values()) and not {"ladders", "search"} & {*groups}:
         raise click.UsageError(f"no plan of {', '.join(scenes)} has {only!r} in its name.")
     for name, rows in table.items():
         skipped = sum(row["said"] == SKIPPED for row in rows)
         odd = sum(bool(row["differs"]) for row in rows)
         click.echo(f"{name}: {len(rows)} plans, {skipped} skipped, {odd} not as expected")
+    if "ladders" in groups:
+        table["ladders"] = ladders.run(list(scenes))
+        faults += table["ladders"]["not_monotone"]
     if "search" in groups:
         result = search.run(list(scenes), tries, seed, finds)
         faults += result["said_to_hold"] + result["not_answered"]

@@ -268,7 +268,76 @@ def print_coarsely(plan: Plan, scene: Scene, random: np.random.Generator) -> Pla
     return plan.but(digits=int(random.choice([0, 1, 2, 3])), t_digits=None)
 
 
+def throw(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan | None:
+    """The start velocity is another one, by the first difference of the positions too."""
+    if plan.q is None or plan.v is None:
+        return None
+    q, v = plan.q.copy(), plan.v.copy()
+    faster = random.choice([-1.0, 0.1, 2.0]) * np.abs(v).max(axis=0)
+    v[0] += faster
+    q[1] += faster * (plan.t[1] - plan.t[0])
+    return plan.but(q=q, v=v)
+
+
+def rock_velocities(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan | None:
+    """Velocities too large and too small in turn, so that their integral is right."""
+    if plan.v is None:
+        return None
+    turns = np.where(np.arange(len(plan.t)) % 2 == 0, 1.0, -1.0)[:, None]
+    return plan.but(v=plan.v + random.choice([0.05, 0.5, 5.0]) * turns)
+
+
+def saw(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan:
+    """Inputs on lines that rise from nearly nothing and jump back: their left ends cost nothing."""
+    lower, upper = _bounds(scene)
+    steps, tiny = len(plan.u), 1e-6
+    t = np.sort(np.append(plan.t, plan.t[1:-1] - tiny))
+    starts = np.searchsorted(plan.t, t[:-1] + tiny / 2.0, side="right").clip(1, steps) - 1
+    rises = np.isin(t[:-1], plan.t)
+    u = np.where(rises[:, None], 0.0, np.clip(2.0 * plan.u[starts], lower, upper))
+    last = np.clip(2.0 * plan.u[-1], lower, upper)
+    return Plan(t=t, u=u, hold="linear", u_last=last)
+
+
+def push_everywhere(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan | None:
+    """A small contact force all the time, in the air too."""
+    if plan.lam is None or not plan.lam.size:
+        return None
+    return plan.but(lam=plan.lam + random.choice([0.003, 0.01, 0.1]) * np.abs(plan.lam).max())
+
+
+def peaks(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan | None:
+    """Of each step and the one after it the larger contact force."""
+    if plan.lam is None or not plan.lam.size:
+        return None
+    return plan.but(lam=np.maximum(plan.lam, np.roll(plan.lam, -1, axis=0)))
+
+
+def rub(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan | None:
+    """Friction of another size, in the air too, or to and fro."""
+    if plan.friction is None or not plan.friction.size:
+        return None
+    size = random.choice([0.1, 1.0, 100.0]) * max(float(np.abs(plan.friction).max()), 1.0)
+    turns = np.where(np.arange(len(plan.friction)) % 2 == 0, 1.0, random.choice([1.0, -1.0]))
+    return plan.but(friction=plan.friction + size * turns[:, None])
+
+
+def as_float32(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan:
+    """All numbers as float32, which excuses half a spacing of each."""
+    names = ("u", "q", "v", "lam", "friction")
+    rows = {name: getattr(plan, name) for name in names}
+    return plan.but(
+        digits=None,
+        **{
+            name: values.astype(np.float32).astype(float)
+            for name, values in rows.items()
+            if values is not None
+        },
+    )
+
+
 MUTATIONS: tuple[Mutation, ...] = (
+    throw, rock_velocities, saw, push_everywhere, peaks, rub, as_float32,
     warp_time, stretch_time, thin, drop_contact, scale_forces, pulse_force, pulse_input,
     spike_between, scale_inputs, quiet, ram, shift, mirror,
     move_states, jitter, to_the_goal, start_elsewhere, cut, append, delete, delete, declare,

@@ -94,7 +94,7 @@ def stage_files(index: int, stages: int) -> dict[str, str]:
 
 
 # Increment it with every change of a stored field: a store of another version is refused.
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 
 Verdict = Literal[
     "holds",
@@ -490,7 +490,7 @@ class ProvenanceRecord(Model):
 class RunRecord(Model):
     """One run: a scene by a pipeline."""
 
-    schema_version: Literal[7] = SCHEMA_VERSION
+    schema_version: Literal[8] = SCHEMA_VERSION
     key: str
     scene: SceneRecord
     pipeline: str
@@ -570,7 +570,7 @@ class TimeStepRecord(Model):
 class CampaignRecord(Model):
     """What belongs to the campaign as a whole; stored as DIR/campaign.json."""
 
-    schema_version: Literal[7] = SCHEMA_VERSION
+    schema_version: Literal[8] = SCHEMA_VERSION
     title: str
     command: str
     started: str

@@ -14,6 +14,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
 from models.trajectory import Hold
+from validate.judge.replay import Difference
 from validate.stress import motion
 from validate.stress.cases import (
     h01_stiffness,
@@ -333,7 +334,8 @@ def test_a_replay_that_does_not_converge_and_is_believed(monkeypatch):
 
     def stuck(scene, plan, **given):
         told = replayed(scene, plan, **given)
-        return replace(told, error=replace(told.error, step_ratio=1.0))
+        same = Difference(position=1e-6, state=1e-6, gap=1e-6)
+        return replace(told, error=replace(told.error, step=same))
 
     monkeypatch.setattr(h19_chatter, "replayed", stuck)
     failed = broken(h19_chatter.measure())

@@ -348,9 +348,11 @@ def _refined(
     A step that the FMU refuses is one step too many of ours, and leaves what came before.
     """
     unit = job.fineness[0]
+    # Inputs that are lines take a call for each of their stairs.
+    of_a_call = 1 if job.plan.hold is Hold.LINEAR else FINENESS_OF_A_CALL
     for parts in LADDER[len(job.fineness) :]:
         fineness = parts * unit
-        too_many = job.plan.steps * fineness > _MOST_CALLS * FINENESS_OF_A_CALL
+        too_many = job.plan.steps * fineness > _MOST_CALLS * of_a_call
         if too_many or simulated.judged.outcome is not ReplayOutcome.OK or is_enough(simulated):
             break
         finer = replace(job, fineness=(fineness,)).run(feedback)

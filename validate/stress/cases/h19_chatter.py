@@ -17,7 +17,7 @@ from validate.stress.case import Found, StressCase, at_least, at_most, finding, 
 from validate.stress.motion import replayed, rolled
 
 NODES = 300
-# Internal steps a plan step: with the default ones (50, 100, 200) the differences are rounding
+# Internal steps a plan step: with the default ones (100, 200) the differences are rounding
 # already, and have no ratio.
 COARSE = (5, 10, 20)
 
