@@ -23,11 +23,11 @@ from models.codegen.kernel import Kernel, Rollout, load_kernel
 from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw
 from models.errors import TrajectoryError
-from models.limits import input_share, limit_of, replay_limits
 from models.scene import Scene
+from models.scene.default_limits import limit_of, replay_limits
 from models.scene.goal import distance, goal_state, miss
 from models.schemes import Scheme
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Trajectory, input_share, uniform_grid
 
 
 def coarse_scene(scene: Scene, most: int) -> Scene | None:
@@ -183,7 +183,7 @@ def departure(scene: Scene, plan: Trajectory) -> float:
     float
         Of distance from the plan's positions, of distance from the goal's positions and velocities
         at the end, each over the judge's limit, and of the feedback's share of the inputs
-        (`models.limits.input_share`) over its limit [-].
+        (`models.trajectory.input_share`) over its limit [-].
 
     Raises
     ------

@@ -54,6 +54,8 @@ _TITLES = {"q": "position", "v": "velocity", "lam": "force", "u": "input"}
 _INSTALL = "pip install matplotlib pandas"
 # What a plan's author may leave out.
 GROUPS = ("q", "v", "lam", "friction")
+# Windows in a plan: shorter dither of the inputs moves nothing and counts for nothing.
+WINDOWS = 50
 
 
 def as_scheme(value: Any, where: str = "plan") -> Scheme | None:
@@ -667,6 +669,41 @@ def _units(scene: Scene) -> dict[str, str]:
 
 def _velocities(t: np.ndarray, q: np.ndarray, scene: Scene) -> np.ndarray:
     """Return the task's start velocities and behind them differences, (nodes, nq)."""
-    v = np.gradient(q, t, axis=0, edge_order=min(2, len(t) - 1))
+    v = np.gradient(q, t, axis=0, edge_order=2 if len(t) > 2 else 1)
     v[0] = scene.task.start[scene.nq :]
     return v
+
+
+def input_share(
+    t: np.ndarray, added: np.ndarray, own: np.ndarray, scale: np.ndarray
+) -> float | None:
+    """Return the share of feedback in the inputs, as root mean squares of averages over windows.
+
+    Parameters
+    ----------
+    t
+        Times (steps + 1,) of the steps [s].
+    added, own
+        Means over each step (steps, nu) of the feedback and of the plan's inputs [N, N m].
+    scale
+        Half the range of each input (nu,) [N, N m].
+
+    Returns
+    -------
+    float | None
+        [-]; None if the plan's own inputs are zero and the feedback is not.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit.
+    """
+    edges = np.linspace(t[0], t[-1], WINDOWS + 1)
+    sizes = []
+    for values in (added, own):
+        sums = np.vstack([np.zeros(len(scale)), np.cumsum(np.diff(t)[:, None] * values, axis=0)])
+        means = [np.diff(np.interp(edges, t, column)) for column in sums.T]
+        sizes.append(float(np.linalg.norm(np.array(means) / scale[:, None])))
+    if sizes[1] > 0.0:
+        return sizes[0] / sizes[1]
+    return None if sizes[0] > 0.0 else 0.0

@@ -10,8 +10,8 @@ import pytest
 from formulations.grids import departure, finer_scene, motion_on_finer_steps, scene_of
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from models.limits import FEEDBACK_EFFORT, FEEDBACK_SHARE, REPLAY_ERROR
 from models.scene import Scene
+from models.scene.default_limits import FEEDBACK_EFFORT, FEEDBACK_SHARE, REPLAY_ERROR
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.score.table import FEEDBACK, TABLE
 

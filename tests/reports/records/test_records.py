@@ -347,6 +347,7 @@ MODULES = ("record", "check_record")
 MEANT = {
     "RunRecord.schema_version": 8, "CampaignRecord.schema_version": 8,
     "CheckRecord.schema_version": 8,
+    "ReplayRecord.judged": "open",
     "RunRecord.verdict": "no plan", "StageRecord.verdict": "no plan",
     "ContactRecord.bodies": ("", ""), "ShapeRecord.place": (None, None, None), "SeriesRecord.line": True,
 }  # fmt: skip

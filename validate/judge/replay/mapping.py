@@ -14,7 +14,6 @@ import numpy as np
 
 from models.errors import TrajectoryError
 from models.plan_table import Table, lack_of
-from models.printed import rounding
 from models.scene.parts import Limit
 from models.trajectory import (
     Trajectory,
@@ -24,6 +23,7 @@ from models.trajectory import (
     times_and_inputs,
 )
 from validate.fmi.description import REAL, Package
+from validate.judge.printed import rounding
 from validate.judge.replay import map_schema, subject
 from validate.judge.replay.map_schema import (
     CONTACT_UNITS,
@@ -48,11 +48,7 @@ _ROUNDING = 1e-9
 
 
 def wire(
-    package: Package,
-    table: Table,
-    given: MapFile | None,
-    hold: str | None,
-    where: str,
+    package: Package, table: Table, given: MapFile | None, hold: str | None, where: str
 ) -> tuple[subject.Foreign, Trajectory]:
     """where: the subject of a mistake's message, "map FILE" or "FMU FILE".
 

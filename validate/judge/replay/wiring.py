@@ -14,9 +14,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from models.limits import input_share
 from models.plan_table import Table
-from models.trajectory import Hold, Trajectory
+from models.trajectory import Hold, Trajectory, input_share
 
 # The outputs a replay can use beside positions and velocities; what an FMU lacks is computed from
 # the scene or left out.
@@ -132,7 +131,7 @@ class Effort:
         peak_share: the largest over the inputs as a share of
     the input's scale (half the width of its bounds); plan_share: root mean square of all that was
         added over that of the plan's own inputs, each input in
-    its scale and averaged over windows (models.limits.input_share); saturated:
+    its scale and averaged over windows (models.trajectory.input_share); saturated:
     share of the steps in which some input stood at a bound that the plan did not ask for.
     """
 

@@ -16,13 +16,12 @@ from numpy.polynomial.legendre import leggauss
 from models import collocation
 from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
-from models.limits import WINDOWS
-from models.printed import columns_rounding
 from models.scene import Scene
 from models.scene.contacts import DampingLaw
 from models.scene.goal import goal_state
 from models.schemes import Scheme
-from models.trajectory import Trajectory
+from models.trajectory import WINDOWS, Trajectory
+from validate.judge.printed import columns_rounding
 from validate.judge.replay.result import Difference, Replay, ReplayOutcome
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.wiring import HeldInputs
@@ -273,7 +272,10 @@ class Evidence:
 
     @cached_property
     def laws(self) -> dict[str, np.ndarray]:
-        """Contact forces (steps, nc) [N] of the true law by each convention."""
+        """Contact forces (steps, nc) [N] of the true law by each convention.
+
+        Raises Unmeasured without positions or equations.
+        """
         return by_convention(self.law_within, self._replayed_means)
 
     @property
@@ -294,7 +296,10 @@ class Evidence:
 
     @cached_property
     def rounding_of_law(self) -> np.ndarray:
-        """Change of the contact forces by the rounding of the plan's positions, (steps, nc) [N]."""
+        """Change of the contact forces by the rounding of the plan's positions, (steps, nc) [N].
+
+        Raises Unmeasured without positions or equations.
+        """
         d, rounding = derive(self.equations), self.rounding["q"]
         if not rounding.any():
             return np.zeros_like(self.lam)
@@ -328,7 +333,11 @@ class Evidence:
 
     @cached_property
     def rounding(self) -> dict[str, np.ndarray]:
-        """By how much each number of the plan's q, v, u and lam may be rounded (`models.printed`)."""
+        """By how much each number of the plan may be rounded (`validate.judge.printed`).
+
+        "q", "v" (nodes, nq), "u" (steps, nu), "lam" (steps, nl), each in its unit [SI]. Raises
+        nothing.
+        """
         plan, items = self.trajectory, self.scene.coordinates
         nominals = np.array([item.nominal for item in items])
         ranges = np.array([item.upper - item.lower for item in self.scene.inputs])
@@ -397,7 +406,7 @@ class Evidence:
 
     @property
     def start_velocity(self) -> np.ndarray:
-        """Velocities of the task's start, (nq,) [m/s or rad/s]."""
+        """Velocities of the task's start, (nq,) [m/s or rad/s]. Raises Unmeasured as `task_start`."""
         return self.task_start[self.scene.nq :]
 
     @property
@@ -424,7 +433,10 @@ class Evidence:
 
     @cached_property
     def pressing(self) -> np.ndarray:
-        """Contact forces that press on frictions at parts of the plan's steps, (parts, steps, nl) [N]: the plan's, or the law's if it states none."""
+        """Contact forces that press on frictions at parts of the plan's steps, (parts, steps, nl) [N].
+
+        They are the plan's, or the law's if it states none. Raises Unmeasured as `law_within`.
+        """
         parts = len(self.within_steps[0])
         forces = np.repeat(self.trajectory.lam[None], parts, axis=0)
         if "lam" in self.trajectory.missing:
@@ -462,7 +474,10 @@ class Evidence:
 
     @property
     def typical_friction(self) -> np.ndarray:
-        """Mu N of a typical force at the task's start, (nf,) [N]."""
+        """Mu N of a typical force at the task's start, (nf,) [N].
+
+        Raises Unmeasured if the map states no nominal_force.
+        """
         lam = np.full((1, self.scene.nl), self.typical_force if self.scene.nc else 0.0)
         return np.maximum(
             self.kernel.friction_limit(self.task_start[None, : self.scene.nq], lam)[0], 0.0

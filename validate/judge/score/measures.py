@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.dynamics import derive
-from models.limits import REPLAY_ERROR, WINDOWS
 from models.scene import Scene
+from models.scene.default_limits import REPLAY_ERROR
 from models.scene.goal import distance
 from models.schemes import Scheme
-from models.trajectory import Hold
+from models.trajectory import WINDOWS, Hold
 from validate.judge.replay.result import Difference, Event
 from validate.judge.replay.subject import Subject
 from validate.judge.score import equations as eq

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.limits import FEEDBACK_EFFORT, FEEDBACK_SHARE, REPLAY_ERROR
 from models.scene import Scene
+from models.scene.default_limits import FEEDBACK_EFFORT, FEEDBACK_SHARE, REPLAY_ERROR
 from validate.judge.replay.result import Growth
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.wiring import Effort

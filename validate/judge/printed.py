@@ -54,7 +54,10 @@ def rounding(values: np.ndarray, most: float) -> np.ndarray:
 
 
 def columns_rounding(values: np.ndarray, most: np.ndarray | float) -> np.ndarray:
-    """Return `rounding` of each column of an array (rows, n); most: (n,) nominals, or one."""
+    """Return `rounding` of each column of an array (rows, n) [any units]; most: (n,) nominals, or one.
+
+    Raises decimal.InvalidOperation for values that are not finite.
+    """
     nominals = np.broadcast_to(most, values.shape[1:])
     columns = [rounding(*pair) for pair in zip(values.T, nominals.tolist(), strict=True)]
     return np.array(columns).reshape(values.T.shape).T

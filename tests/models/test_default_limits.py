@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from models.catalog import load_scene
-from models.limits import FEEDBACK_SHARE, input_share, limit_of, replay_limits
 from models.scene import Limit
+from models.scene.default_limits import FEEDBACK_SHARE, limit_of, replay_limits
+from models.trajectory import input_share
 
 SCENE = load_scene("three_cart")
 OF_GOAL = tuple(limit for limit in SCENE.limits if "terminal" in limit.metric)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.printed import columns_rounding, rounding
+from validate.judge.printed import columns_rounding, rounding
 
 
 def test_rounding_four_decimals_half_a_unit_each():

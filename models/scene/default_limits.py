@@ -1,0 +1,39 @@
+"""The limits where a scene sets none, one set for the planner and the judge.
+
+limit_of(scene, "feedback_share")      # the scene's, else the default; None if waived
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from models.scene import Scene
+
+# Largest deviation of the replay from the plan, in nominals.
+REPLAY_ERROR = 1e-2
+# Root mean square of the feedback, as a share of half the range of the inputs.
+FEEDBACK_EFFORT = 0.25
+# The same as a share of the plan's own inputs, both averaged over windows.
+FEEDBACK_SHARE = 0.25
+
+
+def replay_limits(scene: Scene) -> np.ndarray:
+    """Return the largest deviation of each position of the replay, (nq,) [m or rad].
+
+    Infinite if it is waived. Raises nothing.
+    """
+    own, nominals = scene.limit("replay_error"), [item.nominal for item in scene.coordinates]
+    if own is None:
+        return REPLAY_ERROR * np.array(nominals)
+    return np.full(len(nominals), np.inf if own.value is None else own.value)
+
+
+def limit_of(scene: Scene, metric: str) -> float | None:
+    """Return the limit of one number: the scene's, else the default; None if waived or not set."""
+    own = scene.limit(metric)
+    if own is not None:
+        return own.value
+    return {"feedback_effort": FEEDBACK_EFFORT, "feedback_share": FEEDBACK_SHARE}.get(metric)
