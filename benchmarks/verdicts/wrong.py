@@ -143,16 +143,6 @@ def common(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ...
             raise NoPlanError("it has no contact")
         return -rows
 
-    def spiky() -> Plan:
-        """Pairs of steps, half the range one way and half the other: within bounds, back at the nodes' states to a part in a hundred."""
-        plan = good()
-        u = plan.u.copy()
-        room = np.minimum(upper - u, u - lower).min(axis=1)
-        for row in range(steps // 4, steps - 1, 4):
-            size = 0.9 * min(room[row], room[row + 1])
-            u[row], u[row + 1] = u[row] + size, u[row + 1] - size
-        return plan.but(u=u)
-
     def kinked(group: str, size: float) -> Plan:
         plan = good()
         rows = getattr(plan, group).copy()
@@ -193,7 +183,6 @@ def common(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ...
             lambda: _astray(reference, good().but(u=np.roll(good().u, steps // 5, axis=0))),
             MOTION,
         ),
-        "spikes between the nodes": (spiky, (*MOTION, *GOAL)),
         "a spike of one velocity": (lambda: kinked("v", 5.0), (*MOTION, "velocit")),
         "a spike of one position": (lambda: kinked("q", wide), MOTION),
         "positions all moved": (

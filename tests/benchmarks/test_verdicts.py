@@ -37,7 +37,7 @@ WRONG = {
         "the plan of wall_pendulum", "3 of 500 steps", "5 s appended",
         "ten times the inputs", "another start, 1e-4 off", "at the goal from the start on",
         "nothing done", "nothing done, states of a plan that does",
-        "inputs mirrored", "spikes between the nodes", "a spike of one velocity",
+        "inputs mirrored", "a spike of one velocity",
         "invented forces of 100 N", "a spike of force, there and back",
         "forces mirrored", "relaxed, as its method declares it",
         "relaxed, forces and scheme deleted", "relaxed, velocities and forces deleted",

@@ -364,7 +364,7 @@ def test_a_cosimulation_that_does_not_heed_its_step_is_not_resolved(command: Com
     told = json.loads(out)
     assert (code, told["verdict"]) == (1, "undecided")
     assert told["replay"]["error"]["estimate"] is None
-    assert "Half the communication step changes nothing" in told["replay"]["message"]
+    assert "do not come together" in told["replay"]["message"]
 
 
 @pytest.mark.slow

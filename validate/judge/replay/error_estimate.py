@@ -67,7 +67,10 @@ def overlooked(kernel: Kernel, replayed: Replay) -> float | None:
     turns = (first > 0.0) & (last > 0.0) & (begins < 0.0) & (ends > 0.0) & (h > 0.0)
     dips = turns & (lowest < 0.0)
     if not dips.any():
-        return None if kernel.scene.lag is not None else _passed_through(kernel, replayed, turns)
+        # Co-Simulation shows nothing but the plan's nodes, between which it may have been in touch.
+        if kernel.scene.lag is not None or replayed.method != "reference":
+            return None
+        return _passed_through(kernel, replayed, turns)
     bend = (ends - begins)[dips] / np.broadcast_to(h, dips.shape)[dips]
     return float(np.min(2.0 * np.sqrt(-2.0 * lowest[dips] / bend))) / _WITHIN
 
@@ -329,8 +332,8 @@ def _judged(tolerance: float, step: float, everyday: float) -> float:
 
 
 def is_explained(error: ReplayError) -> bool:
-    """Whether steps and tolerances explain how far the everyday replay is from the reference."""
-    return error.estimate == error.tolerance
+    """Whether steps and tolerances explain how far the everyday replay is from the reference, if both got to the end."""
+    return error.tolerance is None or error.estimate == error.tolerance
 
 
 def error_of(

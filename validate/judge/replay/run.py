@@ -160,12 +160,12 @@ def _seeing_all(
 
     Without an error estimate where that does not end.
     """
+    inner = base_step(job.plan.t) / max(job.fineness, default=1)
     for _ in range(_CLOSER_LOOKS):
         simulated = _explained(scene, job, feedback)
         found, applied = _assemble(scene, job, simulated), _applied(simulated, job.plan)
         longest = overlooked(kernel, found)
-        inner = base_step(job.plan.t) / max(job.fineness, default=1)
-        if longest is None and found.ok and not is_explained(found.error) and inner < job.max_step:
+        if longest is None and inner < job.max_step and not is_explained(found.error):
             # The everyday replay may have met what the longer steps of the reference passed by.
             longest = inner
         if longest is None:

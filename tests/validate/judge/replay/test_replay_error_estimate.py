@@ -212,7 +212,11 @@ def stepped_over(
     )
     rows = len(t)
     replayed: Any = SimpleNamespace(
-        t=np.array(t), gap=np.array(gap), q=np.zeros((rows, 1)), v=np.zeros((rows, 1))
+        t=np.array(t),
+        gap=np.array(gap),
+        q=np.zeros((rows, 1)),
+        v=np.zeros((rows, 1)),
+        method="reference",
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "penetration_rates", lambda kernel, q, v: -np.array(rate))
