@@ -27,6 +27,7 @@ from validate.fmi.description import read_description
 from validate.fmi.instance import Lacking, Misbehaviour, TerminationRequested
 from validate.fmu_check import (
     accepted,
+    agreement,
     communication,
     derivatives,
     exchange,
@@ -67,7 +68,7 @@ BEHAVIOUR: tuple[Check, ...] = (
     states.token, states.restores, states.serialises,
     exchange.arrays, exchange.nominals, exchange.indicators, exchange.told,
     derivatives.directional, derivatives.adjoint, derivatives.dependencies, derivatives.rates,
-    exchange.agree,
+    agreement.agree,
 )  # fmt: skip
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
 # Checks that decide whether a replay by the FMU can be trusted: start values, state, derivatives,
@@ -77,7 +78,7 @@ DECISIVE = tuple(
     for item in (
         values.starts, communication.keeps_time, states.repeats, states.restores,
         exchange.indicators, exchange.told, derivatives.directional, derivatives.rates,
-        exchange.agree,
+        agreement.agree,
     )
 )  # fmt: skip
 # Checks on which others depend.
