@@ -44,6 +44,24 @@ _STEPS = 500
 _ROUNDING = 1e-9
 
 
+def _is_input(variable: Any) -> bool:
+    return variable.causality == "input"
+
+
+def _is_parameter(variable: Any) -> bool:
+    """Whether it is a parameter of one number."""
+    return variable.causality == "parameter" and not getattr(variable, "dimensions", None)
+
+
+def _is_started(variable: Any) -> bool:
+    """Whether an FMU lets a state's start be set, and says what it is otherwise."""
+    return variable.initial in ("exact", "approx") and variable.start is not None
+
+
+def _is_startable(variable: Any) -> bool:
+    return variable.causality in ("parameter", "input") or variable.initial in ("exact", "approx")
+
+
 def wire(
     package: Package,
     table: Table,
@@ -105,7 +123,9 @@ class _Wiring:
         return int(self._by_name[name].valueReference)
 
     def _parameter(self, path: str, name: str, value: float | None = None) -> int:
-        variable = self._variable(path, name)
+        variable = self._named.alias(
+            self._variable(path, name), lambda item: item.causality == "parameter"
+        )
         if variable.causality != "parameter":
             raise self._fail(
                 path, f"{name!r} is no parameter of the FMU, but {variable.causality}."
@@ -120,11 +140,8 @@ class _Wiring:
         return int(variable.valueReference)
 
     def _startable(self, path: str, name: str) -> int:
-        variable = self._variable(path, name)
-        if variable.causality not in ("parameter", "input") and variable.initial not in (
-            "exact",
-            "approx",
-        ):
+        variable = self._named.alias(self._variable(path, name), _is_startable)
+        if not _is_startable(variable):
             raise self._fail(
                 path, f"{name!r} has no start value that can be set: the FMU calculates it."
             )
@@ -136,7 +153,8 @@ class _Wiring:
         for name, signal in given.inputs.items():
             path = f"inputs.{name}"
             self._check_once(driven, path, signal.variable)
-            if self._variable(path, signal.variable).causality != "input":
+            variable = self._named.alias(self._variable(path, signal.variable), _is_input)
+            if not _is_input(variable):
                 raise self._fail(path, f"{signal.variable!r} is no input of the FMU.")
             self._check_unit(path, name, signal)
         for name in given.velocities:
@@ -407,10 +425,9 @@ class _Wiring:
     def _settings(self) -> list[tuple[int, float]]:
         """Start variables and their values: those of the map, and positions and velocities of the plan's first row that can be set."""
         given, found = self.map, {}
-        taken = {
-            self._reference(f"parameters.{name}", name): f"parameters.{name}"
-            for name in given.parameters
-        }
+        taken: dict[int, str] = {}
+        for name in given.parameters:
+            self._check_once(taken, f"parameters.{name}", name)
         taken |= {
             self._place(signal.variable): f"inputs.{name}" for name, signal in given.inputs.items()
         }
@@ -428,12 +445,8 @@ class _Wiring:
                 value = float(self._table.column(value, False)[0])
             found[self._startable(path, name)] = float(value)
         for _, column, signal in self._positions + self._velocities:
-            variable = self._by_name[signal.variable]
-            if (
-                column in self._table.given
-                and variable.initial in ("exact", "approx")
-                and variable.start is not None
-            ):
+            variable = self._named.alias(self._by_name[signal.variable], _is_started)
+            if column in self._table.given and _is_started(variable):
                 first = float(self._table.column(column, False)[0])
                 found.setdefault(
                     int(variable.valueReference), (first - signal.offset) / signal.scale
@@ -443,22 +456,29 @@ class _Wiring:
     def _uncertain(self, internal: str | None) -> tuple[subject.ForeignParameter, ...]:
         """The parameters that may be otherwise: all with a value but `internal`, the FMU's own step."""
         given, found = self.map, []
+        taken: dict[int, str] = {}
         for name in given.uncertainty:
             self._parameter(f"uncertainty.{name}", name)
-        for name, item in self._by_name.items():
-            is_one = (
-                item.causality == "parameter"
-                and item.type in REAL
-                and not getattr(item, "dimensions", None)
-            )
-            value = given.parameters.get(name, item.start) if is_one and name != internal else None
-            if value is None or name in self._named.twice:
+            self._check_once(taken, f"uncertainty.{name}", name)
+        own_step = None if internal is None else self._place(internal)
+        for reference, names in self._named.aliases.items():
+            known = (self._by_name[name] for name in names if name not in self._named.twice)
+            items = [item for item in known if _is_parameter(item)]
+            in_map = [name for name in names if name in {**given.uncertainty, **given.parameters}]
+            values = [given.parameters[name] for name in in_map if name in given.parameters]
+            values += [item.start for item in items if item.start is not None]
+            if not items or not values or reference == own_step:
                 continue
-            lower, upper = (
-                sign * math.inf if end is None else float(end)
-                for sign, end in ((-1, item.min), (1, item.max))
+            item, value, name = items[0], values[0], (in_map or names)[0]
+            lower = max(
+                (float(item.min) for item in items if item.min is not None), default=-math.inf
             )
-            entry = given.uncertainty.get(name)
+            upper = min(
+                (float(item.max) for item in items if item.max is not None), default=math.inf
+            )
+            entry = next(
+                (given.uncertainty[name] for name in in_map if name in given.uncertainty), None
+            )
             size, reason = (None, "") if entry is None else (entry.value, entry.reason)
             for end in (float(value) - size, float(value) + size) if size else ():
                 self._parameter(f"uncertainty.{name}", name, end)
@@ -468,6 +488,7 @@ class _Wiring:
                 "upper": upper,
                 "uncertainty": size,
                 "uncertainty_reason": reason,
+                "aliases": tuple(other for other in names if other != name),
             }
             found.append(subject.ForeignParameter(name=name, value=float(value), **told))
         return tuple(found)
@@ -479,8 +500,8 @@ class _Wiring:
         """
         found = {}
         for place, signal in enumerate(signals):
-            variable = self._by_name[signal.variable]
-            if variable.initial in ("exact", "approx") and variable.start is not None:
+            variable = self._named.alias(self._by_name[signal.variable], _is_started)
+            if _is_started(variable):
                 found[place] = (
                     signal.scale * settings.get(int(variable.valueReference), float(variable.start))
                     + signal.offset
@@ -666,13 +687,14 @@ class _Wiring:
                 f"Nothing is asked of the plan's friction forces ({', '.join(self._frictions)}): an FMU's own are not read."
             )
         driven = {self._place(signal.variable) for signal in self.map.inputs.values()}
-        inputs = [
-            (name, item.type)
-            for name, item in self._by_name.items()
-            if item.causality == "input" and item.type != "Clock"
-        ]
+        inputs: dict[tuple[str, int], str] = {}
+        for name, item in self._by_name.items():
+            if item.causality == "input" and item.type != "Clock":
+                inputs.setdefault((item.type, self._place(name)), name)
         idle = [
-            name for name, kind in inputs if kind not in REAL or self._place(name) not in driven
+            name
+            for (kind, place), name in inputs.items()
+            if kind not in REAL or place not in driven
         ]
         if idle:
             named = ", ".join(idle[:5]) + " .." * (len(idle) > 5)
@@ -691,7 +713,7 @@ class _Wiring:
 
     def _input(self, name: str, signal: InputSignal) -> subject.ForeignInput:
         """Bounds in the plan's unit are those of the map, which may not lie beyond those that the FMU declares; else the latter."""
-        variable = self._by_name[signal.variable]
+        variable = self._named.alias(self._by_name[signal.variable], _is_input)
         least, most = (
             -math.inf if variable.min is None else float(variable.min),
             math.inf if variable.max is None else float(variable.max),
