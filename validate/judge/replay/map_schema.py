@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import difflib
 import heapq
+import math
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -470,6 +471,15 @@ def hint(name: str, known: Iterable[str]) -> str:
         )
     close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
     return f" (near it: {', '.join(close)})" if close else ""
+
+
+def number(text: Any) -> float:
+    """A number that an FMU states, 0 where it states none, or nothing finite."""
+    try:
+        found = float(text)
+    except (TypeError, ValueError):
+        return 0.0
+    return found if math.isfinite(found) else 0.0
 
 
 def positive(nominal: Any) -> float:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,9 @@ from validate.judge.replay.wiring import INTERNAL_STEP, Variables, columns_or_ze
 
 # Steps that the task of an FMU counts as.
 _STEPS = 500
+# A clock whose ticks are a larger share of a step than this hides what happens within it: events are
+# located to a millionth of a step, which takes three digits more.
+_TICK = 1e-9
 # Largest relative excess of a bound in the map over the FMU's own bound: rounding of units.
 _ROUNDING = 1e-9
 
@@ -76,7 +80,8 @@ def wire(
     named = Named(package)
     whole = given or map_schema.by_equal_names(named, table, Dimensions(package.description))
     wiring = _Wiring(package, named, table, whole, where)
-    return wiring.foreign(), wiring.trajectory(hold)
+    plan, start = wiring.trajectory(hold), wiring.counted_from
+    return wiring.foreign(), plan if start is None else plan.from_zero(start)
 
 
 class _Wiring:
@@ -370,6 +375,15 @@ class _Wiring:
         if any(entry.force is None for entry in contacts):
             lacks["lam"] = "not every contact has a force named"
         return lacks
+
+    @cached_property
+    def counted_from(self) -> float | None:
+        """The FMU's own start [s], from which times are counted that a clock tells, since 1970 for example; None of other plans."""
+        times = self._table.column(self._time, last_is_open=False)
+        experiment = getattr(self._package.description, "defaultExperiment", None)
+        start = map_schema.number(getattr(experiment, "startTime", None))
+        coarse = np.spacing(np.abs([times[0], start])) > _TICK * np.abs(np.diff(times)).min()
+        return start if coarse[0] and not coarse[1] else None
 
     # What comes of it
 
@@ -677,6 +691,11 @@ class _Wiring:
 
     def _notes(self) -> tuple[str, ...]:
         notes, scheme = [], declared_scheme(self._table)
+        if self.counted_from is not None:
+            first = self._table.column(self._time, last_is_open=False)[0]
+            notes.append(
+                f"The plan's times are those of a clock: they are counted from its first row, {first:.10g} s, which is t = {self.counted_from:g} s of the FMU."
+            )
         if scheme is not None:
             said = (
                 "which is of a scene's equations; an FMU keeps its own, so nothing is asked of it."
