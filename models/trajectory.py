@@ -208,14 +208,14 @@ class Trajectory:
         """From the first node to the last [s]."""
         return float(self.t[-1] - self.t[0])
 
-    def from_zero(self) -> Trajectory:
-        """The same plan with times counted from its start: of a clock that shows 1.7e9 s no integrator knows the digits that count."""
-        if self.t[0] == 0.0:
+    def from_zero(self, start: float = 0.0) -> Trajectory:
+        """The same plan with times counted from its start, which is then `start` [s]: of a clock that shows 1.7e9 s no integrator knows the digits that count."""
+        if self.t[0] == start:
             return self
         digits = int(
             np.floor(-np.log10(np.spacing(np.abs(self.t).max())))
         )  # what the clock could tell apart
-        return replace(self, t=np.round(self.t - self.t[0], digits))
+        return replace(self, t=start + np.round(self.t - self.t[0], digits))
 
     @property
     def has_states(self) -> bool:

@@ -18,7 +18,6 @@ import math
 import os
 import re
 import sys
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -33,6 +32,9 @@ from validate.fmi.description import Package, interface_of
 
 # Rounds of one event iteration before it is called endless.
 EVENT_ROUNDS = 100
+# Characters of a message that are quoted: about three lines of a terminal.
+_QUOTED = 200
+_NUMBER = re.compile(r"[-+]?[0-9][0-9.]*([eE][-+]?[0-9]+)?")
 
 
 class Fault(FmuError):  # noqa: N818 - a finding about the FMU, not an error of ours
@@ -53,6 +55,33 @@ class TerminationRequested(Fault):
     def __init__(self, time: float) -> None:
         super().__init__(f"it asked to end the simulation at t = {time:.6g} s")
         self.time = time
+
+
+class RefusedCall(FMICallException):
+    """A call that the FMU refused; said: the FMU's words during that call, empty without any.
+
+    setting: the variables that the call set, with their values in words; empty for other calls;
+        time: how far a run had come [s], NaN where none was made.
+    """
+
+    setting = ""
+    time = math.nan
+
+    def __init__(self, function: str, status: int, said: str) -> None:
+        super().__init__(function=function, status=status)
+        self.said = said
+
+    @property
+    def sentence(self) -> str:
+        """The refusal as a clause without full stop."""
+        what = self.setting or "a call that must be possible"
+        quoted = f"; it said: {self.said}" if self.said else ""
+        return f"{what} is refused ({str(self).rstrip('.')}){quoted}"
+
+    @property
+    def reason(self) -> str:
+        """What is the same in two refusals for one reason: the FMU's words but for numbers, else the call."""
+        return _NUMBER.sub("#", self.said or f"{self.function} {self.setting}")
 
 
 @contextlib.contextmanager
@@ -117,22 +146,24 @@ class _Calls(_FMU):
     whole: str  # what enumerations are read and written as
     state: str
     fatal = False
+    messages = 0  # logged by the instance
+    last_message = ""
 
     def _call(self, fname: str, *args: Any) -> Any:
-        function = self._functions[fname]
+        function, before = self._functions[fname], self.messages
         answer = function(*args)
         if (
             function.restype is ctypes.c_int
             and answer != fmi2.fmi2OK
             and answer != fmi2.fmi2Warning
         ):
-            self.refuse(fname, answer)
+            self.refuse(fname, answer, self.last_message if self.messages > before else "")
         return answer
 
-    def refuse(self, function: str, status: int) -> NoReturn:
-        """Raise FMICallException for a call of `function` that was answered with this status."""
+    def refuse(self, function: str, status: int, said: str = "") -> NoReturn:
+        """Raise RefusedCall for a call of `function` that was answered with this status."""
         self.fatal = self.fatal or status == fmi2.fmi2Fatal
-        raise FMICallException(function=function, status=status)
+        raise RefusedCall(function, status, said)
 
     def address(self, function: str) -> int:
         """Of one of FMI's functions, named without its prefix."""
@@ -283,8 +314,7 @@ CLASSES: dict[tuple[int, str], Any] = {
 class Instance:
     """One instance of an unpacked FMU; kind: "ME" or "CS".
 
-    time: to which it was brought [s]; next_event: the time event it told of, infinite without;
-        said: what it logged last.
+    time: to which it was brought [s]; next_event: the time event it told of, infinite without.
     """
 
     def __init__(
@@ -300,7 +330,6 @@ class Instance:
         Raises Fault if it cannot be loaded or gives no instance.
         """
         self.description, self.kind, self.options = description, kind, dict(options or {})
-        self.said: deque[str] = deque(maxlen=4)
         self.time, self.next_event = math.nan, math.inf
         interface = interface_of(description, kind)
         self._needs_tool = bool(interface.needsExecutionTool)
@@ -352,12 +381,14 @@ class Instance:
 
     def _log(self, *arguments: Any) -> None:
         """The logger of either version: the message comes last."""
-        self.said.append((arguments[-1] or b"").decode("utf-8", errors="replace"))
+        text = (arguments[-1] or b"").decode("utf-8", errors="replace")
+        self.fmu.messages += 1
+        self.fmu.last_message = " ".join(text.split())[:_QUOTED]
 
     def quote(self) -> str:
         """What the FMU logged last, for the end of a sentence."""
-        text = " ".join(self.said[-1].split()) if self.said else ""
-        return f"; it said: {text[:200]}" if text else ""
+        text = self.fmu.last_message
+        return f"; it said: {text}" if text else ""
 
     def initialise(
         self, time: float, settings: Sequence[tuple[int, float]], inputs: References, u: np.ndarray

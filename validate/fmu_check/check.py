@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import json
+import math
 import os
 import select
 import signal
@@ -25,7 +26,7 @@ from typing import Any, NamedTuple
 
 from fmpy.fmi1 import FMICallException
 
-from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
+from validate.fmi.instance import Fault, Lacking, Misbehaviour, RefusedCall, TerminationRequested
 from validate.fmi.surroundings import listed
 from validate.processes.process import exit_in_words
 
@@ -56,11 +57,16 @@ class Scope(Enum):
 
 
 class Finding(NamedTuple):
-    """The outcome of one check and its sentence. pace: seconds of a step, from the check that measures it."""
+    """The outcome of one check and its sentence.
+
+    pace: seconds of a step, from the check that measures it; learnt: what other checks must not set,
+        from the check that finds it (validate.fmu_check.accepted).
+    """
 
     status: Status
     sentence: str
     pace: float | None = None
+    learnt: dict[str, Any] | None = None
 
 
 # Each makes the Finding of a sentence; of advice: nothing that the standard or common sense
@@ -76,6 +82,14 @@ def unless(wrong: list[str], sentence: str, end: str = ".") -> Finding:
     Without any, passed with the sentence.
     """
     return failed(f"{listed(wrong)}{end}") if wrong else passed(sentence)
+
+
+class Refusal(Misbehaviour):
+    """A call that was refused in a fork, as RefusedCall tells of it: text, a clause, reason and time [s]."""
+
+    def __init__(self, text: str, reason: str = "", time: float = math.nan) -> None:
+        super().__init__(text)
+        self.reason, self.time = reason, time
 
 
 class Failed(Exception):  # noqa: N818 - a finding about the FMU, not an error of ours
@@ -212,7 +226,7 @@ class CheckReport:
 
 
 # What a function in a fork may raise, as it is raised again here.
-_FAULTS = (TerminationRequested, Lacking, Misbehaviour)
+_FAULTS = (TerminationRequested, Lacking, Refusal, Misbehaviour)
 # Pause between two looks where the system cannot tell us the end of a process [s].
 _LOOK = 0.005
 
@@ -220,8 +234,8 @@ _LOOK = 0.005
 def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = False) -> Any:
     """What function() gives in a fork, as JSON holds it. own_group: a process group of its own, ended as a whole at the time limit.
 
-    Raises TerminationRequested and Lacking as the function did; Misbehaviour for its own, for a
-    call that was refused, and for a process that crashed or hung.
+    Raises TerminationRequested and Lacking as the function did; Refusal for a call that was refused;
+    Misbehaviour for its own, and for a process that crashed or hung.
     """
     with tempfile.TemporaryDirectory(prefix="answer-", ignore_cleanup_errors=True) as folder:
         path = Path(folder, "answer.json")
@@ -241,7 +255,7 @@ def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = Fa
             ) from None
     for fault in _FAULTS:
         if fault.__name__ in answer:
-            raise fault(answer[fault.__name__])
+            raise fault(*answer[fault.__name__])
     return answer["value"]
 
 
@@ -262,18 +276,16 @@ def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
         gc.freeze()
         try:
             answer = {"value": function()}
-        except _FAULTS as fault:
-            answer = {
-                type(fault).__name__: fault.time
-                if isinstance(fault, TerminationRequested)
-                else str(fault)
-            }
-        except FMICallException as error:
-            answer = {
-                Misbehaviour.__name__: f"a call that must be possible is refused ({str(error).rstrip('.')})"
-            }
+        except TerminationRequested as end:
+            answer = {TerminationRequested.__name__: [end.time]}
+        except RefusedCall as refusal:
+            answer = {Refusal.__name__: [refusal.sentence, refusal.reason, refusal.time]}
+        except Refusal as refusal:
+            answer = {Refusal.__name__: [str(refusal), refusal.reason, refusal.time]}
+        except (Lacking, Misbehaviour) as fault:
+            answer = {type(fault).__name__: [str(fault)]}
         except MemoryError:
-            answer = {Misbehaviour.__name__: "it was ended at its memory limit"}
+            answer = {Misbehaviour.__name__: ["it was ended at its memory limit"]}
         if os.getpid() == first:  # an FMU may fork within a call: only the first process answers
             aside = path.with_suffix(".part")
             aside.write_text(json.dumps(answer), encoding="utf-8")

@@ -224,13 +224,12 @@ def _require_same_way(
 
     how: what was done in the other run, than: what is said behind it.
     """
-    columns: dict[int, slice] = {}
-    for item, (begin, end) in zip(subject.observed, pairwise(subject.observed.ends), strict=True):
-        columns.setdefault(item.reference, slice(begin, end))
+    places = zip(subject.observed, pairwise(subject.observed.ends), strict=True)
+    columns = {item.key: slice(begin, end) for item, (begin, end) in places}
     for item in subject.states or [item for item in subject.outputs if item.is_float]:
-        if item.reference not in columns:
+        if item.key not in columns:
             continue
-        one, two = plain[:, columns[item.reference]], other[:, columns[item.reference]]
+        one, two = plain[:, columns[item.key]], other[:, columns[item.key]]
         apart = np.abs(one - two)
         off = apart > _OFF * np.ptp(one, axis=0) + 1e-6 * np.abs(one).max(axis=0)
         share = float(off.any(axis=1).mean())

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import TypeAlias
 
 import numpy as np
-from fmpy.fmi1 import FMICallException
 
+from validate.fmi.instance import RefusedCall
 from validate.fmi.surroundings import listed
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
 from validate.fmu_check.motion import Record, fresh_run, run
@@ -43,6 +44,11 @@ class _DerivativeColumn:
     value: np.ndarray
     error: np.ndarray
     kink: np.ndarray
+
+    @classmethod
+    def unknown(cls, count: int) -> _DerivativeColumn:
+        """Of which nothing can be said."""
+        return cls(np.zeros(count), np.full(count, np.inf), np.zeros(count, dtype=bool))
 
 
 def _rounding(claimed: np.ndarray) -> float:
@@ -78,10 +84,14 @@ MOST_KNOWNS = 60
 
 @dataclass
 class _CheckedPoint:
-    """An instance at a point: `evaluate` maps the knowns (their entries in order) to the unknowns, and leaves the instance at the point after back()."""
+    """An instance at a point: `evaluate` maps the knowns (their entries in order) to the unknowns, and leaves the instance at the point after back().
+
+    fresh: makes another instance that was brought there in the same way, for one that refused a call.
+    """
 
     where: str
     instance: CheckedInstance
+    fresh: Callable[[], CheckedInstance]
     knowns: Block
     unknowns: Block
     x: np.ndarray
@@ -103,21 +113,53 @@ class _CheckedPoint:
         """Set the knowns of the point again."""
         self.evaluate(self.x)
 
+    def renew(self, refusal: RefusedCall) -> None:
+        """Go on with another instance after a refusal. Raises that if it was fatal: then there is no other."""
+        if self.instance.fmu.fatal:
+            raise refusal
+        self.instance.free()
+        self.instance = self.fresh()
+        self.back()
+
+    @cached_property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest values (entries,) of the knowns that are declared, and not refused [unit of each]. Raises nothing."""
+        knowns = self.knowns
+        starts = np.nan_to_num(knowns.starts)
+        return (
+            np.where(knowns.refuses("below"), starts, knowns.each(lambda item: item.lower)),
+            np.where(knowns.refuses("above"), starts, knowns.each(lambda item: item.upper)),
+        )
+
     @cached_property
     def _given(self) -> Block:
         """Knowns that are no states: those come first."""
         return Block(self.knowns[int(np.searchsorted(self.knowns.ends, self.state_entries)) :])
 
     def column(self, place: int, largest: float = _LARGEST) -> _DerivativeColumn:
-        """The derivatives by entry `place` of x, by finite differences."""
-        x = self.x
+        """The derivatives by entry `place` of x, by finite differences.
+
+        Without any where the point is at the edge of what is allowed, or a value is refused.
+        """
+        try:
+            return self._column(place, largest)
+        except RefusedCall as refusal:
+            self.renew(refusal)
+            return _DerivativeColumn.unknown(self.unknowns.entries)
+
+    def _column(self, place: int, largest: float) -> _DerivativeColumn:
+        x, (lower, upper) = self.x, self.limits
+        most = largest * max(self.knowns.scales[place], abs(x[place]))
+        most = min(most, x[place] - lower[place], upper[place] - x[place])
+        if not most > 4.0**_COUNT * _EPS * abs(x[place]):  # the last step would be rounded away
+            return _DerivativeColumn.unknown(self.unknowns.entries)
         middle = self.evaluate(x)
         central, forward, backward, noise = [], [], [], []
         for number in range(_COUNT):
-            step = max(self.knowns.scales[place], abs(x[place])) * largest / 4.0**number
+            step = most / 4.0**number
             above, below = x.copy(), x.copy()
-            above[place] += step
-            below[place] -= step
+            above[place] = min(x[place] + step, upper[place])
+            below[place] = max(x[place] - step, lower[place])
             up, down = self.evaluate(above), self.evaluate(below)
             right, left = above[place] - x[place], x[place] - below[place]
             central.append((up - down) / (right + left))
@@ -170,28 +212,38 @@ def _points(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
     if not knowns or not unknowns:
         return
     count = states.entries
-    places = _places(subject, kind, steps)
-    with CheckedInstance(subject, kind).begin() as instance:
-        for before, place in itertools.pairwise([0, *places]):
-            if place > before:
-                run(instance, before, place, observe="end")
-            x = np.concatenate(
-                [
-                    instance.states() if count else np.empty(0),
-                    instance.get(subject.continuous_inputs),
-                ]
-            )
-            point = _CheckedPoint(
-                f"at t = {subject.time(place):.6g} s",
-                instance,
-                knowns,
-                unknowns,
-                x,
-                subject.time(place),
-                count,
-            )
-            yield point
-            point.back()
+    instance, before = CheckedInstance(subject, kind).begin(), 0
+    for place in _places(subject, kind, steps):
+        if place > before:
+            run(instance, before, place, observe="end")
+        x = np.concatenate(
+            [
+                instance.states() if count else np.empty(0),
+                instance.get(subject.continuous_inputs),
+            ]
+        )
+        point = _CheckedPoint(
+            f"at t = {subject.time(place):.6g} s",
+            instance,
+            partial(_brought, subject, kind, place),
+            knowns,
+            unknowns,
+            x,
+            subject.time(place),
+            count,
+        )
+        yield point
+        point.back()
+        instance, before = point.instance, place
+    instance.close()
+
+
+def _brought(subject: Subject, kind: str, place: int) -> CheckedInstance:
+    """A new instance at the end of so many steps."""
+    instance = CheckedInstance(subject, kind).begin()
+    if place:
+        run(instance, 0, place, observe="end")
+    return instance
 
 
 def _places(subject: Subject, kind: str, steps: int) -> list[int]:
@@ -230,15 +282,12 @@ def _initial_point(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
     )
     if not knowns or not unknowns:
         return
-    instance = CheckedInstance(subject, kind, "initial")
-    instance.setup()
-    # A little off the starts, where symmetric models have kinks and zeros.
-    instance.set(*subject.varied)
-    instance.enter_initialisation()
+    instance = _initialising(subject, kind)
     x = instance.get(knowns)
     point = _CheckedPoint(
         "in Initialization Mode",
         instance,
+        partial(_initialising, subject, kind),
         knowns,
         unknowns,
         x,
@@ -248,9 +297,18 @@ def _initial_point(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
     )
     try:
         point.back()
-    except FMICallException:
+    except RefusedCall:
         return
     yield point
+
+
+def _initialising(subject: Subject, kind: str) -> CheckedInstance:
+    """A new instance in Initialization Mode: a little off the starts, where symmetric models have kinks and zeros."""
+    instance = CheckedInstance(subject, kind, "initial")
+    instance.setup()
+    instance.set(*subject.varied)
+    instance.enter_initialisation()
+    return instance
 
 
 # A second opinion, with other steps, before a derivative is called wrong.
@@ -285,7 +343,7 @@ def directional(subject: Subject, kind: str) -> Finding:
                 kinks += int(np.sum(found.kink))
                 wrong.extend(_wrong(point, place, known, claimed, found))
             places += 1
-        except FMICallException:
+        except RefusedCall:
             if (
                 not point.is_initial
             ):  # there by parameters, or of a value outside its range: not every FMU has those
@@ -388,53 +446,54 @@ def dependencies(subject: Subject, kind: str) -> Finding:
     return unless(list(dict.fromkeys(wrong)), fine, end="")
 
 
-def _declared(subject: Subject, unknowns: list) -> dict[str, dict[str, str]]:
-    """Unknown -> its declared knowns -> kind.
+# Name of an unknown -> its declared knowns, by `FmuVariable.key`, as aliases are one -> kind.
+_Declared: TypeAlias = dict[str, dict[tuple[int, str], str]]
 
-    Unknowns that declare nothing depend on everything.
-    """
-    found = {}
+
+def _declared(subject: Subject, unknowns: list) -> _Declared:
+    """Return the declarations of some unknowns. Those that declare nothing depend on everything."""
+    found: _Declared = {}
     for item in unknowns:
         if item.dependencies is not None and item.variable.name in subject.by_name:
             kinds = item.dependenciesKind or ["dependent"] * len(item.dependencies)
             found[item.variable.name] = {
-                known.name: kind for known, kind in zip(item.dependencies, kinds, strict=False)
+                subject.by_name[known.name].key: kind
+                for known, kind in zip(item.dependencies, kinds, strict=False)
+                if known.name in subject.by_name
             }
     return found
 
 
-def _missing(point: _CheckedPoint, declared: dict[str, dict[str, str]], wrong: list[str]) -> int:
+def _missing(point: _CheckedPoint, declared: _Declared, wrong: list[str]) -> int:
     """Add to `wrong` what changes undeclared; the number of pairs looked at."""
     looked, names, drawn = 0, point.unknowns.names, point.entries()
+    keys = [item.key for item in point.unknowns for _ in range(item.size)]
     point.back()
     base = point.evaluate(point.x)
     asked = np.array([name in declared for name in names], dtype=bool)
     # For each value that is moved, the rows that must stay: of what declares none of its names, and
     # is none of them.
-    independent = {known.reference: asked.copy() for _, known in drawn}
-    reference = {
-        item.name: item.reference for item in point.knowns if item.reference in independent
-    }
-    for row, name in enumerate(names):
-        for other in reference.keys() & {name, *declared.get(name, ())}:
-            independent[reference[other]][row] = False
+    independent = {known.key: asked.copy() for _, known in drawn}
+    for row, (name, key) in enumerate(zip(names, keys, strict=True)):
+        for other in independent.keys() & {key, *declared.get(name, ())}:
+            independent[other][row] = False
+    lower, upper = point.limits
     for place, known in drawn:
         moved = point.x.copy()
-        moved[place] += (
-            1e-2
-            * max(point.knowns.scales[place], abs(moved[place]))
-            * (-1.0 if moved[place] >= known.upper else 1.0)
-        )
+        step = 1e-2 * max(point.knowns.scales[place], abs(moved[place]))
+        moved[place] += step if moved[place] + step <= upper[place] else -step
+        if moved[place] < lower[place]:
+            continue
         try:
             values = point.evaluate(moved)
-        except FMICallException:
-            point.back()
-            continue  # outside what the model accepts
-        looked += int(independent[known.reference].sum())
+        except RefusedCall as refusal:
+            point.renew(refusal)
+            continue
+        looked += int(independent[known.key].sum())
         changed = np.abs(values - base) > _CHANGED * np.maximum(np.abs(base), np.abs(values))
         wrong.extend(
             f"{names[row]} changes with {known.name} {point.where}, but does not declare that it depends on it"
-            for row in np.flatnonzero(independent[known.reference] & changed)
+            for row in np.flatnonzero(independent[known.key] & changed)
         )
         point.back()
     return looked
@@ -442,7 +501,7 @@ def _missing(point: _CheckedPoint, declared: dict[str, dict[str, str]], wrong: l
 
 def _factors(
     point: _CheckedPoint,
-    declared: dict[str, dict[str, str]],
+    declared: _Declared,
     slopes: dict[tuple[str, str], tuple[float, float, str]],
     wrong: list[str],
 ) -> None:
@@ -452,7 +511,7 @@ def _factors(
         rows = [
             row
             for row, name in enumerate(names)
-            if declared.get(name, {}).get(known.name) in ("constant", "fixed")
+            if declared.get(name, {}).get(known.key) in ("constant", "fixed")
         ]
         if not rows:
             continue
@@ -460,7 +519,7 @@ def _factors(
         point.back()
         for row in rows:
             value, error = float(found.value[row]), float(found.error[row])
-            if found.kink[row]:
+            if found.kink[row] or not math.isfinite(error):
                 continue
             first, first_error, where = slopes.setdefault(
                 (names[row], known.name), (value, error, point.where)
@@ -469,7 +528,7 @@ def _factors(
                 abs(value), abs(first)
             ):
                 wrong.append(
-                    f"{names[row]} is declared to depend on {known.name} by a {declared[names[row]][known.name]} factor, "
+                    f"{names[row]} is declared to depend on {known.name} by a {declared[names[row]][known.key]} factor, "
                     f"which is {first:.6g} {where} and {value:.6g} {point.where}"
                 )
 

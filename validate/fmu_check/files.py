@@ -383,14 +383,16 @@ def _of_terminals(folder: Path) -> list[str]:
 @check("variables are consistent", Scope.FILE, clauses=("2.2.7", "2.4.7"))
 def consistent(subject: Subject) -> Finding:
     """Starts lie within ranges, ranges are not empty, nominals positive, units of derivatives those of states per second."""
+    # An alias of FMI 3.0 is another name and nothing else; one of FMI 2.0 has a range of its own.
+    described = subject.values if subject.major >= 3 else subject.variables
     wrong = [
-        *itertools.chain.from_iterable(map(_of_variable, subject.variables)),
+        *itertools.chain.from_iterable(map(_of_variable, described)),
         *_of_aliases(subject),
         *_of_derivatives(subject),
     ]
     if not subject.description.guid:
         wrong.append("the GUID or instantiation token is empty")
-    return unless(wrong, f"{len(subject.variables)} variables.")
+    return unless(wrong, f"{len(subject.values)} variables.")
 
 
 def _of_variable(item: FmuVariable) -> list[str]:
@@ -413,7 +415,7 @@ def _of_aliases(subject: Subject) -> list[str]:
     first: dict[tuple[int, str], FmuVariable] = {}
     wrong = []
     for item in subject.variables:
-        other = first.setdefault((item.reference, item.type), item)
+        other = first.setdefault(item.key, item)
         if (
             other.start is not None
             and item.start is not None

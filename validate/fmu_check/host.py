@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ from validate.fmi.archive import ARCHIVE_CHECKS, ArchiveError, FmuError, check_a
 from validate.fmi.description import read_description
 from validate.fmi.instance import Lacking, Misbehaviour, TerminationRequested
 from validate.fmu_check import (
+    accepted,
+    agreement,
     communication,
     derivatives,
     exchange,
@@ -37,12 +40,13 @@ from validate.fmu_check.check import (
     CheckReport,
     Finding,
     FmuCheckRow,
+    Refusal,
     Status,
     failed,
     in_fork,
     not_offered,
 )
-from validate.fmu_check.subject import Subject
+from validate.fmu_check.subject import Avoided, Subject
 from validate.processes.disk import temporary_folder
 from validate.processes.isolated import Ending, Limits, run_isolated
 
@@ -51,9 +55,11 @@ from validate.processes.isolated import Ending, Limits, run_isolated
 STATIC: tuple[Check, ...] = (files.archive, files.valid)
 # If this one fails for a type, those after it are not run.
 FIRST = communication.lives
+# What it learns, others avoid.
+ACCEPTED = accepted.accepted
 READING: tuple[Check, ...] = (files.consistent, files.compiled, files.exports)
 BEHAVIOUR: tuple[Check, ...] = (
-    FIRST, values.readable, values.starts, values.obeyed, values.finite, values.still,
+    FIRST, ACCEPTED, values.readable, values.starts, values.obeyed, values.finite, values.still,
     values.get_order,
     communication.keeps_time, communication.stop_time, communication.event_mode,
     communication.early_return,
@@ -62,7 +68,7 @@ BEHAVIOUR: tuple[Check, ...] = (
     states.token, states.restores, states.serialises,
     exchange.arrays, exchange.nominals, exchange.indicators, exchange.told,
     derivatives.directional, derivatives.adjoint, derivatives.dependencies, derivatives.rates,
-    exchange.agree,
+    agreement.agree,
 )  # fmt: skip
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
 # Checks that decide whether a replay by the FMU can be trusted: start values, state, derivatives,
@@ -72,7 +78,7 @@ DECISIVE = tuple(
     for item in (
         values.starts, communication.keeps_time, states.repeats, states.restores,
         exchange.indicators, exchange.told, derivatives.directional, derivatives.rates,
-        exchange.agree,
+        agreement.agree,
     )
 )  # fmt: skip
 # Checks on which others depend.
@@ -88,7 +94,7 @@ def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, An
     table = _Table(request)
     path, folder = Path(request["path"]), Path(request["folder"])
     for item, place in zip(STATIC, (path, folder), strict=True):
-        table.add(item, "", (place,))
+        table.add(item, "", place)
     try:
         description = read_description(folder)
     except FmuError as error:
@@ -96,14 +102,14 @@ def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, An
         for item in (*READING, *BEHAVIOUR):
             table.skip(item, "", reason)
         return {"version": "", "types": [], "lacking": not request["runnable"]}
-    subject = Subject(path, folder, description)
+    table.subject = subject = Subject(path, folder, description)
     with contextlib.suppress(ValueError, KeyError):  # told by the first check that looks at it
         subject.prepare()
     table.major = subject.major
     for item in (*READING, *BEHAVIOUR):
         for kind in item.scope.value:
             if kind in ("", *subject.types):
-                table.of_description(item, kind, subject)
+                table.of_description(item, kind)
     return {
         "version": description.fmiVersion,
         "types": subject.types,
@@ -112,7 +118,12 @@ def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, An
 
 
 class _Table:
-    """Writes the rows, and knows which types turned out not to run."""
+    """Writes the rows, and knows which types turned out not to run, and which values the FMU refuses.
+
+    subject: the FMU, once it is described; it avoids what was found to be refused.
+    """
+
+    subject: Subject
 
     def __init__(self, request: dict[str, Any]) -> None:
         self._names, self._seconds, self._told = (
@@ -122,16 +133,18 @@ class _Table:
         )
         self.major = int(request["version"][:1] or 0)
         self._broken: set[str] = set()
+        self._searched: set[str] = set()  # types of which it is known what they refuse
+        self._refusals: dict[str, str] = {}  # reason of a refusal -> the check that reports it
         self.ran = False  # whether any of its code could be run
         self.lacking = False  # whether a type cannot be run on this machine
 
-    def of_description(self, item: Check, kind: str, subject: Subject) -> None:
+    def of_description(self, item: Check, kind: str) -> None:
         """One check of a described FMU, if it can be run."""
+        subject = self.subject
         if item is files.compiled and files.library_path(subject, kind).is_file():
             return  # as of most FMUs: no row
-        arguments = (subject, kind) if kind else (subject,)
         if item in READING:
-            self.add(item, kind, arguments)
+            self.add(item, kind, subject)
             return
         needed = (kind,) if kind else subject.types
         missing = [name for name in needed if not files.library_path(subject, name).is_file()]
@@ -143,7 +156,7 @@ class _Table:
         elif lacks := item.lacks(subject, kind):
             self.skip(item, kind, lacks)
         else:
-            found = self.add(item, kind, arguments)
+            found = self.add(item, kind, subject)
             self.ran = self.ran or bool(kind)
             if found is not None and item is FIRST:
                 if found.status is not Status.PASSED:
@@ -151,27 +164,35 @@ class _Table:
                 self.lacking = self.lacking or found.status is Status.NOT_OFFERED
                 subject.pace[kind] = found.pace or 0.0
 
-    def add(self, item: Check, kind: str, arguments: tuple[Any, ...]) -> Finding | None:
+    def add(self, item: Check, kind: str, about: Path | Subject) -> Finding | None:
         """Run one check in a fork, if it was asked for; what it found."""
         if item.name not in self._names:
             return None
         began = time.monotonic()
-        self._row(item, kind, found := self._found(item, kind, arguments), began)
+        self._row(item, kind, found := self._found(item, kind, about), began)
         return found
 
-    def _found(self, item: Check, kind: str, arguments: tuple[Any, ...]) -> Finding:
+    def _found(self, item: Check, kind: str, about: Path | Subject) -> Finding:
         """What the check finds, or what kept it from that.
 
-        Shorter once more where the FMU ends the simulation.
+        Shorter once more where the FMU ends the simulation; with other values where it refuses some.
         """
         while True:
+            once = partial(item, about, kind) if kind else partial(item, about)
             try:
-                status, *rest = in_fork(lambda: item(*arguments), self._seconds, own_group=True)
-                return Finding(Status(status), *rest)
+                status, *rest = in_fork(once, self._seconds, own_group=True)
+                found = Finding(Status(status), *rest)
+                if item is ACCEPTED:
+                    self._learn(kind, found)
+                return found
             except TerminationRequested as end:
-                if not _shorten(arguments[0], kind, end.time):
+                if not _shorten(self.subject, kind, end.time):
                     sentence = f"it asks for the end of the simulation at t = {end.time:.6g} s, which leaves nothing to check."
                     return failed(sentence) if item is FIRST else not_offered(sentence)
+            except Refusal as refusal:
+                if item in (FIRST, ACCEPTED) or not self._search(kind):
+                    return self._refused(item, kind, refusal)
+                about = self.subject
             except Lacking as lack:
                 return not_offered(f"{lack}.")
             except Misbehaviour as fault:
@@ -180,6 +201,37 @@ class _Table:
                 ):  # none of the FMU's code ran: a large description takes FMPy's validation minutes
                     return not_offered(f"it was not found out within {self._seconds:g} s: {fault}.")
                 return failed(f"{fault}.")
+
+    def _search(self, kind: str) -> bool:
+        """Find out which values the FMU refuses, if that is not known; whether there are some to avoid."""
+        before, kinds = self.subject.avoided, (kind,) if kind else self.subject.types
+        ends = dict(self.subject.ends)
+        for name in kinds:
+            if name not in self._searched:
+                self._found(ACCEPTED, name, self.subject)
+                self._searched.add(name)
+        return (self.subject.avoided, self.subject.ends) != (before, ends)
+
+    def _learn(self, kind: str, found: Finding) -> None:
+        """Keep what the search found, for all types: none is set to what another refuses."""
+        self._searched.add(kind)
+        if found.learnt is None:
+            return
+        self._refusals |= dict.fromkeys(found.learnt["reasons"], ACCEPTED.name)
+        avoided = Avoided.of(found.learnt["avoided"])
+        if avoided != self.subject.avoided:
+            self.subject = replace(self.subject, avoided=avoided)
+            self.subject.prepare()
+        if found.learnt["end"] is not None:
+            _shorten(self.subject, kind, found.learnt["end"])
+
+    def _refused(self, item: Check, kind: str, refusal: Refusal) -> Finding:
+        """A refusal that no other values avoid: the finding of the first check that meets it, alone."""
+        title = f"{item.name} ({kind})" if kind else item.name
+        first = self._refusals.setdefault(refusal.reason, title)
+        if first != title:
+            return not_offered(f"it was not run to its end: {refusal}; see `{first}`.")
+        return failed(f"{refusal}.")
 
     def skip(self, item: Check, kind: str, sentence: str) -> None:
         if item.name in self._names:

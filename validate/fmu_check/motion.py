@@ -118,7 +118,7 @@ _STEP_LIMIT = 200_000
 _MOST_EVENTS = 2000
 _CROWDED = 1e-7
 # What changes by more than this share of its size at an event update jumps.
-_JUMP = 1e-8
+JUMP = 1e-8
 # Less than this, as a share of the time (of 1 s near 0), is no time to integrate over: what is so
 # near a time event is at it. It is 450 units in the last place of 1: a time that an FMU sums up
 # from 500 periods, as many as the longest run has steps, is up to 250 units off.
@@ -355,7 +355,7 @@ class Exchange:
         """
         jump = np.abs(new - old) / np.maximum(np.abs(old), scale)
         place = int(np.argmax(jump))
-        if not jump[place] > _JUMP:
+        if not jump[place] > JUMP:
             return []
         subject = self.instance.subject
         names = (subject.states if what == "state" else subject.derivatives).names

@@ -7,19 +7,19 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import itertools
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from fmpy.fmi1 import FMICallException
 
 from validate.fmi.archive import DESCRIPTION, INTERFACES, interfaces
 from validate.fmi.description import interface_of, without_garbage
-from validate.fmi.instance import CLASSES, Instance, Misbehaviour, References
+from validate.fmi.instance import CLASSES, Instance, References, RefusedCall
 
 _FLOATS = ("Real", "Float64", "Float32")
 _WHOLE = (
@@ -51,6 +51,8 @@ RANGE_SHARE = 0.3
 SIZE_SHARE = 0.1
 # Parameters are varied by this share of their size.
 _VARIED = 0.01
+# Variables that are named where several are set at once.
+_NAMED = 3
 # Tolerance of an FMU that proposes none (the value FMI's own examples use).
 DEFAULT_TOLERANCE = 1e-4
 
@@ -59,7 +61,8 @@ DEFAULT_TOLERANCE = 1e-4
 class FmuVariable:
     """A variable of the FMU that has a number: `size` entries, start as numbers (or None).
 
-    clocked: FMI 3.0 lets it be read and set only while a clock ticks, so the checks leave it out.
+    clocked: FMI 3.0 lets it be read and set only while a clock ticks, so the checks leave it out;
+        refused: the sides of its start, "below" and "above", to which the FMU lets nobody move it.
     """
 
     name: str
@@ -75,6 +78,12 @@ class FmuVariable:
     nominal: float | None
     unit: str | None
     clocked: bool = False
+    refused: frozenset[str] = frozenset()
+
+    @property
+    def key(self) -> tuple[int, str]:
+        """The value that it names: aliases share it. Enumerations of FMI 2.0 are read as integers."""
+        return self.reference, "Integer" if self.type == "Enumeration" else self.type
 
     @property
     def is_float(self) -> bool:
@@ -168,7 +177,13 @@ class Block(tuple[FmuVariable, ...]):
         )
         away = share * np.where(value == 0.0, self.scales, np.abs(value))
         above, below = value + away, value - away
-        return np.where(above <= upper, above, np.where(below >= lower, below, value))
+        rises = (above <= upper) & ~self.refuses("above")
+        falls = (below >= lower) & ~self.refuses("below")
+        return np.where(rises, above, np.where(falls, below, value))
+
+    def refuses(self, side: str) -> np.ndarray:
+        """(entries,) whether the FMU refuses values on this side of the start. Raises nothing."""
+        return self.each(lambda item: side in item.refused) > 0.0
 
     def parts(self, fmu: Any) -> list[tuple[References, Any]]:
         """Of each type its references, with memory, and the places of its entries.
@@ -193,9 +208,49 @@ class Block(tuple[FmuVariable, ...]):
     _parts: list[tuple[References, Any]] | None = None
 
 
+def one_each(variables: Iterable[FmuVariable]) -> Block:
+    """The first of the names of each value."""
+    found: dict[tuple[int, str], FmuVariable] = {}
+    for item in variables:
+        found.setdefault(item.key, item)
+    return Block(found.values())
+
+
 # Variables, and (entries,) a value for each [unit of each].
 Settings = tuple[Block, np.ndarray]
 NOTHING: Settings = (Block(), np.empty(0))
+
+
+@dataclass(frozen=True)
+class Avoided:
+    """Values that the FMU refuses, and no check sets.
+
+    below, above, unset: names of variables that stay on the other side of their starts, and that are
+        never set; held, unvaried: inputs, and parameters, stay at their starts.
+    """
+
+    below: frozenset[str] = frozenset()
+    above: frozenset[str] = frozenset()
+    unset: frozenset[str] = frozenset()
+    held: bool = False
+    unvaried: bool = False
+
+    def sides(self, name: str) -> frozenset[str]:
+        """The sides to which a variable is not moved."""
+        return frozenset(side for side in ("below", "above") if name in getattr(self, side))
+
+    def lists(self) -> dict[str, Any]:
+        """The same as JSON holds it."""
+        return {
+            name: sorted(value) if isinstance(value, frozenset) else value
+            for name, value in vars(self).items()
+        }
+
+    @classmethod
+    def of(cls, lists: Mapping[str, Any]) -> Self:
+        """From `lists`."""
+        named = {name: frozenset(lists[name]) for name in ("below", "above", "unset")}
+        return cls(**named, held=lists["held"], unvaried=lists["unvaried"])
 
 
 @dataclass(eq=False)
@@ -211,6 +266,7 @@ class Subject:
     description: Any
     pace: dict[str, float] = field(default_factory=dict)
     ends: dict[str, float] = field(default_factory=dict)
+    avoided: Avoided = Avoided()
 
     @property
     def major(self) -> int:
@@ -237,7 +293,15 @@ class Subject:
     @cached_property
     def variables(self) -> tuple[FmuVariable, ...]:
         """All variables that have numbers, in the order of the description (aliases included)."""
-        return tuple(filter(None, map(_variable, self.description.modelVariables)))
+        found = filter(None, map(_variable, self.description.modelVariables))
+        if not (self.avoided.below or self.avoided.above):
+            return tuple(found)
+        return tuple(replace(item, refused=self.avoided.sides(item.name)) for item in found)
+
+    @cached_property
+    def values(self) -> Block:
+        """One variable a value, in the order of the description."""
+        return one_each(self.variables)
 
     @cached_property
     def by_name(self) -> dict[str, FmuVariable]:
@@ -296,65 +360,66 @@ class Subject:
             (item.name, getattr(item.derivative, "name", None))
             for item in self.description.modelVariables
         ]
-        return [
+        pairs = [
             (self.by_name[rate], self.by_name[state])
             for rate, state in named
             if rate in self.by_name and state in self.by_name
         ]
+        return list({rate.key: (rate, state) for rate, state in reversed(pairs)}.values())[::-1]
 
     @cached_property
     def outputs(self) -> Block:
         """Outputs, as the ModelStructure lists them, but for clocked ones."""
-        return Block(item for item in self.of(self.description.outputs) if not item.clocked)
+        return one_each(item for item in self.of(self.description.outputs) if not item.clocked)
 
     @cached_property
     def observed(self) -> Block:
-        """One variable a value reference and type, but for clocked ones: what runs are compared by."""
-        return Block(
-            list(
-                {
-                    (item.reference, item.type): item
-                    for item in reversed(self.variables)
-                    if not item.clocked
-                }.values()
-            )[::-1]
-        )
+        """The values that runs are compared by: all but for clocked ones."""
+        return Block(item for item in self.values if not item.clocked)
 
     @cached_property
     def continuous_inputs(self) -> Block:
         """Continuous floating-point inputs."""
-        return Block(
-            item for item in self.variables if item.causality == "input" and item.is_continuous
+        return self._settable(
+            lambda item: item.causality == "input" and item.is_continuous,
         )
 
     @cached_property
     def clocks(self) -> Block:
         """Variables that tell the time."""
-        return Block(
+        return one_each(
             item for item in self.variables if item.causality == "independent" and item.is_float
         )
 
     @cached_property
     def exact(self) -> Block:
         """Variables whose start is their value in initialisation."""
-        return Block(
-            item
-            for item in self.variables
-            if item.start is not None and (item.initial == "exact" or item.causality == "input")
+        return self._settable(
+            lambda item: (
+                item.start is not None and (item.initial == "exact" or item.causality == "input")
+            )
         )
 
     @cached_property
     def varied(self) -> Settings:
         """Other values of the floating-point parameters that may be set before a run: a hundredth of their size off their starts."""
-        parameters = Block(
-            item
-            for item in self.variables
-            if item.causality == "parameter"
-            and item.is_float
-            and item.variability != "constant"
-            and item.start is not None
+        if self.avoided.unvaried:
+            return NOTHING
+        parameters = self._settable(
+            lambda item: (
+                item.causality == "parameter"
+                and item.is_float
+                and item.variability != "constant"
+                and item.start is not None
+            )
         )
         return parameters, parameters.near(_VARIED)
+
+    def _settable(self, wanted: Callable[[FmuVariable], bool]) -> Block:
+        """One variable a value of those that are wanted, and that the FMU lets be set."""
+        return one_each(
+            item for item in self.variables if wanted(item) and item.name not in self.avoided.unset
+        )
 
     @cached_property
     def start_time(self) -> float:
@@ -437,26 +502,29 @@ class Subject:
         -------
         (nu,) [unit of each input]. Raises nothing.
         """
-        start, size, lower, upper = self._inputs
-        return np.clip(
-            start
-            + size * np.random.default_rng([seed, step // HOLD]).uniform(-1.0, 1.0, start.shape),
-            lower,
-            upper,
+        lower, upper = self.input_range
+        middle, half = self._input_motion
+        moves = np.random.default_rng([seed, step // HOLD]).uniform(-1.0, 1.0, middle.shape)
+        return np.clip(middle + half * moves, lower, upper)
+
+    @cached_property
+    def input_range(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest values (nu,) that `inputs_at` gives [unit of each input]. Raises nothing."""
+        inputs, (start, size) = self.continuous_inputs, self._input_motion
+        lower = np.maximum(start - size, inputs.each(lambda item: item.lower))
+        upper = np.minimum(start + size, inputs.each(lambda item: item.upper))
+        return (
+            np.where(inputs.refuses("below"), np.maximum(lower, start), lower),
+            np.where(inputs.refuses("above"), np.minimum(upper, start), upper),
         )
 
     @cached_property
-    def _inputs(self) -> tuple[np.ndarray, ...]:
-        """Of the continuous inputs starts, how far they move, and bounds, (nu,) [unit of each input] each. Raises nothing."""
+    def _input_motion(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the continuous inputs starts, and how far they move, (nu,) [unit of each input] each. Raises nothing."""
         inputs = self.continuous_inputs
-        lower, upper = inputs.each(lambda item: item.lower), inputs.each(lambda item: item.upper)
-        bounded = np.isfinite(lower) & np.isfinite(upper)
-        return (
-            np.nan_to_num(inputs.starts),
-            np.where(bounded, RANGE_SHARE * (upper - lower), SIZE_SHARE * inputs.scales),
-            lower,
-            upper,
-        )
+        width = inputs.each(lambda item: item.upper - item.lower)
+        size = np.where(np.isfinite(width), RANGE_SHARE * width, SIZE_SHARE * inputs.scales)
+        return np.nan_to_num(inputs.starts), 0.0 * size if self.avoided.held else size
 
 
 def _variable(item: Any) -> FmuVariable | None:
@@ -492,6 +560,14 @@ def _number(text: Any) -> float:
     return words[str(text)] if str(text) in words else float(text)
 
 
+def in_words(variables: Block, values: np.ndarray) -> str:
+    """Variables and the values (entries,) [unit of each] that they are set to: `p = -0.1, m = 10`."""
+    pairs = zip(variables.names, values.tolist(), strict=True)
+    said = [f"{name} = {value:.6g}" for name, value in itertools.islice(pairs, _NAMED)]
+    more = variables.entries - len(said)
+    return ", ".join(said) + (f" and {more} more" if more else "")
+
+
 class CheckedInstance(Instance):
     """One instance of `subject` of type "ME" or "CS", which knows the FMU's variables.
 
@@ -520,10 +596,6 @@ class CheckedInstance(Instance):
     def __exit__(self, kind: type | None, *_: object) -> None:
         if kind is None:
             self.close()
-
-    def refused(self, what: str, error: FMICallException) -> Misbehaviour:
-        """That something, in words, cannot be done: for a call that was refused, with what the FMU said."""
-        return Misbehaviour(f"{what} ({str(error).rstrip('.')}){self.quote()}")
 
     def setup(self, stop: float | None = None) -> None:
         """Before values are set."""
@@ -556,12 +628,8 @@ class CheckedInstance(Instance):
         return self.finish_initialisation()
 
     def begin_varied(self) -> Self:
-        """As `begin`, with other parameters than a fresh instance has, so that a forgotten one shows; with its own if it refuses those. Raises as `begin`."""
-        try:
-            return self.begin(before=self.subject.varied)
-        except FMICallException:
-            self.fmu.reset()
-            return self.begin()
+        """As `begin`, with other parameters than a fresh instance has, so that a forgotten one shows. Raises as `begin`."""
+        return self.begin(before=self.subject.varied)
 
     def finish_initialisation(self) -> Self:
         """Out of Initialization Mode, and with Model Exchange to Continuous-Time Mode."""
@@ -573,7 +641,8 @@ class CheckedInstance(Instance):
 
     def make_step(self, step: int) -> None:
         """One communication step of the subject's grid. Raises FMICallException, Fault."""
-        self.do_step(self.subject.time(step), self.subject.step)
+        self.time = self.subject.time(step)
+        self.do_step(self.time, self.subject.step)
 
     def live(self, steps: int, *, completed: bool = False) -> None:
         """So many communication steps; of Model Exchange as many evaluations, if it has states.
@@ -622,7 +691,11 @@ class CheckedInstance(Instance):
         FMICallException : if the FMU refuses a call.
         """
         for references, places in variables.parts(self.fmu):
-            self.write(references, values[places])
+            try:
+                self.write(references, values[places])
+            except RefusedCall as refusal:
+                refusal.setting = in_words(variables, values)
+                raise
 
     def observe(self) -> np.ndarray:
         """Values (entries,) [unit of each variable] of all that runs are compared by.

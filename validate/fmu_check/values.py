@@ -10,6 +10,7 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Fault, Misbehaviour
+from validate.fmu_check.accepted import LEAST, drawn, movable, moved
 from validate.fmu_check.check import (
     Finding,
     Scope,
@@ -36,13 +37,6 @@ from validate.fmu_check.subject import (
 _TEXT = 1e-9
 # A Float32 holds seven digits.
 _SINGLE = 1e-6
-# So many variables are read one by one, and of a large FMU as many as read so many values in all
-# where each reading computes all of them, but for the least.
-_ONE_BY_ONE = 2000
-_COMPUTED = 40_000_000
-_LEAST = 100
-# How far a start value is moved to see whether it is obeyed.
-_MOVED = 0.01
 # How long a run from other starts may take [s].
 _ELSEWHERE_SECONDS = 5.0
 
@@ -50,13 +44,13 @@ _ELSEWHERE_SECONDS = 5.0
 @check("variables can be read", Scope.EACH, clauses=("2.1.7", "2.2.7.2"))
 def readable(subject: Subject, kind: str) -> Finding:
     """After initialisation each variable's value reference is accepted, but for clocked ones."""
-    variables = [item for item in subject.variables if not item.clocked]
+    variables = [item for item in subject.values if not item.clocked]
     with CheckedInstance(subject, kind).begin() as instance:
         problems = [
             f"{item.name} (value reference {item.reference}, {item.type}) is refused{instance.quote()}"
             for kind in dict.fromkeys(item.type for item in variables)
             for item in itertools.islice(
-                _refused(instance, Block(item for item in variables if item.type == kind)), _LEAST
+                _refused(instance, Block(item for item in variables if item.type == kind)), LEAST
             )
         ]
         texts = dict(_texts(instance))
@@ -72,6 +66,7 @@ def _texts(instance: CheckedInstance) -> Iterator[tuple[str, str]]:
             item.type not in ("String", "Binary")
             or getattr(item, "dimensions", None)
             or item.clocks
+            or item.alias is not None
         ):
             continue
         said, start = "", "".join(item.start[:1]) if isinstance(item.start, list) else item.start
@@ -130,42 +125,21 @@ def starts(subject: Subject, kind: str) -> Finding:
     return unless(wrong, f"{len(variables)} start values agree to {_TEXT:g}.", end="")
 
 
-def _movable(item: FmuVariable) -> bool:
-    """Whether another value may be given to it.
-
-    Another whole number may switch the model to something else.
-    """
-    changes = (
-        item.variability != "constant"
-        and item.causality != "structuralParameter"
-        and not item.clocked
-    )
-    return changes and (item.is_float or (item.type == "Boolean" and item.causality == "input"))
-
-
-def _moved(block: Block) -> np.ndarray:
-    """Another value of one variable than its start, as far as there is one in its range."""
-    value = block.near(_MOVED) if block[0].is_float else 1.0 - block.starts
-    return (
-        value.astype(np.float32).astype(float) if block[0].type == "Float32" else value
-    )  # what it can hold
-
-
 @check("start values are obeyed", Scope.EACH, clauses=("2.1.7", "2.2.7.2"))
 def obeyed(subject: Subject, kind: str) -> Finding:
     """A start value set before or in initialisation is the value from then on."""
-    every = [item for item in subject.exact if _movable(item)]
-    drawn = [Block([every[place]]) for place in sorted(_drawn(len(every), len(subject.variables)))]
-    moved = {
-        block: value for block in drawn if not np.array_equal(value := _moved(block), block.starts)
+    every = [item for item in subject.exact if movable(item)]
+    blocks = [Block([every[place]]) for place in sorted(drawn(len(every), len(subject.values)))]
+    others = {
+        block: value for block in blocks if not np.array_equal(value := moved(block), block.starts)
     }
-    if not moved:
+    if not others:
         return not_offered("no start value can be moved.")
     with CheckedInstance(subject, kind, "default").begin() as instance:
-        default = {block: instance.get(block) for block in moved}
+        default = {block: instance.get(block) for block in others}
     wrong, refused, tried = [], 0, 0
     for block, value, phase in (
-        (block, value, phase) for block, value in moved.items() for phase in ("before", "in")
+        (block, value, phase) for block, value in others.items() for phase in ("before", "in")
     ):
         try:
             # of the library that is loaded: FMPy takes 2 ms to look through it
@@ -185,9 +159,9 @@ def obeyed(subject: Subject, kind: str) -> Finding:
                     instance.set(block, value)
                 inside = instance.get(block)
             except FMICallException:
-                wrong.append(
-                    f"{block[0].name} cannot be set {phase} initialisation{instance.quote()}"
-                )
+                if phase == "before":
+                    raise  # a value that is refused is another check's finding
+                wrong.append(f"{block[0].name} cannot be set in initialisation{instance.quote()}")
                 continue
             try:
                 if _is_kept(block[0]):
@@ -200,22 +174,13 @@ def obeyed(subject: Subject, kind: str) -> Finding:
                 continue
             wrong += _ignored(block[0], kind, phase, value, inside, after, default[block])
     more = f" {refused} of them make the model refuse to start." if refused else ""
-    if tried < 2 * len(moved):
-        more += f" After {tried + 1} instances the FMU gave no other one for the {len(moved) - tried // 2} that are left."
-    of_all = "" if len(drawn) == len(every) else f", drawn from {len(every)}"
+    if tried < 2 * len(others):
+        more += f" After {tried + 1} instances the FMU gave no other one for the {len(others) - tried // 2} that are left."
+    of_all = "" if len(blocks) == len(every) else f", drawn from {len(every)}"
     return unless(
         wrong,
         f"{tried // 2} start values were moved, each before and in initialisation{of_all}.{more}",
         end="",
-    )
-
-
-def _drawn(count: int, size: int) -> list[int]:
-    """Places of those of `count` that are looked at one by one in an FMU of this size: all of a small one, ever fewer of larger ones."""
-    return (
-        np.random.default_rng(5)
-        .permutation(count)[: min(_ONE_BY_ONE, max(_LEAST, _COMPUTED // max(size, 1)))]
-        .tolist()
     )
 
 
@@ -302,21 +267,21 @@ def _moves(
             instance, 0, steps, record=record, after=lambda _: events.append(len(record.events))
         )
     old, new = rows[:-1], rows[1:]
-    moved = (
+    moves = (
         (old != new)
         & ~(np.isnan(old) & np.isnan(new))
         & (subject.observed.each(lambda item: item.variability in bound) > 0.0)
     )
     if kind == "ME":  # inputs change by an event every HOLD steps
-        moved &= np.array(
-            [step % HOLD > 0 and events[step] == events[step + 1] for step in range(len(moved))],
+        moves &= np.array(
+            [step % HOLD > 0 and events[step] == events[step + 1] for step in range(len(moves))],
             bool,
         )[:, np.newaxis]
     else:  # an event may be in a step, but not in each
-        moved = moved[:-2] & moved[1:-1] & moved[2:]
-    if not moved.any():
+        moves = moves[:-2] & moves[1:-1] & moves[2:]
+    if not moves.any():
         return ""
-    step, place = np.argwhere(moved)[0]
+    step, place = np.argwhere(moves)[0]
     name = subject.observed.names[place]
     when = f"t = {subject.time(step):.6g} s to {new[step, place]:.10g} at t = {subject.time(step + 1):.6g} s"
     how = "without an event between" if kind == "ME" else "and on in the next two steps"
@@ -328,8 +293,8 @@ def get_order(subject: Subject, kind: str) -> Finding:
     """Values do not depend on which variables were read before, how often and in which order."""
     steps = min(subject.steps(kind), 20)
     observed, dice = subject.observed, np.random.default_rng(5)
-    drawn = _drawn(len(observed), len(observed))
-    blocks = {place: Block([observed[place]]) for place in drawn}
+    places = drawn(len(observed), len(observed))
+    blocks = {place: Block([observed[place]]) for place in places}
     reference = fresh_run(subject, kind, steps, "all")
     other = []
     with CheckedInstance(subject, kind, "single") as instance:
@@ -337,7 +302,7 @@ def get_order(subject: Subject, kind: str) -> Finding:
         def shuffled() -> None:
             single = {
                 place: instance.get(blocks[place])
-                for place in (*dice.permutation(drawn), *dice.permutation(drawn))
+                for place in (*dice.permutation(places), *dice.permutation(places))
             }
             values = instance.observe()
             for place, value in single.items():
@@ -354,5 +319,5 @@ def get_order(subject: Subject, kind: str) -> Finding:
     ):
         require_equal(subject, reference[-len(rows) :], rows, how, len(reference) - len(rows))
     return passed(
-        f"{len(drawn)} variables over {steps} steps: all at once, one by one in other orders, and at the end only: equal bits."
+        f"{len(places)} variables over {steps} steps: all at once, one by one in other orders, and at the end only: equal bits."
     )

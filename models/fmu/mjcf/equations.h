@@ -62,6 +62,7 @@ typedef struct {
     double internal_step; /* t[TIMESTEP] */
     double start_time, stop_time;
     double values[ROOM(VALUES)], rates[ROOM(STATE_COUNT)]; /* belong to the state while `evaluated` */
+    unsigned long long piece; /* of the equations, on which they are smooth */
     int begun; /* a step was made: from then on MuJoCo keeps its own time */
     int frozen;
     int evaluated;
@@ -347,6 +348,40 @@ static inline void forward(Model *m, int flags)
     mj_forward(model, m->engine->view);
 }
 
+/* A number that spreads over all bits (SplitMix64), of four small ones. */
+static inline unsigned long long mixed(int a, int b, int c, int d)
+{
+    unsigned long long z = (((unsigned long long)(unsigned)a * 0x9E3779B97F4A7C15u + (unsigned)b) * 0xBF58476D1CE4E5B9u + (unsigned)c) * 0x94D049BB133111EBu + (unsigned)d;
+    z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
+    z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
+    return z ^ (z >> 31);
+}
+
+static inline int side_of(double value, const mjtNum range[2], int strictly)
+{
+    return strictly ? (value > range[1]) - (value < range[0]) : (value >= range[1]) - (value <= range[0]);
+}
+
+/* The piece of the equations on which a point lies, a sum in any order: which constraints there are (of a contact its geoms, as the order of contacts
+ * may change), which of them press, stick or slide, which controls and forces are cut, and on which side of its dead band and around what a tendon runs. */
+static inline unsigned long long piece_of(const mjModel *model, const mjData *data)
+{
+    unsigned long long sum = 0;
+    for (int i = 0; i < (int)data->nefc; i++) {
+        const int is_contact = data->efc_type[i] >= mjCNSTR_CONTACT_FRICTIONLESS, id = data->efc_id[i];
+        const mjContact *contact = is_contact ? &data->contact[id] : NULL;
+        sum += mixed(data->efc_type[i] * 16 + data->efc_state[i], contact ? contact->geom[0] : id, contact ? contact->geom[1] : -1, contact ? i - contact->efc_address : 0);
+    }
+    for (int i = 0; i < NU; i++)
+        if (model->actuator_ctrllimited[i] && !(model->opt.disableflags & mjDSBL_CLAMPCTRL))
+            sum += mixed(-1, i, side_of(data->ctrl[i], model->actuator_ctrlrange + 2 * i, 1), 0);
+    for (int i = 0; i < (int)model->nactuator && model->nout == model->nactuator; i++)
+        if (model->actuator_forcelimited[i]) sum += mixed(-2, i, side_of(data->actuator_force[i], model->actuator_forcerange + 2 * i, 0), 0);
+    for (int i = 0; i < (int)model->ntendon; i++)
+        sum += mixed(-3, i, side_of(data->ten_length[i], model->tendon_lengthspring + 2 * i, 1), data->ten_wrapnum[i]);
+    return sum;
+}
+
 /* Rates are those of ever smaller steps, which cut no time constant; what is felt, once steps are made, is what these feel. */
 static const char *evaluate(Model *m)
 {
@@ -354,6 +389,7 @@ static const char *evaluate(Model *m)
     const mjModel *model = m->engine->model;
     mjData *view = m->engine->view;
     forward(m, mjDSBL_REFSAFE);
+    m->piece = piece_of(model, view);
     memcpy(m->rates + NQ, view->qacc, NV * sizeof *m->rates);
     memcpy(m->rates + NQ + NV, view->act_dot, NA * sizeof *m->rates);
     for (int joint = 0; joint < (int)model->njnt; joint++) {
@@ -365,7 +401,10 @@ static const char *evaluate(Model *m)
         const double half[3] = {0.5 * v[lines], 0.5 * v[lines + 1], 0.5 * v[lines + 2]};
         mju_mulQuatAxis(rate + lines, q + lines, half); /* dq/dt = q (0, w) / 2, w in the axes of the body */
     }
-    if (m->begun && cuts(model)) forward(m, 0);
+    if (m->begun && cuts(model)) {
+        forward(m, 0);
+        m->piece = 3 * m->piece + piece_of(model, view);
+    }
     memcpy(m->values, view->sensordata, NSENSORDATA * sizeof *m->values);
     for (int i = 0; i < NPAIRS; i++) look_at_pair(model, view, &pairs[i], &m->values[NSENSORDATA + i], &m->values[NSENSORDATA + NPAIRS + i]);
     return went_wrong(view);
@@ -393,30 +432,54 @@ static inline int model_update_modes(Model *m) { return (void)m, 0; }
 static inline int model_modes_wrong(const Model *m) { return (void)m, 0; }
 static inline void model_indicators(const Model *m, double *indicators) { (void)m, (void)indicators; }
 
-/* ---- Derivatives: central differences over steps of DIFFERENCE and half of it, extrapolated. ---- */
+/* ---- Derivatives: differences over steps of DIFFERENCE and half of it, extrapolated: central ones, or one-sided ones where a contact opens, closes or
+ * begins to slide on the other side. Where both sides have such a bend, the steps become shorter, down to SMALLEST_DIFFERENCE: below it, what the
+ * solver leaves of an answer, 1e-12 of it, would be more than the 5e-5 that `check` allows. Nearer to a bend there is no derivative, but the mean of
+ * two. ---- */
 
 #define DIFFERENCE 1e-5
+#define SMALLEST_DIFFERENCE 1e-7
 
 static inline void time_direction(const Model *m, Tangent *d) { memcpy(d->x, m->rates, sizeof m->rates); }
 static inline double *known_entry(const Variable *variable, Tangent *d) { return ENTRY(d, d->x, variable); }
 static inline double model_value_tangent(const Model *m, Tangent *d, const Variable *variable) { return (void)m, *ENTRY(d, d->x, variable); }
 
-/* Complete a direction whose x and u are given; 1, and the engine's trouble, if MuJoCo cannot. */
+/* Samples of a direction: at these shares of a step. */
+enum { HERE, AHEAD, BEHIND, HALF_AHEAD, HALF_BEHIND, SAMPLES };
+
+/* Complete a direction whose x and u are given, of an evaluated Model; 1, and the engine's trouble, if MuJoCo cannot. */
 static inline int model_tangent(const Model *m, Tangent *d)
 {
-    static const double share[4] = {1.0, -1.0, 0.5, -0.5}, weight[4] = {-1.0 / 6.0, 1.0 / 6.0, 4.0 / 3.0, -4.0 / 3.0};
-    double size = 0.0;
+    static const double share[SAMPLES] = {0.0, 1.0, -1.0, 0.5, -0.5};
+    static const double central[SAMPLES] = {0.0, -1.0 / 6.0, 1.0 / 6.0, 4.0 / 3.0, -4.0 / 3.0}, from_here[SAMPLES] = {-3.0, -1.0, 0.0, 4.0, 0.0},
+                        to_here[SAMPLES] = {3.0, 0.0, 1.0, 0.0, -4.0};
+    double size = 0.0, values[SAMPLES][ROOM(VALUES)], rates[SAMPLES][ROOM(STATE_COUNT)];
     for (int i = 0; i < STATE_COUNT; i++) size = fmax(size, fabs(d->x[i]));
     for (int i = 0; i < NU; i++) size = fmax(size, fabs(d->u[i]));
-    for (int n = 0; n < 4 && size > 0.0; n++) {
-        const double h = DIFFERENCE / size;
-        Model at = *m;
-        for (int i = 0; i < STATE_COUNT; i++) at.state[1 + i] += share[n] * h * d->x[i];
-        for (int i = 0; i < NU; i++) at.u[i] += share[n] * h * d->u[i];
-        at.evaluated = 0;
-        if (model_evaluate(&at)) return 1;
-        for (int i = 0; i < VALUES; i++) d->values[i] += weight[n] / h * at.values[i];
-        for (int i = 0; i < STATE_COUNT; i++) d->rates[i] += weight[n] / h * at.rates[i];
+    if (!(size > 0.0)) return 0;
+    const double *weight = NULL;
+    double h = 0.0;
+    for (double step = DIFFERENCE; !weight; step /= 10.0) {
+        int bent[SAMPLES] = {0};
+        h = step / size;
+        for (int n = 0; n < SAMPLES; n++) {
+            Model at = *m;
+            for (int i = 0; i < STATE_COUNT; i++) at.state[1 + i] += share[n] * h * d->x[i];
+            for (int i = 0; i < NU; i++) at.u[i] += share[n] * h * d->u[i];
+            if (n != HERE) at.evaluated = 0;
+            if (model_evaluate(&at)) return 1;
+            bent[n] = at.piece != m->piece;
+            memcpy(values[n], at.values, sizeof at.values);
+            memcpy(rates[n], at.rates, sizeof at.rates);
+        }
+        const int ahead = bent[AHEAD] || bent[HALF_AHEAD], behind = bent[BEHIND] || bent[HALF_BEHIND];
+        if (ahead != behind) weight = ahead ? to_here : from_here;
+        else if (!ahead || step < 2.0 * SMALLEST_DIFFERENCE) weight = central;
+    }
+    for (int n = 0; n < SAMPLES; n++) {
+        if (weight[n] == 0.0) continue;
+        for (int i = 0; i < VALUES; i++) d->values[i] += weight[n] / h * values[n][i];
+        for (int i = 0; i < STATE_COUNT; i++) d->rates[i] += weight[n] / h * rates[n][i];
     }
     return 0;
 }

@@ -10,8 +10,9 @@ Names: `q_J` the position and `v_J` the velocity of joint J; of a free joint `q_
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -49,6 +50,8 @@ _SCALES = (
         1e-12,
     ),
 )
+# The range of a control that is not cut.
+_UNCUT = (-math.inf, math.inf)
 # Gaps are measured up to here [m].
 FARTHEST = 10.0
 _FREE = 0
@@ -169,30 +172,66 @@ class Robot:
             for variable in self.of(VariableKind.INPUT)
             if variable.upper == float("inf")
         ]
+        cut = [
+            f"{variable.name} {command:g} to {variable.start:g}"
+            for variable, command in zip(
+                self.of(VariableKind.INPUT), self.start.ctrl.tolist(), strict=True
+            )
+            if command != variable.start
+        ]
+        source = (
+            "the default control"
+            if self.keyframe < 0
+            else f"keyframe {self.model.key(self.keyframe).name!r}"
+        )
         found = {
+            f"{source} is beyond the ctrlrange, and is cut as MuJoCo cuts it: {', '.join(cut[:5])}{' ..' * (len(cut) > 5)}.": cut,
             "the model has no actuators, so the FMU has no inputs: it can be simulated, but no plan can drive it.": not self.model.nu,
-            f"no ctrlrange is set for {', '.join(free[:5])}{' ..' * (len(free) > 5)}: bounds of these inputs are not asked of a plan.": free,
+            f"no ctrlrange is in force for {', '.join(free[:5])}{' ..' * (len(free) > 5)}: bounds of these inputs are not asked of a plan.": free,
             f"no Model Exchange: {self.no_exchange}.": self.no_exchange is not None,
             "bodies that follow a motion capture stay where they start: the FMU has no inputs for them.": self.model.nmocap,
         }
         return [text for text, told in found.items() if told]
 
+    @cached_property
+    def dofs(self) -> tuple[int | None, ...]:
+        """(nq,) the degree of freedom whose velocity is the rate of each position; None of a quaternion's parts, which have none."""
+        found: list[int | None] = [None] * self.model.nq
+        for first, dof, moves in self._joints():
+            found[first : first + moves] = range(dof, dof + moves)
+        return tuple(found)
+
+    @cached_property
+    def quaternions(self) -> tuple[tuple[int, int], ...]:
+        """Of each free and ball joint the place of its quaternion among the positions, and of its angular velocity among the velocities."""
+        kinds = self.model.jnt_type
+        return tuple(
+            (first + moves, dof + moves)
+            for (first, dof, moves), kind in zip(self._joints(), kinds, strict=True)
+            if kind in (_FREE, _BALL)
+        )
+
+    def _joints(self) -> Iterator[tuple[int, int, int]]:
+        """Of each joint its first position and velocity, and how many positions are moved by a velocity each."""
+        model = self.model
+        for first, dof, kind in zip(
+            model.jnt_qposadr, model.jnt_dofadr, model.jnt_type, strict=True
+        ):
+            yield int(first), int(dof), {_FREE: 3, _BALL: 0}.get(int(kind), 1)
+
     @property
     def turns(self) -> list[Variable]:
         """Angular velocities of free and ball joints, three a joint."""
-        return [
-            variable
-            for variable in self.of(VariableKind.VELOCITY)
-            if variable.name.endswith(_TURNS)
-        ]
+        velocities = self.of(VariableKind.VELOCITY)
+        return [item for _, dof in self.quaternions for item in velocities[dof : dof + 3]]
 
     @property
     def velocities(self) -> list[tuple[Variable, str, str]]:
         """Of each position: its variable, the variable of its rate, the column of that in a plan."""
-        names, found = {variable.name for variable in self.of(VariableKind.VELOCITY)}, []
-        for variable in self.of(VariableKind.POSITION):
-            column = f"v_{variable.name.removeprefix('q_')}"
-            found.append((variable, column if column in names else f"der({variable.name})", column))
+        velocities, found = self.of(VariableKind.VELOCITY), []
+        for variable, dof in zip(self.of(VariableKind.POSITION), self.dofs, strict=True):
+            rate = f"der({variable.name})" if dof is None else velocities[dof].name
+            found.append((variable, rate, f"v_{variable.name.removeprefix('q_')}"))
         return found
 
     @property
@@ -453,6 +492,15 @@ def _input_unit(model: Any, actuator: int) -> str:
     return servo.get((bias[0], bias[1]), "1") if kind == int(package.mjtBias.mjBIAS_AFFINE) else "1"
 
 
+def _range_of(model: Any, control: int) -> tuple[float, float]:
+    """Where MuJoCo cuts a control; infinite where it does not."""
+    uncut = model.opt.disableflags & int(mujoco().mjtDisableBit.mjDSBL_CLAMPCTRL)
+    if uncut or not model.actuator_ctrllimited[control]:
+        return _UNCUT
+    lower, upper = map(float, model.actuator_ctrlrange[control])
+    return lower, upper
+
+
 def _inputs(robot: Robot) -> list[Variable]:
     model, package, rows = robot.model, mujoco(), list[tuple]()
     for actuator, (name, said) in enumerate(_actuator_names(model)):
@@ -463,15 +511,12 @@ def _inputs(robot: Robot) -> list[Variable]:
                 if count > 1
                 else ""
             )
-            limited, unit = (
-                bool(model.actuator_ctrllimited[first + part]),
-                _input_unit(model, actuator) if count == 1 else "1",
-            )
-            bounds = map(float, model.actuator_ctrlrange[first + part]) if limited else ()
-            text = f"control of actuator {said}{', cut at its range' if limited else ''}"
-            rows.append(
-                (f"u_{name}{suffix}", unit, text, float(robot.start.ctrl[first + part]), *bounds)
-            )
+            unit = _input_unit(model, actuator) if count == 1 else "1"
+            lower, upper = _range_of(model, first + part)
+            bounds = (lower, upper) if (lower, upper) != _UNCUT else ()
+            text = f"control of actuator {said}{', cut at its range' if bounds else ''}"
+            start = min(max(float(robot.start.ctrl[first + part]), lower), upper)
+            rows.append((f"u_{name}{suffix}", unit, text, start, *bounds))
     return numbered(VariableKind.INPUT, rows)
 
 
@@ -535,18 +580,10 @@ class Recorder:
     def __init__(self, model: Any) -> None:
         self._package = mujoco()
         robot = Robot(path=Path("robot"), model=model, start=self._package.MjData(model))
-        self._turns = [variable.index - model.nq for variable in robot.turns]
-        self._quaternions = [
-            variable.index
-            for variable in robot.of(VariableKind.POSITION)
-            if variable.name.endswith("_qw")
-        ]
-        index = {
-            variable.name: variable.index - model.nq for variable in robot.of(VariableKind.VELOCITY)
-        }
-        self._velocities = [
-            index.get(rate, 0) for _, rate, _ in robot.velocities
-        ]  # of a quaternion, computed
+        self._quaternions = robot.quaternions
+        self._turns = [dof + part for _, dof in robot.quaternions for part in range(3)]
+        # of a quaternion, computed
+        self._velocities = [0 if dof is None else dof for dof in robot.dofs]
         given = [
             variable.name
             for kind in (VariableKind.INPUT, VariableKind.POSITION)
@@ -563,7 +600,7 @@ class Recorder:
     def record(self, data: Any) -> None:
         """Keep time [s], controls, positions and velocities of an MjData."""
         velocities, turns = data.qvel[self._velocities], data.qvel[self._turns]
-        for at, turn in zip(self._quaternions, turns.reshape(-1, 3), strict=True):
+        for (at, _), turn in zip(self._quaternions, turns.reshape(-1, 3), strict=True):
             self._package.mju_mulQuatAxis(
                 velocities[at : at + 4], data.qpos[at : at + 4], turn / 2.0
             )  # dq/dt = q (0, w) / 2

@@ -354,6 +354,63 @@ def test_a_slope_is_there_where_a_step_s_solver_would_stop_before_it(robot):
         assert slope == pytest.approx(-force * (0.2**2 - 0.1**2) / 0.1 / inertia, rel=1e-4)
 
 
+def _slope(fmu: Slave, unknown: str, known: str) -> float:
+    (slope,) = fmu.fmu.fmu.directional([fmu.references[unknown]], [fmu.references[known]], [1.0], 1)
+    return slope
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gap", [3e-6, -3e-6, 3e-8, -3e-8, 0.01])
+def test_slope_beside_a_contact_that_opens_is_of_its_own_side(robot, gap: float):
+    """A ball that is nearer to a smooth floor than the differences are long: free fall knows no height, and the floor answers it."""
+    ball = "<mujoco><default><geom condim='1'/></default><worldbody><geom name='floor' type='plane' size='5 5 .1'/>"
+    ball += "<body><joint name='z' type='slide' axis='0 0 1'/><geom name='ball' size='.1' mass='1'/></body></worldbody></mujoco>"
+    made = robot(ball)
+
+    def acceleration(height: float, speed: float = -0.3) -> float:
+        data = mujoco.MjData(made.model)
+        data.qpos[0], data.qvel[0] = height, speed
+        mujoco.mj_forward(made.model, data)
+        return data.qacc[0]
+
+    # One-sided, away from the floor's surface, as MuJoCo has no slope of its own there.
+    away = 1e-6 if gap > 0.0 else -1e-6
+    height = 0.1 + gap
+    expected = (
+        -3.0 * acceleration(height)
+        + 4.0 * acceleration(height + away)
+        - acceleration(height + 2.0 * away)
+    ) / (2.0 * away)
+    with instance(made, "ME", q_z=height, v_z=-0.3) as fmu:
+        fmu.fmu.settle()
+        assert fmu.get("der(v_z)")[0] == pytest.approx(acceleration(height), rel=1e-9)
+        slope = _slope(fmu, "der(v_z)", "q_z")
+    assert slope == pytest.approx(expected, rel=1e-4, abs=1e-6)
+    assert (abs(slope) > 100.0) == (gap < 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("off", "slope"), [(2e-6, -400.0), (-2e-6, 0.0)])
+def test_slope_beside_the_end_of_a_dead_band_is_of_its_own_side(robot, off: float, slope: float):
+    """A tendon of 400 N/m that is slack up to 0.5 m."""
+    mass = "<mujoco><option gravity='0 0 0'/><worldbody><body><joint name='x' type='slide' axis='1 0 0'/><geom size='.1' mass='1' condim='1'/></body></worldbody>"
+    mass += "<tendon><fixed stiffness='400' springlength='-1 .5'><joint joint='x' coef='1'/></fixed></tendon></mujoco>"
+    with instance(robot(mass), "ME", q_x=0.5 + off) as fmu:
+        fmu.fmu.settle()
+        assert _slope(fmu, "der(v_x)", "q_x") == pytest.approx(slope, abs=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("control", "slope"), [(1.0, 5.0), (-1.0, 5.0), (1.0 + 1e-6, 0.0)])
+def test_slope_by_a_control_at_its_bound_is_of_the_side_within(robot, control: float, slope: float):
+    mass = "<mujoco><option gravity='0 0 0'/><worldbody><body><joint name='x' type='slide' axis='1 0 0'/><geom size='.1' mass='1' condim='1'/></body></worldbody>"
+    mass += "<actuator><motor name='push' joint='x' gear='5' ctrlrange='-1 1'/></actuator></mujoco>"
+    with instance(robot(mass), "ME") as fmu:
+        fmu.fmu.settle()
+        fmu.set(u_push=control)
+        assert _slope(fmu, "der(v_x)", "u_push") == pytest.approx(slope, abs=1e-6)
+
+
 @pytest.mark.slow
 def test_a_motion_that_breaks_down_ends_in_a_sentence_at_the_last_good_step(robot):
     leg = robot(LEG)

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from robots import LEG
 
@@ -146,3 +147,91 @@ def test_a_recorded_row_has_the_columns_of_the_map(robot):
         for name in recorder.columns
         if name.startswith("v_") and not name.startswith("v_root_w")
     )
+
+
+# Joints called like the parts of others: a slide and hinges beside a free and a ball joint.
+_ODD = """<mujoco><option timestep="0.002"><flag contact="disable"/></option><worldbody>
+  <body><joint name="head_qw" type="slide" axis="0 0 1"/><geom size=".1"/>
+    <body><joint name="wz" axis="0 1 0"/><geom size=".1" pos="0 0 .3"/>
+      <body><joint name="neck" type="ball"/><geom type="box" size=".1 .2 .3" pos=".1 0 .3"/></body></body></body>
+  <body pos="2 0 0"><freejoint name="tip_wx"/><geom type="box" size=".1 .2 .3"/></body>
+</worldbody><actuator><motor joint="wz" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+def test_joints_are_what_the_model_says_whatever_they_are_called(robot):
+    odd = robot(_ODD)
+    assert [item.name for item in odd.turns] == [
+        f"v_{joint}_{part}" for joint in ("neck", "tip_wx") for part in ("wx", "wy", "wz")
+    ]
+    assert [(name, column) for _, name, column in odd.velocities[:3]] == [
+        ("v_head_qw", "v_head_qw"),
+        ("v_wz", "v_wz"),
+        ("der(q_neck_qw)", "v_neck_qw"),
+    ]
+    start = odd.map_text.partition("[start]")[2]
+    assert "v_wz =" not in start
+    assert "v_head_qw" not in start
+    assert 'v_neck_wx = "v_neck_wx"' in start
+
+
+def test_recorder_row_of_odd_names_is_mujocos(robot):
+    odd = robot(_ODD)
+    data, recorder = mujoco.MjData(odd.model), Recorder(odd.model)
+    data.qvel[:] = 0.1 * np.arange(1, 12)
+    before = data.qpos.copy()
+    recorder.record(data)
+    row = dict(zip(recorder.columns, recorder.rows[0], strict=True))
+    assert len(row) == len(recorder.columns)
+    assert (row["v_head_qw"], row["v_wz"]) == tuple(data.qvel[:2])
+    assert [row[f"v_neck_{part}"] for part in ("wx", "wy", "wz")] == data.qvel[2:5].tolist()
+    # The rates of both quaternions, by a short step of MuJoCo's own.
+    moved, length = before.copy(), 1e-7
+    mujoco.mj_integratePos(odd.model, moved, data.qvel, length)
+    for joint, place in (("neck", 2), ("tip_wx", 9)):
+        rates = [row[f"v_{joint}_{part}"] for part in ("qw", "qx", "qy", "qz")]
+        assert rates == pytest.approx(
+            ((moved - before)[place : place + 4] / length).tolist(), abs=1e-6
+        )
+
+
+_SERVOS = """<mujoco><option timestep="0.002">{flag}</option><worldbody>
+  <body><joint name="a" axis="0 1 0" damping="1"/><geom size=".1" mass="1" pos="0 0 -.4"/>
+    <body pos="0 0 -.5"><joint name="b" axis="0 1 0" damping="1"/><geom size=".1" mass="1" pos="0 0 -.3"/></body></body>
+</worldbody><actuator><position name="a" joint="a" kp="30" ctrlrange="0.2 1"/><position name="b" joint="b" kp="30" ctrlrange="-1 1"/></actuator>
+<keyframe><key name="far" qpos="0.3 -0.2" ctrl="0.4 2.5"/><key name="near" ctrl="0.4 -0.5"/></keyframe></mujoco>"""
+_CONTACTS_OFF = '<flag contact="disable"/>'
+
+
+@pytest.mark.parametrize(
+    ("keyframe", "starts", "note"),
+    [
+        ("far", [0.4, 1.0], "keyframe 'far' is beyond the ctrlrange, and is cut as MuJoCo cuts it: u_b 2.5 to 1."),
+        (None, [0.2, 0.0], "the default control is beyond the ctrlrange, and is cut as MuJoCo cuts it: u_a 0 to 0.2."),
+        ("near", [0.4, -0.5], None),
+    ],
+)  # fmt: skip
+def test_control_beyond_its_range_is_cut_as_mujoco_cuts_it(
+    robot, keyframe: str | None, starts: list[float], note: str | None
+):
+    found = robot(_SERVOS.format(flag=_CONTACTS_OFF), keyframe=keyframe)
+    inputs = [item for item in found.table if item.causality == "input"]
+    assert [item.start for item in inputs] == starts
+    assert found.notes == ([] if note is None else [note])
+    ends = []
+    for controls in (starts, found.start.ctrl.tolist()):
+        data = mujoco.MjData(found.model)
+        data.qpos[:], data.ctrl[:] = found.start.qpos, controls
+        for _ in range(100):
+            mujoco.mj_step(found.model, data)
+        ends.append(data.qpos.tolist())
+    assert ends[0] == ends[1], "the same motion, bit for bit"
+
+
+def test_control_that_mujoco_does_not_cut_keeps_its_start(robot):
+    """With the flag off there is no range in force either."""
+    flag = '<flag contact="disable" clampctrl="disable"/>'
+    found = robot(_SERVOS.format(flag=flag), keyframe="far")
+    inputs = [item for item in found.table if item.causality == "input"]
+    assert [(item.start, item.upper) for item in inputs] == [(0.4, np.inf), (2.5, np.inf)]
+    (note,) = found.notes
+    assert "no ctrlrange is in force for u_a, u_b" in note

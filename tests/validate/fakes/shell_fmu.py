@@ -191,13 +191,16 @@ def _description(model: Foreign) -> str:
 """
 
 
-def build_shell(model: Foreign, folder: Path, edit: tuple[str, str] = ("", "")) -> Path:
+def build_shell(model: Foreign, folder: Path, *edits: tuple[str, str]) -> Path:
     """The model's FMU in a folder.
 
-    Compiled there. edit: a text of shell.c, and what stands there instead.
+    Compiled there. edits: texts of shell.c, and what stands there instead.
     """
-    assert edit[0] in _SHELL.read_text(encoding="utf-8")
-    shell = f'#define IDENTIFIER "{model.name}"\n{model.macros}{_SHELL.read_text(encoding="utf-8").replace(*edit, 1)}'
+    shell = _SHELL.read_text(encoding="utf-8")
+    for old, new in edits:
+        assert old in shell
+        shell = shell.replace(old, new, 1)
+    shell = f'#define IDENTIFIER "{model.name}"\n{model.macros}{shell}'
     sources = {"shell.c": shell, "model.h": model.code, **standard_headers(find_standard("2.0"))}
     library = folder / f"{model.name}.so"
     compile_shared(find_compiler(), sources, library)

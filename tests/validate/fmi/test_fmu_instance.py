@@ -2,7 +2,6 @@
 
 import ctypes
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -256,11 +255,11 @@ def made(major: int = 2, kind: str = "CS", **description: Any) -> tuple[Instance
     } | description
     instance.description, instance.kind, instance.options = SimpleNamespace(**given), kind, {}
     instance.time, instance.next_event, instance._needs_tool = math.nan, math.inf, False
-    instance.said = deque(maxlen=4)
 
     class Calls:
         component = "component"
         fatal = False
+        messages, last_message = 0, ""
         prefix = f"fmi{major}"
 
         def __getattr__(self, name: str) -> Any:

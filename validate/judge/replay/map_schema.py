@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import difflib
 import heapq
+import math
 import unicodedata
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -347,18 +348,29 @@ _MANY = 2000
 class Named:
     """The variables of an FMU by their names, in Unicode's composed form.
 
-    `twice`: names that are there more than once, which FMI forbids.
+    `twice`: names that are there more than once, which FMI forbids; `aliases`: names of each value
+    that a map takes, by its reference.
     """
 
     def __init__(self, package: Package) -> None:
         self.by_name: dict[str, Any] = {}
         self.twice: set[str] = set()
+        self.aliases: dict[int, list[str]] = {}
         for variable in package.description.modelVariables:
             name = composed(variable.name)
             if self.by_name.setdefault(name, variable) is not variable:
                 self.twice.add(name)
             if variable.type in REAL:
                 _check_numbers(package, variable)
+                names = self.aliases.setdefault(int(variable.valueReference), [])
+                if name not in names:
+                    names.append(name)
+
+    def alias(self, variable: Any, wanted: Callable[[Any], bool]) -> Any:
+        """The first variable of the same value that is wanted, else the variable itself."""
+        names = self.aliases.get(int(variable.valueReference), ())
+        found = (self.by_name[name] for name in names if wanted(self.by_name[name]))
+        return variable if wanted(variable) else next(found, variable)
 
     def numbers(self) -> list[str]:
         """Names of the variables that are numbers."""
@@ -402,7 +414,7 @@ def by_equal_names(named: Named, table: Table, dimensions: Dimensions) -> MapFil
             raise MapError(
                 f"{table.where}: the FMU has no variable {name!r}{hint(name, named.numbers())}; name the right one in a map (--map MAP.toml)."
             )
-        if variable.causality == "input":
+        if named.alias(variable, lambda item: item.causality == "input").causality == "input":
             sections["inputs"][name] = name
         elif name.startswith("lam_"):
             contact = name.removeprefix("lam_")
@@ -460,6 +472,15 @@ def hint(name: str, known: Iterable[str]) -> str:
         )
     close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
     return f" (near it: {', '.join(close)})" if close else ""
+
+
+def number(text: Any) -> float:
+    """A number that an FMU states, 0 where it states none, or nothing finite."""
+    try:
+        found = float(text)
+    except (TypeError, ValueError):
+        return 0.0
+    return found if math.isfinite(found) else 0.0
 
 
 def positive(nominal: Any) -> float:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +44,29 @@ from validate.judge.replay.wiring import INTERNAL_STEP, Variables, columns_or_ze
 _STEPS = 500
 # Largest difference of the plan's first row and the FMU's start value, in nominals.
 _SAME_START = 1e-6
+# A clock whose ticks are a larger share of a step than this hides what happens within it: events are
+# located to a millionth of a step, which takes three digits more.
+_TICK = 1e-9
 # Largest relative excess of a bound in the map over the FMU's own bound: rounding of units.
 _ROUNDING = 1e-9
+
+
+def _is_input(variable: Any) -> bool:
+    return variable.causality == "input"
+
+
+def _is_parameter(variable: Any) -> bool:
+    """Whether it is a parameter of one number."""
+    return variable.causality == "parameter" and not getattr(variable, "dimensions", None)
+
+
+def _is_started(variable: Any) -> bool:
+    """Whether an FMU lets a state's start be set, and says what it is otherwise."""
+    return variable.initial in ("exact", "approx") and variable.start is not None
+
+
+def _is_startable(variable: Any) -> bool:
+    return variable.causality in ("parameter", "input") or variable.initial in ("exact", "approx")
 
 
 def wire(
@@ -57,7 +79,8 @@ def wire(
     named = Named(package)
     whole = given or map_schema.by_equal_names(named, table, Dimensions(package.description))
     wiring = _Wiring(package, named, table, whole, where)
-    wired = wiring.foreign(), wiring.trajectory(hold)
+    plan, start = wiring.trajectory(hold), wiring.counted_from
+    wired = wiring.foreign(), plan if start is None else plan.from_zero(start)
     wiring.check_first_row()
     return wired
 
@@ -106,7 +129,9 @@ class _Wiring:
         return int(self._by_name[name].valueReference)
 
     def _parameter(self, path: str, name: str, value: float | None = None) -> int:
-        variable = self._variable(path, name)
+        variable = self._named.alias(
+            self._variable(path, name), lambda item: item.causality == "parameter"
+        )
         if variable.causality != "parameter":
             raise self._fail(
                 path, f"{name!r} is no parameter of the FMU, but {variable.causality}."
@@ -121,11 +146,8 @@ class _Wiring:
         return int(variable.valueReference)
 
     def _startable(self, path: str, name: str) -> int:
-        variable = self._variable(path, name)
-        if variable.causality not in ("parameter", "input") and variable.initial not in (
-            "exact",
-            "approx",
-        ):
+        variable = self._named.alias(self._variable(path, name), _is_startable)
+        if not _is_startable(variable):
             raise self._fail(
                 path, f"{name!r} has no start value that can be set: the FMU calculates it."
             )
@@ -137,7 +159,8 @@ class _Wiring:
         for name, signal in given.inputs.items():
             path = f"inputs.{name}"
             self._check_once(driven, path, signal.variable)
-            if self._variable(path, signal.variable).causality != "input":
+            variable = self._named.alias(self._variable(path, signal.variable), _is_input)
+            if not _is_input(variable):
                 raise self._fail(path, f"{signal.variable!r} is no input of the FMU.")
             self._check_unit(path, name, signal)
         for name in given.velocities:
@@ -354,6 +377,15 @@ class _Wiring:
             lacks["lam"] = "not every contact has a force named"
         return lacks
 
+    @cached_property
+    def counted_from(self) -> float | None:
+        """The FMU's own start [s], from which times are counted that a clock tells, since 1970 for example; None of other plans."""
+        times = self._table.column(self._time, last_is_open=False)
+        experiment = getattr(self._package.description, "defaultExperiment", None)
+        start = map_schema.number(getattr(experiment, "startTime", None))
+        coarse = np.spacing(np.abs([times[0], start])) > _TICK * np.abs(np.diff(times)).min()
+        return start if coarse[0] and not coarse[1] else None
+
     # What comes of it
 
     def foreign(self) -> subject.Foreign:
@@ -408,10 +440,9 @@ class _Wiring:
     def _settings(self) -> list[tuple[int, float]]:
         """Return the references and values of the map's [start]."""
         given, found = self.map, {}
-        taken = {
-            self._reference(f"parameters.{name}", name): f"parameters.{name}"
-            for name in given.parameters
-        }
+        taken: dict[int, str] = {}
+        for name in given.parameters:
+            self._check_once(taken, f"parameters.{name}", name)
         taken |= {
             self._place(signal.variable): f"inputs.{name}" for name, signal in given.inputs.items()
         }
@@ -442,13 +473,9 @@ class _Wiring:
         """Raise MapError if the plan's first row differs from a start value that [start] leaves out."""
         named = {self._place(name) for name in self.map.start}
         for _, column, signal in self._positions + self._velocities:
-            variable = self._by_name[signal.variable]
-            if (
-                column not in self._table.given
-                or int(variable.valueReference) in named
-                or variable.initial not in ("exact", "approx")
-                or variable.start is None
-            ):
+            variable = self._named.alias(self._by_name[signal.variable], _is_started)
+            is_named = int(variable.valueReference) in named
+            if column not in self._table.given or is_named or not _is_started(variable):
                 continue
             values = self._table.column(column, False)
             nominal = map_schema.positive(variable.nominal) * abs(signal.scale)
@@ -464,22 +491,29 @@ class _Wiring:
     def _uncertain(self, internal: str | None) -> tuple[subject.ForeignParameter, ...]:
         """The parameters that may be otherwise: all with a value but `internal`, the FMU's own step."""
         given, found = self.map, []
+        taken: dict[int, str] = {}
         for name in given.uncertainty:
             self._parameter(f"uncertainty.{name}", name)
-        for name, item in self._by_name.items():
-            is_one = (
-                item.causality == "parameter"
-                and item.type in REAL
-                and not getattr(item, "dimensions", None)
-            )
-            value = given.parameters.get(name, item.start) if is_one and name != internal else None
-            if value is None or name in self._named.twice:
+            self._check_once(taken, f"uncertainty.{name}", name)
+        own_step = None if internal is None else self._place(internal)
+        for reference, names in self._named.aliases.items():
+            known = (self._by_name[name] for name in names if name not in self._named.twice)
+            items = [item for item in known if _is_parameter(item)]
+            in_map = [name for name in names if name in {**given.uncertainty, **given.parameters}]
+            values = [given.parameters[name] for name in in_map if name in given.parameters]
+            values += [item.start for item in items if item.start is not None]
+            if not items or not values or reference == own_step:
                 continue
-            lower, upper = (
-                sign * math.inf if end is None else float(end)
-                for sign, end in ((-1, item.min), (1, item.max))
+            item, value, name = items[0], values[0], (in_map or names)[0]
+            lower = max(
+                (float(item.min) for item in items if item.min is not None), default=-math.inf
             )
-            entry = given.uncertainty.get(name)
+            upper = min(
+                (float(item.max) for item in items if item.max is not None), default=math.inf
+            )
+            entry = next(
+                (given.uncertainty[name] for name in in_map if name in given.uncertainty), None
+            )
             size, reason = (None, "") if entry is None else (entry.value, entry.reason)
             for end in (float(value) - size, float(value) + size) if size else ():
                 self._parameter(f"uncertainty.{name}", name, end)
@@ -489,6 +523,7 @@ class _Wiring:
                 "upper": upper,
                 "uncertainty": size,
                 "uncertainty_reason": reason,
+                "aliases": tuple(other for other in names if other != name),
             }
             found.append(subject.ForeignParameter(name=name, value=float(value), **told))
         return tuple(found)
@@ -500,8 +535,8 @@ class _Wiring:
         """
         found = {}
         for place, signal in enumerate(signals):
-            variable = self._by_name[signal.variable]
-            if variable.initial in ("exact", "approx") and variable.start is not None:
+            variable = self._named.alias(self._by_name[signal.variable], _is_started)
+            if _is_started(variable):
                 found[place] = (
                     signal.scale * settings.get(int(variable.valueReference), float(variable.start))
                     + signal.offset
@@ -636,6 +671,11 @@ class _Wiring:
 
     def _notes(self) -> tuple[str, ...]:
         notes, scheme = [], declared_scheme(self._table)
+        if self.counted_from is not None:
+            first = self._table.column(self._time, last_is_open=False)[0]
+            notes.append(
+                f"The plan's times are those of a clock: they are counted from its first row, {first:.10g} s, which is t = {self.counted_from:g} s of the FMU."
+            )
         if scheme is not None:
             said = (
                 "which is of a scene's equations; an FMU keeps its own, so nothing is asked of it."
@@ -646,13 +686,14 @@ class _Wiring:
                 f"Nothing is asked of the plan's friction forces ({', '.join(self._frictions)}): an FMU's own are not read."
             )
         driven = {self._place(signal.variable) for signal in self.map.inputs.values()}
-        inputs = [
-            (name, item.type)
-            for name, item in self._by_name.items()
-            if item.causality == "input" and item.type != "Clock"
-        ]
+        inputs: dict[tuple[str, int], str] = {}
+        for name, item in self._by_name.items():
+            if item.causality == "input" and item.type != "Clock":
+                inputs.setdefault((item.type, self._place(name)), name)
         idle = [
-            name for name, kind in inputs if kind not in REAL or self._place(name) not in driven
+            name
+            for (kind, place), name in inputs.items()
+            if kind not in REAL or place not in driven
         ]
         if idle:
             named = ", ".join(idle[:5]) + " .." * (len(idle) > 5)
@@ -671,7 +712,7 @@ class _Wiring:
 
     def _input(self, name: str, signal: InputSignal) -> subject.ForeignInput:
         """Bounds in the plan's unit are those of the map, which may not lie beyond those that the FMU declares; else the latter."""
-        variable = self._by_name[signal.variable]
+        variable = self._named.alias(self._by_name[signal.variable], _is_input)
         least, most = (
             -math.inf if variable.min is None else float(variable.min),
             math.inf if variable.max is None else float(variable.max),

@@ -73,7 +73,7 @@ class ForeignContact:
 class ForeignParameter:
     """A parameter of the FMU that may be otherwise [unit of the FMU].
 
-    uncertainty: None: a share of its value.
+    uncertainty: None: a share of its value; aliases: its other names.
     """
 
     name: str
@@ -83,6 +83,7 @@ class ForeignParameter:
     upper: float = math.inf
     uncertainty: float | None = None
     uncertainty_reason: str = ""
+    aliases: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

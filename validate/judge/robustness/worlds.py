@@ -19,7 +19,7 @@ from enum import Enum
 import numpy as np
 
 from models.errors import TrajectoryError, did_you_mean
-from models.scene import Scene
+from models.scene import Parameter, Scene
 from models.trajectory import Trajectory, columns_of
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.tracking import input_scale, nominals
@@ -74,8 +74,17 @@ def perturbations(
 
     asked: kinds, or names of single ones. Raises TrajectoryError for a name that nothing has.
     """
+    main = {
+        alias: item.name
+        for item in subject.parameters
+        if not isinstance(item, Parameter)
+        for alias in item.aliases
+    }
     names, kinds, found = (
-        [item.value if isinstance(item, PerturbationKind) else item for item in asked],
+        [
+            item.value if isinstance(item, PerturbationKind) else main.get(item, item)
+            for item in asked
+        ],
         PerturbationKind,
         [],
     )

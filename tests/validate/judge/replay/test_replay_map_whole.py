@@ -463,9 +463,13 @@ def test_a_unit_of_the_plan_against_that_of_the_fmu_needs_a_scale(whole):
 
 def variables(*items: tuple[str, str, str] | tuple[str, str, str, Any]) -> Any:
     """The FMU's variables: (name, causality, unit), and of what a rate is the derivative."""
-    found = [SimpleNamespace(name=name, causality=causality, unit=unit, type="Real",
-                             derivative=SimpleNamespace(name=of[0]) if of else None) for name,
-                             causality, unit, *of in items]  # fmt: skip
+    found = [
+        SimpleNamespace(
+            name=name, causality=causality, unit=unit, type="Real", valueReference=place,
+            derivative=SimpleNamespace(name=of[0]) if of else None,
+        )
+        for place, (name, causality, unit, *of) in enumerate(items)
+    ]  # fmt: skip
     return Named(SimpleNamespace(description=SimpleNamespace(modelVariables=found)))  # type: ignore[arg-type]
 
 
