@@ -506,9 +506,9 @@ class IpoptProblem:
         (n,) gradient [objective per variable]
         """
         gradient, jacobian = self.derivatives(x)
-        return gradient + np.bincount(
-            self._jacobian_columns, jacobian * lagrange[self._jacobian_rows], self.n
-        )
+        with np.errstate(all="ignore"):
+            products = jacobian * lagrange[self._jacobian_rows]
+            return gradient + np.bincount(self._jacobian_columns, products, self.n)
 
     def jacobianstructure(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns (nonzeros,) of the Jacobian's entries [-]. Raises nothing."""

@@ -36,6 +36,7 @@ from formulations.ipopt.result import (
     outcome_of,
     residuals,
 )
+from formulations.ipopt.slopes import endless_slope
 from formulations.solution import Outcome, Seconds
 
 # Limits of the barrier parameter that a primal-dual start begins with: Ipopt's own first value, and
@@ -249,6 +250,8 @@ def solve(
     wall = time.perf_counter() - begin
     outcome, message, certificate = _judge(problem, answer, used)
     message += _hint(outcome, answer.lagrange, used)
+    if outcome is not Outcome.SOLVED and (endless := endless_slope(problem, answer.x)):
+        message += f"; {endless}"
     if missing:
         message += f"; {missing} variable(s) without a value started from the point of their bounds nearest 0"
     return IpoptResult(
@@ -424,6 +427,8 @@ def _undefined(problem: IpoptProblem, x: np.ndarray) -> str:
         return (
             "; the objective has no finite value there: start where it has, or bound what it takes"
         )
+    if endless_slope(problem, x):
+        return ""  # which is told of every end
     return "; all functions have finite values there, so that one of their derivatives has none"
 
 

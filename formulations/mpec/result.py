@@ -34,6 +34,8 @@ def verdict(
         return candidate.outcome, f"{candidate.message}; {summary}"
     if certificate is not None and certificate.lives_on_tolerance:
         return Outcome.STALLED, f"the point holds only within tolerances; {summary}"
+    if certificate is not None and certificate.endless and not certificate.b_stationary:
+        return Outcome.STALLED, summary
     if certificate is not None and not certificate.feasible:
         worst = f" (worst: {certificate.worst})" if certificate.worst else ""
         return Outcome.STALLED, f"the point found is not feasible{worst}; {summary}"

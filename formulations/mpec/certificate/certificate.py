@@ -26,12 +26,14 @@ from scipy.optimize import linprog
 from scipy.sparse.linalg import lsqr
 
 from formulations.ipopt.model import NotSmoothError, refuse_no_model
+from formulations.ipopt.slopes import in_words
 from formulations.mpec.certificate.local import LocalModel, Pair, Rows, read_local
 from formulations.mpec.certificate.stationarity import (
     PROGRAM,
     Stationarity,
     Verdict,
     active_set,
+    at_bounds,
     judge,
 )
 from formulations.mpec.kinks import smooth_copy
@@ -170,6 +172,7 @@ class Certificate:
     biactive: pairs with both sides zero; obstacle: what prevents strong stationarity, in words
     descent: slope of a direction that goes down (0: B-stationary; NaN: not known)
     worst: the name of the component with the largest violation; objective: in the model's own sense
+    endless: a clause on a derivative that is infinite or undefined at the point; empty without one
     """
 
     primal: float
@@ -187,6 +190,7 @@ class Certificate:
     objective: float
     tolerances: Tolerances = Tolerances()
     notes: tuple[str, ...] = field(default=())
+    endless: str = ""
 
     @property
     def feasible(self) -> bool:
@@ -196,7 +200,7 @@ class Certificate:
     @property
     def lives_on_tolerance(self) -> bool:
         """Whether the point is within tolerances, but no point with exact pairs is near."""
-        return self._within and not self.forced <= FEASIBILITY
+        return self._within and not self.forced <= FEASIBILITY and not self.endless
 
     @property
     def _within(self) -> bool:
@@ -227,7 +231,9 @@ class Certificate:
     @property
     def sentence(self) -> str:
         """Residuals and stationarity in words."""
-        measured = f"primal {self.primal:.1e}, complementarity {self.complementarity:.1e}, in the model's units, dual {self.dual:.1e} of the gradient"
+        measured = f"primal {self.primal:.1e}, complementarity {self.complementarity:.1e}, in the model's units"
+        if not (self.endless and math.isnan(self.dual)):
+            measured += f", dual {self.dual:.1e} of the gradient"
         if not self._within:
             where = (
                 f", most in {self.worst}"
@@ -235,6 +241,8 @@ class Certificate:
                 else ""
             )
             return f"{measured}; not feasible{where}, so it is not stationary"
+        if self.endless and not (self.forced <= FEASIBILITY and self.b_stationary is not None):
+            return f"{measured}; {self.endless}, so it is not known whether the point is stationary"
         if not self.forced <= FEASIBILITY:
             violated = f"violated by {self.forced:.1e}" if self.forced < math.inf else "unknown"
             return f"{measured}; feasible only because complementarity is not exact (constraints {violated} if the pairs held exactly)"
@@ -290,13 +298,27 @@ def certify(
     sources = [*local.rows.sources, *(pair.source for pair in local.pairs)]
     worst = _largest(violations)
     active = active_set(local, _ACTIVE)
-    given, forced, notes = math.nan, math.nan, local.notes
+    given, forced, notes, endless = math.nan, math.nan, local.notes, ""
     if _is_finite(local):
         found, forced = judge(local, active, STATIONARITY), _forced_violation(local)
         given = math.nan if multipliers is None else _given_residual(local, multipliers)
     else:
-        notes = notes or ("a function or derivative is not a finite number at this point",)
+        endless = _endless_slope(local)
+        notes = notes or (
+            endless or "a function or derivative is not a finite number at this point",
+        )
         found = Verdict(kind=Stationarity.NONE, residual=math.nan, obstacle=notes[0])
+        if endless and not len(_closed_sides(local)[0]):  # no pair that a step would make exact
+            forced = _forced_violation(local)
+        blocked = _without_endless_slopes(local) if endless else None
+        if blocked is not None:
+            forced = _forced_violation(blocked)
+            judged = judge(blocked, active_set(blocked, _ACTIVE), STATIONARITY)
+            found = replace(
+                found,
+                residual=judged.residual,
+                descent=0.0 if judged.kind is Stationarity.STRONG else judged.descent,
+            )
     return Certificate(
         primal=worst,
         primal_relative=_largest(relative),
@@ -315,7 +337,51 @@ def certify(
         else str(sources[int(np.argmax(np.nan_to_num(violations, nan=np.inf)))].name),
         objective=local.objective,
         notes=notes,
+        endless=endless,
     )
+
+
+def _endless_slope(local: LocalModel) -> str:
+    """Name a function whose value is a number, but whose derivative is not; empty if a value is not."""
+    if not (np.all(np.isfinite(local.rows.value)) and np.all(np.isfinite(local.sides))):
+        return ""
+    if not math.isfinite(local.objective):
+        return ""
+    x = local.rows.value[local.jacobian.shape[0] :]
+    for wrong in np.flatnonzero(~np.isfinite(local.gradient)).tolist():
+        if local.goal is not None:
+            return in_words(local.goal, local.variables[wrong], x[wrong], local.gradient[wrong])
+    sides = [pair.source for pair in local.pairs]
+    for sources, matrix in (
+        (local.rows.sources, local.jacobian),
+        (sides, local.first_jacobian),
+        (sides, local.second_jacobian),
+    ):
+        entries = matrix.tocoo()
+        for wrong in np.flatnonzero(~np.isfinite(entries.data)).tolist():
+            row, column = entries.row[wrong], entries.col[wrong]
+            return in_words(sources[row], local.variables[column], x[column], entries.data[wrong])
+    return ""
+
+
+def _without_endless_slopes(local: LocalModel) -> LocalModel | None:
+    """Return the model with variables fixed that leave their bounds only at an infinite cost.
+
+    A direction along such a variable does not go down, so that the others decide. None if a slope
+    that is not finite is of another kind.
+    """
+    m = local.jacobian.shape[0]
+    low, high = at_bounds(local.rows, _ACTIVE)
+    endless = ~np.isfinite(local.gradient)
+    held = ((local.gradient == np.inf) & low[m:]) | ((local.gradient == -np.inf) & high[m:])
+    gradient = np.where(endless, 0.0, local.gradient)
+    fixed = replace(local, gradient=gradient, scale=max(1.0, _largest(np.abs(gradient))))
+    if not np.array_equal(endless, held) or not _is_finite(fixed):
+        return None
+    rows, places = local.rows, m + np.flatnonzero(held)
+    lower, upper = rows.lower.copy(), rows.upper.copy()
+    lower[places] = upper[places] = rows.value[places]
+    return replace(fixed, rows=replace(rows, lower=lower, upper=upper))
 
 
 def _given_residual(local: LocalModel, multipliers: Multipliers) -> float:

@@ -94,7 +94,7 @@ class Pair:
 class LocalModel:
     """The model to first order at a point.
 
-    objective: in the model's own sense; gradient (n,): of what is minimised; scale: largest
+    goal: the objective's component, None without one; objective: in the model's own sense; gradient (n,): of what is minimised; scale: largest
         derivative of the objective, at least its size nearby
     rows: those with jacobian (m, n), then the variables within their bounds; pairs with gradients
         first_jacobian, second_jacobian (pairs, n), in the signs of `Pair`
@@ -110,6 +110,7 @@ class LocalModel:
     second_jacobian: sparse.csr_matrix
     notes: tuple[str, ...] = ()
     scale: float = 1.0
+    goal: Any = None
 
     @property
     def sides(self) -> np.ndarray:
@@ -337,9 +338,9 @@ def read_local(model: Any, near: float) -> LocalModel:
             _filled(condition, expression, number)
         pairs.append(pair)
         sides.append(valued)
-    goal, sense, objective = 0.0, pyo.minimize, 0.0
+    goal, sense, objective, minimised = 0.0, pyo.minimize, 0.0, None
     for item in model.component_data_objects(pyo.Objective, active=True, descend_into=pyo.Block):
-        goal, sense = item.expr, item.sense
+        goal, sense, minimised = item.expr, item.sense, item
         objective = _filled(item, goal, number_of(goal))
     m, k = len(rows), len(pairs)
     valued = [*zip(bodies, [value for _, _, value, _, _ in rows], strict=True)]
@@ -364,6 +365,7 @@ def read_local(model: Any, near: float) -> LocalModel:
     ]
     return LocalModel(
         variables=found.variables,
+        goal=minimised,
         objective=objective,
         gradient=found.gradient,
         scale=found.scale,

@@ -260,7 +260,7 @@ def test_a_number_that_is_not_finite_cuts_the_step(function):
     (lambda m: [m.c.add(1 / m.x[i] <= 3) for i in (1, 2)],
      "constraint 'c[1]' and 1 more has no finite"),
     (lambda m: m.cost.set_value(pyo.log(m.x[1])), "the objective has no finite value"),
-    (lambda m: m.c.add(pyo.sqrt(m.x[2]) >= 1), "one of their derivatives has none"),
+    (lambda m: m.c.add(pyo.sqrt(m.x[2]) >= 1), "the slope of constraint 'c[1]' is infinite at x[2] = 0"),
     (lambda m: m.x[1].set_value(math.nan, skip_validation=True),
      "variable 'x[1]' is no finite number there"),
 ])  # fmt: skip
