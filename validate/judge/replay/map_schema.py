@@ -192,6 +192,19 @@ class MapFile(_Strict):
     accuracy: AccuracyEntry = AccuracyEntry()
     internal_step: str | None = None
 
+    def lacks(self) -> dict[str, str]:
+        """Return what of q, v, lam and gap cannot be shown, and why."""
+        lacks = {}
+        if not self.positions:
+            lacks["q"] = "no positions are named"
+        if not self.velocities.keys() >= self.positions.keys():
+            lacks["v"] = "not every position has a velocity named"
+        if any(entry.gap is None for entry in self.contacts.values()):
+            lacks["gap"] = "not every contact has a gap named"
+        if any(entry.force is None for entry in self.contacts.values()):
+            lacks["lam"] = "not every contact has a force named"
+        return lacks
+
 
 def read_map(path: Path) -> MapFile:
     """Read a map. Raises MapError with the path of every mistake."""
@@ -343,6 +356,26 @@ _TAKEN = (
 # Names from which on only some are compared with one that is not there, and how many: comparing
 # takes up to 40 us a name.
 _MANY = 2000
+
+
+def is_input(variable: Any) -> bool:
+    """Whether it is an input."""
+    return variable.causality == "input"
+
+
+def is_parameter(variable: Any) -> bool:
+    """Whether it is a parameter of one number."""
+    return variable.causality == "parameter" and not getattr(variable, "dimensions", None)
+
+
+def is_started(variable: Any) -> bool:
+    """Whether an FMU lets a state's start be set, and says what it is otherwise."""
+    return variable.initial in ("exact", "approx") and variable.start is not None
+
+
+def is_startable(variable: Any) -> bool:
+    """Whether a map may give its start value."""
+    return variable.causality in ("parameter", "input") or variable.initial in ("exact", "approx")
 
 
 class Named:

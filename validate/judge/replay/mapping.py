@@ -36,6 +36,10 @@ from validate.judge.replay.map_schema import (
     MapFile,
     Named,
     Signal,
+    is_input,
+    is_parameter,
+    is_startable,
+    is_started,
 )
 from validate.judge.replay.result import Difference
 from validate.judge.replay.wiring import INTERNAL_STEP, Variables, columns_or_zeros
@@ -49,24 +53,6 @@ _SAME_START = 1e-6
 _TICK = 1e-9
 # Largest relative excess of a bound in the map over the FMU's own bound: rounding of units.
 _ROUNDING = 1e-9
-
-
-def _is_input(variable: Any) -> bool:
-    return variable.causality == "input"
-
-
-def _is_parameter(variable: Any) -> bool:
-    """Whether it is a parameter of one number."""
-    return variable.causality == "parameter" and not getattr(variable, "dimensions", None)
-
-
-def _is_started(variable: Any) -> bool:
-    """Whether an FMU lets a state's start be set, and says what it is otherwise."""
-    return variable.initial in ("exact", "approx") and variable.start is not None
-
-
-def _is_startable(variable: Any) -> bool:
-    return variable.causality in ("parameter", "input") or variable.initial in ("exact", "approx")
 
 
 def wire(
@@ -109,7 +95,7 @@ class _Wiring:
         self._check_names()
         self._check_limits()
         self._check_columns()
-        self.lacks = self._lacks()
+        self.lacks = self.map.lacks()
 
     # Names
 
@@ -146,8 +132,8 @@ class _Wiring:
         return int(variable.valueReference)
 
     def _startable(self, path: str, name: str) -> int:
-        variable = self._named.alias(self._variable(path, name), _is_startable)
-        if not _is_startable(variable):
+        variable = self._named.alias(self._variable(path, name), is_startable)
+        if not is_startable(variable):
             raise self._fail(
                 path, f"{name!r} has no start value that can be set: the FMU calculates it."
             )
@@ -159,8 +145,8 @@ class _Wiring:
         for name, signal in given.inputs.items():
             path = f"inputs.{name}"
             self._check_once(driven, path, signal.variable)
-            variable = self._named.alias(self._variable(path, signal.variable), _is_input)
-            if not _is_input(variable):
+            variable = self._named.alias(self._variable(path, signal.variable), is_input)
+            if not is_input(variable):
                 raise self._fail(path, f"{signal.variable!r} is no input of the FMU.")
             self._check_unit(path, name, signal)
         for name in given.velocities:
@@ -363,20 +349,6 @@ class _Wiring:
                 )
             roles[column] = path
 
-    def _lacks(self) -> Mapping[str, str]:
-        """What cannot be shown, and why."""
-        given, lacks = self.map, {}
-        contacts = given.contacts.values()
-        if not given.positions:
-            lacks["q"] = "no positions are named"
-        if not given.velocities.keys() >= given.positions.keys():
-            lacks["v"] = "not every position has a velocity named"
-        if any(entry.gap is None for entry in contacts):
-            lacks["gap"] = "not every contact has a gap named"
-        if any(entry.force is None for entry in contacts):
-            lacks["lam"] = "not every contact has a force named"
-        return lacks
-
     @cached_property
     def counted_from(self) -> float | None:
         """The FMU's own start [s], from which times are counted that a clock tells, since 1970 for example; None of other plans."""
@@ -473,9 +445,9 @@ class _Wiring:
         """Raise MapError if the plan's first row differs from a start value that [start] leaves out."""
         named = {self._place(name) for name in self.map.start}
         for _, column, signal in self._positions + self._velocities:
-            variable = self._named.alias(self._by_name[signal.variable], _is_started)
+            variable = self._named.alias(self._by_name[signal.variable], is_started)
             is_named = int(variable.valueReference) in named
-            if column not in self._table.given or is_named or not _is_started(variable):
+            if column not in self._table.given or is_named or not is_started(variable):
                 continue
             values = self._table.column(column, False)
             nominal = map_schema.positive(variable.nominal) * abs(signal.scale)
@@ -498,7 +470,7 @@ class _Wiring:
         own_step = None if internal is None else self._place(internal)
         for reference, names in self._named.aliases.items():
             known = (self._by_name[name] for name in names if name not in self._named.twice)
-            items = [item for item in known if _is_parameter(item)]
+            items = [item for item in known if is_parameter(item)]
             in_map = [name for name in names if name in {**given.uncertainty, **given.parameters}]
             values = [given.parameters[name] for name in in_map if name in given.parameters]
             values += [item.start for item in items if item.start is not None]
@@ -535,8 +507,8 @@ class _Wiring:
         """
         found = {}
         for place, signal in enumerate(signals):
-            variable = self._named.alias(self._by_name[signal.variable], _is_started)
-            if _is_started(variable):
+            variable = self._named.alias(self._by_name[signal.variable], is_started)
+            if is_started(variable):
                 found[place] = (
                     signal.scale * settings.get(int(variable.valueReference), float(variable.start))
                     + signal.offset
@@ -712,7 +684,7 @@ class _Wiring:
 
     def _input(self, name: str, signal: InputSignal) -> subject.ForeignInput:
         """Bounds in the plan's unit are those of the map, which may not lie beyond those that the FMU declares; else the latter."""
-        variable = self._named.alias(self._by_name[signal.variable], _is_input)
+        variable = self._named.alias(self._by_name[signal.variable], is_input)
         least, most = (
             -math.inf if variable.min is None else float(variable.min),
             math.inf if variable.max is None else float(variable.max),
