@@ -16,7 +16,8 @@ from validate.fmu_check import Status, check_fmu
 from validate.judge.judgement import WiredFmu, wire_fmu
 from validate.judge.robustness.worlds import perturbations
 
-BARE = FULL_MAP.partition("[contacts.stop]")[0]
+_START = '[start]\n"body.pos" = "x"\n"body.vel" = "v_x"\n'
+BARE = FULL_MAP.partition("[contacts.stop]")[0] + _START
 # Of FMI 2.0: the mass by another name, with a range of its own, and the position as an output.
 _MORE = """    <ScalarVariable name="m" valueReference="40" causality="parameter" variability="fixed" initial="exact"><Real unit="kg" start="2" max="3"/></ScalarVariable>
     <ScalarVariable name="y" valueReference="10" causality="output" variability="continuous" initial="calculated"><Real unit="mm"/></ScalarVariable>
