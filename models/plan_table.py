@@ -195,10 +195,15 @@ def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
     ]
     # Spreadsheets save a comment as a cell: in quotes, with empty cells behind it.
     bare = [(number, line.strip(_AROUND)) for number, line in numbered]
-    declared = _declarations(
-        path, [(number, line) for number, line in bare if line.startswith("#")]
-    )
+    comments = [(number, line) for number, line in bare if line.startswith("#")]
     lines = [numbered[place] for place, (_, line) in enumerate(bare) if not line.startswith("#")]
+    header_line = lines[0][0] if lines else 0
+    declared = _declarations(path, [item for item in comments if item[0] < header_line])
+    for number, line in comments:
+        if number > header_line and _declarations(path, [(number, line)]):
+            raise TrajectoryError(
+                f"plan {path}: line {number}: {line!r} stands below the header; move it above, where it declares."
+            )
     header = re.sub(r'"[^"]*"', "", lines[0][1]) if lines else ""
     mark = next((mark for mark in ";\t" if mark in header), ",")
     rows = [(number, _cells(path, number, line, mark)) for number, line in lines]

@@ -133,16 +133,7 @@ class Trajectory:
             raise TrajectoryError(
                 f"plan: t has shape {self.t.shape}; at least two times in one column are needed."
             )
-        if not (np.diff(self.t) > 0).all():
-            index = int(np.argmin(np.diff(self.t) > 0))
-            if self.t[index + 1] == self.t[index]:
-                raise TrajectoryError(
-                    f"plan: time must increase, but two rows have the time {self.t[index]:g} (t[{index}] and t[{index + 1}]). If that is a jump of held inputs, delete the first of "
-                    "the two: a row's inputs hold from its time on; if inputs are lines, let the second row follow a thousandth of a step later."
-                )
-            raise TrajectoryError(
-                f"plan: time must increase, but t[{index + 1}] = {self.t[index + 1]:g} follows t[{index}] = {self.t[index]:g}."
-            )
+        check_increasing(self.t, "plan")
         for field, rows in (("q", nodes), ("v", nodes), ("u", nodes - 1), ("lam", nodes - 1)):
             shape = getattr(self, field).shape
             if len(shape) != 2 or shape[0] != rows:
@@ -567,6 +558,22 @@ def missing_groups(table: Table, groups: Mapping[str, Sequence[str]]) -> frozens
     return missing
 
 
+def check_increasing(t: np.ndarray, where: str) -> None:
+    """Raise TrajectoryError for times (nodes,) [s] that do not increase; where: whose times, for the message."""
+    later = np.diff(t) > 0.0
+    if later.all():
+        return
+    index = int(np.argmin(later))
+    if t[index + 1] == t[index]:
+        raise TrajectoryError(
+            f"{where}: time must increase, but two rows have the time {t[index]:g} (t[{index}] and t[{index + 1}]). If that is a jump of held inputs, delete the first of "
+            "the two: a row's inputs hold from its time on; if inputs are lines, let the second row follow a thousandth of a step later."
+        )
+    raise TrajectoryError(
+        f"{where}: time must increase, but t[{index + 1}] = {t[index + 1]:g} follows t[{index}] = {t[index]:g}."
+    )
+
+
 def times_and_inputs(
     table: Table, time: str, columns: Sequence[str], hold: Hold, asked: tuple[float, float] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
@@ -597,6 +604,7 @@ def times_and_inputs(
         For a cell that is no finite number.
     """
     t = table.column(time, last_is_open=False)
+    check_increasing(t, table.where)
     ends = bool(columns) and all(table.has_last(name) for name in columns)
     if asked is not None and ends:
         t = _with_a_last_step(t, *asked)

@@ -183,6 +183,23 @@ def test_a_declaration_that_is_none_is_refused(tmp_path: Path, reading, above: s
     assert not unsaid(caught.value, str(tmp_path / "plan.csv"), words)
 
 
+@pytest.mark.parametrize("place", [1, 2, -1])
+@pytest.mark.parametrize("text", ["# hold: linear", "# scheme: semi_implicit_euler"])
+def test_a_declaration_below_the_header_is_refused(reading, place: int, text: str):
+    lines = PLAIN.splitlines()
+    lines.insert(len(lines) if place < 0 else place, text)
+    with pytest.raises(TrajectoryError, match="stands below the header; move it above"):
+        reading("\n".join(lines) + "\n")
+    lines[lines.index(text)] = "# a comment, hold: linear"
+    assert reading("\n".join(lines) + "\n").hold is Hold.ZERO_ORDER
+
+
+def test_the_last_row_twice_is_told_by_its_time(reading):
+    lines = PLAIN.splitlines()
+    with pytest.raises(TrajectoryError, match="time must increase, but two rows have the time"):
+        reading("\n".join([*lines, lines[-1]]) + "\n")
+
+
 def test_hold_and_scheme_must_agree_with_declarations(reading):
     assert reading("# hold: zero\n" + PLAIN, hold=Hold.ZERO_ORDER).hold is Hold.ZERO_ORDER
     with pytest.raises(TrajectoryError, match="'zero', but --hold asks"):
