@@ -13,6 +13,7 @@ import re
 import reprlib
 import sys
 import unicodedata
+from collections.abc import Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -52,8 +53,11 @@ class PlanTable:
     units: by name, for those that say one; rows: of numbers below the header; declared: by key.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Raises TrajectoryError naming the file, and the line and the column where there is one."""
+    def __init__(self, path: Path, ignore: Sequence[str] = ()) -> None:
+        """ignore: names of columns that are left out.
+
+        Raises TrajectoryError naming the file, and the line and the column where there is one.
+        """
         self.source, self.where = f"file {path}", f"plan {path}"
         rows, self.declared = _rows(path)
         if len(rows) < 3:
@@ -86,35 +90,41 @@ class PlanTable:
             names.append(name)
             if unit is not None:
                 self.units[name] = unit
-        self.names = tuple(names)
+        self._head = tuple(names)
         self._check_form()
+        for name in ignore:
+            if name not in names:
+                raise TrajectoryError(
+                    f"{self.where}: there is no column {name!r} to ignore; it has {', '.join(names)}."
+                )
+        self.names = tuple(name for name in names if name not in ignore)
         self.given = tuple(
             name
-            for index, name in enumerate(names)
-            if any("".join(row[index : index + 1]) for _, row in self._rows)
+            for name in self.names
+            if any("".join(row[names.index(name) :][:1]) for _, row in self._rows)
         )
 
     def has_last(self, name: str) -> bool:
         """Whether the last row has a cell in this column."""
-        index, row = self.names.index(name), self._rows[-1][1]
+        index, row = self._head.index(name), self._rows[-1][1]
         return index < len(row) and bool(row[index])
 
     def _check_form(self) -> None:
-        for name in self.names:
+        for name in self._head:
             if not name:
-                place = self.names.index(name) + 1
+                place = self._head.index(name) + 1
                 advice = (
                     "an index, as pandas writes it, is left out by index=False"
                     if place == 1
                     else "name it in the first line, or delete it"
                 )
                 raise TrajectoryError(f"{self.where}: column {place} has no name; {advice}.")
-            if self.names.count(name) > 1:
+            if self._head.count(name) > 1:
                 raise TrajectoryError(f"{self.where}: the column {name!r} stands there twice.")
         for number, row in self._rows:
-            if any(row[len(self.names) :]):
+            if any(row[len(self._head) :]):
                 raise TrajectoryError(
-                    f"{self.where}: line {number} has {len(row)} cells, but there are {len(self.names)} columns."
+                    f"{self.where}: line {number} has {len(row)} cells, but there are {len(self._head)} columns."
                 )
 
     def check_unit(self, name: str, *units: str) -> None:
@@ -143,7 +153,7 @@ class PlanTable:
         TrajectoryError
             For a cell that is no finite number.
         """
-        index = self.names.index(name)
+        index = self._head.index(name)
         values = []
         for place, (number, row) in enumerate(self._rows, start=1):
             cell = row[index] if index < len(row) else ""

@@ -436,7 +436,11 @@ def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
 
 
 def read_csv(
-    path: Path, scene: Scene, hold: Hold | str | None = None, scheme: Scheme | str | None = None
+    path: Path,
+    scene: Scene,
+    hold: Hold | str | None = None,
+    scheme: Scheme | str | None = None,
+    ignore: Sequence[str] = (),
 ) -> Trajectory:
     """Read a plan written by anybody.
 
@@ -452,6 +456,8 @@ def read_csv(
     hold, scheme
         The same as a comment `# hold: ..` or `# scheme: ..` declares; None: as declared, else zero
         and none.
+    ignore
+        Names of columns that are left out, as those that the scene does not have.
 
     Returns
     -------
@@ -463,7 +469,7 @@ def read_csv(
     TrajectoryError
         Naming the file, the line and the column.
     """
-    table = PlanTable(path)
+    table = PlanTable(path, ignore)
     asked = as_scheme(scheme)
     if asked is not None and table.declared.setdefault("scheme", asked.value) != asked.value:
         raise TrajectoryError(
@@ -488,7 +494,7 @@ def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) 
         if column not in known:
             hint = _meant(column, known)
             raise TrajectoryError(
-                f"{where}: the column {column!r} is unknown; {hint}scene {scene.name} has {', '.join(known)}."
+                f"{where}: the column {column!r} is unknown; {hint}scene {scene.name} has {', '.join(known)}. Delete it, or ignore it (--ignore {column})."
             )
     for column in ("t", *names["u"]):
         if column not in table.given:

@@ -194,6 +194,22 @@ def test_a_declaration_below_the_header_is_refused(reading, place: int, text: st
     assert reading("\n".join(lines) + "\n").hold is Hold.ZERO_ORDER
 
 
+def test_columns_are_ignored_by_name(tmp_path: Path, scene):
+    """Numbers or not, at the end or between others; the rest is read as without them."""
+    (tmp_path / "plan.csv").write_text(PLAIN, encoding="utf-8")
+    plain = read_csv(tmp_path / "plan.csv", scene)
+    rows = [line.split(",") for line in PLAIN.splitlines()]
+    odd = [["why", *rows[0][:2], "note", *rows[0][2:]]]
+    odd += [["-", *row[:2], "", *row[2:]] for row in rows[1:]]
+    (tmp_path / "odd.csv").write_text("\n".join(map(",".join, odd)) + "\n", encoding="utf-8")
+    with pytest.raises(TrajectoryError, match=r"'why' is unknown.*--ignore why"):
+        read_csv(tmp_path / "odd.csv", scene)
+    read = read_csv(tmp_path / "odd.csv", scene, ignore=("why", "note"))
+    assert (read.q.tolist(), read.u.tolist()) == (plain.q.tolist(), plain.u.tolist())
+    with pytest.raises(TrajectoryError, match="there is no column 'nothing' to ignore; it has why"):
+        read_csv(tmp_path / "odd.csv", scene, ignore=("nothing",))
+
+
 def test_the_last_row_twice_is_told_by_its_time(reading):
     lines = PLAIN.splitlines()
     with pytest.raises(TrajectoryError, match="time must increase, but two rows have the time"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
@@ -71,7 +72,13 @@ FMU_OPTIONS = options(
     click.option(
         "--own-step",
         is_flag=True,
-        help="With --fmu: judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it; its error is what four change.",
+        help="With --fmu: judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it; its error is what shorter steps change.",
+    ),
+    click.option(
+        "--ignore",
+        multiple=True,
+        metavar="COLUMN",
+        help="Leave this column of the CSV out; may be repeated.",
     ),
 )
 
@@ -85,6 +92,7 @@ def read_fmu_options(
     time_limit: float,
     memory_limit: float,
     own_step: bool,
+    ignore: Sequence[str],
 ) -> dict[str, Any]:
     """What `wire_fmu` asks beside FMU and plan, of these options.
 
@@ -99,7 +107,10 @@ def read_fmu_options(
             "--own-step belongs to --fmu; a scene's plan is judged by the true motion."
         )
     limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
-    return {"map_path": map_path, "hold": hold, "limits": limits, "own_step": own_step}
+    return {
+        "map_path": map_path, "hold": hold, "limits": limits, "own_step": own_step,
+        "ignore": ignore,
+    }  # fmt: skip
 
 
 @click.command(
@@ -183,7 +194,7 @@ def command(
 
         judgement, warnings = wire_fmu(fmu, plan, **wired).judge(track), []
     else:
-        judgement, warnings = _of_scene(str(scene), plan, wired["hold"], wired["limits"], track)
+        judgement, warnings = _of_scene(str(scene), plan, wired, track)
     rows = []
     if asked:
         from validate.judge.elsewhere import elsewhere
@@ -222,14 +233,14 @@ def exit_code(verdict: Verdict, require: str) -> int:
 
 
 def _of_scene(
-    scene: str, plan: Path, hold: str | None, limits: Any, track: bool
+    scene: str, plan: Path, given: dict[str, Any], track: bool
 ) -> tuple[Judgement, list[str]]:
     from models.fmu import build_fmu
     from validate.campaign.warnings import warnings_of
     from validate.judge.judgement import ANOTHER_UNIT, as_trajectory, judge_trajectory
 
     loaded = load_scene(scene)
-    trajectory = as_trajectory(plan, loaded, hold=hold)
+    trajectory = as_trajectory(plan, loaded, hold=given["hold"], ignore=given["ignore"])
     assert trajectory is not None, "a file is a plan"
     takes, horizon = trajectory.duration, loaded.task.horizon
     if _LONG * horizon < takes <= ANOTHER_UNIT * horizon:
@@ -241,7 +252,7 @@ def _of_scene(
         [loaded if same else loaded.with_task(step=longest)], steps=trajectory.scheme is not None
     )
     return judge_trajectory(
-        loaded, build_fmu(loaded), trajectory, feedback=track, limits=limits
+        loaded, build_fmu(loaded), trajectory, feedback=track, limits=given["limits"]
     ), warnings
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +107,7 @@ def command(
     elif given["map_path"] is not None or given["own_step"] or given["hold"] is not None:
         raise click.UsageError("--map, --own-step and --hold belong to --fmu.")
     else:
-        subject, trajectory, name = _plan_of(plan, scene, folder)
+        subject, trajectory, name = _plan_of(plan, scene, folder, given["ignore"])
     found = robustness(
         subject, trajectory, samples=samples, seed=seed, kinds=kinds or tuple(PerturbationKind),
         anyway=anyway,
@@ -122,13 +123,15 @@ def command(
     return 0 if found.complete else INTERRUPTED
 
 
-def _plan_of(plan: str, scene: str | None, folder: Path) -> tuple[Any, Any, str]:
+def _plan_of(
+    plan: str, scene: str | None, folder: Path, ignore: Sequence[str]
+) -> tuple[Any, Any, str]:
     """The scene, the plan as a Trajectory, and what it is called: of a file, or of a run."""
     if Path(plan).is_file() or Path(plan).suffix in (".csv", ".nc"):
         if scene is None:
             raise click.UsageError("a plan from a file needs --scene NAME, or --fmu FILE.fmu.")
         subject = load_scene(scene)
-        return subject, as_trajectory(plan, subject), Path(plan).name
+        return subject, as_trajectory(plan, subject, ignore=ignore), Path(plan).name
     found, record = find_run(plan, folder)
     if not isinstance(record, RunRecord):
         raise CampaignError(f"{plan}: this is a check and no run, so it left no plan to try.")

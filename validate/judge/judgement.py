@@ -201,6 +201,7 @@ def wire_fmu(
     hold: str | None = None,
     limits: Limits | None = None,
     own_step: bool = False,
+    ignore: Sequence[str] = (),
 ) -> WiredFmu:
     """Bring somebody's FMU and a plan together.
 
@@ -214,6 +215,7 @@ def wire_fmu(
     limits : of the child; None for the usual ones.
     own_step : judge Co-Simulation with one doStep a step of the plan, as who recorded the plan
         stepped it.
+    ignore : columns of a CSV that are left out.
 
     Raises
     ------
@@ -232,7 +234,7 @@ def wire_fmu(
     package = read_package(fmu)
     where = f"map {map_path}" if map_path is not None else f"FMU {fmu}"
     if isinstance(plan, (str, Path)):
-        table: Table = PlanTable(Path(plan))
+        table: Table = PlanTable(Path(plan), ignore)
     elif isinstance(plan, (Mapping, np.ndarray)) or hasattr(plan, "columns"):
         table = ArrayTable(plan)
     else:
@@ -261,11 +263,16 @@ def wire_fmu(
 
 
 def as_trajectory(
-    plan: Any, scene: Scene, *, hold: Hold | str | None = None, scheme: Scheme | str | None = None
+    plan: Any,
+    scene: Scene,
+    *,
+    hold: Hold | str | None = None,
+    scheme: Scheme | str | None = None,
+    ignore: Sequence[str] = (),
 ) -> Trajectory | None:
     """A plan in any of the forms that `judge` takes; None of a Solution without one.
 
-    Raises TrajectoryError.
+    ignore: columns of a CSV that are left out. Raises TrajectoryError.
     """
     if hasattr(plan, "trajectory"):
         plan = plan.trajectory
@@ -293,7 +300,7 @@ def as_trajectory(
         return (
             read_netcdf(Path(plan), scene)
             if says_itself
-            else read_csv(Path(plan), scene, hold, scheme)
+            else read_csv(Path(plan), scene, hold, scheme, ignore)
         )
     if isinstance(plan, (Mapping, np.ndarray)) or hasattr(plan, "columns"):
         return trajectory_from(ArrayTable(plan, hold=hold, scheme=scheme), scene)

@@ -319,7 +319,7 @@ class _Wiring:
         for name in table.names:
             if name not in known and name not in self._frictions:
                 raise TrajectoryError(
-                    f"{table.where}: the column {name!r} is unknown{map_schema.hint(name, known)}; {self._where} names {', '.join(sorted(known))}."
+                    f"{table.where}: the column {name!r} is unknown{map_schema.hint(name, known)}; {self._where} names {', '.join(sorted(known))}. Delete it, or ignore it (--ignore {name})."
                 )
         table.check_unit(self._time, "s")
         for name in given.contacts:
