@@ -1,8 +1,9 @@
-"""Cargo lies on a driven cart and is moved by dry friction alone: stick carries it, slip shifts it, and nothing may creep.
+"""Cargo lies on a driven cart between two stops. Stick carries it, slip shifts it, stops catch it, and nothing may creep.
 
 The cart (2 kg) is driven, the cargo (1 kg) lies on it between two soft stops, one metre either side
 of the middle. The cargo starts 0.5 m ahead of the cart's middle and has to end 0.5 m behind it: it
-must slip, by the right amount, and friction gives it at most mu g = 1.96 m/s^2.
+must slip, by the right amount, and friction gives it at most mu g = 1.96 m/s^2. The stops may help:
+the cheapest plan lets the cargo run into the rear stop, which pushes with up to 56 N.
 
 Source: the equations are Lagrange's of two masses; masses, friction, half-length, grid, start and
     goal are those of the transport
@@ -31,7 +32,7 @@ _OFF_THE_CART = "half the length of the cargo: beyond it no part of the cargo li
 
 SCENE = Scene(
     name="transport",
-    title="Cargo is carried and shifted by friction on a driven cart",
+    title="Cargo is carried and shifted by friction and stops on a driven cart",
     source="Lagrange's equations of two masses; data of a transport benchmark with Coulomb friction (see the file)",
     coordinates=(
         Coordinate(symbol=cargo, velocity=v_cargo, unit="m", description="position of the cargo"),
