@@ -89,7 +89,7 @@ def test_a_pane_thinner_than_a_step_sends_the_ball_back(missing: frozenset[str])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("thickness", [4e-3, 2e-4, 2e-5])
+@pytest.mark.parametrize("thickness", [4e-3, 2e-5])
 def test_a_plate_that_pushes_out_of_its_nearer_face_sends_the_ball_back(thickness: float):
     """Its gap is |q - c| - w/2, which turns round at once: no smooth curve through the rows touches."""
     plate = replace(PANE.contacts[0], penetration=w / 2 - sp.sqrt((q - c) ** 2 + w**2 / 10**8))
