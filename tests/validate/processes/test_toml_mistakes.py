@@ -39,7 +39,7 @@ MAP = {
     "inputs": {"F": {**SIGNAL, "lower": -1.0, "upper": 1.0}}, "positions": {"x": SIGNAL},
     "velocities": {"x": {**SIGNAL, "column": "w"}}, "start": {"b": 1.0}, "parameters": {"c": 1.0},
     "uncertainty": {"c": LIMIT}, "goal": {"x": 1.0},
-    "contacts": {"stop": {"force": SIGNAL, "gap": SIGNAL, "column": "l", "depth": 0.1,
+    "contacts": {"stop": {"force": SIGNAL, "gap": SIGNAL, "column": "l", "depth": 0.1, "nominal_force": 5.0,
                           "depth_reason": "d"}}, "internal_step": "h",
     "limits": {"replay_error": {**LIMIT, "waived": False}},
     "accuracy": {"position": 1.0, "velocity": 1.0, "gap": 1.0},
