@@ -565,7 +565,10 @@ def missing_groups(table: Table, groups: Mapping[str, Sequence[str]]) -> frozens
 
 
 def check_increasing(t: np.ndarray, where: str) -> None:
-    """Raise TrajectoryError for times (nodes,) [s] that do not increase; where: whose times, for the message."""
+    """Check that times (nodes,) [s] increase; where: whose times, for the message.
+
+    Raises TrajectoryError if they do not.
+    """
     later = np.diff(t) > 0.0
     if later.all():
         return

@@ -269,6 +269,7 @@ class _Watched(Exchange):
             return np.full(len(x), np.inf)
 
         def indicators(at: float, states: np.ndarray) -> np.ndarray:
+            """Crossed indicators (crossed,) [-] at states (states,) [unit of each]. Raises FmuError."""
             instance.move(at, states)
             return instance.indicators()[crossed]
 

@@ -561,7 +561,10 @@ def _number(text: Any) -> float:
 
 
 def in_words(variables: Block, values: np.ndarray) -> str:
-    """Variables and the values (entries,) [unit of each] that they are set to: `p = -0.1, m = 10`."""
+    """Variables and the values (entries,) [unit of each] that they are set to: `p = -0.1, m = 10`.
+
+    Raises nothing.
+    """
     pairs = zip(variables.names, values.tolist(), strict=True)
     said = [f"{name} = {value:.6g}" for name, value in itertools.islice(pairs, _NAMED)]
     more = variables.entries - len(said)

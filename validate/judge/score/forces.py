@@ -30,6 +30,10 @@ def within_steps(
     ----------
     q, v : (nodes, nq) of the plan [m or rad], [m/s or rad/s].
     h : (steps,) [s].
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
     """
     h = h[:, None]
     moved, begins, ends = np.diff(q, axis=0), h * v[:-1], h * v[1:]
@@ -47,6 +51,10 @@ def by_convention(points: np.ndarray, replayed: np.ndarray | None) -> dict[str, 
     ----------
     points : (points, steps, n) of the law at equal parts of each step [N].
     replayed : (steps, n) means of the replay [N]; None if unknown.
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
     """
     mean = (points[:-1] + points[1:]).mean(axis=0) / 2.0
     found = {
@@ -162,6 +170,7 @@ def _force_at_rest(scene: Scene, kernel: Kernel) -> float:
     none = np.zeros((1, scene.nq))
 
     def energy(x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Energy [J] at scaled positions x (nq,) [-], and its slope (nq,) [J]. Raises nothing."""
         q = scale * x
         depth = np.maximum(kernel.penetration(q[None])[0], 0.0)
         value = float(kernel.energy(q[None], none)[1][0] + (k * depth**2).sum() / 2.0)

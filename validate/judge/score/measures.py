@@ -603,7 +603,10 @@ def friction_impulse_error(case: Evidence) -> Measured:
     still = kernel.acceleration(q, v, u, none)
 
     def effect(friction: np.ndarray) -> np.ndarray:
-        """(steps, nq) accelerations by friction forces (steps, nf)."""
+        """Accelerations (steps, nq) [m/s^2, rad/s^2] by friction forces (steps, nf) [N].
+
+        Raises KernelError.
+        """
         forces = none.copy()
         forces[:, nc:] = friction
         return kernel.acceleration(q, v, u, forces) - still
