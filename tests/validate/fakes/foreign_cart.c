@@ -1,7 +1,7 @@
 /* Somebody else's FMU 2.0: a cart of 2 kg that meets an elastic stop at 500 mm, in millimetres and kilonewtons. Written for the tests.
  * With -DMISBEHAVE=n it goes wrong once time has passed 0.05 s; see foreign_fmu.py for the modes; with -DBEYOND=m only a cart of that mass does [kg]. With -DSAVES=1 it saves its state, with 2 it does
  * not restore it, with 3 it crashes there; -DWHOLE_STEPS makes one step of the midpoint rule a call; -DONCE lets a process have one instance; -DOWN_GRID=h makes steps
- * of h alone, whenever they are due. In Model Exchange -DLATCH=f holds the cart until an event finds it pushed by more [kN], and -DSAMPLED=h
+ * of h alone, whenever they are due, -DMULTIPLES_OF=h refuses calls that are no multiple of h. In Model Exchange -DLATCH=f holds the cart until an event finds it pushed by more [kN], and -DSAMPLED=h
  * lets it feel what it is pushed by at time events h apart. */
 #define _GNU_SOURCE
 #include <fcntl.h>
@@ -187,6 +187,9 @@ int fmi2DoStep(void *p, double time, double step, int no)
     Cart *c = p;
 #if defined(WHOLE_STEPS)
     int count = 1;
+#elif defined(MULTIPLES_OF)
+    int count = (int)lround(step / MULTIPLES_OF);
+    if (count < 1 || fabs(step - count * MULTIPLES_OF) > 1e-9 * step) return 3;
 #elif defined(OWN_GRID)
     int count = (int)(lround((time + step) / OWN_GRID - 0.3) - lround(time / OWN_GRID - 0.3)); // 0.3: no end of a call is a tie
 #else

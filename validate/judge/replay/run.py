@@ -309,7 +309,10 @@ def _accepted(job: Job, own_rows: Job, feedback: Feedback | None) -> tuple[Job, 
         return job, accepted
     multiples = replace(own_rows, fineness=_multiples(own_rows))
     again = _without_refused(multiples.run(feedback))
-    return (job, simulated) if again is None else (multiples, again)
+    if again is None:
+        return job, simulated
+    refused = f"Other communication steps are refused: {simulated.judged.message}"
+    return multiples, replace(again, note=f"{again.note} {refused}".lstrip())
 
 
 def _without_refused(simulated: Simulated) -> Simulated | None:

@@ -5,10 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from edited_fmu import edited, without
+from foreign_fmu import COSIMULATION, FULL_MAP, build_foreign, foreign_plan, write_plan
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
 from models.trajectory import Hold, Trajectory
+from validate.judge.judgement import wire_fmu
 from validate.judge.replay import Replay, ReplayOutcome
 from validate.judge.replay.run import replay
 
@@ -148,3 +150,27 @@ def _end(fmu: Path, t: np.ndarray, hold: Hold) -> np.ndarray:
     result = replayed(fmu, t, smooth(t[:-1]), hold, COLLIDING, fineness=(2, 4, 8))
     assert result.outcome is ReplayOutcome.OK
     return result.end
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("declared", [True, False])
+def test_an_fmu_that_takes_multiples_of_its_step_alone_is_judged_at_those(
+    declared: bool, tmp_path: Path
+):
+    """Its steps of 2 ms are a fifth of the plan's. How wrong they are no other step tells."""
+    path = build_foreign(tmp_path / "cart.fmu", kinds=COSIMULATION, defines=("MULTIPLES_OF=2e-3",))
+    if declared:
+        step = '<DefaultExperiment stepSize="0.002"/><ModelVariables>'
+        path = edited(
+            path, tmp_path / "told.fmu", lambda text: text.replace("<ModelVariables>", step)
+        )
+    (tmp_path / "map.toml").write_text(FULL_MAP, encoding="utf-8")
+    plan = write_plan(tmp_path / "plan.csv", plan=foreign_plan())
+    for given, estimate in ((FULL_MAP, None), (f"{FULL_MAP}[accuracy]\nposition = 1e-3\n", 1e-3)):
+        (tmp_path / "map.toml").write_text(given, encoding="utf-8")
+        found = wire_fmu(path, plan, map_path=tmp_path / "map.toml").judge().replay
+        assert found.outcome is ReplayOutcome.OK
+        assert "communication steps are refused" in found.message
+        known = found.error.estimate
+        assert (None if known is None else known.position) == estimate
+    assert found.q[-1, 0] == pytest.approx(foreign_plan()[-1, 1], abs=5e-3)
