@@ -200,7 +200,10 @@ class Trajectory:
         return float(self.t[-1] - self.t[0])
 
     def from_zero(self, start: float = 0.0) -> Trajectory:
-        """The same plan with times counted from its start, which is then `start` [s]: of a clock that shows 1.7e9 s no integrator knows the digits that count."""
+        """Return the plan with its first row at `start` [s].
+
+        Integrators lose the digits within a step of a clock that shows 1.7e9 s.
+        """
         if self.t[0] == start:
             return self
         digits = int(

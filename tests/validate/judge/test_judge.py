@@ -374,7 +374,7 @@ def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(
     )
     monkeypatch.setattr(module, "read_package", lambda path: "package")
     monkeypatch.setattr("validate.judge.replay.mapping.wire", lambda *given: (foreign, plan))
-    wired = wire_fmu(Path("a.fmu"), {"t": plan.t}, limits="limits")  # type: ignore[arg-type]
+    wired = wire_fmu(Path("a.fmu"), {"t": plan.t}, limits="limits")  # type: ignore[arg-type] - a stand-in, which is passed on
     found = wired.judge(True)
     assert (found.scene, found.plan, found.replay) == ("model", plan, "replay 1")
     assert replays[0] == (

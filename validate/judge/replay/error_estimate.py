@@ -282,11 +282,6 @@ def larger(one: Difference | None, other: Difference | None) -> Difference | Non
     return by_entry(max, one, other) or one or other
 
 
-def _larger_where_stated(measured: float, stated: float) -> float:
-    """What the runs say where nothing is stated."""
-    return max(measured, stated) if math.isfinite(stated) else measured
-
-
 def estimate(
     *,
     tolerance: Difference | None,

@@ -44,7 +44,7 @@ TIGHT = 1e-13
 # Internal steps a plan step of the everyday replay beside the reference, which it only confirms.
 FINENESS = (100, 200)
 # Without a reference the step is divided by these numbers, until the verdict is decided: each
-# result costs as much as the two before it, and no step is a whole multiple of all the others.
+# result costs as much as the two before it, and steps are seldom whole multiples of each other.
 LADDER = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233, 377)
 # Co-Simulation tells its motion at the ends of its steps alone. Where it is judged, it is looked at
 # so often in a plan at least: three_cart has as many steps.
@@ -316,7 +316,7 @@ def _accepted(job: Job, own_rows: Job, feedback: Feedback | None) -> tuple[Job, 
 
 
 def _without_refused(simulated: Simulated) -> Simulated | None:
-    """The simulations without the steps that the FMU refused; None if it took none, or not its own."""
+    """Return the simulations without refused steps; None if all were refused, or the one that is judged by --own-step."""
     refused, accepted = (
         tuple(
             run for run in simulated.everyday if (run.outcome is ReplayOutcome.FMU_FAILED) is failed

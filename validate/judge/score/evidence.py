@@ -405,11 +405,6 @@ class Evidence:
         return not isinstance(self.scene, Scene) or self.scene.relaxation_index is None
 
     @property
-    def start_velocity(self) -> np.ndarray:
-        """Velocities of the task's start, (nq,) [m/s or rad/s]. Raises Unmeasured as `task_start`."""
-        return self.task_start[self.scene.nq :]
-
-    @property
     def friction(self) -> np.ndarray:
         """Friction forces of the plan, (steps, nf) [N]; zeros where it does not say them.
 

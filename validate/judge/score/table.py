@@ -133,6 +133,12 @@ def _has_goal_velocity(scene: Subject) -> bool:
     return any(value is not None for value in scene.task.goal[scene.nq :])
 
 
+# Limit of the impulses by which contact differs.
+_OF_IMPULSE = (
+    0.01,
+    "1 % of the contact impulse that plan and replay have in common, or of a typical force for a fiftieth of the plan",
+)
+
 TABLE = (
     MetricEntry(
         name="start_error",
@@ -223,10 +229,7 @@ TABLE = (
         measure=measures.contact_law_error,
         applies=lambda scene: _is_scene(scene) and _has_contacts(scene),
         needs=("lam", "q", "no scheme"),
-        default=(
-            0.01,
-            "1 % of the contact impulse that plan and replay have in common, or of a typical force for a fiftieth of the plan",
-        ),
+        default=_OF_IMPULSE,
         meaning="impulse by which the planned contact forces miss the true law at the start, the middle or the end of their steps, or in the mean: one of these for the whole plan",
         quoted="its contact forces are not those of its own motion: impulse {} from what the contact law gives",
     ),
@@ -353,10 +356,7 @@ TABLE = (
         applies=_has_contacts,
         needs=("lam",),
         of_replay=True,
-        default=(
-            0.01,
-            "1 % of the contact impulse that plan and replay have in common, or of a typical force for a fiftieth of the plan",
-        ),
+        default=_OF_IMPULSE,
         meaning="impulse of planned contact force that the replay has at no time within a step of it: force at a distance",
         quoted="contact that the replay does not have: impulse {}",
     ),
@@ -368,10 +368,7 @@ TABLE = (
         applies=_has_contacts,
         needs=("lam",),
         of_replay=True,
-        default=(
-            0.01,
-            "1 % of the contact impulse that plan and replay have in common, or of a typical force for a fiftieth of the plan",
-        ),
+        default=_OF_IMPULSE,
         meaning="impulse of the replay's contact force beyond what is planned at any time within a step of it",
         quoted="contact that the plan does not have: impulse {}",
     ),
