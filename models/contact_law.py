@@ -4,7 +4,7 @@ ReLU, the true law:   lam = k * max(phi, 0)                                    (
 softplus, relaxed:    lam = (k / b) * log(1 + exp(b * phi)),  b = |ln eps| / L (paper, eq. 5, sign
                       corrected)
 
-L is the length that the scene's eps is counted in, 1 m unless the scene says otherwise: eps = 1e-3
+L is the length that the scene's eps is counted in (without one the smallest depth of its contacts): eps = 1e-3
 then reaches as far beside 0.1 m as it does beside 1 m.
 
 Evaluated without overflow as (k / b) * (max(b phi, 0) + log1p(exp(-|b phi|))).

@@ -4,7 +4,7 @@ The same question as `quadratic` answers for linear scenes, at the price of an I
 answers are local.
 
 Where the contacts will be, from a cold start, is found by softplus contact that grows sharper, b L
-= 7, 14, .., 448. L is the length that the scene counts eps in, 1 m unless it says otherwise: a
+= 7, 14, .., 448. L is the length that the scene counts eps in: a
 scene in other units, or a tenth as large, has the same schedule. Softplus acts at a distance with k
 ln 2 / b at the touch. Where that exceeds what the inputs can hold against, the contact begins
 softer: k is a hundredth, a fiftieth, .. of its value, and reaches it with the last stage. Each

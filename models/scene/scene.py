@@ -123,7 +123,7 @@ class Scene(Counted):
         (models.dynamics). quick: whether a quick campaign
     runs it; False where its first plan that holds takes about a minute, or another pipeline. length
         [m]: what counts as far here, which relaxed contact is measured in
-    (models.contact_law); the paper's metre unless a scene is much smaller. unstable: why a robot
+    (models.contact_law); without it the smallest depth of the contacts. unstable: why a robot
         needs feedback here whatever its plan, as a sentence;
     empty: a plan is expected to hold by its inputs alone. relaxation_time: of a scene without
         inertia, the symbol by which its drag
@@ -147,7 +147,7 @@ class Scene(Counted):
     answers: tuple[Answer, ...] = ()
     shapes: tuple[Shape, ...] = ()
     quick: bool = True
-    length: float = 1.0
+    length: float = None  # pyright: ignore[reportAssignmentType] - settled when it is created
     unstable: str = ""
     relaxation_time: sp.Symbol | None = None
     lag: float | None = None
@@ -189,10 +189,15 @@ class Scene(Counted):
                 self.relaxation_time, self.task.step if self.lag is None else self.lag
             )
             settle(self, "parameters", (*others, tau))
-        settle(self, "length", as_number(f"scene {self.name}: length", self.length))
+        if self.length is not None:
+            settle(self, "length", as_number(f"scene {self.name}: length", self.length))
         for field in ("kinetic_energy", "potential_energy"):
             settle(self, field, as_expression(f"scene {self.name}: {field}", getattr(self, field)))
         _check(self)
+        if self.length is None:
+            # Softplus contact that touches pushes with ln 2/|ln eps| k L: at eps = 1e-3 with a
+            # tenth of the force at which the model of the contact ends.
+            settle(self, "length", min(self.depths, default=1.0))
 
     @property
     def damped(self) -> tuple[int, ...]:
@@ -321,7 +326,7 @@ def _check_words(scene: Scene) -> None:
     for field in ("title", "source"):
         check_text(f"scene {scene.name}: {field}", getattr(scene, field))
     check_text(f"scene {scene.name}: unstable", scene.unstable, empty=True)
-    if scene.length <= 0:
+    if scene.length is not None and scene.length <= 0:
         raise _fail(
             scene,
             f"length (in m, what relaxed contact is measured in) must be positive, not {scene.length:g}.",

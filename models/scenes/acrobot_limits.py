@@ -154,6 +154,7 @@ SCENE = Scene(
             source="the same",
         ),
     ),
+    length=1.0,  # the paper's metre
     shapes=(
         Shape(
             name="first link",

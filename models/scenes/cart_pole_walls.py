@@ -127,6 +127,7 @@ SCENE = Scene(
             source="linearised about upright: theta'' = (m_c + m_p) g/(l m_c) theta; checked on the derived equations",
         ),
     ),
+    length=1.0,  # the paper's metre
     shapes=(
         Shape(name="cart", kind="box", x=x, y=sp.Float(-0.05), size=(0.3, 0.1)),
         Shape(

@@ -105,6 +105,7 @@ SCENE = Scene(
             source="momentum from rest to rest: (m_b + m_f) g T",
         ),
     ),
+    length=1.0,  # the paper's metre
     shapes=(
         Shape(name="body", kind="disc", x=sp.Integer(0), y=z, size=(0.15,)),
         Shape(name="leg", kind="line", x=sp.Integer(0), y=(z + y) / 2, size=(l0,), angle=sp.pi / 2),

@@ -193,6 +193,7 @@ SCENE = Scene(
         ),
     ),
     quick=False,
+    length=1.0,  # the paper's metre
     shapes=(
         Shape(name="body", kind="box", x=x, y=z, size=(0.4, 0.2), angle=-pitch),
         Shape(

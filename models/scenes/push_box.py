@@ -192,6 +192,7 @@ SCENE = Scene(
             "the cone that this sweeps",
         ),
     ),
+    length=1.0,  # the paper's metre
     shapes=(
         Shape(name="box", kind="box", x=x, y=y, size=(2 * a, 2 * b), angle=theta),
         Shape(name="finger", kind="disc", x=p_x, y=p_y, size=(0.02,)),

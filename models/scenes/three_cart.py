@@ -97,6 +97,7 @@ SCENE = Scene(
             source="convex QP with fixed contact windows (steps 131..178 and 276..306), local search over the four window ends; not proved global",
         ),
     ),
+    length=1.0,  # the paper's metre
     shapes=tuple(
         Shape(name=name, kind="box", x=q, y=d / 2, size=(d, d))
         for name, q in (("left", q1), ("middle", q2), ("right", q3))

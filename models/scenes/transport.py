@@ -125,6 +125,7 @@ SCENE = Scene(
             source="mu g is the largest acceleration of the cargo away from the stops",
         ),
     ),
+    length=1.0,  # the paper's metre
     shapes=(
         Shape(
             name="cart",

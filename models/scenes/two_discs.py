@@ -147,6 +147,7 @@ def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
                 source="minimum of the rigid cost over direction, time and speed of the impact, see the docstring",
             ),
         ),
+        length=1.0,  # the paper's metre
         shapes=tuple(shapes),
     )
 

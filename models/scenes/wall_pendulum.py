@@ -109,6 +109,7 @@ SCENE = Scene(
             source="convex QP with the wall open on all steps",
         ),
     ),
+    length=1.0,  # the paper's metre
     shapes=(
         Shape(
             name="pendulum",
