@@ -69,6 +69,7 @@ def correct_end(
     eps: float | None = None,
     most: int = _MOST,
     enough: float = _GOOD_ENOUGH,
+    scale: np.ndarray | float = 1.0,
 ) -> tuple[Rollout, np.ndarray]:
     """Change inputs as little as needed for their rollout to end on the goal.
 
@@ -78,6 +79,7 @@ def correct_end(
     law, eps : contact law of the rollouts, and the eps of softplus [-]
     most : most steps tried
     enough : miss that counts as none, in parts of the goal's size [-]
+    scale : (2*nq,) [m, rad, m/s, rad/s], by which each component of the miss is divided
 
     Returns
     -------
@@ -97,20 +99,21 @@ def correct_end(
     )
     u = np.clip(u, *bounds)
     best = kernel.rollout(start, u, step, law, eps)
-    missed = _end_miss(best, goal)
-    near = enough * max(1.0, float(np.linalg.norm(np.nan_to_num(goal))))
+    missed = _end_miss(best, goal) / scale
+    near = enough * max(1.0, float(np.linalg.norm(np.nan_to_num(goal) / scale)))
+    aimed = np.flatnonzero(~np.isnan(goal))  # a free component does not ask for anything
+    ends = (np.eye(len(goal)) / scale)[aimed]
     damping, slopes = 0.0, None
     for _ in range(most):
         if best.diverged or np.linalg.norm(missed) <= near or damping > _LARGEST:
             break
         if slopes is None:
-            slopes = np.stack(
-                [kernel.adjoint(best, u, end_bar=component)[0] for component in np.eye(len(goal))]
-            )  # d(q, v)[T]/du
-            slopes[np.isnan(goal)] = 0.0  # a free component does not ask for anything
+            slopes = np.zeros((len(goal), *u.shape))  # d(q, v)[T]/du
+            for index, component in zip(aimed, ends, strict=True):
+                slopes[index] = kernel.adjoint(best, u, end_bar=component)[0]
         tried_u = np.clip(u + _change(slopes, missed, u, bounds, damping), *bounds)
         tried = kernel.rollout(start, tried_u, step, law, eps)
-        tried_miss = _end_miss(tried, goal)
+        tried_miss = _end_miss(tried, goal) / scale
         if not tried.diverged and np.linalg.norm(tried_miss) < np.linalg.norm(missed):
             best, u, missed, slopes = tried, tried_u, tried_miss, None
             damping = damping * _BOLDER if damping > _LEAST else 0.0
