@@ -1,22 +1,14 @@
 """Exact contact for every scene: run several pipelines from a cold start and keep the cheapest plan.
 
     mpcc has a plan to follow:    mpcc, relaxed+strict, softplus_dc+strict
-    otherwise:                    relaxed_walk+strict, relaxed+strict, softplus_dc+strict,
-                                  softly_shot+strict
+    otherwise:                    shot, shot+strict, relaxed_walk+strict, relaxed+strict,
+                                  softplus_dc+strict, softly_shot+strict
     none of these has a plan:     strict
 
-No pipeline is the best on every scene. Exact costs by the four pipelines of the second line:
-transport 0.704, 0.916, 0.701, 1.84; two_finger_lift 59.410, 59.399, 77.2, 59.410; a drawer on a
-rough rail 25.9, 26.5, none, 9.5. A row of carts by the three of the first line: 981, 855, none.
-A campaign has stored most of these stages already (`Session.use_stored`).
-
-An exact plan solves the equations of its grid, and a robot does not move on a grid. So each is
-followed on finer steps by linear feedback around it (`formulations.grids`): how far the motion
-leaves the plan and misses the goal, and what the feedback takes of the plan's own inputs, in parts
-of what the scene allows. Where that is more than 1 for the cheapest plan, it is solved again on
-steps a half, a quarter and an eighth as long, from the motion that followed it, until it is clearly
-less. A plan with more than 1 is taken only where there is no other, and of these the one that
-departs least.
+A plan solves the equations of its grid. `departure` measures how far the motion on finer steps
+leaves it, with feedback and in its contacts, in parts of what the scene allows. A plan with more
+than 1 is solved again on shorter steps, from the motion that followed it, and is taken only if
+there is no other. docs/campaigns.md has figures.
 """
 
 from __future__ import annotations
@@ -25,7 +17,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from time import monotonic
 
-from formulations.grids import departure, finer_scene, motion_on_finer_steps
+from formulations.grids import (
+    check_warm_start,
+    departure,
+    finer_scene,
+    motion_on_finer_steps,
+    on_grid,
+    plan_of,
+)
+from formulations.impulses import contact_departure
 from formulations.method import (
     Clock,
     Kind,
@@ -39,14 +39,19 @@ from formulations.method import (
 )
 from formulations.pipelines import (
     RELAXED_WALK,
+    SHOT,
     SOFTLY_SHOT,
     find_pipeline,
     load_method,
     solve_stages,
 )
+from formulations.shots import allowed_miss, corrected, is_motion, off_the_edge
 from formulations.solution import Attempt, Outcome, Seconds, Solution, as_asked, ended
+from models.codegen.kernel import load_kernel
 from models.errors import MachineError
 from models.scene import Scene
+from models.schemes import Scheme
+from models.stability import step_stability
 from models.trajectory import Trajectory
 
 _MODES = find_pipeline("mpcc")
@@ -58,8 +63,20 @@ _SAME = 1e-9
 # departs by 1.64, 0.80 and 0.31 on its grid and on steps a half and a quarter as long,
 # hopper_planar by 1.005 and 0.53.
 _CLEARLY = 0.75
+# Pipelines that are left out if mpcc has a plan that is followed.
+_WITHOUT_MODES = (SHOT, RELAXED_WALK, SOFTLY_SHOT)
+# The contact modes of a plan, and those that are cheaper beside them; no search for others.
+_MODES_OF_SHOT = Leg(method="strict_lcp", options={"attack_iterations": 1})
+# Most halvings to a stable step. Further off, plans are found on the task's steps and refined from
+# there.
+_STABLE_HALVINGS = 3
+# Share of the time limit that the pipelines leave for finer steps.
+_FOR_FINER = 0.2
 _DEPARTURE = "departure"
+# Departure of a plan that is not the motion of its inputs, as in formulations.grids.
+_LOST = 1e6
 _DEPARTS = "On steps a fiftieth as long the motion departs from it, with feedback, by {:.3g} times what the scene allows: its grid is too coarse."
+_UNSTABLE = "The task's step of {:g} s is unstable in contact, so the plan has {} steps of {:g} s."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +88,7 @@ class BestExactOptions(Options):
         "where mpcc has a plan, run relaxed_walk+strict and softly_shot+strict too",
     )
     halvings: int = option(
-        3,
+        6,
         "how often the steps are halved where the cheapest plan departs by more than is allowed; 0: a plan on the task's grid",
         lower=0,
         upper=10,
@@ -86,12 +103,14 @@ class BestExactSession(Session):
     """Opens the sessions of the other methods, one after the other."""
 
     def __init__(self, method: BestExact, scene: Scene, options: BestExactOptions) -> None:
-        self._method, self._scene, self._options = method, scene, options
+        self._method, self._task, self._options = method, scene, options
+        self._scene = _stable(scene, min(options.halvings, _STABLE_HALVINGS))
         self._stored: StoredStages = _nothing_stored
 
     def use_stored(self, stored: StoredStages) -> None:
         """Read stages of the pipelines from a campaign's store."""
-        self._stored = stored
+        if self._scene is self._task:
+            self._stored = stored
 
     def solve(
         self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float
@@ -102,9 +121,12 @@ class BestExactSession(Session):
         TrajectoryError for a plan of another grid.
         """
         self._method.check_stage(eps, time_limit)
+        check_warm_start(self._task, warm_start)
+        if warm_start is not None and self._scene is not self._task:
+            warm_start = on_grid(warm_start, self._scene)
         ends = monotonic() + time_limit
         crashed: list[str] = []
-        found = list(self._found(warm_start, ends, crashed))
+        found = list(self._found(warm_start, ends, time_limit, crashed))
         best = _best([solution for _, solution in found])
         attempts = tuple(
             Attempt(start=words, outcome=each.outcome, cost=each.cost) for words, each in found
@@ -115,6 +137,11 @@ class BestExactSession(Session):
             if len(found) > 1
             else best.message
         )
+        if self._scene is not self._task:
+            task = self._scene.task
+            message = (
+                f"{ended(message)} {_UNSTABLE.format(self._task.task.step, task.steps, task.step)}"
+            )
         if crashed:
             message = f"{ended(message)} {' '.join(crashed)}"
         return replace(
@@ -130,7 +157,7 @@ class BestExactSession(Session):
         )
 
     def _found(
-        self, start: Trajectory | None, ends: float, crashed: list[str]
+        self, start: Trajectory | None, ends: float, time_limit: float, crashed: list[str]
     ) -> Iterator[tuple[str, Solution]]:
         """Yield the name and the solution of each pipeline, then of each solve on finer steps.
 
@@ -139,16 +166,20 @@ class BestExactSession(Session):
         scene = self._scene
         solved: list[Solution] = []
         by_modes = False  # whether mpcc has a plan that is followed
+        refined: list[Solution] = []
         first_error: Exception | None = None
         for way in self._method.ways:
-            if way is _MODES and load_method("mpcc").accepts(scene) is not None:
+            if load_method(way.legs[0].method).accepts(scene) is not None:
                 continue
-            if way in (RELAXED_WALK, SOFTLY_SHOT) and by_modes and not self._options.all_ways:
+            if way in _WITHOUT_MODES and by_modes and not self._options.all_ways:
                 continue
             if way is _STRICT and solved:
                 continue
             try:
-                found = _with_departure(scene, self._way(way, start, ends))
+                # Without a plan a pipeline may take half of the time that is left.
+                now = monotonic()
+                last = ends - _FOR_FINER * time_limit if solved else now + (ends - now) / 2.0
+                found = _with_departure(scene, self._way(way, start, last))
             except MachineError:  # a full disk, for example, ends the other ways too
                 raise
             except Exception as error:  # noqa: BLE001 - plans that are found are kept
@@ -158,17 +189,50 @@ class BestExactSession(Session):
             solved += [found] if found.outcome is Outcome.SOLVED else []
             by_modes = by_modes or (way is _MODES and bool(solved) and _is_followed(found))
             yield way.name, found
-            if monotonic() >= ends:
+            if way is SHOT:
+                # This takes little time, and the ways after it may take all that is left.
+                others = len(solved) - (found.outcome is Outcome.SOLVED)
+                yield from self._kept(self._from_shot(found, solved, ends), crashed)
+                refined = solved[others:]
+            if monotonic() >= (last if solved else ends):
                 break
         if first_error is not None and not solved:
             raise first_error
-        if solved and not _is_followed(cheapest := _cheapest(solved)):
-            try:
-                yield from self._on_finer_steps(cheapest, ends)
-            except MachineError:
-                raise
-            except Exception as error:  # noqa: BLE001 - plans that are found are kept
-                crashed.append(_crash("strict on finer steps", error))
+        if not solved:
+            return
+        cheapest = _cheapest(solved)
+        if not _is_followed(cheapest) and not any(each is cheapest for each in refined):
+            legs = (*SHOT.legs, *_STRICT.legs)
+            yield from self._kept(self._on_finer_steps(cheapest, legs, ends), crashed)
+
+    def _from_shot(
+        self, shot: Solution, solved: list[Solution], ends: float
+    ) -> Iterator[tuple[str, Solution]]:
+        """The contact modes of a shot, then the better of both on finer steps if it is not followed.
+
+        solved: plans on the task's steps, to which this adds.
+        """
+        if shot.outcome is Outcome.SOLVED:
+            found = _with_departure(
+                self._scene, _solved(self._scene, _MODES_OF_SHOT, shot.trajectory, ends)[-1]
+            )
+            yield "shot+strict", found
+            if found.outcome is Outcome.SOLVED:
+                solved.append(found)
+                shot = min(shot, found, key=lambda each: each.residuals[_DEPARTURE])
+        if not any(map(_is_followed, solved)):
+            yield from self._on_finer_steps(shot, SHOT.legs, ends)
+
+    def _kept(
+        self, found: Iterator[tuple[str, Solution]], crashed: list[str]
+    ) -> Iterator[tuple[str, Solution]]:
+        """Yield what is found until an error ends it, which costs no plan."""
+        try:
+            yield from found
+        except MachineError:
+            raise
+        except Exception as error:  # noqa: BLE001 - plans that are found are kept
+            crashed.append(_crash("finer steps", error))
 
     def _way(self, way: Pipeline, start: Trajectory | None, ends: float) -> Solution:
         """Return the last stage of a pipeline, with the iterations and seconds of all its stages.
@@ -191,22 +255,29 @@ class BestExactSession(Session):
             last = replace(last, trajectory=None, cost=None)
         return replace(as_asked(self._scene, last), iterations=iterations, seconds=seconds)
 
-    def _on_finer_steps(self, coarse: Solution, ends: float) -> Iterator[tuple[str, Solution]]:
-        """What strict_lcp finds on steps halved again and again, from the motion that followed the plan before."""
+    def _on_finer_steps(
+        self, coarse: Solution, legs: Sequence[Leg], ends: float
+    ) -> Iterator[tuple[str, Solution]]:
+        """Solve on steps halved again and again, from the motion that followed the plan before.
+
+        legs: tried in turn at each length, until a plan is clearly followed.
+        """
         scene, found = self._scene, coarse
         for _ in range(self._options.halvings):
-            motion = (
-                None
-                if found.trajectory is None
-                else motion_on_finer_steps(scene, found.trajectory, 2)
-            )
-            if motion is None or monotonic() >= ends:
+            plan = found.trajectory if found.outcome is Outcome.SOLVED else None
+            if monotonic() >= ends or _is_clear(found):
                 return
+            motion = None if plan is None else motion_on_finer_steps(scene, plan, 2)
             scene = finer_scene(scene, 2)
-            found = _with_departure(scene, _solved(scene, _STRICT.legs[0], motion, ends)[-1])
-            yield f"strict from the cheapest of these, on {scene.task.steps} steps", found
-            if found.outcome is not Outcome.SOLVED or found.residuals[_DEPARTURE] <= _CLEARLY:
-                return
+            tried: list[Solution] = []
+            for leg in legs:
+                if load_method(leg.method).accepts(scene) is not None or monotonic() >= ends:
+                    continue
+                tried.append(_with_departure(scene, _solved(scene, leg, motion, ends)[-1]))
+                yield f"{leg.method}, on {scene.task.steps} steps", tried[-1]
+                if _is_clear(tried[-1]):
+                    return
+            found = min(tried, key=_order, default=found)
 
 
 def _solved(scene: Scene, leg: Leg, start: Trajectory | None, ends: float) -> tuple[Solution, ...]:
@@ -217,12 +288,43 @@ def _solved(scene: Scene, leg: Leg, start: Trajectory | None, ends: float) -> tu
 
 
 def _with_departure(scene: Scene, found: Solution) -> Solution:
-    """The same with the residual `departure` where it is solved."""
+    """The same with the residual `departure` where it is solved, and as the motion of its inputs."""
     if found.outcome is not Outcome.SOLVED or found.trajectory is None:
         return found
+    found, is_motion = _as_motion(scene, found, found.trajectory)
+    assert found.trajectory is not None, "a motion is a plan"
+    plan = found.trajectory
+    departs = max(departure(scene, plan), contact_departure(scene, plan)) if is_motion else _LOST
+    return replace(found, residuals={**found.residuals, _DEPARTURE: departs})
+
+
+def _as_motion(scene: Scene, found: Solution, plan: Trajectory) -> tuple[Solution, bool]:
+    """The plan, or the motion of its inputs if that differs; and whether it is such a motion.
+
+    Where rounding decides when contact begins, or grows, a plan is not what its inputs do on its
+    own grid: then that motion is corrected to end on the goal.
+    """
+    if plan.scheme is not Scheme.SEMI_IMPLICIT_EULER or plan.steps != scene.task.steps:
+        return found, True
+    kernel, near = load_kernel(scene), allowed_miss(scene)
+    if is_motion(scene, kernel, plan.u, plan.q):
+        return found, True
+    shot = corrected(scene, kernel, plan.u, near)
+    settled = off_the_edge(scene, kernel, shot, near) if shot.has_arrived else None
+    if settled is None:
+        return found, False
     return replace(
-        found, residuals={**found.residuals, _DEPARTURE: departure(scene, found.trajectory)}
-    )
+        found, trajectory=plan_of(scene, settled.rollout, settled.u), cost=settled.cost
+    ), True
+
+
+def _stable(scene: Scene, halvings: int) -> Scene:
+    """The task on steps halved until they are stable in contact, at most so often; itself if they are."""
+    for halving in range(halvings + 1):
+        finer = finer_scene(scene, 2**halving) if halving else scene
+        if step_stability(finer).is_stable:
+            return finer
+    return scene
 
 
 def _crash(way: str, error: Exception) -> str:
@@ -232,6 +334,16 @@ def _crash(way: str, error: Exception) -> str:
 
 def _is_followed(found: Solution) -> bool:
     return found.residuals.get(_DEPARTURE, 0.0) <= 1.0
+
+
+def _is_clear(found: Solution) -> bool:
+    return found.outcome is Outcome.SOLVED and found.residuals[_DEPARTURE] <= _CLEARLY
+
+
+def _order(found: Solution) -> tuple[bool, float]:
+    """Sorts solved plans first, and of these the one that departs least."""
+    is_solved = found.outcome is Outcome.SOLVED
+    return not is_solved, found.residuals.get(_DEPARTURE, 0.0)
 
 
 def _best(found: list[Solution]) -> Solution:
@@ -266,6 +378,7 @@ class BestExact(Method[BestExactOptions]):
     options = BestExactOptions
     ways = (
         _MODES,
+        SHOT,
         RELAXED_WALK,
         find_pipeline("relaxed+strict"),
         find_pipeline("softplus_dc+strict"),

@@ -73,10 +73,10 @@ def test_what_is_stored_of_its_pipelines_is_taken_and_its_seconds_count():
     assert again.seconds.wall < 500.0, "stored stages are from a cold start"
 
 
-def test_its_pipelines_are_those_of_the_table_and_two_of_its_own():
+def test_its_pipelines_are_those_of_the_table_and_three_of_its_own():
     names = [way.name for way in load_method("best_exact").ways]
     own = [name for name in names if name not in pipeline_names()]
-    assert own == ["relaxed_walk+strict", "softly_shot+strict"]
+    assert own == ["shot", "relaxed_walk+strict", "softly_shot+strict"]
     for name in set(names) - set(own):
         way = next(way for way in load_method("best_exact").ways if way.name == name)
         assert way == find_pipeline(name)
@@ -139,6 +139,7 @@ def test_a_crash_of_one_way_costs_no_plan(monkeypatch: pytest.MonkeyPatch, first
     monkeypatch.setattr(best_exact.METHOD, "ways", (relaxed, softplus))
     monkeypatch.setattr(best_exact.BestExactSession, "_way", way)
     monkeypatch.setattr(best_exact, "departure", lambda _scene, _plan: 0.1)
+    monkeypatch.setattr(best_exact, "contact_departure", lambda _scene, _plan: 0.0)
     found = solved(SMALL)
     assert (found.outcome, found.cost) == (Outcome.SOLVED, 2.0)
     lost = "relaxed+strict" if first else "softplus_dc+strict"
@@ -201,6 +202,7 @@ def test_the_cheapest_plan_that_is_followed_is_taken(
     ways = (RELAXED_WALK, find_pipeline("softplus_dc+strict"))
     monkeypatch.setattr(best_exact.METHOD, "ways", ways)
     monkeypatch.setattr(best_exact, "departure", departs)
+    monkeypatch.setattr(best_exact, "contact_departure", lambda _scene, _plan: 0.0)
     monkeypatch.setattr(best_exact, "solve_stages", remembering)
     found = solved(scene, halvings=0)
     costs = sorted(attempt.cost for attempt in found.starts if attempt.cost is not None)
