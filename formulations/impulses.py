@@ -14,14 +14,13 @@ import numpy as np
 from formulations.grids import finer_scene, motion_on_finer_steps, plan_of
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
+from models.scene.default_limits import IMPULSE, impulse_yardstick, limit_of, replay_limits
 from models.scene.goal import goal_state, miss
 from models.trajectory import Trajectory
+from models.typical_force import typical_force
 
 # Steps in one of the plan's on which it is followed, as in formulations.grids.
 _PARTS = 50
-# Limits where a scene sets none; the judge has the same. Impulse: of that which both have.
-_IMPULSE = 0.01
-_REPLAY_ERROR = 0.01  # of a coordinate's nominal
 # Departure of a motion that leaves every bound, as in formulations.grids.
 _LOST = 1e6
 
@@ -66,14 +65,12 @@ def _by_inputs_alone(scene: Scene, plan: Trajectory) -> Trajectory | None:
 
 def _is_near(scene: Scene, plan: Trajectory, motion: Trajectory) -> bool:
     """Return whether a motion keeps the limits on its distance from the plan and from the goal."""
-    limit, nominals = scene.limit("replay_error"), [item.nominal for item in scene.coordinates]
-    most = _REPLAY_ERROR * np.array(nominals) if limit is None else limit.value
-    if most is not None and (np.abs(motion.q[::_PARTS] - plan.q).max(axis=0) > most).any():
+    off = np.abs(motion.q[::_PARTS] - plan.q).max(axis=0)
+    if (off > replay_limits(scene)).any():
         return False
     missed = np.split(miss(motion.end, goal_state(scene.task)), 2)
     for part, values in zip(("position", "velocity"), missed, strict=True):
-        allowed = scene.limit(f"replay_terminal_{part}_error")
-        most = None if allowed is None else allowed.value
+        most = limit_of(scene, f"replay_terminal_{part}_error")
         if most is not None and np.linalg.norm(values) > most:
             return False
     return True
@@ -85,10 +82,11 @@ def _departs(scene: Scene, plan: Trajectory, motion: Trajectory) -> float:
     least, most = _around(forces.min(axis=1), np.minimum), _around(forces.max(axis=1), np.maximum)
     step = scene.task.step
     common = step * float(np.minimum(np.abs(planned), most).sum())
+    yardstick = impulse_yardstick(common, typical_force(scene, load_kernel(scene)), plan.duration)
     found = [float((_depths(scene, motion) / np.array(scene.depths)).max())]
     for name, excess in (("ghost_impulse", planned - most), ("missed_impulse", least - planned)):
         own = scene.limit(name)
-        limit = _IMPULSE * common if own is None else own.value
+        limit = IMPULSE * yardstick if own is None else own.value
         impulse = step * float(np.maximum(excess, 0.0).sum())
         if limit is not None and impulse > 0.0:
             found.append(impulse / limit if limit > 0.0 else _LOST)

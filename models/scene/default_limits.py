@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from models.trajectory import WINDOWS
+
 if TYPE_CHECKING:
     from models.scene import Scene
 
@@ -18,6 +20,8 @@ REPLAY_ERROR = 1e-2
 FEEDBACK_EFFORT = 0.25
 # The same as a share of the plan's own inputs, both averaged over windows.
 FEEDBACK_SHARE = 0.25
+# Contact impulse by which plan and replay may differ, of `impulse_yardstick`.
+IMPULSE = 0.01
 
 
 def replay_limits(scene: Scene) -> np.ndarray:
@@ -29,6 +33,25 @@ def replay_limits(scene: Scene) -> np.ndarray:
     if own is None:
         return REPLAY_ERROR * np.array(nominals)
     return np.full(len(nominals), np.inf if own.value is None else own.value)
+
+
+def impulse_yardstick(common: float, typical_force: float, duration: float) -> float:
+    """Return the impulse by which differences of contact are measured [N s].
+
+    Parameters
+    ----------
+    common
+        Impulse that plan and replay have in common [N s].
+    typical_force
+        Of the scene's contacts [N].
+    duration
+        Of the plan [s].
+
+    Raises
+    ------
+    Nothing.
+    """
+    return max(typical_force * duration / WINDOWS, common)
 
 
 def limit_of(scene: Scene, metric: str) -> float | None:

@@ -56,7 +56,7 @@ def damped(law: DampingLaw) -> Scene:
         ),
         task=Task(start=(-0.2, 0.1, 0.0, 0.0), goal=(None, 0.6, None, None), running_cost=push**2,
                   step=0.03, steps=60),
-        limits=goal_limits(position=0.01, reason="this test"),
+        limits=goal_limits(position=0.01, reason="this test"), length=1.0,
     )  # fmt: skip
 
 
@@ -75,7 +75,9 @@ def shrunk(scene: Scene) -> Scene:
         tuple(replace(contact, nominal=contact.nominal * SIZE) for contact in scene.contacts),
     )
     goal = tuple(None if value is None else value * SIZE for value in task.goal)
-    scaled = replace(scene.with_parameters(**values), contacts=contacts, length=SIZE, answers=())
+    scaled = replace(
+        scene.with_parameters(**values), contacts=contacts, length=SIZE * scene.length, answers=()
+    )
     return scaled.with_task(start=tuple(value * SIZE for value in task.start), goal=goal)
 
 

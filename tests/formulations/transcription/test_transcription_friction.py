@@ -178,7 +178,7 @@ HUNT_CROSSLEY = DampingLaw.HUNT_CROSSLEY
 
 
 def pushed(law: DampingLaw, steps: int = 60) -> Scene:
-    return damped(law).with_task(steps=steps)
+    return replace(damped(law), length=1.0).with_task(steps=steps)
 
 
 def rollout(scene: Scene, law: ForceLaw, eps: float | None) -> Trajectory:

@@ -18,9 +18,11 @@ from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
 from models.scene import Scene
 from models.scene.contacts import DampingLaw
+from models.scene.default_limits import impulse_yardstick
 from models.scene.goal import goal_state
 from models.schemes import Scheme
-from models.trajectory import WINDOWS, Trajectory
+from models.trajectory import Trajectory
+from models.typical_force import typical_force
 from validate.judge.printed import columns_rounding
 from validate.judge.replay.result import Difference, Replay, ReplayOutcome
 from validate.judge.replay.subject import Subject
@@ -29,7 +31,6 @@ from validate.judge.score.forces import (
     by_convention,
     force_window,
     least_slip,
-    typical_force,
     within_steps,
 )
 from validate.judge.score.verdict import LeavesBounds, Unmeasured
@@ -236,7 +237,7 @@ class Evidence:
 
     @cached_property
     def typical_force(self) -> float:
-        """Yardstick of contact forces [N] (`forces.typical_force`); of an FMU the map's.
+        """Yardstick of contact forces [N] (`models.typical_force`); of an FMU the map's.
 
         Raises Unmeasured if the map states none.
         """
@@ -320,16 +321,16 @@ class Evidence:
         the plan. Of an FMU whose map states no typical force the larger of the two impulses.
         """
         try:
-            least = self.typical_force * self.trajectory.duration / WINDOWS
+            force = self.typical_force
         except Unmeasured:
             lam = np.maximum(self.replay.lam[:, : self.scene.nc], 0.0)
             replayed = ((lam[:-1] + lam[1:]) / 2.0 * self.duration[:, None]).sum()
             return max(self.planned_impulse, float(replayed))
         try:
-            common = np.minimum(np.abs(self.lam), self.force_window[1])
+            common = float(self.h @ np.minimum(np.abs(self.lam), self.force_window[1]).sum(axis=1))
         except Unmeasured:
-            return least
-        return max(least, float(self.h @ common.sum(axis=1)))
+            common = 0.0
+        return impulse_yardstick(common, force, self.trajectory.duration)
 
     @cached_property
     def rounding(self) -> dict[str, np.ndarray]:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.scene import Scene
-from models.scene.default_limits import FEEDBACK_EFFORT, FEEDBACK_SHARE, REPLAY_ERROR
+from models.scene.default_limits import FEEDBACK_EFFORT, FEEDBACK_SHARE, IMPULSE, REPLAY_ERROR
 from validate.judge.replay.result import Growth
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.wiring import Effort
@@ -135,7 +135,7 @@ def _has_goal_velocity(scene: Subject) -> bool:
 
 # Limit of the impulses by which contact differs.
 _OF_IMPULSE = (
-    0.01,
+    IMPULSE,
     "1 % of the contact impulse that plan and replay have in common, or of a typical force for a fiftieth of the plan",
 )
 
