@@ -16,8 +16,8 @@ from models.codegen.kernel import load_kernel
 from models.scene import Scene
 from models.scene.default_limits import IMPULSE, impulse_yardstick, limit_of, replay_limits
 from models.scene.goal import goal_state, miss
+from models.scene.typical_force import typical_force
 from models.trajectory import Trajectory
-from models.typical_force import typical_force
 
 # Steps in one of the plan's on which it is followed, as in formulations.grids.
 _PARTS = 50

@@ -20,9 +20,9 @@ from models.scene import Scene
 from models.scene.contacts import DampingLaw
 from models.scene.default_limits import impulse_yardstick
 from models.scene.goal import goal_state
+from models.scene.typical_force import typical_force
 from models.schemes import Scheme
 from models.trajectory import Trajectory
-from models.typical_force import typical_force
 from validate.judge.printed import columns_rounding
 from validate.judge.replay.result import Difference, Replay, ReplayOutcome
 from validate.judge.replay.subject import Subject
@@ -237,7 +237,7 @@ class Evidence:
 
     @cached_property
     def typical_force(self) -> float:
-        """Yardstick of contact forces [N] (`models.typical_force`); of an FMU the map's.
+        """Yardstick of contact forces [N] (`models.scene.typical_force`); of an FMU the map's.
 
         Raises Unmeasured if the map states none.
         """
