@@ -9,6 +9,7 @@ from validate.cli.group import LazyGroup
 _COMMANDS = {
     "suite": ("suite.command", "CPU seconds of each stage, beside what people would use instead."),
     "plans": ("suite.plans", "Exact plans of random rows of carts, by several pipelines."),
+    "ablate": ("ablate.command", "Planners without one of their rules: what gets worse."),
     "strangers": ("strangers.command", "Scenes drawn by a seed: which have a plan that holds."),
     "mpec-sets": ("mpec.sets", "MPECs as .nl files: answers, certificates, published optima."),
     "verdicts": ("verdicts.command", "Plans whose verdict is known, and a search for cheats."),
