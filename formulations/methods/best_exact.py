@@ -167,6 +167,7 @@ class BestExactSession(Session):
         solved: list[Solution] = []
         by_modes = False  # whether mpcc has a plan that is followed
         refined: list[Solution] = []
+        shot: Solution | None = None
         first_error: Exception | None = None
         for way in self._method.ways:
             if load_method(way.legs[0].method).accepts(scene) is not None:
@@ -190,6 +191,7 @@ class BestExactSession(Session):
             by_modes = by_modes or (way is _MODES and bool(solved) and _is_followed(found))
             yield way.name, found
             if way is SHOT:
+                shot = found
                 # This takes little time, and the ways after it may take all that is left.
                 others = len(solved) - (found.outcome is Outcome.SOLVED)
                 yield from self._kept(self._from_shot(found, solved, ends), crashed)
@@ -198,11 +200,13 @@ class BestExactSession(Session):
                 break
         if first_error is not None and not solved:
             raise first_error
+        legs = (*SHOT.legs, *_STRICT.legs)
         if not solved:
+            if shot is not None:
+                yield from self._kept(self._on_finer_steps(shot, SHOT.legs, ends), crashed)
             return
         cheapest = _cheapest(solved)
         if not _is_followed(cheapest) and not any(each is cheapest for each in refined):
-            legs = (*SHOT.legs, *_STRICT.legs)
             yield from self._kept(self._on_finer_steps(cheapest, legs, ends), crashed)
 
     def _from_shot(
@@ -220,7 +224,7 @@ class BestExactSession(Session):
             if found.outcome is Outcome.SOLVED:
                 solved.append(found)
                 shot = min(shot, found, key=lambda each: each.residuals[_DEPARTURE])
-        if not any(map(_is_followed, solved)):
+        if shot.outcome is Outcome.SOLVED and not any(map(_is_followed, solved)):
             yield from self._on_finer_steps(shot, SHOT.legs, ends)
 
     def _kept(
@@ -275,8 +279,8 @@ class BestExactSession(Session):
                     continue
                 tried.append(_with_departure(scene, _solved(scene, leg, motion, ends)[-1]))
                 yield f"{leg.method}, on {scene.task.steps} steps", tried[-1]
-                if _is_clear(tried[-1]):
-                    return
+            if any(map(_is_clear, tried)):
+                return
             found = min(tried, key=_order, default=found)
 
 

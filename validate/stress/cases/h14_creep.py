@@ -26,7 +26,8 @@ STEEP = 4.0
 
 def _slip_speed(mu: float, step: float) -> float:
     """Slip at the end of the motion by the relaxed law [m/s], from where that bears the block: above the plane."""
-    problem, b = creep(mu), sharpness(EPS)
+    problem = creep(mu)
+    b = sharpness(EPS, problem.scene.length)
     _, lies, *_ = problem.scene.task.start
     assert lies is not None
     start = (0.0, -math.log(math.expm1(-b * lies)) / b, 0.0, 0.0)
