@@ -1,8 +1,8 @@
 """Exact contact for every scene: run several pipelines from a cold start and keep the cheapest plan.
 
     mpcc has a plan to follow:    mpcc, relaxed+strict, softplus_dc+strict
-    otherwise:                    shot, shot+strict, relaxed_walk+strict, relaxed+strict,
-                                  softplus_dc+strict, softly_shot+strict
+    otherwise:                    shot, shot+strict, relaxed+strict, softplus_dc+strict,
+                                  relaxed_walk+strict, softly_shot+strict
     none of these has a plan:     strict
 
 A plan solves the equations of its grid. `departure` measures how far the motion on finer steps
@@ -383,9 +383,9 @@ class BestExact(Method[BestExactOptions]):
     ways = (
         _MODES,
         SHOT,
-        RELAXED_WALK,
         find_pipeline("relaxed+strict"),
         find_pipeline("softplus_dc+strict"),
+        RELAXED_WALK,
         SOFTLY_SHOT,
         _STRICT,
     )

@@ -111,12 +111,13 @@ def test_a_leg_without_a_plan_is_not_followed(monkeypatch: pytest.MonkeyPatch):
     costs = {attempt.start: attempt.cost for attempt in found.starts}
     assert list(costs) == [
         "mpcc",
-        "relaxed_walk+strict",
         "relaxed+strict",
         "softplus_dc+strict",
+        "relaxed_walk+strict",
         "softly_shot+strict",
     ]
-    assert [name for name, cost in costs.items() if cost is None] == list(costs)[1:3]
+    without = [name for name, cost in costs.items() if cost is None]
+    assert without == ["relaxed+strict", "relaxed_walk+strict"]
 
 
 @pytest.mark.parametrize("first", [True, False], ids=["at_first", "after_a_plan"])
