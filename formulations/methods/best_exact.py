@@ -85,7 +85,7 @@ class BestExactOptions(Options):
 
     all_ways: bool = option(
         False,
-        "where mpcc has a plan, run relaxed_walk+strict and softly_shot+strict too",
+        "where mpcc has a plan, run the shot, relaxed_walk+strict and softly_shot+strict too",
     )
     halvings: int = option(
         6,
