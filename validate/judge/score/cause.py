@@ -44,7 +44,6 @@ _SAFETY = 0.8
 _MORE_DIGITS = 7
 # An angle off by whole turns is off by no more than this besides, in one row [rad].
 _NEAR_A_TURN = 0.1
-_ADVICE_EXACT = "tighten eps, or go on from it with exact contact (`strict`, `mpcc`)"
 # What a metric says of itself where it fails first.
 _CAUSES = {
     "defect": "; if another integrator made it, leave the declaration of the scheme out",
@@ -397,9 +396,15 @@ def _of_forces(scored: ScoredPlan) -> str:
     if multiple := _multiple_of_the_law(scored):
         return multiple
     if scored.is_relaxed():
-        return f": a relaxed contact law; {_ADVICE_EXACT}"
+        return f": a relaxed contact law; {_exact_contact(scored)}"
     few = _few_digits(scored.trajectory)
     return f"; it may be {few}" if few else ""
+
+
+def _exact_contact(scored: ScoredPlan) -> str:
+    """Advise exact contact; of a scene by the pipeline that every scene with inputs has."""
+    pipeline = " (`best_exact`)" if isinstance(scored.scene, Scene) else ""
+    return f"tighten eps, or plan with exact contact{pipeline}"
 
 
 def _departure(scored: ScoredPlan) -> str:
@@ -480,7 +485,7 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
     if _is_lost_on_its_grid(scored):
         lost = f"{number(scored.value('law_error') or 0.0, grid.unit)} on its own grid already"
         if cause == "relaxed contact":
-            return f": a relaxed contact law ({lost}); {_ADVICE_EXACT}"
+            return f": a relaxed contact law ({lost}); {_exact_contact(scored)}"
         return f": off by {lost}; the contact forces are correct{unstable}"
     correct = (
         "; the contact forces are correct" if plan.lam.size and "lam" not in plan.missing else ""
