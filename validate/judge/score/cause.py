@@ -92,7 +92,7 @@ def explain(scored: ScoredPlan) -> str:
         Verdict.HOLDS_WITH_FEEDBACK: _holds_with_feedback,
         Verdict.CONSISTENT: _consistent,
         Verdict.NOT_APPLICABLE: lambda scored: (
-            f"inputs alone claim nothing, and {_who_asks(scored)} asks for nothing."
+            f"inputs alone claim nothing, and {_who_asks(scored)} asks for nothing: {_mend(scored)}."
         ),
     }[scored.verdict](scored)
     return sentence + (
@@ -284,14 +284,17 @@ def _who_asks(scored: ScoredPlan) -> str:
 
 
 def _consistent(scored: ScoredPlan) -> str:
-    if scored.scene.task.has_goal:
-        mend = "no limit on its goal counts for this plan; set one, with a reason"
-    elif isinstance(scored.scene, Scene):
-        mend = "give it a goal, or a limit on its cost"
-    else:
-        mend = "give it a [goal] with its limits"
     shown = "" if isinstance(scored.scene, Scene) else f" {_of_what_is_shown(scored)}"
-    return f"consistent{shown}; {_who_asks(scored)} asks for nothing: {mend}."
+    return f"consistent{shown}; {_who_asks(scored)} asks for nothing: {_mend(scored)}."
+
+
+def _mend(scored: ScoredPlan) -> str:
+    """Advise a goal or limit that asks for something."""
+    if scored.scene.task.has_goal:
+        return "no limit on its goal counts for this plan; set one, with a reason"
+    if isinstance(scored.scene, Scene):
+        return "give it a goal, or a limit on its cost"
+    return "give it a [goal] with its limits"
 
 
 def _holds_with_feedback(scored: ScoredPlan) -> str:
