@@ -218,7 +218,7 @@ _OF_OTHERS = {
     _EXACT: "Plan with exact contact; forces are pushes of at least 0, in the columns lam_..: without these columns the motion alone is judged.",
     _FINER: "Plan on a finer grid, or have the plan followed with feedback.",
     _ELSEWHERE: "Plan from another guess: the scene has a cheaper plan.",
-    _LOOK: "Look at the error over time (`replay --html`); a plan for a scene that a time step made may declare it (a line `# scheme: semi_implicit_euler`).",
+    _LOOK: "Look at the error over time (`replay --html`).",
 }
 # Verdicts that need no cause.
 _NO_CAUSE = (*HOLD, "not applicable", "consistent")

@@ -40,7 +40,7 @@ def test_causes_that_are_metrics_have_a_sentence_and_an_advice(factory, cause, b
     ("cause", "ours", "others"),
     [
         ("contact_law_error", "eps", "lam_"), ("ghost_impulse", "eps", "lam_"),
-        ("motion", "page of the run", "scheme"),
+        ("motion", "page of the run", "replay --html"),
         ("unstable", "best_exact", "feedback"), ("replay_cost", "best_exact", "another guess"),
     ],
 )  # fmt: skip

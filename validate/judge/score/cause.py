@@ -478,7 +478,7 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
         return ""
     unstable = _unstable(scored)
     if plan.scheme is None:
-        return f"{_departure(scored)}{unstable}"
+        return f"{_departure(scored)}{unstable}{_may_declare(scored)}"
     grid = scored.metrics.get("grid_error")
     if grid is None or grid.value is None:
         return unstable
@@ -505,6 +505,13 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
     ):
         return f": discretisation error {number(grid.value, grid.unit)}{unstable}"
     return text + _finer(first, grid.value, scored)
+
+
+def _may_declare(scored: ScoredPlan) -> str:
+    """Advise a declaration of the scheme; an FMU keeps its equations to itself."""
+    if not isinstance(scored.scene, Scene):
+        return ""
+    return "; if semi-implicit Euler made the plan, declare it (a line `# scheme: semi_implicit_euler`)"
 
 
 def _unstable(scored: ScoredPlan) -> str:
