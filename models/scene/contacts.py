@@ -200,6 +200,10 @@ class Friction:
                 f"{where}: what presses the surfaces together must be given once, as contact (the name of a contact) or as "
                 f"normal_force (an expression in N); there {'is neither' if self.contact is None else 'are both'}."
             )
+        for name in self.pressing:
+            check_name(f"{where}: contact (a name, or a tuple of names)", name)
+        if isinstance(self.contact, list):
+            settle(self, "contact", tuple(self.contact))
         if self.normal_force is not None:
             settle(self, "normal_force", as_expression(f"{where}: normal_force", self.normal_force))
         settle(self, "nominal", as_number(f"{where}: nominal", self.nominal))
@@ -213,7 +217,7 @@ class Friction:
         """Names of the contacts whose forces press the surfaces together; none with a normal force."""
         if self.contact is None:
             return ()
-        return (self.contact,) if isinstance(self.contact, str) else tuple(self.contact)
+        return tuple(self.contact) if isinstance(self.contact, (tuple, list)) else (self.contact,)
 
     @property
     def force_name(self) -> str:

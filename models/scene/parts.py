@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import sympy as sp
 
-from models.errors import SceneError
+from models.errors import SceneError, named_arguments
 from models.scene.values import (
     as_expression,
     as_number,
@@ -78,6 +78,7 @@ def limits(**stated: tuple[float | None, str]) -> tuple[Limit, ...]:
     )
 
 
+@named_arguments(SceneError)
 def goal_limits(
     *, position: float | None = None, velocity: float | None = None, reason: str
 ) -> tuple[Limit, ...]:

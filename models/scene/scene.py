@@ -52,7 +52,7 @@ _RESERVED = frozenset((*keyword.kwlist, *_WORDS_OF_C.split()))
 # Numbers in a plan: 8 GB.
 _MOST_NUMBERS = 10**9
 
-# A limit's metric that is this much like a missing one is the missing one misspelt.
+# A name that is this much like another one is the other one misspelt.
 _ALIKE = 0.8
 
 # What the parts of a scene are made of.
@@ -189,7 +189,8 @@ class Scene(Counted):
             value = getattr(self, field)
             if not isinstance(value, (tuple, list)):
                 raise SceneError(
-                    f"scene {self.name}: {field} must be a tuple, not {type(value).__name__}."
+                    f"scene {self.name}: {field} must be a tuple, not {type(value).__name__}; "
+                    f"write {field}=({kind.__name__}(..),), with a comma behind each, or {field}=() for none."
                 )
             for index, item in enumerate(value):
                 if not isinstance(item, kind):
@@ -203,7 +204,8 @@ class Scene(Counted):
             )
         if not isinstance(self.forces, (tuple, list)):
             raise SceneError(
-                f"scene {self.name}: forces must be a tuple, not {type(self.forces).__name__}."
+                f"scene {self.name}: forces must be a tuple, not {type(self.forces).__name__}; "
+                "write forces=(u,), one for each coordinate, with a comma behind each."
             )
         settle(
             self,
@@ -501,8 +503,21 @@ def _check_symbols(scene: Scene) -> None:
         if unknown:
             raise _fail(
                 scene,
-                f"{field} uses {', '.join(unknown)}, which is neither a parameter nor a variable allowed there ({', '.join(known)}).",
+                f"{field} uses {', '.join(unknown)}, which is neither a parameter nor a variable allowed there ({', '.join(known)}){_declared(symbols, unknown[0])}",
             )
+
+
+def _declared(symbols: dict[str, set[sp.Symbol]], name: str) -> str:
+    """Advise a declaration of a symbol that no part of the scene has."""
+    everywhere = {symbol.name for group in symbols.values() for symbol in group}
+    if name in everywhere:
+        return "."
+    near = nearest(name, everywhere, _ALIKE)
+    return (
+        f"; did you mean {near}, or is a Parameter missing?"
+        if near
+        else "; declare it as a Parameter."
+    )
 
 
 # What may stand for one end of a contact that is no drawn body.

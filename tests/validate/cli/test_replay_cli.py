@@ -242,7 +242,7 @@ def test_a_mistake_in_the_plan_is_one_sentence(
         ("t,x,F,y\n0,1,1,1\n1,1,1,1\n", "the column 'y' is unknown"),
         ("t,x,F,y\n0,1,1,1\n1,1,1,1\n", "ignore it (--ignore y)"),
         ("t,x,F\n0,1,1,1\n1,1,1\n", "line 2 has 4 cells … 3 columns"),
-        ("t,x,F\n0,1,1\n1,,1\n", "line 3, column 'x': '' is not a number"),
+        ("t,x,F\n0,1,1\n1,,1\n", "line 3, column 'x': the cell is empty"),
         ("t,x,F\n0,1,1\n", "a header and at least two rows"),
         ("t [ms],x,F\n0,1,1\n1,1,1\n", "'t' is in 'ms', but 's'"),
         ("t,x [km],F\n0,1,1\n1,1,1\n", "in 'km', but 'body.pos' is in 'mm'; give a scale"),
