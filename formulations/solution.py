@@ -25,10 +25,8 @@ class Outcome(Enum):
     ITERATION_LIMIT = "Stopped at the number of iterations it was given; allow more, or use the plan as a warm start."
     TIME_LIMIT = "Stopped at its time limit; allow more time, or start it warm."
     INFEASIBLE = "No plan satisfies the constraints (locally); check goal, bounds and horizon, or start from another guess."
-    DIVERGED = "Iterates or gradients grew without bound; use a smaller learning rate, bounds, or a method made for unstable scenes."
-    STALLED = (
-        "No further progress before the tolerances were met; start warm, or relax more gently."
-    )
+    DIVERGED = "Iterates or gradients grew without bound; set bounds, or start from another guess."
+    STALLED = "No further progress before the tolerances were met; start from another guess."
     EVALUATION_ERROR = (
         "A function value was not a finite number; check the start and the parameters."
     )

@@ -9,18 +9,27 @@ is loaded.
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 import traceback
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from models.errors import SceneError, TouchstoneError, UnknownNameError, did_you_mean
+from models.errors import SceneError, TouchstoneError, UnknownNameError, did_you_mean, nearest
 
 if TYPE_CHECKING:
     from models.scene import Scene
 
 _FOLDER = Path(__file__).parent / "scenes"
+# Files that are given for a scene by mistake.
+_OTHERS = {
+    ".csv": "a plan, which stands before --scene",
+    ".nc": "a plan, which stands before --scene",
+    ".fmu": "an FMU, which --fmu takes",
+    ".toml": "a map (--map) or a campaign (run)",
+    ".xml": "a robot, which `fmu --mjcf` takes",
+}
 
 
 def scene_names() -> tuple[str, ...]:
@@ -42,6 +51,13 @@ def scene_path(reference: str) -> Path:
         return path.resolve()
     if reference in scene_names():
         return _FOLDER / f"{reference}.py"
+    if Path(f"{reference}.py").is_file():
+        raise UnknownNameError(f"there is no scene {reference!r}; did you mean {reference}.py?")
+    if Path(reference).suffix in _OTHERS:
+        raise UnknownNameError(
+            f"there is no scene {reference!r}: this is {_OTHERS[Path(reference).suffix]}; "
+            "a scene is given by its name or by the path of its .py file."
+        )
     what = f"there are {', '.join(scene_names())}; a scene of your own is given by the path of its .py file."
     raise UnknownNameError(
         f"there is no scene {reference!r}; {did_you_mean(reference, scene_names(), what)}"
@@ -96,7 +112,7 @@ def load_scene(reference: str) -> Scene:
             raise
         except BaseException as error:  # a file may raise what it likes
             raise SceneError(
-                f"scene file {path}: {type(error).__name__} while it was read{_line_of(error, path)}: {error}"
+                f"scene file {path}: {type(error).__name__} while it was read{_line_of(error, path)}: {_advised(error)}"
             ) from error
         problem = step_problem(path.read_bytes())
         if problem is not None:
@@ -114,6 +130,34 @@ def load_scene(reference: str) -> Scene:
             f"scene file {path}: SCENE.name is {scene.name!r} but must equal the file's name {path.stem!r}."
         )
     return scene
+
+
+# Words of an error that Python or SymPy raises, and what to do.
+_ADVICE = {
+    "loop of ufunc does not support argument": "use SymPy's function, such as sp.sin, not NumPy's",
+    "Cannot convert expression to float": "use SymPy's function, such as sp.sin, not that of math",
+    "truth value of Relational": "an `if` cannot ask for a symbol's value; write a Contact, or weigh both cases",
+}
+
+
+def _advised(error: BaseException) -> str:
+    """Return the text of what a scene file raised, with advice for a beginner's mistakes."""
+    import models.scene
+
+    text = str(error)
+    wanted = re.match(r"cannot import name '(\w+)' from 'models.scene'", text)
+    if wanted is not None:
+        known = models.scene.__all__
+        advice = did_you_mean(wanted[1], known, f"it has {', '.join(known)}.")
+        return f"models.scene has no {wanted[1]}; {advice}"
+    if isinstance(error, ModuleNotFoundError) and nearest(
+        str(error.name).partition(".")[0], ("models", "touchstone", "scene")
+    ):
+        return f"{text}; the parts of a scene are imported from models.scene"
+    if isinstance(error, NameError) and error.name:
+        return f"{text}; declare it, as {error.name} = sp.Symbol({error.name!r}, real=True), or import it"
+    advice = next((words for part, words in _ADVICE.items() if part in text), None)
+    return text if advice is None else f"{text}; {advice}"
 
 
 def _line_of(error: BaseException, path: Path) -> str:

@@ -1,7 +1,12 @@
 """Errors that speak to the user: one sentence that says what is wrong, where, what was expected and what to do."""
 
 import difflib
-from collections.abc import Iterable
+import inspect
+from collections.abc import Callable, Iterable
+from functools import wraps
+from typing import Any, TypeVar
+
+_Call = TypeVar("_Call", bound=Callable[..., Any])
 
 # Of a name no more characters are compared: that takes their square.
 _LONGEST = 200
@@ -56,3 +61,29 @@ def did_you_mean(name: object, known: Iterable[str], otherwise: str, alike: floa
     around = [item for item in known if str(name).lower() in item.lower()]
     near = nearest(name, known, alike) or (around[0] if len(around) == 1 else None)
     return otherwise if near is None else f"did you mean {near}?"
+
+
+def named_arguments(error: type[TouchstoneError]) -> Callable[[_Call], _Call]:
+    """Make a function refuse unknown and missing arguments with this error, in a sentence."""
+
+    def decorated(call: _Call) -> _Call:
+        signature = inspect.signature(call)
+        names = list(signature.parameters)
+
+        @wraps(call)
+        def checked(*values: Any, **given: Any) -> Any:
+            unknown = next((name for name in given if name not in names), None)
+            if unknown is not None:
+                advice = did_you_mean(unknown, names, f"there are {', '.join(names)}.")
+                raise error(f"{call.__name__}: there is no argument {unknown!r}; {advice}")
+            try:
+                signature.bind(*values, **given)
+            except TypeError as problem:
+                raise error(
+                    f"{call.__name__}: {problem}; it takes {', '.join(names)}."
+                ) from problem
+            return call(*values, **given)
+
+        return checked  # type: ignore[return-value]
+
+    return decorated

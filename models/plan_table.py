@@ -160,9 +160,8 @@ class PlanTable:
             if last_is_open and place == self.rows:
                 break
             if not _is_number(cell):
-                raise TrajectoryError(
-                    f"{self.where}: line {number}, column {name!r}: {cell!r} is not a number."
-                )
+                found = f"{cell!r} is not a number" if cell.strip() else "the cell is empty"
+                raise TrajectoryError(f"{self.where}: line {number}, column {name!r}: {found}.")
             values.append(float(cell))
             if not math.isfinite(values[-1]):
                 raise TrajectoryError(

@@ -1,6 +1,7 @@
 """Is the time step stable while contacts are closed? Said before anything is run.
 
     step_stability(scene).is_stable, .radius, .largest_step, .sentence
+    contact_frequency(scene)  # omega: a contact lasts pi/omega
 
 Semi-implicit Euler on a closed contact is a damped oscillator, x' = x + h v', v' = v - h (w^2 x + c
 v), and stable only where
@@ -175,6 +176,23 @@ def step_stability(scene: Scene) -> StepStability:
         growth=worst.growth,
         largest_step=min(_largest_step(model, h) for model in models),
     )
+
+
+def contact_frequency(scene: Scene) -> float:
+    """Return the highest angular frequency with a set of contacts closed [rad/s].
+
+    Damping and friction are left out. Return 0 if no contact can close, or without inertia.
+    Raise MachineError without a compiler.
+    """
+    if scene.relaxation_time is not None:
+        return 0.0
+    models = _linear_models(replace(scene, frictions=()) if scene.frictions else scene)
+    stiffest = (
+        float(-np.linalg.eigvals(model.G).real.min(initial=0.0))
+        for model in models
+        if model.contacts
+    )
+    return math.sqrt(max(stiffest, default=0.0))
 
 
 def _linear_models(scene: Scene) -> list[_Linear]:

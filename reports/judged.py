@@ -5,7 +5,7 @@ Where its motions end; why a plan has its verdict.
 questions_of(stage)[3].metrics[0].name, .alone.value, .followed.value  ->
     "replay_error", 0.6, 0.004
 deciding(stage).name, cause_of(run).advice   ->  "replay_terminal_position_error", "Take a smaller
-                                             time step, or collocation."
+                                             time step."
 by_cause(runs)                               ->  each cause once, with its runs, the most frequent
                                              first
 
@@ -149,9 +149,10 @@ def distance_of(stage: StageRecord, prefix: str) -> str:
     return ", ".join(parts)
 
 
-_EXACT = "Tighten eps, or go on from this plan with exact contact (strict, mpcc)."
-_FINER = "Plan on a finer grid, or by collocation, multiple_shooting or best_exact, which keeps the cheapest plan that is followed."
-_ELSEWHERE = "A local optimum: start elsewhere, from another guess or a relaxed plan, or search the contact modes (mpcc, best_exact)."
+# best_exact is the one pipeline with exact contact that every scene with inputs has.
+_EXACT = "Tighten eps, or plan with exact contact (best_exact)."
+_FINER = "Plan on a finer grid, or by best_exact, which keeps the cheapest plan that is followed."
+_ELSEWHERE = "A local optimum: start from another guess or a relaxed plan, or plan by best_exact."
 _LOOK = "Look at the error over time on the page of the run."
 _AWAY = "The plan itself does not reach the goal"
 _DEAR = "The plan costs more than the scene allows"
@@ -203,7 +204,7 @@ _CAUSES = {
     "relaxed contact": ("Relaxed contact: the inputs do not give the planned motion", _EXACT),
     "coarse grid": (
         "Coarse grid: contact is exact, but the time step is too long",
-        "Take a smaller time step, or collocation.",
+        "Take a smaller time step.",
     ),
     "unstable": (
         "Unstable in the open loop: small errors grow until the plan is lost",
@@ -217,8 +218,10 @@ _OF_OTHERS = {
     _EXACT: "Plan with exact contact; forces are pushes of at least 0, in the columns lam_..: without these columns the motion alone is judged.",
     _FINER: "Plan on a finer grid, or have the plan followed with feedback.",
     _ELSEWHERE: "Plan from another guess: the scene has a cheaper plan.",
-    _LOOK: "Look at the error over time on this page; a plan made by a time step says which (a line `# scheme: semi_implicit_euler`).",
+    _LOOK: "Look at the error over time (`replay --html`).",
 }
+# Verdicts that need no cause.
+_NO_CAUSE = (*HOLD, "not applicable", "consistent")
 _AGAIN = "Read the end of the log on the page of the run, and run it again by the command there."
 
 
@@ -228,6 +231,13 @@ class Cause:
 
     sentence: str
     advice: str
+
+
+# Of a plan without positions, which claims no motion.
+_NO_MOTION = Cause(
+    "The inputs do not bring the motion to the goal",
+    "Change the inputs; `replay --html` draws the motion that they give.",
+)
 
 
 def deciding(stage: StageRecord) -> MetricRecord | None:
@@ -276,22 +286,33 @@ def _share(metric: MetricRecord) -> float:
 def cause_of(run: RunRecord) -> Cause | None:
     """Why a run does not hold; None where it does, or where nothing was asked of it."""
     stage = run.last
-    if run.verdict in (*HOLD, "not applicable", "consistent"):
+    if run.verdict in _NO_CAUSE:
         return None
     if stage is None or run.verdict == "no plan":
         advice = stage.advice if stage is not None and stage.outcome == run.outcome else _AGAIN
         return Cause(f"No plan: {spaced(run.outcome)}", advice)
+    return cause_of_stage(stage)
+
+
+def cause_of_stage(stage: StageRecord) -> Cause | None:
+    """Why a judged plan does not hold; None where it does, or where nothing was asked of it."""
+    if stage.verdict in _NO_CAUSE:
+        return None
     cause = stage.cause
     if not cause:
         return Cause(
-            f"{capital(run.verdict)}: {stage.why.split('. ')[0].rstrip('.') or 'the record does not say why'}",
+            f"{capital(stage.verdict)}: {stage.why.split('. ')[0].rstrip('.') or 'the record does not say why'}",
             stage.advice,
         )
-    if run.verdict == "undecided":
+    if stage.verdict == "undecided":
         return Cause(
             f"Undecided: the replay's own error leaves {spaced(cause)} open",
             "Replay with tighter tolerances.",
         )
+    metric, moved = deciding(stage), stage.metric("replay_error")
+    misses = metric is not None and metric.name.startswith("replay_terminal")
+    if cause == "motion" and misses and (moved is None or moved.value is None):
+        return _NO_MOTION
     if cause == "replay_cost":
         sentence, advice = f"{_DEAR} ({spaced(stage.outcome)})", stage.advice
         advice = _ELSEWHERE if stage.outcome in ("solved", "stalled") else advice
@@ -301,7 +322,8 @@ def cause_of(run: RunRecord) -> Cause | None:
         sentence, advice = _CAUSES.get(
             cause, (f"A limit is exceeded: {spaced(cause)}", stage.advice)
         )
-    if stage.kind == "given":
+    is_best = stage.method == "best_exact" and advice in (_FINER, _ELSEWHERE)
+    if stage.kind == "given" or is_best:
         advice = _OF_OTHERS.get(advice, advice)
     elif (
         stage.kind == "direct" and advice is _EXACT

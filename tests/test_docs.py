@@ -1,4 +1,7 @@
-"""What the docs print runs as printed: files are written, commands run in order with the exit code that is promised, Python is executed."""
+"""What the docs print runs as printed: files are written, commands run in order with the exit code that is promised, Python is executed.
+
+A block marked `output` has lines of what was printed so far, with `..` for what differs between machines.
+"""
 
 import importlib
 import re
@@ -7,6 +10,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from wording import unsaid
 
 from formulations.ampl.command import main as solve_mpec_file
 from models.contact_law import worst_case_violation
@@ -17,13 +21,16 @@ TEXTS = {
     name: (DOCS / f"{name}.md").read_text(encoding="utf-8")
     for name in (
         "campaigns",
-        "tutorial",
+        "tutorial/scene",
+        "tutorial/plan",
+        "tutorial/fmu",
+        "tutorial/mpec",
+        "tutorial/robot",
         "extending",
         "equations",
         "verdict",
         "robustness",
         "mpec",
-        "mjcf",
     )
 }
 _BLOCK = re.compile(
@@ -57,7 +64,10 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=pytest.mark.whole) if name == "tutorial" else name for name in TEXTS],
+    [
+        pytest.param(name, marks=pytest.mark.whole) if name == "tutorial/plan" else name
+        for name in TEXTS
+    ],
 )
 def test_every_snippet_runs(
     name: str,
@@ -67,6 +77,7 @@ def test_every_snippet_runs(
 ):
     monkeypatch.setattr("validate.cli.trials.TRIALS", ())  # they have tests of their own
     space: dict = {}
+    printed = ""
     for block in _BLOCK.finditer(TEXTS[name]):
         mark, word, text = block["mark"], block["word"], block["text"]
         if mark == "file":
@@ -75,6 +86,10 @@ def test_every_snippet_runs(
             continue  # a change of our own files, which tests/test_recipes.py makes
         elif block["language"] == "python":
             exec(compile(text, f"docs/{name}.md", "exec"), space)
+            printed += capfd.readouterr().out
+        elif mark == "output":
+            for line in text.splitlines():
+                assert not unsaid(printed, line.replace("..", "…")), line
         elif mark == "mpec":
             for line in text.splitlines():
                 assert solve_mpec_file(shlex.split(line, comments=True)[1:]) == 0, line
@@ -86,6 +101,7 @@ def test_every_snippet_runs(
             for words in _words(text):
                 code = run(words)
                 told = capfd.readouterr()
+                printed += told.out + told.err
                 assert code == int(word), (words, told)
                 assert "Traceback" not in told.err
 
@@ -140,7 +156,9 @@ def test_the_errata_say_what_the_closed_form_says():
     ]
 
 
-@pytest.mark.parametrize("path", sorted(DOCS.glob("*.md")), ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "path", sorted([*DOCS.glob("*.md"), *DOCS.glob("tutorial/*.md")]), ids=lambda path: path.name
+)
 def test_links_of_the_docs_lead_somewhere(path: Path):
     for target in re.findall(r"\]\(([^)#]+)\)", path.read_text(encoding="utf-8")):
-        assert target.startswith("http") or (DOCS / target).exists(), target
+        assert target.startswith("http") or (path.parent / target).exists(), target

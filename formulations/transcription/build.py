@@ -67,12 +67,13 @@ from formulations.transcription.contact import (
 from models.catalog import as_scene
 from models.contact_law import sharpness
 from models.dynamics import derive
-from models.errors import TrajectoryError
+from models.errors import SceneError, TrajectoryError, named_arguments
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 
+@named_arguments(SceneError)
 def build_model(
     scene: Scene | str | Path,
     contact: ContactFormulation = ContactFormulation.COMPLEMENTARITY,

@@ -3,7 +3,7 @@
 What is checked of it, and where scenes are found.
 """
 
-from models.scene.contacts import Contact, Friction
+from models.scene.contacts import Contact, DampingLaw, Friction
 from models.scene.parts import Answer, Coordinate, Input, Limit, Parameter, Shape, Task, goal_limits
 from models.scene.scene import Scene
 
@@ -11,6 +11,7 @@ __all__ = [
     "Answer",
     "Contact",
     "Coordinate",
+    "DampingLaw",
     "Friction",
     "Input",
     "Limit",

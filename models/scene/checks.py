@@ -55,6 +55,10 @@ def _fail(scene: Scene, text: str) -> SceneError:
     return SceneError(f"scene {scene.name}: {text}")
 
 
+def _rounded(value: sp.Expr) -> str:
+    return f"{float(value):.4g}" if value.is_number and value.is_real else str(value)
+
+
 def _start(scene: Scene) -> dict[sp.Symbol, sp.Float]:
     values = dict(scene.parameter_values)
     for index, coordinate in enumerate(scene.coordinates):
@@ -108,7 +112,7 @@ def _check_mass(scene: Scene) -> None:
             culprit = scene.coordinates[size - 1].name
             raise _fail(
                 scene,
-                f"the mass matrix is not positive definite at the start (leading minor {size}, at {culprit}, is {minor}); check the masses.",
+                f"the mass matrix is not positive definite at the start (leading minor {size}, at {culprit}, is {_rounded(minor)}); check the masses.",
             )
 
 

@@ -42,9 +42,9 @@ from models.scene.values import (
 
 
 class DampingLaw(Enum):
-    """How a damped contact pushes; the value is the number of the law in the generated C.
+    """How a damped contact pushes; see the module docstring.
 
-    See the module docstring.
+    The value is the number of the law in the generated C.
     """
 
     KELVIN_VOIGT = 1
@@ -59,15 +59,32 @@ class DampingLaw(Enum):
 @named_fields
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """One unilateral contact: `penetration` phi(q) [m], positive in contact, and `stiffness` k [N/m], lam = k*max(phi, 0).
+    """One unilateral contact: lam = stiffness * max(penetration, 0), which pushes the bodies apart.
 
-    bodies: the two between which it acts, by the names of their shapes; "ground", "wall" or "joint"
-        may be one end. depth [m]: the penetration at
-    which the model ends - the force or its direction is no longer what it means - as a number or an
-        expression in parameters, with its reason: a plan
-    whose replay goes deeper does not hold. nominal [m]: a typical penetration. damping: an
-        expression in parameters, never negative, in the unit of `damping_law`; 0 is no damping, and
-        leaves nothing of it in any model.
+    Attributes
+    ----------
+    name
+        Of letters, digits and _; a plan's force is lam_NAME.
+    penetration
+        phi(q) [m], of positions and parameters; positive in contact, smooth.
+    stiffness
+        k [N/m], of parameters; positive.
+    damping
+        Of parameters, in the unit of `damping_law`, never negative; 0: no damping.
+    damping_law
+        KELVIN_VOIGT (damping in N s/m) or HUNT_CROSSLEY (damping in s/m).
+    bodies
+        The two bodies, by the names of their shapes; "ground", "wall" or "joint" may be one of
+        them; must be given.
+    depth
+        Penetration at which the model ends [m], of parameters; a plan that goes deeper does not hold;
+        must be given.
+    depth_reason
+        Why the model ends there; must be given.
+    nominal
+        Typical penetration [m], positive: where the stability of the step is looked at.
+    description
+        Shown in reports and in the FMU.
     """
 
     name: str
@@ -145,13 +162,24 @@ class Contact:
 @named_fields
 @dataclass(frozen=True, kw_only=True)
 class Friction:
-    """Coulomb friction along one tangential direction; see the module docstring.
+    """Coulomb friction along one tangential direction: |f| <= mu N, and f = -mu N sign(slip) if it slips.
 
-    slip: s(q, v) [m/s], linear in the velocities; coefficient: mu [-], of parameters. The pressing
-        force N [N] is either that of
-    `contact` (by name; the sum of several by a tuple of names) or `normal_force`, an expression in positions and parameters that is never
-        negative. nominal: a typical
-    slip speed [m/s], the unit in which regularised friction is smooth and slip is called zero.
+    Attributes
+    ----------
+    name
+        Of letters, digits and _; a plan's force is friction_NAME.
+    slip
+        Speed of the surfaces on each other [m/s], linear in the velocities.
+    coefficient
+        mu [-], of parameters; never negative.
+    contact
+        Name of the contact that presses the surfaces together; a tuple of names: their sum.
+    normal_force
+        The pressing force instead of a contact [N], of positions and parameters; never negative.
+    nominal
+        Typical slip speed [m/s], positive: slower slip counts as sticking in regularised friction.
+    description
+        Shown in reports and in the FMU.
     """
 
     name: str
@@ -172,6 +200,10 @@ class Friction:
                 f"{where}: what presses the surfaces together must be given once, as contact (the name of a contact) or as "
                 f"normal_force (an expression in N); there {'is neither' if self.contact is None else 'are both'}."
             )
+        for name in self.pressing:
+            check_name(f"{where}: contact (a name, or a tuple of names)", name)
+        if isinstance(self.contact, list):
+            settle(self, "contact", tuple(self.contact))
         if self.normal_force is not None:
             settle(self, "normal_force", as_expression(f"{where}: normal_force", self.normal_force))
         settle(self, "nominal", as_number(f"{where}: nominal", self.nominal))
@@ -185,7 +217,7 @@ class Friction:
         """Names of the contacts whose forces press the surfaces together; none with a normal force."""
         if self.contact is None:
             return ()
-        return (self.contact,) if isinstance(self.contact, str) else tuple(self.contact)
+        return tuple(self.contact) if isinstance(self.contact, (tuple, list)) else (self.contact,)
 
     @property
     def force_name(self) -> str:

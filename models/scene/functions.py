@@ -31,7 +31,7 @@ _OPERATIONS = (sp.Symbol, sp.Number, sp.NumberSymbol, sp.Add, sp.Mul, sp.Pow)
 
 # Functions with corners or jumps, and what to write instead; r is the radius of the rounding, a
 # parameter.
-_ROUNDED = {
+ROUNDED = {
     sp.Abs: "sqrt(x^2 + r^2) for Abs(x)",
     sp.Max: "(x + y + sqrt((x - y)^2 + r^2))/2 for Max(x, y)",
     sp.Min: "(x + y - sqrt((x - y)^2 + r^2))/2 for Min(x, y)",
@@ -42,7 +42,7 @@ _ROUNDED = {
     sp.ceiling: "x for ceiling(x)",
     sp.Mod: "a sine of the same period for Mod(x, y)",
 }
-_WITH_CORNERS = tuple(_ROUNDED)
+_WITH_CORNERS = tuple(ROUNDED)
 # Highest order of derivatives that enter a model: Ipopt's, of the forces of an energy.
 _DERIVATIVES = 3
 # Symbols, numbers and operations of an expression that is written out.
@@ -57,7 +57,7 @@ def function_problem(scene: Scene) -> str | None:
             key=lambda used: (type(used).__name__, shortened(used)),
         )
         if corners:
-            advice = next(words for kind, words in _ROUNDED.items() if isinstance(corners[0], kind))
+            advice = next(words for kind, words in ROUNDED.items() if isinstance(corners[0], kind))
             mend = f"round it off: {advice}"
             if field.endswith(": penetration"):
                 mend = f"give each side a contact of its own, or {mend}"

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import sympy as sp
 
-from models.errors import SceneError
+from models.errors import SceneError, named_arguments
 from models.scene.values import (
     as_expression,
     as_number,
@@ -37,10 +37,16 @@ _SHAPES = {"box": (2,), "disc": (1,), "line": (1,), "wall": (1, 2)}
 @named_fields
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """The largest value of a metric of the score with which a plan still holds, and the reason for that number.
+    """The largest value of a metric with which a plan still holds, and the reason for that number.
 
-    value: in the metric's unit; None waives the limit that the metric has by default
-        (validate.judge.score.table), which takes a reason too.
+    Attributes
+    ----------
+    metric
+        Name of a metric of the verdict (docs/verdict.md).
+    value
+        Largest value, in the metric's unit; None waives the metric's default limit.
+    reason
+        Why this number; may be empty unless the limit is waived.
     """
 
     metric: str
@@ -72,6 +78,7 @@ def limits(**stated: tuple[float | None, str]) -> tuple[Limit, ...]:
     )
 
 
+@named_arguments(SceneError)
 def goal_limits(
     *, position: float | None = None, velocity: float | None = None, reason: str
 ) -> tuple[Limit, ...]:
@@ -102,10 +109,20 @@ def known_motion_limits(energy: str) -> tuple[Limit, ...]:
 @named_fields
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """A known answer of the scene: what it is, its value, tolerance and source.
+    """A known answer of the scene, which the judge compares with the replay of the free motion.
 
-    measure: what to hold against it in the replay of the free motion, by a name that the score
-        knows (validate.judge.score.measures); empty: nothing.
+    Attributes
+    ----------
+    quantity
+        What is known, in words.
+    value
+        The known value, in the unit of the quantity.
+    tolerance
+        Largest difference from it, in the same unit; positive.
+    source
+        Where the value is from.
+    measure
+        Name of the measured quantity (validate.judge.score.measures); empty: nothing is compared.
     """
 
     quantity: str
@@ -128,9 +145,23 @@ class Answer:
 @named_fields
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """How a body is drawn: its centre and angle as expressions in q [m, rad].
+    """How a body is drawn. A scene without shapes is planned and judged all the same.
 
-    kind: "box", "disc", "line" or "wall"; size: (width, height), (radius,), or (length,) [m].
+    Attributes
+    ----------
+    name
+        Name of the body, which `bodies` of a contact uses.
+    kind
+        "box", "disc", "line" or "wall".
+    x
+        Horizontal place of the centre [m], of positions and parameters.
+    y
+        Vertical place of the centre [m], of positions and parameters.
+    size
+        (width, height) of a box, (radius,) of a disc, (length,) of a line, (length,) or
+        (length, thickness) of a wall [m].
+    angle
+        Turned counter-clockwise by it [rad].
     """
 
     name: str
@@ -182,10 +213,24 @@ class _Named:
 class Parameter(_Named):
     """A physical constant of the scene.
 
-    symbol: its SymPy symbol; value: default, in `unit`; lower, upper: the range in which the scene
-        makes sense.
-    uncertainty: how far from `value` the world may be [unit], with the reason for that; None: a
-        twentieth of the value (validate.judge.robustness).
+    Attributes
+    ----------
+    symbol
+        Its SymPy symbol; the name of the symbol is the name of the parameter.
+    value
+        Default value, in `unit`.
+    unit
+        Made of 1, kg, m, s, rad, N, J, W and Hz, such as "N s/m" or "rad/s^2"; "1" has no unit.
+    lower
+        Least value with which the scene makes sense, in `unit`.
+    upper
+        Largest value with which the scene makes sense, in `unit`.
+    description
+        Shown in reports and in the FMU.
+    uncertainty
+        How far the world may be from `value` in `robust`, in `unit`; None: a twentieth of `value`.
+    uncertainty_reason
+        Why this far; needed with an uncertainty.
     """
 
     symbol: sp.Symbol
@@ -229,10 +274,22 @@ class Parameter(_Named):
 class Coordinate(_Named):
     """A generalised position q and its velocity v = dq/dt.
 
-    `nominal`: a typical magnitude of q, in `unit`.
-
-    velocity_lower, velocity_upper: bounds of v at the start of every step, as the inputs have
-        theirs; the end belongs to the goal.
+    Attributes
+    ----------
+    symbol
+        SymPy symbol of q; declare it with real=True.
+    velocity
+        SymPy symbol of v; declare it with real=True.
+    unit
+        "m" or "rad".
+    nominal
+        Typical magnitude of q, in `unit`, positive; default limits and tolerances are shares of it.
+    velocity_lower
+        Least velocity at the start of a step, in `unit`/s. A position has no bounds: make a contact.
+    velocity_upper
+        Largest velocity at the start of a step, in `unit`/s; the end belongs to the goal.
+    description
+        Shown in reports and in the FMU.
     """
 
     symbol: sp.Symbol
@@ -271,7 +328,21 @@ class Coordinate(_Named):
 @named_fields
 @dataclass(frozen=True, kw_only=True)
 class Input(_Named):
-    """An actuator: a generalised force or torque u within [lower, upper], in `unit`."""
+    """An actuator: a generalised force or torque u, constant over a step.
+
+    Attributes
+    ----------
+    symbol
+        SymPy symbol of u; declare it with real=True.
+    unit
+        "N" or "N m", or the unit that the forces make of it.
+    lower
+        Least value, in `unit`; a plan that leaves the bounds does not hold.
+    upper
+        Largest value, in `unit`.
+    description
+        Shown in reports and in the FMU.
+    """
 
     symbol: sp.Symbol
     unit: str
@@ -288,13 +359,22 @@ class Input(_Named):
 @named_fields
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """What is to be done: from `start` to `goal` in `steps` steps of `step` seconds, at least cost.
+    """From `start` to `goal` in `steps` steps of `step` seconds, at least cost.
 
-    start, goal: (2*nq,) positions then velocities; a goal of None leaves its component free at the
-        end; goal=() leaves all of them free. running_cost: an expression in q, v, u and parameters, summed over the starts of the
-        steps (not integrated: as in the
-    paper, cost = sum_t u^2); final_cost: an expression in q, v and parameters, of the last state,
-        added to that sum.
+    Attributes
+    ----------
+    start
+        (2*nq,) all positions, then all velocities, in the order of the coordinates.
+    goal
+        (2*nq,) the same order; None leaves a component free at the end, goal=() all of them.
+    running_cost
+        Of q, v, u and parameters; summed over the starts of the steps, not integrated over time.
+    step
+        Length of a time step [s].
+    steps
+        Number of steps; the plan lasts steps * step.
+    final_cost
+        Of q, v and parameters at the end; added to the sum once.
     """
 
     start: tuple[float, ...]

@@ -3,7 +3,7 @@
     q, v = sp.Symbol("q"), sp.Symbol("v")
     Scene(
         name="bouncing_mass",
-        coordinates=(Coordinate(name="q", symbol=q, velocity=v, unit="m"),),
+        coordinates=(Coordinate(symbol=q, velocity=v, unit="m"),),
         kinetic_energy=m * v**2 / 2,
         potential_energy=m * g * q,
         contacts=(Contact(name="floor", bodies=("mass", "floor"), penetration=-q, stiffness=k, depth=0.5, depth_reason="the floor's springs are pressed flat"),),
@@ -52,7 +52,7 @@ _RESERVED = frozenset((*keyword.kwlist, *_WORDS_OF_C.split()))
 # Numbers in a plan: 8 GB.
 _MOST_NUMBERS = 10**9
 
-# A limit's metric that is this much like a missing one is the missing one misspelt.
+# A name that is this much like another one is the other one misspelt.
 _ALIKE = 0.8
 
 # What the parts of a scene are made of.
@@ -115,20 +115,52 @@ class Counted:
 @named_fields
 @dataclass(frozen=True, kw_only=True)
 class Scene(Counted):
-    """The single source of one scene; see the module docstring.
+    """The physics of a few bodies in contact, and the task to plan; nq is the number of coordinates.
 
-    kinetic_energy T(q, v) [J], potential_energy V(q) [J] (without contacts), forces Q(q, v, u):
-        (nq,) non-conservative
-    generalised forces (inputs, damping) [N, N m]; the equations of motion follow by Lagrange
-        (models.dynamics). quick: whether a quick campaign
-    runs it; False where its first plan that holds takes about a minute, or another pipeline. length
-        [m]: what counts as far here, which relaxed contact is measured in
-    (models.contact_law); without it the smallest depth of the contacts. unstable: why a robot
-        needs feedback here whatever its plan, as a sentence;
-    empty: a plan is expected to hold by its inputs alone. relaxation_time: of a scene without
-        inertia, the symbol by which its drag
-    becomes mass; lag [s]: its value where the scene is judged, None on a grid, whose step it is
-        then (models.scene.quasi_static).
+    Attributes
+    ----------
+    name
+        Name of the scene file without .py.
+    title
+        One line, shown in lists and reports.
+    source
+        Where the equations are from.
+    coordinates
+        Positions and velocities, in the order of `start`, `goal` and `forces`.
+    inputs
+        Actuators; () if there are none.
+    parameters
+        Constants; () if there are none.
+    kinetic_energy
+        T(q, v) [J], quadratic in the velocities.
+    potential_energy
+        V(q) [J], without the contacts.
+    forces
+        (nq,) generalised forces without those of contact and friction, one a coordinate: N for m,
+        N m for rad.
+    contacts
+        Unilateral contacts; () if there are none.
+    task
+        Start, goal, cost and time steps.
+    frictions
+        Dry friction.
+    limits
+        Limits of this scene; other metrics have a default limit. A goal needs some (`goal_limits`).
+    answers
+        Known answers.
+    shapes
+        How the bodies are drawn.
+    quick
+        Whether `all --quick` runs the scene.
+    length
+        What counts as far [m]: the range of relaxed contact at gap zero, b = |ln eps| / length.
+        Without it the smallest depth of the contacts.
+    unstable
+        Why a robot needs feedback here whatever its plan; empty: a plan must hold by its inputs alone.
+    relaxation_time
+        Of a scene without inertia, the symbol by which its drag becomes mass (models.scene.quasi_static).
+    lag
+        Leave it out: the judge sets it [s].
     """
 
     name: str
@@ -157,7 +189,8 @@ class Scene(Counted):
             value = getattr(self, field)
             if not isinstance(value, (tuple, list)):
                 raise SceneError(
-                    f"scene {self.name}: {field} must be a tuple, not {type(value).__name__}."
+                    f"scene {self.name}: {field} must be a tuple, not {type(value).__name__}; "
+                    f"write {field}=({kind.__name__}(..),), with a comma behind each, or {field}=() for none."
                 )
             for index, item in enumerate(value):
                 if not isinstance(item, kind):
@@ -171,7 +204,8 @@ class Scene(Counted):
             )
         if not isinstance(self.forces, (tuple, list)):
             raise SceneError(
-                f"scene {self.name}: forces must be a tuple, not {type(self.forces).__name__}."
+                f"scene {self.name}: forces must be a tuple, not {type(self.forces).__name__}; "
+                "write forces=(u,), one for each coordinate, with a comma behind each."
             )
         settle(
             self,
@@ -474,8 +508,21 @@ def _check_symbols(scene: Scene) -> None:
         if unknown:
             raise _fail(
                 scene,
-                f"{field} uses {', '.join(unknown)}, which is neither a parameter nor a variable allowed there ({', '.join(known)}).",
+                f"{field} uses {', '.join(unknown)}, which is neither a parameter nor a variable allowed there ({', '.join(known)}){_declared(symbols, unknown[0])}",
             )
+
+
+def _declared(symbols: dict[str, set[sp.Symbol]], name: str) -> str:
+    """Advise a declaration of a symbol that no part of the scene has."""
+    everywhere = {symbol.name for group in symbols.values() for symbol in group}
+    if name in everywhere:
+        return "."
+    near = nearest(name, everywhere, _ALIKE)
+    return (
+        f"; did you mean {near}, or is a Parameter missing?"
+        if near
+        else "; declare it as a Parameter."
+    )
 
 
 # What may stand for one end of a contact that is no drawn body.

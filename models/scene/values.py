@@ -62,12 +62,45 @@ def base_exponents(unit: str) -> dict[str, int]:
             match = _FACTOR.match(factor)
             if match is None or match.group(1) not in _UNITS:
                 raise ValueError(
-                    f"the unit {unit!r} contains {factor!r}, which is not one of {', '.join(_UNITS)} (with ^n, spaces and /)."
+                    f"the unit {unit!r} contains {factor!r}, which is not one of {', '.join(_UNITS)} (with ^n, spaces and /){_other_spelling(unit)}"
                 )
             power = sign * int(match.group(2) or 1)
             for base, exponent in _UNITS[match.group(1)].items():
                 total[base] = total.get(base, 0) + power * exponent
     return {base: exponent for base, exponent in total.items() if exponent}
+
+
+# Powers as they are written elsewhere, and how they are written here.
+_POWERS = (("**", "^"), ("\u00b2", "^2"), ("\u00b3", "^3"))
+# Units that are multiples of ours.
+_MULTIPLES = {"deg": "rad", "degree": "rad", "mm": "m", "cm": "m", "km": "m", "g": "kg", "kN": "N"}
+_MULTIPLES |= {"mN": "N", "ms": "s", "min": "s"}
+
+
+def _other_spelling(unit: str) -> str:
+    """Return the unit as it is written here, or the unit to convert to, for the end of a sentence."""
+    found = next((part for part in re.split(r"[ /*^]", unit) if part in _MULTIPLES), None)
+    if found is not None:
+        return f"; convert the numbers from {found} to {_MULTIPLES[found]}."
+    text = unit
+    for other, ours in _POWERS:
+        text = text.replace(other, ours)
+    text = re.sub(r"[*\u00b7.]", " ", text)
+    text = re.sub(r"([A-Za-z])(-?\d)", r"\1^\2", text)
+    # Nm is two units without a space.
+    parts = [
+        f"{part[0]} {part[1:]}"
+        if part not in _UNITS and part[:1] in _UNITS and part[1:] in _UNITS
+        else part
+        for part in re.split(r"([ /])", text)
+    ]
+    text = "".join(parts)
+    if text != unit and all(
+        (match := _FACTOR.match(part)) and match.group(1) in _UNITS
+        for part in re.split(r"[ /]", text)
+    ):
+        return f"; did you mean {text!r}?"
+    return "."
 
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
@@ -96,6 +129,25 @@ _NONE = {
 }
 
 
+_BOUND = "a position has no bounds: write a Contact; velocity_lower and velocity_upper bound v."
+_BY_SYMBOL = "its name is that of its symbol."
+# Fields that do not exist, and where their meaning is written.
+_ELSEWHERE = {
+    ("Coordinate", "lower"): _BOUND,
+    ("Coordinate", "upper"): _BOUND,
+    **{(kind, "name"): _BY_SYMBOL for kind in ("Coordinate", "Input", "Parameter")},
+    ("Contact", "gap"): "penetration is the gap with the other sign: penetration=-gap.",
+    **{
+        ("Contact", name): "friction is written in Scene(frictions=(Friction(..),))."
+        for name in ("friction", "mu", "coefficient")
+    },
+    **{
+        ("Task", name): "a plan lasts steps * step seconds: give steps and step."
+        for name in ("horizon", "duration", "time", "dt", "N")
+    },
+}
+
+
 def named_fields(kind: type[_Part]) -> type[_Part]:
     """Make a dataclass answer missing and unknown fields in a sentence."""
     as_dataclass: Any = kind
@@ -113,7 +165,10 @@ def named_fields(kind: type[_Part]) -> type[_Part]:
             )
         unknown = next((name for name in given if name not in names), None)
         if unknown is not None:
-            advice = did_you_mean(unknown, names, f"its fields are {', '.join(names)}.")
+            otherwise = f"its fields are {', '.join(names)}."
+            advice = _ELSEWHERE.get((kind.__name__, unknown)) or did_you_mean(
+                unknown, names, otherwise
+            )
             raise SceneError(f"{_called(kind, given)}: there is no field {unknown!r}; {advice}")
         missing = [name for name in needed if name not in given]
         if missing:
@@ -197,6 +252,8 @@ def as_number(what: str, value: Any, *, finite: bool = True) -> float:
     """
     if isinstance(value, sp.Expr) and value.is_comparable:
         value = float(value)
+    if isinstance(value, str):
+        raise SceneError(f"{what}: {value!r} is text; write a number, without quotes.")
     if (
         isinstance(value, bool)
         or not isinstance(value, Real)

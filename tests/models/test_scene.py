@@ -1,5 +1,6 @@
 """A scene checks itself when it is created: each mistake is one sentence that names the scene and the field; parameters that are made of the step."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from time import process_time
@@ -50,6 +51,30 @@ def small_scene(**changes: object) -> Scene:
     return Scene(**(fields | changes))
 
 
+@pytest.mark.parametrize(
+    ("unit", "advice"),
+    [
+        ("Nm", "did you mean 'N m'?"),
+        ("kg*m/s**2", "did you mean 'kg m/s^2'?"),
+        ("rad/s2", "did you mean 'rad/s^2'?"),
+        ("m\u00b2", "did you mean 'm^2'?"),
+        ("N\u00b7s/m", "did you mean 'N s/m'?"),
+        ("deg", "convert the numbers from deg to rad."),
+        ("kN/mm", "convert the numbers from kN to N."),
+        ("furlong", "(with ^n, spaces and /)."),
+    ],
+)
+def test_unit_in_another_spelling_is_answered_with_ours(unit: str, advice: str):
+    with pytest.raises(ValueError, match=rf"{re.escape(advice)}\Z"):
+        base_exponents(unit)
+
+
+def test_friction_takes_a_list_of_contacts_as_a_tuple():
+    found = Friction(name="f", slip=sp.Symbol("v"), coefficient=0.3, contact=["a", "b"])  # type: ignore[arg-type]
+    assert found.pressing == ("a", "b")
+    assert found.contact == ("a", "b")
+
+
 def test_contact_bodies_are_shapes_or_fixed():
     """A scene that draws nothing may name its bodies as it likes."""
     box = Shape(name="mass", kind="disc", x=x, y=sp.Integer(0), size=(1,))
@@ -65,7 +90,12 @@ def test_a_number_may_be_one_of_sympy_or_numpy(given: Any):
     assert as_number("goal", given) == float(given)
 
 
-@pytest.mark.parametrize("given", [sp.oo, sp.nan, sp.zoo, sp.I, x, sp.pi * x, True, "1"])
+def test_text_for_a_number_is_answered_with_quotes():
+    with pytest.raises(SceneError, match="goal: '1' is text; write a number, without quotes"):
+        as_number("goal", "1")
+
+
+@pytest.mark.parametrize("given", [sp.oo, sp.nan, sp.zoo, sp.I, x, sp.pi * x, True, None])
 def test_what_is_no_number_is_refused(given: Any):
     with pytest.raises(SceneError, match=r"goal: .* is not a finite number"):
         as_number("goal", given)
@@ -360,3 +390,22 @@ def test_a_long_file_is_read_at_once():
     assert step_problem(f"{text}\nParameter(symbol=m, value=A1999)") is not None
     assert step_problem(f"{text}\nParameter(symbol=m, value=A1998)") is None
     assert process_time() - began < 5.0
+
+
+@pytest.mark.parametrize(
+    ("given", "advice"),
+    [
+        ("own", "did you mean own.py?"),
+        ("plan.csv", "this is a plan, which stands before --scene"),
+        ("robot.fmu", "this is an FMU, which --fmu takes"),
+        ("robot.xml", "`fmu --mjcf` takes"),
+    ],
+)
+def test_what_is_no_scene_file_is_answered_with_its_place(
+    given: str, advice: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").touch()
+    with pytest.raises(UnknownNameError) as caught:
+        load_scene(given)
+    assert not unsaid(caught.value, f"there is no scene {given!r}", advice)

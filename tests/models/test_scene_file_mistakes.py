@@ -50,6 +50,103 @@ MISTAKES = {
         "potential_energy=SCENE.kinetic_energy",
         ["SCENE", "not defined"],
     ),
+    "a word that nobody defined": (
+        "forces=(u,",
+        "forces=(u - drag * vx,",
+        ["NameError", "'drag' is not defined", "drag = sp.Symbol('drag', real=True)"],
+    ),
+    "a name that models.scene does not have": (
+        "import Contact, Coord",
+        "import Contacts, Coord",
+        ["models.scene has no Contacts; did you mean Contact?"],
+    ),
+    "parts from a module that is not there": (
+        "from models.scene import Contact",
+        "from models.scenery import Contact",
+        ["No module named", "imported from models.scene"],
+    ),
+    "a function of NumPy": (
+        "potential_energy=sp.Integer(0)",
+        "potential_energy=__import__('numpy').cos(x)",
+        ["use SymPy's function", "not NumPy's"],
+    ),
+    "a function of math": (
+        "potential_energy=sp.Integer(0)",
+        "potential_energy=__import__('math').exp(x)",
+        ["use SymPy's function", "not that of math"],
+    ),
+    "an if on a symbol": (
+        "potential_energy=sp.Integer(0)",
+        "potential_energy=0 if x > 1 else m",
+        ["cannot ask for a symbol's value"],
+    ),
+    "an argument that goal_limits does not have": (
+        "goal_limits(position=0.01",
+        "goal_limits(positions=0.01",
+        ["goal_limits: there is no argument 'positions'; did you mean position?"],
+    ),
+    "goal limits without a reason": (
+        ', reason="near")',
+        ")",
+        ["goal_limits: missing", "'reason'", "it takes position, velocity, reason"],
+    ),
+    "a number in quotes": ("value=10.0", 'value="10.0"', ["'10.0' is text; write a number"]),
+    "bounds of a position": (
+        'Coordinate(symbol=y, velocity=vy, unit="m")',
+        'Coordinate(symbol=y, velocity=vy, unit="m", upper=2.0)',
+        ["coordinate y", "no field 'upper'; a position has no bounds: write a Contact"],
+    ),
+    "a gap for a penetration": (
+        "penetration=x - 1, stiffness",
+        "gap=1 - x, stiffness",
+        ["contact wall", "penetration=-gap"],
+    ),
+    "a horizon for steps": ("steps=10", "horizon=0.1", ["steps * step seconds"]),
+    "a name for a parameter": (
+        "Parameter(symbol=k, ",
+        'Parameter(name="k", symbol=k, ',
+        ["parameter k", "its name is that of its symbol"],
+    ),
+    "one part without its comma": (
+        'inputs=(Input(symbol=u, unit="N", lower=-1.0, upper=1.0),)',
+        'inputs=(Input(symbol=u, unit="N", lower=-1.0, upper=1.0))',
+        ["inputs must be a tuple, not Input; write inputs=(Input(..),), with a comma"],
+    ),
+    "one force without its comma": (
+        "forces=(u, sp.Integer(0))",
+        "forces=(u)",
+        ["forces must be a tuple, not Symbol; write forces=(u,)"],
+    ),
+    "none for no shapes": (
+        'shapes=(Shape(name="mass", kind="disc", x=x, y=y, size=(0.1,)),)',
+        "shapes=None",
+        ["shapes=() for none"],
+    ),
+    "a symbol that is like a declared one": (
+        "forces=(u, sp.Integer(0))",
+        'forces=(u, sp.Symbol("muu", positive=True) * 1)',
+        ["uses muu", "did you mean mu, or is a Parameter missing?"],
+    ),
+    "a symbol that nobody declared": (
+        "forces=(u, sp.Integer(0))",
+        'forces=(u, sp.Symbol("wind", real=True))',
+        ["uses wind", "declare it as a Parameter."],
+    ),
+    "a friction pressed by a number": (
+        'coefficient=mu, contact="wall"',
+        "coefficient=mu, contact=2",
+        ["friction wall", "a name, or a tuple of names", "2 is not an identifier"],
+    ),
+    "a friction pressed by a list that holds no name": (
+        'coefficient=mu, contact="wall"',
+        'coefficient=mu, contact=["wall", None]',
+        ["friction wall", "None is not an identifier"],
+    ),
+    "a mass of another sign": (
+        'symbol=m, value=1.0, unit="kg"',
+        'symbol=m, value=-0.25, unit="kg"',
+        ["at x, is -0.25", "check the masses"],
+    ),
     "two contacts of one name": (
         "contacts=(",
         'contacts=(Contact(name="wall", bodies=("mass", "wall"), penetration=-x - 1, stiffness=k, depth=0.2, depth_reason="a spring"), ',

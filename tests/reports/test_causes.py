@@ -4,6 +4,7 @@ import pytest
 from wording import unsaid
 
 from reports.judged import by_cause, cause_of
+from reports.records.record import MetricRecord
 
 
 def ended(factory, verdict: str, *, name: str = "strict", outcome: str = "solved", **changes):
@@ -39,8 +40,8 @@ def test_causes_that_are_metrics_have_a_sentence_and_an_advice(factory, cause, b
     ("cause", "ours", "others"),
     [
         ("contact_law_error", "eps", "lam_"), ("ghost_impulse", "eps", "lam_"),
-        ("motion", "page of the run", "scheme"),
-        ("unstable", "multiple_shooting", "feedback"), ("replay_cost", "mpcc", "another guess"),
+        ("motion", "page of the run", "replay --html"),
+        ("unstable", "best_exact", "feedback"), ("replay_cost", "best_exact", "another guess"),
     ],
 )  # fmt: skip
 def test_what_to_do_about_a_plan_of_somebody_elses_names_nothing_of_ours(
@@ -95,3 +96,23 @@ def test_each_cause_stands_once_the_most_frequent_first(factory):
         factory, "violates", cause="terminal_position_error", name="stalled", outcome="stalled"
     )
     assert len(by_cause([*far, stalled])) == 2, "what to do differs by how the method ended"
+
+
+@pytest.mark.parametrize("cause", ["unstable", "replay_cost"])
+def test_advice_for_best_exact_does_not_name_it(factory, cause):
+    run = ended(factory, "violates", cause=cause, kind="direct", method="best_exact")
+    assert "best_exact" not in cause_of(run).advice
+
+
+def test_cause_of_inputs_that_claim_no_motion_is_the_goal(factory):
+    beyond = MetricRecord(
+        name="replay_terminal_velocity_error",
+        value=0.3,
+        unit="m/s",
+        meaning="m",
+        question=4,
+        limit=0.1,
+        ok=False,
+    )
+    run = ended(factory, "violates", cause="motion", kind="given", metrics=(beyond,))
+    assert cause_of(run).sentence == "The inputs do not bring the motion to the goal"

@@ -1,25 +1,33 @@
-"""Plausibility warnings: what is possible in a scene, but probably a mistake; they stop nothing.
+"""Plausibility warnings, which stop nothing, and figures of a scene that is not in the bank.
 
 # ("scene own: contact wall is 0.4 deep at the start, 8 times its nominal 0.05; ...",)
 scene_doubts(scene)
+# ("a contact lasts 0.02 s, 4 steps of 0.005 s (omega h = 0.77); ...", ..)
+scene_figures(scene)
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterable, Iterator
 
 import sympy as sp
 
+from formulations.pipelines import SOFTPLUS_EPS
 from models.catalog import load_scene, scene_names
+from models.contact_law import ContactLaw, contact_force, sharpness
 from models.errors import MachineError
 from models.scene import Scene
 from models.scene.text import scene_text
-from models.stability import step_stability
+from models.stability import contact_frequency, step_stability
 from validate.judge.score.table import TABLE
 
 # Scenes of the bank start at most one nominal penetration deep.
 DEEP = 3.0
+# omega h from which a contact is coarse: semi-implicit Euler changes its period by (omega h)^2/24,
+# which is 1 % here.
+_COARSE = 0.5
 
 
 def scene_doubts(scene: Scene) -> tuple[str, ...]:
@@ -36,10 +44,66 @@ def warnings_of(scenes: Iterable[Scene], *, steps: bool = False) -> list[str]:
     ]
 
 
+def is_of_bank(scene: Scene) -> bool:
+    """Return whether this package has the scene, unchanged."""
+    return scene.name in scene_names() and scene_text(load_scene(scene.name)) == scene_text(scene)
+
+
+def scene_figures(scene: Scene) -> tuple[str, ...]:
+    """Return sentences on contact time, stability of the step, relaxed contact and units.
+
+    Raise MachineError without a compiler.
+    """
+    found = step_stability(scene)
+    limit = "no limit" if math.isinf(found.largest_step) else f"limit {found.largest_step:.3g} s"
+    word = "stable" if found.is_stable else "unstable"
+    stable = f"the step of {scene.task.step:g} s is {word} in contact ({limit})"
+    units = "units agree: energies in J, forces in N or N m, penetrations in m"
+    return (*_contact_time(scene), stable, *_force_at_gap_zero(scene), units)
+
+
+def _contact_time(scene: Scene) -> Iterator[str]:
+    omega, h = contact_frequency(scene), scene.task.step
+    if omega > 0.0:
+        coarse = f"; this is coarse: a step below {_COARSE / omega:.2g} s resolves it"
+        yield (
+            f"a contact lasts {math.pi / omega:.3g} s, {math.pi / (omega * h):.1f} steps of {h:g} s "
+            f"(omega h = {omega * h:.2g}){coarse if omega * h > _COARSE else ''}"
+        )
+
+
+def _force_at_gap_zero(scene: Scene) -> Iterator[str]:
+    """Compare the force of softplus contact at gap zero with the inputs, if these are forces."""
+    if not scene.contacts:
+        return
+    stiffness = {
+        item.name: float(item.stiffness.subs(scene.parameter_values)) for item in scene.contacts
+    }
+    name = max(stiffness, key=lambda name: stiffness[name])
+    forces = [
+        float(contact_force(0.0, stiffness[name], ContactLaw.SOFTPLUS, eps, scene.length))  # type: ignore[arg-type]
+        for eps in SOFTPLUS_EPS
+    ]
+    said = ", ".join(
+        f"{force:.3g} N at eps {eps:g}" for force, eps in zip(forces, SOFTPLUS_EPS, strict=True)
+    )
+    bounds = [
+        max(abs(item.lower), abs(item.upper))
+        for item in scene.inputs
+        if item.unit == "N" and math.isfinite(item.lower) and math.isfinite(item.upper)
+    ]
+    beside = f"; the largest input is {max(bounds):g} N" if bounds else ""
+    advice = ""
+    if bounds and forces[0] > max(bounds):
+        # k L ln 2 / |ln eps| = largest input, solved for L.
+        length = max(bounds) / (stiffness[name] * math.log(2.0) / sharpness(SOFTPLUS_EPS[0]))
+        advice = f", so relaxed contact outweighs it: Scene(length=..) below {length:.2g} m (now {scene.length:g} m) mends that"
+    yield f"softplus contact {name} pushes at gap zero with {said}{beside}{advice}"
+
+
 def _unstable(scenes: Iterable[Scene]) -> Iterator[str]:
-    bank = set(scene_names())
     for scene in scenes:
-        if scene.name in bank and scene_text(load_scene(scene.name)) == scene_text(scene):
+        if is_of_bank(scene):
             continue
         with contextlib.suppress(MachineError):  # without a compiler: whoever runs it is told
             if sentence := step_stability(scene).sentence:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import click
@@ -19,7 +20,7 @@ from validate.campaign.runs import (
     scenes_of,
     with_stored,
 )
-from validate.campaign.warnings import warnings_of
+from validate.campaign.warnings import is_of_bank, scene_figures, warnings_of
 from validate.cli.table import in_words, print_table, say, short, warn
 from validate.cli.trials import try_machine
 from validate.processes.process import usable_cores
@@ -31,6 +32,8 @@ from validate.tasks.task import RunTask
 _STORED = "stored"
 _REFUSED = "not applicable"
 _DUE = "to run"
+# Names of runs of several scenes listed before "and N more".
+_NAMED = 3
 
 
 def print_dry_run(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> int:
@@ -49,12 +52,19 @@ def print_dry_run(settings: CampaignSettings, *, as_json: bool, as_table: bool) 
             say(f"{finding.name}: {finding.sentence}", begin=begin, indent="  ", colour=colour)
     failing = [finding.name for finding in findings if not finding.works]
     code = MachineError.exit_code if failing else 0
-    warn(warnings_of(scenes_of(entries).values(), steps=True))
+    scenes = scenes_of(entries)
+    warn(warnings_of(scenes.values(), steps=True))
+    own: dict[str, tuple[str, ...]] = {}
+    with suppress(MachineError):  # no compiler: a trial above fails
+        own = {
+            name: scene_figures(scene) for name, scene in scenes.items() if not is_of_bank(scene)
+        }
     lines = _lines(entries, store)
     count = Counter(line.state for line in lines)
     if as_json:
         data = {
             "machine": [finding._asdict() for finding in findings],
+            "scenes": own,
             "runs": [line._asdict() for line in lines],
             "stored": count[_STORED],
             "not_applicable": count[_REFUSED],
@@ -64,16 +74,22 @@ def print_dry_run(settings: CampaignSettings, *, as_json: bool, as_table: bool) 
         }
         click.echo(json.dumps(data, indent=1))
         return code
+    for name, sentences in own.items():
+        for sentence in sentences:
+            say(sentence, begin=f"{name}: ", indent="  ")
     click.echo()
     (_print_runs if as_table else _print_scenes)(lines)
     click.echo()
     if left_out:
         say(f"left out by --quick: {', '.join(left_out)}")
-    for (state, why), number in Counter((line.state, line.why) for line in lines).items():
-        if why:
-            say(f"{number} {state}: {why}", indent="  ")
+    groups: dict[tuple[str, str], list[_Line]] = {}
+    for line in lines:
+        if line.why:
+            groups.setdefault((line.state, line.why), []).append(line)
+    for (state, why), alike in groups.items():
+        say(f"{len(alike)} {state}: {_listed(alike)}: {why}", indent="  ")
     refusals = f", {count[_REFUSED]} {_REFUSED}" if count[_REFUSED] else ""
-    takes = _duration(lines, settings.jobs or usable_cores())
+    takes = _duration(lines, settings.jobs or usable_cores(), settings.time_limit)
     say(f"{count[_STORED]} {_STORED}, {count[_DUE]} {_DUE}{refusals}{takes}")
     if failing:
         say(f"the campaign needs what fails here: {', '.join(failing)}")
@@ -143,14 +159,29 @@ def _print_scenes(lines: Sequence[_Line]) -> None:
     print_table(["scene or check", *numbers], rows, numbers, drop=("CPU s before",))
 
 
-def _duration(lines: Sequence[_Line], jobs: int) -> str:
-    """Return the expected time, from earlier runs into the same folder."""
+def _listed(lines: Sequence[_Line]) -> str:
+    """Return the names of runs: pipelines alone if all are of one scene."""
+    scenes = {line.scene for line in lines if " x " in line.name}
+    names = [
+        line.name.removeprefix(f"{line.scene} x ") if len(scenes) == 1 else line.name
+        for line in lines
+    ]
+    shown = names if len(scenes) == 1 else names[:_NAMED]
+    more = f" and {len(names) - len(shown)} more" if len(shown) < len(names) else ""
+    return f"{', '.join(shown)}{more}"
+
+
+def _duration(lines: Sequence[_Line], jobs: int, time_limit: float) -> str:
+    """Return the expected time, from earlier runs into the same folder and the time limit [s]."""
     due = [line for line in lines if line.state == _DUE]
     known = [line.past_cpu_seconds for line in due if line.past_cpu_seconds is not None]
     if not due:
         return ""
+    new, cores = len(due) - len(known), f"on {jobs} core{'s' if jobs > 1 else ''}"
+    most = f"{in_words(new * time_limit / min(jobs, new))} {cores}" if new else ""
+    bound = f"at most {most}, as each is ended after {time_limit:g} s"
     if not known:
-        return "; the time is unknown: none of these ran into this folder before"
-    cores = f", about {in_words(sum(known) / jobs)} on {jobs} cores" if jobs > 1 else ""
-    rest = f"; {len(due) - len(known)} never ran here" if len(known) < len(due) else ""
-    return f"; {len(known)} of them took {in_words(sum(known))} of CPU time when they ran last{cores}{rest}"
+        return f"; none of these ran into this folder before: {bound}"
+    before = f", about {in_words(sum(known) / jobs)} {cores}" if jobs > 1 else ""
+    rest = f"; {new} never ran here: {bound}" if new else ""
+    return f"; {len(known)} of them took {in_words(sum(known))} of CPU time when they ran last{before}{rest}"

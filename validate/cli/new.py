@@ -1,4 +1,4 @@
-"""`new`: write a scene file that runs, or a plan that fits a scene."""
+"""`new`: write a scene file that runs, a plan that fits a scene, or the map of an FMU."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from models.catalog import load_scene
 from models.errors import TouchstoneError
 from models.scene import Scene
 from models.trajectory import column_names
+from validate.cli.options import A_FILE
 from validate.cli.table import say
 from validate.processes.disk import write_durably
 
@@ -27,6 +28,7 @@ class NewFileError(TouchstoneError):
 Examples:
   python -m validate new block            (block.py and block_plan.csv)
   python -m validate new --plan three_cart
+  python -m validate new --map robot.fmu  (robot.toml and robot_plan.csv)
 
 Exit codes: 0 written; 2 usage, or the file exists.
 """
@@ -38,14 +40,25 @@ Exit codes: 0 written; 2 usage, or the file exists.
     metavar="SCENE",
     help="Write only a plan of this scene (a name, or a scene file).",
 )
-def command(name: str | None, scene_name: str | None) -> int:
+@click.option(
+    "--map",
+    "fmu",
+    type=A_FILE,
+    metavar="FILE.fmu",
+    help="Write a map of this FMU, filled with what the FMU declares, and a plan that fits.",
+)
+def command(name: str | None, scene_name: str | None, fmu: Path | None) -> int:
     """Write a scene file that runs, with a plan, and print the next commands.
 
     The scene is a block that is pushed to a mark; a comment explains each field. The plan has the
-    times of the scene and inputs of zero.
+    times of the scene and inputs of zero. With --map: the map and a plan of an external FMU.
     """
-    if (name is None) == (scene_name is None):
-        raise click.UsageError("expected NAME or --plan SCENE; for example: new block")
+    if sum(given is not None for given in (name, scene_name, fmu)) != 1:
+        raise click.UsageError(
+            "expected NAME, --plan SCENE or --map FILE.fmu; for example: new block"
+        )
+    if fmu is not None:
+        return _new_map(fmu)
     if name is None:
         scene = load_scene(str(scene_name))
         plan = _new_path(f"{scene.name}_plan.csv")
@@ -61,6 +74,25 @@ def command(name: str | None, scene_name: str | None) -> int:
         ("replay", str(plan), "--scene", str(file)),
         ("all", "--scene", str(file), "--dry-run"),
         ("all", "--scene", str(file), "-k", "=strict", "--out", f"runs/{name}"),
+    )
+    return 0
+
+
+def _new_map(fmu: Path) -> int:
+    """Write the map of an FMU and a plan. Raises FmuError, MachineError, NewFileError."""
+    from validate.fmi.description import read_package
+    from validate.judge.replay.map_draft import draft_map
+
+    draft = draft_map(read_package(fmu))
+    file, plan = _new_path(f"{fmu.stem}.toml"), _new_path(f"{fmu.stem}_plan.csv")
+    write_durably(file, draft.text)
+    say(f"wrote {file}: what {fmu.name} declares; lines with # are your choices")
+    write_durably(plan, draft.plan)
+    inputs = f"its inputs {', '.join(draft.inputs)} have their start values, fill in yours"
+    say(f"wrote {plan}: a plan; {inputs if draft.inputs else 'this FMU has no inputs'}")
+    _print_next(
+        ("replay", str(plan), "--fmu", str(fmu), "--map", str(file)),
+        ("check", str(fmu)),
     )
     return 0
 

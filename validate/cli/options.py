@@ -35,6 +35,8 @@ def scenes(context: click.Context, parameter: click.Parameter, begun: str) -> li
 class FiniteRange(click.FloatRange):
     """A finite number within a range."""
 
+    name = "number"
+
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> float:

@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from models.catalog import load_scene
+from reports.judged import cause_of_stage
 from validate.cli.options import A_FILE, FiniteRange, options, scenes, write, written_to
-from validate.cli.table import Row, print_metrics, print_table, say, short, warn, wide_option
+from validate.cli.show import print_score, print_verdict
+from validate.cli.table import print_table, say, short, warn, wide_option
 from validate.judge.simulator import named_engines
 from validate.processes.disk import make_folder, write_durably
 from validate.processes.isolated import Limits
@@ -216,7 +218,7 @@ def command(
         click.echo(json.dumps(told, indent=1))
     else:
         warn(told["warnings"])
-        _print(judgement)
+        _print(judgement, plan)
         _print_engines(rows)
     return exit_code(judgement.verdict, require)
 
@@ -329,32 +331,19 @@ def _page(
     )
 
 
-def _print(judgement: Judgement) -> None:
-    from validate.judge.score.verdict import TRACKED
+def _print(judgement: Judgement, plan: Path) -> None:
+    from validate.tasks.records import given_stage
 
     result, replay = judgement.score, judgement.replay
-    rows: list[Row] = []
-    for metric in result.metrics:
-        if metric.name.startswith(TRACKED):
-            continue  # beside its twin
-        alone, tracked = (
-            (None, metric)
-            if metric.name.startswith("feedback")
-            else (metric, result.metric(f"{TRACKED}{metric.name}"))
-        )
-        rows.append((metric.question.number, metric.name, alone, tracked))
-    followed = replay is not None and replay.tracked is not None
-    print_metrics(rows, followed=followed, tracked=result.judged == "feedback")
-    click.echo()
-    if replay is not None:
-        say(_own_error("The replay", replay))
-        if replay.tracked is not None:
-            say(_own_error("The replay with feedback", replay.tracked))
-    for text in result.not_asked:
-        say(f"Not asked: {text.rstrip('.')}.")
+    stage = given_stage(plan.name, replay, result, 0.0)
+    print_verdict(stage.verdict, result.why, stage, cause_of_stage(stage))
+    print_score(stage)
     for text in result.waived:
-        say(f"Waived by the scene: {text.rstrip('.')}.")
-    say(result.sentence)
+        say(f"waived by the scene: {text}")
+    if replay is not None:
+        say(_own_error("the replay", replay))
+        if replay.tracked is not None:
+            say(_own_error("the replay with feedback", replay.tracked))
 
 
 def _print_engines(rows: list[EngineVerdict]) -> None:

@@ -199,22 +199,21 @@ def _print(record: RobustnessRecord) -> None:
                 item.by,
             ]
         )
-    if rows:
-        print_table(
-            ["perturbation", "", "sizes", "first fails at", "by"], rows, ("sizes",), drop=["by"]
-        )
-        click.echo()
+    say(f"{record.verdict}: {record.summary}")
     for way in record.ways:
-        fails, checked = way.fails, way.checked
-        say(
-            f"{way.name}: it arrives in {way.share.words}{f'; it fails by {fails}' if fails else ''}."
-        )
+        checked = way.checked
+        if way.fails:
+            say(f"{way.name}: it fails by {way.fails}.")
         if checked is not None:
             differ, largest = len(checked.differ), f"{checked.largest_difference:.1e}"
             say(
                 f"{way.name}: {checked.count} worlds tried {checked.by} too, {differ} end otherwise; largest difference {largest} of a limit."
             )
     if record.weakest is not None:
-        say(f"it takes least of: {record.weakest.words}.")
+        say(f"{record.weakest.cause.name}: it fails by {record.weakest.by}.")
+    if rows:
+        click.echo()
+        titles = ["perturbation", "", "sizes", "first fails at", "by"]
+        print_table(titles, rows, ("sizes",), drop=["by"])
     if not record.complete:
         say("interrupted: this is what was tried until then.", err=True)

@@ -2,25 +2,18 @@
 
 # `why` breaks between words; `cost` goes where there is no room
 print(table(["scene", "cost", "why"], rows, ("cost",), drop=("cost",)))
-# what `replay` prints of a plan just judged, `show` of a run
-print_metrics([(4, "replay_error", metric, None)], followed=False, tracked=False)
 """
 
 from __future__ import annotations
 
-import math
 import os
 import shutil
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
-from typing import IO, TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import IO, Any, TypeVar
 
 import click
-
-if TYPE_CHECKING:
-    from reports.records.record import MetricRecord
-    from validate.judge.score import Metric
 
 # From here on decimals would fill the line: a diverged plan may cost 1e200.
 _LARGE = 1e9
@@ -32,6 +25,8 @@ _VERDICTS = {
     "no plan": "red",
 }
 _GAP = "  "
+# Columns of a table in a file or pipe, which may be read in a terminal later.
+_PIPE = 100
 # A column of sentences is no narrower than this [characters], before another column is left out;
 # one that may itself be left out is so before it is.
 _SENTENCE = 20
@@ -57,14 +52,18 @@ def terminal_width(stream: IO[str] | None = None) -> int | None:
 
     None: no limit, in a file, a pipe and with --wide.
     """
-    context = click.get_current_context(silent=True)
-    if context is not None and context.meta.get(_WIDE):
+    if _is_wide():
         return None
     return (
         shutil.get_terminal_size().columns
         if os.environ.get("COLUMNS") or (stream or sys.stdout).isatty()
         else None
     )
+
+
+def _is_wide() -> bool:
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(_WIDE))
 
 
 def say(
@@ -121,7 +120,7 @@ def table(
     *,
     drop: Sequence[str] = (),
 ) -> str:
-    """A table that fits the terminal.
+    """A table that fits the terminal, or 100 columns of a file or pipe; --wide has no limit.
 
     titles, rows: text, all rows as long as `titles`; right: titles of columns that are aligned to
         the right, and never broken; drop: titles of the
@@ -129,7 +128,8 @@ def table(
         words.
     """
     rows = [[one_line(cell) for cell in row] for row in rows]
-    places, width, left_out = list(range(len(titles))), terminal_width(), []
+    width = terminal_width() or (None if _is_wide() else _PIPE)
+    places, left_out = list(range(len(titles))), []
     natural = [
         max(len(title), *(len(row[place]) for row in rows)) if rows else len(title)
         for place, title in enumerate(titles)
@@ -221,66 +221,3 @@ def in_words(seconds: float) -> str:
     if seconds < 60:
         return f"{seconds:.0f} s" if seconds >= 9.5 else f"{seconds:.2g} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
-# The number of a question, the name, and the metric for the inputs alone and with feedback; None
-# where there is none.
-Row: TypeAlias = (
-    "tuple[int | None, str, Metric | MetricRecord | None, Metric | MetricRecord | None]"
-)
-
-
-def print_metrics(rows: Iterable[Row], *, followed: bool, tracked: bool) -> None:
-    """followed: there is a replay with feedback too; tracked: the verdict is of that one."""
-    values = ["inputs alone", "with feedback"] if followed else ["value"]
-    lines = []
-    for number, name, alone, with_feedback in rows:
-        judged = (with_feedback if tracked else alone) or alone or with_feedback
-        if judged is None or (judged.value is None and judged.limit is None):
-            continue  # not asked, which a sentence says
-        found = [
-            None if metric is None else metric.value
-            for metric in (alone, with_feedback)[: len(values)]
-        ]
-        known, asked = judged.value is not None, number is not None
-        limit = (
-            "waived"
-            if known and asked and judged.limit is None and judged.reason
-            else short(judged.limit, ".3g")
-        )
-        limit = (
-            "" if not known and judged.default else limit
-        )  # in nominal sizes, which nobody knows where nothing could be measured
-        unknown = judged.error is None or math.isinf(judged.error)
-        own = "unknown" if unknown else short(judged.error, ".1e") if judged.error else ""
-        cells = [
-            *(short(value, ".5g") for value in found),
-            own,
-            judged.unit,
-            limit,
-            _against(judged),
-        ]
-        why = [judged.meaning, judged.reason] if known else [judged.reason, ""]
-        lines.append([str(number) if asked else "", name, *cells, *why])
-    titles = [
-        "question",
-        "metric",
-        *values,
-        "+-",
-        "unit",
-        "limit",
-        "",
-        "meaning",
-        "reason of the limit",
-    ]
-    drop = ("reason of the limit", "meaning", "+-", "question", "limit", "unit", *values[:-1])
-    print_table(titles, lines, ("question", *values, "+-", "limit"), drop=drop)
-
-
-def _against(metric: Metric | MetricRecord) -> str:
-    """How it stands to its limit."""
-    if metric.limit is None:
-        return ""
-    if metric.value is None:
-        return "not measured"
-    return "undecided" if metric.ok is None else "within" if metric.ok else "beyond"

@@ -28,7 +28,9 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
         text = data.decode(
             "utf-8-sig"
         )  # with or without the mark that editors of Windows begin with
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+    except UnicodeDecodeError as error:
+        raise TomlError("it is no text in UTF-8, and so no TOML") from error
+    except (OSError, ValueError) as error:
         raise TomlError(
             f"it cannot be read ({getattr(error, 'strerror', None) or error})"
         ) from error

@@ -463,3 +463,15 @@ def test_a_solution_says_how_large_its_model_was(method: str):
     solution = found.open(scene).solve(eps=eps, warm_start=None, time_limit=60.0)
     assert solution.size is not None
     assert solution.size == solution.paper_size
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"epsilon": 1e-3}, "build_model: there is no argument 'epsilon'; did you mean eps?"),
+        ({"scene": "three_cart"}, "build_model: multiple values for argument 'scene'; it takes"),
+    ],
+)
+def test_build_model_wrong_argument_is_one_sentence(given, words: str):
+    with pytest.raises(SceneError, match=re.escape(words)):
+        build_model("three_cart", ContactFormulation.SOFTPLUS, **given)

@@ -14,7 +14,7 @@ from wording import unsaid
 from models.catalog import load_scene, scene_names
 from models.scene import Input, Limit, Parameter
 from models.trajectory import Trajectory, write_csv
-from validate.campaign.warnings import scene_doubts, warnings_of
+from validate.campaign.warnings import is_of_bank, scene_doubts, scene_figures, warnings_of
 from validate.cli.group import run
 
 WRONG_SIGN = """import json
@@ -81,6 +81,42 @@ def test_a_goal_deeper_than_the_contact_reaches_is_asked_about():
         for said in scene_doubts(bank.with_task(goal=(q1, None, q3, 0.0, 0.0, 0.0)))
         if "at the goal" in said
     ]
+
+
+@pytest.mark.parametrize(("k", "coarse"), [(600.0, False), (1400.0, True)])
+def test_scene_figures_contact_time_by_hand(k: float, coarse: bool):
+    """Both contacts closed, the middle cart swings with w^2 = 3 k / m; h = 0.01 s."""
+    scene = load_scene("three_cart").with_parameters(k=k)
+    contact, stable, *_ = scene_figures(scene)
+    omega = np.sqrt(3.0 * k)
+    assert not unsaid(
+        contact,
+        f"{np.pi / omega:.3g} s",
+        f"{np.pi / omega / 0.01:.1f} steps",
+        f"{omega * 0.01:.2g}",
+    )
+    assert ("coarse" in contact) == coarse
+    assert "0.01 s is stable in contact (limit 0.0" in stable
+
+
+@pytest.mark.parametrize(("k", "outweighs"), [(90.0, False), (110.0, True)])
+def test_scene_figures_softplus_force_against_the_input(k: float, outweighs: bool):
+    """The largest input is 10 N: k ln 2 / |ln 1e-3| reaches it at k = 99.7 N/m."""
+    scene = load_scene("three_cart").with_parameters(k=k)
+    said = next(text for text in scene_figures(scene) if "softplus" in text)
+    assert f"{k * np.log(2) / np.log(1e3):.3g} N at eps 0.001" in said
+    assert ("Scene(length=..) below 0.91 m" in said) == outweighs
+
+
+def test_scene_figures_without_inertia_have_no_contact_time():
+    assert not any("omega h" in text for text in scene_figures(load_scene("push_box")))
+
+
+def test_scene_of_the_bank_is_known_unless_changed():
+    scene = load_scene("three_cart")
+    assert is_of_bank(scene)
+    assert not is_of_bank(scene.with_parameters(k=31.0))
+    assert not is_of_bank(replace(scene, name="mine"))
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The shell completes commands, options and scenes of the installed program, by the line that the tutorial gives."""
+"""The shell completes commands, options and scenes of the installed program, by the line that the docs give."""
 
 import re
 import shutil
@@ -40,8 +40,8 @@ def test_each_shell_gets_a_script_for_the_installed_name(monkeypatch, capfd, she
         subprocess.run([program, "-n"], input=script, text=True, check=True)
 
 
-def test_the_tutorial_says_the_same_line():
-    text = (Path(__file__).parents[3] / "docs" / "tutorial.md").read_text(encoding="utf-8")
+def test_the_docs_say_the_same_line():
+    text = (Path(__file__).parents[3] / "docs" / "campaigns.md").read_text(encoding="utf-8")
     assert 'eval "$(_TOUCHSTONE_COMPLETE=bash_source touchstone)"' in text
     assert all(f"{shell}_source" in text for shell in SHELLS)
 

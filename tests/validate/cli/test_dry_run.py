@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 from wording import unsaid
 
+from validate.cli.dry_run import _duration, _Line, _listed
+
 pytestmark = pytest.mark.slow
 
 FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
@@ -76,8 +78,8 @@ def test_damaged_requests_are_passed_over(dry_run, ran):
 def test_the_table_ends_with_the_counts(dry_run, tmp_path):
     done = dry_run(*FAKES, "--out", str(tmp_path), "-k", "only_good or only_segfault")
     why, counts = done.stdout.splitlines()[-2:]
-    assert not unsaid(why, "2 to run: nothing is stored")
-    assert not unsaid(counts, "0 stored, 2 to run", "unknown", "this folder")
+    assert why == "2 to run: only_good, only_segfault: nothing is stored of it"
+    assert not unsaid(counts, "0 stored, 2 to run", "this folder", "at most", "after 240 s")
 
 
 def test_what_no_method_applies_to_is_counted_apart(dry_run, tmp_path):
@@ -89,9 +91,10 @@ def test_what_no_method_applies_to_is_counted_apart(dry_run, tmp_path):
     assert [plan[name] for name in ("stored", "not_applicable", "to_run")] == [0, 1, 1]
     words = (*FAKES, "--out", str(tmp_path), "-k", "only_refuses or only_good")
     lines = dry_run(*words).stdout.splitlines()
-    assert "1 not applicable: it wants friction." in lines
+    assert "1 not applicable: only_refuses: it wants friction." in lines
     assert lines[-1].startswith("0 stored, 1 to run, 1 not applicable; ")
-    (row,) = [line for line in dry_run(*words, "--table").stdout.splitlines() if "refuses" in line]
+    table = dry_run(*words, "--table").stdout.splitlines()
+    (row,) = [line for line in table if line.startswith("three_cart x only_refuses")]
     assert not unsaid(row, "three_cart x only_refuses", "not applicable", "it wants friction.")
 
 
@@ -121,3 +124,21 @@ def test_what_ran_before_says_how_long_it_takes(dry_run, ran):
     assert known.endswith(" on 2 cores")
     partly = dry_run(*words, "-k", "only_good or only_raises", "-j", "1").stdout.splitlines()[-1]
     assert not unsaid(partly, "1 never ran here")
+
+
+@pytest.mark.parametrize(
+    ("scene", "jobs", "words"),
+    [
+        ("three_cart", 1, "at most 8 min on 1 core, as each is ended after 240 s"),
+        ("three_cart", 2, "at most 4 min on 2 cores, as each is ended after 240 s"),
+    ],
+)
+def test_duration_new_runs_is_bounded_by_their_limit(scene: str, jobs: int, words: str):
+    line = _Line(f"{scene} x strict", scene, "k", "to run", "nothing is stored of it", None)
+    assert _duration([line, line], jobs, 240.0).endswith(words)
+
+
+def test_names_of_runs_of_several_scenes_are_cut_short():
+    lines = [_Line(f"s{n} x strict", f"s{n}", "k", "to run", "why", None) for n in range(9)]
+    assert _listed(lines) == "s0 x strict, s1 x strict, s2 x strict and 6 more"
+    assert _listed(lines[:1]) == "strict"

@@ -6,6 +6,7 @@ import pytest
 from wording import unsaid
 
 from models.catalog import load_scene
+from models.fmu import build_fmu
 from models.trajectory import read_csv
 from validate.cli.group import run
 
@@ -50,8 +51,8 @@ def test_new_plan_of_a_scene(folder: Path, capsys):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["new"], "expected NAME or --plan SCENE"),
-        (["new", "crate", "--plan", "three_cart"], "expected NAME or --plan SCENE"),
+        (["new"], "expected NAME, --plan SCENE or --map FILE.fmu"),
+        (["new", "crate", "--plan", "three_cart"], "expected NAME, --plan SCENE or --map FILE.fmu"),
         (["new", "My-Crate"], "'My-Crate' is no name of a scene … lower-case"),
         (["new", "numpy"], "numpy.py would hide the Python module 'numpy'"),
         (["new", "--plan", "thre_cart"], "did you mean three_cart?"),
@@ -70,3 +71,42 @@ def test_new_overwrites_nothing(taken: str, folder: Path, capsys):
     assert run(["new", "crate"]) == 2
     assert not unsaid(capsys.readouterr().err, f"{taken} exists")
     assert [path.name for path in folder.iterdir()] == [taken]
+
+
+def test_new_map_of_an_fmu_is_replayed_and_asks_for_a_goal(folder: Path, capsys):
+    (folder / "carts.fmu").write_bytes(build_fmu(load_scene("two_discs")).read_bytes())
+    assert run(["new", "--map", "carts.fmu"]) == 0
+    printed = capsys.readouterr().out
+    commands = [line.strip() for line in printed.splitlines() if "python -m validate" in line]
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "carts.fmu",
+        "carts.toml",
+        "carts_plan.csv",
+    ]
+    assert run(commands[0].split()[3:]) == 0
+    first = capsys.readouterr().out.splitlines()[0]
+    assert not unsaid(first, "not applicable: … the map asks for nothing: give it a [goal]")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "sentence"),
+    [
+        ("absent.fmu", None, "absent.fmu: there is no such file"),
+        ("broken.fmu", b"PK", "broken.fmu: it is not a zip file"),
+    ],
+)
+def test_new_map_refuses_what_is_no_fmu(name, content, sentence, folder: Path, capsys):
+    if content is not None:
+        (folder / name).write_bytes(content)
+    assert run(["new", "--map", name]) == 2
+    assert not unsaid(capsys.readouterr().err, sentence)
+    assert not list(folder.glob("*.toml"))
+
+
+@pytest.mark.parametrize("taken", ["carts.toml", "carts_plan.csv"])
+def test_new_map_overwrites_nothing(taken: str, folder: Path, capsys):
+    (folder / "carts.fmu").write_bytes(build_fmu(load_scene("two_discs")).read_bytes())
+    (folder / taken).write_text("mine")
+    assert run(["new", "--map", "carts.fmu"]) == 2
+    assert not unsaid(capsys.readouterr().err, f"{taken} exists")
+    assert len(list(folder.iterdir())) == 2

@@ -1,13 +1,16 @@
 """`show` tells the questions, both ends and what the scene leaves unasked, in the words of the report."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
+from reports.judged import cause_of_stage
 from reports.records.record import MetricRecord, TrackedRecord
 from tests.reports import record_factory as factory
 from validate.campaign.stored import stored_names, title_of
+from validate.cli.show import print_score, print_verdict
 from validate.store.store import Store
 
 
@@ -55,11 +58,13 @@ def test_a_run_that_holds_with_feedback_shows_both_ends(cli, tmp_path: Path):
     folder = factory.store(
         tmp_path / "all", [run.model_copy(update={"stages": (stage,), "scene": scene})]
     )
-    done = cli("show", "three_cart x strict", "--in", str(folder))
+    done = cli("show", "three_cart x strict", "--in", str(folder), "--wide")
     lines = [" ".join(line.split()) for line in done.stdout.splitlines()]
-    assert lines[0] == "three_cart x strict: solved, holds with feedback"
+    assert lines[:2] == [
+        "holds with feedback: with LQR feedback it holds.",
+        "closest to its limit: tracked_replay_error, 0.004 m, limit 0.01 m: m",
+    ]
     for told in (
-        "the last stage holds with feedback: with LQR feedback it holds.",
         "question, of the replay with feedback answer",
         "4 Do its inputs give its motion, and the goal? yes",
         "question metric inputs alone with feedback +- unit limit meaning reason of the limit",
@@ -112,3 +117,56 @@ def test_a_run_is_called_what_was_asked_for_and_only_else_what_its_record_says(
 def test_the_record_and_what_was_asked_for_agree_on_the_name():
     run = factory.run("strict", None, "strict_lcp")
     assert run.title == title_of({"scene_name": "three_cart", "pipeline": {"name": "strict"}})
+
+
+@pytest.mark.parametrize(
+    ("value", "default", "limit"), [(None, True, ""), (None, False, "0.25"), (0.5, True, "0.25")]
+)
+def test_the_default_limit_of_what_could_not_be_measured_is_not_known(
+    monkeypatch, capsys, value, default, limit
+):
+    """It is made of what could not be measured; a limit that the scene set is told."""
+    monkeypatch.setenv("COLUMNS", "300")
+    metric = MetricRecord(
+        name="max_penetration",
+        value=value,
+        unit="m",
+        meaning="depth",
+        question=5,
+        limit=0.25,
+        default=default,
+    )
+    (stage,) = factory.run("strict", None, "strict_lcp").stages
+    changes = {"metrics": (metric,), "not_asked": ()}
+    print_score(stage.model_copy(update=changes))
+    heads, _, row = capsys.readouterr().out.splitlines()[-3:]
+    place = re.search(r"\blimit\b", heads)
+    assert place is not None
+    assert row[place.start() - 2 : place.end() + 1].strip() == limit
+
+
+@pytest.mark.parametrize("width", [80, 100])
+def test_verdict_metric_and_cause_come_before_a_table_that_fits(monkeypatch, capsys, width: int):
+    monkeypatch.setenv("COLUMNS", str(width))
+    beyond = MetricRecord(
+        name="replay_terminal_position_error",
+        value=0.31,
+        unit="m",
+        meaning="distance of the end of the replay from the goal, in all positions",
+        question=4,
+        limit=0.01,
+        ok=False,
+        reason="a reason that is longer than a line of a terminal has room for " * 3,
+    )
+    (stage,) = factory.run("strict", None, "strict_lcp").stages
+    changes = {"metrics": (beyond,), "verdict": "violates", "why": "it ends 0.31 m off."}
+    stage = stage.model_copy(update=changes | {"cause": "coarse grid", "questions": ()})
+    print_verdict(stage.verdict, stage.why, stage, cause_of_stage(stage))
+    print_score(stage)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "violates: it ends 0.31 m off."
+    assert lines[1].startswith("decided by: replay_terminal_position_error, 0.31 m, limit 0.01 m")
+    assert lines[3].startswith("cause: Coarse grid")
+    assert any(line.startswith("question  metric") for line in lines[4:])
+    assert max(map(len, lines)) <= width
+    assert "replay_terminal_position_error" in " ".join(lines[4:]).split()

@@ -14,11 +14,9 @@ import rich.console
 from wording import unsaid
 
 from models.errors import MachineError
-from reports.records.record import MetricRecord
 from tests.reports import record_factory as factory
 from validate.cli import narrator
 from validate.cli.table import (
-    print_metrics,
     say,
     short,
     table,
@@ -51,6 +49,14 @@ def test_a_pipe_has_every_column_and_one_line_a_row(monkeypatch):
         "three_cart  490.55  0.001  the plan does not reach the goal within its limit",
         "two_discs      1.0         it holds",
     ]  # fmt: skip
+
+
+def test_table_in_a_pipe_fits_100_columns(monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    rows = [["three_cart", "1.0", "0.001", "word " * 60]]
+    found = table(TITLES, rows, ("cost", "eps"), drop=("eps",)).splitlines()
+    assert max(map(len, found)) == 100
+    assert "eps" in found[0]
 
 
 def test_a_sentence_breaks_between_words_before_a_column_goes(monkeypatch):
@@ -114,30 +120,6 @@ def test_a_verdict_has_its_colour_in_its_own_cell_alone(monkeypatch):
     text = table(["verdict", "why"], [["violates", "violates its limit"]])
     assert re.findall(r"\x1b\[31m(.*?)\x1b\[0m", text) == ["violates"]
     assert text.splitlines()[-1].endswith("  violates its limit")
-
-
-@pytest.mark.parametrize(
-    ("value", "default", "limit"), [(None, True, ""), (None, False, "0.25"), (0.5, True, "0.25")]
-)
-def test_the_default_limit_of_what_could_not_be_measured_is_not_known(
-    monkeypatch, capsys, value, default, limit
-):
-    """It is made of what could not be measured; a limit that the scene set is told."""
-    monkeypatch.setenv("COLUMNS", "300")
-    metric = MetricRecord(
-        name="max_penetration",
-        value=value,
-        unit="m",
-        meaning="depth",
-        question=5,
-        limit=0.25,
-        default=default,
-    )
-    print_metrics([(5, metric.name, metric, None)], followed=False, tracked=False)
-    heads, _, row = capsys.readouterr().out.splitlines()
-    place = re.search(r"\blimit\b", heads)
-    assert place is not None
-    assert row[place.start() - 2 : place.end() + 1].strip() == limit
 
 
 def test_a_zero_has_no_sign_and_a_number_too_large_for_decimals_is_short():

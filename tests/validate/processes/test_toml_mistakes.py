@@ -14,7 +14,7 @@ from validate.campaign.read import ConfigError, read_campaign
 from validate.campaign.schema import CampaignFile
 from validate.judge.replay import map_schema
 from validate.judge.replay.map_schema import MapError, MapFile, read_map
-from validate.processes.toml_text import toml_text, toml_value
+from validate.processes.toml_text import TomlError, read_toml, toml_text, toml_value
 
 LIMIT = {"value": 0.5, "reason": "r"}
 LEG = {
@@ -127,3 +127,11 @@ def test_a_value_of_another_kind_is_told_in_our_words(tmp_path: Path, place: tup
         for text in told
         if PYDANTIC.search(re.sub(r"'[^']*'", "", text)) or str(inside[0]) not in text
     ] == []
+
+
+def test_a_file_that_is_no_text_is_answered_without_a_codec(tmp_path: Path):
+    file = tmp_path / "robot.toml"
+    file.write_bytes(b"PK\x03\x04\x90\xff")
+    with pytest.raises(TomlError, match="no text in UTF-8") as caught:
+        read_toml(file)
+    assert "codec" not in str(caught.value)

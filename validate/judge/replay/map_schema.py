@@ -464,7 +464,7 @@ def by_equal_names(named: Named, table: Table, dimensions: Dimensions) -> MapFil
         rates = []
     velocities = {
         position: {"variable": rate, "column": rate}
-        for position, rate in _paired(list(sections["positions"]), rates, by_name).items()
+        for position, rate in paired(list(sections["positions"]), rates, by_name).items()
     }
     if not sections["inputs"] and not sections["positions"]:
         raise MapError(
@@ -473,7 +473,7 @@ def by_equal_names(named: Named, table: Table, dimensions: Dimensions) -> MapFil
     return MapFile.model_validate({**sections, "velocities": velocities})
 
 
-def _paired(positions: list[str], rates: list[str], by_name: Mapping[str, Any]) -> dict[str, str]:
+def paired(positions: list[str], rates: list[str], by_name: Mapping[str, Any]) -> dict[str, str]:
     """Velocity of each position: the FMU says that it is its derivative, or its name does.
 
     The others by their order in the plan.

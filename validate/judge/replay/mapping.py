@@ -302,7 +302,8 @@ class _Wiring:
         needed = [self._time, *given.inputs]
         for name in needed:
             if name not in table.given:
-                near = "" if name in table.names else map_schema.hint(name, table.names)
+                free = [other for other in table.names if other not in needed]
+                near = "" if name in table.names else map_schema.hint(name, free)
                 raise TrajectoryError(
                     f"{table.where}: {lack_of(table, name)}{near}; it has {', '.join(table.given)}."
                 )

@@ -44,7 +44,6 @@ _SAFETY = 0.8
 _MORE_DIGITS = 7
 # An angle off by whole turns is off by no more than this besides, in one row [rad].
 _NEAR_A_TURN = 0.1
-_ADVICE_EXACT = "tighten eps, or go on from it with exact contact (`strict`, `mpcc`)"
 # What a metric says of itself where it fails first.
 _CAUSES = {
     "defect": "; if another integrator made it, leave the declaration of the scheme out",
@@ -93,7 +92,7 @@ def explain(scored: ScoredPlan) -> str:
         Verdict.HOLDS_WITH_FEEDBACK: _holds_with_feedback,
         Verdict.CONSISTENT: _consistent,
         Verdict.NOT_APPLICABLE: lambda scored: (
-            f"inputs alone claim nothing, and {_who_asks(scored)} asks for nothing."
+            f"inputs alone claim nothing, and {_who_asks(scored)} asks for nothing: {_mend(scored)}."
         ),
     }[scored.verdict](scored)
     return sentence + (
@@ -285,14 +284,17 @@ def _who_asks(scored: ScoredPlan) -> str:
 
 
 def _consistent(scored: ScoredPlan) -> str:
-    if scored.scene.task.has_goal:
-        mend = "no limit on its goal counts for this plan; set one, with a reason"
-    elif isinstance(scored.scene, Scene):
-        mend = "give it a goal, or a limit on its cost"
-    else:
-        mend = "give it a [goal] with its limits"
     shown = "" if isinstance(scored.scene, Scene) else f" {_of_what_is_shown(scored)}"
-    return f"consistent{shown}; {_who_asks(scored)} asks for nothing: {mend}."
+    return f"consistent{shown}; {_who_asks(scored)} asks for nothing: {_mend(scored)}."
+
+
+def _mend(scored: ScoredPlan) -> str:
+    """Advise a goal or limit that asks for something."""
+    if scored.scene.task.has_goal:
+        return "no limit on its goal counts for this plan; set one, with a reason"
+    if isinstance(scored.scene, Scene):
+        return "give it a goal, or a limit on its cost"
+    return "give it a [goal] with its limits"
 
 
 def _holds_with_feedback(scored: ScoredPlan) -> str:
@@ -397,9 +399,15 @@ def _of_forces(scored: ScoredPlan) -> str:
     if multiple := _multiple_of_the_law(scored):
         return multiple
     if scored.is_relaxed():
-        return f": a relaxed contact law; {_ADVICE_EXACT}"
+        return f": a relaxed contact law; {_exact_contact(scored)}"
     few = _few_digits(scored.trajectory)
     return f"; it may be {few}" if few else ""
+
+
+def _exact_contact(scored: ScoredPlan) -> str:
+    """Advise exact contact; of a scene by the pipeline that every scene with inputs has."""
+    pipeline = " (`best_exact`)" if isinstance(scored.scene, Scene) else ""
+    return f"tighten eps, or plan with exact contact{pipeline}"
 
 
 def _departure(scored: ScoredPlan) -> str:
@@ -470,7 +478,7 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
         return ""
     unstable = _unstable(scored)
     if plan.scheme is None:
-        return f"{_departure(scored)}{unstable}"
+        return f"{_departure(scored)}{unstable}{_may_declare(scored)}"
     grid = scored.metrics.get("grid_error")
     if grid is None or grid.value is None:
         return unstable
@@ -480,7 +488,7 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
     if _is_lost_on_its_grid(scored):
         lost = f"{number(scored.value('law_error') or 0.0, grid.unit)} on its own grid already"
         if cause == "relaxed contact":
-            return f": a relaxed contact law ({lost}); {_ADVICE_EXACT}"
+            return f": a relaxed contact law ({lost}); {_exact_contact(scored)}"
         return f": off by {lost}; the contact forces are correct{unstable}"
     correct = (
         "; the contact forces are correct" if plan.lam.size and "lam" not in plan.missing else ""
@@ -497,6 +505,13 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
     ):
         return f": discretisation error {number(grid.value, grid.unit)}{unstable}"
     return text + _finer(first, grid.value, scored)
+
+
+def _may_declare(scored: ScoredPlan) -> str:
+    """Advise a declaration of the scheme; an FMU keeps its equations to itself."""
+    if not isinstance(scored.scene, Scene):
+        return ""
+    return "; if semi-implicit Euler made the plan, declare it (a line `# scheme: semi_implicit_euler`)"
 
 
 def _unstable(scored: ScoredPlan) -> str:

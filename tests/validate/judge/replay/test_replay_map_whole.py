@@ -438,6 +438,12 @@ def test_each_mistake_in_the_columns_of_a_plan_is_named(whole, plan: str, words:
     assert not unsaid(refusal(lambda: whole(WHOLE, plan)), words)
 
 
+def test_a_missing_input_is_not_answered_with_another_input(whole):
+    plain = '[inputs]\nM = "torque"\nF = "drive.force"\n'
+    said = refusal(lambda: whole(plain, "t,F\n0,1\n1,1\n"))
+    assert said.endswith("the column 'M' is missing; it has t, F.")
+
+
 def test_a_unit_of_the_plan_against_that_of_the_fmu_needs_a_scale(whole):
     plain = '[inputs]\nF = "drive.force"\n[positions]\nx = "body.pos"\n'
     assert not unsaid(

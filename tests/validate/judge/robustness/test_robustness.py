@@ -205,10 +205,11 @@ def test_the_command_tells_it_in_text_json_csv_and_a_page(judged: Judgement, tmp
         record.ways[0].share.words,
     )
     plain = CliRunner().invoke(command, given, standalone_mode=False)
+    assert plain.stdout.startswith(f"{record.verdict}: ")
     assert not unsaid(
         plain.stdout,
         record.ways[0].share.words,
-        "it takes least of: c",
+        "It takes least of: c",
         "10 worlds tried by the reference",
     )
 

@@ -344,7 +344,7 @@ def test_what_an_fmu_shows_is_said_by_the_numbers_of_its_questions():
     )
     assert not unsaid(
         told(scene=fmu, verdict=Verdict.NOT_APPLICABLE),
-        "inputs alone claim nothing, … asks for nothing.",
+        "inputs alone claim nothing, … asks for nothing: give it",
     )
 
 

@@ -278,7 +278,10 @@ def test_what_declares_no_scheme_hears_nothing_of_grids():
     assert "grid" not in why
     assert "time step" not in why
     unstable = told(STRAY, metric_of_growth(549.0), scheme=None)
-    assert not unsaid(unstable, "departs … by 0.2 m, limit 0.06 m; unstable … (amplification 550).")
+    assert not unsaid(
+        unstable,
+        "departs … by 0.2 m, limit 0.06 m; unstable … (amplification 550); if semi-implicit Euler made",
+    )
 
 
 def metric_of_growth(value: float) -> Metric:
