@@ -78,7 +78,8 @@ class CampaignSettings:
         jobs: tasks at a time, None for what the engine chooses.
     Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; checked:
         scenes whose FMUs are checked; title: of the
-    report; files: texts written into the folder, by name.
+    report; files: texts written into the folder, by name; refused: a sentence for each instance of
+        foreign plans that does not run.
     """
 
     out: Path
@@ -100,6 +101,7 @@ class CampaignSettings:
     checked: tuple[SceneReference, ...] = ()
     title: str = ""
     files: Mapping[str, str] = field(default_factory=dict)
+    refused: tuple[str, ...] = ()
 
     def wants(self, names: Iterable[str], title: str) -> bool:
         """Whether a task of these names and this title is meant by `-k`. Raises SelectionError."""
@@ -295,7 +297,13 @@ def _entry(
     }
     task = RunTask(
         key=leg_key(
-            scene, plan, source, pipeline.name, pipeline.title, reference.instance, reference.judged_by
+            scene,
+            plan,
+            source,
+            pipeline.name,
+            pipeline.title,
+            reference.instance,
+            reference.judged_by,
         ),
         scene=reference.where,
         scene_name=scene.name,
@@ -378,9 +386,7 @@ def worlds_tasks(
             if (plans := stored.cheapest(scene))
         }
         # Foreign plans are tried on demand only: their scenes are many.
-        runs = [
-            (task, run) for task, run in runs if run.key in cheapest and not task.instance
-        ]
+        runs = [(task, run) for task, run in runs if run.key in cheapest and not task.instance]
     tasks = []
     for task, run in runs:
         wanted = tuple(

@@ -34,7 +34,7 @@ _DUE = "to run"
 
 
 def print_dry_run(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> int:
-    """Print what works here and what would run. Return 3 if a trial fails, else 0.
+    """Print what works here and what would run. Return 3 if a trial fails, 2 if instances of foreign plans are refused, else 0.
 
     Nothing is run or written. Raises TouchstoneError.
     """
@@ -48,8 +48,8 @@ def print_dry_run(settings: CampaignSettings, *, as_json: bool, as_table: bool) 
             begin, colour = ("works: ", "green") if finding.works else ("fails: ", "red")
             say(f"{finding.name}: {finding.sentence}", begin=begin, indent="  ", colour=colour)
     failing = [finding.name for finding in findings if not finding.works]
-    code = MachineError.exit_code if failing else 0
-    warn(warnings_of(scenes_of(entries).values(), steps=True))
+    code = MachineError.exit_code if failing else 2 if settings.refused else 0
+    warn([*settings.refused, *warnings_of(scenes_of(entries).values(), steps=True)])
     lines = _lines(entries, store)
     count = Counter(line.state for line in lines)
     if as_json:

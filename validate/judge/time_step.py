@@ -92,10 +92,7 @@ class EnergyTest:
 
 
 def load_step(reference: str) -> Step:
-    """Return the function of `FILE.py:NAME`, or the step of one of our schemes by its name.
-
-    Raises StepError.
-    """
+    """Return the function of `FILE.py:NAME`. Raises StepError."""
     file, _, name = reference.rpartition(":")
     path = Path(file)
     if not file or not name.isidentifier():
@@ -108,7 +105,8 @@ def load_step(reference: str) -> Step:
     spec = importlib.util.spec_from_file_location(
         module_name, path, loader=Afresh(module_name, str(path))
     )
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     try:
         with loading(path.resolve()):
@@ -119,7 +117,7 @@ def load_step(reference: str) -> Step:
         raise StepError(
             f"time step {reference}: {type(error).__name__} while the file was read: {error}"
         ) from error
-    found = getattr(module, name, None)
+    found: Any = getattr(module, name, None)
     if not callable(found):
         raise StepError(f"time step {reference}: the file has no function {name!r}.")
     return found
@@ -251,7 +249,10 @@ def _starts(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
     first = np.array(scene.task.start[: scene.nq], dtype=float)
     random = np.random.default_rng(0)
     return [
-        (first + nominal * random.uniform(-1, 1, scene.nq), nominal * random.uniform(1, 2, scene.nq))
+        (
+            first + nominal * random.uniform(-1, 1, scene.nq),
+            nominal * random.uniform(1, 2, scene.nq),
+        )
         for _ in range(_STARTS)
     ]
 

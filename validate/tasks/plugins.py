@@ -104,7 +104,9 @@ class Plugin:
     def methods_of(self, pipeline: Pipeline) -> dict[str, Method]:
         """The methods of a pipeline's legs, by name. Raises UnknownNameError."""
         return {
-            leg.method: GIVEN_PLAN if leg.method == GIVEN_PLAN.name else self.load_method(leg.method)
+            leg.method: GIVEN_PLAN
+            if leg.method == GIVEN_PLAN.name
+            else self.load_method(leg.method)
             for leg in pipeline.legs
         }
 

@@ -149,7 +149,9 @@ class OpenLeg:
             solution.trajectory.check_fits(self._scene)
             asked = self._scene.task.horizon
             # The judge asks a given plan how long it lasts (question 1).
-            if planned.method.kind is not Kind.GIVEN and not math.isclose(solution.trajectory.duration, asked, rel_tol=1e-9):
+            if planned.method.kind is not Kind.GIVEN and not math.isclose(
+                solution.trajectory.duration, asked, rel_tol=1e-9
+            ):
                 raise TrajectoryError(
                     f"plan: it lasts {solution.trajectory.duration:.6g} s, but the task of scene {self._scene.name} {asked:.6g} s."
                 )

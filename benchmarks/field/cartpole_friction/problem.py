@@ -37,6 +37,7 @@ _OPTIONS = {
 # Unknowns of a step: the force, the next positions, two friction impulses each way, their
 # multipliers, and slacks of the complementarity conditions.
 _SIZES = {"force": 1, "q": 2, "beta": 4, "eta": 4, "psi": 2, "s": 2, "slack": 6}
+PARAMETERS = ("m_c", "m_p", "l", "mu_rail", "mu_hinge")
 _SIGNED = ("force", "q")
 _FIRST = 0.01  # first guess of every unknown that has no sign to choose
 
