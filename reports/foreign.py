@@ -13,11 +13,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from reports.records.record import HOLD, OWN_STEP, RunRecord, StageRecord
-from reports.wording import count, spaced
+from reports.wording import count, listing, spaced
 
 NOT_ASKED = "not asked"
 WRONG_MODEL = "wrong model"
 COARSE_GRID = "coarse grid"
+# Verdicts without a fault, and how a sentence counts them.
+_GOOD = {
+    **dict(zip(HOLD, ("hold", "hold with feedback"), strict=True)),
+    "consistent": "are consistent",
+}
 # The question of the judge about the discrete equations.
 _DISCRETE = 6
 
@@ -49,11 +54,11 @@ class Answers:
     @property
     def meaning(self) -> str:
         """What the three answers mean together, or the judge's cause."""
-        if self.scene in HOLD or self.scene == "consistent":
+        if self.scene in _GOOD:
             return ""
         if self.discrete == "no":
             return "defect"
-        if self.model in HOLD and self.scene == "violates":
+        if self.model in _GOOD and self.scene == "violates":
             return WRONG_MODEL
         if self.discrete == "yes" and self.model == "violates":
             return COARSE_GRID
@@ -117,5 +122,6 @@ def sentence(found: Sequence[Answers]) -> str:
 
 
 def _holding(verdicts: Sequence[str]) -> str:
-    alone, followed = (verdicts.count(word) for word in HOLD[:2])
-    return f"{alone} hold" + (f" and {followed} hold with feedback" if followed else "")
+    """Return how many hold, in words: 7 hold and 3 hold with feedback."""
+    words = [f"{verdicts.count(name)} {word}" for name, word in _GOOD.items() if name in verdicts]
+    return listing(words) or "0 hold"
