@@ -94,7 +94,7 @@ def read_campaign(
     scenes, bases, wrong = _references(file.scenes, path.parent)
     mistakes += wrong
     if not (file.scenes or file.plans or mistakes):
-        mistakes.append("scenes: it is missing; name scenes to plan for, or plans ([[plans]])")
+        mistakes.append("scenes: there is none; name scenes to plan for, or plans ([[plans]])")
     planned, wrong = plan_scenes(file.plans, path.parent)
     mistakes += wrong
     bases += [scene for entry in planned for scene in entry.scenes]

@@ -99,7 +99,7 @@ def test_on_the_command_line_each_is_a_line_and_the_exit_code_is_2(cli, tmp_path
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("scenes = []", "scenes: it is [], but must be a list of 1 or more"),
+        ("scenes = []", "scenes: there is none"),
         ("", "scenes: it is missing"),
         ("scenes = [3]", "scenes[0]"),
         ('scenes = ["own/scene.py"]', "there is no such file"),

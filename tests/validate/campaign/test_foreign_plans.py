@@ -238,7 +238,7 @@ def test_read_nothing_right_is_a_mistake(field: Path):
     with pytest.raises(ConfigError, match="neither a plan to judge nor a pipeline"):
         campaign(field, plans=None)
     (field / "field.toml").write_text('title = "nothing"\n')
-    with pytest.raises(ConfigError, match="scenes: it is missing"):
+    with pytest.raises(ConfigError, match="scenes: there is none"):
         read_campaign(field / "field.toml")
 
 
