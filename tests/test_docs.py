@@ -17,6 +17,7 @@ TEXTS = {
     name: (DOCS / f"{name}.md").read_text(encoding="utf-8")
     for name in (
         "campaigns",
+        "field",
         "tutorial",
         "extending",
         "equations",

@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-from scipy.optimize import root
 
 from models.dynamics import derive
 from models.errors import TouchstoneError
@@ -310,6 +309,8 @@ def scheme_step(scene: Scene, scheme: Scheme) -> Step:
 
     if scheme is Scheme.SEMI_IMPLICIT_EULER:
         return semi_implicit
+    from scipy.optimize import root  # every run imports this module, and few need a solver
+
     table = tableau(scheme)
 
     def collocated(q, v, u, h, parameters):

@@ -100,7 +100,7 @@ def test_on_the_command_line_each_is_a_line_and_the_exit_code_is_2(cli, tmp_path
     ("text", "words"),
     [
         ("scenes = []", "scenes: there is none"),
-        ("", "scenes: it is missing"),
+        ("", "scenes: there is none"),
         ("scenes = [3]", "scenes[0]"),
         ('scenes = ["own/scene.py"]', "there is no such file"),
         ('scenes = ["three_cart", "three_cart"]', "2 of them are called 'three_cart'"),
