@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
@@ -23,13 +23,13 @@ def judged(
     instance: str = "a",
     cause: str = "unstable",
     missed: float | None = None,
-    discrete: str = "",
+    discrete: Literal["", "yes", "no"] = "",
 ) -> RunRecord:
     run = factory.run("strict", None, "strict_lcp", key=f"{instance}-{by}", verdict=verdict)
     changes: dict[str, Any] = {"kind": "given", "verdict": verdict, "cause": cause, "paper": {}}
     changes["residuals"] = {} if missed is None else {OWN_STEP: missed}
-    if discrete:
-        changes["questions"] = (QuestionRecord(number=6, text="own scheme", answer=discrete),)
+    asked = QuestionRecord(number=6, text="own scheme", answer=discrete or "not asked")
+    changes["questions"] = (asked,)
     return run.model_copy(
         update={
             "instance": instance,
