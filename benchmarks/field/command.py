@@ -54,6 +54,14 @@ time_step = "{home}/steps.py:{form}"
 @click.argument("problem", type=click.Choice(PROBLEMS))
 @click.option("--instances", "most", type=COUNT, help="Only the first N.  [default: all]")
 @click.option("--planned/--no-planned", default=True, help="Run our pipelines too.")
+@click.option(
+    "--pipeline",
+    "pipelines",
+    multiple=True,
+    type=click.Choice(PIPELINES),
+    default=PIPELINES,
+    help="Of our pipelines only this one; may be repeated.",
+)
 @click.option("-j", "--jobs", type=COUNT, help="Runs at a time.  [default: the number of cores]")
 @click.option(
     "-o",
@@ -62,7 +70,12 @@ time_step = "{home}/steps.py:{form}"
     help="Folder of plans, campaigns and table.csv.  [default: runs/benchmarks/PROBLEM]",
 )
 def command(
-    problem: str, most: int | None, planned: bool, jobs: int | None, out: Path | None
+    problem: str,
+    most: int | None,
+    planned: bool,
+    pipelines: tuple[str, ...],
+    jobs: int | None,
+    out: Path | None,
 ) -> int:
     """Rebuild the table of a published problem from its parameters."""
     out = FOLDER / problem if out is None else out
@@ -74,7 +87,7 @@ def command(
     if planned:
         chosen = [published[place] for place in PLANNED if place < len(published)]
         _write_instances(out / "planned.csv", problem, chosen)
-        ours = _run(out, "planned", _planned_text(problem), jobs)
+        ours = _run(out, "planned", _planned_text(problem, pipelines), jobs)
     rows = _table(published, solved, judged, ours)
     write_durably(out / "table.csv", table_text(list(rows[0]), rows))
     for line in _summary(rows):
@@ -144,8 +157,8 @@ def _judged_text(problem: str) -> str:
     return text
 
 
-def _planned_text(problem: str) -> str:
-    names = ", ".join(f'"{name}"' for name in PIPELINES)
+def _planned_text(problem: str, pipelines: Sequence[str]) -> str:
+    names = ", ".join(f'"{name}"' for name in pipelines)
     text = _CAMPAIGN.format(title=f"{problem}: our plans", pipelines=f"pipelines = [{names}]")
     return text + _PLANS.format(name="plan", home=HOME / problem, instances="planned.csv")
 
