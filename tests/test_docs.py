@@ -68,6 +68,7 @@ def test_every_snippet_runs(
 ):
     monkeypatch.setattr("validate.cli.trials.TRIALS", ())  # they have tests of their own
     space: dict = {}
+    printed = ""
     for block in _BLOCK.finditer(TEXTS[name]):
         mark, word, text = block["mark"], block["word"], block["text"]
         if mark == "file":
@@ -87,8 +88,12 @@ def test_every_snippet_runs(
             for words in _words(text):
                 code = run(words)
                 told = capfd.readouterr()
+                printed += " ".join(told.out.split())
                 assert code == int(word), (words, told)
                 assert "Traceback" not in told.err
+    # A conclusion in a text is one that was printed.
+    for line in re.findall(r"^    - (.*)$", TEXTS[name], re.MULTILINE):
+        assert line in printed, line
 
 
 def test_the_mistakes_are_those_printed(elsewhere: Path, capfd: pytest.CaptureFixture[str]):
