@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,12 +33,14 @@ if TYPE_CHECKING:
     from validate.judge.judgement import WiredFmu
     from validate.judge.robustness import Robustness
     from validate.judge.score import Verdict
+    from validate.judge.time_step import EnergyTest
 
 # The types that the functions below give and take, and where each is at home: imported when one is
 # asked for.
 _HOME = {
     "CampaignResult": ("validate.campaign.campaign", "CampaignResult"),
     "CheckReport": ("validate.fmu_check", "CheckReport"),
+    "EnergyTest": ("validate.judge.time_step", "EnergyTest"),
     "Judgement": ("validate.campaign.shown", "JudgedPlan"),
     "Outcome": ("formulations.solution", "Outcome"),
     "Robustness": ("validate.judge.robustness", "Robustness"),
@@ -50,6 +52,7 @@ _HOME = {
 __all__ = [
     "CampaignResult",
     "CheckReport",
+    "EnergyTest",
     "Judgement",
     "Outcome",
     "Robustness",
@@ -59,6 +62,7 @@ __all__ = [
     "Verdict",
     "campaign",
     "check",
+    "energy_test",
     "export_fmu",
     "judge",
     "methods",
@@ -299,6 +303,31 @@ def _wired(scene: Any, plan: Any, map: str | Path | None, hold: str | None) -> W
     return None
 
 
+def energy_test(scene: Scene | str | Path, step: Callable[..., Any] | str) -> EnergyTest:
+    """Test whether a time step keeps the energy of free motion, the better the smaller the step.
+
+    Parameters
+    ----------
+    scene : Scene, or its name, or the path of its file.
+    step : `step(q, v, u, h, parameters) -> (q, v)`, or FILE.py:FUNCTION, or a scheme of ours by its
+        name (docs/field.md).
+
+    Returns
+    -------
+    EnergyTest : `vanishes`, `order`, `errors` [J] at `steps` [s], `sentence`.
+
+    Raises
+    ------
+    SceneError, StepError : in one sentence.
+
+    >>> ts.energy_test("cart_pole_walls", "semi_implicit_euler").vanishes
+    True
+    """
+    from validate.judge.time_step import energy_test as tested
+
+    return tested(_scene(scene), step)
+
+
 def robustness(
     scene: Scene | str | Path,
     plan: Solution | Trajectory | Mapping[str, Any] | str | Path | Any,
@@ -385,6 +414,7 @@ def campaign(
     quick: bool = False,
     jobs: int | None = None,
     time_limit: float = 240.0,
+    file: str | Path | None = None,
 ) -> CampaignResult:
     """Every scene by every pipeline, replayed, scored and reported: `python -m validate all`.
 
@@ -398,12 +428,15 @@ def campaign(
     quick : a small choice of pipelines and scenes.
     jobs : runs at a time; None for the number of cores.
     time_limit : of a run [s].
+    file : a campaign file, such as one with plans of other planners (docs/campaigns.md):
+        `python -m validate run`. The file names scenes and time limit.
 
     Raises
     ------
     TouchstoneError : for what the caller can mend, in one sentence.
     """
     from validate.campaign.campaign import run_campaign
+    from validate.campaign.read import read_campaign
     from validate.campaign.runs import CampaignSettings
     from validate.cli.narrator import narrator
 
@@ -413,6 +446,12 @@ def campaign(
     if jobs is not None:
         _positive("jobs", jobs, int)
     named = tuple(map(str, _listed(scenes)))
+    if file is not None:
+        _text("file", file)
+        given = read_campaign(
+            Path(file), out=Path(out), expression=select or None, quick=quick, jobs=jobs
+        )
+        return run_campaign(given, narrator())
     settings = CampaignSettings(
         out=Path(out),
         scenes=named,

@@ -14,6 +14,7 @@ _COMMANDS = {
     "mpec-sets": ("mpec.sets", "MPECs as .nl files: answers, certificates, published optima."),
     "verdicts": ("verdicts.command", "Plans whose verdict is known, and a search for cheats."),
     "kills": ("kills", "Campaigns killed at random moments and resumed: nothing is lost."),
+    "field": ("field.command", "Published plans, solved again, judged, and beside our own."),
     "golden": ("golden", "A full campaign frozen as data, and what a change moved."),
     "rejudge": ("rejudge", "The stored plans of a campaign, judged again."),
     "account": ("account", "Where the seconds of a campaign went."),

@@ -63,8 +63,13 @@ def option(
     upper: float = math.inf,
     unit: str = "1",
     choices: tuple[object, ...] = (),
+    place: bool = False,
 ) -> Any:
-    """Declare a field of `Options`. lower, upper: bounds of a number, inclusive."""
+    """Declare a field of `Options`. lower, upper: bounds of a number, inclusive.
+
+    place: the path of a file. Another field holds the digest of the file, so that the path is no
+    part of a key.
+    """
     choices = choices or ((True, False) if isinstance(default, bool) else ())
     return field(
         default=default,
@@ -74,6 +79,7 @@ def option(
             "upper": upper,
             "unit": unit,
             "choices": choices,
+            "place": place,
         },
     )
 
@@ -127,11 +133,12 @@ def without_inputs(scene: Scene, wanted: str) -> str | None:
 class Kind(Enum):
     """Indirect methods cheat on contact (and are expected to violate physics).
 
-    Direct methods do not.
+    Direct methods do not. A given plan comes from a file.
     """
 
     INDIRECT = "indirect"
     DIRECT = "direct"
+    GIVEN = "given"
 
 
 # Return the stored Solutions of the last leg of a path from a cold start on the session's scene;

@@ -33,6 +33,7 @@ class Outcome(Enum):
     INTERRUPTED = "Stopped by the user."
     REFUSED = "The method does not apply to this scene; the reason stands beside it."
     CRASHED = "The process ended without an answer; the log tells more."
+    GIVEN = "Read from a file; no method of ours found this plan."
     FAILED = "The solver ended in a way it does not explain; the log tells more."
 
     def __repr__(self) -> str:
@@ -47,6 +48,7 @@ class Outcome(Enum):
             Outcome.TIME_LIMIT,
             Outcome.STALLED,
             Outcome.INTERRUPTED,
+            Outcome.GIVEN,
         }
 
 

@@ -82,16 +82,19 @@ def write_netcdf(
     )
 
 
-def read_netcdf(path: Path, scene: Scene) -> Trajectory:
-    """Read a plan of this scene. Raises TrajectoryError naming the file and the column."""
+def read_netcdf(path: Path, scene: Scene, of: str | None = None) -> Trajectory:
+    """Read a plan of this scene, written for a scene called `of` (None: of the same name).
+
+    Raises TrajectoryError naming the file and the column.
+    """
     columns, attributes = read_columns(path)
     if attributes.get("content") != _CONTENT:
         raise TrajectoryError(
             f"file {path}: it holds {attributes.get('content', 'something else')!r}, not a plan."
         )
-    if attributes.get("scene") != scene.name:
+    if attributes.get("scene") != (of or scene.name):
         raise TrajectoryError(
-            f"file {path}: it holds a plan of scene {attributes.get('scene')!r}, not of {scene.name!r}."
+            f"file {path}: it holds a plan of scene {attributes.get('scene')!r}, not of {of or scene.name!r}."
         )
     for kind, name in ((Hold, "hold"), (Scheme, "scheme")):
         known = [item.value for item in kind]

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 
+from reports.foreign import answers, planned, sentence
 from reports.records.record import HOLD, RunRecord, StageRecord
 from reports.rows import rows_of
 from reports.wording import count, error, listing, number, seconds, unit
@@ -48,11 +49,13 @@ class Standing:
 
 
 def three_findings(runs: Sequence[RunRecord]) -> tuple[str, ...]:
-    """Do relaxed plans hold, do exact ones, which pipeline to try first.
+    """Do relaxed plans hold, do exact ones, which pipeline to try first; before these, foreign plans.
 
     Without a sentence where there is nothing to say it of.
     """
-    return tuple(said for said in (_relaxed(runs), _exact(runs), _first(standings(runs))) if said)
+    ours = planned(runs)
+    found = (sentence(answers(runs)), _relaxed(ours), _exact(ours), _first(standings(ours)))
+    return tuple(said for said in found if said)
 
 
 def least_costs(runs: Iterable[RunRecord]) -> dict[str, float]:

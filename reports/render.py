@@ -40,6 +40,7 @@ from reports.pages import (
     checks,
     overview,
     pareto,
+    plans,
     robustness,
     run,
     scene,
@@ -71,6 +72,7 @@ _OF_SCENE = (
 )
 # The other pages by the names of their files, which the first section of each has for its anchor.
 _OTHERS = {
+    "plans": (plans.build,),
     "runs": (run.all_runs,),
     "robustness": (robustness.build,),
     "sweeps": (sweeps.build,),

@@ -21,6 +21,7 @@ TEXTS = {
     name: (DOCS / f"{name}.md").read_text(encoding="utf-8")
     for name in (
         "campaigns",
+        "field",
         "tutorial/scene",
         "tutorial/plan",
         "tutorial/fmu",
@@ -104,6 +105,9 @@ def test_every_snippet_runs(
                 printed += told.out + told.err
                 assert code == int(word), (words, told)
                 assert "Traceback" not in told.err
+    # A conclusion in a text is one that was printed.
+    for line in re.findall(r"^    - (.*)$", TEXTS[name], re.MULTILINE):
+        assert line in " ".join(printed.split()), line
 
 
 def test_the_mistakes_are_those_printed(elsewhere: Path, capfd: pytest.CaptureFixture[str]):

@@ -104,7 +104,7 @@ class CheckRecord(Model):
     fmu: what kind `FMU` found in detail; charts: data of plots it draws itself.
     """
 
-    schema_version: Literal[8] = SCHEMA_VERSION
+    schema_version: Literal[9] = SCHEMA_VERSION
     key: str
     kind: str
     name: str

@@ -93,8 +93,11 @@ def stage_files(index: int, stages: int) -> dict[str, str]:
     return {what: f"{what}{ending}.nc" for what in _FILES}
 
 
+# Residual of a plan from a file: its largest miss of its own time step, over the allowed miss.
+OWN_STEP = "own_time_step"
+
 # Increment it with every change of a stored field: a store of another version is refused.
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 
 Verdict = Literal[
     "holds",
@@ -490,7 +493,7 @@ class ProvenanceRecord(Model):
 class RunRecord(Model):
     """One run: a scene by a pipeline."""
 
-    schema_version: Literal[8] = SCHEMA_VERSION
+    schema_version: Literal[9] = SCHEMA_VERSION
     key: str
     scene: SceneRecord
     pipeline: str
@@ -499,6 +502,10 @@ class RunRecord(Model):
     outcome: str  # of the run: that of its last stage, or crashed / time_limit / refused
     message: str = ""
     verdict: Verdict = "no plan"  # of the last stage
+    # Of a campaign of foreign plans: the instance, and whether its scene is the physics or the
+    # plan's own equations.
+    instance: str = ""
+    judged_by: Literal["", "scene", "model"] = ""
     # the last stage is a direct method: where it says `solved`, its plan must hold (reports.rule)
     must_hold: bool
     wall_seconds: Finite
@@ -570,7 +577,7 @@ class TimeStepRecord(Model):
 class CampaignRecord(Model):
     """What belongs to the campaign as a whole; stored as DIR/campaign.json."""
 
-    schema_version: Literal[8] = SCHEMA_VERSION
+    schema_version: Literal[9] = SCHEMA_VERSION
     title: str
     command: str
     started: str

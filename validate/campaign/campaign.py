@@ -106,11 +106,12 @@ class CampaignResult:
     conclusions: tuple[str, ...]
     left_out: tuple[str, ...]
     report: Path | None
+    refused: tuple[str, ...] = ()
 
     @property
     def exit_code(self) -> int:
-        """0, or 1 where something failed."""
-        return 1 if self.failures else 0
+        """0, 1 if something failed, or 2 if instances of foreign plans were refused."""
+        return 2 if self.refused else 1 if self.failures else 0
 
 
 def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResult:
@@ -217,6 +218,7 @@ class _Campaign:
             conclusions=three_findings(runs),
             left_out=self._left_out,
             report=report,
+            refused=self._settings.refused,
         )
 
     def _announce(self) -> None:
@@ -233,7 +235,7 @@ class _Campaign:
             for item in self._campaign.time_steps
             if item.warning and item.scene in scenes
         ]
-        for sentence in (*unstable, *warnings_of(scenes.values())):
+        for sentence in (*self._settings.refused, *unstable, *warnings_of(scenes.values())):
             self._narrator.warns(sentence)
 
     def _run_tasks(self, tasks: Sequence[Task]) -> None:
@@ -283,7 +285,9 @@ class _Campaign:
         ]
         if any(key not in self._records for key in keys):
             return False
-        self._narrator.found(divided(self._records[key] for key in keys)[0])
+        ended = divided(self._records[key] for key in keys)[0]
+        if not all(run.instance for run in ended):  # foreign plans are counted at the end
+            self._narrator.found(ended)
         return True
 
     def _try_worlds(self) -> None:

@@ -25,6 +25,7 @@ from models.catalog import scene_names
 from models.errors import TouchstoneError, did_you_mean
 from models.scene import Scene
 from models.scene.checks import check_expressions
+from validate.campaign.foreign import foreign_references, plan_scenes
 from validate.campaign.runs import CampaignSettings, referred
 from validate.campaign.schema import (
     FREE,
@@ -32,6 +33,7 @@ from validate.campaign.schema import (
     CampaignLimit,
     LegEntry,
     PipelineEntry,
+    PlansEntry,
     SceneEntry,
     resolved_text,
 )
@@ -91,6 +93,11 @@ def read_campaign(
         raise ConfigError(path, mistakes)
     scenes, bases, wrong = _references(file.scenes, path.parent)
     mistakes += wrong
+    if not (file.scenes or file.plans or mistakes):
+        mistakes.append("scenes: there is none; name scenes to plan for, or plans ([[plans]])")
+    planned, wrong = plan_scenes(file.plans, path.parent)
+    mistakes += wrong
+    bases += [scene for entry in planned for scene in entry.scenes]
     # All pipelines there are for these scenes; all of ours where no scene can be read.
     known = {
         pipeline.name: pipeline
@@ -103,15 +110,22 @@ def read_campaign(
     mistakes += wrong
     if mistakes:
         raise ConfigError(path, mistakes)
+    foreign, refused = foreign_references(planned, path.parent, pipelines)
+    if refused and not (foreign or scenes):
+        raise ConfigError(path, refused)
     return CampaignSettings(
         out=out or Path("runs") / path.stem,
         plugin=plugin,
-        chosen=tuple(scenes),
+        chosen=(*scenes, *foreign),
+        refused=tuple(refused),
         pipelines=pipelines,
         checked=tuple(bases) if file.checks else (),
         time_limit=file.time_limit,
         title=file.title,
-        files={GIVEN: text, RESOLVED: resolved_text(file, scenes, loaded.load_method, path.name)},
+        files={
+            GIVEN: text,
+            RESOLVED: resolved_text(file, scenes, loaded.load_method, path.name, path.parent),
+        },
         **given,
     )
 
@@ -162,8 +176,9 @@ def _model_at(place: _Place) -> type[BaseModel]:
     """The model of which the last part of this place would be a key."""
     if len(place) == 1:
         return CampaignFile
-    if place[0] == "scenes":
-        return SceneEntry if len(place) == 3 else CampaignLimit
+    if place[0] in ("scenes", "plans"):
+        entry = SceneEntry if place[0] == "scenes" else PlansEntry
+        return entry if len(place) == 3 else CampaignLimit
     return PipelineEntry if len(place) == 3 else LegEntry
 
 

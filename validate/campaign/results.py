@@ -5,7 +5,7 @@ Rebuilt from records at any time, numbers in full (repr), nothing where nothing 
 Rows stand in the order of the campaign's tasks; apart from the columns whose names end in `_s`
 (seconds) the file is the same bytes whenever the same tasks are run on the same machine.
 
-violation.csv: one row a relaxation and eps.
+violation.csv: one row a relaxation and eps. plans.csv: one row a foreign plan.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from reports.foreign import answers
 from reports.records.check_record import CheckRecord
 from reports.records.record import (
+    OWN_STEP,
     RunRecord,
     StageRecord,
     SurveyRecord,
@@ -26,7 +28,12 @@ from reports.records.record import (
 from validate.judge.score import metric_names
 from validate.processes.disk import remove, write_durably
 
-TABLES = RESULTS, CHECKS, VIOLATION = ("results.csv", "checks.csv", "violation.csv")
+TABLES = RESULTS, CHECKS, VIOLATION, PLANS = (
+    "results.csv",
+    "checks.csv",
+    "violation.csv",
+    "plans.csv",
+)
 _METRICS_FIRST = (
     "terminal_error",
     "physics",
@@ -144,6 +151,31 @@ def check_rows(records: Iterable[CheckRecord]) -> list[dict[str, Any]]:
     ]
 
 
+def plan_rows(runs: Sequence[RunRecord]) -> list[dict[str, Any]]:
+    """One dictionary a foreign plan, by column name: the three answers and their figures."""
+    return [
+        {
+            "instance": one.instance,
+            "plan": one.plan,
+            "own_time_step": one.discrete,
+            "own_equations": one.model,
+            "physics": one.scene,
+            "meaning": one.meaning,
+            "cost": one.run.cost,
+            "own_time_step_miss": (one.own or one.run).stages[-1].residuals.get(OWN_STEP),
+            "own_replay_error": None if one.own is None else _replay_error(one.own),
+            "replay_error": _replay_error(one.run),
+        }
+        for one in answers(runs)
+    ]
+
+
+def _replay_error(run: RunRecord) -> float | None:
+    """Return the largest distance of the replay that the verdict is on from the plan."""
+    metric = run.stages[-1].judged("replay_error")
+    return None if metric is None else metric.value
+
+
 def tables(
     runs: Sequence[RunRecord], checks: Sequence[CheckRecord], violation: Sequence[ViolationPoint]
 ) -> dict[str, str]:
@@ -152,6 +184,7 @@ def tables(
         RESULTS: table_text(COLUMNS, rows(runs)),
         CHECKS: _table(check_rows(checks)),
         VIOLATION: table_text(_VIOLATION_COLUMNS, map(_violation_row, violation)),
+        PLANS: _table(plan_rows(runs)),
     }
 
 

@@ -78,7 +78,8 @@ class CampaignSettings:
         jobs: tasks at a time, None for what the engine chooses.
     Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; checked:
         scenes whose FMUs are checked; title: of the
-    report; files: texts written into the folder, by name.
+    report; files: texts written into the folder, by name; refused: a sentence for each instance of
+        foreign plans that does not run.
     """
 
     out: Path
@@ -100,6 +101,7 @@ class CampaignSettings:
     checked: tuple[SceneReference, ...] = ()
     title: str = ""
     files: Mapping[str, str] = field(default_factory=dict)
+    refused: tuple[str, ...] = ()
 
     def wants(self, names: Iterable[str], title: str) -> bool:
         """Whether a task of these names and this title is meant by `-k`. Raises SelectionError."""
@@ -145,7 +147,9 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedTask], tuple[str, ..
     long: list[str] = []
     for reference in scenes:
         scene = reference.scene
-        pipelines = settings.pipelines or plugin.pipelines_for(scene)
+        pipelines = reference.pipelines
+        if pipelines is None:
+            pipelines = settings.pipelines or plugin.pipelines_for(scene)
         for pipeline in pipelines:
             methods = dict.fromkeys(leg.method for leg in pipeline.legs)
             seen += [scene.name, pipeline.name, *methods]
@@ -292,7 +296,15 @@ def _entry(
         for leg in planned_legs(planned_stages(way, plugin.methods_of(way)), key_of)
     }
     task = RunTask(
-        key=leg_key(scene, plan, source, pipeline.name, pipeline.title),
+        key=leg_key(
+            scene,
+            plan,
+            source,
+            pipeline.name,
+            pipeline.title,
+            reference.instance,
+            reference.judged_by,
+        ),
         scene=reference.where,
         scene_name=scene.name,
         pipeline=pipeline,
@@ -301,6 +313,8 @@ def _entry(
         variant=reference.variant,
         legs=planned_legs(plan, key_of),
         uses=tuple(sorted(used)),
+        instance=reference.instance,
+        judged_by=reference.judged_by,
     )
     return PlannedTask(task, LoadedRun(scene=scene, plan=plan))
 
@@ -371,7 +385,8 @@ def worlds_tasks(
             for scene in {run.scene.name for _, run in runs}
             if (plans := stored.cheapest(scene))
         }
-        runs = [(task, run) for task, run in runs if run.key in cheapest]
+        # Foreign plans are tried on demand only: their scenes are many.
+        runs = [(task, run) for task, run in runs if run.key in cheapest and not task.instance]
     tasks = []
     for task, run in runs:
         wanted = tuple(

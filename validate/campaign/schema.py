@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 # A plan of a million steps is far beyond what any method here can hold.
 MOST_STEPS = 1_000_000
 FREE = "free"
+# Keys of [[plans]] that are paths whatever they end with.
+_PLACES = frozenset({"instances", "plans", "time_step", "start"})
 
 
 class _Strict(BaseModel):
@@ -163,8 +166,49 @@ class PipelineEntry(_Strict):
     legs: list[LegEntry] = Field(min_length=1, max_length=100)
 
 
+class PlansEntry(_Strict):
+    """Plans from files, one for each instance of a scene. Paths start at the campaign file."""
+
+    scene: str = Field(
+        min_length=1, description="A name, or the path of a scene file: the physics."
+    )
+    name: str = Field(
+        default="plan",
+        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,60}$",
+        description="Name of these plans in tables, in the place of a pipeline's.",
+    )
+    instances: str | None = Field(
+        default=None,
+        description="CSV with one line an instance: name, parameters of the scene, start.NAME and goal.NAME of states, plan (a path). Without it each plan is an instance.",
+    )
+    plans: str | None = Field(
+        default=None,
+        description='Pattern of the plans: "plans/*.csv", or "plans/{name}.csv" of instances with names.',
+    )
+    model: str | None = Field(
+        default=None, description="A scene of the plans' own equations, with the same coordinates."
+    )
+    time_step: str | None = Field(
+        default=None,
+        description="FILE.py:FUNCTION, the plans' own time step: step(q, v, u, h, parameters) -> (q, v).",
+    )
+    start: str | None = Field(
+        default=None,
+        description='A plan from which the pipelines of this file start; a path, or a pattern with "{name}".',
+    )
+    steps: Annotated[int, Field(ge=1, le=MOST_STEPS)] | None = Field(
+        default=None, description="How many time steps."
+    )
+    step: Annotated[float, Field(gt=0.0)] | None = Field(
+        default=None, description="Length of a time step [s]."
+    )
+    limits: dict[str, OfLimit] = Field(
+        default={}, description="Limits on figures of the score, for the scene and the model."
+    )
+
+
 class CampaignFile(_Strict):
-    """A campaign of touchstone: scenes by pipelines.
+    """A campaign of touchstone: scenes by pipelines, plans from files.
 
     Run it with `python -m validate run FILE.toml`.
     """
@@ -174,7 +218,8 @@ class CampaignFile(_Strict):
         Annotated[
             SceneEntry, BeforeValidator(_short_scene, json_schema_input_type=str | SceneEntry)
         ]
-    ] = Field(min_length=1)
+    ] = Field(default=[], description="Scenes to plan for; needed if there are no plans.")
+    plans: list[PlansEntry] = Field(default=[], description="Plans from files.")
     pipelines: list[str] = Field(
         default=[],
         description="Names of pipelines, ours or of this file; without it all of this file, and if it has none, all of ours.",
@@ -195,8 +240,9 @@ def resolved_text(
     scenes: Sequence[SceneReference],
     load_method: Callable[[str], Method],
     name: str,
+    folder: Path,
 ) -> str:
-    """The file as text. name: of the file it was made from."""
+    """The file as text. name, folder: of the file it was made from."""
     head = {
         "title": file.title,
         "time_limit": float(file.time_limit),
@@ -209,6 +255,8 @@ def resolved_text(
     ]
     for reference in scenes:
         lines += ["", "[[scenes]]", *_lines(_scene(reference))]
+    for entry in file.plans:
+        lines += ["", "[[plans]]", *_lines(_plans(entry, folder))]
     for own, entry in file.pipeline.items():
         lines += ["", f"[pipeline.{toml_text(own)}]", *_lines({"title": entry.title})]
         for leg in entry.legs:
@@ -227,6 +275,20 @@ def resolved_text(
 
 def _lines(data: Mapping[str, Any]) -> list[str]:
     return [f"{key} = {toml_value(value)}" for key, value in data.items()]
+
+
+def _plans(entry: PlansEntry, folder: Path) -> dict[str, Any]:
+    """The entry with absolute paths."""
+
+    def absolute(key: str, value: str) -> str:
+        is_path = key in _PLACES or value.endswith(".py")
+        return str((folder / value).resolve()) if is_path else value
+
+    given = entry.model_dump(exclude_defaults=True)
+    return {
+        key: absolute(key, value) if isinstance(value, str) else value
+        for key, value in given.items()
+    }
 
 
 def _defaults(method: Method) -> dict[str, Any]:

@@ -37,7 +37,7 @@ _NAMED = 3
 
 
 def print_dry_run(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> int:
-    """Print what works here and what would run. Return 3 if a trial fails, else 0.
+    """Print what works here and what would run. Return 3 if a trial fails, 2 if instances of foreign plans are refused, else 0.
 
     Nothing is run or written. Raises TouchstoneError.
     """
@@ -51,9 +51,9 @@ def print_dry_run(settings: CampaignSettings, *, as_json: bool, as_table: bool) 
             begin, colour = ("works: ", "green") if finding.works else ("fails: ", "red")
             say(f"{finding.name}: {finding.sentence}", begin=begin, indent="  ", colour=colour)
     failing = [finding.name for finding in findings if not finding.works]
-    code = MachineError.exit_code if failing else 0
+    code = MachineError.exit_code if failing else 2 if settings.refused else 0
     scenes = scenes_of(entries)
-    warn(warnings_of(scenes.values(), steps=True))
+    warn([*settings.refused, *warnings_of(scenes.values(), steps=True)])
     own: dict[str, tuple[str, ...]] = {}
     with suppress(MachineError):  # no compiler: a trial above fails
         own = {

@@ -36,6 +36,7 @@ _COMMANDS = {
     "report": "Rebuild results.csv and report.html of a campaign from its records.",
     "replay": "Replay and score anybody's plan, on a scene or on anybody's FMU.",
     "robust": "How much a plan can take: the share of perturbed worlds in which it still arrives.",
+    "energy": "Whether a time step follows the energies of a scene.",
     "truth": "What is true of contact, and what our FMU and other simulators make of it.",
     "fmu": "Export a scene as an FMU.",
     "check": "Check any FMU: its files, and how its code behaves.",

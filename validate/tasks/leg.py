@@ -27,7 +27,7 @@ import os
 import shutil
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -77,10 +77,12 @@ class Planned:
 
     def asked(self) -> list[Any]:
         """All that is asked of it, for a key."""
+        places = {item.name for item in fields(self.options) if item.metadata.get("place")}
+        options = asdict(self.options).items()
         return [
             self.name,
             self.eps,
-            {name: repr(value) for name, value in asdict(self.options).items()},
+            {name: repr(value) for name, value in options if name not in places},
         ]
 
 

@@ -24,6 +24,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from formulations.given_plan import GIVEN_PLAN
 from formulations.method import Leg, Method, Pipeline
 from formulations.pipelines import QUICK, load_method, pipelines_for
 from models.errors import MachineError, TouchstoneError, UnknownNameError
@@ -102,7 +103,12 @@ class Plugin:
 
     def methods_of(self, pipeline: Pipeline) -> dict[str, Method]:
         """The methods of a pipeline's legs, by name. Raises UnknownNameError."""
-        return {leg.method: self.load_method(leg.method) for leg in pipeline.legs}
+        return {
+            leg.method: GIVEN_PLAN
+            if leg.method == GIVEN_PLAN.name
+            else self.load_method(leg.method)
+            for leg in pipeline.legs
+        }
 
 
 DEFAULT = Plugin()

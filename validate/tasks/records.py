@@ -257,6 +257,8 @@ def run_record(
         outcome=last.outcome if outcome is None else outcome,
         message=last.message if message is None else message,
         verdict=last.verdict,
+        instance=task.instance,
+        judged_by=task.judged_by,
         must_hold=last.kind == "direct",
         wall_seconds=wall,
         cpu_seconds=cpu,

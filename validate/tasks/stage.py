@@ -21,12 +21,13 @@ from formulations.method import Kind, Leg, StoredStages
 from formulations.solution import Outcome, Seconds, Solution, as_asked
 from models.errors import MachineError, TouchstoneError, TrajectoryError
 from models.trajectory_netcdf import write_netcdf
-from reports.records.record import LONGEST
+from reports.records.record import LONGEST, OWN_STEP
+from validate.judge.time_step import load_step, step_defect
 from validate.processes.disk import raise_if_disk_ended
 from validate.store.store import progress
 from validate.tasks.leg import Planned, StoredStage, leg_files, link_file
 from validate.tasks.profile import Profile
-from validate.tasks.records import Judged, stage_record, with_certificate
+from validate.tasks.records import Judged, finite, stage_record, with_certificate
 
 if TYPE_CHECKING:
     from models.scene import Scene
@@ -147,7 +148,10 @@ class OpenLeg:
         if solution.trajectory is not None:
             solution.trajectory.check_fits(self._scene)
             asked = self._scene.task.horizon
-            if not math.isclose(solution.trajectory.duration, asked, rel_tol=1e-9):
+            # The judge asks a given plan how long it lasts (question 1).
+            if planned.method.kind is not Kind.GIVEN and not math.isclose(
+                solution.trajectory.duration, asked, rel_tol=1e-9
+            ):
                 raise TrajectoryError(
                     f"plan: it lasts {solution.trajectory.duration:.6g} s, but the task of scene {self._scene.name} {asked:.6g} s."
                 )
@@ -201,7 +205,24 @@ class Judge:
             before=before,
             judged=judged,
         )
+        if item.planned.method.kind is Kind.GIVEN:
+            of_plan |= self._of_given(item.solution, judged)
         return record.model_copy(update=of_plan)
+
+    def _of_given(self, solution: Solution, judged: Judged) -> dict[str, object]:
+        """Return the cost of a plan from a file, and how far it misses its own time step."""
+        found: dict[str, object] = {
+            "cost": None if judged.score is None else finite(judged.score.value("cost"))
+        }
+        reference = str(solution.options["time_step"])
+        if not reference or solution.trajectory is None:
+            return found
+        try:
+            step = load_step(reference)
+            missed = step_defect(self._scene, step, solution.trajectory)
+        except TouchstoneError as error:
+            return found | {"message": str(error)}
+        return found | {"residuals": {OWN_STEP: missed}}
 
     def _judged(self, trajectory: Trajectory | None, folder: Path, number: int) -> Judged:
         if trajectory is not None and self._fmu is None:

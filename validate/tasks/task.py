@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from pydantic import TypeAdapter
 
@@ -26,6 +26,8 @@ from models.scene import Limit, Scene
 from reports.records.check_record import CheckRecord
 from reports.records.record import RunRecord
 
+# The scene of a foreign plan is the physics, or the plan's own equations; empty: of no such plan.
+JudgedBy: TypeAlias = Literal["", "scene", "model"]
 # Judges the replay by closed forms, which are those of the unchanged scene.
 _BY_ANSWERS = "answer_error"
 
@@ -49,11 +51,18 @@ class Variant:
 
 @dataclass(frozen=True)
 class SceneReference:
-    """A scene of the campaign, what load_scene takes to find it again in a child, and what a campaign file changed of it (done in `scene`)."""
+    """A scene of the campaign, what load_scene takes to find it again in a child, and what a campaign file changed of it (done in `scene`).
+
+    instance, judged_by: of a campaign of foreign plans, the instance and the role of the scene;
+        pipelines: those of this scene alone, None for those of the campaign.
+    """
 
     where: str
     scene: Scene
     variant: Variant | None = None
+    instance: str = ""
+    judged_by: JudgedBy = ""
+    pipelines: tuple[Pipeline, ...] | None = None
 
 
 def state_names(scene: Scene) -> tuple[str, ...]:
@@ -160,6 +169,8 @@ class RunTask:
     legs: tuple[PlannedLeg, ...] = ()
     uses: tuple[str, ...] = ()
     worlds: tuple[int, ...] = ()
+    instance: str = ""
+    judged_by: JudgedBy = ""
 
     @property
     def title(self) -> str:

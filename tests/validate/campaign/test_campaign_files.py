@@ -99,8 +99,8 @@ def test_on_the_command_line_each_is_a_line_and_the_exit_code_is_2(cli, tmp_path
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("scenes = []", "scenes: it is [], but must be a list of 1 or more"),
-        ("", "scenes: it is missing"),
+        ("scenes = []", "scenes: there is none"),
+        ("", "scenes: there is none"),
         ("scenes = [3]", "scenes[0]"),
         ('scenes = ["own/scene.py"]', "there is no such file"),
         ('scenes = ["three_cart", "three_cart"]', "2 of them are called 'three_cart'"),
