@@ -362,7 +362,7 @@ class Path:
                 continue
             failures += 1
             self.gave_up = True
-            self.last_outcome, self.last_message = result.outcome, result.told
+            self.last_outcome, self.last_message = result.outcome, result.explanation
             if (
                 self._budget.is_over
                 or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT)

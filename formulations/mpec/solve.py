@@ -312,7 +312,7 @@ def _run_strategy(
         )
     else:
         assert branching.last is not None
-        outcome, message = branching.last.outcome, branching.last.told
+        outcome, message = branching.last.outcome, branching.last.explanation
     return Candidate(
         work=work,
         branch=branch,
@@ -457,7 +457,7 @@ class MpecIpopt(PyomoPlugin):
         """Solve with `solve_mpec`."""
         result = self.last_result = solve_mpec(model, read_settings(options), time_limit=timelimit)
         answer = PyomoAnswer(
-            found=result,
+            result=result,
             is_feasible=result.solved or is_feasible(result),
             sense=result.sense,
             has_objective=result.has_objective,
