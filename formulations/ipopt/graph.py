@@ -243,7 +243,6 @@ class Graph:
         return self._operation(name, a)
 
     def _one_plus_exp(self, node: int) -> int | None:
-        """Return z of a node 1 + exp(z), else None."""
         if self.op[node] != "add":
             return None
         a, b = self.args[node]
@@ -287,7 +286,6 @@ class Graph:
 
 
 def _partial_derivatives(graph: Graph, node: int) -> tuple[tuple[int, int], ...]:
-    """Return ((operand, d node / d operand), ...)."""
     op, args = graph.op[node], graph.args[node]
     a = args[0]
     if op == "add":

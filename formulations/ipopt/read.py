@@ -43,8 +43,6 @@ from formulations.ipopt.model import EvaluatedExpression, ModelRefusedError, as_
 
 
 class _Read(NamedTuple):
-    """An operation whose operands have been read."""
-
     node: Any
     operator: Any
 
@@ -70,7 +68,6 @@ def _kind_of(node: Any) -> int:
 
 
 def _classify(node: Any, cls: type) -> int:
-    """Return the kind of a new class; store it unless it depends on the object."""
     if cls in native_numeric_types:
         _KIND[cls] = _NUMBER
         return _NUMBER
@@ -334,7 +331,6 @@ class TermReader:
 
 
 def _operator(node: Any, code: int) -> tuple[Any, Sequence[Any]] | None:
-    """Return token and operands, None for an operation that the algebra lacks."""
     if code in (_PRODUCT, _MONOMIAL):
         return "*", node.args
     if code == _SUM:
@@ -387,7 +383,6 @@ def _variable_and_wide_sum(node: Any) -> tuple[Any, Sequence[Any]] | None:
 
 
 def _leads_to_wide_sum(node: Any) -> bool:
-    """Return whether a short search through sums, signs, names and data finds a wide sum."""
     stack = [node]
     for _ in range(_SHORT_LOOK):
         if not stack:

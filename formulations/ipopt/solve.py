@@ -94,7 +94,6 @@ def _checked(name: str, values: np.ndarray, size: int) -> np.ndarray:
 
 
 def _warm_options(problem: IpoptProblem, start: Start) -> dict[str, str | int | float]:
-    """Return the options of a primal-dual start; mu_init is its mean complementarity."""
     if start.lagrange is None or start.zl is None or start.zu is None:
         return {}
     inequality = problem.constraint_lower < problem.constraint_upper
@@ -333,7 +332,6 @@ _NAMES = 4
 def _judge(
     problem: IpoptProblem, answer: IpoptExit, options: Mapping[str, Any]
 ) -> tuple[Outcome, str, Residuals]:
-    """Return outcome, message and residuals; SOLVED only if the residuals confirm it."""
     vectors = (answer.x, answer.lagrange, answer.zl, answer.zu)
     finite = all(np.isfinite(v).all() for v in vectors)
     certificate = residuals(problem, *vectors) if finite else UNKNOWN
@@ -381,7 +379,6 @@ def _judge(
 
 
 def _too_many_equations(problem: IpoptProblem) -> str:
-    """Return a sentence if there are more equations than free variables."""
     equal = np.flatnonzero(problem.constraint_lower == problem.constraint_upper)
     if len(equal) <= problem.n:
         return ""
@@ -404,7 +401,6 @@ def _some(names: list[str]) -> str:
 
 
 def _undefined(problem: IpoptProblem, x: np.ndarray) -> str:
-    """Return a clause naming the first function without a finite value where Ipopt stopped."""
     if not np.all(np.isfinite(x)):
         name = problem.variables[int(np.flatnonzero(~np.isfinite(x))[0])].name
         return f"; variable '{name}' is no finite number there: give it one to start from"
