@@ -209,7 +209,7 @@ class Finder:
             self._scene, {"first_eps": RELAXED_FROM, "max_iterations": _WALK}
         ) as session:
             solution = session.solve(eps=RELAXED_TO, warm_start=None, time_limit=budget.remaining)
-        budget.told(solution)
+        budget.add_solution(solution)
         self._is_walked = True
         budget.most_work = min(self._most_work, budget.work + 0.5e6 * self._options.first_work)
         return solution.trajectory
@@ -419,7 +419,7 @@ class Finder:
                 if plan is None or answer is not None or budget.is_over:
                     break
                 loose = session.solve(eps=eps, warm_start=plan, time_limit=budget.remaining)
-                budget.told(loose)
+                budget.add_solution(loose)
                 plan = loose.trajectory
                 answer = (
                     None if plan is None or budget.is_over else self._exact(budget, problem, plan)
