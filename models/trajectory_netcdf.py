@@ -1,12 +1,11 @@
-"""Plans in NetCDF-4 files: one variable a column, named and with units as the scene has them.
+"""Write and read plans in NetCDF-4 files, one variable per column, named as in the scene.
 
-write_netcdf(path, trajectory, scene)
-trajectory = read_netcdf(path, scene)        # bit for bit what was written
+    write_netcdf(path, trajectory, scene)
+    trajectory = read_netcdf(path, scene)  # bit for bit
 
-Beside the plan stand the gaps of its contacts and the poses of the scene's shapes at its nodes
-(models.kinematics), in single precision: the report draws them without the scene. A
-plan may have tracking gains with it, K (steps, nu, 2*nq) of u = u_plan + K (x_plan - x), as columns
-`gain_<input>_<position or velocity>`.
+The file also contains the gaps of contacts and the poses of shapes at the nodes (models.kinematics)
+in single precision, so that reports can draw it without the scene, and optional tracking gains
+K (steps, nu, 2*nq) as columns `gain_<input>_<position or velocity>`.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ def write_netcdf(
     Parameters
     ----------
     gains
-        K (steps, nu, 2*nq) of u = u_plan + K (x_plan - x) [N/m, N s/m and so on]; None: no gains.
+        K (steps, nu, 2*nq) of u = u_plan + K (x_plan - x) [N/m, N s/m and so on], or None.
 
     Raises
     ------
