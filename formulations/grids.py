@@ -181,8 +181,7 @@ def _followed(scene: Scene, plan: Trajectory, parts: int) -> tuple[np.ndarray | 
     """Return the inputs (steps, nu) with feedback [N, N m], or None, and the departure [-].
 
     The feedback is the time-varying LQR in which a nominal error costs as much as a full input. It
-    is
-    constant over a step of the plan and respects the bounds.
+    is constant over a step of the plan and respects the bounds.
     """
     lost = None, _LOST
     steps, h, x_plan = load_steps(scene), scene.task.step / parts, np.hstack([plan.q, plan.v])

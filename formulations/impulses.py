@@ -29,8 +29,7 @@ def contact_departure(scene: Scene, plan: Trajectory) -> float:
 
     It includes impulses that only the plan or only the motion has within a step, and the deepest
     penetration over the depth of its contact. The motion has feedback; the one without counts too
-    if it
-    stays close to the plan. Raises KernelError for a plan of another scene.
+    if it stays close to the plan. Raises KernelError for a plan of another scene.
     """
     if not scene.nc:
         return 0.0

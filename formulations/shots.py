@@ -85,8 +85,7 @@ def nearest_pushes(
     """Return random inputs (steps, nu) [N, N m] with a finite motion, closest to the goal first.
 
     near are the allowed errors (2*nq,) [m, rad, m/s, rad/s]. Raises KernelError if the mass matrix
-    is
-    not positive definite along a motion.
+    is not positive definite along a motion.
     """
     random, steps = np.random.default_rng(seed), scene.task.steps
     (low, high), bounds = input_range(scene), input_bounds(scene)
@@ -111,8 +110,7 @@ def corrected(
 
     The shot ends at least as close as the motion of u; `most` limits the Newton steps. near are the
     allowed errors (2*nq,) [m, rad, m/s, rad/s]. Raises KernelError if the mass matrix is not
-    positive
-    definite along a motion.
+    positive definite along a motion.
     """
     rollout, u = correct_end(scene, kernel, u, scale=near, most=most)
     if rollout.diverged:
@@ -132,8 +130,7 @@ def cheaper(
 
     Projected gradients with Barzilai-Borwein lengths; each step is corrected. near are the allowed
     errors (2*nq,) [m, rad, m/s, rad/s]. Raises KernelError if the mass matrix is not positive
-    definite
-    along a motion.
+    definite along a motion.
     """
     before: tuple[np.ndarray, np.ndarray] | None = None
     length = 0.0
@@ -164,8 +161,7 @@ def off_the_edge(scene: Scene, kernel: Kernel, shot: Shot, near: np.ndarray) -> 
 
     Motions jump with the inputs where a damped contact or friction begins, and optima lie at jumps.
     near are the allowed errors (2*nq,) [m, rad, m/s, rad/s]. Raises KernelError if the mass matrix
-    is
-    not positive definite along a motion.
+    is not positive definite along a motion.
     """
     if is_motion(scene, kernel, shot.u, shot.rollout.q):
         return shot

@@ -174,8 +174,7 @@ def defect(kernel: Kernel, plan: Trajectory) -> np.ndarray:
     """Return the largest errors (2*nq,) [m, rad, m/s, rad/s] of a plan's own collocation steps.
 
     Contact forces follow the true law; infinite without a solution. Raises ValueError for a plan
-    without
-    a scheme, KernelError for a scene with friction.
+    without a scheme, KernelError for a scene with friction.
     """
     if plan.scheme is None:
         raise ValueError("a plan that declares no scheme has no defect.")

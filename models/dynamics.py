@@ -122,8 +122,8 @@ class Dynamics:
         """Return a numpy function: `f = d.function(d.tau, d.q, d.v, d.u); f(q, v, u)`.
 
         It maps arrays (len(group),) to an array shaped like the matrix [SI], with default
-        parameters; for
-        tests, not for inner loops. A call raises NameError for a symbol that is in no group.
+        parameters; for tests, not for inner loops. A call raises NameError for a symbol that is in
+        no group.
         """
         matrix = sp.Matrix(expressions).subs(self.scene.parameter_values)
         compiled = sp.lambdify([list(group) for group in groups], matrix, modules=[np], cse=True)

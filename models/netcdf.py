@@ -114,8 +114,7 @@ def _content(
     """Return the bytes of the file.
 
     The file is made in memory, because HDF5 reports a full disk in many ways. The low-level HDF5
-    calls
-    take a fifth of the time of h5py's classes for short columns.
+    calls take a fifth of the time of h5py's classes for short columns.
     """
     from h5py import h5d, h5ds, h5f, h5p, h5s, h5t  # 0.1 s to import
 

@@ -265,8 +265,7 @@ def real_numbers(what: str, values: Any) -> np.ndarray:
     """Return a copy as floats (any,) [SI] that changes no number.
 
     values may be booleans, integers, reals, or objects and text of these; None and pandas' NA
-    become NaN.
-    Raises TrajectoryError for complex numbers, masked values, dates and durations.
+    become NaN. Raises TrajectoryError for complex numbers, masked values, dates and durations.
     """
     if callable(detach := getattr(values, "detach", None)):  # a PyTorch tensor
         tensor: Any = detach()

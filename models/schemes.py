@@ -32,10 +32,8 @@ class Tableau:
         X_i = x + h sum_j a_ij f(X_j, u), x' = x + h sum_i b_i f(X_i, u)
 
     Contact forces have a kink where contacts open or close. A step with a kink has a velocity error
-    of
-    at most `switch_constant` h^2 |phi'| |M^-1 J' k|, so plans with contacts have order 2
-    (three_cart:
-    1.9).
+    of at most `switch_constant` h^2 |phi'| |M^-1 J' k|, so plans with contacts have order 2
+    (three_cart: 1.9).
 
     switch_constant: largest |integral over 0..1 of max(s - z, 0) - sum_i b_i max(c_i - z, 0)| over
         the place z of the kink

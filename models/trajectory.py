@@ -4,9 +4,8 @@
     plan.plot(scene)
 
 A CSV has one row per node, with columns `t` and the scene's names (`q1 ... v1 ... u1 ...
-lam_left`);
-the last row has no u and lam. Lines such as `# scheme: semi_implicit_euler` and `# hold: zero` (or
-`linear`) above the header declare these.
+lam_left`); the last row has no u and lam. Lines such as `# scheme: semi_implicit_euler` and `#
+hold: zero` (or `linear`) above the header declare these.
 """
 
 from __future__ import annotations
@@ -94,18 +93,15 @@ class Trajectory:
     q, v: (nodes, nq) generalised positions [m, rad] and velocities
     u: (steps, nu) inputs within each step by `hold`
     lam: (steps, nl) contact forces, then friction forces [N]. With a scheme a contact force is that
-        at
-        the *start* of the step, lam[i] at phi(q[i]), a friction force that of the slip at its end;
-        otherwise either end or the mean
+        at the *start* of the step, lam[i] at phi(q[i]), a friction force that of the slip at its
+        end; otherwise either end or the mean
     scheme: the time step (models.schemes), or None if unknown
     missing: groups without data, of "q", "v", "lam" (contact forces) and "friction"; the arrays
-        then hold
-        substitutes (see `read_csv`)
+        then hold substitutes (see `read_csv`)
     u_end: (nu,) input at the last node, the end of a linear hold; None: constant
 
     Raises TrajectoryError for wrong shapes, NaN, or times that do not increase. hold and scheme may
-    be
-    given by their text.
+    be given by their text.
     """
 
     t: np.ndarray
@@ -222,8 +218,7 @@ class Trajectory:
         """Return the plan with inputs scale * u + offset, in the units of an FMU.
 
         scale and offset are (nu,), in FMU units [per unit of the scene]. Raises ValueError for
-        another
-        number of inputs.
+        another number of inputs.
         """
         return replace(
             self,
@@ -428,15 +423,11 @@ def read_csv(
     """Read a plan from a CSV file.
 
     Cells are separated by comma, semicolon (then 0,5 is a number) or tab; lines with # are
-    comments.
-    A column may state its unit, `q1 [m]`, which must be the scene's. Empty columns count as
-    missing.
-    `t` and the inputs are required; positions, velocities, contact forces and friction forces may
-    be
-    missing as whole groups. Substitutes are the task's start positions, zero forces, and central
-    differences as velocities with the task's at the start. A plan of inputs only, with inputs in
-    its
-    last row, gets one more step if it then lasts as long as the task.
+    comments. A column may state its unit, `q1 [m]`, which must be the scene's. Empty columns count
+    as missing. `t` and the inputs are required; positions, velocities, contact forces and friction
+    forces may be missing as whole groups. Substitutes are the task's start positions, zero forces,
+    and central differences as velocities with the task's at the start. A plan of inputs only, with
+    inputs in its last row, gets one more step if it then lasts as long as the task.
 
     Parameters
     ----------
@@ -571,8 +562,7 @@ def times_and_inputs(
     """Return times t (nodes,) [s], inputs u (steps, nu) [SI] and u_end (nu,) or None of a table.
 
     A plan of inputs only, with inputs in its last row, gets one more step if it then lasts as long
-    as
-    `expected` = (duration, tolerance) [s]; None adds no step. time and columns are names. Raises
+    as `expected` = (duration, tolerance) [s]; None adds no step. time and columns are names. Raises
     TrajectoryError for a cell that is no finite number.
     """
     t = table.column(time, last_is_open=False)

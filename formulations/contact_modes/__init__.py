@@ -5,6 +5,6 @@
 
 With fixed modes the problem is smooth without complementarity, and a convex QP for a linear scene
 (`quadratic`, else `nonlinear`). `finder` gets first modes from softplus or relaxed contact,
-`search`
-improves them interval by interval, `starts` provides start motions, `session` opens `mpcc`.
+`search` improves them interval by interval, `starts` provides start motions, `session` opens
+`mpcc`.
 """

@@ -220,8 +220,7 @@ class CollocationSession(Session):
         """Count unknowns and equations of the model with fixed modes, by hand.
 
         Nodes, inputs, the first stage, forces and separation forces; ends, stages, nodes that are
-        no
-        stage, separation forces.
+        no stage, separation forces.
         """
         scene, table = self._scene, tableau(self._scheme)
         steps, ends_given = scene.task.steps, sum(value is not None for value in scene.task.goal)

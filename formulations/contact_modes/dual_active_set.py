@@ -4,8 +4,8 @@ The dual active-set method (Goldfarb and Idnani 1983) needs one factorisation an
 substitution per condition. It adds the most violated condition until none is left; its cost rises
 towards the optimum, so that a mode search can stop it at the best known cost.
 This stops two thirds of 229 questions of `mpcc`. No library is as fast: PIQP takes 0.9 to 3.2 times
-the CPU, Clarabel 1.7 to 5.4, DAQP 0.9 to 4.1.
-With many active conditions Clarabel's interior-point method names them (multiplier above slack).
+the CPU, Clarabel 1.7 to 5.4, DAQP 0.9 to 4.1. With many active conditions Clarabel's interior-point
+method names them (multiplier above slack).
 """
 
 from __future__ import annotations
@@ -65,8 +65,7 @@ def interior_point_active_set(
     """Return the active conditions by Clarabel, or None without an optimum.
 
     closed is (steps, nc) [-], softness as in `ModesProblem`. The unknowns are z[0..T], u and the
-    error
-    of a soft goal. Raises ValueError for an array of another shape.
+    error of a soft goal. Raises ValueError for an array of another shape.
     """
     T, n, nu, nc = linear.steps, linear.n, linear.nu, linear.nc
     aimed = np.flatnonzero(linear.aimed)

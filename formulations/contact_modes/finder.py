@@ -201,9 +201,8 @@ class Finder:
         """Walk relaxed complementarity down from a loose bound; its forces need contact.
 
         Two fingers that carry a disc have no softplus plan after 348 iterations, but modes with a
-        plan
-        here after 121. The walk has limits of its own; using its plan may cost as much as a first
-        one.
+        plan here after 121. The walk has limits of its own; using its plan may cost as much as a
+        first one.
         """
         with load_method("relaxed_lcp").open(
             self._scene, {"first_eps": RELAXED_FROM, "max_iterations": _WALK}

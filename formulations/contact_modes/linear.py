@@ -5,8 +5,7 @@
     point = kkt.point(kkt.solve(kkt.right_side(closed, held, bound, touching)))
 
 lam_i = k_i phi_i(z) where contact i is closed; the running cost is 1/2 x' H x + g' x + constant
-with
-x = (q, v, u). Unknowns, time by time: y[t], u[t], z[t+1], mu[t+1]; last w. Lagrangian:
+with x = (q, v, u). Unknowns, time by time: y[t], u[t], z[t+1], mu[t+1]; last w. Lagrangian:
 
     L = sum_t cost(z[t], u[t]) + y[t]' (A[t] z[t] + B u[t] + c[t] - z[t+1])
       + mu[t]' (P z[t] + p) + w' (z[T] - goal)
@@ -123,8 +122,7 @@ class LinearScene:
     k: (nc,) [N/m]
     H (n+nu, n+nu), g (n+nu,), constant: the running cost
     lower, upper: (nu,); start, goal: (n,), NaN for a free end
-    contacts: number of contacts among the nc rows of P; the rest are velocity bounds phi <= 0,
-        with
+    contacts: number of contacts among the nc rows of P; the rest are velocity bounds phi <= 0, with
         E = 0 and never closed
     """
 

@@ -208,8 +208,7 @@ class NonlinearModes:
         """Return an optimum for these modes that costs less than `below`, or None.
 
         closed is (steps, nc) [-]; the solve starts from the plan of `near`, the answer of similar
-        modes.
-        Raises ValueError for modes of another shape.
+        modes. Raises ValueError for modes of another shape.
         """
         model, scene = self._compiled.model, self._scene
         guess = self.guess if near is None else near.plan

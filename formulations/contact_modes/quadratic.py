@@ -52,8 +52,7 @@ def stationarity_of(
     """Return the stationarity that the signs of the multipliers show.
 
     of_force, of_separation (steps, nc) [1/N] are s_G and s_H, biactive (steps, nc) [-] marks pairs
-    with
-    G = H = 0. Raises IndexError for arrays of different shapes.
+    with G = H = 0. Raises IndexError for arrays of different shapes.
     """
     pairs = np.stack([of_force[biactive], of_separation[biactive]])
     if not pairs.size:
@@ -127,8 +126,7 @@ class ModesProblem:
     """The quadratic program of one scene; `softness` may change between solves.
 
     softness: if positive, |z[T] - goal|^2 / (2 softness) replaces the goal; the modes of any
-        rollout
-        then have a plan
+        rollout then have a plan
     """
 
     def __init__(self, linear: LinearScene) -> None:

@@ -131,8 +131,7 @@ def thrown_plans(
     """Return constant-input motions that press a new contact at a lower final cost, cheapest first.
 
     The inputs are a seeded Kronecker lattice (steps 1/g, 1/g^2, .. with g^(nu+1) = g + 1) over
-    their
-    bounds and a half, a quarter and an eighth of these.
+    their bounds and a half, a quarter and an eighth of these.
 
     Parameters
     ----------

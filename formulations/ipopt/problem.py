@@ -401,8 +401,7 @@ class IpoptProblem:
         """Return the largest |gradient| at x (n,) and at a step to either side, at most 1.
 
         At a solution the gradient can vanish; the neighbours keep the measure independent of the
-        cost's
-        unit [objective per variable]. 1 without a slope. Raises nothing.
+        cost's unit [objective per variable]. 1 without a slope. Raises nothing.
         """
         step = np.maximum(1.0, np.abs(x)) * np.where(np.arange(len(x)) % 2, -1.0, 1.0)
         sizes = [self.slope_size(point) for point in (x, x + step, x - step)]

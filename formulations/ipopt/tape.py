@@ -101,8 +101,7 @@ def record(
     """Return the tape whose k-th output is the node outputs[k].
 
     `hoisted[node]` is the data row of a hoisted node (a seed too); `row[i]` is the row of variable
-    i
-    in the columns.
+    i in the columns.
     """
     order = graph.reachable(*outputs, until=hoisted.__contains__)
     for node in order:

@@ -1,8 +1,7 @@
 """Direct transcription with strict complementarity 0 <= lam, lam - k phi, one of them zero.
 
 1. attack: solve with lam * v <= attack_bound, from the given plan or cold; by looser bounds first
-    if
-   the scene is not linear. A plan that meets the bound skips this step.
+   if the scene is not linear. A plan that meets the bound skips this step.
 2. modes: fix every pair and solve the smooth problem (`transcription.solving.FixedModes`).
 3. If the modes have no plan, tighten the bound by 100 and repeat. An interrupted attack has its
 modes

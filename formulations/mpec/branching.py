@@ -2,9 +2,9 @@
 
 In a branch, a pair with v = 0 = w has a multiplier on the fixed side. If it is negative, the other
 branch has a lower objective to first order. These pairs are switched together, then one by one,
-then, if there are few, in every combination.
-`refined` moves Ipopt's answer to the active constraints: Ipopt stops at about 1e-9 from its bounds,
-and at 1e-5 if the multiplier is zero. Newton's method solves the equations of a guessed active set.
+then, if there are few, in every combination. `refined` moves Ipopt's answer to the active
+constraints: Ipopt stops at about 1e-9 from its bounds, and at 1e-5 if the multiplier is zero.
+Newton's method solves the equations of a guessed active set.
 """
 
 from __future__ import annotations
@@ -90,8 +90,7 @@ def refined(problem: IpoptProblem, result: IpoptResult, size: float = 1.0) -> Re
     """Return the best of the result's point and three guesses of its active set. Raises nothing.
 
     size: derivatives of the objective that errors are relative to, if those at the point are
-        smaller
-        [objective per variable]
+        smaller [objective per variable]
     """
     best = Refined(
         x=result.x,

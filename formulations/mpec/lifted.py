@@ -3,11 +3,11 @@
     0 <= v,  0 <= w,  v w = 0   v: Pyomo's variable of the pair; w: a user's variable or a slack
 
 The shadow references the user's rows and is otherwise independent; the user's model is never
-written. Pairs come from `mpec.simple_nonlinear`: `v`, its equation `ve`, the product `ccon`:
-v w <= mpec_bound, a mutable Param.
-complements(a, b) means: both relations hold, and one inequality holds with equality. It has one
-finite bound on each side, or two on one side (a box: l <= body <= u with a free expression that is
->= 0 at l, <= 0 at u, 0 between), or an equality, which leaves nothing to choose.
+written. Pairs come from `mpec.simple_nonlinear`: `v`, its equation `ve`, the product `ccon`: v w <=
+mpec_bound, a mutable Param. complements(a, b) means: both relations hold, and one inequality holds
+with equality. It has one finite bound on each side, or two on one side (a box: l <= body <= u with
+a free expression that is >= 0 at l, <= 0 at u, 0 between), or an equality, which leaves nothing to
+choose.
 """
 
 from __future__ import annotations

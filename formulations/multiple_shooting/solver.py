@@ -496,8 +496,7 @@ class Solver:
         """Return the longest step that lowers the penalty function enough, or None.
 
         With gaps the nodes follow the subproblem's step, so that errors grow over one time step
-        only.
-        Without gaps, or if that fails, the plan is rolled out under feedback.
+        only. Without gaps, or if that fails, the plan is rolled out under feedback.
         """
         before = self._penalty(x, u, goal, nu, self._stages.gap)
         dx, du = self._stages.forward()

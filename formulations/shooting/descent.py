@@ -47,10 +47,8 @@ def sensitivity(objective: Objective, u: np.ndarray) -> tuple[np.ndarray, np.nda
     """Return the derivatives of the last state by the inputs and by the start.
 
     One adjoint sweep per component gives (2*nq, steps*nu) and (2*nq, 2*nq) [-] at inputs u (steps,
-    nu) [N, N m]. The 2-norm of the
-    second is the largest growth of a disturbance of the start. Raises KernelError if the mass
-    matrix is
-    not positive definite along the rollout.
+    nu) [N, N m]. The 2-norm of the second is the largest growth of a disturbance of the start.
+    Raises KernelError if the mass matrix is not positive definite along the rollout.
     """
     kernel, task = objective.kernel, objective.kernel.scene.task
     plan = kernel.rollout(np.array(task.start), u, task.step, objective.law, objective.eps)
@@ -88,8 +86,7 @@ def dead_contact_message(objective: Objective, u: np.ndarray, learning_rate: flo
     """Return a sentence on coordinates that miss the goal but are not moved at inputs u, or "".
 
     u (steps, nu) [N, N m] are the last evaluated inputs. Raises KernelError if the mass matrix is
-    not
-    positive definite along the rollout.
+    not positive definite along the rollout.
     """
     coordinates = out_of_reach(objective, sensitivity(objective, u)[0], learning_rate)
     if not coordinates:

@@ -6,8 +6,7 @@
 
 The paper prints no loss; weights 1 and 5e-6 and the mean over all positions and velocities
 reproduce its rows. A custom loss is a function of a rollout (RolloutTensors) and its inputs with
-one
-number per plan, passed as `loss`.
+one number per plan, passed as `loss`.
 """
 
 from __future__ import annotations

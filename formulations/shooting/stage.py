@@ -5,8 +5,7 @@
     growth.sentence()  # "" if harmless
 
 A gradient at x_t is (d x_T/d x_t)' times that at x_T: the spectral norm is its largest growth on
-the
-way back. It is a product of the exact Jacobians of the steps, with a separate exponent.
+the way back. It is a product of the exact Jacobians of the steps, with a separate exponent.
 """
 
 from __future__ import annotations

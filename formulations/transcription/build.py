@@ -68,8 +68,7 @@ def build_model(
     steps, step : another grid [s]; the plan lasts steps * step
     scheme : the time step, semi-implicit Euler or a collocation (see `collocation`)
     integrate_cost : with a collocation, integrate the running cost by its quadrature instead of
-        summing
-        over the nodes
+        summing over the nodes
 
     Raises
     ------

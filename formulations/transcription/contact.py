@@ -34,8 +34,7 @@ class SceneExpressions:
     """The functions of a scene on Pyomo variables and Params.
 
     Arguments are sequences in the scene's order: q, v (nq), u (nu), lam (nc), p (np). Zero entries
-    are
-    the number 0. Raises SceneError for a function that Pyomo does not have (atan2).
+    are the number 0. Raises SceneError for a function that Pyomo does not have (atan2).
     """
 
     def __init__(self, dynamics: Dynamics) -> None:
@@ -173,8 +172,7 @@ def sides(block: Any) -> list[tuple[Any, Any]]:
     """Return the two variables of every relaxed pair, by steps as in `hold_modes`.
 
     (lam, lam - k phi) of contacts, (slip forward, mu N + f), (slip backward, mu N - f) of
-    frictions,
-    then the pairs of springs and of switches.
+    frictions, then the pairs of springs and of switches.
     """
     steps = len(block.set_steps)
     rows: list[list[tuple[Any, Any]]] = [[] for _ in range(steps)]
@@ -206,9 +204,8 @@ def hold_modes(block: Any, closed: np.ndarray) -> None:
     ----------
     block : a relaxed block
     closed : (steps, nc + 2 nf + springs + switches) [-]: whether each contact is closed (lam = k
-        phi,
-        else 0), may slip forward (f = -mu N) and backward, then spring and switch of each damped
-        contact
+        phi, else 0), may slip forward (f = -mu N) and backward, then spring and switch of each
+        damped contact
 
     Raises
     ------
@@ -506,9 +503,8 @@ def _free_unpressed(block: Any, couples: list[tuple[Any, Any]], closed: np.ndarr
     closed: as in `hold_modes`
 
     One equation for the force, mu N + f = 0 with N = 0, and one slip variable of either sign
-    remain.
-    The redundant bound mu N - f >= 0 would leave no interior; a fixed way would constrain the
-    flight.
+    remain. The redundant bound mu N - f >= 0 would leave no interior; a fixed way would constrain
+    the flight.
     """
     for contact, forward in pressed_columns(block):
         for t in np.flatnonzero(~closed[:, contact]).tolist():

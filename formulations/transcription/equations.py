@@ -105,8 +105,8 @@ def complementarity_contact(lam: Any, push: Any) -> Any:
     """0 <= lam[t]  complements  lam[t] - push >= 0   [N].
 
     push = k phi(q[t]) without damping (paper, eq. 7). The separation force comes first: Pyomo gives
-    the
-    first expression a variable `v`, so that the product is lam * v. The other order would copy lam.
+    the first expression a variable `v`, so that the product is lam * v. The other order would copy
+    lam.
     """
     return complements(lam - push >= 0, lam >= 0)
 

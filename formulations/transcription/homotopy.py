@@ -3,9 +3,8 @@
 After a failure at a larger eps the same start is not tried again. A stage that fails from a plan of
 this session is preceded by one at the geometric mean of both eps. Softplus contact from 1e-3 to
 1e-5, directly and by 1e-4: transport fails after 983 iterations and takes 190, hopper_planar 292
-and 166.
-`Stage.walk` adapts the steps itself. A loose first eps leaves the choice of contacts open; cost of
-the exact plan by relaxed 1e-2, 1e-3, 1e-4 and walked from 0.9: transport 0.916 and 0.704,
+and 166. `Stage.walk` adapts the steps itself. A loose first eps leaves the choice of contacts open;
+cost of the exact plan by relaxed 1e-2, 1e-3, 1e-4 and walked from 0.9: transport 0.916 and 0.704,
 two_finger 49.5 and 45.6.
 """
 
@@ -71,10 +70,8 @@ class Homotopy:
         """Run one stage: `begin` solves at the larger of first and eps; then walk down to eps.
 
         Nothing runs if a larger eps failed from this start. Cold starts of softplus contact differ
-        by
-        eps, since contact acts at another distance; complementarity plans of a smaller bound are
-        feasible
-        for a larger one.
+        by eps, since contact acts at another distance; complementarity plans of a smaller bound are
+        feasible for a larger one.
         """
         self._method.check_stage(eps, time_limit)
         eps = cast(float, eps)

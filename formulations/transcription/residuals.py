@@ -51,8 +51,7 @@ class PlanResiduals:
         """Return lam - push (steps, nc) [N], where push is k phi with its damping.
 
         The true law requires >= 0, and 0 while a contact pushes. Raises ValueError for another
-        scene's
-        plan.
+        scene's plan.
         """
         phi, damped = self._penetration(plan.q[:-1]), list(self._scene.damped)
         push = self._stiffness * phi
@@ -66,10 +65,9 @@ class PlanResiduals:
         """Return the contact modes of a plan, (steps, nc + 2 nf + springs + switches) [-].
 
         A contact is closed if its force exceeds its separation force. A friction slips forward or
-        backward
-        if the slip (in its nominal) exceeds the reserve of its force (in mu N). The springs and
-        switches of
-        damped contacts show touch. Raises ValueError for another scene's plan.
+        backward if the slip (in its nominal) exceeds the reserve of its force (in mu N). The
+        springs and switches of damped contacts show touch. Raises ValueError for another scene's
+        plan.
         """
         closed = plan.lam[:, : self._scene.nc] > np.maximum(self.separation(plan), 0.0)
         slip, force, limit = self.friction(plan)

@@ -251,8 +251,7 @@ class FixedModes(CompiledModel):
         """Solve with these modes, switch pairs whose other mode is cheaper, and solve again.
 
         closed (steps, nc + 2 nf + springs + switches) [-] is as in `hold_modes`. The last solved
-        plan
-        is left in the model. Raises ValueError for modes of another shape.
+        plan is left in the model. Raises ValueError for modes of another shape.
         """
         hold_modes(self.model, closed)
         best = self._near(budget)

@@ -121,8 +121,7 @@ def compile_shared(
     """Compile the .c files among `sources` (name -> text) into the shared library `output`.
 
     include_dirs are absolute, or relative to the sources. Raises MachineError with the compiler's
-    first
-    errors.
+    first errors.
     """
     # Inside the output's folder, so that it is removed with it if this process is killed.
     with tempfile.TemporaryDirectory(prefix="touchstone-", dir=output.parent) as folder:

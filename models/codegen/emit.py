@@ -2,10 +2,9 @@
 
 Equal scenes give equal bytes. Unneeded parts are omitted: a constant mass matrix is inverted
 symbolically, and a Cholesky factorisation covers nonzero entries only. Vector entries are named
-`<vector>_<name>`: `q_q1`, `lam_left`, `p_k`.
-In hand-written C, code for damped contacts is between `#ifdef DAMPING` and `#else` or `#endif`, or
-in
-`DAMPED(statement;)`; `for_scene` removes it for undamped scenes.
+`<vector>_<name>`: `q_q1`, `lam_left`, `p_k`. In hand-written C, code for damped contacts is between
+`#ifdef DAMPING` and `#else` or `#endif`, or in `DAMPED(statement;)`; `for_scene` removes it for
+undamped scenes.
 
     count_operations(emit_model(scene))["scene_acceleration"]  # Counter({"add": 6, ..})
 """
@@ -410,8 +409,7 @@ def step_operations(scene: Scene) -> dict[str, int]:
     """Count the operations (add, multiply, divide, call) of a step: gaps, slips, accelerations.
 
     The contact law (two operations per contact) and the updates of v and q (four per coordinate)
-    are
-    not included.
+    are not included.
     """
     functions = count_operations(model_source(scene))
     total = sum((functions[name] for name in _OF_A_STEP if name in functions), Counter())
@@ -422,8 +420,7 @@ def count_operations(source: str) -> dict[str, Counter[str]]:
     """Count the operations of every function of `emit_model`, by name and kind.
 
     Signs, arithmetic of constants, and calls within the text do not count; a power written as a
-    product
-    counts its multiplications.
+    product counts its multiplications.
     """
     return {
         name: sum(map(_of_statement, body.splitlines()), Counter())

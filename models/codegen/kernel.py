@@ -161,8 +161,7 @@ class Kernel:
         """Return contact forces lam (n, nc) [N] at q (n, nq) [m, rad] under a law.
 
         v (n, nq) [m/s, rad/s] affects damped contacts; None is at rest. Raises KernelError for an
-        array of
-        another shape, RelaxationError unless 0 < eps < 1 for softplus.
+        array of another shape, RelaxationError unless 0 < eps < 1 for softplus.
         """
         law_of = (law.value, law_sharpness(law, eps, self.scene.length))
         if not self.scene.damped:
@@ -204,8 +203,7 @@ class Kernel:
         """Return accelerations (n, nq) [m/s^2, rad/s^2] of M dv/dt = tau(q, v, u) + J' lam + S' f.
 
         q, v (n, nq), u (n, nu), lam (n, nc+nf) contact, then friction forces. Raises KernelError if
-        M is not
-        positive definite, or for an array of another shape.
+        M is not positive definite, or for an array of another shape.
         """
         return self._by_row("kernel_acceleration", self.scene.nq, q=q, v=v, u=u, lam=lam)
 
@@ -263,9 +261,8 @@ class Kernel:
         """Simulate several motions under the true contact law; NaN after a divergence.
 
         start (rows, 2*nq) [m, rad, m/s, rad/s], u (rows, steps, nu) [N, N m], step [s]. Return lam
-        (rows,
-        steps, nc+nf) [N] and the last states (rows, 2*nq). Raises KernelError for an array of
-        another shape.
+        (rows, steps, nc+nf) [N] and the last states (rows, 2*nq). Raises KernelError for an array
+        of another shape.
         """
         rows, steps, _ = u.shape
         start, u = (
@@ -346,8 +343,7 @@ class Kernel:
         """Return the last state's derivatives by start (2*nq, 2*nq) and constant inputs (2*nq, nu).
 
         The motion has start (2*nq,), u (steps, nu) [N, N m], step [s] and true contact. Raises
-        KernelError
-        if it diverges, if M is not positive definite, or for an array of another shape.
+        KernelError if it diverges, if M is not positive definite, or for an array of another shape.
         """
         rollout, states = self.rollout(start, u, step), 2 * self.scene.nq
         if rollout.diverged:

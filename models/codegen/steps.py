@@ -84,8 +84,7 @@ class Steps(Kernel):
         """Return a step from each state x (n, 2*nq) [SI] with u (n, nu) [N, N m], and derivatives.
 
         None if a step is not finite. Raises KernelError for an array of another shape,
-        RelaxationError unless
-        0 < eps < 1 for softplus.
+        RelaxationError unless 0 < eps < 1 for softplus.
         """
         scene, n = self.scene, len(u)
         x, u = self._array("x", x, n, 2 * scene.nq), self._array("u", u, n, scene.nu)

@@ -5,9 +5,8 @@
     names = variable_names(scene)  # names.q, names.v, names.u, names.lam, names.gap, ...
 
 The C in `shell/` is shared by all scenes. model.h, equations.h, friction_modes.h, damping_modes.h
-and
-integrator.h are independent of FMI; instance.h, access.h, exchange.h and stepping.h are independent
-of its version; fmi2.c and fmi3.c provide the standards' names and types.
+and integrator.h are independent of FMI; instance.h, access.h, exchange.h and stepping.h are
+independent of its version; fmi2.c and fmi3.c provide the standards' names and types.
 """
 
 from models.fmu.package import build_fmu

@@ -6,10 +6,9 @@
     path = build_ssp(scene)  # all in one .ssp (System Structure and Parameterization 1.0)
 
 docs/cosimulation.md states the cost of the split. A body is a minimal set of coordinates that
-neither
-mass matrix nor forces couple to the rest; contact forces `lam_left_q1` = J[left, q1] lam_left are
-its
-inputs. A contact is algebraic (`coupled.c`); its velocities are for power bonds (ECCO).
+neither mass matrix nor forces couple to the rest; contact forces `lam_left_q1` = J[left, q1]
+lam_left are its inputs. A contact is algebraic (`coupled.c`); its velocities are for power bonds
+(ECCO).
 """
 
 from __future__ import annotations

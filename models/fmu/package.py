@@ -136,10 +136,8 @@ def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = ())
     The file comes from the cache, or is built there. platforms: names of FMI 2.0 or 3.0 (`linux64`
         or
     `x86_64-linux`), by default this machine's. Raises UnknownNameError for an unknown FMI version
-    or
-    platform, SceneError for names that an FMU cannot have, MachineError without a compiler or a
-    writable
-    cache.
+    or platform, SceneError for names that an FMU cannot have, MachineError without a compiler or a
+    writable cache.
     """
     standard = find_standard(version)
     scene = scene.continuous()

@@ -121,8 +121,7 @@ def _seen_to_vary(
     """Return symbols whose slope differs clearly at two points with equal parameters.
 
     This proves dependence without expansion, which takes minutes for the energies of several
-    bodies.
-    Other symbols may still be dependences.
+    bodies. Other symbols may still be dependences.
     """
     symbols = sorted(set().union(*(slope.free_symbols for slope in slopes.values())), key=str)
     points = []

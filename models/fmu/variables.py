@@ -125,8 +125,7 @@ class VariableNames:
     """Names of the variables of a scene's FMU, in the order of the scene; None if missing.
 
     q, v, u, lam, gap, friction, slip, der_q, der_v, parameters have one name per entry; energies
-    [J] and
-    powers [W] have one name each.
+    [J] and powers [W] have one name each.
     """
 
     q: tuple[str, ...]
