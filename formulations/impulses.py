@@ -81,7 +81,6 @@ def _departs(scene: Scene, plan: Trajectory, motion: Trajectory) -> float:
 
 
 def _around(values: np.ndarray, choose: np.ufunc) -> np.ndarray:
-    """Return the extreme (steps, nc) [N] over each step and its two neighbours."""
     before, after = np.vstack([values[:1], values[:-1]]), np.vstack([values[1:], values[-1:]])
     return choose(choose(before, values), after)
 

@@ -193,7 +193,6 @@ def is_motion(scene: Scene, kernel: Kernel, u: np.ndarray, q: np.ndarray) -> boo
 def _step(
     scene: Scene, kernel: Kernel, shot: Shot, step: np.ndarray, near: np.ndarray
 ) -> Shot | None:
-    """Return the first shot along an ever shorter step that reaches the goal at a lower cost."""
     for _ in range(_SHORTENINGS if step.any() else 0):
         tried = corrected(scene, kernel, shot.u + step, near, _NEAR_CORRECTIONS)
         if tried.missed <= max(shot.missed, _EXACT) and tried.cost < shot.cost:

@@ -116,7 +116,6 @@ def load_scene(reference: str) -> Scene:
 
 
 def _line_of(error: BaseException, path: Path) -> str:
-    """Return the last line of the file in the traceback, as a clause."""
     lines = [
         frame.lineno
         for frame in traceback.extract_tb(error.__traceback__)

@@ -226,7 +226,6 @@ def _build(scene: Scene) -> Dynamics:
 
 
 def _push(contact: Contact, rate: sp.Expr) -> sp.Expr:
-    """Return the push of a contact: k phi, k phi + c phi' or k phi (1 + d phi')."""
     spring = contact.stiffness * contact.penetration
     return (
         spring + contact.damping * rate

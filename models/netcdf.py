@@ -4,9 +4,8 @@
     write_columns(path, columns, {"scene": "three_cart"})
     columns, attributes = read_columns(path)
 
-Columns are compressed without loss. A file is written under a temporary name, flushed and renamed.
-Variables refer to dimensions by number only, which netCDF and xarray accept; lists of references
-would take 8 kB per file.
+A file is written under a temporary name, flushed and renamed. Variables refer to dimensions by
+number only, which netCDF and xarray accept; lists of references would take 8 kB per file.
 """
 
 from __future__ import annotations

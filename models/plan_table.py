@@ -57,10 +57,6 @@ class PlanTable:
     """
 
     def __init__(self, path: Path, ignore: Sequence[str] = ()) -> None:
-        """Read a file without the columns `ignore`.
-
-        Raises TrajectoryError naming the file, line and column.
-        """
         self.source, self.where = f"file {path}", f"plan {path}"
         rows, self.declared = _rows(path)
         if len(rows) < 3:
@@ -321,7 +317,6 @@ class ArrayTable:
     """
 
     def __init__(self, columns: Any, **declared: Any) -> None:
-        """Read the columns. Raises TrajectoryError naming the column."""
         self.where, self.source = "plan", "arrays"
         self.declared = {key: value for key, value in declared.items() if value is not None}
         self.units: dict[str, str] = {}

@@ -2,13 +2,9 @@
 
     step_stability(scene).is_stable, .radius, .largest_step, .sentence
 
-Semi-implicit Euler on a closed contact, x' = x + h v', v' = v - h (w^2 x + c v), is stable if
-
-    h^2 w^2 + 2 h c < 4
-
 The check uses the exact Jacobian of the compiled step, for every set of contacts that can be closed
-together, at typical penetrations. If the motion itself is unstable (a falling pole), the step is
-unstable only if it grows faster than the motion.
+together, at typical penetrations; for a damped oscillator it is h^2 w^2 + 2 h c < 4. If the motion
+itself is unstable (a falling pole), the step is unstable only if it grows faster.
 """
 
 from __future__ import annotations

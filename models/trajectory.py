@@ -4,8 +4,7 @@
     plan.plot(scene)
 
 A CSV has one row per node, with columns `t` and the scene's names (`q1 ... v1 ... u1 ...
-lam_left`); the last row has no u and lam. Lines such as `# scheme: semi_implicit_euler` and `#
-hold: zero` (or `linear`) above the header declare these.
+lam_left`); the last row has no u and lam.
 """
 
 from __future__ import annotations
@@ -75,7 +74,6 @@ def as_hold(value: Any, where: str = "plan") -> Hold:
 
 
 def _as_groups(value: Any) -> frozenset[str]:
-    """Return the missing groups; raise TrajectoryError for other names."""
     names = list(value) if isinstance(value, Iterable) and not isinstance(value, str) else [value]
     unknown = [name for name in names if not (isinstance(name, str) and name in GROUPS)]
     if unknown or isinstance(value, str):
@@ -613,7 +611,6 @@ def _with_a_last_step(t: np.ndarray, expected: float, near: float) -> np.ndarray
 
 
 def _meant(column: str, known: list[str]) -> str:
-    """Return "did you mean ..? " for a similar column, or ""."""
     folded = {name.lower(): name for name in known}
     folded.setdefault("time", "t")
     # The name before a unit, `q1 (m)`.
@@ -622,7 +619,6 @@ def _meant(column: str, known: list[str]) -> str:
 
 
 def _units(scene: Scene) -> dict[str, str]:
-    """Return the unit of each column."""
     columns = columns_of(scene)
     return {
         "t": "s",
@@ -631,7 +627,6 @@ def _units(scene: Scene) -> dict[str, str]:
 
 
 def _velocities(t: np.ndarray, q: np.ndarray, scene: Scene) -> np.ndarray:
-    """Return velocities (nodes, nq): the task's at the start, then differences."""
     v = np.gradient(q, t, axis=0, edge_order=2 if len(t) > 2 else 1)
     v[0] = scene.task.start[scene.nq :]
     return v

@@ -1,11 +1,8 @@
 """Write and read plans in NetCDF-4 files, one variable per column, named as in the scene.
 
-    write_netcdf(path, trajectory, scene)
-    trajectory = read_netcdf(path, scene)  # bit for bit
-
 The file also contains the gaps of contacts and the poses of shapes at the nodes (models.kinematics)
-in single precision, so that reports can draw it without the scene, and optional tracking gains
-K (steps, nu, 2*nq) as columns `gain_<input>_<position or velocity>`.
+in single precision, for reports without the scene, and optional tracking gains K (steps, nu, 2*nq)
+as columns `gain_<input>_<position or velocity>`.
 """
 
 from __future__ import annotations

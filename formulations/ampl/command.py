@@ -84,7 +84,6 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _print(text: str) -> int:
-    """Print the text and return the exit code."""
     if sys.stdout is None:  # standard output is closed
         print(f"{NAME}: the answer cannot be written: standard output is closed.", file=sys.stderr)
         return 3
@@ -206,7 +205,6 @@ def _sentence(result: MpecResult) -> str:
 
 
 def _code(result: MpecResult) -> int:
-    """Return AMPL's code; a feasible point without a proof has 100."""
     codes = {
         Outcome.SOLVED: 0,
         Outcome.INFEASIBLE: 200,
@@ -221,7 +219,6 @@ def _code(result: MpecResult) -> int:
 
 
 def _values(problem: NlProblem, result: MpecResult) -> list[float]:
-    """Return the values (variables,) in the file's order; an unused variable keeps its start."""
     values = dict(zip(map(id, result.variables), result.x.tolist(), strict=True))
     return [values.get(id(variable), _at_rest(variable)) for variable in problem.variables]
 
@@ -235,7 +232,6 @@ def _at_rest(variable: Any) -> float:
 
 
 def _suffixes(problem: NlProblem, result: MpecResult) -> dict[str, dict[int, float]]:
-    """Return `pair_dual` of each complementarity row: the multiplier of the variable's side."""
     multipliers = {id(pair): both for pair, both in result.pair_multipliers}
     numbers = {
         k: multipliers[id(row)][1] for k, row in enumerate(problem.rows) if id(row) in multipliers

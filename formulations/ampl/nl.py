@@ -224,7 +224,6 @@ class _Reader:
         self.duals: list[tuple[int, float]] = []
 
     def read(self) -> None:
-        """Read all segments."""
         source = self.source
         while not source.at_end():
             code = source.code()

@@ -159,7 +159,6 @@ class CollocationSession(Session):
         return guesses[: -_TRIED - 1 : -1], outcome, message
 
     def _with_modes(self, budget: SolveBudget, guess: StageModes) -> IpoptResult:
-        """Solve the model with the modes of a guess."""
         with budget.building():
             compiled = self._exact
         _load(compiled, guess)
@@ -168,7 +167,6 @@ class CollocationSession(Session):
         return compiled.run(budget, {**options, "max_iter": budget.iterations + _MODE_ITERATIONS})
 
     def _from_relaxed(self, budget: SolveBudget, guess: StageModes) -> IpoptResult:
-        """Solve with the modes of a relaxed complementarity that starts at the guess."""
         compiled = self._exact
         _load(compiled, guess)
         release_modes(compiled.model)

@@ -181,7 +181,6 @@ class Finder:
     def _stages(
         self, budget: SolveBudget, begin_at: Trajectory | None, most_iterations: int
     ) -> list[Trajectory]:
-        """Return the plans of the sharpest stages of the homotopy, sharpest first."""
         own = self._options
         with budget.building():
             sharpnesses = schedule(own.first_sharpness, own.last_sharpness, own.sharpness_growth)
@@ -214,7 +213,6 @@ class Finder:
         return solution.trajectory
 
     def _corrected(self, budget: SolveBudget, first: Trajectory | None) -> Iterator[Trajectory]:
-        """Yield random inputs, and a plan's, corrected through softplus to end on the goal."""
         scene, kernel, own = self._scene, self._kernel, self._options
         # The random inputs do not depend on the start.
         for index in range(-1, 0 if self._random_failed else _RANDOM):
@@ -228,7 +226,6 @@ class Finder:
                 yield plan_of(scene, rollout, u)
 
     def _is_out_of_reach(self, budget: SolveBudget) -> bool:
-        """Return whether no plan reaches the goal within the input bounds."""
         if not self._scene.task.has_goal:
             return False
         closest = nearest(self._scene, budget, budget.iterations + self._options.max_iterations)
@@ -239,7 +236,6 @@ class Finder:
     def _coarse(
         self, budget: SolveBudget, start: Trajectory | None
     ) -> tuple[Trajectory, int] | None:
-        """Return the best plan of a coarser grid, interpolated, and the stride."""
         coarse = coarse_scene(self._scene, self._options.coarse_steps)
         if coarse is None:
             return None
@@ -307,7 +303,6 @@ class Finder:
     def _continued(
         self, budget: SolveBudget, problem: ModesProblem | NonlinearModes, stride: int
     ) -> ModesAnswer | None:
-        """Continue the modes of the closest rollouts to the goal, closest first."""
         begin = perf_counter()
         near, self._near = sorted(self._near, key=lambda pair: pair[0]), []
         answer = None
@@ -428,7 +423,6 @@ class Finder:
     def _walked(
         self, budget: SolveBudget, problem: ModesProblem, best: ModesAnswer
     ) -> ModesAnswer | None:
-        """Return the optimum for modes of cold-started relaxed complementarity, if work remains."""
         room = self._options.search_share * (budget.most_work - budget.work)
         plan = (
             None
@@ -439,7 +433,6 @@ class Finder:
         return None if plan is None or budget.is_over else self._exact(budget, problem, plan)
 
     def _most_sequences(self) -> int:
-        """Return the limit of mode sequences; a nonlinear one costs a run of Ipopt."""
         return self._options.search_windows // (1 if self._is_linear else _NONLINEAR)
 
     def _ipopt_options(self, tolerance: float) -> dict[str, Any]:

@@ -1,14 +1,10 @@
 """Meet the goal: correct inputs until their rollout ends there, or continue modes to it.
 
-    rollout, u = correct_end(scene, kernel, u)
-
-Each step is the smallest change of the inputs that moves the end state to the goal, from the
-adjoint of the time step (Levenberg-Marquardt). Inputs at a bound stay within it.
-
+    rollout, u = correct_end(scene, kernel, u)  # Levenberg-Marquardt by the adjoint
     answer = continue_to_goal(problem, closed, stride, is_over)
 
 With the cost |z[T] - goal|^2 / (2 softness) instead of a hard goal, the modes of every rollout have
-a plan. The softness falls while the mode search lowers the cost, until the modes meet the goal.
+a plan. The softness falls during the mode search, until the modes meet the goal.
 """
 
 from __future__ import annotations

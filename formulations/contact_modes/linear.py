@@ -38,7 +38,6 @@ _SIGNATURES = {
 
 @lru_cache(maxsize=1)
 def _library() -> ctypes.CDLL:
-    """Compile band.c, or load it from the cache; raise MachineError without a compiler."""
     return load_library(
         cached_library({"band.c": _SOURCE.read_text(encoding="utf-8")}, ("-O3",)), _SIGNATURES
     )
@@ -118,9 +117,8 @@ _CONVEX = 1e-12
 class LinearScene:
     """The matrices of a linear scene with n = 2*nq states z = (q, v).
 
-    A (n, n), B (n, nu), c (n,), E (n, nc) [per N]; phi = P z + p, P (nc, n), p (nc,) [m]
-    k: (nc,) [N/m]
-    H (n+nu, n+nu), g (n+nu,), constant: the running cost
+    A (n, n), B (n, nu), c (n,), E (n, nc) [per N]; phi = P z + p, P (nc, n), p (nc,) [m] k: (nc,)
+    [N/m] H (n+nu, n+nu), g (n+nu,), constant: the running cost
     lower, upper: (nu,); start, goal: (n,), NaN for a free end
     contacts: number of contacts among the nc rows of P; the rest are velocity bounds phi <= 0, with
         E = 0 and never closed
@@ -243,7 +241,6 @@ def linear_scene(scene: Scene) -> LinearScene:
 
 
 def _velocity_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return P (bounds, 2*nq), p (bounds,) of the velocity bounds P z + p <= 0."""
     rows, offsets = [], []
     for index, coordinate in enumerate(scene.coordinates):
         for sign, bound in ((-1.0, coordinate.velocity_lower), (1.0, coordinate.velocity_upper)):
@@ -308,7 +305,6 @@ class BandedKKT:
         self._settle_band()
 
     def _settle_band(self) -> None:
-        """Settle the constant part of the matrix, and the places of the rest."""
         lin, n = self._linear, self._linear.n
         q, s, r = lin.H[:n, :n], lin.H[:n, n:], lin.H[n:, n:]
         ones = np.eye(n)
@@ -379,7 +375,6 @@ class BandedKKT:
         self._at_w = self._place(self.rows_w, self.rows_w)
 
     def _place(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return positions in the band, by columns (Fortran order)."""
         return columns * self._height + self._width + rows - columns
 
     def factor(

@@ -1,10 +1,8 @@
 """Solve the planning problem of any scene with fixed contact modes by Ipopt, to a local optimum.
 
-`SoftplusHomotopy` finds first modes: softplus contact of sharpness b L = 7, 14, .., 448, each stage
-from the previous plan. L is the scene's length unit of eps, so that the schedule does not depend on
-units. A touching pair has the force k ln 2 / b; if that exceeds what the inputs can hold, k starts
-at a hundredth, a fiftieth, .. of its value and reaches it with the last stage.
-`SceneModels` builds each model of a scene once; earlier uses do not influence results.
+`SoftplusHomotopy` finds first modes with sharpness b L = 7, 14, .., 448 (L: the scene's length, so
+that units do not matter). A touching pair has the force k ln 2 / b; if the inputs cannot hold it, k
+starts at a hundredth, a fiftieth, .. of its value and reaches it with the last stage.
 """
 
 from __future__ import annotations
@@ -157,7 +155,6 @@ def _own_stiffness(scene: Scene) -> dict[str, float]:
 def _stages(
     scene: Scene, schedule: tuple[float, ...], may_soften: bool
 ) -> Iterator[tuple[float, float]]:
-    """Yield (sharpness b L, share of the stiffness) of each stage."""
     stiffest = max(
         float(sp.sympify(contact.stiffness).subs(scene.parameter_values))
         for contact in scene.contacts

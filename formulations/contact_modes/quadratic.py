@@ -231,7 +231,6 @@ class ModesProblem:
         return None
 
     def _answer(self, closed: np.ndarray, point: Point, active: WorkingSet) -> QuadraticAnswer:
-        """Return the answer; s_G + s_H is the multiplier of lam in the time step."""
         lin = self.linear
         both, own = point.y @ lin.E, point.mu / np.where(lin.k > 0.0, lin.k, 1.0)
         of_force = np.where(closed, -own, both - own)

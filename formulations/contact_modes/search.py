@@ -1,14 +1,11 @@
 """Search mode sequences locally: take the first cheaper neighbour until none is cheaper.
 
-An interval (first, stop) of a contact means: closed in the steps first <= t < stop.
-
-    sequence = mode_sequence(closed)  # closed (steps, nc)
+    sequence = mode_sequence(closed)  # per contact intervals first <= t < stop
     shift(0, 0, first=-2).apply(sequence, steps)  # close two steps earlier, or None
 
-Touching pairs whose multiplier has the wrong sign are switched first. Then intervals are dropped
-and shifted by strides that are halved without success; they are repeated after the longest stride,
-and rearranged at a stride of one. Detours accept a more expensive sequence and shift it for a
-while. The problem only answers: is there a plan with these modes below this cost?
+Touching pairs whose multiplier has the wrong sign are switched first. Then intervals are dropped,
+shifted by strides that are halved without success, repeated and rearranged. Detours accept a more
+expensive sequence and shift it for a while.
 """
 
 from __future__ import annotations
@@ -69,8 +66,6 @@ class Move:
 
 
 def _replace(contact: int, index: int, replacement: Callable[..., Row], count: int = 1) -> Move:
-    """Replace `count` intervals from this index on."""
-
     def change(row: Row) -> Row | None:
         return (
             (*row[:index], *replacement(*row[index : index + count]), *row[index + count :])
@@ -123,7 +118,6 @@ def onwards(
 
 
 def _fits(row: Row, steps: int) -> bool:
-    """Return whether intervals lie in the horizon, without empty, overlapping or adjoining ones."""
     return all(0 <= first < stop <= steps for first, stop in row) and all(
         before[1] < after[0] for before, after in pairwise(row)
     )
@@ -337,14 +331,12 @@ class _Search(Generic[Answer]):
         return end
 
     def _taken(self, end: Answer, begin: Answer) -> bool:
-        """Accept a plan if it is cheaper, and return whether it is."""
         if not end.cost < begin.cost - _GAIN * abs(begin.cost):
             return False
         self._best = end
         return True
 
     def _any(self, moves: Iterable[Move]) -> bool:
-        """Return whether a move helped; repeat each one that does."""
         helped = False
         for move in moves:
             while self._step(move):

@@ -161,7 +161,6 @@ class MultiStart:
     def _best_throw(
         self, budget: SolveBudget, planned: np.ndarray, idle: np.ndarray
     ) -> tuple[ModesProblem | NonlinearModes, ModesAnswer | None]:
-        """Return the problem with fixed modes, and its cheapest answer to the modes of throws."""
         with budget.building():
             below = final_cost(
                 self._kernel,
@@ -183,7 +182,6 @@ class MultiStart:
         return problem, min(answers, key=lambda answer: answer.cost, default=None)
 
     def _pressed(self, u: np.ndarray) -> np.ndarray:
-        """Return (nc,) whether these inputs ever press each contact."""
         rollout = self._kernel.rollout(np.array(self._scene.task.start), u, self._scene.task.step)
         return np.any(rollout.lam[:, : self._scene.nc] > _PRESSED, axis=0, keepdims=False)
 

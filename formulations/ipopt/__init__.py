@@ -5,10 +5,8 @@
     load(problem, result)  # write the variables
     model.b.value = 14.0  # a mutable Param, a fixed variable or a bound
     problem.refresh()
-    again = solve(problem, warm_start=Start(x=result.x, lagrange=result.lagrange))
 
 Multipliers have Ipopt's signs, L = f + lagrange' g - zl' x + zu' x with f = sense * objective.
-`problem.variables[j]` is x[j], `problem.equations[i]` is lagrange[i].
 """
 
 from __future__ import annotations

@@ -1,13 +1,11 @@
 """A hash-consed expression graph, in which the term shapes of a model are differentiated.
 
-    graph = Graph()
     x, p = graph.variable(0), graph.datum(0)
     f = graph.mul(p, graph.call("exp", x))  # p * exp(x)
 
 A node is an integer larger than its operands: ascending order evaluates, descending order
-back-propagates, without recursion. Equal operations on equal operands share one node.
-Leaves are variables, data (literals, Params, fixed variables) and structural constants such as
-exponents. A *data* node depends on no variable; it is computed once per refresh.
+back-propagates, without recursion. Leaves are variables, data (literals, Params, fixed variables)
+and structural constants such as exponents.
 """
 
 from __future__ import annotations

@@ -1,13 +1,11 @@
 """SolverFactory("touchstone_ipopt"): Ipopt behind both of Pyomo's solver interfaces.
 
-    solver = pyo.SolverFactory("touchstone_ipopt")
-    solver.options["tol"] = 1e-9
-    results = solver.solve(model, tee=True, timelimit=60)
+    results = pyo.SolverFactory("touchstone_ipopt").solve(model, tee=True, timelimit=60)
 
 Suffixes work as in Pyomo's ipopt: `dual`, `ipopt_zL_out` and `ipopt_zU_out` are filled if the
 model imports them; with warmstart=True `dual`, `ipopt_zL_in` and `ipopt_zU_in` start the solve.
-Signs: a Pyomo dual is the change of the objective when the constraint's bound grows by one, so
-`min x, x >= 1` has dual +1, and zU is negative when minimising. Ipopt's signs are in `result`.
+A Pyomo dual is the change of the objective when the constraint's bound grows by one, so
+`min x, x >= 1` has dual +1, and zU is negative when minimising.
 """
 
 from __future__ import annotations

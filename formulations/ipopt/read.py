@@ -2,10 +2,9 @@
 
     m.p * x[1] + 3 * x[2] - sin(x[1] * x[2]) + 4
 
-gives the triplet (row, x[2], 3), the constant 4, and two terms: ("*", "p", 0) with weight 1 (its
-slope is data) and ("sin", "*", 0, 1) with weight -1. A `Bucket` collects the terms of one
-signature. A term that is too long as a tree starts with `"shared"`: operands come first, and
-`("ref", k)` repeats the k-th operation.
+gives the triplet (row, x[2], 3), the constant 4, and the terms ("*", "p", 0) and ("sin", "*", 0, 1)
+with weights 1 and -1. A term that is too long as a tree starts with `"shared"`: operands come
+first, and `("ref", k)` repeats the k-th operation.
 """
 
 from __future__ import annotations

@@ -2,10 +2,9 @@
 
     0.5 * k * (q[3] - q[1])**2   and   0.5 * k * (q[8] - q[2])**2
 
-share one signature: two variable slots, one Param slot. The affine part goes to the sparse rows,
-the rest is differentiated exactly. `TermGroup` holds all terms of one shape in a model.
+share one signature. The affine part goes to the sparse rows, the rest is differentiated exactly.
 Hessians of large terms use Hessian-vector products: columns without a common row share a direction
-(Curtis, Powell and Reid, 1974). A sum of 5000 separate terms needs one direction.
+(Curtis, Powell and Reid, 1974).
 """
 
 from __future__ import annotations

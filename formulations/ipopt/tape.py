@@ -3,8 +3,7 @@
     tape = record(graph, outputs, hoisted, row)
     tape.run(x, columns, data, scale, place, total)  # total[place] += scale * outputs
 
-The C code is compiled once per machine, for every model. A register holds a few instances, so that
-it stays in the L1 cache; it is reused after its last reader.
+A register holds a few instances, so that it stays in the L1 cache.
 """
 
 from __future__ import annotations

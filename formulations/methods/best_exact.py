@@ -223,7 +223,6 @@ class BestExactSession(Session):
     def _kept(
         self, solutions: Iterator[tuple[str, Solution]], crashed: list[str]
     ) -> Iterator[tuple[str, Solution]]:
-        """Yield solutions until an error; earlier plans are kept."""
         try:
             yield from solutions
         except MachineError:
@@ -279,7 +278,6 @@ class BestExactSession(Session):
 
 
 def _solved(scene: Scene, leg: Leg, start: Trajectory | None, ends: float) -> tuple[Solution, ...]:
-    """Solve the stages of a leg within the time limit `ends` [s, monotonic]."""
     pipeline = Pipeline(name=leg.method, title="", legs=(leg,))
     left = max(1e-3, ends - monotonic())
     return tuple(solve_stages(scene, pipeline, warm_start=start, time_limit=left))
@@ -337,7 +335,6 @@ def _is_clear(solution: Solution) -> bool:
 
 
 def _order(solution: Solution) -> tuple[bool, float]:
-    """Sort solved plans first, and these by departure."""
     is_solved = solution.outcome is Outcome.SOLVED
     return not is_solved, solution.residuals.get(_DEPARTURE, 0.0)
 
@@ -355,7 +352,6 @@ def _best(solutions: list[Solution]) -> Solution:
 
 
 def _cheapest(priced: list[Solution]) -> Solution:
-    """Return the first plan whose cost equals the least one up to rounding."""
     least = min(each.cost for each in priced if each.cost is not None)
     return next(
         each for each in priced if each.cost is not None and each.cost <= least + _SAME * abs(least)

@@ -1,8 +1,6 @@
 """Exact contact on a coarse grid by collocation of order 2 or 3, with modes of a softplus homotopy.
 
-Modes come from the last stages of the homotopy, sharpest first, and if none has a plan from a
-relaxed complementarity (`contact_modes.collocation`). Contacts switch within steps; the residual
-`switch_error` bounds the effect (models.collocation).
+Contacts switch within steps; the residual `switch_error` bounds the effect (models.collocation).
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Exact contact by modes: softplus homotopy, exact solution of the modes, search of mode sequences.
 
-If the end is free and has a cost, a plan without contact can be a local optimum (two_discs_wall:
-no motion costs 0.61, a throw off the wall 0.39). Throws by constant inputs are then tried too.
+If the end is free and has a cost, throws by constant inputs are tried too.
 """
 
 from __future__ import annotations

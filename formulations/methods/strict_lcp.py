@@ -1,13 +1,9 @@
 """Direct transcription with strict complementarity 0 <= lam, lam - k phi, one of them zero.
 
 1. attack: solve with lam * v <= attack_bound, from the given plan or cold; by looser bounds first
-   if the scene is not linear. A plan that meets the bound skips this step.
-2. modes: fix every pair and solve the smooth problem (`transcription.solving.FixedModes`).
-3. If the modes have no plan, tighten the bound by 100 and repeat. An interrupted attack has its
-modes
-   tried once.
-
-Residuals are recomputed from the scene, and the goal error from a replay in true contact.
+   if the scene is not linear
+2. modes: fix every pair and solve the smooth problem (`transcription.solving.FixedModes`)
+3. if the modes have no plan, tighten the bound by 100 and repeat
 """
 
 from __future__ import annotations
@@ -174,7 +170,6 @@ class StrictLCPSession(Session):
         )
 
     def _attack(self, budget: SolveBudget, start: Trajectory | None, bound: float) -> IpoptResult:
-        """Perform step 1; if the plan fails, start cold."""
         self._solver.release_modes()
         if start is not None:
             result = self._narrowed(budget, start, bound)
@@ -184,7 +179,6 @@ class StrictLCPSession(Session):
         return self._narrowed(budget, None, bound)
 
     def _narrowed(self, budget: SolveBudget, start: Trajectory | None, bound: float) -> IpoptResult:
-        """Solve at the bound, by looser bounds first if the scene is not linear."""
         bounds = [bound]
         while not derive(self._scene).structure.linear and bounds[0] < _FIRST_BOUND:
             bounds.insert(0, bounds[0] / _NARROWING)
@@ -201,7 +195,6 @@ class StrictLCPSession(Session):
     def _attempted(
         self, budget: SolveBudget, start: Trajectory | None, *, is_first: bool
     ) -> IpoptResult:
-        """Solve at the model's bound; retry a failed plan from well inside its bounds."""
         options, from_plan = self._attack_options(budget, start), self._options.ipopt()
         if start is None or not is_first:
             return self._solver.attempt(budget, options, from_plan=from_plan)

@@ -1,10 +1,9 @@
 """Solve one branch of an MPEC exactly: fix one side of each pair at 0, and improve the choice.
 
 In a branch, a pair with v = 0 = w has a multiplier on the fixed side. If it is negative, the other
-branch has a lower objective to first order. These pairs are switched together, then one by one,
-then, if there are few, in every combination. `refined` moves Ipopt's answer to the active
-constraints: Ipopt stops at about 1e-9 from its bounds, and at 1e-5 if the multiplier is zero.
-Newton's method solves the equations of a guessed active set.
+branch has a lower objective to first order: these pairs are switched together, one by one, or in
+every combination. `refined` moves Ipopt's answer to the active constraints, from which Ipopt stops
+at about 1e-9 (1e-5 if the multiplier is zero), by Newton's method with a guessed active set.
 """
 
 from __future__ import annotations

@@ -71,7 +71,6 @@ class MultipleShootingSession(Session):
         )
 
     def _first_guess(self, warm_start: Trajectory | None) -> tuple[np.ndarray, np.ndarray]:
-        """Return nodes (steps+1, 2*nq) from the start, and bounded inputs (steps, nu)."""
         task = self._scene.task
         start = np.array(task.start)
         u = np.clip(given_inputs(self._scene, warm_start), *input_bounds(self._scene))

@@ -191,7 +191,6 @@ class _Derivatives:
 
 @lru_cache(maxsize=1)
 def _library() -> ctypes.CDLL:
-    """Compile riccati.c, or load it from the cache; raise MachineError without a compiler."""
     return load_library(
         cached_library({_SOURCE.name: _SOURCE.read_text(encoding="utf-8")}), _SIGNATURES
     )
@@ -478,7 +477,6 @@ class Solver:
         stages.px[:], stages.pxx[:] = slope_end + goal.slope(x[-1]), hessian_end + goal.hessian()
 
     def _slope(self) -> tuple[float, float]:
-        """Return the penalty's slope along the subproblem's step, and nu."""
         stages = self._stages
         dx, du = stages.forward()
         nu = _NU * float(np.abs(stages.Vx).max())
@@ -526,7 +524,6 @@ class Solver:
         return None
 
     def _gap(self, x: np.ndarray, u: np.ndarray) -> np.ndarray | None:
-        """Return the gaps (steps, 2*nq), or None if a step is not finite."""
         started = perf_counter()
         ends = self.steps.ends(x[:-1], u, self.steps.scene.task.step, self.law, self.eps)
         self.evaluate_seconds += perf_counter() - started
@@ -551,7 +548,6 @@ class Solver:
     def _rolled(
         self, x: np.ndarray, u: np.ndarray, length: float
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Roll out the scene under inputs and feedback, with gaps closed by `length`."""
         stages = self._stages
         started = perf_counter()
         run = self.steps.follow(

@@ -185,7 +185,6 @@ def divergence_message(
 
 
 def _rounded_down(value: float) -> str:
-    """Round down to one digit, because the value is an estimate."""
     scale = 10.0 ** math.floor(math.log10(value))
     return f"{math.floor(value / scale) * scale:g}"
 

@@ -78,7 +78,6 @@ def regularised(s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor) -> Ten
 def _swept(
     s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """Return the forces by sweeps over single ones, and whether they stick (Coulomb)."""
     f = torch.zeros_like(s0)
     for _ in range(_SWEEPS):
         before = f.clone()
@@ -246,7 +245,6 @@ def _friction_forces(
     acceleration: Callable[..., Tensor],
     **kind: Any,
 ) -> Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]:
-    """Return a function (q, v, u, lam) -> f (.., nf) [N], by the slips at the end of the step."""
     d = derive(scene)
     slip, limit = (
         _torch_function(scene, d.slip, d.q, d.v, **kind),
@@ -296,7 +294,6 @@ def _torch_function(
     dtype: torch.dtype = torch.float64,
     device: torch.device | str = "cpu",
 ) -> Callable[..., Tensor]:
-    """Return the entries of a matrix, by rows, as a function of vectors (.., n)."""
     parameters = tuple(parameter.symbol for parameter in scene.parameters)
     compiled = _compiled(
         (parameters, *(tuple(group) for group in groups)),

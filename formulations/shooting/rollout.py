@@ -130,8 +130,6 @@ def _check(scene: Scene, u: Tensor, start: Tensor) -> None:
 
 
 class _Rollout(torch.autograd.Function):
-    """The function of u (.., steps, nu) and start (.., 2*nq) with equal leading dimensions."""
-
     @staticmethod
     def forward(
         ctx: Any,

@@ -226,7 +226,6 @@ def _add_parameters(block: Any, scene: Scene) -> None:
 
 
 def _add_variables(block: Any, scene: Scene) -> None:
-    """Create the variables at the paper's first guess."""
     nodes, steps = block.set_nodes, block.set_steps
     start = dict(
         zip(

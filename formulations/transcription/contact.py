@@ -370,7 +370,6 @@ def add_springs(
 
 
 def _settle_springs(block: Any) -> None:
-    """Set springs and switches from the penetrations."""
     if block.component("variable_spring") is None:
         return
     for index, expression in block.expression_spring.items():

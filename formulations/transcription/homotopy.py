@@ -1,11 +1,8 @@
 """Solve a model for decreasing eps, in stages of bounded work.
 
 After a failure at a larger eps the same start is not tried again. A stage that fails from a plan of
-this session is preceded by one at the geometric mean of both eps. Softplus contact from 1e-3 to
-1e-5, directly and by 1e-4: transport fails after 983 iterations and takes 190, hopper_planar 292
-and 166. `Stage.walk` adapts the steps itself. A loose first eps leaves the choice of contacts open;
-cost of the exact plan by relaxed 1e-2, 1e-3, 1e-4 and walked from 0.9: transport 0.916 and 0.704,
-two_finger 49.5 and 45.6.
+this session is preceded by one at the geometric mean of both eps. `Stage.walk` adapts the steps
+itself, from a loose eps that leaves the choice of contacts open.
 """
 
 from __future__ import annotations
@@ -212,7 +209,6 @@ class Stage:
         )
 
     def _limited(self, options: dict[str, Any], work: Work | None, size: int) -> dict[str, Any]:
-        """Limit the iterations to those of the stage and of the work."""
         left = max(0, options["max_iter"] - self._spent)
         most = left if work is None else min(left, work.iterations(size))
         return {**options, "max_iter": self.budget.iterations + most}

@@ -464,7 +464,6 @@ class PlanSolver(CompiledModel):
         return restarted
 
     def _nearest_plan(self, budget: SolveBudget, sharpest: float) -> Nearest:
-        """Return `nearest`, stored by sharpness unless it was interrupted."""
         closest = self._nearest.get(sharpest)
         if closest is None or not closest.is_solved:
             closest = self._nearest[sharpest] = nearest(

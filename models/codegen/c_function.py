@@ -2,8 +2,6 @@
 
     definitions, df = push_forward(f, [x])  # df = (df/dx) dx
     definitions, columns = pull_back(f, w, [x])  # (df/dx)' w
-    forward_function("void name", (x, p, tangent(x)), "df", f, [x])  # as a C function
-    backward_function("void name", (x, p, w), f, w, [x])  # this one adds to x_bar
 
 Differentiating whole expressions would repeat every shared part: minutes of computer algebra for a
 box pushed by a finger. Griewank and Walther, Evaluating Derivatives (2008), sections 3.1 and 3.2.
@@ -173,7 +171,6 @@ def _shared(function: sp.Matrix) -> tuple[list[tuple[sp.Symbol, sp.Expr]], list[
 
 
 def _along(value: sp.Expr, moving: dict[sp.Symbol, sp.Expr]) -> sp.Expr:
-    """Return the derivative of `value` if its symbols change by `moving`."""
     symbols = sorted(
         (symbol for symbol in value.free_symbols if symbol in moving),
         key=lambda symbol: symbol.name,
@@ -196,7 +193,6 @@ class _Printer(C99CodePrinter):
         self._factors: dict[str, str] = {}
 
     def statements(self, head: str, expression: sp.Expr) -> list[str]:
-        """Return `head expression;` after its constants."""
         text = self.doprint(expression)
         lines, self.lines = self.lines, []
         return [f"    {line}" for line in (*lines, f"{head} {text};")]

@@ -45,7 +45,6 @@ def cache_folder() -> Path:
 
 
 def _remove_leftovers(folder: Path) -> None:
-    """Remove temporary files of dead processes of this machine."""
     import psutil
 
     for leftover in folder.glob(f"{_BUILDING}*"):

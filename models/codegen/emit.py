@@ -1,12 +1,9 @@
 """Write `scene_model.h` of a scene: static inline C functions with shared subexpressions.
 
-Equal scenes give equal bytes. Unneeded parts are omitted: a constant mass matrix is inverted
-symbolically, and a Cholesky factorisation covers nonzero entries only. Vector entries are named
-`<vector>_<name>`: `q_q1`, `lam_left`, `p_k`. In hand-written C, code for damped contacts is between
-`#ifdef DAMPING` and `#else` or `#endif`, or in `DAMPED(statement;)`; `for_scene` removes it for
-undamped scenes.
-
-    count_operations(emit_model(scene))["scene_acceleration"]  # Counter({"add": 6, ..})
+Equal scenes give equal bytes. A constant mass matrix is inverted symbolically, and a Cholesky
+factorisation covers nonzero entries only. Vector entries are named `<vector>_<name>`: `q_q1`,
+`lam_left`. In hand-written C, code for damped contacts is between `#ifdef DAMPING` and `#else` or
+`#endif`, or in `DAMPED(statement;)`; `for_scene` removes it for undamped scenes.
 """
 
 from __future__ import annotations
@@ -288,7 +285,6 @@ def _energy_functions(x: SceneVectors) -> list[str]:
 
 
 def _final_cost_functions(x: SceneVectors, cost_bar: Vector) -> list[str]:
-    """Return the final cost, if there is one."""
     if x.dynamics.final_cost == 0:
         return []
     cost = x.local(x.dynamics.final_cost)

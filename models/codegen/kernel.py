@@ -439,7 +439,6 @@ class Kernel:
         return result
 
     def _array(self, name: str, value: np.ndarray, *shape: int | None) -> np.ndarray:
-        """Return an array for the C functions; None in `shape` is any size."""
         array = np.ascontiguousarray(value, dtype=np.float64)
         if array.ndim != len(shape) or any(
             size not in (None, found) for size, found in zip(shape, array.shape, strict=True)

@@ -4,9 +4,8 @@
     path = build_fmu(scene, version="3.0", platforms=["win64"])
     names = variable_names(scene)  # names.q, names.v, names.u, names.lam, names.gap, ...
 
-The C in `shell/` is shared by all scenes. model.h, equations.h, friction_modes.h, damping_modes.h
-and integrator.h are independent of FMI; instance.h, access.h, exchange.h and stepping.h are
-independent of its version; fmi2.c and fmi3.c provide the standards' names and types.
+In `shell/`, model.h, equations.h, *_modes.h and integrator.h are independent of FMI; instance.h,
+access.h, exchange.h and stepping.h of its version; fmi2.c and fmi3.c provide names and types.
 """
 
 from models.fmu.package import build_fmu

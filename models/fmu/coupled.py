@@ -2,13 +2,11 @@
 
     parts = split(load_scene("three_cart"))
     [body.name for body in parts.bodies]  # three_cart_q1, three_cart_q2, ..: each a Scene
-    [part.name for part in parts.contacts]  # three_cart_left, three_cart_right
     path = build_ssp(scene)  # all in one .ssp (System Structure and Parameterization 1.0)
 
-docs/cosimulation.md states the cost of the split. A body is a minimal set of coordinates that
-neither mass matrix nor forces couple to the rest; contact forces `lam_left_q1` = J[left, q1]
-lam_left are its inputs. A contact is algebraic (`coupled.c`); its velocities are for power bonds
-(ECCO).
+A body is a minimal set of coordinates that neither mass matrix nor forces couple to the rest;
+contact forces `lam_left_q1` = J[left, q1] lam_left are its inputs. A contact is algebraic
+(`coupled.c`); its velocities are for power bonds (ECCO). docs/cosimulation.md states the cost.
 """
 
 from __future__ import annotations
@@ -363,7 +361,6 @@ def _outputs(part: ContactPart) -> list[Variable]:
 
 
 def _expressions(part: ContactPart, mode: sp.Expr) -> sp.Matrix:
-    """Return the outputs in the order of the table; mode: 1 in contact, else 0."""
     phi = part.contact.penetration
     force = mode * part.contact.stiffness * phi
     power = force * sum(
@@ -379,7 +376,6 @@ def _expressions(part: ContactPart, mode: sp.Expr) -> sp.Matrix:
 
 
 def _symbols(part: ContactPart) -> list[sp.Symbol]:
-    """Return x: positions, velocities, parameters."""
     moving = part.coordinates
     return [
         *(item.symbol for item in moving),

@@ -123,7 +123,6 @@ def _parameter_functions(x: SceneVectors) -> list[str]:
 
 
 def _damping_functions(x: SceneVectors) -> list[str]:
-    """Return penetration rates and damping coefficients along the parameters, if damped."""
     if not x.dynamics.structure.contact_damping:
         return []
     rate_bar, c_bar = (Vector.of(name, x.contacts) for name in ("rate_bar", "c_bar"))

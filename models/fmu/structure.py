@@ -165,7 +165,6 @@ def _all_dependent(d: Dynamics, entries: Iterable[sp.Expr]) -> dict[sp.Symbol, D
 
 
 def _of_contact(d: Dynamics, contact: int) -> dict[sp.Symbol, Dependency]:
-    """Return the dependences of a contact force; a damped one depends on the rate too."""
     if not d.scene.contacts[contact].is_damped:
         return _of_spring(d, contact)
     return _all_dependent(d, [d.push[contact]])
@@ -184,7 +183,6 @@ def _of_everything(d: Dynamics) -> dict[sp.Symbol, Dependency]:
 
 
 def _merge(parts: Iterable[dict[sp.Symbol, Dependency]]) -> dict[sp.Symbol, Dependency]:
-    """Merge dependences; a known of several parts is `dependent`."""
     merged: dict[sp.Symbol, Dependency] = {}
     for part in parts:
         for symbol, kind in part.items():

@@ -247,7 +247,6 @@ def numbered(
 def _given(
     kind: VariableKind, items: Sequence[Input | Parameter], starts: Sequence[float], what: str
 ) -> list[Variable]:
-    """Return the variables that the importer sets, with ranges."""
     return numbered(
         kind,
         [
@@ -339,7 +338,6 @@ def _frictions(scene: Scene) -> list[Variable]:
 
 
 def _energies(scene: Scene) -> list[Variable]:
-    """Return the energies and powers that the scene has."""
     dynamics = derive(scene)
     dissipation = "friction and by " * bool(scene.nf) + "the damping of contacts and by " * bool(
         scene.damped

@@ -39,7 +39,6 @@ _TURNED_OVER = "where the elbow hangs straight down it is as far from either sto
 
 
 def _kinetic(mass: sp.Symbol, place: tuple[sp.Expr, sp.Expr]) -> sp.Expr:
-    """Return the kinetic energy of a point mass [J]."""
     velocity = [
         sp.diff(entry, theta1) * omega1 + sp.diff(entry, theta2) * omega2 for entry in place
     ]

@@ -88,7 +88,6 @@ def build_robot(robot: Robot, version: str = "2.0") -> Path:
 
 
 def _compiled(robot: Robot) -> bytes:
-    """Return the model as MuJoCo's binary with meshes; raise RobotError if MuJoCo fails."""
     package = mujoco()
     try:
         buffer = np.zeros(package.mj_sizeModel(robot.model), dtype=np.uint8)
@@ -99,7 +98,6 @@ def _compiled(robot: Robot) -> bytes:
 
 
 def _licenses() -> dict[str, bytes]:
-    """Return our licence, and those of MuJoCo and its library."""
     licenses = {}
     for name in ("mujoco-core", "mujoco"):
         try:

@@ -384,7 +384,6 @@ def _named(
 
 
 def _joint_names(model: Any) -> list[tuple[str, str]]:
-    """Return the joint names as `_named`; the fallback is the body."""
     bodies = [model.body(int(body)).name or "joint" for body in model.jnt_bodyid]
     return _named(model.njnt, lambda number: model.joint(number).name, bodies.__getitem__)
 
@@ -447,7 +446,6 @@ def _states(robot: Robot) -> list[Variable]:
 
 
 def _actuator_names(model: Any) -> list[tuple[str, str]]:
-    """Return the actuator names as `_named`; the fallback is the target."""
     kinds = mujoco().mjtTrn
 
     def target(actuator: int) -> str:
@@ -550,7 +548,6 @@ def _outputs(robot: Robot) -> list[Variable]:
 
 
 def _settings(robot: Robot) -> list[Variable]:
-    """Return the tunable parameters in the order of equations.h."""
     model, kinds, settings = robot.model, VariableKind, list[Variable]()
     bodies = _named(model.nbody, lambda number: model.body(number).name, lambda number: "body")
     step = "longest time step; equal steps divide each communication step"
