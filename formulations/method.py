@@ -61,7 +61,7 @@ def option(
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """The options of a method without options, and the base of all others.
+    """The options of a method without options, and the base class.
 
     Raises OptionError for an invalid value.
     """

@@ -38,7 +38,7 @@ _GAIN = 1e-4
 _SHORTER = 0.25
 # Number of such reductions.
 _SHORTENINGS = 5
-# Goal error of a corrected motion, as a share of what is allowed. Where a damped contact or
+# Goal error of a corrected motion, as a share of what is allowed. If a damped contact or
 # friction begins, the end jumps with the inputs, and the goal may lie within a jump.
 _ARRIVED = 0.1
 # The same, for a motion that ends on the goal.

@@ -30,9 +30,9 @@ class Outcome(Enum):
         "A function value was not a finite number; check the start and the parameters."
     )
     INTERRUPTED = "Stopped by the user."
-    REFUSED = "The method does not apply to this scene; the reason stands beside it."
-    CRASHED = "The process ended without an answer; the log tells more."
-    FAILED = "The solver ended in a way it does not explain; the log tells more."
+    REFUSED = "The method does not apply to this scene; see the message."
+    CRASHED = "The process ended without an answer; see the log."
+    FAILED = "The solver ended without a known reason; see the log."
 
     def __repr__(self) -> str:
         return f"Outcome.{self.name}"
@@ -126,7 +126,7 @@ def as_asked(scene: Scene, solution: Solution) -> Solution:
         or solution.cost <= most
     ):
         return solution
-    local = f"It is a local optimum: its cost is {solution.cost:.3g}, the scene asks for at most {most:.3g}; start elsewhere."
+    local = f"It is a local optimum: its cost is {solution.cost:.3g}, the scene allows at most {most:.3g}; start elsewhere."
     return replace(solution, outcome=Outcome.STALLED, message=f"{solution.message} {local}".strip())
 
 

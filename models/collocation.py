@@ -37,23 +37,8 @@ def advance(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the states after a collocation step, under the true contact law.
 
-    NaN without a solution. Raises KernelError for a scene with friction.
-
-    Parameters
-    ----------
-    scheme
-        The collocation scheme.
-    q, v
-        Positions and velocities (n, nq) [m, rad, m/s, rad/s].
-    u
-        Inputs (n, nu) [N, N m].
-    h
-        Length of the step [s]: a number, or (n,).
-
-    Returns
-    -------
-    q, v
-        Positions and velocities (n, nq).
+    q, v (n, nq) [m, rad, m/s, rad/s], u (n, nu) [N, N m], h a number or (n,) [s]. NaN without a
+    solution. Raises KernelError for a scene with friction.
     """
     scene = kernel.scene
     if scene.nf:

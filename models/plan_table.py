@@ -119,7 +119,7 @@ class PlanTable:
                 )
                 raise TrajectoryError(f"{self.where}: column {place} has no name; {advice}.")
             if self._head.count(name) > 1:
-                raise TrajectoryError(f"{self.where}: the column {name!r} stands there twice.")
+                raise TrajectoryError(f"{self.where}: the column {name!r} appears twice.")
         for number, row in self._rows:
             if any(row[len(self._head) :]):
                 raise TrajectoryError(
@@ -340,7 +340,7 @@ class ArrayTable:
                     f"plan: a column is called {name!r}, but its name must be text."
                 )
             if names.count(name) > 1:
-                raise TrajectoryError(f"plan: the column {name!r} stands there twice.")
+                raise TrajectoryError(f"plan: the column {name!r} appears twice.")
         self._columns = {
             name: _one_row(real_numbers(f"the column {name!r}", columns[name])) for name in names
         }

@@ -238,12 +238,8 @@ class Trajectory:
     def to_dataframe(self, scene: Scene) -> pd.DataFrame:
         """Return a row per node, with columns as in a CSV (`column_names`).
 
-        Inputs and forces of the last row are NaN.
-
-        Raises
-        ------
-        MachineError : if pandas is not installed
-        TrajectoryError : for a plan of another scene
+        Inputs and forces of the last row are NaN. Raises MachineError without pandas,
+        TrajectoryError for a plan of another scene.
         """
         self.check_fits(scene)
         names, last = column_names(scene), np.full((1, self.u.shape[1] + self.lam.shape[1]), np.nan)
@@ -290,7 +286,7 @@ class Trajectory:
         parts = [part for part in _TITLES if names[part] and (part in plan or part in replay)]
         if not parts:
             raise TrajectoryError(
-                f"plan: it says nothing but times of scene {scene.name}, so that there is nothing to draw."
+                f"plan: it has only times of scene {scene.name}, so there is nothing to draw."
             )
         try:
             import matplotlib.pyplot as plt
@@ -448,7 +444,7 @@ def read_csv(
     option = as_scheme(scheme)
     if option is not None and table.declared.setdefault("scheme", option.value) != option.value:
         raise TrajectoryError(
-            f"{table.where}: it declares the scheme {table.declared['scheme']!r}, but {option.value!r} is asked for; leave one of the two out."
+            f"{table.where}: it declares the scheme {table.declared['scheme']!r}, but {option.value!r} is requested; leave one of the two out."
         )
     return trajectory_from(table, scene, hold)
 
@@ -522,7 +518,7 @@ def missing_groups(table: Table, groups: Mapping[str, Sequence[str]]) -> frozens
         if present and len(present) < len(columns):
             absent = next(name for name in columns if name not in header)
             raise TrajectoryError(
-                f"{where}: {lack_of(table, absent)} beside {present[0]!r}; give {', '.join(columns)}, or none of them."
+                f"{where}: {lack_of(table, absent)}, but {present[0]!r} is present; give {', '.join(columns)}, or none of them."
             )
     missing = frozenset(
         group for group, columns in groups.items() if columns and columns[0] not in header
@@ -597,7 +593,7 @@ def declared_hold(table: Table, hold: Hold | str | None, who: str = "--hold") ->
     )
     if requested is not None and declared not in (None, requested):
         raise TrajectoryError(
-            f"{table.where}: it declares the hold {table.declared['hold']!r}, but {who} asks for another; leave one of the two out."
+            f"{table.where}: it declares the hold {table.declared['hold']!r}, but {who} requests another; leave one of the two out."
         )
     return declared or requested or Hold.ZERO_ORDER
 

@@ -26,17 +26,8 @@ def write_netcdf(
 ) -> None:
     """Write a plan, and its tracking gains.
 
-    Parameters
-    ----------
-    gains
-        K (steps, nu, 2*nq) of u = u_plan + K (x_plan - x) [N/m, N s/m and so on], or None.
-
-    Raises
-    ------
-    TrajectoryError
-        If they do not fit the scene.
-    MachineError
-        If the file cannot be written.
+    gains: K (steps, nu, 2*nq) of u = u_plan + K (x_plan - x) [N/m, N s/m and so on], or None
+    Raises TrajectoryError if they do not fit the scene, MachineError if the file cannot be written.
     """
     trajectory.check_fits(scene)
     columns = [

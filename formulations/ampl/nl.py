@@ -97,13 +97,7 @@ _HEADER_LINES = 10
 
 
 def read_header(file: Path, data: bytes) -> tuple[Header, int]:
-    """Return the header and the byte at which the problem begins.
-
-    Raises
-    ------
-    NlError
-        if this is not a `.nl` file, or the header is damaged
-    """
+    """Return the header and the byte at which the problem begins; raise NlError if damaged."""
     lines = data.split(b"\n", _HEADER_LINES)
     letter = data[:1].decode("latin-1")
     if letter not in "gbz" or len(lines) <= _HEADER_LINES:
@@ -310,7 +304,7 @@ class _Reader:
 
     def _damaged(self, what: str) -> NlError:
         return NlError(
-            f"{self.file}, {self.source.place}: {what}. The file is damaged, or of another byte order than its sixth line says."
+            f"{self.file}, {self.source.place}: {what}. The file is damaged, or its byte order differs from its sixth line."
         )
 
     def _refused(self, what: str) -> NlError:

@@ -102,8 +102,8 @@ class BinarySource:
     def _take(self, count: int) -> bytes:
         if not 0 <= count <= len(self._data) - self._next:
             raise NlError(
-                f"{self._file} ends at byte {len(self._data)}, in the middle of a value that begins at byte {self._next}: the file is cut off, or of "
-                "another byte order than its sixth line says. Write it again."
+                f"{self._file} ends at byte {len(self._data)}, in the middle of a value that begins at byte {self._next}: the file is cut off, or its "
+                "byte order differs from its sixth line. Write it again."
             )
         self._next += count
         return self._data[self._next - count : self._next]

@@ -65,24 +65,14 @@ def correct_end(
     enough: float = _GOOD_ENOUGH,
     scale: np.ndarray | float = 1.0,
 ) -> tuple[Rollout, np.ndarray]:
-    """Change inputs as little as possible so that their rollout ends on the goal.
+    """Change inputs u (steps, nu) [N, N m] as little as possible to end on the goal.
 
-    Parameters
-    ----------
-    u : (steps, nu) [N, N m], initial inputs
-    law, eps : contact law of the rollouts, and eps of softplus [-]
-    most : maximum number of steps
-    enough : tolerance relative to the goal's size [-]
-    scale : (2*nq,) [m, rad, m/s, rad/s], scale of each component of the error
-
-    Returns
-    -------
-    The closest rollout (at least as close as that of u) and its inputs (steps, nu) [N, N m].
-
-    Raises
-    ------
-    KernelError
-        if the mass matrix is not positive definite along the rollout
+    law, eps: contact law of the rollouts, and eps of softplus [-]
+    most: maximum number of steps
+    enough: tolerance relative to the goal's size [-]
+    scale: (2*nq,) [m, rad, m/s, rad/s], of each component of the error
+    Return the closest rollout (at least as close as that of u) and its inputs. Raises KernelError
+    if the mass matrix is not positive definite.
     """
     start, goal, step, bounds = (
         np.array(scene.task.start),

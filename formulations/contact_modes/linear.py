@@ -383,18 +383,11 @@ class BandedKKT:
         """Factorise the KKT matrix; return False if it is singular.
 
         It is singular if the goal is not controllable, or if conditions contradict each other.
-
-        Parameters
-        ----------
-        closed : (steps, nc) [-], whether a contact is closed in a step
-        held : (steps, nu) [-], whether an input is at a bound
-        touching : (steps, nc) [-], whether phi = 0 is imposed; row 0 is not used
-        softness : if positive, the cost 1/2 |z[T] - goal|^2 / softness replaces z[T] = goal
-
-        Raises
-        ------
-        ValueError
-            for an array of another shape
+        closed: (steps, nc) [-], whether a contact is closed in a step
+        held: (steps, nu) [-], whether an input is at a bound
+        touching: (steps, nc) [-], whether phi = 0 is imposed; row 0 is not used
+        softness: if positive, the cost 1/2 |z[T] - goal|^2 / softness replaces z[T] = goal
+        Raises ValueError for an array of another shape.
         """
         band = self._constant.copy(order="F")
         flat = band.reshape(-1, order="F")

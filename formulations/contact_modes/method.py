@@ -136,10 +136,10 @@ def why_not(scene: Scene) -> str | None:
     if not scene.inputs:
         return without_inputs(scene, "plan")
     if scene.nf:
-        return f"scene {scene.name} has friction, and open and closed contacts alone do not say where it sticks; best_exact and strict_lcp plan it."
+        return f"scene {scene.name} has friction, and open and closed contacts do not determine where it sticks; best_exact and strict_lcp plan it."
     if scene.damped:
         names = ", ".join(scene.contacts[index].name for index in scene.damped)
-        return f"scene {scene.name} has damped contacts ({names}), and open and closed contacts alone do not say where they are released; best_exact and strict_lcp plan it."
+        return f"scene {scene.name} has damped contacts ({names}), and open and closed contacts do not determine where they are released; best_exact and strict_lcp plan it."
     try:
         # Derivatives of smooth expressions are smooth.
         for field, expression, *_ in named_expressions(scene):

@@ -128,20 +128,11 @@ def mirrored(scene: Scene, kernel: Kernel, plan: Trajectory) -> Trajectory | Non
 def thrown_plans(
     scene: Scene, kernel: Kernel, seed: tuple[int, ...], idle: np.ndarray, below: float
 ) -> list[Trajectory]:
-    """Return constant-input motions that press a new contact at a lower final cost, cheapest first.
+    """Return constant-input motions that press a new contact and end below a final cost.
 
-    The inputs are a seeded Kronecker lattice (steps 1/g, 1/g^2, .. with g^(nu+1) = g + 1) over
-    their bounds and a half, a quarter and an eighth of these.
-
-    Parameters
-    ----------
-    idle : (nc,) [-], contacts that are pressed without inputs
-    below : upper limit of the final cost
-
-    Raises
-    ------
-    ValueError
-        for a wrong number of contacts
+    The cheapest is first. The inputs are a seeded Kronecker lattice (steps 1/g, 1/g^2, .. with
+    g^(nu+1) = g + 1) over their bounds and a half, a quarter and an eighth of these. idle (nc,) [-]
+    are contacts that are pressed without inputs. Raises ValueError for a wrong number of contacts.
     """
     task, (lower, upper) = scene.task, input_range(scene)
     roots = np.roots([1.0, *[0.0] * (scene.nu - 1), -1.0, -1.0])

@@ -34,10 +34,7 @@ _known: dict[tuple[str | None, ...], Path] = {}
 def ldlt_library() -> Path:
     """Return the path of the compiled library; compile it if it does not exist.
 
-    Raises
-    ------
-    MachineError
-        without a compiler or a cache folder, or if the compiled library cannot be loaded
+    Raises MachineError without a compiler or a cache folder, or if the library cannot be loaded.
     """
     place = tuple(map(os.environ.get, _DECISIVE))
     library = _known.get(place)
@@ -64,10 +61,7 @@ def _compiled() -> Path:
 def linear_solver(selected: str = "") -> str:
     """Return `selected`, else $TOUCHSTONE_LINEAR_SOLVER, else `ldlt` if this Ipopt can load it.
 
-    Raises
-    ------
-    MachineError
-        for an unknown name, or if `ldlt` cannot be compiled or loaded
+    Raises MachineError for an unknown name, or if `ldlt` cannot be compiled or loaded.
     """
     name = selected or os.environ.get("TOUCHSTONE_LINEAR_SOLVER", "")
     if name and name not in LINEAR_SOLVERS:

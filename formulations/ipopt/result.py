@@ -263,7 +263,7 @@ def load(problem: IpoptProblem, result: IpoptResult) -> None:
 
 
 def write_point(variables: tuple[Any, ...], x: np.ndarray) -> None:
-    """Set variables to x (n,) [variable units], and mark all others stale, as Pyomo's solvers do.
+    """Set variables to x (n,) [variable units], and mark the rest stale, as Pyomo's solvers do.
 
     Raises ValueError if x has another size.
     """

@@ -45,15 +45,8 @@ def endless_slope(problem: IpoptProblem, x: np.ndarray) -> str:
 def in_words(source: Any, variable: Any, at: Any, slope: Any) -> str:
     """Return a clause such as `the slope of objective 'o' is infinite at x = 0`.
 
-    Parameters
-    ----------
-    source : the objective, constraint or complementarity
-    variable, at : the variable of the derivative, and its value [unit of the variable]
-    slope : the derivative: infinite, or NaN if undefined
-
-    Raises
-    ------
-    Nothing.
+    source is a component; variable and at [unit of the variable] are those of the derivative; slope
+    is infinite, or NaN if undefined. Raises nothing.
     """
     what = f"{source.ctype.__name__.lower()} '{source.name}'"
     where = f"{variable.name} = {at:.6g}"

@@ -129,12 +129,7 @@ def run(
 ) -> IpoptExit:
     """Run Ipopt once, from a complete start.
 
-    Raises
-    ------
-    UnknownOptionError
-        for a value that Ipopt rejects
-    BaseException
-        the exception of a callback, unchanged
+    Raises UnknownOptionError for a value that Ipopt rejects, and a callback's exception unchanged.
     """
     nlp = cyipopt.Problem(
         n=problem.n,
@@ -414,7 +409,7 @@ def _undefined(problem: IpoptProblem, x: np.ndarray) -> str:
         )
     if endless_slope(problem, x):
         return ""
-    return "; all functions have finite values there, so that one of their derivatives has none"
+    return "; all functions have finite values there, but a derivative does not"
 
 
 def repeats_constraints(result: IpoptResult) -> bool:

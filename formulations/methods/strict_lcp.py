@@ -39,7 +39,7 @@ _NARROWING = 0.1
 # took up to 121. A softplus plan of two fingers that lift a disc fails even in 1300, but takes 89
 # with the barrier of a cold start.
 _FROM_PLAN = 130
-# Limit of each solve of the attack, beside its option; successful ones took up to 4.8e6
+# Limit of each solve of the attack, in addition to its option; successful ones took up to 4.8e6
 # (acrobot_limits) or 801 iterations.
 _ATTACK = Work(5e6, 1000)
 # A plan with a larger error of its time step is a worse start than the first guess.

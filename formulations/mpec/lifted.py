@@ -44,12 +44,8 @@ Sides = tuple[tuple[int, float], tuple[int, float]]
 def relation_of(side: Any, data: Any) -> Relation:
     """Return (lower, body, upper) of one argument of `complements`; a missing bound is None.
 
-    Raises
-    ------
-    ModelRefusedError
-        for a strict inequality, a range with variable bounds, or an object that is no relation
-    MissingValueError
-        if a bound has no value
+    Raises ModelRefusedError for a strict inequality, variable bounds of a range, or no relation,
+    MissingValueError if a bound has no value.
     """
     kind = side.__class__
     if kind is EqualityExpression:
@@ -174,12 +170,8 @@ _OWN = ("user_rows", "slack", "slack_rows", "pair", "relaxation")
 def lift(model: Any) -> Lifted:
     """Read a model and build its shadow.
 
-    Raises
-    ------
-    ModelRefusedError
-        for a component that this solver cannot treat
-    MissingValueError
-        if a bound of a complementarity has no value
+    Raises ModelRefusedError for an unsupported component, MissingValueError for a bound without
+    value.
     """
     refuse_unknown_components(model, also=frozenset({Complementarity}))
     with PauseGC():

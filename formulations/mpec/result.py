@@ -28,7 +28,7 @@ def verdict(
     summary = f"{candidate.work.strategy.name}: " + (
         certificate.sentence
         if certificate
-        else f"complementarity {residual:.1e}, no certificate asked for"
+        else f"complementarity {residual:.1e}, no certificate requested"
     )
     if candidate.branch is None and candidate.outcome is not Outcome.SOLVED:
         return candidate.outcome, f"{candidate.message}; {summary}"
@@ -237,13 +237,8 @@ def result_of(
 ) -> MpecResult:
     """Return the result of a candidate, without steps and totals of the whole solve.
 
-    Parameters
-    ----------
-    candidate : result of a strategy
-    outcome, message : of the candidate
-    residual : largest min of a pair
-    certificate : of the point
-    multipliers : of its branch, if they fit the point
+    residual: largest min of a pair
+    multipliers: of the candidate's branch, if they fit the point
     """
     work, branch, x, settings = (
         candidate.work,

@@ -3,7 +3,7 @@
     result = solve_mpec(model)  # MpecResult; the model is unchanged
     load(result)  # write the variables
 
-or behind Pyomo's solver interface, with our options by name and all others passed to Ipopt:
+or behind Pyomo's solver interface, with our options by name and the rest passed to Ipopt:
 
     solver = pyo.SolverFactory("mpec_ipopt")
     solver.options["strategy"] = "scholtes"

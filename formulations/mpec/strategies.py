@@ -3,7 +3,7 @@
     parameter = STRATEGIES["scholtes"].attach(lifted)  # once, before the shadow is compiled
     parameter.value = STRATEGIES["scholtes"].number(eps)
 
-`MpecSettings` are our options of a solve; `read_settings` passes all others to Ipopt.
+`MpecSettings` are our options of a solve; `read_settings` passes the rest to Ipopt.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ _OWN = {item.name: item for item in fields(MpecSettings) if item.name != "ipopt"
 
 
 def read_settings(options: Mapping[str, Any]) -> MpecSettings:
-    """Split options into ours and Ipopt's; raise UnknownOptionError with advice for a wrong one."""
+    """Split options into those of MpecSettings and Ipopt's; raise UnknownOptionError with advice for a wrong one."""
     own = {name: value for name, value in options.items() if name in _OWN}
     ipopt = {
         name: value for name, value in options.items() if name not in _OWN and name != "solver"

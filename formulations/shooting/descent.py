@@ -270,18 +270,10 @@ class Descent:
 def projected_descent(
     loss_of: Callable[[Tensor], Tensor], u: Tensor, rate: float, lower: Tensor, upper: Tensor
 ) -> Iterator[Tensor]:
-    """Yield the loss before each step, without end; u.grad is its gradient.
+    """Yield the loss (..) [-] before each step, without end; u.grad is its gradient.
 
-    Parameters
-    ----------
-    loss_of : u (.., steps, nu) [N, N m] -> (..) [-]
-    u : (.., steps, nu) [N, N m], requires a gradient, changed in place by each step; leading rows
-        are independent
-    lower, upper : (nu,) [N, N m]
-
-    Yields
-    ------
-    (..) [-]
+    u (.., steps, nu) [N, N m] requires a gradient and changes in place; leading rows are
+    independent. lower, upper are (nu,) [N, N m].
     """
     # The first torch.optim optimiser of a process imports torch's compiler (1.1 CPU s), and an
     # interrupt of that import breaks all optimisers; hence no torch.optim.SGD.
@@ -297,17 +289,10 @@ def projected_descent(
 def descend(
     objective: Objective, u0: np.ndarray, options: DescentOptions, time_limit: float
 ) -> Descent:
-    """Descend until nothing is gained, or a limit is reached.
+    """Descend from u0 (steps, nu) [N, N m] until nothing is gained, or a limit is reached.
 
-    Parameters
-    ----------
-    u0 : (steps, nu) [N, N m], first guess
-    time_limit : wall seconds [s]
-
-    Raises
-    ------
-    ShootingError
-        for a custom loss without a gradient with respect to the inputs
+    time_limit is in wall seconds [s]. Raises ShootingError for a custom loss without a gradient
+    with respect to the inputs.
     """
     began = perf_counter()
     scene = objective.kernel.scene
@@ -411,7 +396,7 @@ def _limit_message(options: DescentOptions, losses: Losses) -> str:
         rose = (
             "; the loss is higher than at the start" if losses.values[-1] > losses.values[0] else ""
         )
-        return f"stopped after the {options.iterations} iterations asked for{rose}"
+        return f"stopped after the {options.iterations} requested iterations{rose}"
     return (
         f"stopped at max_iterations = {options.max_iterations}; over the last quarter of them the loss still fell by "
         f"{100.0 * losses.decrease():.2g} % (tolerance {100.0 * options.tolerance:.2g} %)"

@@ -193,6 +193,6 @@ class _FirstDerivativeOnly(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *bars: Tensor) -> Tensor:
         raise ShootingError(
-            "the compiled rollout can be differentiated once, but a second derivative was asked for; "
+            "the compiled rollout can be differentiated once, but a second derivative was requested; "
             "use formulations.shooting.reference.reference_rollout, which is plain PyTorch."
         )

@@ -150,7 +150,7 @@ def arrived(
             and limit.value is not None
             and residuals[name] > limit.value
         ):
-            missed = f"{name} is {residuals[name]:.3g}, the scene asks for {limit.value:g}; {advice} brings it nearer"
+            missed = f"{name} is {residuals[name]:.3g}, the scene allows {limit.value:g}; {advice} brings it nearer"
             outcome, message = (
                 Outcome.STALLED,
                 f"{message} It converged away from the goal: {missed}.".strip(),

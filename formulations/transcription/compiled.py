@@ -99,12 +99,9 @@ class CompiledModel:
     ) -> IpoptResult:
         """Solve from the model's values, or after another solve, and load the end point.
 
-        Parameters
-        ----------
-        budget : of the stage
-        options : Ipopt's; max_iter is for the whole stage
-        after : another solve, with the point and multipliers of the start
-        callback : called after each iteration; False stops
+        options: Ipopt's; max_iter is for the whole stage
+        after: another solve, with the point and multipliers of the start
+        callback: called after each iteration; False stops
         """
         problem = self.problem(budget)
         left = {

@@ -197,20 +197,12 @@ def _families(block: Any) -> list[tuple[Any, Any]]:
 def hold_modes(block: Any, closed: np.ndarray) -> None:
     """Fix every pair of a relaxed block, and switch the products off.
 
-    The rest is a convex quadratic program for a linear scene without friction. Friction of an open
-    contact is never fixed: it has no force and any slip.
-
-    Parameters
-    ----------
-    block : a relaxed block
-    closed : (steps, nc + 2 nf + springs + switches) [-]: whether each contact is closed (lam = k
-        phi, else 0), may slip forward (f = -mu N) and backward, then spring and switch of each
-        damped contact
-
-    Raises
-    ------
-    ValueError
-        for modes of another shape
+    closed (steps, nc + 2 nf + springs + switches) [-]: whether each contact is closed (lam = k phi,
+    else 0), may slip forward (f = -mu N) and backward, then spring and switch of each damped
+    contact. The rest is a convex quadratic program for a linear scene without friction. Friction of
+    an open contact is never fixed: it has no force and any slip. Raises ValueError for modes of
+    another
+        shape.
     """
     for _, pair in pairs(block):
         pair.ccon.deactivate()
@@ -250,12 +242,10 @@ def add_contact_law(
 ) -> None:
     """Add the law of the contact forces.
 
-    Parameters
-    ----------
-    index : the sets of `variable_lam`
-    b : sharpness of softplus, or None
-    softplus : equation of the smoothed law, by index
-    push : expression whose positive part is the force, by index
+    index: the sets of `variable_lam`
+    b: sharpness of softplus, or None
+    softplus: equation of the smoothed law, by index
+    push: expression whose positive part is the force, by index
     """
     if contact is ContactFormulation.SOFTPLUS:
         block.parameter_sharpness = pyo.Param(initialize=b, mutable=True)
@@ -295,17 +285,9 @@ def add_springs(
 
     lam = max(push, 0). Kelvin-Voigt's force jumps at contact: k phi + c r may be positive before,
     hence
-    the switch w. Softplus (models/codegen/damping.h) needs neither variable.
-
-    Parameters
-    ----------
-    phi : penetrations by step
-    q, v : rows of variables by node
-    parameters : of the scene
-
-    Returns
-    -------
-    the push of each damped contact, by step
+    the switch w. phi are penetrations by step, q and v variables by node. Return the push of each
+    damped
+    contact, by step.
     """
     names = [scene.contacts[index].name for index in scene.damped]
     switched = [
@@ -399,17 +381,8 @@ def add_friction(
                                  0 <= s_backward  complements  mu N - f >= 0
 
     Only the slip at the end lets a step stick. In the plane complementarity is the model of Stewart
-    and Trinkle (maximal dissipation) with one variable less.
-
-    Parameters
-    ----------
-    sharpness : b of the regularised law, or None for complementarity
-    plan : q, v (nodes) and lam (steps) as rows of variables
-    parameters : of the scene
-
-    Returns
-    -------
-    the variables f[t][friction]
+    and Trinkle (maximal dissipation) with one variable less. sharpness: b of the regularised law,
+    or None; plan: q, v (nodes) and lam (steps) as variables. Return the variables f[t][friction].
     """
     q, v, lam = plan
     names = [friction.name for friction in scene.frictions]

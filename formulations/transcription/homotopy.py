@@ -75,7 +75,9 @@ class Homotopy:
         softer, before, ending = self._failure or (0.0, None, Outcome.STALLED)
         is_nested = not self.solver.is_softplus
         if start is before and eps < softer and (is_nested or start is not None):
-            message = f"Not tried: from this start there was no plan at eps = {softer:g} either, where contact is softer."
+            message = (
+                f"Not tried: this start gave no plan at eps = {softer:g}, where contact is softer."
+            )
             outcome = ending if is_nested and ending is Outcome.INFEASIBLE else Outcome.STALLED
             return Solution(
                 method=self._method.name,
@@ -138,7 +140,9 @@ class Stage:
             self._solver.load(previous.plan)
             if self.solve(between, previous.plan).outcome is Outcome.SOLVED:
                 result = self.solve(eps, self._solver.read())
-                words = f"It went by eps = {between:g}: directly there was no plan."
+                words = (
+                    f"It was solved via eps = {between:g}, because the direct step found no plan."
+                )
                 result = replace(result, message=f"{ended(result.message)} {words}".lstrip())
         return result
 

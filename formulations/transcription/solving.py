@@ -160,14 +160,8 @@ def nearest(
 
     All inputs within bounds are feasible, so Ipopt needs no restoration, in which it can spend its
     whole time limit if the goal is out of reach (three carts, inputs bounded by 0.3 N, T = 500: no
-    result after 1600 iterations, here 0.42 m in 280). The result is local.
-
-    Parameters
-    ----------
-    scene : with a goal
-    budget : for the search
-    max_iterations : of all solves in the budget
-    sharpest : largest b [1/m]
+    result after 1600 iterations, here 0.42 m in 280). The result is local. max_iterations counts
+    all solves in the budget; sharpest is the largest b [1/m].
     """
     model: Any = build_model(scene, ContactFormulation.SOFTPLUS, eps=0.5)
     # A free end leaves only the constraints.
@@ -492,7 +486,7 @@ class PlanSolver(CompiledModel):
             residuals, cost = residuals_of(plan), self.residuals.cost(plan)
             if outcome is not Outcome.SOLVED and beyond(plan_limits, residuals):
                 plan, cost = None, None
-                message = f"{message} The last iterate does not meet its own equations: it is no plan, and starts none."
+                message = f"{message} The last iterate does not meet its own equations: it is not a plan, and cannot start one."
             outcome, message = checked(outcome, message, residuals, promises)
             residuals["dual_infeasibility"] = result.residuals.dual_infeasibility
         solution = Solution(

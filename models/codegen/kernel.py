@@ -217,23 +217,9 @@ class Kernel:
     ) -> Rollout:
         """Simulate with constant inputs per step; NaN after a divergence.
 
-        Parameters
-        ----------
-        start
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        u
-            Inputs (steps, nu) [N, N m].
-        step
-            Length of a step [s].
-        law, eps
-            The contact law, and eps of softplus [-].
-
-        Raises
-        ------
-        KernelError
-            For an array of another shape.
-        RelaxationError
-            Unless 0 < eps < 1, for softplus.
+        start is (2*nq,) [m, rad, m/s, rad/s], u (steps, nu) [N, N m], step [s], eps of softplus
+        [-]. Raises KernelError for an array of another shape, RelaxationError unless 0 < eps < 1
+        for softplus.
         """
         u, start = (
             self._array("u", u, None, self.scene.nu),
@@ -294,24 +280,11 @@ class Kernel:
         """Return the gradients of a loss along a rollout by u (steps, nu) and start (2*nq,).
 
         Derivatives of the loss that are None count as zero.
-
-        Parameters
-        ----------
-        rollout, u
-            A rollout and its inputs (steps, nu) [N, N m].
-        q_bar, v_bar
-            Derivatives (steps+1, nq) by positions and velocities [1/m, s/m and so on].
-        lam_bar
-            Derivatives (steps, nc+nf) by forces [1/N].
-        cost_bar
-            Derivative by the cost of the task [-].
-        end_bar
-            Derivatives (2*nq,) by the last state, in addition to q_bar and v_bar.
-
-        Raises
-        ------
-        KernelError
-            If M is not positive definite along the rollout, or for an array of another shape.
+        q_bar, v_bar: (steps+1, nq), by positions and velocities [1/m, s/m and so on]
+        lam_bar: (steps, nc+nf), by forces [1/N]
+        cost_bar: by the cost of the task [-]
+        end_bar: (2*nq,), by the last state, in addition to q_bar and v_bar
+        Raises KernelError if M is not positive definite along the rollout, or for another shape.
         """
         u = self._array("u", u, len(rollout.lam), self.scene.nu)
         loss_bars = (

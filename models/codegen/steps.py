@@ -135,29 +135,14 @@ class Steps(Kernel):
     ) -> Followed:
         """Run with feedback u = u_plan + gain (x - x_plan) within the input bounds.
 
-        NaN after a divergence.
-
-        Parameters
-        ----------
-        start
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        x_plan, u_plan
-            States (steps, 2*nq) and inputs (steps, nu) [N, N m] of the plan.
-        gain
-            Gains (steps, nu, 2*nq) [N/m, N s/m and so on].
-        step
-            Length of a step [s].
-        law, eps
-            The contact law, and eps of softplus [-].
-        jump
-            Added to the state after each step (steps, 2*nq), or None.
-
-        Raises
-        ------
-        KernelError
-            For an array of another shape.
-        RelaxationError
-            Unless 0 < eps < 1, for softplus.
+        Rows after a divergence are NaN.
+        start: (2*nq,) [m, rad, m/s, rad/s]
+        x_plan, u_plan: (steps, 2*nq) and (steps, nu) [N, N m]
+        gain: (steps, nu, 2*nq) [N/m, N s/m and so on]
+        step: length of a step [s]
+        jump: added to the state after each step (steps, 2*nq), or None
+        Raises KernelError for an array of another shape, RelaxationError unless 0 < eps < 1 for
+        softplus.
         """
         scene, n = self.scene, len(u_plan)
         x_plan, u_plan = (

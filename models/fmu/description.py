@@ -89,7 +89,7 @@ class Standard:
     first_index: int
 
 
-# In FMI 3.0 importers provide the headers; ours are in a folder that importers may ignore.
+# In FMI 3.0 importers provide the headers; our copies are in a folder that importers may ignore.
 STANDARDS = {
     standard.version: standard
     for standard in (

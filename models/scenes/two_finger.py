@@ -4,7 +4,7 @@ The disc (0.5 kg) lies on a smooth table between the tips of two 2-link fingers,
 by 0.05 m and catch it. The fingers start 5 mm off, so both contacts must be found. Source:
 dimensions, masses, stiffness, damping and step are from our scene bank, after planar
     grippers of
-contact-implicit planning. Chosen: bases 0.14 m beside the row (bent elbows), 2 N m per joint (ten
+contact-implicit planning. Chosen: bases 0.14 m from the row (bent elbows), 2 N m per joint (ten
 times the need), no friction. The running cost is 5 per metre of distance, plus squared torques: the
 disc arrives after half of
     the

@@ -1,1 +1,1 @@
-"""Certify a point with the Pyomo model alone."""
+"""Certify a point with only the Pyomo model."""

@@ -281,13 +281,8 @@ def read_local(model: Any, near: float) -> LocalModel:
     """Read all active components at their current values.
 
     near: largest distance at which a box is a pair with its bound
-
-    Raises
-    ------
-    MissingValueError
-        if a component needs an Expression that is empty
-    NotSmoothError
-        for an absolute value, a minimum or a maximum of variables
+    Raises MissingValueError for an empty Expression, NotSmoothError for abs, min or max of
+    variables.
     """
     rows: list[tuple[Any, int | None, float, float, float]] = []
     bodies: list[Any] = []

@@ -263,7 +263,7 @@ class Robot:
                 f"gravity_{axis} = {{ value = 0.0, reason = 'it is known' }}" for axis in "xyz"
             ],
         }
-        title = f"# {self.path.name} as an FMU: how the columns of a plan are its variables. docs/replay.md tells all that may stand here."
+        title = f"# {self.path.name} as an FMU: maps the columns of a plan to its variables. docs/replay.md describes all entries."
         body = [
             "\n".join(["", f"[{name}]", *lines])
             for name, lines in sections.items()
