@@ -1,15 +1,10 @@
-"""How a plan is found: methods, the pipelines that chain them, and the Pyomo models they are built from.
+"""Find plans: methods, pipelines that chain them, and the Pyomo models they use.
 
-    from formulations import build_model, ContactFormulation
-    # a plain pyomo ConcreteModel
     model = build_model("three_cart", ContactFormulation.SOFTPLUS, eps=1e-3)
-    # or any other solver; "mpec_ipopt" for complementarity
-    pyomo.environ.SolverFactory("touchstone_ipopt").solve(model)
+    pyomo.environ.SolverFactory("touchstone_ipopt").solve(model)  # "mpec_ipopt" for complementarity
 
-Importing this package registers both solvers with both of Pyomo's factories, and imports neither
-Pyomo, which comes when a model is built, nor PyTorch: the names are registered as soon as somebody
-imports `pyomo.environ`, since Pyomo has no entry points for solvers, and importing it here would
-cost 0.5 s. A solver is imported when it is asked for, 0.3 s more.
+Importing this package registers both solvers with both of Pyomo's factories, as soon as
+`pyomo.environ` is imported. It imports neither Pyomo (0.5 s) nor PyTorch.
 """
 
 from __future__ import annotations
@@ -58,7 +53,7 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-# Name of a solver -> module and class of it, and what it is.
+# Name of a solver -> module, class, description.
 _SOLVERS = MappingProxyType({
     "touchstone_ipopt": ("formulations.ipopt.pyomo_solver", "TouchstoneIpopt",
                          "Ipopt through cyipopt, without AMPL executables"),
@@ -68,7 +63,7 @@ _SOLVERS = MappingProxyType({
 
 
 class _AfterPyomo:
-    """A finder of modules by its method; the class of `importlib.abc` for it would cost 10 ms."""
+    """A meta path finder; the base class in `importlib.abc` would cost 10 ms."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
@@ -95,13 +90,12 @@ def _register() -> None:
 
     for name, (home, plugin, doc) in _SOLVERS.items():
         FirstFactory.register(name, doc)(partial(_plugin, home, plugin))
-        # The second factory's own `register` would put a wrapper of this one in the place of the
-        # plugin in the first factory.
+        # Factory.register would replace the plugin in the first factory by a wrapper.
         Factory.register(SolverFactory, name, doc)(partial(_plugin, home, plugin, "ContribSolver"))
 
 
 def _plugin(home: str, name: str, outer: str = "", /, **settings: Any) -> Any:
-    """A solver of the first interface, or what asks it in the words of the second."""
+    """Return a solver of the first interface, wrapped for the second if `outer` is given."""
     plugin = getattr(importlib.import_module(home), name)
     return (
         getattr(importlib.import_module("formulations.ipopt.pyomo_solver"), outer)(

@@ -1,16 +1,7 @@
-"""Plans on the grid of a scene's task: from a rollout, from another grid, refused.
+"""Plans on grids: from rollouts, from other grids, and the motion on finer steps.
 
-The bounds of its inputs; and the same task on a coarser grid.
-
-Finer steps than a task's: how far the motion departs from a plan there, with feedback, and the same
-task on them.
-
-A plan solves the equations of its grid, and a robot does not move on a grid. The motion on finer
-steps is what a judge sees, in the finder's own words: the scene's own time step, driven by the
-plan's inputs and by linear feedback around it. It is a start for the same task on those steps, too:
-it keeps their equations and contact as they are, and misses only the goal. (Positions between two
-rows, taken linearly, keep neither: `strict_lcp` then starts from nothing, and takes 1,423
-iterations for push_box on steps a quarter as long instead of 110.)
+A judge sees the motion on finer steps: the scene's time step driven by the plan's inputs with
+linear feedback. It is also a start there, because it keeps equations and contact.
 """
 
 from __future__ import annotations
@@ -31,7 +22,7 @@ from models.trajectory import Trajectory, input_share, uniform_grid
 
 
 def coarse_scene(scene: Scene, most: int) -> Scene | None:
-    """Give the scene's task over the same horizon in at most `most` steps, or None where it has no more than that."""
+    """Return the task over the same horizon in at most `most` steps, None if it has no more."""
     task = scene.task
     if task.steps <= most:
         return None
@@ -40,7 +31,7 @@ def coarse_scene(scene: Scene, most: int) -> Scene | None:
 
 
 def on_grid(plan: Trajectory, scene: Scene) -> Trajectory:
-    """Bring a plan of the same horizon to the grid of a scene: states interpolated, inputs and forces held."""
+    """Resample a plan of the same horizon: interpolate states, hold inputs and forces."""
     task = scene.task
     t = uniform_grid(task.step, task.steps)
     stretch = (plan.t[-1] - plan.t[0]) / task.horizon  # 1 up to rounding
@@ -56,26 +47,29 @@ def on_grid(plan: Trajectory, scene: Scene) -> Trajectory:
 
 
 def check_warm_start(scene: Scene, plan: Trajectory | None) -> None:
-    """Raise TrajectoryError for a plan of another scene, or on another grid than the scene's task."""
+    """Raise TrajectoryError for a plan of another scene, or of another grid."""
     if plan is None:
         return
     plan.check_fits(scene)
     check_grid(plan, scene.task.steps, scene.task.step, f"scene {scene.name}")
 
 
-def check_grid(plan: Trajectory, steps: int, step: float, asker: str) -> None:
-    """Raise TrajectoryError for a plan that does not have so many steps of this length [s], which the asker has."""
+def check_grid(plan: Trajectory, steps: int, step: float, owner: str) -> None:
+    """Raise TrajectoryError unless the plan has the steps of `owner`, of this length [s]."""
     if plan.steps != steps or not np.allclose(
         plan.t - plan.t[0], uniform_grid(step, steps), rtol=1e-9, atol=1e-9 * step
     ):
         raise TrajectoryError(
-            f"warm start: it has {plan.steps} steps over {plan.t[-1] - plan.t[0]:g} s, but {asker} has {steps} steps of {step:g} s; "
+            f"warm start: it has {plan.steps} steps over {plan.t[-1] - plan.t[0]:g} s, but {owner} has {steps} steps of {step:g} s; "
             "resample it to that grid."
         )
 
 
 def plan_of(scene: Scene, rollout: Rollout, u: np.ndarray) -> Trajectory:
-    """Give the motion that the scene's own time step made of inputs u (steps, nu) [N, N m], as a plan. Raises TrajectoryError where the motion or the inputs are not finite."""
+    """Return the rollout of inputs u (steps, nu) [N, N m] as a plan.
+
+    Raises TrajectoryError if the motion or the inputs are not finite.
+    """
     t = uniform_grid(scene.task.step, scene.task.steps)
     return Trajectory(
         t=t, q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
@@ -89,16 +83,16 @@ def rolled_plan(
     law: ContactLaw = ContactLaw.RELU,
     eps: float | None = None,
 ) -> Trajectory | None:
-    """Give the motion that inputs u (steps, nu) [N, N m] make from the scene's start, as a plan.
+    """Return the motion of inputs u (steps, nu) [N, N m] from the start, None if it diverges.
 
-    None where it diverges. Raises KernelError for another size.
+    Raises KernelError for another size.
     """
     rollout = kernel.rollout(np.array(scene.task.start), u, scene.task.step, law, eps)
     return None if rollout.diverged else plan_of(scene, rollout, u)
 
 
 def input_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Give the lower and upper bounds (nu,) [N, N m] of the inputs, infinite where there is none.
+    """Return lower (nu,) and upper (nu,) [N, N m] input bounds, infinite if missing.
 
     Raises nothing.
     """
@@ -108,7 +102,7 @@ def input_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def bound_excess(scene: Scene, plan: Trajectory) -> dict[str, float]:
-    """Measure by how much inputs leave their bounds [N, N m] and, where the scene bounds them, velocities at the start of a step [m/s, rad/s]."""
+    """Return the excess of inputs [N, N m] and velocities [m/s, rad/s] over their bounds."""
     pairs = [("input_bound_excess", plan.u, *input_bounds(scene))]
     if any(coordinate.has_velocity_bounds for coordinate in scene.coordinates):
         slowest, fastest = zip(
@@ -126,26 +120,20 @@ def bound_excess(scene: Scene, plan: Trajectory) -> dict[str, float]:
 
 
 def replayed_goal_error(scene: Scene, kernel: Kernel, plan: Trajectory) -> float:
-    """Roll the plan's inputs out through the same time step with the true contact law.
-
-    How far from the goal that ends, in the norm of (q, v).
-    """
+    """Return the distance of (q, v) from the goal after the plan's inputs in true contact."""
     replay = kernel.rollout(np.array(scene.task.start), plan.u, scene.task.step)
     return distance(np.concatenate([replay.q[-1], replay.v[-1]]), goal_state(scene.task))
 
 
-# Steps in one of the plan's on which it is followed: on ten feedback seems to take a tenth less
-# (hopper_planar: 0.80 instead of 0.87 of the plan's inputs). Departure of a motion that leaves every
-# bound.
+# Steps per step of the plan for its motion; with ten, feedback appears a tenth smaller
+# (hopper_planar: 0.80 instead of 0.87 of the plan's inputs).
 _PARTS = 50
+# Departure of a motion without bounds.
 _LOST = 1e6
 
 
 def finer_scene(scene: Scene, parts: int) -> Scene:
-    """Give the same task, with the same cost, on steps of which `parts` make one of the scene's.
-
-    Raises SceneError where the scene allows no such task.
-    """
+    """Return the task with the same cost on `parts` steps per step. Raises SceneError."""
     task = scene.task
     return scene.with_task(
         steps=task.steps * parts, step=task.step / parts, running_cost=task.running_cost / parts
@@ -153,7 +141,7 @@ def finer_scene(scene: Scene, parts: int) -> Scene:
 
 
 def scene_of(scene: Scene, plan: Trajectory) -> Scene:
-    """Give the task on the plan's own steps where those are finer, so many of them one of the task's; else the scene itself. Raises nothing."""
+    """Return the task on the plan's steps if those are an integer refinement, else the scene."""
     task, parts = scene.task, plan.steps // scene.task.steps
     fits = (
         plan.steps == parts * task.steps
@@ -164,9 +152,9 @@ def scene_of(scene: Scene, plan: Trajectory) -> Scene:
 
 
 def motion_on_finer_steps(scene: Scene, plan: Trajectory, parts: int) -> Trajectory | None:
-    """Give the motion that follows a plan with feedback, as a plan of `finer_scene`.
+    """Return the motion that follows a plan with feedback, as a plan of `finer_scene`.
 
-    None where it leaves every bound. Raises KernelError for a plan of another scene.
+    None without bounds. Raises KernelError for a plan of another scene.
     """
     u, _ = _followed(scene, plan, parts)
     if u is None:
@@ -176,31 +164,22 @@ def motion_on_finer_steps(scene: Scene, plan: Trajectory, parts: int) -> Traject
 
 
 def departure(scene: Scene, plan: Trajectory) -> float:
-    """How far the motion on steps a fiftieth as long departs from a plan, with feedback: the largest part of what the scene allows.
+    """Return how far the fine motion departs from a plan, in parts of what the scene allows.
 
-    Returns
-    -------
-    float
-        Of distance from the plan's positions, of distance from the goal's positions and velocities
-        at the end, each over the judge's limit, and of the feedback's share of the inputs
-        (`models.trajectory.input_share`) over its limit [-].
-
-    Raises
-    ------
-    KernelError
-        For a plan of another scene.
+    The largest of: distance from the plan's positions, distance from the goal's positions and
+    velocities at the end, each over the judge's limit, and the feedback's share of the inputs
+    (`models.trajectory.input_share`) over its limit. Raises KernelError for a plan of another
+    scene.
     """
     return _followed(scene, plan, _PARTS)[1]
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def _followed(scene: Scene, plan: Trajectory, parts: int) -> tuple[np.ndarray | None, float]:
-    """The inputs (steps, nu) with feedback [N, N m], None where the motion leaves every bound.
+    """Return the inputs (steps, nu) with feedback [N, N m], or None, and the departure [-].
 
-    And how far it departs [-].
-
-    Feedback is the time-varying LQR with an error of the nominal size worth all of an input, held
-    over a step of the plan and kept within the bounds.
+    The feedback is the time-varying LQR in which a nominal error costs as much as a full input. It
+    is constant over a step of the plan and respects the bounds.
     """
     lost = None, _LOST
     steps, h, x_plan = load_steps(scene), scene.task.step / parts, np.hstack([plan.q, plan.v])

@@ -1,10 +1,9 @@
-"""How far the contacts of a motion depart from those of the plan that it follows.
+"""Compare the contacts of the motion with those of its plan.
 
-    contact_departure(scene, plan)      # 1: as much as the scene allows
+    contact_departure(scene, plan)  # 1: as much as the scene allows
 
-Two motions that stay near each other may push at other times: a block that is 1 mm early is hit a
-step early. So the judge also compares impulses and depths, and a planner that refines its grid must
-measure both.
+Motions close to each other may have contact at other times, so the judge compares impulses and
+depths, and a planner that refines its grid must too.
 """
 
 from __future__ import annotations
@@ -19,41 +18,29 @@ from models.scene.goal import goal_state, miss
 from models.scene.typical_force import typical_force
 from models.trajectory import Trajectory
 
-# Steps in one of the plan's on which it is followed, as in formulations.grids.
+# Steps per step of the plan, as in formulations.grids.
 _PARTS = 50
-# Departure of a motion that leaves every bound, as in formulations.grids.
+# Departure of a motion without bounds, as in formulations.grids.
 _LOST = 1e6
 
 
 def contact_departure(scene: Scene, plan: Trajectory) -> float:
-    """Return the largest part of what the scene allows that contacts of the fine motion differ by.
+    """Return the largest contact difference of the fine motion, in parts of what the scene allows.
 
-    Parameters
-    ----------
-    scene
-        With the plan's steps.
-    plan
-        A plan of exact contact on them.
-
-    Returns
-    -------
-    float
-        Of the impulse that the plan has and the motion has not within a step, the other way round,
-        each over its limit, and of the deepest penetration over the depth of its contact [-]. Of
-        the motion with feedback; of the motion by the inputs alone too if that stays near the plan.
-
-    Raises
-    ------
-    KernelError
-        For a plan of another scene.
+    It includes impulses that only the plan or only the motion has within a step, and the deepest
+    penetration over the depth of its contact. The motion has feedback; the one without counts too
+    if it stays close to the plan. Raises KernelError for a plan of another scene.
     """
     if not scene.nc:
         return 0.0
     followed = motion_on_finer_steps(scene, plan, _PARTS)
     if followed is None:
         return _LOST
-    alone = _by_inputs_alone(scene, plan)
-    motions = [followed, *([alone] if alone is not None and _is_near(scene, plan, alone) else [])]
+    open_loop = _by_inputs_alone(scene, plan)
+    motions = [
+        followed,
+        *([open_loop] if open_loop is not None and _is_near(scene, plan, open_loop) else []),
+    ]
     return min(_LOST, max(_departs(scene, plan, motion) for motion in motions))
 
 
@@ -64,7 +51,7 @@ def _by_inputs_alone(scene: Scene, plan: Trajectory) -> Trajectory | None:
 
 
 def _is_near(scene: Scene, plan: Trajectory, motion: Trajectory) -> bool:
-    """Return whether a motion keeps the limits on its distance from the plan and from the goal."""
+    """Return whether a motion stays within its limits of distance from the plan and the goal."""
     off = np.abs(motion.q[::_PARTS] - plan.q).max(axis=0)
     if (off > replay_limits(scene)).any():
         return False
@@ -83,18 +70,17 @@ def _departs(scene: Scene, plan: Trajectory, motion: Trajectory) -> float:
     step = scene.task.step
     common = step * float(np.minimum(np.abs(planned), most).sum())
     yardstick = impulse_yardstick(common, typical_force(scene, load_kernel(scene)), plan.duration)
-    found = [float((_depths(scene, motion) / np.array(scene.depths)).max())]
+    parts = [float((_depths(scene, motion) / np.array(scene.depths)).max())]
     for name, excess in (("ghost_impulse", planned - most), ("missed_impulse", least - planned)):
         own = scene.limit(name)
         limit = IMPULSE * yardstick if own is None else own.value
         impulse = step * float(np.maximum(excess, 0.0).sum())
         if limit is not None and impulse > 0.0:
-            found.append(impulse / limit if limit > 0.0 else _LOST)
-    return max(found)
+            parts.append(impulse / limit if limit > 0.0 else _LOST)
+    return max(parts)
 
 
 def _around(values: np.ndarray, choose: np.ufunc) -> np.ndarray:
-    """Return the extreme (steps, nc) [N] of each step, the one before and the one after."""
     before, after = np.vstack([values[:1], values[:-1]]), np.vstack([values[1:], values[-1:]])
     return choose(choose(before, values), after)
 

@@ -1,30 +1,14 @@
-"""A method: one way to find a plan.
+"""A method: one way to find a plan, in one file of formulations/methods that defines `METHOD`.
 
-ONE FILE = ONE METHOD in formulations/methods; the file defines `METHOD`.
-
-    class SoftplusDC(Method):
-        name = "softplus_dc"
-        kind = Kind.INDIRECT
-        ...
-    METHOD = SoftplusDC()
-
-A method is opened once on a scene and may then be run for several eps, so that what can be kept
-between them (model, structure, duals) is kept:
+A session is opened once on a scene and keeps model, structure and duals between several eps:
 
     with METHOD.open(scene, options) as session:
         for eps in (1e-3, 1e-5, 1e-7):
             solution = session.solve(eps=eps, warm_start=plan, time_limit=60.0)
             plan = solution.trajectory
 
-Options of methods: a frozen dataclass each, whose fields say what they mean and which values they
-take.
-
-    @dataclass(frozen=True, kw_only=True)
-    class GlobalOptions(Options):
-        seconds: float = option(200.0, "time after which the best bound is reported", unit="s", lower=1e-3, upper=1e7)
-
-A value is kept as it was given, a whole number also where any number will do: keys of stored
-results are made from it.
+Options are a frozen dataclass of `option` fields. Values are stored unchanged, because keys of
+stored results depend on them.
 """
 
 from __future__ import annotations
@@ -49,10 +33,7 @@ if TYPE_CHECKING:
 
 
 class OptionError(TouchstoneError):
-    """An option or eps that the method does not know or that is out of range.
-
-    One sentence says which and what was expected.
-    """
+    """An option or eps that is unknown or out of range."""
 
 
 def option(
@@ -65,7 +46,7 @@ def option(
     choices: tuple[object, ...] = (),
     place: bool = False,
 ) -> Any:
-    """Declare a field of `Options`. lower, upper: bounds of a number, inclusive.
+    """Declare a field of `Options`; lower and upper are inclusive bounds.
 
     place: the path of a file. Another field holds the digest of the file, so that the path is no
     part of a key.
@@ -86,9 +67,9 @@ def option(
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """The options of a method; the base is for one that has none.
+    """The options of a method without options, and the base class.
 
-    Raises OptionError for an impossible value.
+    Raises OptionError for an invalid value.
     """
 
     def __post_init__(self) -> None:
@@ -122,7 +103,7 @@ def _check(item: Field[Any], value: object) -> None:
 
 
 def without_inputs(scene: Scene, wanted: str) -> str | None:
-    """Give the reason why a method that chooses inputs does not apply to a scene that has none, or None; wanted: what it would do."""
+    """Return a reason if the scene has no inputs to `wanted` (a verb), else None."""
     return (
         None
         if scene.inputs
@@ -131,37 +112,30 @@ def without_inputs(scene: Scene, wanted: str) -> str | None:
 
 
 class Kind(Enum):
-    """Indirect methods cheat on contact (and are expected to violate physics).
-
-    Direct methods do not. A given plan comes from a file.
-    """
+    """Indirect methods relax contact, direct ones do not; a given plan comes from a file."""
 
     INDIRECT = "indirect"
     DIRECT = "direct"
     GIVEN = "given"
 
 
-# Return the stored Solutions of the last leg of a path from a cold start on the session's scene;
-# None if the leg is not stored.
+# Return the stored Solutions of the last leg of a path from a cold start, or None.
 StoredStages: TypeAlias = "Callable[[Sequence[Leg]], Sequence[Solution] | None]"
 
 
 class Clock:
-    """Wall and CPU seconds that opening a session takes.
-
-    Its first stage pays for them; the stages after it find it open.
-    """
+    """Wall and CPU seconds of opening a session, which count for its first stage."""
 
     def __init__(self) -> None:
         self._wall, self._cpu = perf_counter(), process_time()
         self._spent = (0.0, 0.0)
 
     def stop(self) -> None:
-        """The session is open."""
+        """Stop when the session is open."""
         self._spent = (perf_counter() - self._wall, process_time() - self._cpu)
 
     def pay(self) -> tuple[float, float]:
-        """Give the wall and CPU seconds of opening the first time it is asked, and zero ever after."""
+        """Return the wall and CPU seconds at the first call, later zeros."""
         spent, self._spent = self._spent, (0.0, 0.0)
         return spent
 
@@ -175,24 +149,28 @@ class Session(ABC):
     ) -> Solution:
         """Run one stage.
 
-        eps: the relaxation (None for methods without one); warm_start: a plan on the same grid, or
-            None for the paper's first guess (initial state held,
-        u = lam = 0); time_limit: wall seconds. Raises OptionError for an eps or a time limit that
-            is none.
+        eps: the relaxation (None for methods without one)
+        warm_start: a plan on the same grid, or None for the paper's first guess (start state, u =
+            lam = 0)
+        time_limit: wall seconds
+        Raises OptionError for an invalid eps or time limit.
         """
 
     def start_used(self, warm_start: Trajectory | None) -> Trajectory | None:
-        """Give what the first stage of this session would really start from: None where it would leave the plan for the first guess.
+        """Return the actual start of the first stage: None if it would reject the plan.
 
-        The stage is then the same whatever plan it was given, and a campaign runs it once.
+        A campaign runs equal stages once.
         """
         return warm_start
 
     def use_stored(self, stored: StoredStages) -> None:  # noqa: B027 - most sessions run no pipelines
-        """Read stages of other pipelines from `stored` instead of solving them. Results do not change."""
+        """Read stages of other pipelines from `stored` instead of solving them.
+
+        Results do not change.
+        """
 
     def close(self) -> None:  # noqa: B027 - most sessions hold nothing that needs freeing
-        """Free what the session holds."""
+        """Release resources."""
 
     def __enter__(self) -> Session:
         return self
@@ -207,37 +185,35 @@ class Session(ABC):
 
 
 class Method(ABC, Generic[AnyOptions]):
-    """One way to find a plan; see the module docstring."""
+    """One way to find a plan."""
 
     name: str
     title: str
     kind: Kind
-    needs_eps: bool  # whether `solve` takes a relaxation eps
-    # whether its plan claims to solve the exact contact problem: a campaign then certifies it
+    needs_eps: bool  # whether `solve` takes an eps
+    # Whether the plan is exact; a campaign then certifies it.
     exact: bool = False
-    # Pipelines that the method runs itself; a campaign gives it their stored stages.
+    # Pipelines that the method runs; a campaign provides their stored stages.
     ways: tuple[Pipeline, ...] = ()
     options: type[AnyOptions] = Options  # pyright: ignore[reportAssignmentType] - of a method that has none
 
     def accepts(self, scene: Scene) -> str | None:
-        """Give None, or the reason why this method does not apply to the scene: that there are no inputs, unless the method says otherwise."""
+        """Return the reason why this method does not apply to the scene, or None."""
         return without_inputs(scene, "plan")
 
     @abstractmethod
     def session(self, scene: Scene, options: AnyOptions, clock: Clock) -> Session:
-        """Open a session on a scene that the method accepts.
+        """Open a session on an accepted scene.
 
-        clock: runs since opening began, before anything was imported for it, until the session is
-        open.
+        The clock runs until it is open, including imports.
         """
 
     def open(
         self, scene: Scene, options: AnyOptions | Mapping[str, object] = MappingProxyType({})
     ) -> Session:
-        """Open on a scene. options: such an object, or values by name.
+        """Open the method on a scene, with an options object or values by name.
 
-        Raises OptionError for unknown or impossible options, and for a scene that the method does
-        not accept.
+        Raises OptionError for invalid options, and for a scene that the method does not accept.
         """
         clock = Clock()
         read = self.read_options(options)
@@ -249,7 +225,7 @@ class Method(ABC, Generic[AnyOptions]):
         return opened
 
     def check_eps(self, eps: float | None) -> None:
-        """Raise OptionError if eps is missing, superfluous or out of range (0 < eps < 1 unless the method says otherwise)."""
+        """Raise OptionError if eps is missing, superfluous or not in (0, 1)."""
         if not self.needs_eps:
             if eps is not None:
                 raise OptionError(
@@ -267,41 +243,38 @@ class Method(ABC, Generic[AnyOptions]):
             )
 
     def check_stage(self, eps: float | None, time_limit: float) -> None:
-        """Raise OptionError for an impossible eps or a time limit [s] that is not positive."""
+        """Raise OptionError for an invalid eps or time limit [s]."""
         self.check_eps(eps)
         if not time_limit > 0.0:
             raise OptionError(
                 f"method {self.name}: the time limit is {time_limit!r}, but must be a positive number of seconds."
             )
 
-    def read_options(self, given: AnyOptions | Mapping[str, object]) -> AnyOptions:
-        """Fill in the defaults of the options.
-
-        Raises OptionError for unknown names and values out of range.
-        """
+    def read_options(self, options: AnyOptions | Mapping[str, object]) -> AnyOptions:
+        """Return options with defaults; raise OptionError for unknown names and invalid values."""
         kind, where = self.options, f"method {self.name}"
-        if isinstance(given, Options):
-            if type(given) is not kind:
+        if isinstance(options, Options):
+            if type(options) is not kind:
                 raise OptionError(
-                    f"{where}: its options are {kind.__name__}, but {type(given).__name__} were given."
+                    f"{where}: its options are {kind.__name__}, but {type(options).__name__} were given."
                 )
-            return given
+            return options
         names = [item.name for item in fields(kind)]
-        for name in given:
+        for name in options:
             if name not in names:
                 hint = did_you_mean(name, names, f"it has {', '.join(names) or 'none'}.")
                 raise OptionError(f"{where}: there is no option {name!r}; {hint}")
         try:
-            return kind(**given)
+            return kind(**options)
         except OptionError as error:
             raise OptionError(f"{where}: {error}") from None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Leg:
-    """A run of one method over a schedule: the eps in order (one None for a method without eps), with its options.
+    """A run of one method over a schedule of eps (one None without eps), with its options.
 
-    `stage_options[i]` overrides `options` in stage i (e.g. the paper's iteration counts).
+    `stage_options[i]` overrides `options` in stage i (such as the paper's iteration counts).
     """
 
     method: str
@@ -312,9 +285,9 @@ class Leg:
 
 @dataclass(frozen=True, kw_only=True)
 class Pipeline:
-    """A chain of legs; each stage starts from the plan of the stage before it.
+    """A chain of legs; each stage starts from the plan of the previous one.
 
-    only: the scene that a campaign runs it on by default; "" for every scene.
+    only: the scene of campaigns by default; "" for every scene
     """
 
     name: str

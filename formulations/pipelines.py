@@ -1,17 +1,12 @@
-"""The pipelines: chains of methods with their eps schedules, as data.
-
-And the methods, found by their files' names.
+"""Pipelines: chains of methods with their eps schedules, as data; and the methods by name.
 
     find_pipeline("softplus_dc+strict").legs
-    # (Leg(method="softplus_dc", schedule=(1e-3, 1e-5, 1e-7)), Leg(method="strict_lcp"))
-
-A name is `warm starter + finisher`; the first eight are the rows of the paper's Table I. The others
-are ours. Nothing heavy is imported until a method is loaded, and Pyomo and PyTorch not before one
-is opened.
-
-    # in this process, without judging
-    stages = solve_stages(load_scene("three_cart"), find_pipeline("softplus_dc+strict"), time_limit=60.0)
+    stages = solve_stages(load_scene("three_cart"), find_pipeline("softplus_dc+strict"),
+    time_limit=60.0)
     stages[-1].trajectory
+
+A name is `warm starter + finisher`; the first eight are the rows of the paper's Table I. Methods,
+Pyomo and PyTorch are imported on demand.
 """
 
 from __future__ import annotations
@@ -37,14 +32,14 @@ _FOLDER = Path(__file__).parent / "methods"
 
 
 def method_names() -> tuple[str, ...]:
-    """Give the names of all methods, sorted; reads file names only."""
+    """Return the names of all methods, sorted, from file names."""
     return tuple(
         sorted(path.stem for path in _FOLDER.glob("*.py") if not path.stem.startswith("_"))
     )
 
 
 def load_method(name: str) -> Method:
-    """Load the method of that name. Raises UnknownNameError where there is none."""
+    """Load a method by name. Raises UnknownNameError for an unknown name."""
     if name not in method_names():
         hint = did_you_mean(name, method_names(), f"there are {', '.join(method_names())}.")
         raise UnknownNameError(f"there is no method {name!r}; {hint}")
@@ -64,27 +59,24 @@ BEST_EXACT = "best_exact"
 
 RELAXED_EPS = (1e-2, 1e-3, 1e-4)
 SOFTPLUS_EPS = (1e-3, 1e-5, 1e-7)
-# A relaxed walk begins here: looser bounds than 0.9 N^2 say no more of where contact is (the carts
-# push with 3.6 N), and none is as large as 1.
+# Start of a relaxed walk: looser bounds than 0.9 N^2 do not locate contact better (the carts push
+# with 3.6 N); the limit is 1.
 RELAXED_FROM = 0.9
 RELAXED_TO = RELAXED_EPS[-1]
 
-# Gradient steps of the paper's rows. It prints none: these were recovered from its costs (149.17 /
-# 166.45 / 215.14 for softplus, 542.56 for cold ReLU, 309.42 and 360.31 for ReLU after softplus GD
-# and after softplus DC).
+# Gradient steps of the paper's rows, recovered from its costs (149.17 / 166.45 / 215.14 for
+# softplus, 542.56 for cold ReLU, 309.42 and 360.31 for ReLU after softplus GD and after softplus
+# DC).
 SOFTPLUS_GD_COUNTS = (15, 14, 11)
 RELU_GD_COLD_COUNT = 200
 RELU_GD_AFTER_SOFTPLUS_GD = 10
 RELU_GD_AFTER_SOFTPLUS_DC = 6
-# The paper does not say how many steps follow the relaxed LCP, and its cost there (492.06) starts
-# from a plan we cannot have: the number after softplus GD is taken.
+# Not in the paper, and its cost (492.06) cannot be reproduced: the number after softplus GD.
 RELU_GD_AFTER_RELAXED = 10
 
-# Multiple shooting goes from far softer to far harder contact than the paper: each stage moves its
-# plan little, and costs a fraction of a second.
+# Multiple shooting has cheap stages, hence a wider schedule than the paper.
 MULTIPLE_SHOOTING_EPS = (1e-3, 1e-6, 1e-12, 1e-24, 1e-48)
-# Iterations of each of these stages: the next one starts as well from a plan that is nearly
-# settled.
+# Iterations per stage; a nearly settled plan is as good a start for the next one.
 MULTIPLE_SHOOTING_COUNT = 60
 
 
@@ -104,10 +96,7 @@ def _relu_gd(iterations: int) -> Leg:
 
 
 def _row(name: str, title: str, source: str, *legs: Leg | str, only: str = "") -> Pipeline:
-    """One pipeline.
-
-    A leg is that of a method without eps and options where only its name is given.
-    """
+    """Return a pipeline; a leg given by name has neither eps nor options."""
     chain = tuple(Leg(method=leg) if isinstance(leg, str) else leg for leg in legs)
     return Pipeline(name=name, title=title, legs=chain, source=source, only=only)
 
@@ -118,7 +107,7 @@ _SHOT_SOFTLY = Leg(
     options={"max_iterations": MULTIPLE_SHOOTING_COUNT},
 )
 
-# A row: name, title, where it is from, legs in order.
+# A row: name, title, source, legs.
 PIPELINES: tuple[Pipeline, ...] = (
     _row("strict", "Strict LCP from a cold start", PAPER, "strict_lcp"),
     _row(
@@ -157,8 +146,8 @@ PIPELINES: tuple[Pipeline, ...] = (
         PAPER,
         _SOFTPLUS_GD,
         "strict_lcp",
-        # 40 gradient steps are far from convergence. On other scenes strict_lcp then takes as long
-        # as from a cold start, and it found the best plan on no scene and on no drawn row of carts.
+        # 40 gradient steps do not converge. On other scenes strict_lcp then takes as long as from a
+        # cold start, without a best plan on any scene.
         only=PAPER_SCENE,
     ),
     _row(
@@ -223,7 +212,7 @@ PIPELINES: tuple[Pipeline, ...] = (
     ),
 )
 
-# Pipelines that only `best_exact` runs.
+# Pipelines for `best_exact` only.
 RELAXED_WALK = _row(
     "relaxed_walk+strict",
     "Relaxed LCP from a loose bound, tightened by steps that adapt, then strict LCP",
@@ -240,21 +229,21 @@ SOFTLY_SHOT = _row(
     "strict_lcp",
 )
 
-# What `--quick` runs: the cheapest collocation chain that ends in a direct method, the cheapest
-# gradient chain, and all that a scene without inputs has.
+# Pipelines of `--quick`: the cheapest collocation chain that ends in a direct method, the cheapest
+# gradient chain, and the one for scenes without inputs.
 QUICK: tuple[str, ...] = ("softplus_dc+strict", "softplus_gd+relu_gd", FREE_MOTION)
 
 
 def pipeline_names() -> tuple[str, ...]:
-    """Give the names of all pipelines, in the order of the table."""
+    """Return the names of all pipelines, in order."""
     return tuple(pipeline.name for pipeline in PIPELINES)
 
 
 def pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
-    """Return the pipelines that a campaign runs on a scene by default, in the order of the table.
+    """Return the pipelines of a campaign on a scene by default, in order.
 
-    A method that does not apply is refused later, with a reason. `free_motion` is for scenes
-    without inputs only: it does not plan.
+    Inapplicable methods are refused later, with a reason. `free_motion` is for scenes without
+    inputs.
     """
     return tuple(
         pipeline
@@ -264,16 +253,16 @@ def pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
 
 
 def find_pipeline(name: str) -> Pipeline:
-    """Find the pipeline of that name. Raises UnknownNameError where there is none."""
-    found = next((pipeline for pipeline in PIPELINES if pipeline.name == name), None)
-    if found is None:
+    """Return a pipeline by name. Raises UnknownNameError for an unknown name."""
+    match = next((pipeline for pipeline in PIPELINES if pipeline.name == name), None)
+    if match is None:
         hint = did_you_mean(name, pipeline_names(), f"there are {', '.join(pipeline_names())}.")
         raise UnknownNameError(f"there is no pipeline {name!r}; {hint}")
-    return found
+    return match
 
 
 def stage_plan(pipeline: Pipeline) -> tuple[tuple[Leg, float | None, dict[str, object]], ...]:
-    """The stages of a pipeline in order: its leg, eps and options (those of the leg overridden by those of the stage)."""
+    """Return leg, eps and options of each stage; stage options override those of the leg."""
     stages = []
     for leg in pipeline.legs:
         for index, eps in enumerate(leg.schedule):
@@ -291,9 +280,11 @@ def solve_scene(
     warm_start: Trajectory | None = None,
     time_limit: float = 600.0,
 ) -> Solution:
-    """The Solution of the last stage that ran. name: a pipeline, or a method if eps or options are given or no pipeline has that name.
+    """Return the Solution of the last stage of a pipeline or method.
 
-    time_limit: of all stages [s]. Raises UnknownNameError, OptionError.
+    name: a method if eps or options are given, or no pipeline has the name
+    time_limit: of all stages [s]
+    Raises UnknownNameError, OptionError.
     """
     solutions = list(
         solve_stages(
@@ -310,10 +301,10 @@ def solve_stages(
     warm_start: Trajectory | None = None,
     time_limit: float = 600.0,
 ) -> Iterator[Solution]:
-    """The Solutions of the stages of a pipeline in order, each from the plan of the one before it.
+    """Yield the Solutions of the stages, each from the plan of the previous one.
 
-    The session of a method serves all stages that have its options. time_limit: of all stages
-    together [s]; stages that it leaves no time do not run, but for the first. Raises OptionError.
+    Stages with equal method and options share a session. time_limit: of all stages [s]; only the
+    first runs without remaining time. Raises OptionError.
     """
     ends = monotonic() + time_limit
     plan, is_first = warm_start, True

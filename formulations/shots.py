@@ -1,12 +1,11 @@
-"""Motions through true contact that end on the goal, found by shooting alone.
+"""Motions through true contact that end on the goal, found by shooting.
 
     near = allowed_miss(scene)
-    pushes = nearest_pushes(scene, kernel, near, seed=0, count=320)   # the nearest first
+    pushes = nearest_pushes(scene, kernel, near, seed=0, count=320)  # closest first
     shot = corrected(scene, kernel, pushes[0], near)
     shot, steps = cheaper(scene, kernel, shot, near, is_over)
 
-A shot is the rollout of its own inputs. It solves the equations of its grid by construction, with
-friction, damping and many contacts too, and costs milliseconds.
+A shot is the rollout of its inputs, so it solves the equations of its grid.
 """
 
 from __future__ import annotations
@@ -23,36 +22,38 @@ from models.codegen.kernel import Kernel, Rollout
 from models.scene import Scene
 from models.scene.goal import goal_state, miss
 
-# Pushes are constant in so many pieces, and use this share of the bounds, in turn: what is cheap is
-# rarely near its bounds.
+# Numbers of constant pieces of a push, used in turn.
 _PIECES = (1, 2, 4, 8)
+# Shares of the input bounds, used in turn: cheap inputs are rarely near their bounds.
 _SHARES = (1.0, 0.5, 0.25, 0.125)
-# Most Newton steps of a correction, and of one after a step towards less cost, where the goal is
-# near.
+# Newton steps of a correction.
 _CORRECTIONS = 40
+# Newton steps after a step towards less cost, near the goal.
 _NEAR_CORRECTIONS = 10
-# Steps towards less cost, until one gains less than this share of it.
+# Steps towards less cost.
 _DESCENTS = 40
+# Relative gain that ends these steps.
 _GAIN = 1e-4
-# A step that gains nothing is shortened by this factor, at most so often.
+# Factor of a step without gain.
 _SHORTER = 0.25
+# Number of such reductions.
 _SHORTENINGS = 5
-# Share of what is allowed that a corrected motion may miss the goal by. Where a damped contact or
+# Goal error of a corrected motion, as a share of what is allowed. If a damped contact or
 # friction begins, the end jumps with the inputs, and the goal may lie within a jump.
 _ARRIVED = 0.1
-# The same of a motion that ends on the goal.
+# The same, for a motion that ends on the goal.
 _EXACT = 1e-7
-# Relative change of the inputs that stands for rounding, and how far the motion may differ by it: a
-# millionth of a nominal in each step, as the judge allows.
+# Relative change of the inputs that represents rounding.
 _ROUNDING = 1e-12
+# Allowed change of the motion: a millionth of a nominal per step, as for the judge.
 _DEFECT = 1e-6
-# Shares of the inputs' range by which inputs are moved off an edge.
+# Shares of the input range by which inputs are moved off a jump.
 _OFF_EDGE = (1e-6, 1e-5, 1e-4, 1e-3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Shot:
-    """Inputs u (steps, nu) [N, N m], their rollout, its cost, and its miss of the goal in units of what is allowed."""
+    """Inputs u (steps, nu) [N, N m], rollout, cost, and goal error in units of what is allowed."""
 
     u: np.ndarray
     rollout: Rollout
@@ -61,14 +62,14 @@ class Shot:
 
     @property
     def has_arrived(self) -> bool:
-        """Whether it ends near enough to the goal."""
+        """Return whether the motion ends close enough to the goal."""
         return self.missed <= _ARRIVED
 
 
 def allowed_miss(scene: Scene) -> np.ndarray:
-    """Return what is near enough of each component of the end, (2*nq,) [m, rad, m/s, rad/s].
+    """Return the allowed error of each component of the end, (2*nq,) [m, rad, m/s, rad/s].
 
-    A component whose limit is waived is measured by its nominal.
+    A component with a waived limit has its nominal. Raises nothing.
     """
     sizes = []
     for part in ("position", "velocity"):
@@ -81,31 +82,15 @@ def allowed_miss(scene: Scene) -> np.ndarray:
 def nearest_pushes(
     scene: Scene, kernel: Kernel, near: np.ndarray, seed: int, count: int
 ) -> list[np.ndarray]:
-    """Return random inputs with a finite motion, those that end nearest to the goal first.
+    """Return random inputs (steps, nu) [N, N m] with a finite motion, closest to the goal first.
 
-    Parameters
-    ----------
-    near
-        What is near enough of each component of the end, (2*nq,) [m, rad, m/s, rad/s].
-    seed
-        Of the inputs.
-    count
-        Inputs that are tried.
-
-    Returns
-    -------
-    list of np.ndarray
-        Inputs (steps, nu) [N, N m].
-
-    Raises
-    ------
-    KernelError
-        If the mass matrix is not positive definite along a motion.
+    near are the allowed errors (2*nq,) [m, rad, m/s, rad/s]. Raises KernelError if the mass matrix
+    is not positive definite along a motion.
     """
     random, steps = np.random.default_rng(seed), scene.task.steps
     (low, high), bounds = input_range(scene), input_bounds(scene)
     start = np.array(scene.task.start)
-    found: list[tuple[float, int, np.ndarray]] = []
+    pushes: list[tuple[float, int, np.ndarray]] = []
     for number in range(count):
         pieces = _PIECES[number % len(_PIECES)]
         share = _SHARES[number // len(_PIECES) % len(_SHARES)]
@@ -113,34 +98,19 @@ def nearest_pushes(
         u = levels[np.arange(steps) * pieces // steps]
         rollout = kernel.rollout(start, u, scene.task.step)
         if not rollout.diverged:
-            found.append((_missed(scene, rollout, near), number, u))
-    return [u for *_, u in sorted(found, key=lambda item: item[:2])]
+            pushes.append((_missed(scene, rollout, near), number, u))
+    return [u for *_, u in sorted(pushes, key=lambda item: item[:2])]
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def corrected(
     scene: Scene, kernel: Kernel, u: np.ndarray, near: np.ndarray, most: int = _CORRECTIONS
 ) -> Shot:
-    """Change inputs as little as needed for their motion to end on the goal, as far as it goes.
+    """Change inputs u (steps, nu) [N, N m] as little as possible to end on the goal.
 
-    Parameters
-    ----------
-    u
-        Inputs (steps, nu) [N, N m].
-    near
-        What is near enough of each component of the end, (2*nq,) [m, rad, m/s, rad/s].
-    most
-        Newton steps.
-
-    Returns
-    -------
-    Shot
-        It ends nearer to the goal than the motion of u, or is that motion.
-
-    Raises
-    ------
-    KernelError
-        If the mass matrix is not positive definite along a motion.
+    The shot ends at least as close as the motion of u; `most` limits the Newton steps. near are the
+    allowed errors (2*nq,) [m, rad, m/s, rad/s]. Raises KernelError if the mass matrix is not
+    positive definite along a motion.
     """
     rollout, u = correct_end(scene, kernel, u, scale=near, most=most)
     if rollout.diverged:
@@ -156,28 +126,11 @@ def corrected(
 def cheaper(
     scene: Scene, kernel: Kernel, shot: Shot, near: np.ndarray, is_over: Callable[[], bool]
 ) -> tuple[Shot, int]:
-    """Descend in the cost along motions that end on the goal.
+    """Descend in the cost along motions that end on the goal; return the last shot and the steps.
 
-    Projected gradients, with the step lengths of Barzilai and Borwein; after each step the inputs
-    are corrected again.
-
-    Parameters
-    ----------
-    shot
-        It has arrived.
-    near
-        What is near enough of each component of the end, (2*nq,) [m, rad, m/s, rad/s].
-    is_over
-        Whether to stop.
-
-    Returns
-    -------
-    The last shot, and the number of steps.
-
-    Raises
-    ------
-    KernelError
-        If the mass matrix is not positive definite along a motion.
+    Projected gradients with Barzilai-Borwein lengths; each step is corrected. near are the allowed
+    errors (2*nq,) [m, rad, m/s, rad/s]. Raises KernelError if the mass matrix is not positive
+    definite along a motion.
     """
     before: tuple[np.ndarray, np.ndarray] | None = None
     length = 0.0
@@ -187,71 +140,46 @@ def cheaper(
         slope = kernel.adjoint(shot.rollout, shot.u, cost_bar=1.0)[0]
         downhill = _projected(scene, kernel, shot, -slope)
         if before is None:
-            # A cost that is quadratic in the inputs alone is least along u after this step.
+            # A cost quadratic in the inputs is least along u after this step.
             moved, turned = shot.u, slope
         else:
             moved, turned = shot.u - before[0], before[1] - downhill
         along = float((moved * turned).sum())
         length = float((moved * moved).sum()) / along if along > 0.0 else length
         before = shot.u, downhill
-        found = _step(scene, kernel, shot, length * downhill, near)
-        if found is None:
+        improved = _step(scene, kernel, shot, length * downhill, near)
+        if improved is None:
             return shot, number
-        gained, shot = shot.cost - found.cost, found
+        gained, shot = shot.cost - improved.cost, improved
         if gained <= _GAIN * abs(shot.cost):
             return shot, number + 1
     return shot, _DESCENTS
 
 
 def off_the_edge(scene: Scene, kernel: Kernel, shot: Shot, near: np.ndarray) -> Shot | None:
-    """Return a shot beside this one whose motion does not depend on rounding; the shot itself if it does not.
+    """Return a nearby shot whose motion does not depend on rounding, or None.
 
-    Where a damped contact or friction begins, motions jump with the inputs, and optima lie at
-    jumps: there the last digit decides which motion the inputs have.
-
-    Parameters
-    ----------
-    shot
-        It has arrived.
-    near
-        What is near enough of each component of the end, (2*nq,) [m, rad, m/s, rad/s].
-
-    Returns
-    -------
-    Shot | None
-        It has arrived; None if there is none.
-
-    Raises
-    ------
-    KernelError
-        If the mass matrix is not positive definite along a motion.
+    Motions jump with the inputs where a damped contact or friction begins, and optima lie at jumps.
+    near are the allowed errors (2*nq,) [m, rad, m/s, rad/s]. Raises KernelError if the mass matrix
+    is not positive definite along a motion.
     """
     if is_motion(scene, kernel, shot.u, shot.rollout.q):
         return shot
     (low, high), random = input_range(scene), np.random.default_rng(0)
     for share in _OFF_EDGE:
         noise = random.uniform(-1.0, 1.0, shot.u.shape) * (high - low) / 2.0
-        found = corrected(scene, kernel, shot.u + share * noise, near)
-        if found.has_arrived and is_motion(scene, kernel, found.u, found.rollout.q):
-            return found
+        moved = corrected(scene, kernel, shot.u + share * noise, near)
+        if moved.has_arrived and is_motion(scene, kernel, moved.u, moved.rollout.q):
+            return moved
     return None
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def is_motion(scene: Scene, kernel: Kernel, u: np.ndarray, q: np.ndarray) -> bool:
-    """Return whether inputs move the scene along these positions, whatever the rounding.
+    """Return whether inputs u (steps, nu) [N, N m] give the positions q (steps + 1, nq) [m, rad].
 
-    Parameters
-    ----------
-    u
-        Inputs (steps, nu) [N, N m].
-    q
-        Positions (steps + 1, nq) [m, rad].
-
-    Raises
-    ------
-    KernelError
-        If the mass matrix is not positive definite along a motion.
+    Changes by rounding are included. Raises KernelError if the mass matrix is not positive definite
+    along a motion.
     """
     nominal = min(item.nominal for item in scene.coordinates)
     most, start = len(u) * _DEFECT * nominal, np.array(scene.task.start)
@@ -265,7 +193,6 @@ def is_motion(scene: Scene, kernel: Kernel, u: np.ndarray, q: np.ndarray) -> boo
 def _step(
     scene: Scene, kernel: Kernel, shot: Shot, step: np.ndarray, near: np.ndarray
 ) -> Shot | None:
-    """The first shot along a step, ever shorter, that ends on the goal and costs less."""
     for _ in range(_SHORTENINGS if step.any() else 0):
         tried = corrected(scene, kernel, shot.u + step, near, _NEAR_CORRECTIONS)
         if tried.missed <= max(shot.missed, _EXACT) and tried.cost < shot.cost:
@@ -275,7 +202,7 @@ def _step(
 
 
 def _projected(scene: Scene, kernel: Kernel, shot: Shot, direction: np.ndarray) -> np.ndarray:
-    """The part of a direction (steps, nu) that neither moves the end nor leaves the bounds."""
+    """Project a direction (steps, nu) so that it neither moves the end nor leaves the bounds."""
     aimed = np.flatnonzero(~np.isnan(goal_state(scene.task)))
     slopes = np.stack(
         [

@@ -1,4 +1,4 @@
-"""What every method hands back: a Solution. A method's private variables never leave it."""
+"""The result of a method: a Solution."""
 
 from __future__ import annotations
 
@@ -10,16 +10,13 @@ from typing import TYPE_CHECKING
 
 from models.trajectory import Trajectory
 
-if TYPE_CHECKING:  # a Solution costs no Pyomo
+if TYPE_CHECKING:  # a Solution does not import Pyomo
     from formulations.mpec.certificate.certificate import Certificate
     from models.scene import Scene
 
 
 class Outcome(Enum):
-    """How a solve ended.
-
-    The value is a sentence of advice for who looks for a plan, its repr the name alone.
-    """
+    """The end of a solve; the value is a sentence of advice."""
 
     SOLVED = "Solved: the method's own stopping rule was met."
     ITERATION_LIMIT = "Stopped at the number of iterations it was given; allow more, or use the plan as a warm start."
@@ -31,17 +28,17 @@ class Outcome(Enum):
         "A function value was not a finite number; check the start and the parameters."
     )
     INTERRUPTED = "Stopped by the user."
-    REFUSED = "The method does not apply to this scene; the reason stands beside it."
-    CRASHED = "The process ended without an answer; the log tells more."
+    REFUSED = "The method does not apply to this scene; see the message."
+    CRASHED = "The process ended without an answer; see the log."
     GIVEN = "Read from a file; no method of ours found this plan."
-    FAILED = "The solver ended in a way it does not explain; the log tells more."
+    FAILED = "The solver ended without a known reason; see the log."
 
     def __repr__(self) -> str:
         return f"Outcome.{self.name}"
 
     @property
     def has_answer(self) -> bool:
-        """Whether a plan may come with this outcome (valid or not)."""
+        """Return whether a plan may come with this outcome, valid or not."""
         return self in {
             Outcome.SOLVED,
             Outcome.ITERATION_LIMIT,
@@ -54,11 +51,13 @@ class Outcome(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Seconds:
-    """Where the time of one stage went, in wall and CPU seconds of this process.
+    """Wall and CPU seconds of one stage in this process.
 
-    build: making the model; translate: model -> solver; evaluate: functions and derivatives;
-        linear_algebra: the rest of the
-    solver; wall, cpu: the whole stage.
+    build: making the model
+    translate: model -> solver
+    evaluate: functions and derivatives
+    linear_algebra: the rest of the solver
+    wall, cpu: the whole stage
     """
 
     build: float = 0.0
@@ -73,10 +72,7 @@ class Seconds:
 
     @property
     def solve(self) -> float:
-        """Seconds in the solver: functions, derivatives and linear algebra.
-
-        The record of a stage has it.
-        """
+        """Return the seconds in the solver, as stored in the record of a stage."""
         return self.evaluate + self.linear_algebra
 
 
@@ -84,17 +80,17 @@ class Seconds:
 class Solution:
     """The result of one stage.
 
-    outcome: how it ended; message: one sentence more, in words of this run ("" if none);
-        trajectory: the plan, or None;
-    cost: sum of the running cost over the steps; iterations; residuals: unscaled, by name,
-        recomputed from the scene;
-    certificate: the plan judged in the scene's strict model (`formulations.mpec.certify_solution`),
-        None before that;
-    starts: if there were several, every one of them;
-    options: every option used; solver: the name and version of what ran underneath; history: per
-        iteration, columns of equal length by name;
-    size: of the model the solver was given, and paper_size the same counted by hand, where there is
-        a model.
+    message: one sentence, or ""
+    trajectory: the plan, or None
+    cost: running cost over the steps plus final cost
+    residuals: unscaled, by name, recomputed from the scene
+    certificate: of the plan in the scene's strict model (`formulations.mpec.certify_solution`), or
+        None
+    starts: all starts, if there are several
+    options: all options
+    solver: name and version of the underlying solver
+    history: per iteration, columns of equal length by name
+    size: of the model of the solver; paper_size: counted by hand
     """
 
     method: str
@@ -115,12 +111,12 @@ class Solution:
 
 
 def ended(message: str) -> str:
-    """The message with a full stop, so that more may be said after it."""
+    """Return the message with a full stop."""
     return message if not message or message.endswith(".") else f"{message}."
 
 
 def as_asked(scene: Scene, solution: Solution) -> Solution:
-    """Turn SOLVED into STALLED, and say so, where the cost is above what the scene asks for: a local optimum."""
+    """Turn SOLVED into STALLED for a cost above the scene's limit: a local optimum."""
     limit = scene.limit("replay_cost")
     most = None if limit is None else limit.value
     if (
@@ -130,14 +126,14 @@ def as_asked(scene: Scene, solution: Solution) -> Solution:
         or solution.cost <= most
     ):
         return solution
-    local = f"It is a local optimum: its cost is {solution.cost:.3g}, the scene asks for at most {most:.3g}; start elsewhere."
+    local = f"It is a local optimum: its cost is {solution.cost:.3g}, the scene allows at most {most:.3g}; start elsewhere."
     return replace(solution, outcome=Outcome.STALLED, message=f"{solution.message} {local}".strip())
 
 
 def checked(
     outcome: Outcome, message: str, residuals: Mapping[str, float], limits: Mapping[str, float]
 ) -> tuple[Outcome, str]:
-    """Turn SOLVED into STALLED where a residual of the plan itself exceeds its limit, and say which; one that is no number exceeds it."""
+    """Turn SOLVED into STALLED if a residual exceeds its limit or is NaN, and name it."""
     missed = beyond(limits, residuals)
     if outcome is not Outcome.SOLVED or not missed:
         return outcome, message
@@ -148,13 +144,13 @@ def checked(
 
 
 def beyond(limits: Mapping[str, float], residuals: Mapping[str, float]) -> dict[str, float]:
-    """The limits that are not met; one that is no number is not met."""
+    """Return the limits that are exceeded; NaN exceeds."""
     return {name: limit for name, limit in limits.items() if not residuals.get(name, 0.0) <= limit}
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelSize:
-    """Unknowns and equations (bounds are not equations) of a model as a solver is given it."""
+    """Unknowns and equations (without bounds) of a solver's model."""
 
     unknowns: int
     equations: int
@@ -164,7 +160,8 @@ class ModelSize:
 class Attempt:
     """One of several starts.
 
-    start: what it began from, in words; cost: None if no plan was found.
+    start: description
+    cost: None without a plan
     """
 
     start: str

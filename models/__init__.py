@@ -1,12 +1,9 @@
-"""What is true: scenes, their equations, trajectories, and the code generated from them.
-
-    from models.catalog import load_scene
-    from models.dynamics import derive
+"""Scenes, their equations, trajectories, and the code generated from them.
 
     scene = load_scene("three_cart")
     dynamics = derive(scene)
-    dynamics.mass_matrix        # a SymPy matrix
-    dynamics.absent             # what this scene does not need
+    dynamics.mass_matrix  # a SymPy matrix
+    dynamics.absent  # list of features that the scene does not need
 
-This room imports nothing else of ours, and neither Pyomo nor PyTorch.
+This package imports no other room, and neither Pyomo nor PyTorch.
 """

@@ -1,9 +1,9 @@
-"""Finds scenes: those of this package by name, anybody's by path.
+"""Load scenes: those of this package by name, a user's by path.
 
-    load_scene("three_cart")          load_scene("my/own_scene.py")
+    load_scene("three_cart")
+    load_scene("my/own_scene.py")
 
-A scene file defines `SCENE`, whose name equals the file's name. Nothing is imported until a scene
-is loaded.
+A scene file defines `SCENE`, whose name equals the file's name.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ _OTHERS = {
 
 
 def scene_names() -> tuple[str, ...]:
-    """Names of the scenes of this package, sorted; reads file names only."""
+    """Return the names of the scenes of this package, sorted, from file names."""
     return tuple(
         sorted(path.stem for path in _FOLDER.glob("*.py") if not path.stem.startswith("_"))
     )
 
 
 def scene_path(reference: str) -> Path:
-    """The file of a scene given by name or by path to a .py file.
+    """Return the file of a scene given by name or by path to a .py file.
 
     Raises UnknownNameError, SceneError.
     """
@@ -64,53 +64,50 @@ def scene_path(reference: str) -> Path:
     )
 
 
-def as_scene(given: Scene | str | Path) -> Scene:
-    """A scene itself, or that of a name or file.
-
-    Raises UnknownNameError or SceneError, for what is none of them too.
-    """
+def as_scene(scene: Scene | str | Path) -> Scene:
+    """Return a scene given as a scene, name or file; raise UnknownNameError or SceneError."""
     from models.scene import Scene
 
-    if isinstance(given, (str, Path)):
-        return load_scene(str(given))
-    if not isinstance(given, Scene):
+    if isinstance(scene, (str, Path)):
+        return load_scene(str(scene))
+    if not isinstance(scene, Scene):
         raise SceneError(
-            f"scene: a {type(given).__name__} is no scene; give the name of one, the path of its file or a Scene."
+            f"scene: a {type(scene).__name__} is no scene; give the name of one, the path of its file or a Scene."
         )
-    return given
+    return scene
 
 
 def load_scene(reference: str) -> Scene:
-    """The scene of that name or file. Raises UnknownNameError or SceneError, naming the file."""
+    """Load a scene by name or file; raise UnknownNameError or SceneError, naming the file."""
     from models.loading import Afresh, loading
     from models.scene import Scene
     from models.scene.checks import check_expressions, step_problem
     from models.scene.text import scene_text
 
     path = scene_path(reference)
-    ours = path.parent == _FOLDER
-    module_name = f"models.scenes.{path.stem}" if ours else f"_touchstone_scene_{path.stem}"
-    if ours and module_name in sys.modules:
+    is_builtin = path.parent == _FOLDER
+    module_name = f"models.scenes.{path.stem}" if is_builtin else f"_touchstone_scene_{path.stem}"
+    if is_builtin and module_name in sys.modules:
         module = sys.modules[module_name]
     else:
-        loader = None if ours else Afresh(module_name, str(path))
+        loader = None if is_builtin else Afresh(module_name, str(path))
         spec = importlib.util.spec_from_file_location(module_name, path, loader=loader)
         if spec is None or spec.loader is None:
             raise SceneError(f"scene file {path}: it cannot be read as Python.")
         module = importlib.util.module_from_spec(spec)
         try:
-            with nullcontext() if ours else loading(path):
+            with nullcontext() if is_builtin else loading(path):
                 spec.loader.exec_module(module)
                 if isinstance(getattr(module, "SCENE", None), Scene):
                     check_expressions(module.SCENE)
-                    scene_text(
-                        module.SCENE
-                    )  # kept with it: what its own functions are from is known only while the file is executed
+                    # Stored now: the sources of the scene's functions are known only during
+                    # execution.
+                    scene_text(module.SCENE)
         except TouchstoneError as error:
             raise SceneError(f"scene file {path}{_line_of(error, path)}: {error}") from error
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # a file may raise what it likes
+        except BaseException as error:  # a file may raise anything
             raise SceneError(
                 f"scene file {path}: {type(error).__name__} while it was read{_line_of(error, path)}: {_advised(error)}"
             ) from error
@@ -119,12 +116,14 @@ def load_scene(reference: str) -> Scene:
             raise SceneError(
                 f"scene file {path}, line {problem[0]}: scene {path.stem}: {problem[1]}"
             )
-        if ours:
+        if is_builtin:
             sys.modules[module_name] = module
     scene = getattr(module, "SCENE", None)
     if not isinstance(scene, Scene):
-        found = f"found {type(scene).__name__}" if hasattr(module, "SCENE") else "there is none"
-        raise SceneError(f"scene file {path}: it must define SCENE, a models.scene.Scene; {found}.")
+        content = f"found {type(scene).__name__}" if hasattr(module, "SCENE") else "there is none"
+        raise SceneError(
+            f"scene file {path}: it must define SCENE, a models.scene.Scene; {content}."
+        )
     if scene.name != path.stem:
         raise SceneError(
             f"scene file {path}: SCENE.name is {scene.name!r} but must equal the file's name {path.stem!r}."
@@ -161,7 +160,6 @@ def _advised(error: BaseException) -> str:
 
 
 def _line_of(error: BaseException, path: Path) -> str:
-    """Where in the file that was: the last of its lines that the traceback passes."""
     lines = [
         frame.lineno
         for frame in traceback.extract_tb(error.__traceback__)

@@ -1,12 +1,11 @@
-"""A collocation step with the true contact law, in numpy: what a plan that was made of such steps is judged by.
+"""Collocation steps under the true contact law, in numpy, as a check of plans made of such steps.
 
-    # (n, nq) each: n steps at once
-    q_next, v_next = advance(kernel, Scheme.RADAU_IIA_2, q, v, u, h)
-    q, v, made = rollout(kernel, Scheme.RADAU_IIA_2, start, u, h)           # one after the other
+    q_next, v_next = advance(kernel, Scheme.RADAU_IIA_2, q, v, u, h)  # (n, nq): n steps at once
+    q, v, made = rollout(kernel, Scheme.RADAU_IIA_2, start, u, h)  # consecutive steps
 
-The accelerations a_i of the stages solve a_i = M^-1 (tau + J' lam)(Q_i, V_i, u) with V = v + h A a
-and Q = q + h c v + h^2 A^2 a; Newton's method, its Jacobian by differences, which at a kink takes
-the side it is on. The stages and the law are the transcription's, the code is not.
+The stage accelerations solve a_i = M^-1 (tau + J' lam)(Q_i, V_i, u) with V = v + h A a and
+Q = q + h c v + h^2 A^2 a, by Newton's method with difference Jacobians. The code is independent of
+the transcription.
 """
 
 from __future__ import annotations
@@ -19,13 +18,12 @@ from models.codegen.kernel import Kernel, KernelError
 from models.schemes import Scheme, tableau
 from models.trajectory import Trajectory
 
-# Newton needs 3 to 5 iterations, a few more where contacts open and close within a step.
+# Newton needs 3 to 5 iterations, a few more if contacts open and close within a step.
 _ITERATIONS = 40
-# A Newton step of the accelerations below this, relative to the largest of them, is rounding.
+# Smallest Newton step, relative to the largest acceleration.
 _TOLERANCE = 1e-13
 _DIFFERENCE = 1e-7
-# Accelerations from which on a step has no solution: what they make of positions and velocities is
-# a number still [m/s^2, rad/s^2].
+# Accelerations [m/s^2, rad/s^2] without a solution; positions and velocities are still finite.
 _LARGEST = 1e100
 
 
@@ -37,30 +35,10 @@ def advance(
     u: np.ndarray,
     h: np.ndarray | float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The states one collocation step later, under the true contact law.
+    """Return the states after a collocation step, under the true contact law.
 
-    Parameters
-    ----------
-    scheme
-        The scheme, whose stages are solved for.
-    q
-        Positions (n, nq) [m, rad].
-    v
-        Velocities (n, nq) [m/s, rad/s].
-    u
-        Inputs (n, nu) [N, N m].
-    h
-        Length of the step [s]: a number, or (n,).
-
-    Returns
-    -------
-    q, v
-        Positions and velocities (n, nq); NaN where there is no solution.
-
-    Raises
-    ------
-    KernelError
-        For a scene with friction, which no collocation here knows.
+    q, v (n, nq) [m, rad, m/s, rad/s], u (n, nu) [N, N m], h a number or (n,) [s]. NaN without a
+    solution. Raises KernelError for a scene with friction.
     """
     scene = kernel.scene
     if scene.nf:
@@ -77,7 +55,10 @@ def advance(
     inputs = np.repeat(np.asarray(u, dtype=float), s, axis=0)
 
     def residual(a: np.ndarray) -> np.ndarray:
-        """Of the equations of motion at several accelerations of the stages, (m, n, s, nq) both [m/s^2, rad/s^2]. Raises KernelError where the mass matrix is not positive definite."""
+        """Return the residual of the equations at accelerations (m, n, s, nq) [m/s^2, rad/s^2].
+
+        Raises KernelError if the mass matrix is not positive definite.
+        """
         at_q = (
             q[:, None]
             + steps * table.c[:, None] * v[:, None]
@@ -99,14 +80,14 @@ def advance(
 
 
 def _newton(residual: Callable[[np.ndarray], np.ndarray], a: np.ndarray) -> np.ndarray:
-    """(n, s, nq) roots, row by row; NaN where none was found."""
+    """Return (n, s, nq) roots, row by row, NaN without one."""
     n, shape = len(a), a.shape
     size = a[0].size
     columns = np.arange(size)
-    lost, found = ~(np.abs(a).max(axis=(1, 2)) < _LARGEST), np.zeros(n, bool)
+    lost, settled = ~(np.abs(a).max(axis=(1, 2)) < _LARGEST), np.zeros(n, bool)
     for _ in range(_ITERATIONS):
-        a[lost] = 0.0  # where positions are numbers, as those of the motion are
-        # All columns of the Jacobian at once: a call of the kernel takes 40 us, a row of it 1.
+        a[lost] = 0.0  # positions are then finite
+        # All columns of the Jacobian together: a call of the kernel takes 40 us, a row of it 1 us.
         moved = np.repeat(a.reshape(1, n, size), size + 1, axis=0)
         delta = _DIFFERENCE * (1.0 + np.abs(moved[0].T))
         moved[columns + 1, :, columns] += delta
@@ -116,19 +97,17 @@ def _newton(residual: Callable[[np.ndarray], np.ndarray], a: np.ndarray) -> np.n
         jacobian[lost] = np.eye(size)
         try:
             step = np.linalg.solve(jacobian, value[..., None])[..., 0].reshape(shape)
-        except (
-            np.linalg.LinAlgError
-        ):  # the differences of some row are lost in the size of its values
+        except np.linalg.LinAlgError:  # differences of a row are below its rounding
             lost |= np.linalg.slogdet(jacobian)[0] == 0.0
             jacobian[lost] = np.eye(size)
             step = np.linalg.solve(jacobian, value[..., None])[..., 0].reshape(shape)
-        step[found] = 0.0  # as if it were alone: rounding might open it again
+        step[settled] = 0.0  # rounding could unsettle the row
         a = a - step
         lost |= ~(np.abs(a).max(axis=(1, 2)) < _LARGEST)
-        found = np.abs(step).max(axis=(1, 2)) <= _TOLERANCE * (1.0 + np.abs(a).max(axis=(1, 2)))
-        if (found | lost).all():
+        settled = np.abs(step).max(axis=(1, 2)) <= _TOLERANCE * (1.0 + np.abs(a).max(axis=(1, 2)))
+        if (settled | lost).all():
             break
-    else:  # Rounding of large accelerations keeps a row open; only a step that means something is no solution.
+    else:  # only rounding of large accelerations may remain
         lost |= np.abs(step).max(axis=(1, 2)) > 1e-9 * (1.0 + np.abs(a).max(axis=(1, 2)))
     a[lost] = np.nan
     return a
@@ -137,7 +116,9 @@ def _newton(residual: Callable[[np.ndarray], np.ndarray], a: np.ndarray) -> np.n
 def rollout(
     kernel: Kernel, scheme: Scheme, start: np.ndarray, u: np.ndarray, h: np.ndarray | float
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Collocation steps one after the other, under the true contact law.
+    """Perform consecutive collocation steps under the true contact law.
+
+    Raises KernelError for a scene with friction.
 
     Parameters
     ----------
@@ -153,12 +134,7 @@ def rollout(
     q, v
         Positions and velocities (steps + 1, nq).
     made
-        The number of steps made before a state was not finite.
-
-    Raises
-    ------
-    KernelError
-        For a scene with friction.
+        The number of steps before a state was not finite.
     """
     nq, steps = kernel.scene.nq, len(u)
     q, v = np.full((steps + 1, nq), np.nan), np.full((steps + 1, nq), np.nan)
@@ -180,24 +156,10 @@ def rollout(
 
 
 def defect(kernel: Kernel, plan: Trajectory) -> np.ndarray:
-    """How far a plan misses its own collocation steps at most, with contact forces by the true law.
+    """Return the largest errors (2*nq,) [m, rad, m/s, rad/s] of a plan's own collocation steps.
 
-    Parameters
-    ----------
-    plan
-        A plan that declares a scheme.
-
-    Returns
-    -------
-    np.ndarray
-        Largest misses (2*nq,): positions [m, rad], velocities [m/s, rad/s]; infinite where a step has no solution.
-
-    Raises
-    ------
-    ValueError
-        For a plan that declares no scheme.
-    KernelError
-        For a scene with friction.
+    Contact forces follow the true law; infinite without a solution. Raises ValueError for a plan
+    without a scheme, KernelError for a scene with friction.
     """
     if plan.scheme is None:
         raise ValueError("a plan that declares no scheme has no defect.")
@@ -207,11 +169,10 @@ def defect(kernel: Kernel, plan: Trajectory) -> np.ndarray:
 
 
 def switch_error(kernel: Kernel, plan: Trajectory) -> float:
-    """Bound of the velocity error that opening and closing contacts leave, summed over the steps in which one does [m/s, rad/s].
+    """Return a bound of the velocity error by opening and closing contacts, summed [m/s, rad/s].
 
-    switch_constant h^2 |phi'| |M^-1 J' k|, phi' as large as at either end of the step: exact to
-    first order in h. A contact that opens and closes within one step, unseen at its ends, is in it
-    where the velocity turns there.
+    Per step switch_constant h^2 |phi'| |M^-1 J' k| with phi' of either end, first order in h. A
+    contact that opens and closes within a step is included if its velocity reverses.
     """
     assert plan.scheme is not None, "the plan of a collocation scheme"
     scene, table = kernel.scene, tableau(plan.scheme)
@@ -247,24 +208,9 @@ def switch_error(kernel: Kernel, plan: Trajectory) -> float:
 
 
 def penetration_rates(kernel: Kernel, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Rates of penetration phi' = d phi/dq v, by a central difference along v.
+    """Return phi' = d phi/dq v (n, nc) [m/s], by a central difference along v.
 
-    Parameters
-    ----------
-    q
-        Positions (n, nq) [m, rad].
-    v
-        Velocities (n, nq) [m/s, rad/s].
-
-    Returns
-    -------
-    np.ndarray
-        phi' (n, nc) [m/s].
-
-    Raises
-    ------
-    KernelError
-        Where an array has another shape.
+    q and v are (n, nq) [m, rad, m/s, rad/s]. Raises KernelError for an array of another shape.
     """
     reach = 1e-6 / (1.0 + np.abs(v).max(axis=1, keepdims=True))
     return (kernel.penetration(q + reach * v) - kernel.penetration(q - reach * v)) / (2.0 * reach)
@@ -273,22 +219,21 @@ def penetration_rates(kernel: Kernel, q: np.ndarray, v: np.ndarray) -> np.ndarra
 def lowest_between(
     t: np.ndarray, gap: np.ndarray, rate: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Least value, between two rows, of the cubic through the gaps with their rates at both ends.
+    """Return the minimum between two rows of the cubic through gaps and rates.
 
     Parameters
     ----------
-    t : (n,) times of the rows [s].
-    gap : (n, nc) gaps [m].
-    rate : (n, nc) rates of the gaps [m/s].
+    t : (n,) times of the rows [s]
+    gap : (n, nc) gaps [m]
+    rate : (n, nc) rates of the gaps [m/s]
 
     Returns
     -------
-    (n-1, nc) least values [m], and (n-1, nc) where, as a share of the piece [-]; at an end where it
-        falls or rises throughout.
+    (n-1, nc) minima [m], and (n-1, nc) their places as a share of the interval [-]
 
     Raises
     ------
-    ValueError : if the shapes do not fit.
+    ValueError : if the shapes do not fit
     """
     h = np.diff(t)[:, None]
     first, last, slope_first, slope_last = gap[:-1], gap[1:], h * rate[:-1], h * rate[1:]
@@ -300,7 +245,7 @@ def lowest_between(
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(c * c - 3.0 * d * b)
-        # Of g'(s) = b + 2 c s + 3 d s^2 the root where g'' > 0, in the form that loses no digits.
+        # Root of g'(s) = b + 2 c s + 3 d s^2 with g'' > 0, without cancellation.
         inner = np.where(c < 0.0, (root - c) / (3.0 * d), b / -(c + root))
     places = np.clip(
         np.nan_to_num(

@@ -1,13 +1,11 @@
-"""The contact laws lam(phi) that plans and simulations use.
+"""The contact laws lam(phi) of plans and simulations.
 
-ReLU, the true law:   lam = k * max(phi, 0)                                    (paper, eq. 3)
-softplus, relaxed:    lam = (k / b) * log(1 + exp(b * phi)),  b = |ln eps| / L (paper, eq. 5, sign
-                      corrected)
+    ReLU, true:          lam = k * max(phi, 0)                                    (paper, eq. 3)
+    softplus, relaxed:   lam = (k / b) * log(1 + exp(b * phi)),  b = |ln eps| / L (paper, eq. 5,
+                         sign corrected)
 
-L is the length that the scene's eps is counted in (without one the smallest depth of its contacts): eps = 1e-3
-then reaches as far beside 0.1 m as it does beside 1 m.
-
-Evaluated without overflow as (k / b) * (max(b phi, 0) + log1p(exp(-|b phi|))).
+L is the scene's length unit of eps (by default the smallest contact depth), so that eps = 1e-3
+has the same relative reach at 0.1 m and at 1 m.
 """
 
 from __future__ import annotations
@@ -21,18 +19,18 @@ from models.errors import TouchstoneError
 
 
 class RelaxationError(TouchstoneError):
-    """An eps for which the relaxed law has no meaning."""
+    """An eps outside the range of the relaxed law."""
 
 
 class ContactLaw(Enum):
-    """The true law, or the relaxed one; the value is the C code's."""
+    """The true law, or the relaxed one; the value is that of the C code."""
 
     RELU = 0
     SOFTPLUS = 1
 
 
 def sharpness(eps: float, length: float = 1.0) -> float:
-    """Sharpness b = |ln eps| / length [1/m] of the softplus law.
+    """Return b = |ln eps| / length [1/m] of the softplus law.
 
     Raises RelaxationError unless 0 < eps < 1.
     """
@@ -50,28 +48,20 @@ def contact_force(
     eps: float | None = None,
     length: float = 1.0,
 ) -> np.ndarray:
-    """Contact forces, element by element (paper, eq. 3 and 5).
+    """Return contact forces lam [N], shaped like phi (paper, eq. 3 and 5).
+
+    Raises RelaxationError unless 0 < eps < 1, for the relaxed law.
 
     Parameters
     ----------
     phi
         Penetrations (any,) [m].
     stiffness
-        k [N/m], a number or of the shape of phi.
+        k [N/m], a number or shaped like phi.
     law, eps
-        The law, and the relaxation of a softplus [-].
+        The law, and the relaxation of softplus [-].
     length
-        The scene's length, which eps is counted in [m].
-
-    Returns
-    -------
-    np.ndarray
-        lam, of the shape of phi [N].
-
-    Raises
-    ------
-    RelaxationError
-        Unless 0 < eps < 1, of a relaxed law.
+        The scene's length [m].
     """
     phi = np.asarray(phi, dtype=float)
     if law is ContactLaw.RELU:
@@ -81,5 +71,5 @@ def contact_force(
 
 
 def worst_case_violation(stiffness: float, eps: float, length: float = 1.0) -> float:
-    """D = max over phi of lam*(lam - k*phi) of the softplus law: (k L ln2 / ln eps)^2 [N^2], reached at phi = 0."""
+    """Return the largest lam*(lam - k*phi) of softplus: (k L ln2 / ln eps)^2 [N^2], at phi = 0."""
     return (stiffness * math.log(2.0) / sharpness(eps, length)) ** 2

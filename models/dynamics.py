@@ -1,17 +1,11 @@
-"""Scene -> equations of motion, and what the scene does *not* need.
+"""Derive the equations of motion of a scene by computer algebra (Lagrange).
 
-    M(q) dv/dt = tau(q, v, u) + J(q)' lam + S(q)' f   lam_i = k_i * max(phi_i(q), 0),
-        |f_j| <= mu_j N_j
-    (lam of a damped contact: models.scene.contacts)
-
-derived by computer algebra from the kinetic energy T, the potential energy V and the generalised
-forces Q (Lagrange):
-
+    M(q) dv/dt = tau(q, v, u) + J(q)' lam + S(q)' f
+    lam_i = k_i * max(phi_i(q), 0) (damped: models.scene.contacts),   |f_j| <= mu_j N_j
     M = d2T/dv2,   tau = Q - dV/dq + dT/dq - (d2T/dv dq) v,   J = -d phi/dq   (Jacobian of the gap)
-    S = d s/dv (s: slip speed of a friction, linear in v),    N_j: the force of a contact, or given
+    S = d s/dv (s: slip speed of a friction, linear in v),    N_j: a contact's force, or given
 
-Every back end (Pyomo, PyTorch, C, FMU, the equations of the report) starts from the `Dynamics`
-returned by `derive`.
+T and V are the kinetic and potential energy, Q the generalised forces. All back ends use `derive`.
 """
 
 from __future__ import annotations
@@ -33,7 +27,7 @@ _DERIVED: WeakKeyDictionary[Scene, Dynamics] = WeakKeyDictionary()
 
 @dataclass(frozen=True)
 class Structure:
-    """What a scene has; whatever is False or empty here is left out of every generated model."""
+    """The features of a scene; absent ones are omitted from generated models."""
 
     constant_mass: bool
     diagonal_mass: bool
@@ -43,22 +37,19 @@ class Structure:
     inputs: bool
     contacts: bool
     friction: bool
-    contact_damping: bool  # a contact is damped
+    contact_damping: bool  # damped contacts exist
 
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Symbolic equations of one scene. Vectors are SymPy column matrices.
+    """Symbolic equations of one scene, as SymPy column matrices.
 
-    q, v: nq symbols; u: nu; lam: nc contact force symbols [N]; f: nf friction force symbols [N]; p:
-        np parameter symbols.
-    mass_matrix: (nq, nq); tau: (nq, 1); penetration, stiffness: (nc, 1); gap_jacobian: (nc, nq).
-    damping (nc, 1): the coefficients, 0 without; push (nc, 1): the force in contact before its
-        positive part is taken [N], in q, v and parameters.
-    slip [m/s], friction_limit (mu N [N], in q, lam and parameters): (nf, 1); slip_jacobian: (nf,
-        nq).
-    kinetic_energy, potential_energy [J]; input_power, dissipated_power [W] (power in and out
-        besides contacts and potential).
+    q, v: nq symbols; u: nu; lam: nc contact forces [N]; f: nf friction forces [N]; p: np parameters
+    mass_matrix: (nq, nq); tau: (nq, 1); penetration, stiffness: (nc, 1); gap_jacobian: (nc, nq)
+    damping: (nc, 1) coefficients, or 0
+    push: (nc, 1) [N], whose positive part is the force
+    slip [m/s], friction_limit (mu N [N]): (nf, 1); slip_jacobian: (nf, nq)
+    kinetic_energy, potential_energy [J]; input_power, dissipated_power [W], without contacts
     """
 
     scene: Scene
@@ -88,7 +79,7 @@ class Dynamics:
 
     @property
     def absent(self) -> tuple[str, ...]:
-        """What this scene does not need, in words."""
+        """Return the features that this scene does not need, as text."""
         has = self.structure
         words = {
             "a mass matrix that depends on q": has.constant_mass,
@@ -104,16 +95,13 @@ class Dynamics:
 
     @cached_property
     def generalised_force(self) -> sp.Matrix:
-        """tau(q, v, u) + J(q)' lam + S(q)' f: (nq, 1)."""
+        """Return tau(q, v, u) + J(q)' lam + S(q)' f: (nq, 1)."""
         contact = self.gap_jacobian.T * sp.Matrix(len(self.lam), 1, list(self.lam))
         return self.tau + contact + self.slip_jacobian.T * sp.Matrix(len(self.f), 1, list(self.f))
 
     @cached_property
     def acceleration(self) -> sp.Matrix | None:
-        """M^-1 (tau + J' lam + S' f) as closed expressions, (nq, 1).
-
-        None where M depends on q and must be factorised numerically.
-        """
+        """Return M^-1 (tau + J' lam + S' f) in closed form, (nq, 1), or None if M depends on q."""
         if not self.structure.constant_mass:
             return None
         solved = self.mass_matrix.LUsolve(self.generalised_force)
@@ -125,30 +113,17 @@ class Dynamics:
 
     @cached_property
     def parameter_values(self) -> np.ndarray:
-        """Default parameter values (np,), in the order of `p`, each in its own unit [SI]."""
+        """Return the default parameter values (np,), in the order of `p` [SI]. Raises nothing."""
         return np.array([parameter.value for parameter in self.scene.parameters], dtype=float)
 
     def function(
         self, expressions: sp.Matrix | Sequence[sp.Expr], *groups: Sequence[sp.Symbol]
     ) -> Callable[..., np.ndarray]:
-        """A numpy function of vectors: `f = d.function(d.tau, d.q, d.v, d.u); f(q, v, u)`.
+        """Return a numpy function: `f = d.function(d.tau, d.q, d.v, d.u); f(q, v, u)`.
 
-        Parameters
-        ----------
-        expressions
-            A matrix, or a column of expressions; parameters have their default values.
-        groups
-            The symbols of each argument.
-
-        Returns
-        -------
-        Callable
-            Arrays (len(group),) to an array shaped like the matrix, in SI units [SI]; for tests and probes, not for inner loops.
-
-        Raises
-        ------
-        NameError
-            When it is called, for a symbol that is in no group.
+        It maps arrays (len(group),) to an array shaped like the matrix [SI], with default
+        parameters; for tests, not for inner loops. A call raises NameError for a symbol that is in
+        no group.
         """
         matrix = sp.Matrix(expressions).subs(self.scene.parameter_values)
         compiled = sp.lambdify([list(group) for group in groups], matrix, modules=[np], cse=True)
@@ -159,14 +134,9 @@ class Dynamics:
 
 
 def derive(scene: Scene) -> Dynamics:
-    """The equations of motion of a scene.
+    """Return the equations of motion of a scene, cached with the scene object.
 
-    Kept with the scene object, so that they are derived once.
-
-    Raises
-    ------
-    SceneError
-        Where its physics is impossible.
+    Raises SceneError for impossible physics.
     """
     cached = _DERIVED.get(scene)
     if cached is None:
@@ -194,9 +164,8 @@ def _build(scene: Scene) -> Dynamics:
         [sp.diff(kinetic, position) for position in q]
     )
     gravity = sp.Matrix([sp.diff(potential, position) for position in q])
-    tau = (forces - gravity - coriolis).applyfunc(
-        sp.factor_terms
-    )  # derivatives leave factors of two and common factors behind
+    # Derivatives leave common factors behind.
+    tau = (forces - gravity - coriolis).applyfunc(sp.factor_terms)
 
     phi = sp.Matrix(scene.nc, 1, [contact.penetration for contact in scene.contacts])
     stiffness = sp.Matrix(scene.nc, 1, [contact.stiffness for contact in scene.contacts])
@@ -257,7 +226,6 @@ def _build(scene: Scene) -> Dynamics:
 
 
 def _push(contact: Contact, rate: sp.Expr) -> sp.Expr:
-    """What a contact pushes with: k phi, k phi + c phi' or k phi (1 + d phi')."""
     spring = contact.stiffness * contact.penetration
     return (
         spring + contact.damping * rate

@@ -1,4 +1,4 @@
-"""Errors that speak to the user: one sentence that says what is wrong, where, what was expected and what to do."""
+"""Errors for the user: one sentence on what is wrong, where, what was expected and what to do."""
 
 import difflib
 import inspect
@@ -8,58 +8,52 @@ from typing import Any, TypeVar
 
 _Call = TypeVar("_Call", bound=Callable[..., Any])
 
-# Of a name no more characters are compared: that takes their square.
+# Compared characters of a name; the time grows with their square.
 _LONGEST = 200
 
 
 class TouchstoneError(Exception):
-    """Base of every error a user can cause.
-
-    The command line prints its text and exits with `exit_code`.
-    """
+    """Base of all errors that a user can cause; the command line exits with `exit_code`."""
 
     exit_code = 2
 
 
 class SceneError(TouchstoneError):
-    """A scene (or its file) contradicts itself.
-
-    Raised when the scene is created, loaded or first used.
-    """
+    """A scene or its file contradicts itself."""
 
 
 class TrajectoryError(TouchstoneError):
-    """A plan cannot be read or does not fit the scene."""
+    """A plan that cannot be read, or that does not fit the scene."""
 
 
 class UnknownNameError(TouchstoneError):
-    """A scene, method, pipeline or option of that name does not exist."""
+    """An unknown scene, method, pipeline or option."""
 
 
 class MachineError(TouchstoneError):
-    """What was asked cannot be done on this machine (no compiler, no write permission).
-
-    Says how to get it.
-    """
+    """A requirement that this machine lacks (a compiler, write permission)."""
 
     exit_code = 3
 
 
-def nearest(name: object, known: Iterable[str], alike: float = 0.6) -> str | None:
-    """The known name that is most like another.
+def nearest(name: object, known: Iterable[str], cutoff: float = 0.6) -> str | None:
+    """Return the most similar known name, or None.
 
-    None where none is. alike: 0 takes any, 1 none but the same.
+    Cutoff: 0 accepts any name, 1 an identical one.
     """
     return next(
-        iter(difflib.get_close_matches(str(name)[:_LONGEST], list(known), n=1, cutoff=alike)), None
+        iter(difflib.get_close_matches(str(name)[:_LONGEST], list(known), n=1, cutoff=cutoff)), None
     )
 
 
-def did_you_mean(name: object, known: Iterable[str], otherwise: str, alike: float = 0.6) -> str:
-    """The end of a sentence about an unknown name: the nearest that is known, or the only one with it inside, or else what there is."""
+def did_you_mean(name: object, known: Iterable[str], otherwise: str, cutoff: float = 0.6) -> str:
+    """Return the end of a sentence on an unknown name: a suggestion, or `otherwise`.
+
+    The suggestion is the nearest name, or the only one that contains the unknown name.
+    """
     known = list(known)
     around = [item for item in known if str(name).lower() in item.lower()]
-    near = nearest(name, known, alike) or (around[0] if len(around) == 1 else None)
+    near = nearest(name, known, cutoff) or (around[0] if len(around) == 1 else None)
     return otherwise if near is None else f"did you mean {near}?"
 
 

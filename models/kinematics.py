@@ -1,9 +1,9 @@
-"""Where a scene's bodies are drawn and how far its contacts are apart, at given positions: what files of plans and replays hold for those who know no scene.
+"""Poses of a scene's shapes and gaps of its contacts at given positions, for files of plans.
 
-shape_places(scene)                 # which parts of a pose are constant, or a coordinate
-pose_columns(scene, q, "node")      # the other parts
-gap_columns(scene, q, "node")       # the gap of every contact
-goal_poses(scene)                   # where the goal puts every shape
+shape_places(scene)  # constant parts of a pose, and coordinates
+pose_columns(scene, q, "node")  # the other parts
+gap_columns(scene, q, "node")  # the gap of every contact
+goal_poses(scene)  # poses of the shapes at the goal
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from models.dynamics import derive
 from models.netcdf import Column, as_columns, drawn
 from models.scene import Scene
 
-# Functions of expressions, kept with the scene object: making one takes up to 0.3 s.
+# Functions of expressions by scene; compiling one takes up to 0.3 s.
 _COMPILED: WeakKeyDictionary[Scene, dict[tuple[sp.Expr, ...], Callable[..., list[Any]]]] = (
     WeakKeyDictionary()
 )
@@ -28,10 +28,9 @@ _COMPILED: WeakKeyDictionary[Scene, dict[tuple[sp.Expr, ...], Callable[..., list
 def shape_places(
     scene: Scene,
 ) -> list[tuple[float | str | None, float | str | None, float | str | None]]:
-    """Return what x, y [m] and angle [rad] of each shape are.
+    """Return x, y [m] and angle [rad] of each shape, as number, coordinate name or None.
 
-    A number if the part never changes, the name of a coordinate if the part is that coordinate,
-    None if it is another function of the coordinates: files then hold it (`pose_columns`).
+    None is another function of the coordinates, which files store (`pose_columns`).
     """
     names = {coordinate.symbol: coordinate.name for coordinate in scene.coordinates}
 
@@ -45,28 +44,11 @@ def shape_places(
 
 
 def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
-    """Return where each shape is drawn, if `shape_places` does not say it.
+    """Return the pose columns that `shape_places` leaves open, (n,) in single precision.
 
     Columns are `pose_x_<n>`, `pose_y_<n>` [m] and `pose_angle_<n>` [rad] of the n-th shape, from 1,
-    because a shape may have any name, and NetCDF does not allow all of them; the name stands in the
-    description.
-
-    Parameters
-    ----------
-    q
-        Positions (n, nq) [m, rad].
-    dimension
-        Along which the columns lie.
-
-    Returns
-    -------
-    list[Column]
-        A column (n,) for each part that is a function of the coordinates, in single precision.
-
-    Raises
-    ------
-    TypeError
-        For another number of coordinates.
+    because NetCDF does not allow all names of shapes. q is (n, nq) [m, rad]. Raises TypeError for
+    another number of coordinates.
     """
     parts = [
         (f"pose_{part}_{number}", unit, f"{part} of {shape.name}", getattr(shape, part))
@@ -81,24 +63,9 @@ def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
 
 
 def gap_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
-    """The gap -phi(q) [m] of every contact, negative in contact.
+    """Return a column (n,) with the gap -phi(q) [m] of every contact, in single precision.
 
-    Parameters
-    ----------
-    q
-        Positions (n, nq) [m, rad].
-    dimension
-        Along which the columns lie.
-
-    Returns
-    -------
-    list[Column]
-        A column (n,) a contact, in single precision.
-
-    Raises
-    ------
-    TypeError
-        For another number of coordinates.
+    q is (n, nq) [m, rad]. Raises TypeError for another number of coordinates.
     """
     named = [
         (item.gap_name, "m", f"gap, negative in contact, {item.description or item.name}")
@@ -109,13 +76,9 @@ def gap_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
 
 
 def goal_poses(scene: Scene) -> list[tuple[float, float, float | None] | None]:
-    """Where the task's goal puts each shape.
+    """Return x, y [m] and angle [rad] of each shape at the task's goal.
 
-    Returns
-    -------
-    list[tuple[float, float, float | None] | None]
-        x, y [m] and angle [rad] of each shape, the angle None where the goal leaves it open; None
-        for a shape whose place it leaves open, or that never moves.
+    The angle is None if the goal leaves it open; the pose is None if the place is open or constant.
     """
     moving = {coordinate.symbol for coordinate in scene.coordinates}
     ends = {
@@ -123,35 +86,20 @@ def goal_poses(scene: Scene) -> list[tuple[float, float, float | None] | None]:
         for item, value in zip(scene.coordinates, scene.task.goal, strict=False)
         if value is not None
     }
-    found = []
+    poses = []
     for shape in scene.shapes:
         parts = (shape.x, shape.y, shape.angle)
         numbers = [part.subs(scene.parameter_values).subs(ends) for part in parts]
         x, y, angle = (None if part.free_symbols else float(part) for part in numbers)
         moves = any(part.free_symbols & moving for part in parts)
-        found.append((x, y, angle) if moves and x is not None and y is not None else None)
-    return found
+        poses.append((x, y, angle) if moves and x is not None and y is not None else None)
+    return poses
 
 
 def evaluate(scene: Scene, expressions: list[sp.Expr], q: np.ndarray) -> np.ndarray:
-    """Values of expressions in the coordinates; constants are repeated.
+    """Return values (n, len(expressions)) [SI] at positions q (n, nq) [m, rad].
 
-    Parameters
-    ----------
-    expressions
-        In coordinates and parameters.
-    q
-        Positions (n, nq) [m, rad].
-
-    Returns
-    -------
-    np.ndarray
-        (n, len(expressions)), in the units of the expressions [SI].
-
-    Raises
-    ------
-    TypeError
-        For another number of coordinates.
+    Raises TypeError for another number of coordinates.
     """
     if not expressions:
         return np.zeros((len(q), 0))

@@ -1,13 +1,11 @@
-"""Modules that a scene's file imports from beside it, and the digest of a file with all it imported that anybody may change.
+"""Import a scene file and its neighbour modules, and digest all user sources that it uses.
 
-    # `import parts` finds parts.py beside the file, whatever the folder one works in
-    with loading(path):
+    with loading(path):  # `import parts` finds parts.py in the file's folder
         spec.loader.exec_module(module)
-        # digest of the file and of the modules of somebody's own that are imported by now
-        loaded_sources()
+        loaded_sources()  # digest of the file and of the user modules imported so far
 
-Modules from beside it are read as they are, never from kept bytecode, and forgotten afterwards: two
-files in two folders may each have a `parts.py`.
+Neighbour modules are read from source and forgotten afterwards: files in two folders may each have
+a `parts.py`.
 """
 
 from __future__ import annotations
@@ -30,24 +28,23 @@ from models.errors import SceneError, UnknownNameError
 
 _Said = TypeVar("_Said")
 _OURS = ("models", "formulations", "validate", "reports")
-# before Python 3.11.8 two threads that parse spoil each other's count of depth (CPython issue
-# 106905)
+# Before Python 3.11.8 parallel parsers corrupt a shared depth counter (CPython issue 106905).
 _PARSING = threading.Lock()
 
 
 class Afresh(importlib.machinery.SourceFileLoader):
-    """Reads the file itself, never kept bytecode: that of a file written twice within a second, to the same length, is taken for its own."""
+    """Load a file from source, because bytecode may be stale within a second of a change."""
 
     def get_code(self, fullname: str) -> CodeType:
-        """The code of the file as it is now."""
+        """Return the code of the current file."""
         path = self.get_filename(fullname)
         return self.source_to_code(self.get_data(path), path)
 
 
 class _Beside:
-    """Finds modules in a folder, and what lies in packages there.
+    """Find modules in a folder and its packages.
 
-    A folder that only bears a name yields to a module of that name elsewhere.
+    A folder without __init__ yields to an equally named module elsewhere.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -76,16 +73,13 @@ class _Beside:
         return None
 
 
-# The files that are executed now, each on behalf of the one before it.
+# The files in execution, each imported by the previous one.
 _NOW: ContextVar[tuple[Path, ...]] = ContextVar("files", default=())
 
 
 @contextmanager
 def loading(path: Path) -> Iterator[None]:
-    """Inside, the file `path` is executed as Python; see the module docstring.
-
-    Raises SceneError where it is executed already.
-    """
+    """Execute the file `path` inside this context. Raises SceneError for a circular load."""
     if path in _NOW.get():
         raise SceneError(
             f"it loads itself ({' -> '.join(file.name for file in (*_NOW.get(), path))}); a scene is made of what is there before it."
@@ -106,14 +100,13 @@ def loading(path: Path) -> Iterator[None]:
 
 
 def loaded_sources() -> str:
-    """Digest of the file that is executed now and of all modules that belong neither to Python nor to an installed package; empty where there is none."""
+    """Return the digest of the executed file and of all user modules, or "" outside `loading`."""
     if not _NOW.get():
         return ""
     sources = {"": _NOW.get()[-1].read_bytes()}
     for name, module in tuple(sys.modules.items()):
-        if (
-            name == "__mp_main__"
-        ):  # the second name of __main__, since somebody imported multiprocessing
+        # multiprocessing's second name of __main__.
+        if name == "__mp_main__":
             continue
         origin = getattr(module, "__file__", None)
         if origin is None or name.partition(".")[0] in _OURS:
@@ -121,7 +114,7 @@ def loaded_sources() -> str:
         path = Path(origin).resolve()
         if path.is_file() and not any(path.is_relative_to(folder) for folder in _installed()):
             sources[name] = path.read_bytes()
-    import hashlib  # 3 ms of OpenSSL, which who only asks what is declared does without
+    import hashlib  # 3 ms of OpenSSL
 
     digests = (
         f"{name} {hashlib.sha256(content).hexdigest()}" for name, content in sorted(sources.items())
@@ -139,11 +132,14 @@ def _installed() -> tuple[Path, ...]:
 
 
 def declared(path: Path, name: str, kind: type[_Said]) -> _Said:
-    """What a file of ours says of itself, without importing it: NAME = Kind(...), whose arguments are literals. Raises UnknownNameError where it says nothing."""
+    """Read `NAME = Kind(...)` with literal arguments from one of our files, without importing it.
+
+    Raises UnknownNameError if there is none.
+    """
     text = path.read_text(encoding="utf-8")
     begin = text.find(f"\n{name} = {kind.__name__}(")
     if begin >= 0:
-        # All of a file is not parsed: that took a sixth of `list`.
+        # Parsing the whole file took a sixth of `list`.
         with _PARSING:
             node = ast.parse(text[begin:]).body[0]
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):

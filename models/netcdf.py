@@ -1,11 +1,11 @@
-"""Named columns with units in a NetCDF-4 file: what plans and replays are stored as.
+"""Write and read named columns with units in NetCDF-4 files, for plans and replays.
 
-    write_columns(path, [Column(name="q1", dimension="node", values=q1, unit="m")], {"scene": "three_cart"})
+    columns = [Column(name="q1", dimension="node", values=q1, unit="m")]
+    write_columns(path, columns, {"scene": "three_cart"})
     columns, attributes = read_columns(path)
 
-Columns are compressed without loss (`drawn` rounds those that are for plots alone). A file is written beside its place, flushed to disk and
-renamed, so that a reader never sees half of it. A variable names its dimensions by number alone,
-which the netCDF library and xarray read; lists of references would take 8 kB a file.
+A file is written under a temporary name, flushed and renamed. Variables refer to dimensions by
+number only, which netCDF and xarray accept; lists of references would take 8 kB per file.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ import numpy as np
 
 from models.errors import MachineError, TrajectoryError
 
-# Names by which the netCDF library knows a dimension, and the dimensions of a variable.
+# netCDF's attribute names of a dimension, and of the dimensions of a variable.
 _DIMENSION = b"_Netcdf4Dimid"
 _DIMENSIONS = b"_Netcdf4Coordinates"
-# How the name of a dataset begins that is a dimension and no variable.
+# Prefix of the name of a dataset that is a dimension without a variable.
 _ONLY_DIMENSION = "This is a netCDF dimension but not a netCDF variable."
-# Columns up to this size [byte] are stored as they are: a compressed one needs as much for itself.
+# Columns up to this size [byte] are not compressed: the overhead is as large.
 _SMALL = 256
-# Level of deflate. Higher levels are slower and save less than 1 %.
+# Level of deflate; higher ones are slower and save less than 1 %.
 _LEVEL = 4
-# Bits that `drawn` rounds away, of the 23 of a fraction in single precision.
+# Bits rounded by `drawn`, of the 23 fraction bits in single precision.
 _LOST_BITS = 5
-# By this the file grows in memory [byte].
+# Memory increment of a file [byte].
 _INCREMENT = 1 << 16
 
 
@@ -51,26 +51,9 @@ class Column:
 def as_columns(
     named: Iterable[tuple[str, str, str]], values: np.ndarray, dimension: str
 ) -> list[Column]:
-    """The columns of an array.
+    """Return one column (n,) for each (name, unit, description) [SI].
 
-    Parameters
-    ----------
-    named
-        Name, unit and description of each.
-    values
-        (n, columns), each in its own unit [SI].
-    dimension
-        Along which they lie.
-
-    Returns
-    -------
-    list[Column]
-        One (n,) for each name.
-
-    Raises
-    ------
-    ValueError
-        For another number of columns than names.
+    values are (n, columns). Raises ValueError for another number of columns than names.
     """
     return [
         Column(name=name, dimension=dimension, values=column, unit=unit, description=text)
@@ -79,9 +62,9 @@ def as_columns(
 
 
 def drawn(values: np.ndarray) -> np.ndarray:
-    """Return values in single precision, rounded to the 6 digits that a plot shows.
+    """Return values (any,) in single precision, rounded to 6 digits for plots [-].
 
-    The last bits of the fraction become zeros, which compress to nothing. Raises nothing.
+    The zeroed last bits compress well. Raises nothing.
     """
     bits = np.array(values, np.float32).view(np.uint32)
     return ((bits + (1 << _LOST_BITS - 1)) >> _LOST_BITS << _LOST_BITS).view(np.float32)
@@ -90,7 +73,7 @@ def drawn(values: np.ndarray) -> np.ndarray:
 def write_columns(
     path: Path, columns: Iterable[Column], attributes: Mapping[str, str | int | float]
 ) -> None:
-    """Write atomically. Raises MachineError where the folder cannot be written."""
+    """Write a file atomically. Raises MachineError if it cannot be written."""
     columns = tuple(columns)
     sizes: dict[str, int] = {}
     for column in columns:
@@ -108,7 +91,7 @@ def write_columns(
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        part.chmod(0o644)  # it is made private; a store is shared
+        part.chmod(0o644)  # temporary files are private, a store is shared
         part.replace(path)
     except OSError as error:
         if part is not None:
@@ -129,10 +112,10 @@ def _content(
 ) -> bytes:
     """Return the bytes of the file.
 
-    The file is made in memory, because HDF5 reports a full disk in many ways, some of them late.
-    Calls go to HDF5 itself: h5py's own classes take five times as long for short columns.
+    The file is made in memory, because HDF5 reports a full disk in many ways. The low-level HDF5
+    calls take a fifth of the time of h5py's classes for short columns.
     """
-    from h5py import h5d, h5ds, h5f, h5p, h5s, h5t  # 0.1 s to import; most commands need none
+    from h5py import h5d, h5ds, h5f, h5p, h5s, h5t  # 0.1 s to import
 
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_fapl_core(_INCREMENT, False)
@@ -194,9 +177,9 @@ def _set_attribute(owner: Any, name: bytes, value: str | float | np.ndarray) -> 
 
 
 def read_columns(path: Path) -> tuple[dict[str, Column], dict[str, str | int | float]]:
-    """All columns and attributes.
+    """Return all columns and attributes.
 
-    Raises TrajectoryError if the file is missing, cut short or no NetCDF-4.
+    Raises TrajectoryError if the file is missing, truncated or no NetCDF-4.
     """
     import h5py
 
@@ -218,7 +201,7 @@ def read_columns(path: Path) -> tuple[dict[str, Column], dict[str, str | int | f
             attributes = {key: _plain(value) for key, value in file.attrs.items()}
     except TrajectoryError:
         raise
-    except Exception as error:  # h5py and HDF5 raise errors of any type on a damaged file
+    except Exception as error:  # damaged files raise errors of any type
         raise TrajectoryError(
             f"file {path}: it cannot be read as NetCDF-4 ({type(error).__name__}: {error})."
         ) from error
@@ -243,26 +226,10 @@ def _read_column(path: Path, name: str, stored: Any, dimensions: Mapping[int, st
 def numbers(
     path: Path, columns: Mapping[str, Column], name: str, unit: str, size: int | None = None
 ) -> np.ndarray:
-    """The values of one column, checked.
+    """Return the values (n,) of one column in `unit`, such as [m], with `size` values if given.
 
-    Parameters
-    ----------
-    columns
-        Of the file `path`.
-    unit
-        The unit that the column must have, such as [m].
-    size
-        How many values it must have; None: any number.
-
-    Returns
-    -------
-    np.ndarray
-        Values (n,).
-
-    Raises
-    ------
-    TrajectoryError
-        If it is missing, in another unit, no numbers or of another length.
+    Raises TrajectoryError if the column is missing, in another unit, not numeric or of another
+    length.
     """
     if name not in columns:
         raise TrajectoryError(

@@ -1,7 +1,7 @@
-"""A plan's CSV as a table of columns, before anybody knows what they mean.
+"""Read a plan's CSV or arrays as a table of columns, before the columns are interpreted.
 
-Cells are apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments,
-but for `# scheme: ..` and `# hold: ..`, which declare; a column may say its unit, `q1 [m]`.
+Cells are separated by comma, semicolon (then 0,5 is a number) or tab. Lines with # are comments,
+except the declarations `# scheme: ..` and `# hold: ..`. A column may have a unit: `q1 [m]`.
 """
 
 from __future__ import annotations
@@ -23,19 +23,18 @@ import numpy as np
 from models.errors import TrajectoryError, nearest
 from models.schemes import Scheme
 
-# What may stand around a comment, beside blanks: quotes and the marks that cells are apart by.
+# Characters around a comment: quotes, separators, blanks.
 _AROUND = "\"',; \t"
-# A number as programs write it; float() reads 1_0 and other alphabets' digits too, which nobody
-# means.
+# A number; float() would also accept 1_0 and digits of other alphabets.
 _NUMBER = re.compile(
     r"\s*[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf|infinity)\s*",
     re.IGNORECASE | re.ASCII,
 )
-# Kinds of numpy's types whose numbers are real, and those whose values must be looked at one by
-# one.
+# Kinds of numpy's real types.
 _REAL = "biuf"
+# Kinds whose values must be checked one by one.
 _MIXED = "OUS"
-# What other things begin with that are taken for a plan; a folder has no bytes, and gets some.
+# First bytes of other file types. A folder has no bytes; this stands for them.
 _FOLDER = b"\0folder"
 _OTHERS = {
     _FOLDER: "a folder", b"<": "HTML or XML", b"{": "JSON", b"[": "JSON",
@@ -43,21 +42,21 @@ _OTHERS = {
     b"\x93NUMPY": "an array of NumPy", b"\x89HDF": "HDF5, as NetCDF is",
     b"MATLAB": "a file of MATLAB", b"PAR1": "Parquet",
 }  # fmt: skip
-# What a comment may declare, and the values that it may have.
+# Keys of declarations, and their values.
 _DECLARED = {"scheme": tuple(scheme.value for scheme in Scheme), "hold": ("zero", "linear")}
 
 
 class PlanTable:
-    """names: of the columns, without units; given: those that are not empty.
+    """A plan's table.
 
-    units: by name, for those that say one; rows: of numbers below the header; declared: by key.
+    names: of the columns, without units
+    given: names of columns that are not empty
+    units: by name, if stated
+    rows: number of rows
+    declared: declarations by key
     """
 
     def __init__(self, path: Path, ignore: Sequence[str] = ()) -> None:
-        """ignore: names of columns that are left out.
-
-        Raises TrajectoryError naming the file, and the line and the column where there is one.
-        """
         self.source, self.where = f"file {path}", f"plan {path}"
         rows, self.declared = _rows(path)
         if len(rows) < 3:
@@ -79,7 +78,7 @@ class PlanTable:
         self.rows = len(self._rows)
         head = rows[0][1]
         while head and not head[-1] and not any("".join(row[len(head) - 1 :]) for _, row in rows):
-            head = head[:-1]  # each line ends with a comma
+            head = head[:-1]  # trailing commas
         self.units: dict[str, str] = {}
         names = []
         lower = [_name_and_unit(cell)[0].lower() for cell in head]
@@ -105,7 +104,7 @@ class PlanTable:
         )
 
     def has_last(self, name: str) -> bool:
-        """Whether the last row has a cell in this column."""
+        """Return whether the last row has a cell in this column."""
         index, row = self._head.index(name), self._rows[-1][1]
         return index < len(row) and bool(row[index])
 
@@ -120,7 +119,7 @@ class PlanTable:
                 )
                 raise TrajectoryError(f"{self.where}: column {place} has no name; {advice}.")
             if self._head.count(name) > 1:
-                raise TrajectoryError(f"{self.where}: the column {name!r} stands there twice.")
+                raise TrajectoryError(f"{self.where}: the column {name!r} appears twice.")
         for number, row in self._rows:
             if any(row[len(self._head) :]):
                 raise TrajectoryError(
@@ -128,7 +127,7 @@ class PlanTable:
                 )
 
     def check_unit(self, name: str, *units: str) -> None:
-        """Raise TrajectoryError if the column says another unit than these."""
+        """Raise TrajectoryError if the column's stated unit is not one of these."""
         given = self.units.get(name, units[0])
         if given not in units:
             raise TrajectoryError(
@@ -136,22 +135,11 @@ class PlanTable:
             )
 
     def column(self, name: str, last_is_open: bool) -> np.ndarray:
-        """The numbers of a column.
+        """Return the numbers (rows,) or (rows - 1,) of a column, in its unit [SI].
 
-        Parameters
-        ----------
-        last_is_open
-            Whether the last row may be empty, because it begins no step; it is then left out.
-
-        Returns
-        -------
-        np.ndarray
-            (rows,) or (rows - 1,), in the unit of its head [SI].
-
-        Raises
-        ------
-        TrajectoryError
-            For a cell that is no finite number.
+        last_is_open: the last row begins no step, and is left out. Raises TrajectoryError for a
+            cell that
+        is no finite number.
         """
         index = self._head.index(name)
         values = []
@@ -171,9 +159,9 @@ class PlanTable:
 
 
 def _name_and_unit(cell: str) -> tuple[str, str | None]:
-    """Name and unit of a column's head: `q1 [m]` or `q1 (m)`; q[1] and der(q) are names of FMUs.
+    """Return name and unit of a header cell: `q1 [m]` or `q1 (m)`; q[1] and der(q) are FMU names.
 
-    Names are in Unicode's composed form: an umlaut may be written in two ways that look the same.
+    Names are in Unicode's composed form, because umlauts have two encodings.
     """
     cell = re.sub(r"(?<=\S)\s+\(([^()]*)\)$", r" [\1]", cell)
     split = re.fullmatch(r"(.*?)(\s*)\[([^\[\]]*)\]", cell)
@@ -183,14 +171,14 @@ def _name_and_unit(cell: str) -> tuple[str, str | None]:
 
 
 def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
-    """(line number, cells) of the lines that hold any, and what comments declare."""
+    """Return (line number, cells) of the non-empty lines, and the declarations."""
     try:
         data = _FOLDER if path.is_dir() else path.read_bytes()
         for start, what in _OTHERS.items():
             if data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(start):
                 known = "a plan is a CSV file; of a scene, but not of an FMU, also a NetCDF file called .nc (docs/replay.md)"
                 raise TrajectoryError(f"plan {path}: it is {what}; {known}.")
-        text = data.decode("utf-8-sig")  # Excel writes a byte order mark
+        text = data.decode("utf-8-sig")  # Excel's byte order mark
     except OSError as error:
         raise TrajectoryError(
             f"plan {path}: it cannot be read ({error.strerror or error})."
@@ -202,7 +190,7 @@ def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
     numbered = [
         (number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()
     ]
-    # Spreadsheets save a comment as a cell: in quotes, with empty cells behind it.
+    # Spreadsheets save a comment as a quoted cell, followed by empty cells.
     bare = [(number, line.strip(_AROUND)) for number, line in numbered]
     comments = [(number, line) for number, line in bare if line.startswith("#")]
     lines = [numbered[place] for place, (_, line) in enumerate(bare) if not line.startswith("#")]
@@ -222,10 +210,9 @@ def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
 
 
 def _declarations(path: Path, comments: list[tuple[int, str]]) -> dict[str, str]:
-    """What comments `# key: value` declare, of the keys that are known.
+    """Return the declarations among comments `# key: value`.
 
-    A known value under nearly such a key, or without a mark, is a mistake; any other comment is a
-    comment.
+    Raises TrajectoryError for a known value with a misspelt key, or without a separator.
     """
     declared: dict[str, str] = {}
     for number, line in comments:
@@ -270,53 +257,37 @@ def _cells(path: Path, number: int, line: str, mark: str) -> list[str]:
 
 
 def real_numbers(what: str, values: Any) -> np.ndarray:
-    """A copy as floats that changes no number.
+    """Return a copy as floats (any,) [SI] that changes no number.
 
-    Parameters
-    ----------
-    what
-        What they are, for messages.
-    values
-        Booleans, integers, reals, or objects and text that are such; None and pandas' NA are NaN.
-
-    Returns
-    -------
-    np.ndarray
-        Of the shape (any,) and unit of what was given [SI].
-
-    Raises
-    ------
-    TrajectoryError
-        For anything that only looks like numbers: complex ones, masked ones, dates and durations.
+    values may be booleans, integers, reals, or objects and text of these; None and pandas' NA
+    become NaN. Raises TrajectoryError for complex numbers, masked values, dates and durations.
     """
-    if callable(detach := getattr(values, "detach", None)):  # a tensor of PyTorch
+    if callable(detach := getattr(values, "detach", None)):  # a PyTorch tensor
         tensor: Any = detach()
         values = tensor.cpu()
     try:
-        given = np.asanyarray(values)
+        array = np.asanyarray(values)
     except (TypeError, ValueError) as error:
         raise TrajectoryError(
             f"plan: {what} must be numbers, in rows of equal length ({error})."
         ) from error
-    if "numpy.ma" in sys.modules and np.ma.is_masked(
-        given
-    ):  # without that module nothing is; its import takes 10 ms
+    # Masked arrays need numpy.ma, whose import takes 10 ms.
+    if "numpy.ma" in sys.modules and np.ma.is_masked(array):
         raise TrajectoryError(
             f"plan: {what} has masked values, which are no numbers; fill them, or leave the column out."
         )
-    if given.dtype.kind in _MIXED:
-        return np.array([_real(what, cell) for cell in given.flat], dtype=float).reshape(
-            given.shape
+    if array.dtype.kind in _MIXED:
+        return np.array([_real(what, cell) for cell in array.flat], dtype=float).reshape(
+            array.shape
         )
-    if given.dtype.kind not in _REAL:
+    if array.dtype.kind not in _REAL:
         raise TrajectoryError(
-            f"plan: {what} is of type {given.dtype}, but must be real numbers; convert it."
+            f"plan: {what} is of type {array.dtype}, but must be real numbers; convert it."
         )
-    return np.array(given, dtype=float)
+    return np.array(array, dtype=float)
 
 
 def _real(what: str, cell: Any) -> float:
-    """A cell of an array of objects or text."""
     text = (
         cell.decode("ascii", "replace")
         if isinstance(cell, bytes)
@@ -324,7 +295,7 @@ def _real(what: str, cell: Any) -> float:
         if isinstance(cell, str)
         else cell
     )
-    if text is None or type(text).__name__ == "NAType":  # pandas' NA, which need not be installed
+    if text is None or type(text).__name__ == "NAType":  # pandas' NA
         return math.nan
     if isinstance(text, (numbers.Real, np.bool_, Decimal)) or (
         isinstance(text, str) and _is_number(text)
@@ -334,18 +305,17 @@ def _real(what: str, cell: Any) -> float:
 
 
 def _one_row(values: np.ndarray) -> np.ndarray:
-    """Return (n, 1) and (1, n) as (n,), others unchanged."""
+    """Return (n, 1) and (1, n) as (n,), other shapes unchanged."""
     return values.ravel() if values.ndim == 2 and 1 in values.shape else values
 
 
 class ArrayTable:
-    """The same of arrays by column names (a mapping, a pandas DataFrame or a structured array): inputs and forces may be one shorter than `t`, or end in NaN.
+    """A table of arrays by column names: a mapping, a pandas DataFrame or a structured array.
 
-    declared: scheme and hold, as a CSV would.
+    Inputs and forces may be one shorter than `t`, or end in NaN. declared: scheme and hold.
     """
 
     def __init__(self, columns: Any, **declared: Any) -> None:
-        """Raises TrajectoryError naming the column."""
         self.where, self.source = "plan", "arrays"
         self.declared = {key: value for key, value in declared.items() if value is not None}
         self.units: dict[str, str] = {}
@@ -369,7 +339,7 @@ class ArrayTable:
                     f"plan: a column is called {name!r}, but its name must be text."
                 )
             if names.count(name) > 1:
-                raise TrajectoryError(f"plan: the column {name!r} stands there twice.")
+                raise TrajectoryError(f"plan: the column {name!r} appears twice.")
         self._columns = {
             name: _one_row(real_numbers(f"the column {name!r}", columns[name])) for name in names
         }
@@ -393,30 +363,19 @@ class ArrayTable:
             )
 
     def has_last(self, name: str) -> bool:
-        """Whether the column has a number at the last time."""
+        """Return whether the column has a number at the last time."""
         values = self._columns[name]
         return len(values) == self.rows and bool(np.isfinite(values[-1]))
 
     def check_unit(self, name: str, *units: str) -> None:
-        """Arrays say no units."""
+        """Do nothing: arrays have no units."""
 
     def column(self, name: str, last_is_open: bool) -> np.ndarray:
-        """The numbers of a column, as of a `PlanTable`.
+        """Return the numbers (rows,) or (rows - 1,) [SI] of a column.
 
-        Parameters
-        ----------
-        last_is_open
-            Whether the last number may be missing; it is then left out.
-
-        Returns
-        -------
-        np.ndarray
-            (rows,) or (rows - 1,) [SI].
-
-        Raises
-        ------
-        TrajectoryError
-            For another length, or what is not finite.
+        last_is_open: the last number may be missing, and is left out. Raises TrajectoryError for
+            another
+        length, or values that are not finite.
         """
         values = self._columns[name]
         expected = self.rows - 1 if last_is_open else self.rows
@@ -433,10 +392,10 @@ class ArrayTable:
         return values
 
 
-# A plan by columns, from a file or from arrays.
+# A plan by columns.
 Table = PlanTable | ArrayTable
 
 
 def lack_of(table: Table, name: str) -> str:
-    """Why a table has no numbers of a column."""
+    """Return a clause on a missing or empty column."""
     return f"the column {name!r} is {'empty' if name in table.names else 'missing'}"

@@ -1,4 +1,4 @@
-"""The time steps of a plan, with one input held over each step.
+"""The time steps of plans, with one input per step.
 
 | scheme | step | order |
 |---|---|---|
@@ -18,7 +18,7 @@ import numpy as np
 
 
 class Scheme(Enum):
-    """How a plan goes from node to node."""
+    """The time step of a plan."""
 
     SEMI_IMPLICIT_EULER = "semi_implicit_euler"
     IMPLICIT_MIDPOINT = "implicit_midpoint"
@@ -31,12 +31,12 @@ class Tableau:
 
         X_i = x + h sum_j a_ij f(X_j, u), x' = x + h sum_i b_i f(X_i, u)
 
-    The force of a contact, k max(phi, 0), has a kink where the contact opens or closes. A step with
-    a kink misses the velocity by at most `switch_constant` h^2 |phi'| |M^-1 J' k|, so that a plan
-    with contacts has order 2 (three_cart: 1.9).
+    Contact forces have a kink where contacts open or close. A step with a kink has a velocity error
+    of at most `switch_constant` h^2 |phi'| |M^-1 J' k|, so plans with contacts have order 2
+    (three_cart: 1.9).
 
     switch_constant: largest |integral over 0..1 of max(s - z, 0) - sum_i b_i max(c_i - z, 0)| over
-        the place z of the kink.
+        the place z of the kink
     """
 
     c: np.ndarray
@@ -72,5 +72,5 @@ _TABLEAUS = {
 
 
 def tableau(scheme: Scheme) -> Tableau:
-    """Return the tableau of a collocation. Raise KeyError for semi-implicit Euler."""
+    """Return the tableau of a collocation; raise KeyError for semi-implicit Euler."""
     return _TABLEAUS[scheme]

@@ -1,17 +1,11 @@
-"""Is the time step stable while contacts are closed? Said before anything is run.
+"""Check before a run whether the time step is stable while contacts are closed.
 
     step_stability(scene).is_stable, .radius, .largest_step, .sentence
     contact_frequency(scene)  # omega: a contact lasts pi/omega
 
-Semi-implicit Euler on a closed contact is a damped oscillator, x' = x + h v', v' = v - h (w^2 x + c
-v), and stable only where
-
-    h^2 w^2 + 2 h c < 4
-
-Here the bound is taken from the exact Jacobian of the compiled step itself (its adjoint), for every
-set of contacts that can be closed together, each linearised at its typical penetration. A scene may
-be unstable by itself (a pole falls over): then the step is unstable only where it grows faster than
-the motion does.
+The check uses the exact Jacobian of the compiled step, for every set of contacts that can be closed
+together, at typical penetrations; for a damped oscillator it is h^2 w^2 + 2 h c < 4. If the motion
+itself is unstable (a falling pole), the step is unstable only if it grows faster.
 """
 
 from __future__ import annotations
@@ -26,30 +20,28 @@ from models.codegen.kernel import KernelError, load_kernel
 from models.dynamics import derive
 from models.scene import Scene
 
-# Up to so many contacts every set is looked at; beyond, single ones and those that can be added up:
-# a further closed contact only makes it stiffer.
+# Up to this number of contacts all sets are checked; beyond, single ones and growing unions: a
+# further closed contact only adds stiffness.
 _EVERY_SET = 6
-# A double eigenvalue at 1 (a free body) is computed with an error of the square root of rounding,
-# 1.5e-8.
+# Error of a double eigenvalue at 1 (a free body): about the square root of rounding, 1.5e-8.
 _ROUNDING = 1e-6
-# The step's own growth of an unstable motion differs from exp(rate h) by (rate h)^2/24; a fifth
-# more is a rate h above 2.
+# Growth relative to exp(rate h); they differ by (rate h)^2/24, so 1.2 is a rate h above 2.
 _FASTER = 1.2
-# Newton steps to a position in which the contacts of a set are closed, and how near their typical
-# depth counts.
+# Newton steps to a position with closed contacts.
 _NEWTON_STEPS = 50
+# Relative error of their typical depth.
 _CLOSED = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class StepStability:
-    """Whether a time step is stable while contacts are closed, and the largest that is.
+    """Whether a time step is stable while contacts are closed.
 
-    step [s]; radius: spectral radius of the step's Jacobian, of the set of contacts where it
-        exceeds the motion's own growth most;
-    contacts: that set, by name; growth: rate at which the motion itself grows there [1/s], 0 if it
-        does not; largest_step: below it the step is
-    stable with every set [s], infinite if there is no limit.
+    step: [s]
+    radius: spectral radius of the step's Jacobian, for the worst set of contacts
+    contacts: names of that set
+    growth: growth rate of the motion itself there [1/s], or 0
+    largest_step: limit of stable steps [s], may be infinite
     """
 
     scene: str
@@ -61,12 +53,12 @@ class StepStability:
 
     @property
     def is_stable(self) -> bool:
-        """Whether the step is below the largest stable one."""
+        """Return whether the step is below the largest stable one."""
         return self.step < self.largest_step
 
     @property
     def sentence(self) -> str:
-        """For the user; empty where there is nothing to warn of."""
+        """Return a warning for the user, or ""."""
         if self.is_stable:
             return ""
         closed = " and ".join(self.contacts) or "no contact"
@@ -78,10 +70,7 @@ class StepStability:
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """da = G dq + D dv, of the accelerations with a set of contacts closed.
-
-    Of a scene without inertia dv = G dq, and D is nothing.
-    """
+    """da = G dq + D dv with a set of contacts closed; without inertia dv = G dq."""
 
     contacts: tuple[str, ...]
     G: np.ndarray
@@ -89,17 +78,9 @@ class _Linear:
     has_inertia: bool
 
     def step_matrix(self, h: float) -> np.ndarray:
-        """The matrix of a time step v' = v + h a, q' = q + h v'.
+        """Return the matrix (2*nq, 2*nq) [SI] of a time step of length h [s].
 
-        Parameters
-        ----------
-        h
-            Length of the step [s].
-
-        Returns
-        -------
-        np.ndarray
-            (2*nq, 2*nq).
+        The step is v' = v + h a, q' = q + h v'. Raises nothing.
         """
         identity = np.eye(len(self.G))
         vq, vv = (h * self.G, identity + h * self.D) if self.has_inertia else (self.G, self.D)
@@ -117,7 +98,7 @@ class _Linear:
             else self.G
         ).real
         largest = float(rates.max(initial=0.0))
-        # zero but for rounding, which a double zero takes the square root of
+        # Zero up to rounding, whose square root a double zero has.
         return (
             largest
             if largest > 1e-7 * max(1.0, float(np.sqrt(np.abs(self.G).max(initial=0.0))))
@@ -125,41 +106,23 @@ class _Linear:
         )
 
     def excess(self, h: float) -> float:
-        """By what the step's radius exceeds what the motion's own growth explains.
-
-        negative: stable.
-        """
+        """Return the excess of the step's radius over the motion's growth; negative: stable."""
         exponent = min(_FASTER * self.growth * h, 700.0)
         return self.radius(h) - math.exp(exponent) - _ROUNDING
 
 
 def spectral_radius(matrix: np.ndarray) -> float:
-    """Largest magnitude of an eigenvalue; 0 of an empty matrix.
+    """Return the largest |eigenvalue| [-] of a matrix (n, n), 0 if empty.
 
-    Parameters
-    ----------
-    matrix
-        (n, n), of a map from a state to a state [-].
-
-    Returns
-    -------
-    float
-        The radius [-].
-
-    Raises
-    ------
-    LinAlgError
-        For a matrix that is not finite.
+    Raises LinAlgError for a matrix that is not finite.
     """
     return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0))
 
 
 def step_stability(scene: Scene) -> StepStability:
-    """At the task's own step.
+    """Check the task's own step. Raises MachineError without a compiler.
 
-    Friction is left out: sticking is implicit in the step, slipping a constant force.
-
-    Raises MachineError without a compiler.
+    Friction is ignored: sticking is implicit in the step, slipping a constant force.
     """
     h = scene.task.step
     models = _linear_models(replace(scene, frictions=()) if scene.frictions else scene)
@@ -203,20 +166,21 @@ def _linear_models(scene: Scene) -> list[_Linear]:
         np.array(scene.task.start[:nq]),
         np.array([math.nan if value is None else value for value in scene.task.goal[:nq]]),
     )
-    found = []
+    models = []
     for q in (start, np.where(np.isnan(goal), start, goal)):
         for indices, closed in [((), q), *_closed_positions(scene, q)]:
-            # The derivatives of v' = v + a do not depend on the step they are taken with: one
-            # second makes them those of a itself.
+            # The derivatives of v' = v + h a at h = 1 are those of a.
             try:
                 jacobian, _ = kernel.end_derivatives(
                     np.concatenate([closed, at_rest]), u[None], 1.0
                 )
-            except KernelError:  # singular masses, where only the search for a closed position led, or a step that is no number
+            except (
+                KernelError
+            ):  # singular masses in the search for a closed position, or a step that is not finite
                 continue
             names = tuple(scene.contacts[index].name for index in indices)
             inertia = scene.relaxation_time is None
-            found.append(
+            models.append(
                 _Linear(
                     names,
                     jacobian[nq:, :nq],
@@ -224,17 +188,17 @@ def _linear_models(scene: Scene) -> list[_Linear]:
                     inertia,
                 )
             )
-    return found
+    return models
 
 
 def _closed_positions(scene: Scene, q: np.ndarray) -> list[tuple[tuple[int, ...], np.ndarray]]:
-    """Sets of contacts that can be closed together, as indices, and positions near q (nq,) in which they are, at their typical depth."""
+    """Return sets of contacts that can be closed together, with positions (nq,) near q."""
     d = derive(scene)
     phi, jacobian = d.function(d.penetration, d.q), d.function(d.gap_jacobian, d.q)
     depth = np.array([contact.nominal for contact in scene.contacts])
 
     def closed(indices: tuple[int, ...]) -> np.ndarray | None:
-        """A position (nq,) [m, rad] in which these are, or None."""
+        """Return a position (nq,) [m, rad] with these contacts closed, or None. Raises nothing."""
         rows, place = list(indices), q.copy()
         for _ in range(_NEWTON_STEPS):
             missing = depth[rows] - phi(place).ravel()[rows]
@@ -253,18 +217,18 @@ def _closed_positions(scene: Scene, q: np.ndarray) -> list[tuple[tuple[int, ...]
             for indices in combinations(range(scene.nc), size)
         ]
         return [(indices, place) for indices in every if (place := closed(indices)) is not None]
-    found, together = [], ()
+    sets, together = [], ()
     for index in range(scene.nc):
         for indices in dict.fromkeys([(index,), (*together, index)]):
             place = closed(indices)
             if place is not None:
-                found.append((indices, place))
+                sets.append((indices, place))
                 together = indices if len(indices) > len(together) else together
-    return found
+    return sets
 
 
 def _largest_step(model: _Linear, h: float) -> float:
-    """The step at which the model becomes unstable [s], by doubling from far below and bisection."""
+    """Return the limit of stable steps [s], by doubling and bisection."""
     stiffest = float(np.abs(np.linalg.eigvals(model.G)).max(initial=0.0))
     stiffest = math.sqrt(stiffest) if model.has_inertia else stiffest
     rate = max(stiffest, float(np.abs(np.linalg.eigvals(model.D)).max(initial=0.0)))

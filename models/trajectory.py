@@ -1,23 +1,10 @@
-"""A plan: what a method found, or what a user brings.
+"""Plans: trajectories of a method or a user, and their CSV form.
 
-    t    (nodes,)       time [s], increasing, nodes = steps + 1
-    q, v (nodes, nq)    generalised positions [m, rad] and velocities
-    u    (steps, nu)    inputs, held over each step as `hold` says
-    lam  (steps, nl)
-        contact forces, behind them friction forces [N], one a step. Of a plan that declares a scheme a contact force belongs to the
-                        *start* of the step, lam[i] to phi(q[i]), and a friction force to the slip at its end; of any other it may be the force at
-                        the start of the step, at its end, or its mean over the step
-    scheme              the time step it is made of (models.schemes), or None: its author names
-                        none, and is not asked about one
-    missing             what its author did not say, of "q", "v", "lam" (contact forces) and
-                        "friction"; the arrays then hold stand-ins (see `read_csv`)
-    u_end (nu,)         the input at the last node, which a linear hold heads for in the last step
-                        (and no other hold uses); None: not said, constant
+    plan = read_csv("plan.csv", scene)
+    plan.plot(scene)
 
-CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... lam_left ...`); the
-    last row has no u and lam. Lines
-`# scheme: semi_implicit_euler` and `# hold: zero` (or `linear`) above declare those. NetCDF-4: the
-    same arrays with units, for the store.
+A CSV has one row per node, with columns `t` and the scene's names (`q1 ... v1 ... u1 ...
+lam_left`); the last row has no u and lam.
 """
 
 from __future__ import annotations
@@ -41,27 +28,27 @@ if TYPE_CHECKING:
 
 
 class Hold(Enum):
-    """How an input behaves within a step."""
+    """Behaviour of an input within a step."""
 
     ZERO_ORDER = "zero_order"  # constant
-    LINEAR = "linear"  # towards the next step's value, in the last step towards `u_end`
+    LINEAR = "linear"  # to the next step's value; in the last step to `u_end`
 
 
-# What a hold is called in a CSV, on the command line and in maps.
+# Names of holds in CSV files and on the command line.
 HOLDS = {"zero": Hold.ZERO_ORDER, "linear": Hold.LINEAR}
-# What the panels of a plot are called, by what they show.
+# Titles of the panels of a plot.
 _TITLES = {"q": "position", "v": "velocity", "lam": "force", "u": "input"}
 _INSTALL = "pip install matplotlib pandas"
-# What a plan's author may leave out.
+# Groups that a plan may lack.
 GROUPS = ("q", "v", "lam", "friction")
-# Windows in a plan: shorter dither of the inputs moves nothing and counts for nothing.
+# Windows of a plan for averages: dither within a window does not count.
 WINDOWS = 50
 
 
 def as_scheme(value: Any, where: str = "plan") -> Scheme | None:
-    """A scheme, given as such or by its text; None is none.
+    """Return a scheme, given as such or by its text; None stays None.
 
-    Raises TrajectoryError for what is neither.
+    Raises TrajectoryError for another value.
     """
     if value is None or isinstance(value, Scheme):
         return value
@@ -75,9 +62,9 @@ def as_scheme(value: Any, where: str = "plan") -> Scheme | None:
 
 
 def as_hold(value: Any, where: str = "plan") -> Hold:
-    """A hold, given as such or by its text in `HOLDS`.
+    """Return a hold, given as such or by its text in `HOLDS`.
 
-    Raises TrajectoryError for what is neither.
+    Raises TrajectoryError for another value.
     """
     if isinstance(value, Hold):
         return value
@@ -87,7 +74,6 @@ def as_hold(value: Any, where: str = "plan") -> Hold:
 
 
 def _as_groups(value: Any) -> frozenset[str]:
-    """What a plan does not say. Raises TrajectoryError for anything but names of groups."""
     names = list(value) if isinstance(value, Iterable) and not isinstance(value, str) else [value]
     unknown = [name for name in names if not (isinstance(name, str) and name in GROUPS)]
     if unknown or isinstance(value, str):
@@ -99,7 +85,18 @@ def _as_groups(value: Any) -> frozenset[str]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
-    """See the module docstring.
+    """A plan; nodes = steps + 1.
+
+    t: (nodes,) increasing times [s]
+    q, v: (nodes, nq) generalised positions [m, rad] and velocities
+    u: (steps, nu) inputs within each step by `hold`
+    lam: (steps, nl) contact forces, then friction forces [N]. With a scheme a contact force is that
+        at the *start* of the step, lam[i] at phi(q[i]), a friction force that of the slip at its
+        end; otherwise either end or the mean
+    scheme: the time step (models.schemes), or None if unknown
+    missing: groups without data, of "q", "v", "lam" (contact forces) and "friction"; the arrays
+        then hold substitutes (see `read_csv`)
+    u_end: (nu,) input at the last node, the end of a linear hold; None: constant
 
     Raises TrajectoryError for wrong shapes, NaN, or times that do not increase. hold and scheme may
     be given by their text.
@@ -155,26 +152,26 @@ class Trajectory:
 
     @property
     def steps(self) -> int:
-        """The number of steps, one less than the nodes."""
+        """Return the number of steps, one less than the nodes."""
         return self.t.size - 1
 
     @property
     def start(self) -> np.ndarray:
-        """State (2*nq,) at the first node: positions [m, rad], then velocities [m/s, rad/s]."""
+        """Return the state (2*nq,) at the first node [m, rad, m/s, rad/s]. Raises nothing."""
         return np.concatenate([self.q[0], self.v[0]])
 
     @property
     def end(self) -> np.ndarray:
-        """State (2*nq,) at the last node: positions [m, rad], then velocities [m/s, rad/s]."""
+        """Return the state (2*nq,) at the last node [m, rad, m/s, rad/s]. Raises nothing."""
         return np.concatenate([self.q[-1], self.v[-1]])
 
     def check_fits(self, scene: Scene) -> None:
-        """Raise TrajectoryError if the numbers of positions, inputs or contacts are not those of the scene, or the scene does not have the scheme."""
+        """Raise TrajectoryError if the columns or the scheme do not fit the scene."""
         if not hasattr(scene, "task"):
             raise TrajectoryError(
                 f"scene: a {type(scene).__name__} is no scene; give a Scene, as touchstone.scene(name) does."
             )
-        for field, found, expected, what in (
+        for field, count, expected, what in (
             ("q", self.q.shape[1], scene.nq, "positions"),
             ("u", self.u.shape[1], scene.nu, "inputs"),
             (
@@ -184,9 +181,9 @@ class Trajectory:
                 "contacts and frictions" if scene.nf else "contacts",
             ),
         ):
-            if found != expected:
+            if count != expected:
                 raise TrajectoryError(
-                    f"plan: {field} has {found} columns, but scene {scene.name} has {expected} {what}."
+                    f"plan: {field} has {count} columns, but scene {scene.name} has {expected} {what}."
                 )
         if scene.nf and self.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
             raise TrajectoryError(
@@ -196,43 +193,30 @@ class Trajectory:
 
     @property
     def duration(self) -> float:
-        """From the first node to the last [s]."""
+        """Return the time from the first node to the last [s]."""
         return float(self.t[-1] - self.t[0])
 
     def from_zero(self, start: float = 0.0) -> Trajectory:
         """Return the plan with its first row at `start` [s].
 
-        Integrators lose the digits within a step of a clock that shows 1.7e9 s.
+        Integrators lose digits within a step at clock times such as 1.7e9 s.
         """
         if self.t[0] == start:
             return self
-        digits = int(
-            np.floor(-np.log10(np.spacing(np.abs(self.t).max())))
-        )  # what the clock could tell apart
+        # Digits that the clock resolves.
+        digits = int(np.floor(-np.log10(np.spacing(np.abs(self.t).max()))))
         return replace(self, t=start + np.round(self.t - self.t[0], digits))
 
     @property
     def has_states(self) -> bool:
-        """Whether its author says positions."""
+        """Return whether the plan has positions."""
         return "q" not in self.missing
 
     def with_inputs_in(self, scale: np.ndarray, offset: np.ndarray) -> Trajectory:
-        """The plan with inputs scale * u + offset: in the units of an FMU that has others.
+        """Return the plan with inputs scale * u + offset, in the units of an FMU.
 
-        Parameters
-        ----------
-        scale, offset
-            (nu,) each; the scale in units of the FMU per unit of the scene [-], the offset in those of the FMU.
-
-        Returns
-        -------
-        Trajectory
-            The same plan otherwise.
-
-        Raises
-        ------
-        ValueError
-            For another number of inputs.
+        scale and offset are (nu,), in FMU units [per unit of the scene]. Raises ValueError for
+        another number of inputs.
         """
         return replace(
             self,
@@ -241,7 +225,7 @@ class Trajectory:
         )
 
     def has_uniform_grid(self) -> bool:
-        """Whether all steps are equal to rounding."""
+        """Return whether all steps are equal up to rounding."""
         return bool(
             np.allclose(np.diff(self.t), (self.t[-1] - self.t[0]) / self.steps, rtol=1e-9, atol=0.0)
         )
@@ -252,14 +236,10 @@ class Trajectory:
         return f"Trajectory({self.steps} steps, {self.duration:g} s, {sizes}, {self.hold.value}, {scheme})"
 
     def to_dataframe(self, scene: Scene) -> pd.DataFrame:
-        """A row a node, columns as in a CSV (`column_names`).
+        """Return a row per node, with columns as in a CSV (`column_names`).
 
-        Of the last row, which begins no step, inputs and forces are NaN.
-
-        Raises
-        ------
-        MachineError : pandas is not installed.
-        TrajectoryError : it is a plan of another scene.
+        Inputs and forces of the last row are NaN. Raises MachineError without pandas,
+        TrajectoryError for a plan of another scene.
         """
         self.check_fits(scene)
         names, last = column_names(scene), np.full((1, self.u.shape[1] + self.lam.shape[1]), np.nan)
@@ -277,35 +257,36 @@ class Trajectory:
         )
 
     def plot(self, scene: Scene, motion: Any = None) -> np.ndarray:
-        """Draw positions, velocities, forces and inputs over time, a panel for each that the plan says; with matplotlib.
+        """Plot the available positions, velocities, forces and inputs over time with matplotlib.
 
         Parameters
         ----------
         motion
-            What the plan is drawn beside: its replay, or anything else with t (n,) [s], q, v, lam and friction (n, ..); the plan is dotted then.
+            A replay, or another object with t (n,) [s], q, v, lam and friction (n, ..); the plan is
+            then dotted.
 
         Returns
         -------
         np.ndarray
-            (panels,) matplotlib Axes [s, and the unit of each quantity]; `axes[0].figure.savefig(..)` writes them.
+            (panels,) matplotlib Axes [s, and the unit of each quantity].
 
         Raises
         ------
-        MachineError : matplotlib is not installed.
-        TrajectoryError : it is a plan of another scene, or says nothing that can be drawn.
+        MachineError : if matplotlib is not installed
+        TrajectoryError : for a plan of another scene, or without data
         """
         self.check_fits(scene)
         names, units = column_names(scene), _units(scene)
         plan = {part: getattr(self, part) for part in _TITLES if part not in self.missing}
-        beside = (
+        replay = (
             {}
             if motion is None
             else {"q": motion.q, "v": motion.v, "lam": np.hstack([motion.lam, motion.friction])}
         )
-        parts = [part for part in _TITLES if names[part] and (part in plan or part in beside)]
+        parts = [part for part in _TITLES if names[part] and (part in plan or part in replay)]
         if not parts:
             raise TrajectoryError(
-                f"plan: it says nothing but times of scene {scene.name}, so that there is nothing to draw."
+                f"plan: it has only times of scene {scene.name}, so there is nothing to draw."
             )
         try:
             import matplotlib.pyplot as plt
@@ -322,12 +303,11 @@ class Trajectory:
         )
         for axis, part in zip(axes[:, 0], parts, strict=True):
             for index, name in enumerate(names[part]):
-                color, replayed = f"C{index}", motion is not None and part in beside
+                color, replayed = f"C{index}", motion is not None and part in replay
                 if part in plan:
                     values = plan[part][:, index]
-                    if len(values) < len(
-                        self.t
-                    ):  # one a step: held, or a line to what the last step heads for
+                    # One value per step: constant, or a line to the end of the last step.
+                    if len(values) < len(self.t):
                         values = np.append(
                             values,
                             values[-1]
@@ -346,7 +326,7 @@ class Trajectory:
                     )
                 if motion is not None and replayed:
                     axis.plot(
-                        motion.t, beside[part][:, index], color=color, label=f"{name}, replay"
+                        motion.t, replay[part][:, index], color=color, label=f"{name}, replay"
                     )
             axis.set_ylabel(
                 f"{_TITLES[part]} [{', '.join(dict.fromkeys(units[name] for name in names[part]))}]"
@@ -358,7 +338,7 @@ class Trajectory:
 
 
 def data_frame(columns: Mapping[str, Any]) -> pd.DataFrame:
-    """A pandas DataFrame of columns by name. Raises MachineError where pandas is not installed."""
+    """Return a pandas DataFrame of columns by name. Raises MachineError without pandas."""
     try:
         import pandas as pd
     except ImportError as error:
@@ -369,23 +349,12 @@ def data_frame(columns: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def uniform_grid(step: float, steps: int) -> np.ndarray:
-    """Times n*step from 0, never a running sum.
-
-    Parameters
-    ----------
-    step
-        Distance of two times [s].
-
-    Returns
-    -------
-    np.ndarray
-        (steps + 1,) [s].
-    """
+    """Return times n*step (steps + 1,) [s] from 0, without accumulated rounding. Raises nothing."""
     return step * np.arange(steps + 1)
 
 
 def columns_of(scene: Scene) -> dict[str, list[tuple[str, str, str]]]:
-    """(name, unit, description) of the columns of q, v, u, lam in files."""
+    """Return (name, unit, description) of the columns of q, v, u, lam in files."""
     return {
         "q": [(item.name, item.unit, item.description) for item in scene.coordinates],
         "v": [
@@ -402,18 +371,18 @@ def columns_of(scene: Scene) -> dict[str, list[tuple[str, str, str]]]:
 
 
 def column_names(scene: Scene) -> dict[str, tuple[str, ...]]:
-    """Names of the columns of q, v, u, lam in files and FMUs."""
+    """Return the column names of q, v, u, lam in files and FMUs."""
     return {group: tuple(name for name, _, _ in rows) for group, rows in columns_of(scene).items()}
 
 
 def grouped_names(scene: Scene) -> dict[str, tuple[str, ...]]:
-    """Names of the columns of q, v, u, lam and friction, of which a plan says or does not say each."""
+    """Return the column names of q, v, u, lam and friction, the groups of a plan."""
     names = column_names(scene)
     return {**names, "lam": names["lam"][: scene.nc], "friction": names["lam"][scene.nc :]}
 
 
 def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
-    """Write a plan as CSV (17 significant digits: it reads back bit for bit), without the columns that its author did not say."""
+    """Write a plan as CSV with 17 significant digits (exact), without missing groups."""
     trajectory.check_fits(scene)
     plan, names = trajectory, grouped_names(scene)
     held = next(word for word, hold in HOLDS.items() if hold is plan.hold)
@@ -445,27 +414,26 @@ def read_csv(
     scheme: Scheme | str | None = None,
     ignore: Sequence[str] = (),
 ) -> Trajectory:
-    """Read a plan written by anybody.
+    """Read a plan from a CSV file.
 
-    Cells are apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are
-    comments. A column may say its unit, `q1 [m]`, which must then be the scene's. A column without
-    a number is none. `t` and the inputs are needed; positions, velocities, contact forces and
-    friction forces may be absent, each group whole. Then positions stand still at the task's start,
-    forces are 0, velocities central differences with the task's velocities at the start. A plan of inputs alone whose last row has inputs, and which
-    would last as long as the task with one more step, gets that step.
+    Cells are separated by comma, semicolon (then 0,5 is a number) or tab; lines with # are
+    comments. A column may state its unit, `q1 [m]`, which must be the scene's. Empty columns count
+    as missing. `t` and the inputs are required; positions, velocities, contact forces and friction
+    forces may be missing as whole groups. Substitutes are the task's start positions, zero forces,
+    and central differences as velocities with the task's at the start. A plan of inputs only, with
+    inputs in its last row, gets one more step if it then lasts as long as the task.
 
     Parameters
     ----------
     hold, scheme
-        The same as a comment `# hold: ..` or `# scheme: ..` declares; None: as declared, else zero
-        and none.
+        As declared by `# hold: ..` or `# scheme: ..`; None: as declared, else zero and none.
     ignore
-        Names of columns that are left out, as those that the scene does not have.
+        Names of columns to ignore.
 
     Returns
     -------
     Trajectory
-        The plan; its `missing` names the groups of columns that the file lacks.
+        The plan; `missing` are the groups that the file lacks.
 
     Raises
     ------
@@ -473,19 +441,16 @@ def read_csv(
         Naming the file, the line and the column.
     """
     table = PlanTable(path, ignore)
-    asked = as_scheme(scheme)
-    if asked is not None and table.declared.setdefault("scheme", asked.value) != asked.value:
+    option = as_scheme(scheme)
+    if option is not None and table.declared.setdefault("scheme", option.value) != option.value:
         raise TrajectoryError(
-            f"{table.where}: it declares the scheme {table.declared['scheme']!r}, but {asked.value!r} is asked for; leave one of the two out."
+            f"{table.where}: it declares the scheme {table.declared['scheme']!r}, but {option.value!r} is requested; leave one of the two out."
         )
     return trajectory_from(table, scene, hold)
 
 
 def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) -> Trajectory:
-    """A plan of a scene from a table of columns; as `read_csv`, which says what may be absent.
-
-    Raises TrajectoryError.
-    """
+    """Return a plan of a scene from a table, as `read_csv`. Raises TrajectoryError."""
     where, header, names, groups = (
         table.where,
         table.names,
@@ -508,8 +473,8 @@ def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) 
     for column, unit in _units(scene).items():
         table.check_unit(column, unit)
     scheme, hold = declared_scheme(table), declared_hold(table, hold)
-    asked = None if "q" not in missing else (scene.task.horizon, scene.task.step / 2.0)
-    t, u, u_end = times_and_inputs(table, "t", names["u"], hold, asked)
+    expected = None if "q" not in missing else (scene.task.horizon, scene.task.step / 2.0)
+    t, u, u_end = times_and_inputs(table, "t", names["u"], hold, expected)
     steps = len(t) - 1
     start = np.array(scene.task.start, dtype=float)
     if "q" in missing:
@@ -524,7 +489,7 @@ def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) 
         elif (np.diff(t) > 0).all():
             v = _velocities(t, q, scene)
         else:
-            v = np.zeros_like(q)  # the times are refused below, in Trajectory's words
+            v = np.zeros_like(q)  # `Trajectory` refuses the times below
     forces = [
         table.column(name, last_is_open=steps < table.rows)
         if name in table.given
@@ -543,19 +508,17 @@ def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) 
 
 
 def missing_groups(table: Table, groups: Mapping[str, Sequence[str]]) -> frozenset[str]:
-    """Which of the groups q, v, lam, friction of columns a table does not have, or has empty.
+    """Return the groups q, v, lam, friction that are missing or empty in a table.
 
-    A group without columns is no one's to give.
-
-    Raises TrajectoryError for a group that is there in part, and for velocities without positions.
+    Raises TrajectoryError for a partial group, and for velocities without positions.
     """
     where, header = table.where, table.given
     for columns in groups.values():
-        given = [name for name in columns if name in header]
-        if given and len(given) < len(columns):
+        present = [name for name in columns if name in header]
+        if present and len(present) < len(columns):
             absent = next(name for name in columns if name not in header)
             raise TrajectoryError(
-                f"{where}: {lack_of(table, absent)} beside {given[0]!r}; give {', '.join(columns)}, or none of them."
+                f"{where}: {lack_of(table, absent)}, but {present[0]!r} is present; give {', '.join(columns)}, or none of them."
             )
     missing = frozenset(
         group for group, columns in groups.items() if columns and columns[0] not in header
@@ -568,10 +531,7 @@ def missing_groups(table: Table, groups: Mapping[str, Sequence[str]]) -> frozens
 
 
 def check_increasing(t: np.ndarray, where: str) -> None:
-    """Check that times (nodes,) [s] increase; where: whose times, for the message.
-
-    Raises TrajectoryError if they do not.
-    """
+    """Raise TrajectoryError unless times (nodes,) [s] increase; `where` names their owner."""
     later = np.diff(t) > 0.0
     if later.all():
         return
@@ -587,39 +547,23 @@ def check_increasing(t: np.ndarray, where: str) -> None:
 
 
 def times_and_inputs(
-    table: Table, time: str, columns: Sequence[str], hold: Hold, asked: tuple[float, float] | None
+    table: Table,
+    time: str,
+    columns: Sequence[str],
+    hold: Hold,
+    expected: tuple[float, float] | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Times and inputs of a table.
+    """Return times t (nodes,) [s], inputs u (steps, nu) [SI] and u_end (nu,) or None of a table.
 
-    A plan of inputs alone whose last row has inputs, and which is as long as the task only with one
-    more step, gets that step.
-
-    Parameters
-    ----------
-    time, columns
-        Names of the columns.
-    asked
-        How long the task is, and how near to that is as long [s]; None: no step is added.
-
-    Returns
-    -------
-    t
-        (nodes,) [s].
-    u
-        (steps, nu), in the units of the columns.
-    u_end
-        (nu,) at the last node, or None.
-
-    Raises
-    ------
-    TrajectoryError
-        For a cell that is no finite number.
+    A plan of inputs only, with inputs in its last row, gets one more step if it then lasts as long
+    as `expected` = (duration, tolerance) [s]; None adds no step. time and columns are names. Raises
+    TrajectoryError for a cell that is no finite number.
     """
     t = table.column(time, last_is_open=False)
     check_increasing(t, table.where)
     ends = bool(columns) and all(table.has_last(name) for name in columns)
-    if asked is not None and ends:
-        t = _with_a_last_step(t, *asked)
+    if expected is not None and ends:
+        t = _with_a_last_step(t, *expected)
     steps = len(t) - 1
     inputs = [table.column(name, last_is_open=steps < table.rows) for name in columns]
     u = np.column_stack(inputs) if inputs else np.zeros((steps, 0))
@@ -630,56 +574,47 @@ def times_and_inputs(
     except TrajectoryError:
         if hold is Hold.LINEAR:
             raise
-        return t, u, None  # a held input has no use for it, whatever stands there
+        return t, u, None  # a constant input does not use it
 
 
 def declared_scheme(table: Table) -> Scheme | None:
-    """The scheme that the lines above a table declare.
-
-    Raises TrajectoryError for one that is unknown.
-    """
+    """Return the declared scheme of a table. Raises TrajectoryError for an unknown one."""
     return as_scheme(table.declared.get("scheme"), table.where)
 
 
 def declared_hold(table: Table, hold: Hold | str | None, who: str = "--hold") -> Hold:
-    """The hold that the lines above a table declare, else zero.
+    """Return the declared hold of a table, else zero.
 
-    hold: what `who` asks for beside, which must not be another. Raises TrajectoryError.
+    hold: requested by `who`, must not contradict. Raises TrajectoryError.
     """
-    asked, declared = (
+    requested, declared = (
         None if value is None else as_hold(value, table.where)
         for value in (hold, table.declared.get("hold"))
     )
-    if asked is not None and declared not in (None, asked):
+    if requested is not None and declared not in (None, requested):
         raise TrajectoryError(
-            f"{table.where}: it declares the hold {table.declared['hold']!r}, but {who} asks for another; leave one of the two out."
+            f"{table.where}: it declares the hold {table.declared['hold']!r}, but {who} requests another; leave one of the two out."
         )
-    return declared or asked or Hold.ZERO_ORDER
+    return declared or requested or Hold.ZERO_ORDER
 
 
-def _with_a_last_step(t: np.ndarray, asked: float, near: float) -> np.ndarray:
-    """The times of a plan of inputs alone with the end of its last step, where only with it the plan lasts as long as is asked, but for `near` [s]."""
+def _with_a_last_step(t: np.ndarray, expected: float, near: float) -> np.ndarray:
+    """Append the end of the last step if the plan then lasts as expected, within `near` [s]."""
     if not (np.diff(t) > 0).all():
         return t
     longer = np.append(t, 2.0 * t[-1] - t[-2])
-    return longer if abs(t[-1] - t[0] - asked) > near >= abs(longer[-1] - t[0] - asked) else t
+    return longer if abs(t[-1] - t[0] - expected) > near >= abs(longer[-1] - t[0] - expected) else t
 
 
 def _meant(column: str, known: list[str]) -> str:
-    """What somebody who wrote this may have meant, as the beginning of a sentence.
-
-    Nothing if no name is near.
-    """
     folded = {name.lower(): name for name in known}
     folded.setdefault("time", "t")
-    near = nearest(
-        column.partition("(")[0].strip().lower(), folded
-    )  # who writes a unit, `q1 (m)`, means the column before it
+    # The name before a unit, `q1 (m)`.
+    near = nearest(column.partition("(")[0].strip().lower(), folded)
     return "" if near is None else f"did you mean {folded[near]!r}? "
 
 
 def _units(scene: Scene) -> dict[str, str]:
-    """Column -> the unit it is in."""
     columns = columns_of(scene)
     return {
         "t": "s",
@@ -688,7 +623,6 @@ def _units(scene: Scene) -> dict[str, str]:
 
 
 def _velocities(t: np.ndarray, q: np.ndarray, scene: Scene) -> np.ndarray:
-    """Return the task's start velocities and behind them differences, (nodes, nq)."""
     v = np.gradient(q, t, axis=0, edge_order=2 if len(t) > 2 else 1)
     v[0] = scene.task.start[scene.nq :]
     return v
@@ -697,7 +631,9 @@ def _velocities(t: np.ndarray, q: np.ndarray, scene: Scene) -> np.ndarray:
 def input_share(
     t: np.ndarray, added: np.ndarray, own: np.ndarray, scale: np.ndarray
 ) -> float | None:
-    """Return the share of feedback in the inputs, as root mean squares of averages over windows.
+    """Return the share of feedback in the inputs [-], by root mean squares of window averages.
+
+    None if the plan's inputs are zero and the feedback is not.
 
     Parameters
     ----------
@@ -707,11 +643,6 @@ def input_share(
         Means over each step (steps, nu) of the feedback and of the plan's inputs [N, N m].
     scale
         Half the range of each input (nu,) [N, N m].
-
-    Returns
-    -------
-    float | None
-        [-]; None if the plan's own inputs are zero and the feedback is not.
 
     Raises
     ------

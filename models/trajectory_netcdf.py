@@ -1,12 +1,8 @@
-"""Plans in NetCDF-4 files: one variable a column, named and with units as the scene has them.
+"""Write and read plans in NetCDF-4 files, one variable per column, named as in the scene.
 
-write_netcdf(path, trajectory, scene)
-trajectory = read_netcdf(path, scene)        # bit for bit what was written
-
-Beside the plan stand the gaps of its contacts and the poses of the scene's shapes at its nodes
-(models.kinematics), in single precision: the report draws them without the scene. A
-plan may have tracking gains with it, K (steps, nu, 2*nq) of u = u_plan + K (x_plan - x), as columns
-`gain_<input>_<position or velocity>`.
+The file also contains the gaps of contacts and the poses of shapes at the nodes (models.kinematics)
+in single precision, for reports without the scene, and optional tracking gains K (steps, nu, 2*nq)
+as columns `gain_<input>_<position or velocity>`.
 """
 
 from __future__ import annotations
@@ -30,17 +26,8 @@ def write_netcdf(
 ) -> None:
     """Write a plan, and its tracking gains.
 
-    Parameters
-    ----------
-    gains
-        K (steps, nu, 2*nq) of u = u_plan + K (x_plan - x) [N/m, N s/m and so on]; None: no gains.
-
-    Raises
-    ------
-    TrajectoryError
-        If they do not fit the scene.
-    MachineError
-        If the file cannot be written.
+    gains: K (steps, nu, 2*nq) of u = u_plan + K (x_plan - x) [N/m, N s/m and so on], or None
+    Raises TrajectoryError if they do not fit the scene, MachineError if the file cannot be written.
     """
     trajectory.check_fits(scene)
     columns = [

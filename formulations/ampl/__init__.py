@@ -1,8 +1,6 @@
-"""AMPL's files: `.nl` problems read as Pyomo models, and a solver that AMPL, JuMP, GAMS' convert and Pyomo's `asl:` can call.
+"""AMPL's `.nl` files as Pyomo models, and a solver command for AMPL, JuMP, GAMS and Pyomo's `asl:`.
 
-from formulations.ampl import read_nl
-# a plain ConcreteModel, with Complementarity where rows complement variables
-model = read_nl("bard1.nl")
+model = read_nl("bard1.nl")  # a ConcreteModel, with Complementarity
 pyo.SolverFactory("mpec_ipopt").solve(model)
 
 touchstone-mpec bard1 -AMPL strategy=scholtes  # in the shell: reads bard1.nl, writes bard1.sol

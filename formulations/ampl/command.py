@@ -1,14 +1,11 @@
-"""`touchstone-mpec STUB -AMPL [name=value ..]`: the MPEC solver as AMPL calls its solvers.
+"""`touchstone-mpec STUB -AMPL [name=value ..]`: the MPEC solver as a solver of AMPL.
 
-    touchstone-mpec bard1                        reads bard1.nl, prints how it ended
-    touchstone-mpec bard1 -AMPL strategy=scholtes
-        writes bard1.sol instead, for AMPL, JuMP (AmplNLWriter) or Pyomo (`SolverFactory("asl:touchstone-mpec")`)
-    touchstone-mpec -=                           names the options
+    touchstone-mpec bard1                          read bard1.nl, print the result
+    touchstone-mpec bard1 -AMPL strategy=scholtes  write bard1.sol, for AMPL, JuMP or Pyomo
+    touchstone-mpec -=                             list the options
 
-Options also come from the environment: `touchstone_mpec_options='strategy=scholtes max_iter=500'`;
-those of the command line count last.
-
-AMPL's `.sol` files: how a solve ended, duals, values and suffixes, in the order of the `.nl` file.
+The environment variable touchstone_mpec_options='strategy=scholtes max_iter=500' sets options too;
+those of the command line have priority.
 """
 
 from __future__ import annotations
@@ -23,7 +20,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import pyomo.environ  # noqa: F401 - before anything of ours that needs it, once
+import pyomo.environ  # noqa: F401 - before our own modules that need it
 
 from formulations.ampl.nl import Header, NlError, NlProblem, read_problem
 from formulations.ipopt import MissingValueError, ModelRefusedError, UnknownOptionError
@@ -33,10 +30,10 @@ from formulations.mpec.solve import solve_mpec
 from formulations.solution import Outcome
 
 NAME = "touchstone-mpec"
-# Where AMPL puts its options: the solver's name and `_options`.
+# AMPL's environment variables for options.
 _ENVIRONMENT = ("touchstone_mpec_options", f"{NAME}_options")
 _USAGE = f"usage: {NAME} STUB [-AMPL] [name=value ..]     (STUB.nl is read; with -AMPL, STUB.sol is written; {NAME} -= names the options)"
-# Of the command itself; the others are those of `mpec_ipopt` and of Ipopt.
+# Options of the command; further ones are those of `mpec_ipopt` and of Ipopt.
 _OWN = {
     "objno": "which objective, from 1; 0 for none (1)",
     "relax_integers": "1: integer variables become continuous (0)",
@@ -45,25 +42,25 @@ _OWN = {
 }
 
 
-# AMPL's codes from here on are of problems without a solution.
+# AMPL's smallest code of a problem without a solution.
 _NO_SOLUTION = 200
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the command.
+    """Run the command and return its exit code.
 
-    The exit code is 0 where an answer was written for AMPL or a solution printed, 1 where none was
-    found, 2 for what cannot be read, 3 where the answer cannot be written.
+    0: an answer was written for AMPL or a solution printed; 1: no solution; 2: invalid input;
+    3: the answer cannot be written.
     """
-    given = list(sys.argv[1:] if words is None else words)
+    arguments = list(sys.argv[1:] if words is None else words)
     flags, rest = (
-        [word for word in given if word.startswith("-")],
-        [word for word in given if not word.startswith("-")],
+        [word for word in arguments if word.startswith("-")],
+        [word for word in arguments if not word.startswith("-")],
     )
     if "-v" in flags or "--version" in flags:
-        return _told(f"{NAME} {metadata.version('touchstone-contact')}")
+        return _print(f"{NAME} {metadata.version('touchstone-contact')}")
     if "-=" in flags:
-        return _told(_options_in_words())
+        return _print(_options_in_words())
     stubs = [word for word in rest if "=" not in word]
     if len(stubs) != 1 or set(flags) - {"-AMPL", "-s"} or "-?" in flags:
         print(_USAGE, file=sys.stderr)
@@ -82,37 +79,35 @@ def main(words: Sequence[str] | None = None) -> int:
     except _UnwrittenError as unwritten:
         print(f"{NAME}: {unwritten}", file=sys.stderr)
         return 3
-    written = _told(message) if message else 0
+    written = _print(message) if message else 0
     return written or (1 if code >= _NO_SOLUTION and not for_ampl else 0)
 
 
-def _told(text: str) -> int:
-    """Print it; the exit code."""
-    if sys.stdout is None:  # Python's way to say that it was closed
+def _print(text: str) -> int:
+    if sys.stdout is None:  # standard output is closed
         print(f"{NAME}: the answer cannot be written: standard output is closed.", file=sys.stderr)
         return 3
     try:
         print(text, flush=True)
     except OSError as error:
-        os.dup2(
-            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-        )  # what the stream still holds is not tried again as Python ends
+        # Python does not flush the stream again at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         print(f"{NAME}: the answer cannot be written: {error.strerror}.", file=sys.stderr)
         return 3
     return 0
 
 
 class _RefusedError(Exception):
-    """What ends the command with exit code 2, in one sentence."""
+    """Exit code 2, with one sentence."""
 
 
 class _UnwrittenError(Exception):
-    """What ends the command with exit code 3, in one sentence."""
+    """Exit code 3, with one sentence."""
 
 
 def _solved(stub: Path, words: list[str], for_ampl: bool) -> tuple[str, int]:
     """Solve, and write the answer for AMPL; return the text to print and AMPL's code."""
-    own, others = _split(words)
+    own, solver_options = _split(words)
     try:
         problem = read_problem(
             stub, objective=own["objno"], relax_integers=bool(own["relax_integers"])
@@ -124,7 +119,9 @@ def _solved(stub: Path, words: list[str], for_ampl: bool) -> tuple[str, int]:
     values: Sequence[float] = ()
     of_rows: dict[str, dict[int, float]] = {}
     try:
-        result = solve_mpec(problem.model, read_settings(others), time_limit=own["timelimit"])
+        result = solve_mpec(
+            problem.model, read_settings(solver_options), time_limit=own["timelimit"]
+        )
         message, code = f"{NAME}: {_sentence(result)}", _code(result)
         if result.has_point:
             duals, values, of_rows = (
@@ -156,12 +153,9 @@ def _solved(stub: Path, words: list[str], for_ampl: bool) -> tuple[str, int]:
 
 
 def _split(words: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The command's own options, with their defaults, and the solver's.
-
-    Raises _RefusedError for values that are none.
-    """
+    """Split options into the command's, with defaults, and the solver's; raise _RefusedError."""
     own: dict[str, Any] = {"objno": 1, "relax_integers": 0, "timelimit": None, "outlev": None}
-    others: dict[str, Any] = {}
+    solver_options: dict[str, Any] = {}
     for word in words:
         name, is_set, text = word.partition("=")
         if not name or not is_set or not text:
@@ -176,7 +170,7 @@ def _split(words: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
             except ValueError:
                 continue
         if name not in own:
-            others[name] = value
+            solver_options[name] = value
         elif (
             isinstance(value, str)
             or not math.isfinite(value)
@@ -190,7 +184,7 @@ def _split(words: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
             own[name] = value
     if own["timelimit"] == 0:
         own["timelimit"] = None
-    return own, others
+    return own, solver_options
 
 
 def _options_in_words() -> str:
@@ -211,7 +205,6 @@ def _sentence(result: MpecResult) -> str:
 
 
 def _code(result: MpecResult) -> int:
-    """AMPL's code; a feasible point without a proof is 100."""
     codes = {
         Outcome.SOLVED: 0,
         Outcome.INFEASIBLE: 200,
@@ -226,12 +219,8 @@ def _code(result: MpecResult) -> int:
 
 
 def _values(problem: NlProblem, result: MpecResult) -> list[float]:
-    """(variables,) values in the order of the file.
-
-    A variable that no row mentions keeps its start, within its bounds.
-    """
-    found = dict(zip(map(id, result.variables), result.x.tolist(), strict=True))
-    return [found.get(id(variable), _at_rest(variable)) for variable in problem.variables]
+    values = dict(zip(map(id, result.variables), result.x.tolist(), strict=True))
+    return [values.get(id(variable), _at_rest(variable)) for variable in problem.variables]
 
 
 def _at_rest(variable: Any) -> float:
@@ -243,22 +232,23 @@ def _at_rest(variable: Any) -> float:
 
 
 def _suffixes(problem: NlProblem, result: MpecResult) -> dict[str, dict[int, float]]:
-    """`pair_dual` of each row that complements a variable: the multiplier of the variable's side."""
-    found = {id(pair): both for pair, both in result.pair_multipliers}
-    numbers = {k: found[id(row)][1] for k, row in enumerate(problem.rows) if id(row) in found}
+    multipliers = {id(pair): both for pair, both in result.pair_multipliers}
+    numbers = {
+        k: multipliers[id(row)][1] for k, row in enumerate(problem.rows) if id(row) in multipliers
+    }
     return {"pair_dual": numbers} if numbers else {}
 
 
 def _duals(problem: NlProblem, result: MpecResult) -> list[float]:
-    """(rows,) duals in AMPL's signs: the change of the objective by the right-hand side, of a complementarity by what its body is compared with."""
+    """Return the duals (rows,) in AMPL's signs: change of the objective per right-hand side."""
     if not result.has_multipliers:
         return []
-    found = dict(zip(map(id, result.rows), (-result.sense * result.lagrange).tolist(), strict=True))
-    found |= {id(pair): both[0] for pair, both in result.pair_multipliers}
-    return [found.get(id(row), 0.0) for row in problem.rows]
+    duals = dict(zip(map(id, result.rows), (-result.sense * result.lagrange).tolist(), strict=True))
+    duals |= {id(pair): both[0] for pair, both in result.pair_multipliers}
+    return [duals.get(id(row), 0.0) for row in problem.rows]
 
 
-# A suffix's kind: 1 for rows, and 4 for numbers that are not whole.
+# Kind of a suffix: 1 for rows, plus 4 for real numbers.
 _REAL_OF_ROWS = 1 + 4
 
 
@@ -273,24 +263,15 @@ def write_sol(
     objective: int,
     of_rows: Mapping[str, Mapping[int, float]],
 ) -> None:
-    """Write a solution.
+    """Write a solution file.
 
-    Parameters
-    ----------
-    path : the file
-    header : of the `.nl` file
-    message : sentences for the user; empty lines are left out, since the first one ends the message
-    code : AMPL's: 0 to 99 solved, 100 a point without its proof, 200 infeasible, 300 unbounded, 400
-        a limit, 500 a failure
-    duals : (rows,) change of the objective by the right-hand side; empty if there are none
-    values : (variables,) empty if there is no point
-    objective : the objective that was solved, from 1
-    of_rows : suffixes, each with a number for some rows
-
-    Raises
-    ------
-    OSError
-        where the file cannot be written
+    message: text for the user, without its empty lines, since the first one ends the message
+    code: AMPL's: 0 solved, 100 a point without proof, 200 infeasible, 300 unbounded, 400 a limit,
+        500 a failure
+    duals, values: (rows,) and (variables,), or empty
+    objective: number of the solved objective, from 1
+    of_rows: suffixes, with numbers by row
+    Raises OSError if the file cannot be written.
     """
     count, *options = header.options or ("0",)
     has_tolerance = len(options) > 2 and options[1] == "3"

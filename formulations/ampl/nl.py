@@ -1,17 +1,14 @@
-"""A `.nl` file as a Pyomo model: text and binary of either byte order, with complementarity rows, common expressions, suffixes and ranges.
+"""Read a `.nl` file, text or binary, as a Pyomo model.
 
     model = read_nl("bard1.nl")
-    model.x  # variables, by the names of bard1.col if that file is there, else by number from 0
-    # constraints and complementarities, by the names of bard1.row, else by number; a row is in one
-    # of the two
-    model.row, model.pair
-    model.objective         # by number; one is active
-    model.defined           # common expressions, by number
-    model.dual, ..          # start values of duals, and the file's suffixes
+    model.x  # variables, by the names of bard1.col, or by number from 0
+    model.row, model.pair  # constraints and complementarities, by the names of bard1.row
+    model.objective, model.defined  # objectives and common expressions, by number
+    model.dual, ..  # start values of duals, and the file's suffixes
 
-The format is D. M. Gay's, "Writing .nl Files" (2005). A row `5 k i` says that its body complements
-variable i - 1: k = 1: `0 <= body _|_ x >= lower`; k = 2: `0 >= body _|_ x <= upper`; k = 3: `body
-_|_ lower <= x <= upper`; k = 0: `body == 0`.
+The format is D. M. Gay's, "Writing .nl Files" (2005). A row `5 k i` complements variable i - 1:
+k = 1: `0 <= body _|_ x >= lower`; k = 2: `0 >= body _|_ x <= upper`; k = 3: `body _|_ lower <= x <=
+upper`; k = 0: `body == 0`.
 """
 
 from __future__ import annotations
@@ -39,25 +36,21 @@ def read_nl(
 
     Parameters
     ----------
-    path : the file; `.nl` may be left out
-    objective : which objective is active, from 1; 0 for none
+    path : the file; `.nl` may be omitted
+    objective : number of the active objective, from 1; 0 for none
     relax_integers : whether integer and binary variables become continuous within their bounds
 
     Raises
     ------
     NlError
-        for a file that is not there, is cut off or damaged, or holds what cannot be expressed, with
-        the place in the file
+        for a missing or damaged file, or content that a smooth model cannot express
     """
     return read_problem(path, objective=objective, relax_integers=relax_integers).model
 
 
 @dataclass(frozen=True, kw_only=True)
 class NlProblem:
-    """A model and the order of its file, in which a `.sol` file answers.
-
-    rows: a constraint or a complementarity for each row
-    """
+    """A model in the order of its file; rows are constraints or complementarities."""
 
     file: Path
     header: Header
@@ -85,7 +78,7 @@ def read_problem(
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """The counts of a file's first ten lines; `options` are AMPL's, which a `.sol` file repeats."""
+    """The counts in a file's first ten lines; a `.sol` file repeats AMPL's `options`."""
 
     letter: str
     options: tuple[str, ...]
@@ -104,13 +97,7 @@ _HEADER_LINES = 10
 
 
 def read_header(file: Path, data: bytes) -> tuple[Header, int]:
-    """Read the first ten lines: the counts, and the byte at which the problem begins.
-
-    Raises
-    ------
-    NlError
-        for what is no `.nl` file, or one whose header is damaged
-    """
+    """Return the header and the byte at which the problem begins; raise NlError if damaged."""
     lines = data.split(b"\n", _HEADER_LINES)
     letter = data[:1].decode("latin-1")
     if letter not in "gbz" or len(lines) <= _HEADER_LINES:
@@ -121,14 +108,14 @@ def read_header(file: Path, data: bytes) -> tuple[Header, int]:
 
     def numbers(line: int, least: int, most: int) -> list[int]:
         try:
-            found = [int(word) for word in texts[line - 1][:most]]
+            counts = [int(word) for word in texts[line - 1][:most]]
         except ValueError:
-            found = []
-        if len(found) < least or min(found, default=0) < 0:
+            counts = []
+        if len(counts) < least or min(counts, default=0) < 0:
             raise NlError(
                 f"{file}, line {line}: at least {least} whole numbers should stand here, not '{' '.join(texts[line - 1])}'."
             )
-        return found + [0] * (most - len(found))
+        return counts + [0] * (most - len(counts))
 
     variables, rows, objectives, _, _, logical = numbers(2, 3, 6)
     in_rows, in_objectives, in_both = numbers(5, 2, 3)
@@ -145,7 +132,7 @@ def read_header(file: Path, data: bytes) -> tuple[Header, int]:
         )
     if not variables:
         raise NlError(f"{file} has no variables.")
-    if variables + rows > len(data):  # each has a bound of a byte at least
+    if variables + rows > len(data):  # each has a bound of at least one byte
         raise NlError(
             f"{file}, line 2: {variables} variables and {rows} rows do not fit into {len(data)} bytes; the file is damaged or cut short."
         )
@@ -165,7 +152,7 @@ def read_header(file: Path, data: bytes) -> tuple[Header, int]:
     return header, sum(len(line) + 1 for line in lines[:_HEADER_LINES])
 
 
-# Opcodes with one, two, and any number of arguments; Gay's table 6. What is smooth, or may be at
+# Opcodes with one, two, and any number of arguments (Gay's table 6) that are smooth, or can be at
 # the answer.
 _UNARY: dict[int, Callable[[Any], Any]] = {
     15: abs, 16: neg, 37: pyo.tanh, 38: pyo.tan, 39: pyo.sqrt, 40: pyo.sinh, 41: pyo.sin,
@@ -200,8 +187,6 @@ _REFUSED = {
 
 
 class _Reader:
-    """One file on its way to a model."""
-
     def __init__(self, file: Path, data: bytes) -> None:
         self.file = file
         self.header, begin = read_header(file, data)
@@ -233,7 +218,6 @@ class _Reader:
         self.duals: list[tuple[int, float]] = []
 
     def read(self) -> None:
-        """Read every segment."""
         source = self.source
         while not source.at_end():
             code = source.code()
@@ -284,7 +268,7 @@ class _Reader:
                 case "k" | "K":
                     for _ in range(
                         source.values("i")[0]
-                    ):  # lengths of the Jacobian's columns, which its rows say too
+                    ):  # lengths of the Jacobian's columns, redundant
                         source.values("i")
                 case "S":
                     kind, count, name = source.values("iis")
@@ -310,17 +294,17 @@ class _Reader:
         for wanted, code, what in zip(
             self.header.nonzeros, "JG", ("the Jacobian (J)", "the gradients (G)"), strict=True
         ):
-            found = sum(map(len, self.linear[code].values()))
-            if found < wanted:
-                lacking.append(f"{wanted - found} of {wanted} entries of {what}")
+            entries = sum(map(len, self.linear[code].values()))
+            if entries < wanted:
+                lacking.append(f"{wanted - entries} of {wanted} entries of {what}")
         if lacking:
             raise NlError(
-                f"{self.file} lacks {', '.join(lacking)}: the file is cut off. Write it anew."
+                f"{self.file} lacks {', '.join(lacking)}: the file is cut off. Write it again."
             )
 
     def _damaged(self, what: str) -> NlError:
         return NlError(
-            f"{self.file}, {self.source.place}: {what}. The file is damaged, or of another byte order than its sixth line says."
+            f"{self.file}, {self.source.place}: {what}. The file is damaged, or its byte order differs from its sixth line."
         )
 
     def _refused(self, what: str) -> NlError:
@@ -339,12 +323,12 @@ class _Reader:
     def _pairs(self, count: int, most: int, kind: str = "d") -> list[tuple[int, Any]]:
         if not 0 <= count <= most:
             raise self._damaged(f"{count} entries are given where at most {most} can be")
-        found = [self.source.values(f"i{kind}") for _ in range(count)]
-        for number, value in found:
+        pairs = [self.source.values(f"i{kind}") for _ in range(count)]
+        for number, value in pairs:
             self._check(number, most, "entry")
             if not math.isfinite(value):
                 raise self._damaged(f"entry {number} is not finite")
-        return [(number, value) for number, value in found]
+        return [(number, value) for number, value in pairs]
 
     def _bounds(self, of: str) -> _Bounds:
         source, kind = self.source, self.source.code()
@@ -380,7 +364,6 @@ class _Reader:
         return _Bounds(lower, upper)
 
     def _expression(self) -> Any:
-        """An expression in prefix notation."""
         source = self.source
         open_calls: list[tuple[Callable[..., Any], int, list[Any]]] = []
         while True:
@@ -447,9 +430,9 @@ class _Reader:
         )
 
     def complete(self, objective: int, relax_integers: bool) -> NlProblem:
-        """State bounds, rows, pairs, objectives and suffixes.
+        """Build bounds, rows, pairs, objectives and suffixes.
 
-        Raises NlError for an objective there is not, or a pair without its bound.
+        Raises NlError for an unknown objective, or a pair without its bound.
         """
         model, header = self.model, self.header
         if not 0 <= objective <= max(header.objectives, 1):
@@ -476,7 +459,7 @@ class _Reader:
                 continue
             if not is_potentially_variable(
                 body
-            ):  # Pyomo refuses a row of constants; whether it holds is for the solver to say
+            ):  # Pyomo refuses a row of constants; the solver decides whether it holds
                 body = LinearExpression(
                     constant=pyo.value(body), linear_coefs=[0.0], linear_vars=[self.variables[0]]
                 )
@@ -503,7 +486,7 @@ class _Reader:
         )
 
     def _integers(self) -> Iterator[int]:
-        """Numbers of the variables that are integer: those that stand linearly last of all, the others last in each block of nonlinear ones."""
+        """Yield the integer variables: the last of all, and of each nonlinear block."""
         end = 0
         for block, count in zip(
             self.header.nonlinear_blocks, self.header.nonlinear_integers, strict=True
@@ -528,7 +511,7 @@ class _Reader:
                 f"{self.file}: row {number} complements the {lacking[0]} bound of variable {bounds.complements}, which has none. "
                 "Give the variable that bound, or complement its other side."
             )
-        if sides == 3:  # a huge bound is none
+        if sides == 3:  # a huge bound is infinite
             huge = (
                 unbounded_if_huge(of.lower) == -math.inf,
                 unbounded_if_huge(of.upper) == math.inf,
@@ -564,10 +547,9 @@ class _Reader:
 
 @dataclass(frozen=True)
 class _Bounds:
-    """Of a variable or a row.
+    """Bounds of a variable or row.
 
-    Of a row that complements a variable, which of its sides (1: lower, 2: upper, 3: both, 0: the
-    row is an equation).
+    sides: of a row that complements a variable: 1 lower, 2 upper, 3 both, 0 an equation
     """
 
     lower: float
@@ -577,10 +559,7 @@ class _Bounds:
 
 
 def names_beside(file: Path, ending: str, count: int) -> Sequence[Any]:
-    """Names from the file beside a `.nl` file, a line each.
-
-    Numbers from 0 if it is not there or has another length.
-    """
+    """Return the names in the file with this ending, or numbers from 0 if these do not fit."""
     try:
         names = (
             file.with_suffix(ending)

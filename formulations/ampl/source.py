@@ -1,6 +1,6 @@
-"""The two forms of a `.nl` file, read by the same three verbs: `code`, `values`, `at_end`.
+"""The text and binary forms of a `.nl` file, with the same interface.
 
-`place` says where in the file that is.
+`code` and `values` read, `at_end` tests for the end, `place` is the position for messages.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from models.errors import TouchstoneError
 
 
 class NlError(TouchstoneError):
-    """A `.nl` file that cannot be read: damaged, or with what Pyomo's smooth expressions cannot say."""
+    """A `.nl` file that is damaged, or that smooth Pyomo expressions cannot represent."""
 
 
 class TextSource:
-    """Lines of a text file: a code is a line's first character.
+    """A text file: a code is the first character of a line.
 
-    Its values follow on that line, or are a line of their own.
+    Its values follow there or on the next.
     """
 
     number = MappingProxyType({"n": "d", "s": "i", "l": "i"})
@@ -35,34 +35,34 @@ class TextSource:
         self._rest: str | None = None
 
     def at_end(self) -> bool:
-        """Whether nothing is left but empty lines."""
+        """Return whether only empty lines remain."""
         while self._next < len(self._lines) and not self._lines[self._next].strip():
             self._next += 1
         return self._next >= len(self._lines)
 
     @property
     def place(self) -> str:
-        """The line that was read last, for messages."""
+        """Return the current line, for messages."""
         return f"line {self._next}"
 
     def _line(self) -> str:
         if self._next >= len(self._lines):
             raise NlError(
-                f"{self._file} ends after line {self._next}, where more should follow: the file is cut off. Write it anew."
+                f"{self._file} ends after line {self._next}, where more should follow: the file is cut off. Write it again."
             )
         self._next += 1
         return self._lines[self._next - 1].partition("#")[0]
 
     def code(self) -> str:
-        """The first character of the next line. Raises NlError at the end of the file."""
+        """Return the first character of the next line. Raises NlError at the end of the file."""
         line = self._line().lstrip()
         self._rest = line[1:]
         return line[:1]
 
     def values(self, form: str) -> list[Any]:
-        """Numbers and names: i whole, o an operator's, d any, s a name; none: the line is done.
+        """Return values: i integers, o operators, d numbers, s names; an empty form ends the line.
 
-        Raises NlError for others, with the place.
+        Raises NlError for other values, with the position.
         """
         line = self._line() if self._rest is None else self._rest
         self._rest = None
@@ -79,7 +79,7 @@ class TextSource:
 
 
 class BinarySource:
-    """The same of a binary file, of either byte order."""
+    """A binary file of either byte order."""
 
     number = MappingProxyType({"n": "d", "s": "h", "l": "i"})
 
@@ -91,36 +91,36 @@ class BinarySource:
         }
 
     def at_end(self) -> bool:
-        """Whether no byte is left."""
+        """Return whether no byte remains."""
         return self._next >= len(self._data)
 
     @property
     def place(self) -> str:
-        """The byte that is read next, for messages."""
+        """Return the next byte, for messages."""
         return f"byte {self._next}"
 
     def _take(self, count: int) -> bytes:
         if not 0 <= count <= len(self._data) - self._next:
             raise NlError(
-                f"{self._file} ends at byte {len(self._data)}, in the middle of a value that begins at byte {self._next}: the file is cut off, or of "
-                "another byte order than its sixth line says. Write it anew."
+                f"{self._file} ends at byte {len(self._data)}, in the middle of a value that begins at byte {self._next}: the file is cut off, or its "
+                "byte order differs from its sixth line. Write it again."
             )
         self._next += count
         return self._data[self._next - count : self._next]
 
     def code(self) -> str:
-        """The next byte as a character. Raises NlError at the end of the file."""
+        """Return the next byte as a character. Raises NlError at the end of the file."""
         return self._take(1).decode("latin-1")
 
     def values(self, form: str) -> list[Any]:
-        """The same numbers and names, h a short one; a name begins with its length.
+        """Return values as `TextSource` does; h is a short integer, a name starts with its length.
 
         Raises NlError at the end of the file.
         """
-        found: list[Any] = []
+        values: list[Any] = []
         for kind in form:
             if kind == "s":
-                found.append(self._take(self.values("i")[0]).decode("latin-1"))
+                values.append(self._take(self.values("i")[0]).decode("latin-1"))
             else:
-                found += self._kinds[kind].unpack(self._take(self._kinds[kind].size))
-        return found
+                values += self._kinds[kind].unpack(self._take(self._kinds[kind].size))
+        return values

@@ -1,5 +1,6 @@
-/* LU factorisation of a banded matrix with row pivoting, as dense band: entry (i, j) of the matrix at band[j * height + shift + i - j]. Zeros inside the
- * band, of which optimality systems have many, cost a comparison in the factorisation. */
+/* LU factorisation of a banded matrix with row pivoting, as a dense band: entry (i, j) at band[j
+ * * height + shift + i - j]. Optimality systems have many zeros inside the band; each costs only
+ * a comparison. */
 
 #include <math.h>
 #include <stddef.h>
@@ -19,12 +20,12 @@ static void subtract(int count, double factor, const double *restrict x, double 
         y[i] -= factor * x[i];
 }
 
-/* In place; width diagonals on either side, height = 3 width + 1, shift = 2 width: the upper width rows are filled by pivoting.
- * Returns 0, or 1 + the first column without a pivot. */
+/* Factorise in place; width diagonals on either side, height = 3 width + 1, shift = 2 width:
+ * pivoting fills the upper width rows. Return 0, or 1 + the first column without a pivot. */
 EXPORT int band_factor(int size, int width, double *band, int *pivots)
 {
     const ptrdiff_t height = 3 * (ptrdiff_t)width + 1;
-    int last = 0; /* the last column that a pivot row reaches */
+    int last = 0; /* last column of a pivot row */
     for (int j = 0; j < size; j++) {
         double *column = band + j * height + 2 * width; /* column[i] is row j + i */
         const int below = smaller(width, size - 1 - j);
@@ -57,7 +58,7 @@ EXPORT int band_factor(int size, int width, double *band, int *pivots)
     return 0;
 }
 
-/* x becomes the solution of the factorised system with right-hand side x. */
+/* Replace the right-hand side x by the solution. */
 EXPORT void band_solve(int size, int width, const double *band, const int *pivots, double *x)
 {
     const ptrdiff_t height = 3 * (ptrdiff_t)width + 1;
@@ -77,7 +78,7 @@ EXPORT void band_solve(int size, int width, const double *band, const int *pivot
     }
 }
 
-/* y = matrix x, of a matrix of width diagonals on either side, height = 2 width + 1, shift = width. */
+/* Compute y = matrix x with width diagonals on either side, height = 2 width + 1, shift = width. */
 EXPORT void band_product(int size, int width, const double *matrix, const double *x, double *y)
 {
     for (int i = 0; i < size; i++)

@@ -1,7 +1,7 @@
-"""`collocation` opened on a scene: modes read off a softplus homotopy, which contact is closed at which stage of a step, and the problem with these modes.
+"""The session of `collocation`: fix the modes of a softplus homotopy at every stage of the steps.
 
-With the modes fixed no complementarity is left, for a linear scene a convex QP, and the true
-contact law holds at every stage: lam = k phi or lam = 0.
+The rest has no complementarity (a convex QP for a linear scene), and the true contact law holds at
+every stage: lam = k phi or lam = 0.
 """
 
 from __future__ import annotations
@@ -37,29 +37,27 @@ from models.scene import Scene
 from models.schemes import Scheme, tableau
 from models.trajectory import Trajectory
 
-# Stages of the homotopy whose modes are tried.
+# Number of homotopy stages whose modes are tried.
 _TRIED = 3
-# Modes that have a plan are solved in 5 to 60 iterations; more are spent only on proving that there
-# is none.
+# Modes with a plan are solved in 5 to 60 iterations.
 _MODE_ITERATIONS = 150
-# They start from a plan that is nearly theirs: Ipopt's own barrier (0.1) first pushes it away from
-# every bound.
+# The start is close to the plan: Ipopt's default barrier (0.1) would push it away from every bound.
 _NEAR = {"mu_init": 1e-4, "bound_push": 1e-6, "bound_frac": 1e-6, "bound_relax_factor": 0.0}
-# Bound of lam (lam - k phi) of the relaxed complementarity [N^2].
+# Bound of lam (lam - k phi) [N^2] of the relaxed complementarity.
 _RELAXED = 1e-4
 _VARIABLES = ("q", "v", "u", "stage_q", "stage_v")
 
 
 @dataclass(frozen=True)
 class StageModes:
-    """Values of a plan's variables, stages included, and its modes closed (steps, s * nc)."""
+    """Values of a plan's variables including stages, and its modes closed (steps, s * nc)."""
 
     values: dict[str, np.ndarray]
     closed: np.ndarray
 
     @classmethod
     def of(cls, model: Any) -> StageModes:
-        """Read them off a solved model."""
+        """Read values and modes from a solved model."""
         return cls(
             {name: read_values(model.component(f"variable_{name}")) for name in _VARIABLES},
             stage_penetration(model) > 0.0,
@@ -67,7 +65,7 @@ class StageModes:
 
 
 class CollocationSession(Session):
-    """The models are built at the first solve, and serve those after it."""
+    """The session of `collocation`; it builds its models at the first solve."""
 
     def __init__(
         self, method: Method, scene: Scene, options: CollocationOptions, clock: Clock
@@ -80,10 +78,7 @@ class CollocationSession(Session):
     def solve(
         self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float
     ) -> Solution:
-        """Find a plan of collocated steps; the models are built at the first solve.
-
-        Raises TrajectoryError for a plan of another grid.
-        """
+        """Find a plan of collocated steps. Raises TrajectoryError for a plan of another grid."""
         self._method.check_stage(eps, time_limit)
         budget = SolveBudget(time_limit, self._clock.pay())
         guesses, outcome, message = self._softened(budget, warm_start)
@@ -112,12 +107,8 @@ class CollocationSession(Session):
         message = "no modes of the stages that were tried have a plan; a finer grid, or another start, may."
         return self._solution(budget, None, Outcome.STALLED, message)
 
-    # -- the models
-    #   ---------------------------------------------------------------------------------------------------------------
-
     @cached_property
     def _homotopy(self) -> SoftplusHomotopy:
-        """The softplus model; it holds the last stage's plan."""
         own = self._options
         sharpnesses = schedule(own.first_sharpness, own.last_sharpness, own.sharpness_growth)
         return SoftplusHomotopy(
@@ -126,21 +117,17 @@ class CollocationSession(Session):
 
     @cached_property
     def _exact(self) -> CompiledModel:
-        """The model with complementarity."""
         form, integrated = ContactFormulation.COMPLEMENTARITY, self._options.integrate_cost
         return CompiledModel(
             build_model(self._scene, form, eps=0.0, scheme=self._scheme, integrate_cost=integrated)
         )
 
-    # -- modes, and what is left with them
-    #   ----------------------------------------------------------------------------------------
-
     def _softened(
         self, budget: SolveBudget, start: Trajectory | None
     ) -> tuple[list[StageModes], Outcome, str]:
-        """The last stages of the homotopy, the sharpest first.
+        """Return the last stages of the homotopy, sharpest first.
 
-        Where its first stage has no plan, from the plan that comes nearest to the goal.
+        If its first stage fails, restart from the plan that ends closest to the goal.
         """
         guesses: list[StageModes] = []
         with budget.building():
@@ -157,20 +144,21 @@ class CollocationSession(Session):
         }
         outcome, message = homotopy.run(budget, options, start, keep, STAGE_ITERATIONS)
         if not guesses and outcome is not Outcome.SOLVED and not budget.is_over:
-            found = nearest(
+            closest = nearest(
                 self._scene,
                 budget,
                 self._options.max_iterations,
                 self._options.first_sharpness / self._scene.length,
             )
-            if found.is_out_of_reach:
-                return [], Outcome.INFEASIBLE, out_of_reach(self._scene, found)
-            if found.is_solved:
-                outcome, message = homotopy.run(budget, options, found.plan, keep, STAGE_ITERATIONS)
+            if closest.is_out_of_reach:
+                return [], Outcome.INFEASIBLE, out_of_reach(self._scene, closest)
+            if closest.is_solved:
+                outcome, message = homotopy.run(
+                    budget, options, closest.plan, keep, STAGE_ITERATIONS
+                )
         return guesses[: -_TRIED - 1 : -1], outcome, message
 
     def _with_modes(self, budget: SolveBudget, guess: StageModes) -> IpoptResult:
-        """Solve what is left once the stages of a guess are open or closed as it says."""
         with budget.building():
             compiled = self._exact
         _load(compiled, guess)
@@ -179,7 +167,6 @@ class CollocationSession(Session):
         return compiled.run(budget, {**options, "max_iter": budget.iterations + _MODE_ITERATIONS})
 
     def _from_relaxed(self, budget: SolveBudget, guess: StageModes) -> IpoptResult:
-        """Do the same with the modes of a relaxed complementarity that starts at the guess."""
         compiled = self._exact
         _load(compiled, guess)
         release_modes(compiled.model)
@@ -190,7 +177,9 @@ class CollocationSession(Session):
             **_NEAR,
             "mu_init": 1e-2,
         }
-        relaxed = CompiledModel(compiled.model)  # translated anew: the products are rows again
+        relaxed = CompiledModel(
+            compiled.model
+        )  # compiled again, because the products are rows again
         result = relaxed.run(
             budget, {**options, "max_iter": budget.iterations + self._options.max_iterations}
         )
@@ -203,7 +192,7 @@ class CollocationSession(Session):
         if compiled is not None and outcome.has_answer:
             try:
                 plan = compiled.read()
-            except TrajectoryError:  # a value that is not finite: no plan
+            except TrajectoryError:  # a non-finite value
                 outcome = Outcome.EVALUATION_ERROR
         if plan is not None:
             cost = self._residuals.cost(plan)
@@ -212,7 +201,7 @@ class CollocationSession(Session):
                 "switch_error": switch_error(self._kernel, plan),
             }
             outcome, message = checked(outcome, message, residuals, self._options.promises())
-        found = Solution(
+        solution = Solution(
             method=self._method.name,
             outcome=outcome,
             message=message,
@@ -223,22 +212,22 @@ class CollocationSession(Session):
             size=None if compiled is None else compiled.size,
             paper_size=None if compiled is None else self._paper_size(),
         )
-        return budget.spent_on(found)
+        return budget.spent_on(solution)
 
     def _paper_size(self) -> ModelSize:
-        """Unknowns and equations of the model with its modes, counted by hand.
+        """Count unknowns and equations of the model with fixed modes, by hand.
 
         Nodes, inputs, the first stage, forces and separation forces; ends, stages, nodes that are
         no stage, separation forces.
         """
         scene, table = self._scene, tableau(self._scheme)
-        steps, given = scene.task.steps, sum(value is not None for value in scene.task.goal)
+        steps, ends_given = scene.task.steps, sum(value is not None for value in scene.task.goal)
         ends = 0 if table.is_stiffly_accurate else 1
         return ModelSize(
             unknowns=2 * scene.nq * (steps + 1)
             + (scene.nu + 2 * scene.nq + 2 * scene.nc * table.stages) * steps,
             equations=2 * scene.nq
-            + given
+            + ends_given
             + (2 * scene.nq * (table.stages + ends) + scene.nc * table.stages) * steps,
         )
 

@@ -1,20 +1,9 @@
-"""Which conditions are active in the quadratic program of fixed modes (`quadratic`): by a dual active-set method, and by an interior-point method.
+"""Find the active conditions of the quadratic program of fixed modes (`quadratic`).
 
-The dual active-set method (Goldfarb and Idnani 1983) needs one factorisation, then one back
-substitution a condition. It starts from the plan that ignores all bounds, and imposes what is
-violated most, one condition at a time. The cost rises on the way and never exceeds the optimum: a
-search over modes stops it as soon as it passes the best cost known.
-
-No library does this as fast: over 229 questions of `mpcc` on four scenes PIQP (its multistage KKT)
-takes 0.9 to 3.2 times the CPU, Clarabel 1.7 to 5.4, DAQP on the inputs alone 0.9 to 4.1, with the
-same answers. Two thirds of the questions are cut by the best cost known after a few conditions,
-which no library takes from us. On a few of them HiGHS took 59 times as long, OSQP reached 1e-6 in
-none in 4000 iterations, and ProxQP called all infeasible.
-
-An interior-point method (Clarabel) does not mind how many conditions are active. Its answer is only
-used to name the active conditions, those whose multiplier exceeds their slack; the equality problem
-then solves exactly. On the questions that came here it took 0.1 to 0.7 of the CPU of an
-interior-point method of our own on the banded matrix, and found all that it found.
+The dual active-set method (Goldfarb and Idnani 1983) adds the most violated condition until none is
+left, at one back substitution each. Its cost rises towards the optimum, so that a search can stop
+it early; no library does so as fast (PIQP takes 0.9 to 3.2 times the CPU). With many active
+conditions Clarabel's interior-point method names them.
 """
 
 from __future__ import annotations
@@ -27,22 +16,22 @@ import scipy.sparse as sp
 
 from formulations.contact_modes.linear import BandedKKT, LinearScene
 
-# Of the gap and of the conditions: Clarabel's own 1e-8 takes as long, and tells slack from
-# multiplier less clearly.
+# Clarabel's default of 1e-8 takes as long and separates slack from multiplier less clearly.
 _TOLERANCE = 1e-10
-_VIOLATED = 1e-11  # [m], [N]
-_DEPENDENT = (
-    1e-11  # part of a condition's own curvature below which it depends on those imposed already
-)
-# conditions imposed or dropped; a problem with more active bounds is one for the interior point
+# Smallest violation of a condition [m], [N].
+_VIOLATED = 1e-11
+# A condition with a smaller share of its own curvature depends on those imposed already.
+_DEPENDENT = 1e-11
+# Limit of conditions imposed or dropped; beyond it the interior-point method is faster.
 _MOST = 80
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WorkingSet:
-    """The active conditions: side (steps, nu), -1 on the lower bound, 1 on the upper, 0 free.
+    """The active conditions.
 
-    Touching (steps, nc), phi = 0 is imposed.
+    side: (steps, nu), -1 at the lower bound, 1 at the upper, 0 free
+    touching: (steps, nc), whether phi = 0 is imposed
     """
 
     side: np.ndarray
@@ -50,7 +39,7 @@ class WorkingSet:
 
     @classmethod
     def none(cls, linear: LinearScene) -> WorkingSet:
-        """No condition."""
+        """Return the empty set."""
         return cls(
             side=np.zeros((linear.steps, linear.nu), dtype=int),
             touching=np.zeros((linear.steps, linear.nc), dtype=bool),
@@ -58,11 +47,11 @@ class WorkingSet:
 
     @property
     def count(self) -> int:
-        """How many conditions are active."""
+        """Return the number of active conditions."""
         return int(np.count_nonzero(self.side) + np.count_nonzero(self.touching))
 
     def same_as(self, other: WorkingSet) -> bool:
-        """Whether the other set has the same conditions."""
+        """Return whether both sets have the same conditions."""
         return np.array_equal(self.side, other.side) and np.array_equal(
             self.touching, other.touching
         )
@@ -71,23 +60,10 @@ class WorkingSet:
 def interior_point_active_set(
     linear: LinearScene, closed: np.ndarray, softness: float = 0.0
 ) -> WorkingSet | None:
-    """Name the active conditions by Clarabel.
+    """Return the active conditions by Clarabel, or None without an optimum.
 
-    The unknowns are z[0..T], u, and, where the goal is soft, by how much z[T] leaves it.
-
-    Parameters
-    ----------
-    closed : (steps, nc) [-], whether a contact is closed in a step
-    softness : of the goal, as in `ModesProblem`
-
-    Returns
-    -------
-    The active conditions, or None where no optimum was found.
-
-    Raises
-    ------
-    ValueError
-        For an array of another shape.
+    closed is (steps, nc) [-], softness as in `ModesProblem`. The unknowns are z[0..T], u and the
+    error of a soft goal. Raises ValueError for an array of another shape.
     """
     T, n, nu, nc = linear.steps, linear.n, linear.nu, linear.nc
     aimed = np.flatnonzero(linear.aimed)
@@ -116,7 +92,7 @@ def interior_point_active_set(
         - sp.kron(now, linear.A)
         - sp.kron(each, linear.E) @ sp.diags(pushed.ravel()) @ phi
     )
-    sign = np.where(closed[1:], 1.0, -1.0)  # the start decides phi there
+    sign = np.where(closed[1:], 1.0, -1.0)  # the start fixes phi there
     low, up = (np.tile(np.isfinite(bound), T) for bound in (linear.lower, linear.upper))
     blocks = [
         [sp.eye(n, (T + 1) * n), None, None],
@@ -141,20 +117,20 @@ def interior_point_active_set(
     settings.verbose, settings.direct_solve_method = (
         False,
         "qdldl",
-    )  # one thread, the same bits in every run
+    )  # one thread: reproducible results
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _TOLERANCE
-    found = clarabel.DefaultSolver(
+    solution = clarabel.DefaultSolver(
         sp.triu(sp.block_diag([states, sp.diags(price)]), format="csc"),
         slope,
         sp.bmat(blocks, format="csc"),
         np.concatenate(values),
-        # The last row is the empty condition 0 >= 0. Without it Clarabel's iterates round differently.
+        # The last row is the empty condition 0 >= 0, without which Clarabel rounds differently.
         [clarabel.ZeroConeT(fixed), clarabel.NonnegativeConeT(free), clarabel.SecondOrderConeT(1)],
         settings,
     ).solve()
-    if str(found.status) not in ("Solved", "AlmostSolved"):
+    if str(solution.status) not in ("Solved", "AlmostSolved"):
         return None
-    active = (np.array(found.z) > np.array(found.s))[fixed : fixed + free]
+    active = (np.array(solution.z) > np.array(solution.s))[fixed : fixed + free]
     touching, on_lower, on_upper = np.split(active, np.cumsum([sign.size, int(low.sum())]))
     side = np.zeros(T * nu, dtype=int)
     side[low] -= on_lower
@@ -168,30 +144,30 @@ def interior_point_active_set(
 class DualActiveSet:
     """The dual active-set method.
 
-    A condition is (kind, t, column), kind -1 and 1 a bound of u, 0 the sign of phi.
+    A condition is (kind, t, column); kind -1 and 1 are bounds of u, kind 0 is the sign of phi.
     """
 
     def __init__(self, linear: LinearScene, kkt: BandedKKT) -> None:
         self._linear, self._kkt = linear, kkt
 
     def solve(self, closed: np.ndarray, ceiling: float, softness: float = 0.0) -> WorkingSet | None:
-        """Impose violated conditions until there is none, or the cost passes `ceiling`.
+        """Impose violated conditions until none is left, or the cost exceeds `ceiling`.
 
         Parameters
         ----------
         closed : (steps, nc) [-], whether a contact is closed in a step
-        ceiling : cost above which the optimum is of no interest
+        ceiling : cost above which the search stops
         softness : of the goal, as in `ModesProblem`
 
         Returns
         -------
-        The active conditions of the optimum, no condition where it was not found, or None where
-            there is no plan or only dearer ones.
+        The active conditions of the optimum; the empty set if it was not found; None without a plan
+        below the ceiling.
 
         Raises
         ------
         ValueError
-            For an array of another shape.
+            for an array of another shape
         """
         lin, kkt = self._linear, self._kkt
         sign = np.where(closed, 1.0, -1.0)
@@ -226,9 +202,7 @@ class DualActiveSet:
                 held = len(imposed)
                 try:
                     share = np.linalg.solve(gram, cross) if held else np.zeros(0)
-                except (
-                    np.linalg.LinAlgError
-                ):  # conditions that depend on each other: left to the interior point
+                except np.linalg.LinAlgError:  # dependent conditions: for the interior point
                     return WorkingSet.none(lin)
                 slope = own - float(cross @ share)
                 falling = np.flatnonzero(share > 1e-14)
@@ -258,7 +232,7 @@ class DualActiveSet:
         return WorkingSet.none(lin)
 
     def _moved(self, x: np.ndarray, sign: np.ndarray) -> np.ndarray:
-        """All that conditions ask of a solution: its phi without p, with their signs (0 at the start), then its u: (steps * (nc + nu),)."""
+        """Return the conditions' values (steps * (nc + nu),): signed phi - p, then u."""
         phi = np.zeros(sign.shape)
         phi[1:] = sign[1:] * (x[self._kkt.rows_z[:-1]] @ self._linear.P.T)
         return np.concatenate([phi.ravel(), x[self._kkt.rows_u].ravel()])
@@ -266,13 +240,13 @@ class DualActiveSet:
     def _worst(
         self, values: np.ndarray, imposed: list[tuple[int, int, int]]
     ) -> tuple[tuple[int, int, int] | None, float]:
-        """The most violated condition (phi weighted with its stiffness: newtons against newtons) and its value, negative."""
+        """Return the most violated condition and its negative value; phi counts as force k phi."""
         lin = self._linear
         phi, u = (
             values[: lin.steps * lin.nc].reshape(lin.steps, lin.nc),
             values[lin.steps * lin.nc :].reshape(lin.steps, lin.nu),
         )
-        found: tuple[float, tuple[int, int, int] | None, float] = (0.0, None, 0.0)
+        worst: tuple[float, tuple[int, int, int] | None, float] = (0.0, None, 0.0)
         for kind, slack, weight in (
             (0, phi, lin.k),
             (-1, u - lin.lower, 1.0),
@@ -282,10 +256,10 @@ class DualActiveSet:
             for other in imposed:
                 if other[0] == kind:
                     short[other[1:]] = 0.0
-            if short.size and short.min() < found[0]:
+            if short.size and short.min() < worst[0]:
                 t, column = (int(i) for i in np.unravel_index(int(short.argmin()), short.shape))
-                found = (float(short.min()), (kind, t, column), float(slack[t, column]))
-        return found[1], found[2]
+                worst = (float(short.min()), (kind, t, column), float(slack[t, column]))
+        return worst[1], worst[2]
 
     def _right(self, condition: tuple[int, int, int], sign: np.ndarray) -> np.ndarray:
         kind, t, column = condition
@@ -297,7 +271,6 @@ class DualActiveSet:
         return right
 
     def _value(self, moved: np.ndarray, condition: tuple[int, int, int]) -> float:
-        """How much the condition's value changes along what `_moved` gave."""
         kind, t, column = condition
         lin = self._linear
         return float(

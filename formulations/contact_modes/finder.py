@@ -1,4 +1,4 @@
-"""From a scene to the cheapest mode sequence that can be found: where the modes come from, and what is tried when they have no plan."""
+"""Find the cheapest mode sequence of a scene: sources of modes, searches, and fallbacks."""
 
 from __future__ import annotations
 
@@ -32,26 +32,33 @@ from formulations.transcription.solving import nearest, no_plan, out_of_reach
 from models.scene.goal import distance, goal_state
 from models.trajectory import Trajectory
 
-_ARRIVED = 1e-6  # from the goal: what remains is taken out by the exact problem
-STRIDES = 125  # the first stride is this part of the steps: 4 steps of 500
-_STAGES = 3  # of the homotopy whose modes are tried, the sharpest first
-_RANDOM = 6  # random inputs that are corrected to end on the goal if the first guess leads nowhere
-_NONLINEAR = 20  # a nonlinear scene tries this part of the mode sequences that a linear one may
-# From so many contacts on modes are searched around other sources too (`_searched_again`); with two
-# contacts the first source led twenty starts of the three carts to the same plan.
+# Largest distance from the goal; the exact problem corrects it.
+_ARRIVED = 1e-6
+# The first stride is the number of steps divided by this: 4 steps of 500.
+STRIDES = 125
+# Stages of the homotopy whose modes are tried, sharpest first.
+_STAGES = 3
+# Random inputs corrected to end on the goal, if the first guess fails.
+_RANDOM = 6
+# A nonlinear scene tries this fraction of the mode sequences of a linear one.
+_NONLINEAR = 20
+# Number of contacts from which modes of other sources are searched too (`_searched_again`); with
+# two contacts the first source led twenty starts of the three carts to one plan.
 _MANY = 3
-_LOOSE = (0.3, 0.03, 3e-3)  # [N^2] bounds of the relaxation: the first of whose modes has a plan
-# Most iterations of a walk of relaxed complementarity. Six carts, tasks 3, 11 and 7: 702 lead from
-# 980.6 to 854.7; 734 to 2516, where loosened modes lead from 2484.9 to 2377.6; 1871 to no plan, and
-# loosened modes from 1557.3 to 1476.4. So these come first, and where they lead below the plan
-# nothing is walked.
+# Bounds of the relaxation [N^2], tried until modes have a plan.
+_LOOSE = (0.3, 0.03, 3e-3)
+# Iteration limit of a walk of relaxed complementarity, which follows the loosened modes. Six carts,
+# tasks 3, 11 and 7: 702 iterations lower the cost from 980.6 to 854.7; 734 raise it to 2516, where
+# loosened modes lower it from 2484.9 to 2377.6; 1871 fail, loosened modes lead from 1557.3 to
+# 1476.4.
 _WALK = 800
-_NEAREST = 3  # of the rollouts that came nearest so many are continued to the goal
+# Closest rollouts that are continued to the goal.
+_NEAREST = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class FinderResult:
-    """The optimum of the best modes (None: no modes had a plan), how it ended, and how many modes the search solved."""
+    """The optimum of the best modes (None without a plan), outcome, and number of modes tried."""
 
     answer: ModesAnswer | None
     outcome: Outcome
@@ -60,19 +67,17 @@ class FinderResult:
 
 
 class Finder:
-    """Finds contact modes of one scene; its models serve every solve."""
+    """Search contact modes of one scene; its models are reused by every solve."""
 
     def __init__(self, models: SceneModels, options: MpccOptions) -> None:
         self._scene, self._kernel, self._is_linear = models.scene, models.kernel, models.is_linear
         self._options, self._models = options, models
-        self._is_walked = (
-            False  # relaxed complementarity was: whatever the start, its plan is the same
-        )
-        self._random_failed = (
-            False  # all random inputs were corrected once, and none of them gave a plan
-        )
+        # Relaxed complementarity was walked: its plan does not depend on the start.
+        self._is_walked = False
+        # All random inputs were corrected without a plan.
+        self._random_failed = False
         self._on_coarse: Finder | None = None
-        self._most_work = 0.0  # of the search under way, once it has a plan
+        self._most_work = 0.0  # of the current search, after a first plan
 
     def find(
         self,
@@ -80,18 +85,18 @@ class Finder:
         modes_of: Trajectory | None = None,
         start: Trajectory | None = None,
     ) -> FinderResult:
-        """Find the best plan. modes_of: a plan whose modes are tried first.
+        """Return the best plan.
 
-        start: where the homotopy begins (None: the paper's first guess).
+        modes_of: a plan whose modes are tried first
+        start: start of the homotopy (None: the paper's first guess)
         """
         with budget.building():
             problem = self._models.modes(budget, self._ipopt_options(self._options.tolerance))
         self._most_work = budget.most_work
         budget.most_work = min(self._most_work, budget.work + 1e6 * self._options.first_work)
         self._ending = (Outcome.FAILED, "no source of contact modes gave a plan.")
-        self._near: list[
-            tuple[float, np.ndarray]
-        ] = []  # (miss, modes) of rollouts that do not quite reach the goal
+        # (distance, modes) of rollouts that end close to the goal.
+        self._near: list[tuple[float, np.ndarray]] = []
         answer, stride, is_refined = None, max(1, self._scene.task.steps // STRIDES), False
         for guess, fineness in self._guesses(budget, modes_of, start):
             answer = (
@@ -123,7 +128,7 @@ class Finder:
                     f"no feasible contact mode sequence was found within {limit}.",
                 )
             return FinderResult(answer=None, outcome=outcome, message=message)
-        found = self.searched(budget, problem, answer, stride, far=not is_refined)
+        result = self.searched(budget, problem, answer, stride, far=not is_refined)
         cold = modes_of is None and start is None and not is_refined
         if (
             cold
@@ -132,18 +137,15 @@ class Finder:
             and self._scene.nc >= _MANY
             and not budget.is_over
         ):
-            return self._searched_again(budget, problem, found, stride)
-        return found
-
-    # -- where modes come from
-    #   --------------------------------------------------------------------------------------------------
+            return self._searched_again(budget, problem, result, stride)
+        return result
 
     def _guesses(
         self, budget: SolveBudget, modes_of: Trajectory | None, start: Trajectory | None
     ) -> Iterator[tuple[Trajectory | None, int]]:
-        """Plans whose modes are worth a try, with the stride (in steps) of a search around them, 0 for the usual one.
+        """Yield plans whose modes are worth trying, each with a stride of its search (0: default).
 
-        None: no more from this source, so that what came nearest is continued to the goal.
+        None marks the end of a source: the closest rollouts are then continued to the goal.
         """
         if modes_of is not None:
             yield modes_of, 0
@@ -154,9 +156,8 @@ class Finder:
             return
         first = coarse[0] if coarse is not None else start if start is not None else modes_of
         had_plan, most = False, budget.most_work
-        budget.most_work = min(
-            most, budget.work + 0.5e6 * self._options.first_work
-        )  # the rest is for other sources
+        # The rest is for other sources.
+        budget.most_work = min(most, budget.work + 0.5e6 * self._options.first_work)
         stages = self._stages(budget, first, STAGE_ITERATIONS)
         budget.most_work = most
         for plan in stages:
@@ -180,7 +181,6 @@ class Finder:
     def _stages(
         self, budget: SolveBudget, begin_at: Trajectory | None, most_iterations: int
     ) -> list[Trajectory]:
-        """The plans of the sharpest stages of the homotopy, the sharpest first."""
         own = self._options
         with budget.building():
             sharpnesses = schedule(own.first_sharpness, own.last_sharpness, own.sharpness_growth)
@@ -197,27 +197,25 @@ class Finder:
         return stages[: -_STAGES - 1 : -1]
 
     def _relaxed(self, budget: SolveBudget) -> Trajectory | None:
-        """The plan of relaxed complementarity, walked down from a loose bound: none of its forces acts at a distance.
+        """Walk relaxed complementarity down from a loose bound; its forces need contact.
 
-        Two fingers that carry a disc have no softplus plan after 348 iterations, and modes that
-        have a plan are read off here after 121. Its own rules limit the work of the walk; what is
-        done with its plan may cost as much as a first one once more.
+        Two fingers that carry a disc have no softplus plan after 348 iterations, but modes with a
+        plan here after 121. The walk has limits of its own; using its plan may cost as much as a
+        first one.
         """
         with load_method("relaxed_lcp").open(
             self._scene, {"first_eps": RELAXED_FROM, "max_iterations": _WALK}
         ) as session:
-            found = session.solve(eps=RELAXED_TO, warm_start=None, time_limit=budget.remaining)
-        budget.told(found)
+            solution = session.solve(eps=RELAXED_TO, warm_start=None, time_limit=budget.remaining)
+        budget.add_solution(solution)
         self._is_walked = True
         budget.most_work = min(self._most_work, budget.work + 0.5e6 * self._options.first_work)
-        return found.trajectory
+        return solution.trajectory
 
     def _corrected(self, budget: SolveBudget, first: Trajectory | None) -> Iterator[Trajectory]:
-        """Random inputs, and those of a plan, corrected to end on the goal through softplus contact that grows sharper."""
         scene, kernel, own = self._scene, self._kernel, self._options
-        for index in range(
-            -1, 0 if self._random_failed else _RANDOM
-        ):  # whatever the start, these are the same
+        # The random inputs do not depend on the start.
+        for index in range(-1, 0 if self._random_failed else _RANDOM):
             if budget.is_over:
                 return
             plan = first if index < 0 else random_plan(scene, kernel, (own.seed, index))
@@ -228,37 +226,31 @@ class Finder:
                 yield plan_of(scene, rollout, u)
 
     def _is_out_of_reach(self, budget: SolveBudget) -> bool:
-        """Whether no plan reaches the goal within the input bounds.
-
-        Asked where not even softplus contact had a plan.
-        """
         if not self._scene.task.has_goal:
             return False
-        found = nearest(self._scene, budget, budget.iterations + self._options.max_iterations)
-        if found.is_out_of_reach:
-            self._ending = (Outcome.INFEASIBLE, out_of_reach(self._scene, found))
-        return found.is_out_of_reach
+        closest = nearest(self._scene, budget, budget.iterations + self._options.max_iterations)
+        if closest.is_out_of_reach:
+            self._ending = (Outcome.INFEASIBLE, out_of_reach(self._scene, closest))
+        return closest.is_out_of_reach
 
     def _coarse(
         self, budget: SolveBudget, start: Trajectory | None
     ) -> tuple[Trajectory, int] | None:
-        """The best plan of a coarser grid, on this one."""
         coarse = coarse_scene(self._scene, self._options.coarse_steps)
         if coarse is None:
             return None
         begin_at = None if start is None else on_grid(start, coarse)
         begun, allowed = budget.work, budget.most_work
-        budget.most_work = (
-            self._most_work
-        )  # what it searches once it has a plan is no search for a first one
+        # Its search after a first plan may use all the work.
+        budget.most_work = self._most_work
         if self._on_coarse is None:
             models = SceneModels(coarse, self._kernel)
             self._on_coarse = Finder(models, self._options)
-        found = self._on_coarse.find(budget, start=begin_at)
+        result = self._on_coarse.find(budget, start=begin_at)
         budget.most_work = min(self._most_work, allowed + budget.work - begun)
-        if found.answer is None:
+        if result.answer is None:
             return None
-        plan = rolled_plan(coarse, self._kernel, found.answer.u)
+        plan = rolled_plan(coarse, self._kernel, result.answer.u)
         return (
             None
             if plan is None
@@ -278,18 +270,12 @@ class Finder:
             )
         return outcome, f"softplus homotopy: {message}"
 
-    # -- what is done with them
-    #   --------------------------------------------------------------------------------------------------
-
     def _exact(
         self, budget: SolveBudget, problem: ModesProblem | NonlinearModes, plan: Trajectory
     ) -> ModesAnswer | None:
-        """The optimum for the modes of a plan.
+        """Return the optimum for the modes of a plan, or for those of its corrected rollout.
 
-        Where they have none, for the modes of its inputs in true contact, corrected to end on the
-        goal.
-
-        The latter modes have a plan, namely that rollout, whenever it arrives.
+        The rollout's modes have a plan, namely the rollout, if it reaches the goal.
         """
         begin = perf_counter()
         answer = None
@@ -299,7 +285,7 @@ class Finder:
             answer = problem.solve(closed)
             if answer is not None or budget.is_over:
                 break
-        if self._is_linear:  # an Ipopt run adds its own time to the budget
+        if self._is_linear:  # an Ipopt run adds its own time
             budget.linear_algebra += perf_counter() - begin
         return answer
 
@@ -317,7 +303,6 @@ class Finder:
     def _continued(
         self, budget: SolveBudget, problem: ModesProblem | NonlinearModes, stride: int
     ) -> ModesAnswer | None:
-        """From the modes of the rollouts that came nearest to the goal, nearest first."""
         begin = perf_counter()
         near, self._near = sorted(self._near, key=lambda pair: pair[0]), []
         answer = None
@@ -332,7 +317,10 @@ class Finder:
     def searched(
         self, budget: SolveBudget, problem: Any, answer: ModesAnswer, stride: int, *, far: bool
     ) -> FinderResult:
-        """Search for the cheapest plan around. far: whether to look further than a step (a coarser grid has seen to that already)."""
+        """Search for the cheapest plan around an answer.
+
+        far: whether to try repetitions and detours (a coarser grid has done so)
+        """
         how = (
             "the rest is a convex quadratic program, solved exactly"
             if self._is_linear
@@ -352,67 +340,72 @@ class Finder:
         def is_over() -> bool:
             return problem.solves >= most or budget.work >= done or perf_counter() >= end
 
-        found = SearchResult(best=answer, tried=0, complete=False)
+        search = SearchResult(best=answer, tried=0, complete=False)
         if self._options.search:
-            found = search_sequences(answer, problem.solve, stride=stride, is_over=is_over, far=far)
+            search = search_sequences(
+                answer, problem.solve, stride=stride, is_over=is_over, far=far
+            )
         is_late = perf_counter() >= end
-        if not found.complete:  # the plan is to be stationary all the same
+        if not search.complete:  # the plan must be stationary in any case
             last = problem.solves + self._most_sequences()
             flipped = flip_wrong_signs(
-                found.best, problem.solve, is_over=lambda: problem.solves >= last or budget.is_over
+                search.best, problem.solve, is_over=lambda: problem.solves >= last or budget.is_over
             )
-            found = SearchResult(
-                best=flipped.best, tried=found.tried + flipped.tried, complete=False
+            search = SearchResult(
+                best=flipped.best, tried=search.tried + flipped.tried, complete=False
             )
         if self._is_linear:
             budget.linear_algebra += perf_counter() - begin
-        message = f"With the contact modes fixed {how}; {found.tried} neighbouring sequences were tried, none is cheaper than this plan."
+        message = f"With the contact modes fixed {how}; {search.tried} neighbouring sequences were tried, none is cheaper than this plan."
         if isinstance(problem, NonlinearModes):
             known = f"{problem.unsolved} of {problem.solves} solves found no plan in a few iterations, which proves nothing"
-            message = f"With the contact modes fixed {how}; of {found.tried} neighbouring sequences none was found to be cheaper ({known})."
+            message = f"With the contact modes fixed {how}; of {search.tried} neighbouring sequences none was found to be cheaper ({known})."
         if not self._options.search:
             message = f"Contact modes were read off a softplus plan; {how}."
-        elif not found.complete:
+        elif not search.complete:
             why = (
                 "its part of the time was over before all were"
                 if is_late
                 else "as many as it may try"
             )
-            message = f"With the contact modes fixed {how}; {found.tried} neighbouring sequences were tried, {why}: others may be cheaper."
+            message = f"With the contact modes fixed {how}; {search.tried} neighbouring sequences were tried, {why}: others may be cheaper."
         return FinderResult(
-            answer=found.best,
+            answer=search.best,
             outcome=Outcome.TIME_LIMIT if budget.is_late else Outcome.SOLVED,
             message=message,
-            tried=found.tried,
+            tried=search.tried,
         )
 
     def _searched_again(
-        self, budget: SolveBudget, problem: ModesProblem, found: FinderResult, stride: int
+        self, budget: SolveBudget, problem: ModesProblem, result: FinderResult, stride: int
     ) -> FinderResult:
-        """Around the modes of other sources, until one leads below the plan: far only where shifts alone do."""
-        assert found.answer is not None, "what was searched around has a plan"
-        tried = found.tried
+        """Search around the modes of other sources, until one leads to a cheaper plan."""
+        assert result.answer is not None, "what was searched around has a plan"
+        tried = result.tried
         for source, words in (
             (self._loosened, "loosened"),
             (self._walked, "walked down from a cold start"),
         ):
-            answer = None if budget.is_over else source(budget, problem, found.answer)
+            answer = None if budget.is_over else source(budget, problem, result.answer)
             for far in (False, True):
                 if answer is None:
                     break
                 again = self.searched(budget, problem, answer, stride, far=far)
                 tried, answer = tried + again.tried, again.answer
-                if answer is None or answer.cost >= found.answer.cost:
+                if answer is None or answer.cost >= result.answer.cost:
                     break
             else:
-                told = f"Around modes of relaxed contact, {words}; around those of softplus contact the cheapest plan costs {found.answer.cost:.6g}."
-                return replace(again, tried=tried, message=f"{again.message} {told}")
-        return replace(found, tried=tried)
+                source_note = f"Around modes of relaxed contact, {words}; around those of softplus contact the cheapest plan costs {result.answer.cost:.6g}."
+                return replace(again, tried=tried, message=f"{again.message} {source_note}")
+        return replace(result, tried=tried)
 
     def _loosened(
         self, budget: SolveBudget, problem: ModesProblem, best: ModesAnswer
     ) -> ModesAnswer | None:
-        """For the modes of loosely relaxed complementarity from a plan, where all contacts change theirs at once."""
+        """Return the optimum for modes of loosely relaxed complementarity around a plan.
+
+        All contacts may change their modes together there.
+        """
         rollout, u = correct_end(self._scene, self._kernel, best.u)
         plan, answer = None if rollout.diverged else plan_of(self._scene, rollout, u), None
         with load_method("relaxed_lcp").open(self._scene) as session:
@@ -420,7 +413,7 @@ class Finder:
                 if plan is None or answer is not None or budget.is_over:
                     break
                 loose = session.solve(eps=eps, warm_start=plan, time_limit=budget.remaining)
-                budget.told(loose)
+                budget.add_solution(loose)
                 plan = loose.trajectory
                 answer = (
                     None if plan is None or budget.is_over else self._exact(budget, problem, plan)
@@ -430,10 +423,6 @@ class Finder:
     def _walked(
         self, budget: SolveBudget, problem: ModesProblem, best: ModesAnswer
     ) -> ModesAnswer | None:
-        """For the modes of relaxed complementarity walked down, which knows nothing of the plan.
-
-        Where the search's share is what a first plan may take.
-        """
         room = self._options.search_share * (budget.most_work - budget.work)
         plan = (
             None
@@ -444,10 +433,6 @@ class Finder:
         return None if plan is None or budget.is_over else self._exact(budget, problem, plan)
 
     def _most_sequences(self) -> int:
-        """Mode sequences that a search may ask for.
-
-        A nonlinear scene's cost a run of Ipopt each.
-        """
         return self._options.search_windows // (1 if self._is_linear else _NONLINEAR)
 
     def _ipopt_options(self, tolerance: float) -> dict[str, Any]:

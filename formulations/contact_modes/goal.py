@@ -1,21 +1,10 @@
-"""How the goal is met: inputs corrected until their rollout ends on it, and modes that miss it continued to modes that meet it.
+"""Meet the goal: correct inputs until their rollout ends there, or continue modes to it.
 
-    rollout, u = correct_end(scene, kernel, u)
-
-What a solver's plan misses the goal by in its replay is taken out by steps on the true rollout.
-Each step is the smallest change of the inputs that moves the end state where it should be, by the
-adjoint of the time step (Levenberg and Marquardt: a Newton step where that works, as it does for a
-miss of 1e-9; a shorter one, along which contacts may begin and end, from further off). Inputs on a
-bound are not pushed across it.
-
-    # closed: the modes of a rollout, whatever it ends at
+    rollout, u = correct_end(scene, kernel, u)  # Levenberg-Marquardt by the adjoint
     answer = continue_to_goal(problem, closed, stride, is_over)
 
-The modes of a rollout always have a plan if the goal need not be met. Its cost is sum_t cost +
-|z[T] - goal|^2 / (2 softness); mode sequences are searched for less of it, the softness falls,
-until the modes found have a plan that meets the goal. Correcting one rollout stops where a contact
-would have to begin or end; here that is a neighbour like any other, and the multipliers of touching
-pairs say which.
+With the cost |z[T] - goal|^2 / (2 softness) instead of a hard goal, the modes of every rollout have
+a plan. The softness falls during the mode search, until the modes meet the goal.
 """
 
 from __future__ import annotations
@@ -32,32 +21,37 @@ from models.contact_law import ContactLaw
 from models.scene import Scene
 from models.scene.goal import distance, goal_state, miss
 
-_GOOD_ENOUGH = (
-    1e-13  # relative to the size of the goal: what a rollout of some hundred steps rounds to
-)
-# steps tried; the plan of a solver needs one or two, a softplus plan with many contacts up to a
-# hundred
+# Error of the goal relative to its size: rounding of a rollout of some hundred steps.
+_GOOD_ENOUGH = 1e-13
+# Steps tried; a solver's plan needs 1 or 2, a softplus plan with many contacts up to 100.
 _MOST = 150
-# Damping after the first failure (part of the largest eigenvalue); its factor after failure and
-# success.
+# Damping after the first failure, relative to the largest eigenvalue.
 _FIRST_DAMPING = 1e-4
+# Factor of the damping after a failure.
 _CALMER = 4.0
+# Factor of the damping after a success.
 _BOLDER = 0.2
-# damping below which it is none at all, and above which nothing is left to try
+# A smaller damping is set to 0.
 _LEAST = 1e-10
+# A larger damping ends the correction.
 _LARGEST = 1e8
 
-# By softplus: factor between two sharpnesses b L, the last (eps = exp(-b L) must be a number),
-# steps tried at each, and the miss that is enough there.
+# Factor between two sharpnesses b L of softplus.
 _SHARPER = 1.25
+# Last sharpness: eps = exp(-b L) must not underflow.
 _SHARPEST = 700.0
+# Steps tried at each sharpness.
 _EACH = 25
+# Sufficient error at each sharpness.
 _ON_THE_WAY = 1e-7
 
-_FIRST = 0.05  # the first miss is worth twenty times the cost of the inputs
+# First softness: the initial error costs twenty times the inputs.
+_FIRST = 0.05
+# Factor of the softness per level.
 _FALL = 0.02
 _LEVELS = 4
-_TRIES = 120  # modes tried at a level
+# Modes tried per level.
+_TRIES = 120
 
 
 def correct_end(
@@ -71,25 +65,14 @@ def correct_end(
     enough: float = _GOOD_ENOUGH,
     scale: np.ndarray | float = 1.0,
 ) -> tuple[Rollout, np.ndarray]:
-    """Change inputs as little as needed for their rollout to end on the goal.
+    """Change inputs u (steps, nu) [N, N m] as little as possible to end on the goal.
 
-    Parameters
-    ----------
-    u : (steps, nu) [N, N m], inputs to begin with
-    law, eps : contact law of the rollouts, and the eps of softplus [-]
-    most : most steps tried
-    enough : miss that counts as none, in parts of the goal's size [-]
-    scale : (2*nq,) [m, rad, m/s, rad/s], by which each component of the miss is divided
-
-    Returns
-    -------
-    The rollout and its inputs (steps, nu) [N, N m]. It ends nearer to the goal than that of u, or
-        is that of u.
-
-    Raises
-    ------
-    KernelError
-        Where the mass matrix is not positive definite along the rollout.
+    law, eps: contact law of the rollouts, and eps of softplus [-]
+    most: maximum number of steps
+    enough: tolerance relative to the goal's size [-]
+    scale: (2*nq,) [m, rad, m/s, rad/s], of each component of the error
+    Return the closest rollout (at least as close as that of u) and its inputs. Raises KernelError
+    if the mass matrix is not positive definite.
     """
     start, goal, step, bounds = (
         np.array(scene.task.start),
@@ -101,7 +84,7 @@ def correct_end(
     best = kernel.rollout(start, u, step, law, eps)
     missed = _end_miss(best, goal) / scale
     near = enough * max(1.0, float(np.linalg.norm(np.nan_to_num(goal) / scale)))
-    aimed = np.flatnonzero(~np.isnan(goal))  # a free component does not ask for anything
+    aimed = np.flatnonzero(~np.isnan(goal))  # free components have no error
     ends = (np.eye(len(goal)) / scale)[aimed]
     damping, slopes = 0.0, None
     for _ in range(most):
@@ -125,24 +108,11 @@ def correct_end(
 def correct_end_by_softplus(
     scene: Scene, kernel: Kernel, u: np.ndarray, sharpness: float
 ) -> tuple[Rollout, np.ndarray]:
-    """Do the same by way of softplus contact that grows sharper in small steps.
+    """Correct the end through softplus contact of increasing sharpness, and then the true contact.
 
-    A contact that begins or ends on the way bends the path of the true law, and a miss may be
-    smallest at such a bend; softplus has none.
-
-    Parameters
-    ----------
-    u : (steps, nu) [N, N m], inputs to begin with
-    sharpness : b L [-], L the scene's length, at which u nearly ends where it should
-
-    Returns
-    -------
-    The rollout through the true contact law and its inputs (steps, nu) [N, N m].
-
-    Raises
-    ------
-    KernelError
-        Where the mass matrix is not positive definite along the rollout.
+    The path of the true law has kinks where contacts begin or end; softplus has none.
+    u (steps, nu) [N, N m] are the initial inputs, sharpness is b L [-] of their softplus contact.
+    Raises KernelError if the mass matrix is not positive definite.
     """
     for b in np.geomspace(
         sharpness, _SHARPEST, 2 + int(np.log(_SHARPEST / sharpness) / np.log(_SHARPER))
@@ -170,10 +140,7 @@ def _change(
     bounds: tuple[np.ndarray, np.ndarray],
     damping: float,
 ) -> np.ndarray:
-    """The damped step of the inputs (steps, nu).
-
-    Those on a bound that it would push outwards are left out of it.
-    """
+    """Return the damped step of the inputs (steps, nu), within their bounds."""
     free = np.ones(u.shape, dtype=bool)
     change = np.zeros(u.shape)
     for _ in range(2):
@@ -194,22 +161,10 @@ def _change(
 def continue_to_goal(
     problem: ModesProblem, closed: np.ndarray, stride: int, is_over: Callable[[], bool]
 ) -> QuadraticAnswer | None:
-    """Find modes that meet the goal, from modes that miss it.
+    """Return the optimum of modes that meet the goal, from modes that miss it; None if not found.
 
-    Parameters
-    ----------
-    closed : (steps, nc) [-], modes that need not have a plan that meets the goal
-    stride : first stride of the searches [steps]
-    is_over : whether to stop
-
-    Returns
-    -------
-    The optimum of the modes found, or None where none were found.
-
-    Raises
-    ------
-    ValueError
-        For modes of another shape.
+    closed (steps, nc) [-] need not have a plan; stride is the first one of the searches [steps].
+    Raises ValueError for modes of another shape.
     """
     linear = problem.linear
     try:
@@ -230,13 +185,13 @@ def continue_to_goal(
             if answer is None:
                 return None
             last = problem.solves + _TRIES
-            found = search_sequences(
+            search = search_sequences(
                 answer,
                 problem.solve,
                 stride=stride,
                 is_over=lambda last=last: is_over() or problem.solves > last,
             )
-            closed, problem.softness = found.best.closed, 0.0
+            closed, problem.softness = search.best.closed, 0.0
             answer = problem.solve(closed)
             if answer is not None or is_over():
                 return answer

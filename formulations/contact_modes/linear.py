@@ -1,27 +1,14 @@
-"""A linear scene in numbers, and the optimality conditions of its plans with fixed contact modes as one banded matrix.
+"""The matrices of a linear scene, and the optimality conditions of fixed modes as a banded matrix.
 
-    linear = linear_scene(scene)          # if is_linear(scene)
-    linear.A @ z + linear.B @ u + linear.c + linear.E @ lam
-
-z = (q, v) moves by z[t+1] = A z[t] + B u[t] + c + E lam[t], and lam_i = k_i phi_i(z) where contact
-i is closed. The running cost is 1/2 x' H x + g' x + constant with x = (q, v, u). With the contact
-modes fixed, what is left of the planning problem is a convex quadratic program.
-
-    kkt = BandedKKT(linear)
-    # which contacts push, which inputs lie on a bound, where phi = 0 is imposed
+    linear.A @ z + linear.B @ u + linear.c + linear.E @ lam  # the next state z = (q, v)
     kkt.factor(closed, held, touching)
     point = kkt.point(kkt.solve(kkt.right_side(closed, held, bound, touching)))
 
-Unknowns, time by time: y[t] (multipliers of the time step), u[t], z[t+1], mu[t+1] (multipliers of
-phi = 0 where that is imposed), and w, the multipliers of the goal, last. All that a change of modes
-or active bounds does is change numbers in the band: its shape is settled once. Lagrangian:
+lam_i = k_i phi_i(z) where contact i is closed; the running cost is 1/2 x' H x + g' x + constant
+with x = (q, v, u). Unknowns, time by time: y[t], u[t], z[t+1], mu[t+1]; last w. Lagrangian:
 
-    L = sum_t cost(z[t], u[t]) + y[t]' (A[t] z[t] + B u[t] + c[t] - z[t+1]) + mu[t]' (P z[t] + p) + w' (z[T] - goal)
-
-The banded LU with row pivoting is compiled C, milliseconds for a plan of some hundred steps, always
-one thread. LAPACK's gbtrf and gbtrs do the same through SciPy. Measured on solves of three_cart
-they took 1.7 times the CPU of the whole solve: their loop over the columns calls the BLAS twice for
-each, for ten numbers; and where the threads of the BLAS are not limited, these spin, three times.
+    L = sum_t cost(z[t], u[t]) + y[t]' (A[t] z[t] + B u[t] + c[t] - z[t+1])
+      + mu[t]' (P z[t] + p) + w' (z[T] - goal)
 """
 
 from __future__ import annotations
@@ -51,14 +38,17 @@ _SIGNATURES = {
 
 @lru_cache(maxsize=1)
 def _library() -> ctypes.CDLL:
-    """Compiled once and cached on disk. Raises MachineError without a compiler."""
     return load_library(
         cached_library({"band.c": _SOURCE.read_text(encoding="utf-8")}, ("-O3",)), _SIGNATURES
     )
 
 
 class BandedLU:
-    """Banded LU with row pivoting: entry (i, j) of the matrix stands at [width + i - j, j]."""
+    """Banded LU with row pivoting; entry (i, j) of the matrix is at [width + i - j, j].
+
+    LAPACK's gbtrf and gbtrs take 1.7 times the CPU of a whole three_cart solve: they call the BLAS
+    twice per column for ten numbers, and unlimited BLAS threads spin.
+    """
 
     def __init__(self, size: int, width: int) -> None:
         self._size, self._width = size, width
@@ -70,17 +60,9 @@ class BandedLU:
         )
 
     def factor(self, matrix: np.ndarray) -> bool:
-        """Factorise; False where a pivot is exactly zero.
+        """Factorise matrix (2*width + 1, size) [-] in Fortran order; return False for a zero pivot.
 
-        Parameters
-        ----------
-        matrix : (2*width + 1, size) [-], in Fortran order; it is kept, and must not be written to
-            afterwards
-
-        Raises
-        ------
-        ValueError
-            For an array of another shape.
+        The matrix is kept and must not change later. Raises ValueError for another shape.
         """
         self._matrix = np.asfortranarray(matrix, dtype=np.float64)
         self._factors[: self._width], self._factors[self._width :] = 0.0, matrix
@@ -92,12 +74,18 @@ class BandedLU:
         )
 
     def solve(self, right: np.ndarray, *, refine: bool = True) -> np.ndarray:
-        """Solve the factorised system for right (size,) [-], refined once by its own residual or not: (size,) [-]. Raises nothing: the size is not checked here."""
-        found = self._back(right)
-        return found + self._back(right - self.product(found)) if refine else found
+        """Solve the factorised system for right (size,) [-], optionally refined once: (size,) [-].
+
+        Raises nothing: the size is not checked.
+        """
+        x = self._back(right)
+        return x + self._back(right - self.product(x)) if refine else x
 
     def product(self, x: np.ndarray) -> np.ndarray:
-        """Multiply by the matrix of the last factorisation: x (size,) [-] -> (size,) [-]. Raises nothing: the size is not checked here."""
+        """Multiply the last factorised matrix by x (size,) [-]: (size,) [-].
+
+        Raises nothing: the size is not checked.
+        """
         factor = np.ascontiguousarray(x, dtype=np.float64)
         product = np.empty_like(factor)
         self._library.band_product(
@@ -121,8 +109,7 @@ class BandedLU:
         return x
 
 
-# A Hessian of the running cost counts as convex down to this part of its largest eigenvalue:
-# rounding, and nothing more.
+# Smallest eigenvalue of a convex Hessian relative to the largest one: rounding.
 _CONVEX = 1e-12
 
 
@@ -130,13 +117,11 @@ _CONVEX = 1e-12
 class LinearScene:
     """The matrices of a linear scene with n = 2*nq states z = (q, v).
 
-    A (n, n), B (n, nu), c (n,), E (n, nc) [per N]; phi = P z + p, P (nc, n), p (nc,) [m]; k (nc,)
-    [N/m].
-
-    H (n+nu, n+nu), g (n+nu,), constant: the running cost; lower, upper (nu,); start, goal (n,), NaN
-    where the end is free; step [s], steps. The first `contacts` of the nc rows of P are contacts.
-    The others are bounds of velocities, phi <= 0: contacts that push with no force (E = 0) and are
-    never closed.
+    A (n, n), B (n, nu), c (n,), E (n, nc) [per N]; phi = P z + p, P (nc, n), p (nc,) [m] k: (nc,)
+    [N/m] H (n+nu, n+nu), g (n+nu,), constant: the running cost
+    lower, upper: (nu,); start, goal: (n,), NaN for a free end
+    contacts: number of contacts among the nc rows of P; the rest are velocity bounds phi <= 0, with
+        E = 0 and never closed
     """
 
     A: np.ndarray
@@ -159,26 +144,26 @@ class LinearScene:
 
     @property
     def aimed(self) -> np.ndarray:
-        """Whether a component of the end is given: (n,) [-]."""
+        """Return whether each component of the end is given: (n,) [-]. Raises nothing."""
         return ~np.isnan(self.goal)
 
     @property
     def n(self) -> int:
-        """Number of states, positions and velocities."""
+        """Return the number of states."""
         return len(self.c)
 
     @property
     def nu(self) -> int:
-        """Number of inputs."""
+        """Return the number of inputs."""
         return self.B.shape[1]
 
     @property
     def nc(self) -> int:
-        """Number of contacts and velocity bounds."""
+        """Return the number of contacts and velocity bounds."""
         return len(self.p)
 
     def penetration(self, z: np.ndarray) -> np.ndarray:
-        """Give phi (rows, nc) [m] at states z (rows, n) [m, rad, m/s, rad/s].
+        """Return phi (rows, nc) [m] at states z (rows, n) [m, rad, m/s, rad/s].
 
         Raises ValueError for another number of states.
         """
@@ -193,7 +178,7 @@ class LinearScene:
         return float(0.5 * ((x @ self.H) * x).sum() + (x @ self.g).sum() + self.constant * len(x))
 
     def soft_cost(self, point: Point, softness: float) -> float:
-        """The cost of a point, with what it misses of a goal of this softness, as in `ModesProblem`."""
+        """Return the cost of a point, including the error of a soft goal as in `ModesProblem`."""
         cost = self.cost(point.z[:-1], point.u)
         return (
             cost
@@ -256,7 +241,6 @@ def linear_scene(scene: Scene) -> LinearScene:
 
 
 def _velocity_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """P (bounds, 2*nq), p (bounds,): P z + p <= 0 is the bound."""
     rows, offsets = [], []
     for index, coordinate in enumerate(scene.coordinates):
         for sign, bound in ((-1.0, coordinate.velocity_lower), (1.0, coordinate.velocity_upper)):
@@ -275,20 +259,18 @@ def _numbers(d: Dynamics, matrix: sp.Matrix) -> np.ndarray:
 
 
 def _slopes(d: Dynamics, matrix: sp.Matrix, symbols: Sequence[sp.Symbol]) -> np.ndarray:
-    """(rows, len(symbols)) derivatives of a column of affine expressions."""
     return (
         _numbers(d, matrix.jacobian(list(symbols))) if matrix.rows else np.zeros((0, len(symbols)))
     )
 
 
 def _at_zero(d: Dynamics, matrix: sp.Matrix) -> np.ndarray:
-    """(rows,) values at q = v = u = 0."""
     return _numbers(d, matrix.subs(dict.fromkeys([*d.q, *d.v, *d.u], 0))).ravel()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Point:
-    """A solution of the optimality system: z (steps+1, n), u (steps, nu), y (steps, n), mu (steps, nc) with mu[0] = 0."""
+    """A solution: z (steps+1, n), u (steps, nu), y (steps, n), mu (steps, nc) with mu[0] = 0."""
 
     z: np.ndarray
     u: np.ndarray
@@ -299,13 +281,13 @@ class Point:
 def _block(
     rows: np.ndarray, columns: np.ndarray, values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows (times, m) and columns (times, m) of the m entries of a block (a, b) that are not zero, and these entries (m,)."""
+    """Return rows and columns (times, m) of a block's m nonzero entries, and these (m,)."""
     i, j = values.nonzero()
     return rows[:, i], columns[:, j], values[i, j]
 
 
 class BandedKKT:
-    """The optimality conditions of a linear scene as a banded matrix, `size` rows and columns."""
+    """The optimality conditions of a linear scene as a banded matrix of `size` rows."""
 
     def __init__(self, linear: LinearScene) -> None:
         self._linear = linear
@@ -314,25 +296,25 @@ class BandedKKT:
         self.size = T * self._block + n
         block = self._block * np.arange(T)[:, None]
         self._y, self.rows_u = block + np.arange(n), block + n + np.arange(nu)
-        self.rows_z, self.rows_mu = (
-            block + n + nu + np.arange(n),
-            block + 2 * n + nu + np.arange(nc),
-        )  # row t: z[t+1], mu[t+1]
+        # Row t: z[t+1], mu[t+1].
+        self.rows_z = block + n + nu + np.arange(n)
+        self.rows_mu = block + 2 * n + nu + np.arange(nc)
         self.rows_w = T * self._block + np.arange(n)
-        self._closing = np.einsum(
-            "ic,c,cj->cij", linear.E, linear.k, linear.P
-        )  # what a closed contact adds to A
+        # Contribution of a closed contact to A.
+        self._closing = np.einsum("ic,c,cj->cij", linear.E, linear.k, linear.P)
         self._settle_band()
 
     def _settle_band(self) -> None:
-        """The constant part of the matrix, and the places of what changes."""
         lin, n = self._linear, self._linear.n
         q, s, r = lin.H[:n, :n], lin.H[:n, n:], lin.H[n:, n:]
         ones = np.eye(n)
         entries: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
         def add(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> None:
-            """Add the same dense block at each time: rows (times, a), columns (times, b) [-], values (a, b) [-]. Raises ValueError for values of another shape."""
+            """Add values (a, b) [-] at rows (times, a), columns (times, b) [-].
+
+            Raises ValueError.
+            """
             at_rows, at_columns, numbers = _block(rows, columns, values)
             entries.append(
                 (
@@ -348,9 +330,8 @@ class BandedKKT:
         add(self.rows_z[:-1], self.rows_z[:-1], q)
         add(self.rows_z[:-1], self.rows_u[1:], s)
         add(self.rows_z[:-1], self.rows_mu[:-1], lin.P.T)
-        aimed = np.diag(
-            lin.aimed.astype(float)
-        )  # a free component of the end has no multiplier: w = 0
+        # A free component of the end has no multiplier: w = 0.
+        aimed = np.diag(lin.aimed.astype(float))
         add(self.rows_z[-1:], self.rows_w[None], aimed)
         add(self.rows_w[None], self.rows_z[-1:], aimed)
         add(self.rows_w[None], self.rows_w[None], ones - aimed)
@@ -378,10 +359,8 @@ class BandedKKT:
         width = max(int(np.abs(part).max(initial=0)) for part in distances)
         self._width, self._height = width, 2 * width + 1  # as many diagonals below as above
         self._lu = BandedLU(self.size, width)
-        self.solve, self.product = (
-            self._lu.solve,
-            self._lu.product,
-        )  # as there, of the matrix that `factor` made last
+        # For the last matrix of `factor`.
+        self.solve, self.product = self._lu.solve, self._lu.product
         self._constant = np.zeros((self._height, self.size), order="F")
         flat = self._constant.reshape(-1, order="F")
         np.add.at(flat, self._place(rows, columns), values)
@@ -396,28 +375,19 @@ class BandedKKT:
         self._at_w = self._place(self.rows_w, self.rows_w)
 
     def _place(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Positions in the band, column by column (Fortran order)."""
         return columns * self._height + self._width + rows - columns
 
     def factor(
         self, closed: np.ndarray, held: np.ndarray, touching: np.ndarray, *, softness: float = 0.0
     ) -> bool:
-        """Factorise the KKT matrix; return False if the matrix is singular.
+        """Factorise the KKT matrix; return False if it is singular.
 
-        A singular matrix means that the goal is not controllable, or that conditions contradict
-        each other.
-
-        Parameters
-        ----------
-        closed : (steps, nc) [-], whether a contact is closed in a step
-        held : (steps, nu) [-], whether an input lies on a bound
-        touching : (steps, nc) [-], whether phi = 0 is imposed; row 0 is not used
-        softness : instead of z[T] = goal, the cost 1/2 |z[T] - goal|^2 / softness is added
-
-        Raises
-        ------
-        ValueError
-            For an array of another shape.
+        It is singular if the goal is not controllable, or if conditions contradict each other.
+        closed: (steps, nc) [-], whether a contact is closed in a step
+        held: (steps, nu) [-], whether an input is at a bound
+        touching: (steps, nc) [-], whether phi = 0 is imposed; row 0 is not used
+        softness: if positive, the cost 1/2 |z[T] - goal|^2 / softness replaces z[T] = goal
+        Raises ValueError for an array of another shape.
         """
         band = self._constant.copy(order="F")
         flat = band.reshape(-1, order="F")
@@ -440,21 +410,10 @@ class BandedKKT:
     def right_side(
         self, closed: np.ndarray, held: np.ndarray, bound: np.ndarray, touching: np.ndarray
     ) -> np.ndarray:
-        """Give the right-hand side of the optimality system.
+        """Return the right-hand side (size,) [-] for conditions as in `factor`.
 
-        Parameters
-        ----------
-        closed, held, touching : (steps, nc), (steps, nu), (steps, nc) [-], as in `factor`
-        bound : (steps, nu) [N, N m], values of the inputs that are held
-
-        Returns
-        -------
-        (size,) [-]
-
-        Raises
-        ------
-        ValueError
-            For an array of another shape.
+        bound (steps, nu) [N, N m] are the values of held inputs. Raises ValueError for another
+        shape.
         """
         lin, n = self._linear, self._linear.n
         right = np.zeros(self.size)
@@ -471,7 +430,7 @@ class BandedKKT:
         return right
 
     def point(self, x: np.ndarray) -> Point:
-        """Take a solution x (size,) [-] apart. Raises IndexError for a shorter one."""
+        """Split a solution x (size,) [-]. Raises IndexError if it is too short."""
         lin = self._linear
         return Point(
             z=np.vstack([lin.start, x[self.rows_z]]),

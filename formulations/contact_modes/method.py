@@ -1,7 +1,4 @@
-"""The options of methods by contact modes, and which scenes have only open and closed contacts.
-
-Light to import: no Pyomo.
-"""
+"""Options of methods by contact modes, and the scenes these accept; light to import (no Pyomo)."""
 
 from __future__ import annotations
 
@@ -135,18 +132,17 @@ class CollocationOptions(TranscriptionOptions):
 
 
 def why_not(scene: Scene) -> str | None:
-    """Give None, or the reason why modes that are open or closed do not make a plan of this scene."""
+    """Return the reason why open and closed modes cannot plan this scene, or None."""
     if not scene.inputs:
         return without_inputs(scene, "plan")
     if scene.nf:
-        return f"scene {scene.name} has friction, and open and closed contacts alone do not say where it sticks; best_exact and strict_lcp plan it."
+        return f"scene {scene.name} has friction, and open and closed contacts do not determine where it sticks; best_exact and strict_lcp plan it."
     if scene.damped:
         names = ", ".join(scene.contacts[index].name for index in scene.damped)
-        return f"scene {scene.name} has damped contacts ({names}), and open and closed contacts alone do not say where they are released; best_exact and strict_lcp plan it."
+        return f"scene {scene.name} has damped contacts ({names}), and open and closed contacts do not determine where they are released; best_exact and strict_lcp plan it."
     try:
-        for field, expression, *_ in named_expressions(
-            scene
-        ):  # what is smooth as it was written is so once it is derived
+        # Derivatives of smooth expressions are smooth.
+        for field, expression, *_ in named_expressions(scene):
             check_smooth(scene, field, (expression,))
     except SceneError as error:
         return str(error)

@@ -1,20 +1,8 @@
-"""The planning problem of any scene with its contact modes fixed: a smooth problem without complementarity, solved by Ipopt.
+"""Solve the planning problem of any scene with fixed contact modes by Ipopt, to a local optimum.
 
-The same question as `quadratic` answers for linear scenes, at the price of an Ipopt run; its
-answers are local.
-
-Where the contacts will be, from a cold start, is found by softplus contact that grows sharper, b L
-= 7, 14, .., 448. L is the length that the scene counts eps in: a
-scene in other units, or a tenth as large, has the same schedule. Softplus acts at a distance with k
-ln 2 / b at the touch. Where that exceeds what the inputs can hold against, the contact begins
-softer: k is a hundredth, a fiftieth, .. of its value, and reaches it with the last stage. Each
-stage starts from the one before; multipliers are handed on once the plan no longer moves much. A
-plan is the last stage's, of a law that is nearly but not quite the true one: only its contact modes
-are used.
-
-`SceneModels` holds the models that a search uses. Each model is built and translated once for all
-starts. A model is put into the same state before every use, so that its results do not depend on
-earlier uses.
+`SoftplusHomotopy` finds first modes with sharpness b L = 7, 14, .., 448 (L: the scene's length, so
+that units do not matter). A touching pair has the force k ln 2 / b; if the inputs cannot hold it, k
+starts at a hundredth, a fiftieth, .. of its value and reaches it with the last stage.
 """
 
 from __future__ import annotations
@@ -41,27 +29,27 @@ from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory
 
-# From this sharpness b L on a stage takes the multipliers of the one before: earlier the plan still
-# moves too far for them (three carts: 64 iterations in all; 140 from the second stage on, 75
-# without any).
+# Sharpness b L from which a stage reuses multipliers: earlier the plan still moves too far (three
+# carts: 64 iterations; 140 if from the second stage on, 75 without).
 _DUALS_FROM = 100.0
-# Largest softplus force of touching bodies, in parts of the strongest input: 3 N of 10 N for the
+# Largest softplus force of touching bodies, as a share of the strongest input: 3 N of 10 N for the
 # three carts, k = 30 and b = 7.
 _TOUCH = 0.3
-# Most iterations of a stage once there is a plan: those that ended well mostly took up to 83
-# (chains of 2 to 5 carts); one that needs more has lost its way in restoration, and the plans
-# before it are worth more than the time it takes.
+# Iteration limit of a stage after a first plan: successful ones took up to 83 (chains of 2 to 5
+# carts); longer ones are lost in restoration.
 STAGE_ITERATIONS = 200
-# [N] force and separation below which a pair touches without pressing; Ipopt keeps them to 1e-8
+# Force and separation of a touching pair [N]; Ipopt keeps them to 1e-8.
 _BIACTIVE = 1e-6
-_NEIGHBOUR_ITERATIONS = 50  # most iterations for a neighbour of a plan: it needs 5 to 20
+# Iteration limit of a neighbour of a plan: it needs 5 to 20.
+_NEIGHBOUR_ITERATIONS = 50
 
 
 class SoftplusHomotopy:
     """The softplus model of one scene, built once.
 
-    schedule: b L of its stages; scheme, integrate_cost: as in `build_model`. compiled: the model,
-        which holds the plan of the last stage.
+    schedule: b L of its stages
+    scheme, integrate_cost: as in `build_model`
+    compiled: the model, which holds the plan of the last stage
     """
 
     def __init__(
@@ -95,19 +83,17 @@ class SoftplusHomotopy:
         keep: Callable[[Trajectory], None],
         most_iterations: int = 10**9,
     ) -> tuple[Outcome, str]:
-        """Solve stage by stage; how the last one ended, and in words.
+        """Solve stage by stage; return outcome and message of the last one.
 
-        keep: called with the plan of every stage that was solved; most_iterations: of a stage once
-            there is a plan.
+        keep: called with the plan of every solved stage
+        most_iterations: limit of a stage after a first plan
         """
         model = self.compiled.model
         self.compiled.load(start)
         plan, before = None, None
         outcome, message = Outcome.FAILED, ""
-        options = {
-            **options,
-            "max_iter": budget.iterations + options["max_iter"],
-        }  # those of other runs do not count
+        # Iterations of earlier runs do not count.
+        options = {**options, "max_iter": budget.iterations + options["max_iter"]}
         for sharpness, share in self._stages:
             if len(self._stages) > 1:
                 set_relaxation(model, _eps(sharpness))
@@ -135,16 +121,13 @@ class SoftplusHomotopy:
 
 
 def schedule(first: float, last: float, growth: float) -> tuple[float, ...]:
-    """Give the b L of the stages, from the first to the last by a constant factor."""
+    """Return b L of the stages, from first to last by a constant factor."""
     count = int(np.floor(np.log(max(last / first, 1.0)) / np.log(growth) + 1e-9)) + 1
     return tuple(first * growth**index for index in range(count))
 
 
 def _own_stiffness(scene: Scene) -> dict[str, float]:
-    """Parameters that are the stiffness of contacts and nothing else.
-
-    Empty unless all contacts have such.
-    """
+    """Return the parameters that are only stiffnesses; empty unless each contact has one."""
     symbols = {contact.stiffness for contact in scene.contacts}
     parameters = {parameter.symbol: parameter for parameter in scene.parameters}
     physics = [
@@ -172,7 +155,6 @@ def _own_stiffness(scene: Scene) -> dict[str, float]:
 def _stages(
     scene: Scene, schedule: tuple[float, ...], may_soften: bool
 ) -> Iterator[tuple[float, float]]:
-    """(sharpness b L, part of the stiffness) stage by stage."""
     stiffest = max(
         float(sp.sympify(contact.stiffness).subs(scene.parameter_values))
         for contact in scene.contacts
@@ -189,30 +171,29 @@ def _stages(
 
 
 def _eps(sharpness: float) -> float:
-    """The eps whose |ln eps| is this sharpness."""
     return float(np.exp(-sharpness))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NonlinearAnswer(ModesAnswer):
-    """A local optimum for these modes, with its plan."""
+    """A local optimum for fixed modes, with its plan."""
 
     plan: Trajectory
 
 
 class NonlinearModes:
-    """One model, whose modes are fixed by bounds. guess: the plan that the first solve starts from."""
+    """One model with modes fixed by bounds; the first solve starts from the plan `guess`."""
 
     def __init__(self, scene: Scene, kernel: Kernel) -> None:
         self._scene, self._kernel = scene, kernel
-        # The bound is never used: products are switched off as soon as modes are held.
+        # This bound has no effect: fixing modes switches the products off.
         model = build_model(
             scene, ContactFormulation.COMPLEMENTARITY, eps=1.0 if scene.nc else None
         )
         self._compiled, self._residuals = CompiledModel(model), PlanResiduals(scene)
 
     def begin(self, budget: SolveBudget, options: Mapping[str, Any]) -> NonlinearModes:
-        """Begin a search, as if the model were new."""
+        """Begin a search in a state that does not depend on earlier searches."""
         self._budget, self._options = budget, {**options, "bound_relax_factor": 0.0}
         self.guess: Trajectory | None = None
         self.solves, self.unsolved = 0, 0
@@ -221,22 +202,10 @@ class NonlinearModes:
     def solve(
         self, closed: np.ndarray, near: NonlinearAnswer | None = None, below: float = np.inf
     ) -> NonlinearAnswer | None:
-        """Find an optimum for these modes.
+        """Return an optimum for these modes that costs less than `below`, or None.
 
-        Parameters
-        ----------
-        closed : (steps, nc) [-], whether a contact is closed in a step
-        near : the answer of similar modes, whose plan it starts from
-        below : cost above which no plan is of interest
-
-        Returns
-        -------
-        The optimum, or None where none was found that costs less than `below`.
-
-        Raises
-        ------
-        ValueError
-            For modes of another shape.
+        closed is (steps, nc) [-]; the solve starts from the plan of `near`, the answer of similar
+        modes. Raises ValueError for modes of another shape.
         """
         model, scene = self._compiled.model, self._scene
         guess = self.guess if near is None else near.plan
@@ -267,7 +236,7 @@ class NonlinearModes:
         biactive = (plan.lam <= _BIACTIVE) & (
             plan.lam - self._kernel.stiffness() * phi <= _BIACTIVE
         )
-        biactive[:1] = False  # the start is no choice
+        biactive[:1] = False  # the start decides these
         return NonlinearAnswer(
             closed=closed,
             u=plan.u,
@@ -281,7 +250,7 @@ class NonlinearModes:
         )
 
     def _multipliers(self, result: IpoptResult) -> np.ndarray:
-        """(2, steps, nc) derivative of the Lagrangian without its bounds, by lam and by v = lam - k phi: the multipliers of their bounds."""
+        """Return the multipliers (2, steps, nc) of lam >= 0 and v = lam - k phi >= 0."""
         if not self._scene.nc:
             return np.zeros((2, self._scene.task.steps, 0))
         model = self._compiled.model
@@ -309,9 +278,9 @@ class SceneModels:
     def modes(
         self, budget: SolveBudget, options: Mapping[str, Any]
     ) -> ModesProblem | NonlinearModes:
-        """Return the problem with modes fixed.
+        """Return the problem with fixed modes.
 
-        budget, options: of the runs of Ipopt that a nonlinear scene needs.
+        Budget and options are for Ipopt (nonlinear scenes).
         """
         return self._linear if self.is_linear else self._nonlinear.begin(budget, options)
 

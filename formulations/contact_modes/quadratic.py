@@ -1,26 +1,13 @@
-"""The planning problem of a linear scene with its contact modes fixed: a convex quadratic program, solved to rounding.
+"""Solve the planning problem of a linear scene with fixed modes: a convex quadratic program.
 
-    problem = ModesProblem(linear)
-    # closed (steps, nc): True where lam = k phi, False where lam = 0
-    answer = problem.solve(closed)
-    answer.u, answer.cost, answer.point.z
-
+    answer = problem.solve(closed)  # closed (steps, nc): True: lam = k phi, False: lam = 0
     minimise sum_t cost   subject to   the time step,  z[T] = goal,  lower <= u <= upper,
                                        phi >= 0 where closed,  phi <= 0 where open
 
-A dual active-set method names the active conditions; where it finds too many of them an
-interior-point method does (`dual_active_set`). Then the equality problem is solved once more by a
-factorisation that holds them, and every sign is checked: the answer is exact or there is none.
-
-The multipliers of the fixed modes say whether other modes are cheaper. With G = lam >= 0 and H =
-lam - k phi >= 0 and one of them zero at each step, the problem with fixed modes has multipliers s_G
-and s_H per newton (L = ... - s_G G - s_H H). Where one of G and H is positive its multiplier is
-zero and the other may have any sign. Where both are zero (a biactive pair: the bodies touch without
-pressing) the signs decide:
-
-    S  both >= 0: no mode of these pairs is cheaper to first order   M
-        both > 0, or one of them zero
-    C  the product is >= 0      A  one of them >= 0      W  neither
+The active conditions come from `dual_active_set`; then the equality problem is solved and every
+sign checked, so that an answer is exact. With G = lam >= 0, H = lam - k phi >= 0 the multipliers
+s_G, s_H [1/N] (L = ... - s_G G - s_H H) of biactive pairs show whether other modes are cheaper: if
+both are >= 0 (S), none is to first order.
 """
 
 from __future__ import annotations
@@ -37,12 +24,13 @@ from formulations.contact_modes.dual_active_set import (
 )
 from formulations.contact_modes.linear import BandedKKT, LinearScene, Point
 
-_ZERO = 1e-6  # part of the largest multiplier that counts as zero
+# A multiplier with a smaller share of the largest one counts as zero.
+_ZERO = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModeStationarity:
-    """Whether no multiplier of a biactive pair is negative, the number of these pairs, and their least multiplier [1/N] (0 without pairs)."""
+    """Whether no biactive pair has a negative multiplier; number and least multiplier [1/N]."""
 
     strong: bool
     biactive: int
@@ -50,7 +38,7 @@ class ModeStationarity:
 
     @property
     def sentence(self) -> str:
-        """The same in words."""
+        """Return the stationarity as text."""
         if not self.biactive:
             return "S-stationary: no contact touches without pressing."
         pairs = "pair touches" if self.biactive == 1 else "pairs touch"
@@ -63,15 +51,8 @@ def stationarity_of(
 ) -> ModeStationarity:
     """Return the stationarity that the signs of the multipliers show.
 
-    Parameters
-    ----------
-    of_force, of_separation : (steps, nc) [1/N], multipliers s_G and s_H
-    biactive : (steps, nc) [-], whether both G and H are zero
-
-    Raises
-    ------
-    IndexError
-        For arrays of different shapes.
+    of_force, of_separation (steps, nc) [1/N] are s_G and s_H, biactive (steps, nc) [-] marks pairs
+    with G = H = 0. Raises IndexError for arrays of different shapes.
     """
     pairs = np.stack([of_force[biactive], of_separation[biactive]])
     if not pairs.size:
@@ -81,28 +62,32 @@ def stationarity_of(
     return ModeStationarity(strong=least >= -zero, biactive=int(biactive.sum()), least=least)
 
 
-# of the active set before it counts as going in circles; from a neighbour's set 2 to 4 are needed
+# Rounds of the active set before it counts as cycling; from a neighbour's set 2 to 4 are needed.
 _ROUNDS = 12
-# From a neighbour's set so many rounds (a factorisation each), before the dual method is asked (one
-# factorisation, and a back substitution for each condition): worth it where that set has more
-# conditions than this.
+# Rounds from a neighbour's set (a factorisation each) before the dual method (one factorisation, a
+# back substitution per condition).
 _WARM_ROUNDS = 5
+# Smallest size of a neighbour's set for which these rounds are worth it.
 _MANY = 12
-_VIOLATED = 1e-12  # [m], [N]: rounding of the banded solution
-_WRONG_SIGN = 1e-9  # a multiplier below minus this asks for its condition to be dropped
-_BIACTIVE = 1e-11  # [m] penetration or gap below which a pair touches without pressing
-_SAME = 1e-10  # part of a cost by which two are the same
-_SOLVED = 1e-8  # largest residual of the linear system that still counts as a solution
+# Smallest violation of a condition [m], [N]: rounding of the banded solution.
+_VIOLATED = 1e-12
+# A condition with a multiplier below minus this is dropped.
+_WRONG_SIGN = 1e-9
+# Largest |phi| [m] of a pair that touches without force.
+_BIACTIVE = 1e-11
+# Relative difference of equal costs.
+_SAME = 1e-10
+# Largest residual of a solution of the linear system.
+_SOLVED = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModesAnswer:
-    """An optimum for fixed modes: closed (steps, nc), u (steps, nu) [N, N m], its cost and phi (steps, nc) [m].
+    """An optimum for fixed modes: closed (steps, nc), u (steps, nu) [N, N m], phi (steps, nc) [m].
 
-    of_force, of_separation: (steps, nc) [1/N], multipliers s_G and s_H; biactive (steps, nc): pairs
-        that touch without pressing, but for those of the
-    first step, which the start decides; dual_infeasibility: largest derivative of the Lagrangian
-        that should be zero.
+    of_force, of_separation: (steps, nc) [1/N], multipliers s_G and s_H
+    biactive: (steps, nc), pairs that touch without force, except those of the first step
+    dual_infeasibility: largest derivative of the Lagrangian that should be zero
     """
 
     closed: np.ndarray
@@ -115,14 +100,14 @@ class ModesAnswer:
     dual_infeasibility: float
 
     def stationarity(self) -> ModeStationarity:
-        """Return the stationarity by the pairs that touch without pressing."""
+        """Return the stationarity by the biactive pairs."""
         return stationarity_of(self.of_force, self.of_separation, self.biactive)
 
     @property
     def biactive_multiplier(self) -> np.ndarray:
-        """Smaller multiplier of a biactive pair where it is negative, else 0: (steps, nc) [1/N].
+        """Return the smaller multiplier (steps, nc) [1/N] of a biactive pair if negative, else 0.
 
-        There the other mode is cheaper.
+        The other mode is cheaper there. Raises nothing.
         """
         return np.where(
             self.biactive, np.minimum(0.0, np.minimum(self.of_force, self.of_separation)), 0.0
@@ -131,49 +116,44 @@ class ModesAnswer:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class QuadraticAnswer(ModesAnswer):
-    """The same with states and multipliers of the whole optimality system, and its active conditions."""
+    """An answer with the whole solution and its active conditions."""
 
     point: Point
     active: WorkingSet
 
 
 class ModesProblem:
-    """The quadratic program of one scene; `softness` may be moved between solves.
+    """The quadratic program of one scene; `softness` may change between solves.
 
-    softness: where positive, the goal need not be met: |z[T] - goal|^2 / (2 softness) is added to
-        the cost. The modes of any rollout have a plan then.
+    softness: if positive, |z[T] - goal|^2 / (2 softness) replaces the goal; the modes of any
+        rollout then have a plan
     """
 
     def __init__(self, linear: LinearScene) -> None:
         self.linear = linear
         self.kkt = BandedKKT(linear)
         self.solves, self.softness = 0, 0.0
-        # by softness and modes: no plan costs less
+        # By softness and modes: lower bound of the cost.
         self._floors: dict[tuple[float, bytes], float] = {}
         self._dual = DualActiveSet(linear, self.kkt)
 
     def solve(
         self, closed: np.ndarray, near: QuadraticAnswer | None = None, below: float = np.inf
     ) -> QuadraticAnswer | None:
-        """Find the optimum for these modes.
+        """Return the optimum for these modes if it costs less than `below`, else None.
 
-        What modes were found to cost at least is remembered, since searches from other starts end
-        among the same modes.
+        Lower bounds of the cost are stored, because searches from other starts meet the same modes.
 
         Parameters
         ----------
         closed : (steps, nc) [-], whether a contact is closed in a step
-        near : the answer of similar modes, whose active conditions are tried first
-        below : cost above which no plan is of interest
-
-        Returns
-        -------
-        The optimum, or None where these modes have no plan of a cost below `below`.
+        near : the answer of similar modes; its active conditions are tried first
+        below : upper limit of the cost
 
         Raises
         ------
         ValueError
-            For modes of another shape.
+            for modes of another shape
         """
         closed = self._whole(closed)
         self.solves += 1
@@ -184,28 +164,28 @@ class ModesProblem:
         floor = self._floors.get(key, -np.inf)
         if floor == np.inf or (np.isfinite(below) and floor >= below - _SAME * abs(below)):
             return None
-        found = self._optimum(closed, near, below)
-        self._floors[key] = max(floor, below if found is None else found.cost)
-        return found
+        answer = self._optimum(closed, near, below)
+        self._floors[key] = max(floor, below if answer is None else answer.cost)
+        return answer
 
     def _optimum(
         self, closed: np.ndarray, near: QuadraticAnswer | None, below: float
     ) -> QuadraticAnswer | None:
         if near is not None and near.active.count > _MANY:
-            found = self._rounds(closed, near.active, _WARM_ROUNDS, below)
-            if found is not None:
-                return found if found.cost < below else None
+            answer = self._rounds(closed, near.active, _WARM_ROUNDS, below)
+            if answer is not None:
+                return answer if answer.cost < below else None
         guess = self._dual.solve(closed, below, self.softness)
         if guess is None:
             return None
-        found = self._rounds(closed, guess)
-        if found is None:
+        answer = self._rounds(closed, guess)
+        if answer is None:
             active = interior_point_active_set(self.linear, closed, self.softness)
-            found = None if active is None else self._rounds(closed, active)
-        return found if found is not None and found.cost < below else None
+            answer = None if active is None else self._rounds(closed, active)
+        return answer if answer is not None and answer.cost < below else None
 
     def _whole(self, closed: np.ndarray) -> np.ndarray:
-        """The same modes with those of the first step, which the start decides, and those of the bounds of velocities, never closed."""
+        """Return the modes with those of the start, and with open velocity bounds."""
         lin = self.linear
         fixed = np.hstack(
             [
@@ -217,7 +197,7 @@ class ModesProblem:
         return fixed
 
     def _slopes(self, point: Point) -> np.ndarray:
-        """(steps, nu) derivative of the Lagrangian with respect to u: 0 where u is free, the multiplier of its bound elsewhere."""
+        """Return the Lagrangian's derivative by u (steps, nu): a bound's multiplier, else 0."""
         lin, n = self.linear, self.linear.n
         x = np.hstack([point.z[:-1], point.u])
         return x @ lin.H[:, n:] + lin.g[n:] + point.y @ lin.B
@@ -225,10 +205,10 @@ class ModesProblem:
     def _rounds(
         self, closed: np.ndarray, active: WorkingSet, most: int = _ROUNDS, below: float = np.inf
     ) -> QuadraticAnswer | None:
-        """The optimum, from a guess of its active set; or None.
+        """Return the optimum from a guess of its active set, or None.
 
-        An answer of a cost of `below` or more may only be a lower bound: imposed conditions whose
-        multipliers all have the right sign are those of a problem with fewer.
+        An answer that costs `below` or more may be only a lower bound, of a problem with fewer
+        conditions.
         """
         sign = np.where(closed, 1.0, -1.0)
         active = WorkingSet(
@@ -251,14 +231,13 @@ class ModesProblem:
         return None
 
     def _answer(self, closed: np.ndarray, point: Point, active: WorkingSet) -> QuadraticAnswer:
-        """With the multipliers of lam >= 0 and lam - k phi >= 0: their sum is that of lam in the time step."""
         lin = self.linear
         both, own = point.y @ lin.E, point.mu / np.where(lin.k > 0.0, lin.k, 1.0)
         of_force = np.where(closed, -own, both - own)
         contacts = slice(lin.contacts)
         phi = lin.penetration(point.z[:-1])[:, contacts]
         biactive = np.abs(phi) <= _BIACTIVE
-        biactive[:1] = False  # the start is no choice
+        biactive[:1] = False  # the start decides these
         return QuadraticAnswer(
             closed=closed[:, contacts],
             u=point.u,
@@ -277,9 +256,8 @@ class ModesProblem:
     def _next(self, point: Point, sign: np.ndarray, active: WorkingSet) -> WorkingSet:
         lin, side = self.linear, active.side
         slope = self._slopes(point)
-        keeps = (
-            side * slope <= _WRONG_SIGN
-        )  # the lower bound pushes up (slope >= 0), the upper one down
+        # The lower bound pushes up (slope >= 0), the upper one down.
+        keeps = side * slope <= _WRONG_SIGN
         moved = np.where(
             side == 0,
             np.sign(
@@ -302,6 +280,6 @@ class ModesProblem:
         right = self.kkt.right_side(closed, held, bound, active.touching)
         x = self.kkt.solve(right)
         residual = np.abs(self.kkt.product(x) - right).max()
-        if not residual <= _SOLVED * max(1.0, np.abs(right).max()):  # NaN counts as no solution
+        if not residual <= _SOLVED * max(1.0, np.abs(right).max()):  # also for NaN
             return None
         return self.kkt.point(x)

@@ -1,22 +1,11 @@
-"""A local search over contact mode sequences: the first neighbour that is cheaper is taken, until there is none.
+"""Search mode sequences locally: take the first cheaper neighbour until none is cheaper.
 
-A mode sequence says for each contact in which intervals of steps it is closed. An interval (first,
-stop) is a run of steps first <= t < stop.
+    sequence = mode_sequence(closed)  # per contact intervals first <= t < stop
+    shift(0, 0, first=-2).apply(sequence, steps)  # close two steps earlier, or None
 
-    sequence = mode_sequence(closed)                                      # closed (steps, nc)
-    # the contact closes two steps earlier; None where that is not possible
-    shift(0, 0, first=-2).apply(sequence, steps)
-
-Where a pair touches and its multiplier has the wrong sign, the other mode is cheaper to first
-order: such pairs are switched before anything is tried. Then intervals that are not needed are
-dropped, and long strides begin, halved whenever no shift helps. Between the longest stride and the
-others intervals are repeated (a second push costs less than one twice as strong): none of the small
-moves gets there. With a stride of one step intervals are also merged, dropped, split and added. A
-move that helped is tried again at once. At last detours: an interval is dropped, two are merged, or
-one is repeated, although that is dearer, and what is left is shifted for a while; two pushes become
-one that way, at another time, or one becomes two where that pays only once the other contact has
-moved. The search knows its problem by one question: is there a plan with these modes below this
-cost?
+Touching pairs whose multiplier has the wrong sign are switched first. Then intervals are dropped,
+shifted by strides that are halved without success, repeated and rearranged. Detours accept a more
+expensive sequence and shift it for a while.
 """
 
 from __future__ import annotations
@@ -34,40 +23,26 @@ Interval = tuple[int, int]
 Row = tuple[Interval, ...]
 ModeSequence = tuple[Row, ...]
 
-_APART = (0.05, 0.1, 0.15, 0.2, 0.3)  # of the horizon: how far an interval is from its repetition
-_PLACES = tuple(
-    0.05 * place for place in range(1, 20)
-)  # of the horizon: where a first interval of a contact is tried
+# Distances of an interval from its repetition, as shares of the horizon.
+_APART = (0.05, 0.1, 0.15, 0.2, 0.3)
+# Places of a contact's first interval, as shares of the horizon.
+_PLACES = tuple(0.05 * place for place in range(1, 20))
 
 
 def mode_sequence(closed: np.ndarray) -> ModeSequence:
-    """Give the intervals in which each contact is closed.
+    """Return the intervals in which each contact is closed, from closed (steps, nc) [-].
 
-    Parameters
-    ----------
-    closed : (steps, nc) [-], whether a contact is closed in a step
-
-    Raises
-    ------
-    ValueError
-        Unless closed has two dimensions.
+    Raises ValueError unless closed has two dimensions.
     """
-    found = []
+    sequence = []
     for column in np.asarray(closed, dtype=bool).T:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], column, [False]])))
-        found.append(tuple(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)))
-    return tuple(found)
+        sequence.append(tuple(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)))
+    return tuple(sequence)
 
 
 def closed_steps(sequence: ModeSequence, steps: int) -> np.ndarray:
-    """Give the steps in which each contact is closed: the inverse of `mode_sequence`.
-
-    Returns
-    -------
-    (steps, nc) [-], whether a contact is closed in a step
-
-    Raises nothing: what lies beyond the steps is left out.
-    """
+    """Return closed (steps, nc) [-]: the inverse of `mode_sequence`. Raises nothing."""
     closed = np.zeros((steps, len(sequence)), dtype=bool)
     for contact, row in enumerate(sequence):
         for first, stop in row:
@@ -77,25 +52,23 @@ def closed_steps(sequence: ModeSequence, steps: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Move:
-    """One change of the intervals of one contact. change: from them to those after it, or None where there is no interval of that index."""
+    """One change of a contact's intervals; `change` returns None if it does not apply."""
 
     contact: int
     change: Callable[[Row], Row | None]
 
     def apply(self, sequence: ModeSequence, steps: int) -> ModeSequence | None:
-        """Give the sequence after the move, or None where intervals would be empty, overlap or adjoin, or there is none of that index."""
+        """Return the sequence after the move, or None if it does not fit."""
         row = self.change(sequence[self.contact])
         if row is None or not _fits(row, steps):
             return None
         return (*sequence[: self.contact], row, *sequence[self.contact + 1 :])
 
 
-def _replace(contact: int, index: int, others: Callable[..., Row], count: int = 1) -> Move:
-    """Others for `count` intervals from this index on."""
-
+def _replace(contact: int, index: int, replacement: Callable[..., Row], count: int = 1) -> Move:
     def change(row: Row) -> Row | None:
         return (
-            (*row[:index], *others(*row[index : index + count]), *row[index + count :])
+            (*row[:index], *replacement(*row[index : index + count]), *row[index + count :])
             if index + count <= len(row)
             else None
         )
@@ -104,37 +77,34 @@ def _replace(contact: int, index: int, others: Callable[..., Row], count: int = 
 
 
 def shift(contact: int, index: int, first: int = 0, stop: int = 0) -> Move:
-    """An interval begins and stops so many steps later."""
+    """Move the start and the stop of an interval by these steps."""
     return _replace(contact, index, lambda old: ((old[0] + first, old[1] + stop),))
 
 
 def split(contact: int, index: int, first: int, stop: int) -> Move:
-    """An interval is interrupted in first <= t < stop, strictly inside it."""
+    """Open an interval in first <= t < stop, strictly inside it."""
     return _replace(contact, index, lambda old: ((old[0], first), (stop, old[1])))
 
 
 def merge(contact: int, index: int) -> Move:
-    """An interval and the next become one: the contact stays closed between them."""
+    """Join an interval with the next one."""
     return _replace(contact, index, lambda old, following: ((old[0], following[1]),), 2)
 
 
 def drop(contact: int, index: int) -> Move:
-    """An interval less."""
+    """Remove an interval."""
     return _replace(contact, index, lambda old: ())
 
 
 def add(contact: int, first: int, stop: int) -> Move:
-    """A new interval where the contact is open."""
+    """Insert an interval."""
     return Move(contact, lambda row: tuple(sorted((*row, (first, stop)))))
 
 
 def onwards(
     before: ModeSequence, after: ModeSequence, times: int, steps: int
 ) -> ModeSequence | None:
-    """Move every end on from `after` by so many times its way from `before`.
-
-    None unless both have as many intervals and room is left.
-    """
+    """Repeat the change from `before` to `after` this many times; None if it does not fit."""
     if [len(row) for row in before] != [len(row) for row in after]:
         return None
     moved = tuple(
@@ -148,14 +118,13 @@ def onwards(
 
 
 def _fits(row: Row, steps: int) -> bool:
-    """Whether intervals lie in the horizon, none empty, none overlapping or adjoining."""
     return all(0 <= first < stop <= steps for first, stop in row) and all(
         before[1] < after[0] for before, after in pairwise(row)
     )
 
 
 def shifts(sequence: ModeSequence, stride: int) -> Iterator[Move]:
-    """Yield each interval with either end, or both, moved by one stride either way."""
+    """Yield shifts of the start, the stop or both of each interval by one stride, either way."""
     for contact, row in enumerate(sequence):
         for index in range(len(row)):
             for by in (-stride, stride):
@@ -165,7 +134,7 @@ def shifts(sequence: ModeSequence, stride: int) -> Iterator[Move]:
 
 
 def fewer(sequence: ModeSequence) -> Iterator[Move]:
-    """Yield each interval dropped, the last of a contact first (those that remain keep their index), and each merged with the next."""
+    """Yield drops and merges, from the last interval on so that indices stay valid."""
     for contact, row in enumerate(sequence):
         for index in reversed(range(len(row))):
             yield drop(contact, index)
@@ -173,16 +142,9 @@ def fewer(sequence: ModeSequence) -> Iterator[Move]:
 
 
 def rearrangements(sequence: ModeSequence, phi: np.ndarray) -> Iterator[Move]:
-    """Yield intervals merged, dropped, split where they press least, and added where bodies come nearest.
+    """Yield merges, drops, splits at the least penetration, and additions at the smallest gap.
 
-    Parameters
-    ----------
-    phi : (steps, nc) [m], penetration along the present plan
-
-    Raises
-    ------
-    IndexError
-        For a penetration of fewer contacts.
+    phi (steps, nc) [m] is the penetration along the plan. Raises IndexError for fewer contacts.
     """
     for contact, row in enumerate(sequence):
         depth = phi[:, contact]
@@ -201,9 +163,9 @@ def rearrangements(sequence: ModeSequence, phi: np.ndarray) -> Iterator[Move]:
 
 
 def repetitions(sequence: ModeSequence, steps: int) -> Iterator[Move]:
-    """Yield each interval once more, as long as it is, before or after it where the contact is open.
+    """Yield repetitions of each interval before or after it.
 
-    Where a contact has none, one as long as the others' is tried at places all over the horizon.
+    A contact without intervals gets one of typical length at places all over the horizon.
     """
     lengths = sorted(stop - first for row in sequence for first, stop in row)
     usual = lengths[len(lengths) // 2] if lengths else max(1, steps // 20)
@@ -225,31 +187,34 @@ def repetitions(sequence: ModeSequence, steps: int) -> Iterator[Move]:
                 yield add(contact, first=begin, stop=begin + length)
 
 
-# A neighbour counts as cheaper by this part of the cost: well above the rounding of a solve
-# (1e-13), far below what a step of an interval costs.
+# Smallest relative gain of a cheaper neighbour: above the rounding of a solve (1e-13), far below
+# the effect of one step.
 _GAIN = 1e-10
-_NEGATIVE = 1e-6  # a multiplier [cost per N] that is clearly not zero
-_ALONE = 20  # pairs that are switched one by one where switching them together does not help
-_DETOUR = 40  # plans tried on a detour; from two pushes to one, 27 steps away, 20 are enough
-_STRETCH = 4  # of the longest stride: the first on a detour
-# Detours by a repetition: those that cost up to this part more, of these so many of the cheapest,
-# each for so many plans before the best of them goes on. Three carts moved by 0.6 m: two pushes on
-# the left cost 1.4 and 2.2 % more than one, and less after one and two plans; 7.4 % less in the
-# end.
+# A multiplier [cost per N] below minus this is negative.
+_NEGATIVE = 1e-6
+# Pairs switched one by one if switching them together fails.
+_ALONE = 20
+# Plans tried on a detour; from two pushes to one, 27 steps apart, takes 20.
+_DETOUR = 40
+# First stride of a detour, in longest strides.
+_STRETCH = 4
+# Largest relative extra cost of a detour by a repetition. Three carts moved by 0.6 m: two pushes on
+# the left first cost 1.4 and 2.2 % more than one, finally 7.4 % less.
 _DEARER = 0.05
+# Number of the cheapest repetitions that are followed.
 _REPEATED = 3
+# Plans tried for each, before the best one continues.
 _SHORT = 10
 
 
 Answer = TypeVar("Answer", bound=ModesAnswer)
-Improve = Callable[
-    [np.ndarray, Answer, float], Answer | None
-]  # (modes, neighbour, below) -> its optimum if that costs less, else None
+# (modes, neighbour, below) -> the optimum if it costs less than `below`, else None.
+Improve = Callable[[np.ndarray, Answer, float], Answer | None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchResult(Generic[Answer]):
-    """The cheapest plan, how many neighbours were solved, and whether none of them is cheaper (False: stopped before that was known)."""
+    """The cheapest plan, the number of solved neighbours, and whether all neighbours were tried."""
 
     best: Answer
     tried: int
@@ -264,9 +229,9 @@ def search_sequences(
     is_over: Callable[[], bool],
     far: bool = True,
 ) -> SearchResult[Answer]:
-    """Search downhill from `best`. stride: the first stride in steps; is_over: whether to stop.
+    """Search downhill from `best`, with `stride` as the first stride in steps.
 
-    far: whether to look further than a move.
+    far: whether to try repetitions and detours too
     """
     return _Search(best, improve, is_over).run(stride, far)
 
@@ -274,7 +239,7 @@ def search_sequences(
 def flip_wrong_signs(
     best: Answer, improve: Improve[Answer], *, is_over: Callable[[], bool]
 ) -> SearchResult[Answer]:
-    """Only switch touching pairs whose multiplier has the wrong sign, until none helps."""
+    """Switch touching pairs whose multiplier has the wrong sign, as long as that helps."""
     search = _Search(best, improve, is_over)
     search.flip_wrong_signs()
     return search.found(complete=not is_over())
@@ -321,7 +286,6 @@ class _Search(Generic[Answer]):
         return self.found(complete=False)
 
     def shift(self, stride: int) -> Answer:
-        """Only shifts, down to those by one step."""
         while stride and not self._is_over():
             self.flip_wrong_signs()
             stride = (
@@ -332,7 +296,7 @@ class _Search(Generic[Answer]):
         return self._best
 
     def _detours(self, stride: int) -> bool:
-        """Whether a plan of fewer intervals, or of one repeated, dearer as it may be, leads to a cheaper one by shifts."""
+        """Return whether shifts of a shorter or repeated sequence lead to a cheaper plan."""
         begin, sequence = self._best, mode_sequence(self._best.closed)
         for move in fewer(sequence):
             start = self._moved(move, sequence, np.inf)
@@ -354,7 +318,6 @@ class _Search(Generic[Answer]):
         return self._taken(best, begin) or self._taken(self._shifted(best, stride, _DETOUR), begin)
 
     def _moved(self, move: Move, sequence: ModeSequence, below: float) -> Answer | None:
-        """The plan of a sequence after a move, if it costs less than this."""
         moved = move.apply(sequence, self._steps)
         if moved is None or self._is_over():
             return None
@@ -362,21 +325,18 @@ class _Search(Generic[Answer]):
         return self._improve(closed_steps(moved, self._steps), self._best, below)
 
     def _shifted(self, start: Answer, stride: int, most: int) -> Answer:
-        """Where shifts lead from a plan while no more than so many others are tried."""
         way = _Search(start, self._improve, self._is_over, most)
         end = way.shift(_STRETCH * stride)
         self._tried += way.found(complete=True).tried
         return end
 
     def _taken(self, end: Answer, begin: Answer) -> bool:
-        """Whether it is cheaper, and the best from now on."""
         if not end.cost < begin.cost - _GAIN * abs(begin.cost):
             return False
         self._best = end
         return True
 
     def _any(self, moves: Iterable[Move]) -> bool:
-        """Whether one of the moves helped; each is tried for as long as it does."""
         helped = False
         for move in moves:
             while self._step(move):
@@ -384,7 +344,6 @@ class _Search(Generic[Answer]):
         return helped
 
     def _step(self, move: Move, sequence: ModeSequence | None = None) -> bool:
-        """Whether a move of the best sequence, or of this one, is cheaper, and the best from now on."""
         return self._lead(move.apply(sequence or mode_sequence(self._best.closed), self._steps))
 
     def _lead(self, moved: ModeSequence | None) -> bool:
@@ -395,17 +354,15 @@ class _Search(Generic[Answer]):
         )
 
     def _repeat(self) -> bool:
-        """The cheapest of the plans with one interval repeated, if it is cheaper."""
         begin, sequence = self._best, mode_sequence(self._best.closed)
         for move in repetitions(sequence, self._steps):
             self._step(move, sequence)
         return self._best is not begin
 
     def flip_wrong_signs(self) -> None:
-        """Switch the touching pairs whose multiplier is negative: all of them, else the worst half, quarter .. of them, else one by one.
+        """Switch pairs with negative multipliers: all, the worst half, quarter .., or single ones.
 
-        What helped once is tried again, ever further: every end of an interval as many steps on as
-        it just went.
+        A change that helped is repeated with increasing length.
         """
         times = 1
         while not self._is_over():
@@ -414,8 +371,8 @@ class _Search(Generic[Answer]):
             together = [
                 order[: len(order) >> halvings] for halvings in range(len(order).bit_length())
             ]
-            alone = [order[one : one + 1] for one in range(1, min(len(order), _ALONE))]
-            if not any(self._switch(pairs) for pairs in (*together, *alone)):
+            single = [order[one : one + 1] for one in range(1, min(len(order), _ALONE))]
+            if not any(self._switch(pairs) for pairs in (*together, *single)):
                 return
             helped = self._lead(
                 onwards(before, mode_sequence(self._best.closed), times, self._steps)
@@ -428,13 +385,13 @@ class _Search(Generic[Answer]):
         return not self._is_over() and self._take(closed)
 
     def _take(self, closed: np.ndarray) -> bool:
-        closed[0] = self._best.closed[0]  # the start decides the modes of the first step
+        closed[0] = self._best.closed[0]  # the start decides the first step
         if closed.tobytes() in self._seen:
             return False
         self._seen.add(closed.tobytes())
         self._tried += 1
-        found = self._improve(closed, self._best, self._best.cost - _GAIN * abs(self._best.cost))
-        if found is None:
+        answer = self._improve(closed, self._best, self._best.cost - _GAIN * abs(self._best.cost))
+        if answer is None:
             return False
-        self._best = found
+        self._best = answer
         return True

@@ -1,30 +1,14 @@
-"""`mpcc` opened on a scene: several starts, contact modes found from each, the cheapest plan kept, corrected to end on the goal, and checked.
-
-    softplus homotopy -> which contact is closed when -> exact optimum for these modes -> cheaper
-    modes -> rollout of the inputs
+"""The session of `mpcc`: find contact modes from several starts, keep the cheapest plan, check it.
 
 | number | start |
 |---|---|
-| 0 | the plan given, or the paper's first guess |
+| 0 | the given plan, or the paper's first guess |
 | 1 | the modes of a softplus chain, eps = 1e-3, 1e-5, 1e-7 |
 | 2 | the modes of a softplus shooting solution, same eps |
 | 3, 4 | both in the mirror of the scene, if it has one |
-| others | seeded random inputs, in turn as start of a homotopy and, corrected to end on the goal, as source of modes |
+| more | seeded random inputs, as homotopy start and as source of modes in turn |
 
-The homotopy forgets where it began, modes do not: hence both.
-
-Throws: where the end is free and has a cost, a plan that touches nothing may be a local optimum
-    from which no slope leads to a contact. A disc at rest,
-and another whose place at the end is paid for: nothing done costs 0.61, a throw off the wall 0.39,
-    and all that lies between is dearer.
-
-    constant inputs on a lattice -> those that press something and end at less final cost -> the
-    cheapest, solved with their contact modes
-
-Modes are then searched around the best of these plans as around any other.
-
-The plan is the rollout of its own inputs through the true contact law: complementarity is zero by
-construction, and what the solvers leave of the terminal error (1e-9) is taken out by Newton steps.
+The plan is the rollout of its inputs, so complementarity is exact; Newton steps correct its end.
 """
 
 from __future__ import annotations
@@ -56,13 +40,16 @@ from models.codegen.kernel import load_kernel
 from models.scene import Scene
 from models.trajectory import Trajectory
 
-_SOLVED = 6  # of the cheapest throws are solved with their contact modes, in 0.3 CPU s each
-_PRESSED = 1e-6  # [N] a contact that is pressed with less is left open: Ipopt keeps forces to 1e-8
-_CHAIN = tuple(float(-np.log(eps)) for eps in (1e-3, 1e-5, 1e-7))  # b L = |ln eps|
+# Number of cheapest throws solved with their contact modes, in 0.3 CPU s each.
+_SOLVED = 6
+# A contact with a smaller force [N] stays open: Ipopt keeps forces to 1e-8.
+_PRESSED = 1e-6
+# b L = |ln eps|.
+_CHAIN = tuple(float(-np.log(eps)) for eps in (1e-3, 1e-5, 1e-7))
 
 
 class MultiStart:
-    """The starts of one scene, and its throws. finder: searches modes from each, and around the best throw."""
+    """The starts of one scene, and its throws; `finder` searches modes from each."""
 
     def __init__(self, models: SceneModels, finder: Finder, options: MpccOptions) -> None:
         self._scene, self._kernel = models.scene, models.kernel
@@ -71,10 +58,9 @@ class MultiStart:
     def run(
         self, budget: SolveBudget, warm_start: Trajectory | None
     ) -> tuple[FinderResult, tuple[Attempt, ...]]:
-        """Try the starts; return the best result and an attempt for each start that had time.
+        """Try the starts; return the best result, and an attempt for each start that ran.
 
-        A start may do half of the work that is left, the last one all of it: better some starts
-        that come to their end than none.
+        Each start may use half of the remaining work, the last one all of it.
         """
         best: FinderResult | None = None
         attempts: list[Attempt] = []
@@ -85,10 +71,10 @@ class MultiStart:
             if best is not None and budget.is_over:
                 break
             words, plan, for_modes = self._start(budget, number, warm_start)
-            found = self._finder.find(budget, plan if for_modes else None, plan)
-            attempts.append(_attempt(words, found))
-            if best is None or _cost(found) < _cost(best):
-                best = found
+            result = self._finder.find(budget, plan if for_modes else None, plan)
+            attempts.append(_attempt(words, result))
+            if best is None or _cost(result) < _cost(best):
+                best = result
         assert best is not None, "there is at least one start: the options see to that"
         thrown = self._thrown_instead(best, budget)
         if thrown is not best:
@@ -102,7 +88,7 @@ class MultiStart:
     def _start(
         self, budget: SolveBudget, number: int, warm_start: Trajectory | None
     ) -> tuple[str, Trajectory | None, bool]:
-        """A start in words, its plan, and whether the plan's own modes are tried first."""
+        """Return name and plan of a start, and whether the plan's own modes are tried first."""
         if number == 0:
             return (
                 "the paper's first guess" if warm_start is None else "the plan given",
@@ -121,7 +107,6 @@ class MultiStart:
         )
 
     def _special(self, budget: SolveBudget, number: int) -> tuple[Trajectory | None, str]:
-        """The starts 1 to 4, by name."""
         if number in (1, 3):
             plan, words = self._chain(budget), "softplus chain"
         else:
@@ -138,14 +123,13 @@ class MultiStart:
         homotopy.run(budget, ipopt, None, stages.append)
         return stages[-1] if stages else None
 
-    # -- throws
-    #   -------------------------------------------------------------------------------------------------------------------
-
     def _thrown_instead(self, before: FinderResult, budget: SolveBudget) -> FinderResult:
-        """Find a cheaper plan that throws, or leave the one before.
+        """Return a cheaper plan that throws, or the previous result.
 
-        It stays where there is a goal, where the end costs nothing, and where its inputs press a
-        contact that is not pressed without them.
+        With a free end that has a cost, a plan without contact can be a local optimum. Example: a
+            disc
+        throws another off a wall at cost 0.39; no motion costs 0.61, everything between costs more.
+        Skipped with a goal, without a final cost, and if the plan already presses a contact.
         """
         task = self._scene.task
         if task.has_goal or task.final_cost == 0 or not self._scene.nc or budget.is_late:
@@ -156,13 +140,12 @@ class MultiStart:
         planned = none if before.answer is None else before.answer.u
         if work == 0.0 or (self._pressed(planned) & ~idle).any():
             return before
-        budget.most_work = (
-            budget.work + work
-        )  # on top of what the starts were given: they may have spent it
+        # In addition to the work of the starts, which may be used up.
+        budget.most_work = budget.work + work
         problem, best = self._best_throw(budget, planned, idle)
         if best is None or (before.answer is not None and best.cost >= before.answer.cost):
             return before
-        found = self._finder.searched(
+        thrown = self._finder.searched(
             budget, problem, best, max(1, task.steps // STRIDES), far=True
         )
         first = (
@@ -171,14 +154,13 @@ class MultiStart:
             else f"the best plan brought no contact about (cost {before.answer.cost:.6g})"
         )
         return replace(
-            found,
-            message=f"At first {first}; this one was found from throws by constant inputs. {found.message}",
+            thrown,
+            message=f"At first {first}; this one was found from throws by constant inputs. {thrown.message}",
         )
 
     def _best_throw(
         self, budget: SolveBudget, planned: np.ndarray, idle: np.ndarray
     ) -> tuple[ModesProblem | NonlinearModes, ModesAnswer | None]:
-        """The problem with modes fixed, and the cheapest of its answers to the modes of throws."""
         with budget.building():
             below = final_cost(
                 self._kernel,
@@ -200,7 +182,6 @@ class MultiStart:
         return problem, min(answers, key=lambda answer: answer.cost, default=None)
 
     def _pressed(self, u: np.ndarray) -> np.ndarray:
-        """(nc,) whether these inputs press a contact at any time."""
         rollout = self._kernel.rollout(np.array(self._scene.task.start), u, self._scene.task.step)
         return np.any(rollout.lam[:, : self._scene.nc] > _PRESSED, axis=0, keepdims=False)
 
@@ -209,13 +190,13 @@ def _cost(search: FinderResult) -> float:
     return float("inf") if search.answer is None else search.answer.cost
 
 
-def _attempt(start: str, found: FinderResult) -> Attempt:
-    cost = None if found.answer is None else float(found.answer.cost)
-    return Attempt(start=start, outcome=found.outcome, cost=cost)
+def _attempt(start: str, result: FinderResult) -> Attempt:
+    cost = None if result.answer is None else float(result.answer.cost)
+    return Attempt(start=start, outcome=result.outcome, cost=cost)
 
 
 class MpccSession(Session):
-    """`mpcc` on one scene."""
+    """The session of `mpcc`."""
 
     def __init__(self, method: Method, scene: Scene, options: MpccOptions, clock: Clock) -> None:
         self._method, self._scene, self._options = method, scene, options
@@ -227,10 +208,7 @@ class MpccSession(Session):
     def solve(
         self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float
     ) -> Solution:
-        """Find a plan from the starts asked for.
-
-        Raises TrajectoryError for a plan of another scene or grid.
-        """
+        """Find a plan. Raises TrajectoryError for a plan of another scene or grid."""
         self._method.check_stage(eps, time_limit)
         check_warm_start(self._scene, warm_start)
         budget = SolveBudget(time_limit, self._clock.pay())
@@ -277,7 +255,7 @@ class MpccSession(Session):
             "windows_tried": float(search.tried),
         }
         cost = self._residuals.cost(plan)
-        found = replace(
+        solution = replace(
             empty,
             outcome=outcome,
             message=message,
@@ -286,22 +264,25 @@ class MpccSession(Session):
             residuals=residuals,
             certificate=certificate,
         )
-        return budget.spent_on(found)
+        return budget.spent_on(solution)
 
     def _plan_residuals(self, plan: Trajectory) -> dict[str, float]:
-        """Residuals of the plan by name.
+        """Return the residuals by name.
 
-        Complementarity with the penetration of the same compiled code that the forces come from.
+        Complementarity uses the penetration of the compiled rollout.
         """
-        found = self._residuals.of(plan)
+        residuals = self._residuals.of(plan)
         if self._scene.nc:
             products = np.abs(
                 plan.lam
                 * (plan.lam - self._kernel.stiffness() * self._kernel.penetration(plan.q[:-1]))
             )
-            found |= {"physics": float(products.sum()), "complementarity": float(products.max())}
+            residuals |= {
+                "physics": float(products.sum()),
+                "complementarity": float(products.max()),
+            }
         return {
-            **found,
+            **residuals,
             "discrete_terminal_error": replayed_goal_error(self._scene, self._kernel, plan),
         }
 
@@ -323,20 +304,19 @@ class MpccSession(Session):
         }
 
 
-def _stationary(found: Certificate, message: str) -> tuple[Outcome, str]:
-    """Multipliers of touching pairs have the wrong sign, and no other mode was found to be cheaper: whether the plan can be left downhill after all.
+def _stationary(certificate: Certificate, message: str) -> tuple[Outcome, str]:
+    """Judge a plan whose touching pairs have multipliers of the wrong sign, without cheaper modes.
 
-    Where conditions depend on each other the multipliers are not the only ones, and others may have
-    the right signs.
+    With dependent conditions other multipliers may have the right signs.
     """
-    if found.b_stationary:
+    if certificate.b_stationary:
         return (
             Outcome.SOLVED,
             f"{message} These multipliers are not the only ones: no direction leads downhill (B-stationary).",
         )
-    known = (
+    consequence = (
         "it is not B-stationary, so that cheaper plans lie next to it"
-        if found.b_stationary is False
+        if certificate.b_stationary is False
         else "whether it is B-stationary is not known"
     )
-    return Outcome.STALLED, f"{message} The plan holds, but {known}: {found.sentence}."
+    return Outcome.STALLED, f"{message} The plan holds, but {consequence}: {certificate.sentence}."

@@ -1,4 +1,4 @@
-"""Motions to start from, the same on every machine: seeded random inputs, a softplus shooting solution, the mirror of a plan, throws by constant inputs."""
+"""Deterministic start motions: random, softplus shooting, mirrored plans, constant inputs."""
 
 from __future__ import annotations
 
@@ -12,27 +12,31 @@ from models.scene.goal import goal_state, miss
 from models.schemes import Scheme
 from models.trajectory import Trajectory
 
-_PIECES = 10  # of constant input over the horizon
-_DESCENTS = (
-    40  # L-BFGS iterations at each eps; the paper's plain gradient descent takes 15, 14 and 11
-)
-_COST_WEIGHT = 5e-6  # of the cost in the paper's loss
-_DIVERGED = 1e30  # loss of a rollout that is not finite
-_MIRROR_SAMPLES = 8  # positions at which a mirror is tried
-# part of the bounds that is used [1], and what stands for a missing bound [N, N m]
+# Pieces of constant input over the horizon.
+_PIECES = 10
+# L-BFGS iterations at each eps; the paper's gradient descent takes 15, 14 and 11.
+_DESCENTS = 40
+# Weight of the cost in the paper's loss.
+_COST_WEIGHT = 5e-6
+# Loss of a rollout that is not finite.
+_DIVERGED = 1e30
+# Positions that test a mirror symmetry.
+_MIRROR_SAMPLES = 8
+# Used share of the input bounds.
 _SHARE = 0.3
+# Replaces a missing bound [N, N m].
 _UNBOUNDED = 1.0
-# constant inputs tried: of two discs and a wall about 35 of them bring the disc nearer to its goal,
-# in 0.1 CPU s
+# Constant inputs tried; with two discs and a wall about 35 of these move the disc closer to its
+# goal, in 0.1 CPU s.
 _THROWS = 2048
-# powers of two by which they are made smaller, in turn: what is cheap is rarely near its bounds
+# Powers of two that scale the inputs down in turn: cheap inputs are rarely near their bounds.
 _SIZES = 4
 
 
 def random_plan(scene: Scene, kernel: Kernel, seed: tuple[int, ...]) -> Trajectory | None:
-    """Draw piecewise constant inputs, and roll them out through softplus contact at eps = 1e-3.
+    """Roll out random piecewise constant inputs through softplus contact at eps = 1e-3.
 
-    None where the rollout diverges.
+    None if the rollout diverges.
     """
     random, task = np.random.default_rng(seed), scene.task
     lower, upper = input_range(scene)
@@ -44,30 +48,27 @@ def random_plan(scene: Scene, kernel: Kernel, seed: tuple[int, ...]) -> Trajecto
 
 
 def input_range(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Give the bounds of the inputs, (nu,) each [N, N m], with a number where one is missing."""
+    """Return the input bounds (nu,), (nu,) [N, N m], finite for missing ones. Raises nothing."""
     far = _UNBOUNDED / _SHARE
     lower, upper = input_bounds(scene)
     return np.where(np.isinf(lower), -far, lower), np.where(np.isinf(upper), far, upper)
 
 
 def descended_plan(scene: Scene, kernel: Kernel) -> Trajectory | None:
-    """Shoot on softplus contact at eps = 1e-3, 1e-5, 1e-7, each from the inputs before.
+    """Shoot on softplus contact at eps = 1e-3, 1e-5, 1e-7; None if a rollout diverges.
 
-    None where a rollout diverges.
-
-    The loss is that of the paper's gradient descent (mean square miss of the goal + 5e-6 cost),
-    with L-BFGS in its place.
+    The loss is the paper's (mean square error of the goal + 5e-6 cost), minimised by L-BFGS.
     """
-    from scipy.optimize import minimize  # 0.2 s, which only a run of several starts needs
+    from scipy.optimize import minimize  # 0.2 s, used only with several starts
 
     task, goal = scene.task, goal_state(scene.task)
     shape = (task.steps, scene.nu)
     bounds = [(item.lower, item.upper) for item in scene.inputs] * task.steps
 
     def loss(flat: np.ndarray, eps: float) -> tuple[float, np.ndarray]:
-        """Give the loss and its gradient (steps*nu,) [1/N, 1/N/m] at inputs (steps*nu,) [N, N m].
+        """Return loss and gradient (steps*nu,) [1/N, 1/N/m] at inputs (steps*nu,) [N, N m].
 
-        Raises KernelError where the mass matrix is not positive definite.
+        Raises KernelError if the mass matrix is not positive definite.
         """
         u = flat.reshape(shape)
         rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, eps)
@@ -96,13 +97,10 @@ def descended_plan(scene: Scene, kernel: Kernel) -> Trajectory | None:
 
 
 def mirrored(scene: Scene, kernel: Kernel, plan: Trajectory) -> Trajectory | None:
-    """Run the plan backwards and see it in a mirror.
+    """Mirror a plan in time and space; None if the mirrored contacts differ.
 
-    None where the contacts of the scene are not the same ones there.
-
-    q'(t) = c - q(T - t) with the coordinates in reverse order, and c such that the start becomes
-    the goal. Three carts pushed from left to right are then again pushed from left to right, first
-    contact last. Without damping that is a plan too, with it a start.
+    q'(t) = c - q(T - t) with reversed coordinates, and c such that the start becomes the goal.
+    Without damping the result is a plan, otherwise a start.
     """
     start, goal = np.array(scene.task.start), goal_state(scene.task)
     centre = start[: scene.nq] + goal[: scene.nq][::-1]
@@ -110,10 +108,9 @@ def mirrored(scene: Scene, kernel: Kernel, plan: Trajectory) -> Trajectory | Non
         return None
     random = np.random.default_rng(0)
     q = start[: scene.nq] + random.normal(size=(_MIRROR_SAMPLES, scene.nq))
-    here, there = kernel.penetration(q), kernel.penetration(centre - q[:, ::-1])
-    same = np.isclose(here[:, :, None], there[:, None, :], rtol=1e-9, atol=1e-9).all(
-        axis=0
-    )  # [i, j]: contact j mirrored is contact i
+    original, mirror = kernel.penetration(q), kernel.penetration(centre - q[:, ::-1])
+    # same[i, j]: contact j mirrored is contact i.
+    same = np.isclose(original[:, :, None], mirror[:, None, :], rtol=1e-9, atol=1e-9).all(axis=0)
     if not (np.all(same.sum(axis=0) == 1) and np.all(same.sum(axis=1) == 1)):
         return None
     lam = np.zeros_like(plan.lam)
@@ -131,20 +128,11 @@ def mirrored(scene: Scene, kernel: Kernel, plan: Trajectory) -> Trajectory | Non
 def thrown_plans(
     scene: Scene, kernel: Kernel, seed: tuple[int, ...], idle: np.ndarray, below: float
 ) -> list[Trajectory]:
-    """Give motions under constant inputs that bring a new contact about and end at less final cost, the cheapest first.
+    """Return constant-input motions that press a new contact and end below a final cost.
 
-    The inputs are a seeded lattice (Kronecker's: steps of 1/g, 1/g^2, .. with g^(nu+1) = g + 1)
-    over their bounds, a half, a quarter and an eighth of them.
-
-    Parameters
-    ----------
-    idle : (nc,) [-], contacts that are pressed anyway
-    below : final cost that they have to end below
-
-    Raises
-    ------
-    ValueError
-        For another number of contacts.
+    The cheapest is first. The inputs are a seeded Kronecker lattice (steps 1/g, 1/g^2, .. with
+    g^(nu+1) = g + 1) over their bounds and a half, a quarter and an eighth of these. idle (nc,) [-]
+    are contacts that are pressed without inputs. Raises ValueError for a wrong number of contacts.
     """
     task, (lower, upper) = scene.task, input_range(scene)
     roots = np.roots([1.0, *[0.0] * (scene.nu - 1), -1.0, -1.0])
@@ -154,7 +142,7 @@ def thrown_plans(
         np.random.default_rng(seed).uniform(size=scene.nu)
         + count * ratio ** -np.arange(1.0, scene.nu + 1)
     ) % 1.0
-    found: list[tuple[float, Trajectory]] = []
+    motions: list[tuple[float, Trajectory]] = []
     for force in np.clip(
         0.5 ** (count % _SIZES) * (lower + places * (upper - lower)), lower, upper
     ):
@@ -168,10 +156,10 @@ def thrown_plans(
         ):
             continue
         plan = plan_of(scene, rollout, u)
-        found.append((kernel.cost(rollout.q, rollout.v, u), plan))
-    return [plan for _, plan in sorted(found, key=lambda pair: pair[0])]
+        motions.append((kernel.cost(rollout.q, rollout.v, u), plan))
+    return [plan for _, plan in sorted(motions, key=lambda pair: pair[0])]
 
 
 def final_cost(kernel: Kernel, rollout: Rollout) -> float:
-    """Give the cost of the last state alone."""
+    """Return the cost of the last state."""
     return kernel.cost(rollout.q[-1:], rollout.v[-1:], np.zeros((0, kernel.scene.nu)))

@@ -1,23 +1,12 @@
-"""Pyomo model -> Ipopt, without AMPL executables: translate once, solve as often as the numbers change.
+"""Translate a Pyomo model for Ipopt once, and solve it again whenever its numbers change.
 
-    from formulations.ipopt import Start, compile_model, load, solve
+    problem = compile_model(model)  # any smooth ConcreteModel or Block
+    result = solve(problem, options={"tol": 1e-9})  # IpoptResult; the model is unchanged
+    load(problem, result)  # write the variables
+    model.b.value = 14.0  # a mutable Param, a fixed variable or a bound
+    problem.refresh()
 
-    # any smooth ConcreteModel or Block; ModelRefusedError says what is not
-    problem = compile_model(model)
-    result = solve(problem, options={"tol": 1e-9})    # IpoptResult; the model is untouched
-    load(problem, result)                             # writes the variables
-
-    model.b.value = 14.0  # a mutable Param, a fixed variable's value, a bound
-    problem.refresh()  # read again; StructureChangedError if more than numbers changed
-    again = solve(problem, warm_start=Start(x=result.x, lagrange=result.lagrange, zl=result.zl, zu=result.zu))
-
-`result.outcome` is an `Outcome`, judged by `result.residuals` (unscaled, computed here, not by
-Ipopt). Multipliers are in Ipopt's signs, L = f + lagrange' g - zl' x + zu' x, for the minimised
-objective `problem.sense * f`. Positions: `problem.variables[j]` is x[j], `problem.equations[i]` is
-lagrange[i].
-
-`SolverFactory("touchstone_ipopt")` works like any Pyomo solver; importing `formulations` registers
-it.
+Multipliers have Ipopt's signs, L = f + lagrange' g - zl' x + zu' x with f = sense * objective.
 """
 
 from __future__ import annotations

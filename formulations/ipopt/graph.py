@@ -1,23 +1,11 @@
-"""A hash-consed expression graph: the algebra in which the term shapes of a model are differentiated.
+"""A hash-consed expression graph, in which the term shapes of a model are differentiated.
 
-A node is an integer. Its operands are always smaller integers, so ascending node number is an order
-of evaluation and descending node number an order of back-propagation: nothing here recurses, and an
-expression ten thousand operations deep is an ordinary one. Building the same operation on the same
-operands twice gives the same node, hence common subexpressions are shared for free.
-
-    graph = Graph()
     x, p = graph.variable(0), graph.datum(0)
-    f = graph.mul(p, graph.call("exp", x))        # p * exp(x)
+    f = graph.mul(p, graph.call("exp", x))  # p * exp(x)
 
-Leaves: `variable(i)` is the i-th variable of the term, `datum(k)` its k-th number (a literal of the
-    model, a Param, a fixed Var) and
-`constant(c)` a number that belongs to the structure (an exponent, the 1 of `log(1 + exp(z))`). A
-    node that depends on no variable
-is *data*: it is worth computing once per refresh and not once per evaluation.
-
-Exact derivatives on it - linear split, reverse-mode gradient, sparsity of the Hessian - walk the
-nodes in descending order once, so that their cost is proportional to the number of operations,
-however deep.
+A node is an integer larger than its operands: ascending order evaluates, descending order
+back-propagates, without recursion. Leaves are variables, data (literals, Params, fixed variables)
+and structural constants such as exponents.
 """
 
 from __future__ import annotations
@@ -32,8 +20,7 @@ DATUM = "datum"
 CONSTANT = "constant"
 SEED = "seed"
 
-# Functions of one argument that a Pyomo expression can hold, and the numbers they give on
-# structural constants.
+# Functions of one argument in Pyomo expressions, and their values at structural constants.
 UNARY = {
     "exp": math.exp, "log": math.log, "log10": math.log10, "sqrt": math.sqrt,
     "sin": math.sin, "cos": math.cos, "tan": math.tan, "asin": math.asin, "acos": math.acos,
@@ -44,7 +31,10 @@ UNARY = {
 
 
 class Graph:
-    """Nodes `0 .. len(op)-1`: `op[n]` names the operation, `args[n]` holds operand nodes (for a leaf: its index or number)."""
+    """Nodes `0 .. len(op)-1`: `op[n]` is the operation, `args[n]` its operands.
+
+    The operand of a leaf is its index or number.
+    """
 
     def __init__(self) -> None:
         self.op: list[str] = []
@@ -68,33 +58,31 @@ class Graph:
         return self._node(op, operands, all(self.is_data[a] for a in operands))
 
     # -- leaves
-    #   ---------------------------------------------------------------------------------------------------------------
 
     def variable(self, index: int) -> int:
-        """The i-th variable of the term."""
+        """Return the node of a variable."""
         return self._node(VARIABLE, (index,), False)
 
     def datum(self, index: int) -> int:
-        """The k-th number of the term: data, read again at each refresh."""
+        """Return the node of a number that each refresh reads again."""
         return self._node(DATUM, (index,), True)
 
     def seed(self, index: int) -> int:
-        """Component `index` of the direction in a Hessian-vector product."""
+        """Return the node of a direction's component in a Hessian-vector product."""
         return self._node(SEED, (index,), False)
 
     def constant(self, value: float) -> int:
-        """A number that belongs to the structure; -0.0 is 0.0."""
+        """Return the node of a structural constant; -0.0 becomes 0.0."""
         return self._node(CONSTANT, (float(value) + 0.0,), True)
 
     def constant_value(self, node: int) -> float | None:
-        """The number of a structural constant, None for every other node."""
+        """Return the number of a structural constant, None for other nodes."""
         return self.args[node][0] if self.op[node] == CONSTANT else None
 
     # -- arithmetic
-    #   -------------------------------------------------------------------------------------------------------------
 
     def add(self, a: int, b: int) -> int:
-        """Node of a + b, simplified where structural constants or signs allow."""
+        """Return the node of a + b, simplified."""
         ca, cb = self.constant_value(a), self.constant_value(b)
         if ca is not None and cb is not None:
             return self.constant(ca + cb)
@@ -109,7 +97,7 @@ class Graph:
         return self._operation("add", *((a, b) if a <= b else (b, a)))
 
     def sub(self, a: int, b: int) -> int:
-        """Node of a - b; zero where both are the same node."""
+        """Return the node of a - b, simplified."""
         ca, cb = self.constant_value(a), self.constant_value(b)
         if ca is not None and cb is not None:
             return self.constant(ca - cb)
@@ -124,7 +112,7 @@ class Graph:
         return self._operation("sub", a, b)
 
     def neg(self, a: int) -> int:
-        """Node of -a; a sign in front of a sign or a difference goes inside."""
+        """Return the node of -a, simplified."""
         ca = self.constant_value(a)
         if ca is not None:
             return self.constant(-ca)
@@ -135,7 +123,7 @@ class Graph:
         return self._operation("neg", a)
 
     def mul(self, a: int, b: int) -> int:
-        """Node of a b; constants come first and are multiplied together."""
+        """Return the node of a b; constants are moved to the front and merged."""
         ca, cb = self.constant_value(a), self.constant_value(b)
         if ca is not None and cb is not None:
             return self.constant(ca * cb)
@@ -162,9 +150,10 @@ class Graph:
         return self._operation("mul", *((a, b) if a <= b else (b, a)))
 
     def div(self, a: int, b: int) -> int:
-        """Node of a / b.
+        """Return the node of a / b.
 
-        A quotient by 1 + exp(z) is a product with a logistic function, which does not overflow.
+        A quotient by 1 + exp(z) becomes a product with a logistic function, which does not
+        overflow.
         """
         ca, cb = self.constant_value(a), self.constant_value(b)
         if ca == 0.0:
@@ -186,9 +175,9 @@ class Graph:
         return self._operation("div", a, b)
 
     def pow(self, base: int, exponent: int) -> int:
-        """Node of base ** exponent.
+        """Return the node of base ** exponent.
 
-        A structural exponent gives products, quotients and roots that are right at base 0.
+        Structural exponents become products, quotients and roots that are correct at base 0.
         """
         c = self.constant_value(exponent)
         if c is None:
@@ -197,15 +186,12 @@ class Graph:
                 if self.is_data[exponent]
                 else self._operation("pow", base, exponent)
             )
-        known = self.constant_value(base)
-        if known is not None:
+        number = self.constant_value(base)
+        if number is not None:
             try:
-                return self.constant(known**c)
-            except (
-                ArithmeticError,
-                TypeError,
-                ValueError,
-            ):  # 0**-1, or a complex root: let the evaluation report it
+                return self.constant(number**c)
+            # 0**-1, or a complex root: the evaluation reports it.
+            except (ArithmeticError, TypeError, ValueError):
                 return self._operation("pow", base, exponent)
         if c == 0.0:
             return self.one
@@ -224,9 +210,9 @@ class Graph:
         return self._operation("pow", base, exponent)
 
     def falling_power(self, base: int, exponent: int, order: int) -> int:
-        """Derivative of order `order` of base**p for a data exponent p: p (p-1) ..
+        """Return the derivative of this order of base**p, for a data exponent p.
 
-        (p-order+1) base**(p-order), and 0 where a factor is 0.
+        It is p (p-1) .. (p-order+1) base**(p-order), and 0 if a factor is 0.
         """
         return self._node(
             "falling_power",
@@ -235,15 +221,14 @@ class Graph:
         )
 
     # -- functions
-    #   --------------------------------------------------------------------------------------------------------------
 
     def call(self, name: str, a: int) -> int:
-        """One of `UNARY`, or the primitives the derivatives need: logistic, softplus, sech2."""
+        """Return the node of a function: one of `UNARY`, logistic, softplus or sech2."""
         ca = self.constant_value(a)
         if ca is not None and name in UNARY:
             try:
                 return self.constant(UNARY[name](ca))
-            except (ArithmeticError, ValueError):  # log(0): let the evaluation report it
+            except (ArithmeticError, ValueError):  # log(0): the evaluation reports it
                 return self._operation(name, a)
         if name in ("log", "log10") and self.op[a] == "add":
             smooth = self._log_of_sum(a)
@@ -256,7 +241,6 @@ class Graph:
         return self._operation(name, a)
 
     def _one_plus_exp(self, node: int) -> int | None:
-        """The z of a node 1 + exp(z), in either order; None for another node."""
         if self.op[node] != "add":
             return None
         a, b = self.args[node]
@@ -266,7 +250,7 @@ class Graph:
         return None
 
     def _log_of_sum(self, node: int) -> int | None:
-        """log(1 + exp(z)) = softplus(z) and log(exp(y) + exp(z)) = y + softplus(z - y): no overflow whatever z is."""
+        """Return log(1 + exp(z)) and log(exp(y) + exp(z)) by softplus, which does not overflow."""
         exponent = self._one_plus_exp(node)
         if exponent is not None:
             return self._operation("softplus", exponent)
@@ -276,16 +260,12 @@ class Graph:
             return self.add(y, self._operation("softplus", self.sub(z, y)))
         return None
 
-    # -- questions
-    #   --------------------------------------------------------------------------------------------------------------
+    # -- queries
 
     def reachable(
         self, *roots: int, until: Callable[[int], bool] = lambda node: False
     ) -> list[int]:
-        """Every node the roots depend on, the roots included, ascending: an order of evaluation.
-
-        Behind a node `until` holds for nothing is looked at.
-        """
+        """Return the roots and all nodes they depend on, ascending; `until` ends a branch."""
         seen = set(roots)
         stack = list(seen)
         while stack:
@@ -299,12 +279,11 @@ class Graph:
         return sorted(seen)
 
     def is_leaf(self, node: int) -> bool:
-        """Whether a node has no operands."""
+        """Return whether the node has no operands."""
         return self.op[node] in (VARIABLE, DATUM, CONSTANT, SEED)
 
 
 def _partial_derivatives(graph: Graph, node: int) -> tuple[tuple[int, int], ...]:
-    """((operand, d node / d operand), ...) for the operands that depend on a variable."""
     op, args = graph.op[node], graph.args[node]
     a = args[0]
     if op == "add":
@@ -337,7 +316,7 @@ def _reciprocal_root(graph: Graph, inside: int) -> int:
 
 
 # d f(a) / d a, written so that the derivative keeps its relative accuracy and does not overflow
-# where the function itself does not.
+# where the function does not.
 _UNARY_DERIVATIVES = {
     "neg": lambda g, a, n: g.constant(-1.0),
     "exp": lambda g, a, n: n,
@@ -363,18 +342,15 @@ _UNARY_DERIVATIVES = {
 
 
 def gradient(graph: Graph, root: int) -> dict[int, int]:
-    """{variable index: node of d root / d variable}.
-
-    A variable whose derivative is structurally zero is absent.
-    """
+    """Return {variable index: node of d root / d variable}, without structural zeros."""
     adjoint: dict[int, int] = {root: graph.one}
-    found: dict[int, int] = {}
+    slopes: dict[int, int] = {}
     for node in reversed(graph.reachable(root)):
         bar = adjoint.pop(node, None)
         if bar is None or bar == graph.zero or graph.is_data[node]:
             continue
         if graph.op[node] == VARIABLE:
-            found[graph.args[node][0]] = bar
+            slopes[graph.args[node][0]] = bar
             continue
         if graph.is_leaf(node):
             continue
@@ -382,13 +358,13 @@ def gradient(graph: Graph, root: int) -> dict[int, int]:
             if not graph.is_data[operand]:
                 step = graph.mul(bar, slope)
                 adjoint[operand] = graph.add(adjoint[operand], step) if operand in adjoint else step
-    return found
+    return slopes
 
 
 def split_linear(graph: Graph, root: int) -> tuple[int, dict[int, int], int]:
-    """(constant, linear, nonlinear) with root = constant + sum_i linear[i] * variable_i + nonlinear, where constant and linear[i] are data nodes.
+    """Split root = constant + sum_i linear[i] * variable_i + nonlinear; the first parts are data.
 
-    Products with data are carried through sums, so h*(a*x + y*z) gives h*a for x.
+    Data factors are carried through sums: h*(a*x + y*z) gives h*a for x.
     """
     weight: dict[int, int] = {root: graph.one}
     constant, nonlinear = graph.zero, graph.zero
@@ -429,14 +405,9 @@ _LINEAR_OPERATIONS = frozenset({"add", "sub", "neg"})
 
 
 def hessian_sparsity(graph: Graph, root: int) -> np.ndarray:
-    """Pairs of variables between which the root can be curved; a superset of the true pattern.
+    """Return a superset (2, entries) of the variable pairs i >= j with second derivatives [-].
 
-    Index sets are bit masks in Python integers: a nonlinear operation joins the variables of its
-    operands. Raises nothing.
-
-    Returns
-    -------
-    (2, entries) variable indices i >= j [-]
+    Index sets are bit masks; a nonlinear operation joins those of its operands. Raises nothing.
     """
     depends: dict[int, int] = {}
     partners: dict[int, int] = {}
@@ -467,14 +438,13 @@ def hessian_sparsity(graph: Graph, root: int) -> np.ndarray:
                 join(masks[0], masks[1])
             else:
                 join(joined, joined)
-    found = [np.empty((2, 0), dtype=np.intp)]
+    pairs = [np.empty((2, 0), dtype=np.intp)]
     for i in sorted(partners):
         columns = _bits(partners[i] & ((2 << i) - 1))
-        found.append(np.stack([np.full(len(columns), i), columns]))
-    return np.concatenate(found, axis=1)
+        pairs.append(np.stack([np.full(len(columns), i), columns]))
+    return np.concatenate(pairs, axis=1)
 
 
 def _bits(mask: int) -> np.ndarray:
-    """Positions of the ones in a non-negative integer, ascending."""
     octets = np.frombuffer(mask.to_bytes((mask.bit_length() + 7) // 8, "little"), dtype=np.uint8)
     return np.flatnonzero(np.unpackbits(octets, bitorder="little"))

@@ -1,11 +1,7 @@
-"""Who factorises Ipopt's linear systems: our own L D L^T by fronts (`ldlt/`), or the MUMPS of the wheel.
+"""Select the linear solver of Ipopt: our L D L^T by fronts (`ldlt/`), or the wheel's MUMPS.
 
-The wheel's Ipopt can be handed a library with the calls of HSL's MA27, solver by solver; ours stand
-    behind those. An optimality system of a plan is
-a chain of small dense pieces: a general solver spends most of its time on itself there. An
-    iteration but for its evaluations, with MUMPS and with
-ours: two_discs 53 and 14 ms (`python -m benchmarks suite -k linear_algebra` measures the paper's
-    scene).
+Ipopt loads our library through the calls of HSL's MA27. The KKT matrix of a plan is a chain of
+small dense blocks: an iteration on two_discs takes 53 ms with MUMPS and 14 ms with `ldlt`.
 """
 
 from __future__ import annotations
@@ -29,27 +25,22 @@ LINEAR_SOLVERS = (LDLT, MUMPS)
 _FOLDER = Path(__file__).with_name("ldlt")
 _OPTIMISED = ("-O3",)
 _CALLS = ("ma27ad_", "ma27bd_", "ma27cd_", "ma27id_")
-# What decides which compiler there is and where its work is kept.
+# Environment variables that decide the compiler and the cache folder.
 _DECISIVE = ("CC", "PATH", "HOME", "TOUCHSTONE_CACHE", "XDG_CACHE_HOME")
 
 _known: dict[tuple[str | None, ...], Path] = {}
 
 
 def ldlt_library() -> Path:
-    """The compiled library, with the entry points ma27id_, ma27ad_, ma27bd_, ma27cd_.
+    """Return the path of the compiled library; compile it if it does not exist.
 
-    Compiled again if it has gone.
-
-    Raises
-    ------
-    MachineError
-        without a compiler or a cache folder, and where what was compiled cannot be loaded here
+    Raises MachineError without a compiler or a cache folder, or if the library cannot be loaded.
     """
     place = tuple(map(os.environ.get, _DECISIVE))
-    known = _known.get(place)
-    if known is None or not known.exists():
-        known = _known[place] = _compiled()
-    return known
+    library = _known.get(place)
+    if library is None or not library.exists():
+        library = _known[place] = _compiled()
+    return library
 
 
 def _compiled() -> Path:
@@ -67,25 +58,22 @@ def _compiled() -> Path:
     return path
 
 
-def linear_solver(asked: str = "") -> str:
-    """Return the solver that is asked for, else that of $TOUCHSTONE_LINEAR_SOLVER, else `ldlt` if this Ipopt can load one.
+def linear_solver(selected: str = "") -> str:
+    """Return `selected`, else $TOUCHSTONE_LINEAR_SOLVER, else `ldlt` if this Ipopt can load it.
 
-    Raises
-    ------
-    MachineError
-        for an unknown name, an `ldlt` that cannot be compiled, and one that this Ipopt cannot load
+    Raises MachineError for an unknown name, or if `ldlt` cannot be compiled or loaded.
     """
-    insisted = asked or os.environ.get("TOUCHSTONE_LINEAR_SOLVER", "")
-    if insisted and insisted not in LINEAR_SOLVERS:
+    name = selected or os.environ.get("TOUCHSTONE_LINEAR_SOLVER", "")
+    if name and name not in LINEAR_SOLVERS:
         raise MachineError(
-            f"the environment variable TOUCHSTONE_LINEAR_SOLVER asks for {insisted!r}; there are {' and '.join(LINEAR_SOLVERS)}."
+            f"the environment variable TOUCHSTONE_LINEAR_SOLVER is {name!r}; expected {' or '.join(LINEAR_SOLVERS)}."
         )
-    if insisted == MUMPS:
+    if name == MUMPS:
         return MUMPS
     ldlt_library()
     if loads_solvers():
         return LDLT
-    if insisted:
+    if name:
         raise MachineError(
             "the installed Ipopt was built without loading linear solvers at run time; use linear_solver 'mumps'."
         )
@@ -94,7 +82,7 @@ def linear_solver(asked: str = "") -> str:
 
 @cache
 def loads_solvers() -> bool:
-    """Whether this Ipopt was built to load linear solvers at run time, as that of the wheel is."""
+    """Return whether this Ipopt can load linear solvers at run time, as the wheel's can."""
 
     class Nothing:  # a problem that is never solved
         objective = gradient = staticmethod(np.zeros_like)
@@ -111,21 +99,21 @@ def loads_solvers() -> bool:
 
 
 def settings(name: str, value: str | int | float) -> tuple[tuple[str, str | int | float], ...]:
-    """An option in Ipopt's words: our factorisation stands behind the calls of MA27."""
+    """Return an option under Ipopt's names; `ldlt` becomes ma27 with our library."""
     if name == "linear_solver" and value == LDLT:
         return (("hsllib", str(ldlt_library())), ("linear_solver", "ma27"))
     return ((name, value),)
 
 
-# MUMPS permutes the KKT matrix before it orders it, unless told otherwise; where softplus' tiny
-# slopes stand on the diagonal that destroys the band of time steps: 10 carts at T = 500 take 0.04
-# instead of 1.1 CPU s an iteration, and 7 instead of 31 of them; three carts take the same.
+# MUMPS permutes the KKT matrix before ordering it. The tiny softplus slopes on the diagonal then
+# destroy the band of time steps: 10 carts at T = 500 take 1.1 instead of 0.04 CPU s an iteration,
+# and 31 instead of 7 iterations.
 _KEEP_THE_BAND = {"mumps_permuting_scaling": 0}
 
 
 def band_options() -> dict[str, Any]:
-    """What keeps the band of time steps where MUMPS factorises by default.
+    """Return the options that keep the band of time steps, if MUMPS is the default solver.
 
-    Nothing where our own does, because an option of MUMPS asks for MUMPS.
+    Empty for our solver, because a MUMPS option selects MUMPS.
     """
     return dict(_KEEP_THE_BAND) if linear_solver() == MUMPS else {}

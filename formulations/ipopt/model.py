@@ -1,6 +1,6 @@
-"""What is active on a Pyomo model, its data and its bounds.
+"""Read the active parts of a Pyomo model, its data and its bounds.
 
-Everything that would otherwise be dropped in silence is refused, in a sentence that names it.
+Raise ModelRefusedError for everything that a solve would otherwise ignore.
 """
 
 from __future__ import annotations
@@ -36,22 +36,19 @@ from formulations.ipopt.graph import UNARY
 
 
 class ModelRefusedError(ValueError):
-    """The model holds something that a smooth solver cannot treat, or that would be silently dropped."""
+    """The model contains a component that a smooth solver cannot treat or would ignore."""
 
 
 class NotSmoothError(ModelRefusedError):
-    """The model applies abs, min or max to variables.
-
-    `mpec_ipopt` writes them as complementarities.
-    """
+    """The model applies abs, min or max to variables; `mpec_ipopt` accepts these."""
 
 
 class MissingValueError(ValueError):
-    """A Param or a fixed variable that the model needs has no value, or not a finite one."""
+    """A Param, a fixed variable or a bound of the model has no finite value."""
 
 
 class StructureChangedError(RuntimeError):
-    """The model's structure is no longer the one that was compiled: compile it again."""
+    """The model's structure differs from the compiled one; compile the model again."""
 
 
 _ADVICE = {
@@ -63,7 +60,7 @@ _ADVICE = {
 
 
 class EvaluatedExpression:
-    """Data that is an expression rather than a Param: `value` evaluates it (Expr_if, max, abs, .. of data)."""
+    """An expression of data, read like a Param: `value` evaluates it."""
 
     __slots__ = ("expression",)
 
@@ -72,20 +69,17 @@ class EvaluatedExpression:
 
     @property
     def value(self) -> float:
-        """The number that the expression has now."""
+        """Return the current number."""
         return value(self.expression)
 
     @property
     def name(self) -> str:
-        """The expression as text."""
+        """Return the expression as text."""
         return str(self.expression)
 
 
 def as_data(node: Any, where: Any) -> EvaluatedExpression:
-    """The node as data.
-
-    Raises ModelRefusedError naming the component `where` if it depends on a free variable.
-    """
+    """Return the node as data; raise ModelRefusedError naming `where` if it has free variables."""
     if not node.is_fixed():
         name = node.getname() if hasattr(node, "getname") else type(node).__name__
         known = "known are + - * / ** and " + " ".join(sorted(UNARY))
@@ -100,12 +94,12 @@ _TREATED = frozenset(
     {Block, Constraint, Objective, Var, Param, Expression, Set, RangeSet, Suffix, ExternalFunction}
 )
 
-# A component of another kind changes the problem if it can be active, or if it is a special
-# variable or expression (a derivative that has not been discretised would be a free variable).
+# Other components change the problem if they can be active, or are variables or expressions
+# (a derivative without discretisation would be a free variable).
 _MATTERS = (ActiveComponent, Var, Expression)
 
-# What Pyomo marks a row with that stands for a whole complementarity in a file for another solver:
-# as a row it says only half.
+# Attributes by which Pyomo marks a row that represents a whole complementarity in a file for
+# another solver; as a constraint the row states only half of the complementarity.
 _HALF_COMPLEMENTARITY = ("_complementarity", "_complementarity_type")
 
 _WHAT_TO_DO = {
@@ -122,7 +116,7 @@ _WHAT_TO_DO = {
 
 
 def refuse_no_model(model: Any) -> None:
-    """Raise ModelRefusedError for what is no Pyomo model, or an abstract one."""
+    """Raise ModelRefusedError if the object is not a Pyomo model, or is an abstract one."""
     if not isinstance(model, BlockData):
         raise ModelRefusedError(
             f"expected a Pyomo ConcreteModel or Block, got {type(model).__name__}"
@@ -134,12 +128,9 @@ def refuse_no_model(model: Any) -> None:
 
 
 def refuse_unknown_components(model: Any, *, also: frozenset[type] = frozenset()) -> None:
-    """Raise ModelRefusedError if the model holds an active component that is neither an equation, an objective nor data.
+    """Raise ModelRefusedError for an active component that a smooth problem cannot contain.
 
-    Parameters
-    ----------
-    model : a Pyomo ConcreteModel or Block
-    also : component types that the caller treats itself
+    `also` are component types that the caller treats itself.
     """
     refuse_no_model(model)
     for block in model.block_data_objects(active=True, descend_into=Block):
@@ -157,21 +148,18 @@ def refuse_unknown_components(model: Any, *, also: frozenset[type] = frozenset()
     for row in active_constraints(model):
         if any(hasattr(row, mark) for mark in _HALF_COMPLEMENTARITY):
             raise ModelRefusedError(
-                f"constraint '{row.name}' is what 'mpec.nl' or 'mpec.standard_form' left of a complementarity, which it does not hold by itself: "
+                f"constraint '{row.name}' is one half of a complementarity that 'mpec.nl' or 'mpec.standard_form' transformed: "
                 "give the model before that transformation to SolverFactory('mpec_ipopt'), or apply 'mpec.simple_nonlinear' instead"
             )
 
 
 def active_constraints(model: Any) -> list[Any]:
-    """Active constraint data in declaration order, nested blocks included."""
+    """Return the active constraint data in declaration order, including nested blocks."""
     return list(model.component_data_objects(Constraint, active=True, descend_into=Block))
 
 
 def active_objective(model: Any) -> Any | None:
-    """The one active objective; None for a feasibility problem.
-
-    Raises ModelRefusedError where several are active.
-    """
+    """Return the active objective, or None; raise ModelRefusedError if several are active."""
     objectives = list(model.component_data_objects(Objective, active=True, descend_into=Block))
     if len(objectives) > 1:
         names = ", ".join(f"'{o.name}'" for o in objectives[:3])
@@ -182,21 +170,15 @@ def active_objective(model: Any) -> Any | None:
 
 
 def sense_of(objective: Any | None) -> int:
-    """+1 to minimise (also without objective), -1 to maximise."""
+    """Return -1 for an objective to maximise, else +1."""
     return 1 if objective is None or objective.sense == minimize else -1
 
 
 def sides_of(constraint: Any) -> tuple[Any, Any | None, Any, Any]:
-    """Body and bounds of a constraint: lower <= body - subtracted <= upper.
+    """Return (body, subtracted, lower, upper): lower <= body - subtracted <= upper.
 
-    Returns
-    -------
-    (body, subtracted or None, lower, upper); bounds are numbers, data expressions or None
-
-    Raises
-    ------
-    ModelRefusedError
-        where a range has a variable bound, or there is no expression
+    subtracted may be None; bounds are numbers, data expressions or None. Raises ModelRefusedError
+    for a range with a variable bound, and without an expression.
     """
     expression = constraint.expr
     kind = expression.__class__
@@ -223,20 +205,9 @@ def sides_of(constraint: Any) -> tuple[Any, Any | None, Any, Any]:
 
 
 def read_data(sources: tuple[Any, ...]) -> np.ndarray:
-    """Current numbers of the data.
+    """Return the numbers (data,) of Params, fixed variables and expressions [data units].
 
-    Parameters
-    ----------
-    sources : Params, fixed variables and data expressions, by data number
-
-    Returns
-    -------
-    (data,) numbers [units of the data]
-
-    Raises
-    ------
-    MissingValueError
-        where one has no value, or not a number
+    Raises MissingValueError if a source has no value, or its value is not a number.
     """
     numbers = np.array([read_number(source) for source in sources], dtype=float)
     for k in np.flatnonzero(np.isnan(numbers)):
@@ -247,7 +218,7 @@ def read_data(sources: tuple[Any, ...]) -> np.ndarray:
 
 
 def read_number(source: Any) -> float:
-    """The value of a Param, a fixed variable or a data expression; NaN where it has none."""
+    """Return the value of a Param, fixed variable or expression, NaN without a value."""
     try:
         return float(source.value)
     except (TypeError, ValueError, ArithmeticError):
@@ -263,16 +234,9 @@ def _why_none(source: Any) -> str:
 
 
 def read_bounds(variables: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Current bounds of the variables, infinite where there is none.
+    """Return lower (n,) and upper (n,) [variable units], infinite if missing.
 
-    Returns
-    -------
-    lower (n,), upper (n,) [units of the variables]
-
-    Raises
-    ------
-    MissingValueError
-        where a bound has no value
+    Raises MissingValueError if a bound has no value.
     """
     lower, upper = (
         np.array([bounds_of(variable) for variable in variables], dtype=float)
@@ -287,10 +251,7 @@ _NO_BOUND = 1e19
 
 
 def bounds_of(variable: Any) -> tuple[float, float]:
-    """Current bounds of a variable, infinite where there is none.
-
-    MissingValueError where one has no value.
-    """
+    """Return a variable's bounds, infinite if missing; raise MissingValueError without value."""
     try:
         low, high = variable.bounds
     except ValueError as error:
@@ -302,14 +263,14 @@ def bounds_of(variable: Any) -> tuple[float, float]:
 
 
 def unbounded_if_huge(bound: float) -> float:
-    """Return the bound, infinite if it is a number that Ipopt, AMPL and GAMS take for none."""
+    """Return the bound, or infinity if Ipopt, AMPL and GAMS read the number as infinite."""
     return math.copysign(math.inf, bound) if abs(bound) >= _NO_BOUND else bound
 
 
 def read_bound(expression: Any, kind: str, component: Any, unbounded: float) -> float:
-    """Current number of a bound that is an expression of data, unbounded where it says None.
+    """Evaluate a bound; None counts as `unbounded`.
 
-    MissingValueError where it has none.
+    Raises MissingValueError if the expression has no value.
     """
     try:
         number = value(expression)

@@ -1,7 +1,7 @@
-"""Which Ipopt options may be set, with their types.
+"""The Ipopt options that a user may set, with their types.
 
-A list, because some options end the process (a missing HSL library, Mehrotra's algorithm on a
-general problem) and a misspelt one must not be found out after an hour.
+This is a list because some options end the process (a missing HSL library, Mehrotra's algorithm
+on a general problem), and because a misspelt option must fail before the solve.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from models.errors import did_you_mean
 
 
 class UnknownOptionError(ValueError):
-    """An option that is not on the list, or a value that cannot be used for it."""
+    """An option that is not on the list, or a value that the option cannot have."""
 
 
 _YES_NO = ("yes", "no")
@@ -104,8 +104,7 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "nlp_scaling_method": ("none", "gradient-based", "equilibration-based"),
 }  # fmt: skip
 
-# Named, so that the answer is a reason and not a spelling suggestion: these end the process in the
-# builds pip installs.
+# Options with a reason for the refusal. These end the process in the builds that pip installs.
 _REFUSED = MappingProxyType({
     "mehrotra_algorithm": "it ends the process on problems that are not linear or convex quadratic",
     "hsllib": "HSL libraries are not part of the installed Ipopt",
@@ -114,20 +113,17 @@ _REFUSED = MappingProxyType({
     "derivative_test": "derivatives are exact and tested; the check prints to the terminal only",
 })  # fmt: skip
 
-# Ipopt's own defaults hold wherever nothing stands here. Iterations on the softplus carts (500
-# steps, eps = 1e-3, 1e-5, 1e-7, start on the straight line): default 7, 30, 95;
-# mu_strategy=adaptive 5, 32, none within 30 s; hessian_approximation=limited-memory 11, 41, 290;
-# mu_init=1e-2 7, 37, 228; least_square_init_primal=yes 18, 31, 28 (worth a try where a stiff
-# problem starts far away); bound_push=0.1, nlp_scaling_method=none and bound_relax_factor=0 as the
-# default. `sb` and `print_level` keep the terminal quiet; an empty `option_file_name` keeps an
-# ipopt.opt that happens to lie in the working directory from changing a run that says it knows its
-# options.
+# Ipopt's own defaults hold otherwise; alternatives needed more iterations on the softplus carts
+# (500 steps, eps = 1e-3, 1e-5, 1e-7, straight-line start). Default: 7, 30, 95;
+# mu_strategy=adaptive: 5, 32, none within 30 s; limited-memory Hessian: 11, 41, 290; mu_init=1e-2:
+# 7, 37, 228; least_square_init_primal=yes: 18, 31, 28 (an alternative for stiff problems with a
+# distant start). `sb` and `print_level` silence the terminal. An empty `option_file_name` ignores
+# an ipopt.opt in the working directory.
 DEFAULTS: Mapping[str, str | int | float] = MappingProxyType(
     {"print_level": 0, "sb": "yes", "option_file_name": ""}
 )
 
-# For a primal-dual warm start: the given point is kept, not pushed back into the interior (1e-3
-# would undo the gain).
+# A primal-dual warm start keeps its point; Ipopt's default of 1e-3 would push it into the interior.
 WARM_START_DEFAULTS: Mapping[str, str | int | float] = MappingProxyType({
     "warm_start_init_point": "yes",
     "warm_start_bound_push": 1e-9,
@@ -139,15 +135,12 @@ WARM_START_DEFAULTS: Mapping[str, str | int | float] = MappingProxyType({
 
 
 def known_options() -> tuple[str, ...]:
-    """Names that may be set, sorted."""
+    """Return the names of the options that may be set, sorted."""
     return tuple(sorted({*_REALS, *_INTEGERS, *_CHOICES, "linear_solver"}))
 
 
 def checked_options(options: Mapping[str, Any]) -> dict[str, str | int | float]:
-    """The same options with the types Ipopt expects.
-
-    Raises UnknownOptionError with what to write instead.
-    """
+    """Return the options with Ipopt's types; raise UnknownOptionError with advice."""
     return {name: _checked(name, value) for name, value in options.items()}
 
 
@@ -177,7 +170,7 @@ def _checked(name: str, value: Any) -> str | int | float:
     raise UnknownOptionError(f"there is no Ipopt option '{name}': {hint}")
 
 
-# Ipopt keeps whole numbers in 32 bits.
+# Ipopt stores integers in 32 bits.
 _LARGEST = 2**31 - 1
 
 

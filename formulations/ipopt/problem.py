@@ -1,15 +1,9 @@
-"""Pyomo model -> IpoptProblem: every active equation is read once, terms of one shape are gathered, sparsity is settled.
+"""Compile a Pyomo model into an IpoptProblem: read the equations once, settle the sparsity.
 
     minimise f(x)   subject to   constraint_lower <= g(x) <= constraint_upper,   lower <= x <= upper
 
-Params, fixed values, bounds and starts are read as often as one likes. A maximised objective is
-handed on as -f (`sense` is -1). Evaluations return NaN or inf where the model does: Ipopt answers
-with a shorter step.
-
-`Evaluations` are the functions as cyipopt calls them: one evaluation a point, time counted. cyipopt
-forgets what the Hessian raises: Ctrl-C there is swallowed and the solve runs on. So the first
-unexpected error of any callback is kept, the solve is stopped at the next iteration, and `run`
-raises the error afterwards, as it was.
+A maximised objective becomes -f (`sense` is -1). Evaluations return NaN or inf if the model does;
+Ipopt then shortens its step.
 """
 
 from __future__ import annotations
@@ -42,7 +36,7 @@ from formulations.ipopt.shapes import TermGroup, shape_of
 
 
 def _keeping(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The method, raising nothing but what Ipopt understands as 'cut the step'."""
+    """Store a callback's first exception and stop the solve; cyipopt drops those of the Hessian."""
 
     @wraps(function)
     def call(self: Evaluations, *arguments: Any) -> Any:
@@ -51,7 +45,7 @@ def _keeping(function: Callable[..., Any]) -> Callable[..., Any]:
                 return function(self, *arguments)
             except CyIpoptEvaluationError:
                 raise
-            except BaseException as error:  # noqa: BLE001 - kept and raised after the solve, KeyboardInterrupt too
+            except BaseException as error:  # noqa: BLE001 - raised after the solve
                 self.error = error
         raise CyIpoptEvaluationError("the solve is being stopped")
 
@@ -65,12 +59,9 @@ def _finite(values: Any, what: str) -> Any:
 
 
 class Evaluations:
-    """Caches values and first derivatives of the last point.
+    """The functions as cyipopt calls them: cached by point, timed, counted.
 
-    `after` is asked after each iteration whether to go on.
-
-    Each callback raises CyIpoptEvaluationError where a number is not finite: Ipopt then shortens
-    its step.
+    `after` is called after each iteration and returns whether to continue.
     """
 
     def __init__(self, problem: IpoptProblem, after: Callable[..., bool]) -> None:
@@ -87,10 +78,10 @@ class Evaluations:
 
     def _counted(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
         begin = time.perf_counter()
-        found = function(*arguments)
+        result = function(*arguments)
         self.calls[what] += 1
         self.seconds += time.perf_counter() - begin
-        return found
+        return result
 
     def _at(self, x: np.ndarray, what: str) -> tuple[Any, np.ndarray]:
         if not np.array_equal(x, self._last[what][0]):
@@ -99,48 +90,36 @@ class Evaluations:
 
     @_keeping
     def objective(self, x: np.ndarray) -> float:
-        """The minimised objective at x (n,) [units of the objective].
-
-        Raises CyIpoptEvaluationError where one is not finite.
-        """
+        """Return the objective at x (n,); raises CyIpoptEvaluationError if not finite."""
         return _finite(self._at(x, "values")[0], "the objective")
 
     @_keeping
     def constraints(self, x: np.ndarray) -> np.ndarray:
-        """Values (m,) of the constraints at x (n,) [units of the constraints].
-
-        Raises CyIpoptEvaluationError where one is not finite.
-        """
+        """Return constraints (m,) [-] at x (n,); raises CyIpoptEvaluationError if not finite."""
         return _finite(self._at(x, "values")[1], "a constraint")
 
     @_keeping
     def gradient(self, x: np.ndarray) -> np.ndarray:
-        """Gradient (n,) of the minimised objective at x (n,) [objective per variable].
-
-        Raises CyIpoptEvaluationError where one is not finite.
-        """
+        """Return the gradient (n,) [-] at x (n,); raises CyIpoptEvaluationError if not finite."""
         return _finite(self._at(x, "derivatives")[0], "the gradient")
 
     @_keeping
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Entries (nonzeros,) of the Jacobian at x (n,) [constraint per variable].
+        """Return the entries (nonzeros,) [-] at x (n,).
 
-        Raises CyIpoptEvaluationError where one is not finite.
+        Raises CyIpoptEvaluationError if not finite.
         """
         return _finite(self._at(x, "derivatives")[1], "the Jacobian")
 
     @_keeping
     def hessian(self, x: np.ndarray, lagrange: np.ndarray, factor: float) -> np.ndarray:
-        """Entries (nonzeros,) of the Lagrangian's Hessian at x (n,), lagrange (m,) [objective per variable^2].
-
-        Raises CyIpoptEvaluationError where one is not finite.
-        """
+        """Return entries (nonzeros,) [-]; raises CyIpoptEvaluationError if not finite."""
         return _finite(
             self._counted("hessians", self._problem.hessian, x, lagrange, factor), "the Hessian"
         )
 
     def intermediate(self, *numbers: Any) -> bool:
-        """Ipopt's question after each iteration, whether to go on."""
+        """Return whether Ipopt continues after this iteration."""
         if self.error is None:
             try:
                 return self._after(*numbers)
@@ -150,15 +129,13 @@ class Evaluations:
 
 
 class IpoptProblem:
-    """A compiled model of n variables and m constraints, made by `compile_model`.
+    """A compiled model of n variables and m constraints, with the numbers of the last `refresh()`.
 
-    Values are current as of the last `refresh()` (compiling does the first).
-
-    model, objective_data: the Pyomo model and its active objective (None for a feasibility
-        problem), of which sense * value is minimised
-    variables: Pyomo variables by column; equations: Pyomo constraints by row; trivial: constraints
-        without a variable
-    lower, upper: (n,) bounds; constraint_lower, constraint_upper: (m,)
+    objective_data: the active objective, of which sense * value is minimised, or None
+    variables, equations: Pyomo variables by column, constraints by row
+    trivial: constraints without a variable
+    lower, upper: (n,)
+    constraint_lower, constraint_upper: (m,)
     """
 
     def __init__(self, model: Any) -> None:
@@ -198,10 +175,9 @@ class IpoptProblem:
         self.refresh(check=False)
 
     # -- structure
-    #   --------------------------------------------------------------------------------------------------------------
 
     def _settle_pattern(self, rows: np.ndarray, columns: np.ndarray) -> None:
-        """One sorted list of (row, column) positions, and where each linear and nonlinear contribution lands in it."""
+        """Settle the sorted (row, column) positions, and the position of each contribution."""
         affine = [(rows, columns), *(g.affine_entries for g in self._groups)]
         slopes = [g.slope_entries for g in self._curved]
         keys = [r * self.n + c for r, c in (*affine, *slopes)]
@@ -235,7 +211,6 @@ class IpoptProblem:
         self._hessian_rows, self._hessian_columns = rows.astype(np.int32), columns.astype(np.int32)
 
     # -- values
-    #   -----------------------------------------------------------------------------------------------------------------
 
     def refresh(self, *, check: bool = True) -> None:
         """Read Params, fixed values and bounds again.
@@ -243,10 +218,9 @@ class IpoptProblem:
         Raises
         ------
         StructureChangedError
-            if the structure is no longer the compiled one (a variable fixed or unfixed, a constraint or the objective added, removed, rewritten or
-            (de)activated, a named expression rewritten): then compile again
+            if variables were fixed or unfixed, or constraints, objective or expressions changed
         MissingValueError
-            where a Param, a fixed variable or a bound has no value
+            if a Param, a fixed variable or a bound has no value
         """
         if check:
             self._require_same_structure()
@@ -271,7 +245,6 @@ class IpoptProblem:
         self._trivial_bounds = low[self._unsent], high[self._unsent]
 
     def _require_same_structure(self) -> None:
-        """Raise StructureChangedError, naming the first difference."""
         again = "compile the model again"
         constraints = active_constraints(self.model)
         if len(constraints) != len(self._constraints):
@@ -313,10 +286,6 @@ class IpoptProblem:
                 )
 
     def _read_row_bounds(self) -> list[np.ndarray]:
-        """Current lower and upper bounds (constraints,).
-
-        MissingValueError where one has no value, or is infinite on the wrong side.
-        """
         known: dict[int, float] = {}
         sides = []
         for (numbers, later), unbounded in zip(self._row_bounds, (-np.inf, np.inf), strict=True):
@@ -347,15 +316,10 @@ class IpoptProblem:
             )
 
     def start(self) -> tuple[np.ndarray, int]:
-        """Current values of the variables.
+        """Return the current values x (n,) [variable units], and how many variables had none.
 
-        One without a value starts at the point of its bounds nearest 0.
-
-        Raises nothing: bounds that cross are for `solve` to tell.
-
-        Returns
-        -------
-        x (n,) [units of the variables], and how many variables had no value
+        These start at the point nearest 0 within their bounds. Raises nothing, even for crossing
+        bounds.
         """
         values = [v.value for v in self.variables]
         missing = [k for k, v in enumerate(values) if v is None]
@@ -364,11 +328,9 @@ class IpoptProblem:
         return np.array(values, dtype=float), len(missing)
 
     def violation(self, x: np.ndarray) -> float:
-        """Largest violation of a constraint or bound at x (n,) [units of the constraints].
+        """Return the largest violation of a constraint or bound at x (n,) [constraint units].
 
-        What is not a number counts for nothing.
-
-        Raises nothing.
+        NaN counts as no violation. Raises nothing.
         """
         g = self.constraints(x)
         sides = (
@@ -380,10 +342,7 @@ class IpoptProblem:
         return max((float(np.max(side)) for side in sides if side.size), default=0.0)
 
     def trivial_violation(self) -> tuple[float, str]:
-        """Largest violation of a constraint without variables, and its name.
-
-        (0.0, "") where all hold.
-        """
+        """Return the largest violation of a trivial constraint and its name, or (0.0, "")."""
         if not self.trivial:
             return 0.0, ""
         value, (low, high) = self._constants[self._unsent], self._trivial_bounds
@@ -392,28 +351,15 @@ class IpoptProblem:
         return float(violation[worst]), self.trivial[worst].name if violation[worst] > 0 else ""
 
     def _point(self, x: np.ndarray) -> np.ndarray:
-        """The point as the tapes read it. Raises ValueError for another length."""
         point = np.ascontiguousarray(x, dtype=float)
         if point.shape != (self.n,):
             raise ValueError(f"the point has shape {point.shape}, the problem needs ({self.n},)")
         return point
 
-    # -- functions, under the names cyipopt asks for
-    #   -----------------------------------------------------------------------------------
+    # -- functions, under cyipopt's names
 
     def values(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """The functions at a point.
-
-        Raises nothing: NaN or inf where the model has no number.
-
-        Parameters
-        ----------
-        x : (n,) point [units of the variables]
-
-        Returns
-        -------
-        the minimised objective, and the constraints (m,) [units of the constraints]
-        """
+        """Return the objective and the constraints (m,) at x (n,) [model units]. Raises nothing."""
         x, curved = self._point(x), np.zeros(self._rows)
         for group, places in zip(self._curved, self._value_places, strict=True):
             group.add_values(x, places, curved)
@@ -423,18 +369,9 @@ class IpoptProblem:
         return float(total[-1]), total[self._sent]
 
     def derivatives(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The first derivatives at a point.
+        """Return gradient (n,) and Jacobian entries (nonzeros,) at x (n,) [row per variable].
 
-        Raises nothing: NaN or inf where the model has no number.
-
-        Parameters
-        ----------
-        x : (n,) point [units of the variables]
-
-        Returns
-        -------
-        gradient (n,) of the minimised objective, and entries (nonzeros,) of the Jacobian at the
-            places of `jacobianstructure` [row per variable]
+        Raises nothing.
         """
         x, entries = self._point(x), np.zeros(len(self._affine))
         for group, places in zip(self._curved, self._slope_places, strict=True):
@@ -445,65 +382,45 @@ class IpoptProblem:
         return gradient, entries[: self._objective_start]
 
     def objective(self, x: np.ndarray) -> float:
-        """The minimised objective at x (n,) [units of the objective].
-
-        Raises nothing: NaN or inf where the model has no number.
-        """
+        """Return the objective at x (n,) [objective units]. Raises nothing."""
         return self.values(x)[0]
 
     def constraints(self, x: np.ndarray) -> np.ndarray:
-        """Values (m,) of the constraints at x (n,) [units of the constraints].
-
-        Raises nothing: NaN or inf where the model has no number.
-        """
+        """Return the constraints (m,) at x (n,) [constraint units]. Raises nothing."""
         return self.values(x)[1]
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
-        """Gradient (n,) of the minimised objective at x (n,) [objective per variable].
-
-        Raises nothing: NaN or inf where the model has no number.
-        """
+        """Return the gradient (n,) at x (n,) [objective per variable]. Raises nothing."""
         return self.derivatives(x)[0]
 
     def slope_size(self, x: np.ndarray) -> float:
-        """Return the largest derivative of the objective at x (n,) [objective per variable].
-
-        Raises nothing.
-        """
+        """Return the largest |gradient| at x (n,) [objective per variable]. Raises nothing."""
         return float(np.max(np.abs(self.gradient(x)), initial=0.0))
 
     def slope_size_nearby(self, x: np.ndarray) -> float:
-        """Return the largest derivative at x and a step of max(1, |x|) from it on either side.
+        """Return the largest |gradient| at x (n,) and at a step to either side, at most 1.
 
-        1 at most, and if the objective has no slope: derivatives that vanish at a solution are
-        measured by those around it, so that a cost in another unit is stationary at the same points.
-        Raises nothing.
+        At a solution the gradient can vanish; the neighbours keep the measure independent of the
+        cost's unit [objective per variable]. 1 without a slope. Raises nothing.
         """
         step = np.maximum(1.0, np.abs(x)) * np.where(np.arange(len(x)) % 2, -1.0, 1.0)
         sizes = [self.slope_size(point) for point in (x, x + step, x - step)]
-        found = max((size for size in sizes if np.isfinite(size)), default=0.0)
-        return min(1.0, found) if found > 0.0 else 1.0
+        largest = max((size for size in sizes if np.isfinite(size)), default=0.0)
+        return min(1.0, largest) if largest > 0.0 else 1.0
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Entries (nonzeros,) of the Jacobian at x (n,), at the places of `jacobianstructure` [constraint per variable].
+        """Return the Jacobian's entries (nonzeros,) at x (n,) [row per variable].
 
-        Raises nothing: NaN or inf where the model has no number.
+        Raises nothing.
         """
         return self.derivatives(x)[1]
 
     def lagrangian_gradient(self, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
-        """Gradient of f + lagrange' g: at a solution it is zl - zu.
+        """Return the gradient (n,) of f + lagrange' g; at a solution it equals zl - zu.
 
-        Raises nothing: NaN or inf where the model has no number.
+        Raises nothing.
 
-        Parameters
-        ----------
-        x : (n,) point [units of the variables]
-        lagrange : (m,) multipliers in Ipopt's signs [objective per constraint]
-
-        Returns
-        -------
-        (n,) gradient [objective per variable]
+        x is (n,), lagrange (m,) in Ipopt's signs [objective per constraint].
         """
         gradient, jacobian = self.derivatives(x)
         with np.errstate(all="ignore"):
@@ -511,23 +428,13 @@ class IpoptProblem:
             return gradient + np.bincount(self._jacobian_columns, products, self.n)
 
     def jacobianstructure(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns (nonzeros,) of the Jacobian's entries [-]. Raises nothing."""
+        """Return rows and columns (nonzeros,) of the Jacobian's entries [-]. Raises nothing."""
         return self._jacobian_rows, self._jacobian_columns
 
     def hessian(self, x: np.ndarray, lagrange: np.ndarray, factor: float) -> np.ndarray:
-        """Lower triangle of factor * f'' + sum lagrange_i * g_i''.
+        """Return the entries (nonzeros,) of factor * f'' + sum lagrange_i * g_i'', lower triangle.
 
-        Raises nothing: NaN or inf where the model has no number.
-
-        Parameters
-        ----------
-        x : (n,) point [units of the variables]
-        lagrange : (m,) multipliers in Ipopt's signs [objective per constraint]
-        factor : of the objective's own Hessian [-]
-
-        Returns
-        -------
-        (nonzeros,) entries at the places of `hessianstructure` [objective per variable^2]
+        x is (n,), lagrange (m,) in Ipopt's signs [objective per constraint]. Raises nothing.
         """
         multipliers = np.zeros(self._rows)
         multipliers[self._sent] = lagrange
@@ -538,7 +445,7 @@ class IpoptProblem:
         return entries
 
     def hessianstructure(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns (nonzeros,) of the Hessian's entries, rows >= columns [-].
+        """Return rows and columns (nonzeros,) of the Hessian's entries, rows >= columns [-].
 
         Raises nothing.
         """
@@ -546,35 +453,33 @@ class IpoptProblem:
 
     @property
     def nonzeros(self) -> int:
-        """Entries of the Jacobian and of the lower triangle of the Hessian, at least 1."""
+        """Return the number of entries of the Jacobian and the lower Hessian, at least 1."""
         return max(1, len(self._jacobian_rows) + len(self._hessian_rows))
 
 
 def compile_model(model: Any) -> IpoptProblem:
-    """Translate a smooth Pyomo model; the model itself is not changed.
+    """Compile a smooth Pyomo model; the model is not changed.
 
-    Variables come in order of first appearance, constraints in order of declaration; constraints
-    without any variable are checked by `IpoptProblem.trivial_violation`, not sent to Ipopt.
+    Variables are numbered by first appearance, constraints by declaration. Constraints without a
+    variable are not sent to Ipopt; `IpoptProblem.trivial_violation` checks these.
 
     Raises
     ------
     ModelRefusedError
-        for what Ipopt cannot treat (integer variables, untransformed Complementarity, abs of a variable, ..)
+        for a component that Ipopt cannot treat, such as an integer variable or a Complementarity
     MissingValueError
-        where a Param or a fixed variable has no value
+        if a Param or a fixed variable has no value
     """
     with PauseGC():
         return IpoptProblem(model)
 
 
 def _split(places: np.ndarray, entries: list[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
-    """The places of each group, from those of all groups' entries in a row."""
     ends = np.cumsum([len(rows) for rows, _ in entries], dtype=np.intp)
     return [part.astype(np.int32) for part in np.split(places, ends)[:-1]]
 
 
 def _read_constraint(read: TermReader, row: int, constraint: Any) -> tuple[Any, Any]:
-    """Read a constraint's body into its row; its bounds, as `sides_of`."""
     body, subtracted, low, high = sides_of(constraint)
     read.read(row, body, 1.0, constraint)
     if subtracted is not None:
@@ -582,11 +487,11 @@ def _read_constraint(read: TermReader, row: int, constraint: Any) -> tuple[Any, 
     return low, high
 
 
-def _bounds(given: list[Any], unbounded: float) -> tuple[np.ndarray, tuple[tuple[int, Any], ...]]:
-    """(numbers, ((row, expression), ..)): what never changes, and what a refresh evaluates."""
-    numbers = np.full(len(given), unbounded)
+def _bounds(bounds: list[Any], unbounded: float) -> tuple[np.ndarray, tuple[tuple[int, Any], ...]]:
+    """Return constant bounds, and (row, expression) of those that a refresh evaluates."""
+    numbers = np.full(len(bounds), unbounded)
     later = []
-    for row, bound in enumerate(given):
+    for row, bound in enumerate(bounds):
         if bound is None:
             continue
         if bound.__class__ in native_numeric_types:

@@ -1,41 +1,11 @@
-"""SolverFactory("touchstone_ipopt"): this bridge behind Pyomo's own solver interface, for any smooth model.
+"""SolverFactory("touchstone_ipopt"): Ipopt behind both of Pyomo's solver interfaces.
 
-    import formulations
-    solver = pyo.SolverFactory("touchstone_ipopt")
-    solver.options["tol"] = 1e-9
-    results = solver.solve(model, tee=True, timelimit=60)
-    pyo.assert_optimal_termination(results)
+    results = pyo.SolverFactory("touchstone_ipopt").solve(model, tee=True, timelimit=60)
 
-Suffixes as with Pyomo's ipopt: `dual`, `ipopt_zL_out`, `ipopt_zU_out` are filled where the model
-imports them; with warmstart=True (or the option warm_start_init_point=yes) `dual`, `ipopt_zL_in`,
-`ipopt_zU_in` start the next solve where the model exports them. After a solve `solver.last_result`
-is the IpoptResult: history, unscaled residuals, where the time went.
-
-Where equations repeat each other Ipopt may miss an end by rounding: multipliers grow without one,
-or it gives up at a feasible point. Such a solve is made once more with its option
-perturb_always_cd, which its message says, and may take as many iterations again; setting the option
-to yes or no leaves it at one solve.
-
-Signs of multipliers. Ipopt: L = sense*f + lagrange' g - zl' x + zu' x with zl, zu >= 0. Pyomo (as
-its ipopt interface reports them): a dual is the change of the model's objective when the
-constraint's bound grows by one, so that `min x, x >= 1` has dual +1; ipopt_zL_out and ipopt_zU_out
-likewise for the bounds of a variable, so zU is negative when minimising.
-
-`PyomoAnswer` and `PyomoPlugin` are the outward manners of a Pyomo solver, shared by all that are
-registered here:
-
-    class Solver(PyomoPlugin):
-        title = "name_in_the_factory"
-        def run(self, model, *, options, timelimit, warmstart): -> (SolverResults, PyomoAnswer)
-
-`ContribSolver` is such a solver by Pyomo's second interface: results as an object, solutions loaded
-when asked for, errors unless the answer is optimal.
-
-    # the names are those of the first interface
-    from pyomo.contrib.solver.common.factory import SolverFactory
-    results = SolverFactory("mpec_ipopt").solve(model, time_limit=60, solver_options={"strategy": "scholtes"}, load_solutions=False)
-    results.termination_condition, results.solution_status, results.incumbent_objective
-    results.solution_loader.load_vars()
+Suffixes work as in Pyomo's ipopt: `dual`, `ipopt_zL_out` and `ipopt_zU_out` are filled if the
+model imports them; with warmstart=True `dual`, `ipopt_zL_in` and `ipopt_zU_in` start the solve.
+A Pyomo dual is the change of the objective when the constraint's bound grows by one, so
+`min x, x >= 1` has dual +1, and zU is negative when minimising.
 """
 
 from __future__ import annotations
@@ -78,27 +48,22 @@ from formulations.solution import Outcome
 
 
 def dual_start(problem: IpoptProblem) -> Start | None:
-    """The start that the model's values and export suffixes describe.
-
-    None where they hold no multiplier.
-    """
-    found = {
+    """Return the start from the model's values and export suffixes, or None without duals."""
+    exported = {
         "lagrange": _exported(problem.model, "dual", problem.equations),
         "zl": _exported(problem.model, "ipopt_zL_in", problem.variables),
         "zu": _exported(problem.model, "ipopt_zU_in", problem.variables),
     }
-    if all(values is None for values in found.values()):
+    if all(values is None for values in exported.values()):
         return None
     signs = {"lagrange": -problem.sense, "zl": problem.sense, "zu": -problem.sense}
-    given = {name: signs[name] * values for name, values in found.items() if values is not None}
-    return Start(x=problem.start()[0], **given)
+    multipliers = {
+        name: signs[name] * values for name, values in exported.items() if values is not None
+    }
+    return Start(x=problem.start()[0], **multipliers)
 
 
 def _exported(model: Any, name: str, components: tuple[Any, ...]) -> np.ndarray | None:
-    """Values of the export suffixes of this name, on any active block.
-
-    A component without entry has 0; None for no entry at all.
-    """
     suffixes = [
         s
         for s in model.component_data_objects(Suffix, active=True, descend_into=Block)
@@ -115,8 +80,8 @@ def _exported(model: Any, name: str, components: tuple[Any, ...]) -> np.ndarray 
     return values
 
 
-# Outcome -> (status, termination condition); STALLED is refined in `PyomoAnswer`. "optimal" is what
-# Pyomo's own ipopt reports for a KKT point.
+# Outcome -> (status, termination condition); `PyomoAnswer` refines STALLED. Pyomo's own ipopt also
+# reports "optimal" for a KKT point.
 _CONDITIONS = MappingProxyType({
     Outcome.SOLVED: (SolverStatus.ok, TerminationCondition.optimal),
     Outcome.ITERATION_LIMIT: (SolverStatus.warning, TerminationCondition.maxIterations),
@@ -134,16 +99,16 @@ _CONDITIONS = MappingProxyType({
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PyomoAnswer:
-    """What a solver found, as Pyomo's results, suffixes and models take it.
+    """The answer of a solver in the form of Pyomo's results, suffixes and models.
 
-    found: the solver's own result, with outcome, message, objective and iterations
-    is_feasible: whether the point is known to satisfy the model; x (n,): values of `variables`,
-        None for no point that is worth loading
-    multipliers: dual (m,) of `equations`, zL, zU (n,), in Pyomo's signs; None where there are none
-    pair_multipliers: (complementarity, (of its first argument, of its second)), in the same signs
+    result: the solver's own result, with outcome, message, objective and iterations
+    is_feasible: whether the point is known to satisfy the model
+    x: (n,) values of `variables`, or None without a usable point
+    multipliers: dual (m,) of `equations`, zL, zU (n,) in Pyomo's signs, or None
+    pair_multipliers: (complementarity, multipliers of its two arguments), in the same signs
     """
 
-    found: Any
+    result: Any
     is_feasible: bool
     sense: int
     has_objective: bool
@@ -155,10 +120,7 @@ class PyomoAnswer:
     pair_multipliers: tuple[tuple[Any, tuple[float, float]], ...] = ()
 
     def results(self, solver: str, model: Any) -> SolverResults:
-        """Pyomo's report of the solve, without the point.
-
-        A stalled solve is `feasible` only where its point is.
-        """
+        """Return Pyomo's report of the solve, without the point."""
         results = SolverResults()
         facts = results.problem
         facts.name = model.name
@@ -167,50 +129,52 @@ class PyomoAnswer:
         facts.number_of_constraints = len(self.equations)
         facts.number_of_variables = facts.number_of_continuous_variables = len(self.variables)
         facts.number_of_binary_variables = facts.number_of_integer_variables = 0
-        if self.is_feasible and np.isfinite(
-            self.found.objective
-        ):  # a feasible point bounds the optimum from one side
+        # A feasible point bounds the optimum from one side.
+        if self.is_feasible and np.isfinite(self.result.objective):
             if self.sense == 1:
-                facts.upper_bound = self.found.objective
+                facts.upper_bound = self.result.objective
             else:
-                facts.lower_bound = self.found.objective
+                facts.lower_bound = self.result.objective
         report = results.solver
         report.name = solver
-        report.status, report.termination_condition = _CONDITIONS[self.found.outcome]
-        if self.found.outcome is Outcome.STALLED and self.is_feasible:
+        report.status, report.termination_condition = _CONDITIONS[self.result.outcome]
+        if self.result.outcome is Outcome.STALLED and self.is_feasible:
             report.termination_condition = TerminationCondition.feasible
-        report.message = report.termination_message = self.found.message
+        report.message = report.termination_message = self.result.message
         report.wallclock_time = self.wall
-        report.statistics.black_box.number_of_iterations = self.found.iterations
+        report.statistics.black_box.number_of_iterations = self.result.iterations
         return results
 
     def load(self, model: Any) -> None:
-        """Write the point into the variables, and multipliers into the import suffixes that the model declares; suffixes without any are emptied."""
+        """Write the point into the variables, and the multipliers into the model's import suffixes.
+
+        Import suffixes without multipliers are emptied.
+        """
         if self.x is None:
             return
         write_point(self.variables, self.x)
-        found: dict[str, Any] = dict.fromkeys(("dual", "ipopt_zL_out", "ipopt_zU_out"), ())
+        suffixes: dict[str, Any] = dict.fromkeys(("dual", "ipopt_zL_out", "ipopt_zU_out"), ())
         if self.multipliers is not None:
             owners = (self.equations, self.variables, self.variables)
-            found = {
+            suffixes = {
                 name: zip(owner, values.tolist(), strict=True)
-                for name, owner, values in zip(found, owners, self.multipliers, strict=True)
+                for name, owner, values in zip(suffixes, owners, self.multipliers, strict=True)
             }
-        for name, values in {**found, "pair_dual": self.pair_multipliers}.items():
+        for name, values in {**suffixes, "pair_dual": self.pair_multipliers}.items():
             suffix = model.component(name)
             if isinstance(suffix, Suffix) and suffix.active and suffix.import_enabled():
                 suffix.clear()
                 suffix.update(values)
 
     def carry(self, results: SolverResults) -> SolverResults:
-        """The same results with the point in them, for `model.solutions.load_from(results)`."""
+        """Return the results with the point, for `model.solutions.load_from(results)`."""
         if self.x is None:
             return results
         symbols, solution = SymbolMap(), Solution()
         label, row_label = NumericLabeler("x"), NumericLabeler("c")
         solution.status = (
             SolutionStatus.optimal
-            if self.found.outcome is Outcome.SOLVED
+            if self.result.outcome is Outcome.SOLVED
             else SolutionStatus.unknown
         )
         entries = [{"Value": value} for value in self.x.tolist()]
@@ -230,27 +194,16 @@ class PyomoAnswer:
 def pyomo_multipliers(
     sense: int, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Multipliers in Pyomo's signs, from Ipopt's.
+    """Return dual (m,), zL (n,), zU (n,) in Pyomo's signs [objective per bound]. Raises nothing.
 
-    Raises nothing.
-
-    Parameters
-    ----------
-    sense : +1 to minimise, -1 to maximise
-    lagrange : (m,) of the constraints [objective per constraint]
-    zl, zu : (n,) of the bounds [objective per variable]
-
-    Returns
-    -------
-    dual (m,), zL (n,), zU (n,): the change of the model's objective when a bound grows by one
+    A Pyomo multiplier is the change of the objective when a bound grows by one.
     """
     return -sense * lagrange, sense * zl, -sense * zu
 
 
 logger = logging.getLogger(__name__)
 
-# Keywords of Pyomo's file-based solvers that have nothing to act on here: no file is written, no
-# name is shortened.
+# Keywords of Pyomo's file-based solvers without effect here: no file is written, no name shortened.
 _WITHOUT_EFFECT = frozenset(
     {
         "keepfiles",
@@ -265,10 +218,9 @@ _WITHOUT_EFFECT = frozenset(
 
 
 class PyomoPlugin(ABC):
-    """What Pyomo asks of a solver.
+    """The first of Pyomo's solver interfaces; a subclass defines `title` and `run`.
 
-    `options` stays from solve to solve, `last_result` is what the last one found, in this package's
-    own words.
+    `options` persist between solves; `last_result` is the solver's own result.
     """
 
     title: str
@@ -283,31 +235,30 @@ class PyomoPlugin(ABC):
         self.options = Bunch(**(options or {}))
         self.last_result: Any = None
 
-    # -- what Pyomo asks of a solver
-    #   ----------------------------------------------------------------------------------------------
+    # -- Pyomo's solver interface
 
     def available(self, exception_flag: bool = False) -> bool:
-        """True: importing the package needs Ipopt."""
+        """Return True."""
         return True
 
     def license_is_valid(self) -> bool:
-        """True: no license is needed."""
+        """Return True."""
         return True
 
     def warm_start_capable(self) -> bool:
-        """True: a solve starts from the model's values."""
+        """Return True."""
         return True
 
     def has_capability(self, capability: str) -> bool:
-        """Whether models of this kind can be solved."""
+        """Return whether models of this kind can be solved."""
         return capability in {"linear", "quadratic_objective", "quadratic_constraint"}
 
     def version(self) -> tuple[int, ...]:
-        """Version of the Ipopt that would run."""
+        """Return Ipopt's version."""
         return ipopt_version()
 
     def set_options(self, text: str) -> None:
-        """Options as 'name=value name=value'."""
+        """Set options from 'name=value name=value'."""
         self.options.update(_options_of_text(text))
 
     def reset(self) -> None:
@@ -321,7 +272,6 @@ class PyomoPlugin(ABC):
         return None
 
     # -- solving
-    #   ------------------------------------------------------------------------------------------------------------------
 
     def solve(
         self,
@@ -336,19 +286,21 @@ class PyomoPlugin(ABC):
         logfile: str | Path | None = None,
         **ignored: Any,
     ) -> SolverResults:
-        """Translate, solve and (by default) load. `logfile` takes Ipopt's log, and how it ended.
+        """Translate, solve and (by default) load.
 
-        As with Pyomo's own solvers a result with a warning is loaded and logged. KeyboardInterrupt
-        leaves the model as it was.
+        `logfile` receives Ipopt's log and the final message.
+
+        A result with a warning is loaded and logged, as by Pyomo's own solvers. KeyboardInterrupt
+        leaves the model unchanged.
 
         Raises
         ------
         ModelRefusedError
-            for what cannot be treated, before anything runs
+            for a model that cannot be solved, before the solve starts
         ValueError
             for a result that is an error, unless load_solutions is False
         OSError
-            for a log file that cannot be written
+            if the log file cannot be written
         """
         unknown = set(ignored) - _WITHOUT_EFFECT
         if unknown:
@@ -378,7 +330,7 @@ class PyomoPlugin(ABC):
                     model, options=chosen, timelimit=timelimit, warmstart=warmstart
                 )
             if log is not None:
-                log.write(f"{self.title}: {answer.found.message}\n")
+                log.write(f"{self.title}: {answer.result.message}\n")
         if not load_solutions:
             return answer.carry(results)
         if results.solver.status == SolverStatus.error:
@@ -399,11 +351,10 @@ class PyomoPlugin(ABC):
     def run(
         self, model: Any, *, options: dict[str, Any], timelimit: float | None, warmstart: bool
     ) -> tuple[SolverResults, PyomoAnswer]:
-        """Solve, keep `last_result`, and say it in Pyomo's words. The model is only read."""
+        """Solve, set `last_result`, and return the answer for Pyomo; the model is only read."""
 
 
 def _shown_on(streams: Sequence[Any], options: dict[str, Any]) -> Any:
-    """Ipopt's log on these streams while the context lasts; nothing is said to none."""
     if not streams:
         return nullcontext()
     options.setdefault("print_level", 5)
@@ -420,21 +371,18 @@ def _options_of_text(text: str) -> dict[str, str]:
     return options
 
 
-_AGAIN = "once more with perturb_always_cd='yes', because constraints may repeat each other"
+_AGAIN = "solved again with perturb_always_cd='yes', because constraints may be dependent"
 
 
 class TouchstoneIpopt(PyomoPlugin):
-    """A Pyomo solver object.
-
-    `options` holds Ipopt options; `last_result` is the IpoptResult of the last solve.
-    """
+    """Ipopt as a Pyomo solver; `last_result` is the IpoptResult of the last solve."""
 
     title = "touchstone_ipopt"
 
     def run(
         self, model: Any, *, options: dict[str, Any], timelimit: float | None, warmstart: bool
     ) -> tuple[SolverResults, PyomoAnswer]:
-        """Solve, and once more with `perturb_always_cd` where constraints may repeat each other."""
+        """Solve, and solve again with `perturb_always_cd` if constraints may repeat each other."""
         problem = compile_model(model)
         primal_dual = warmstart or str(options.get("warm_start_init_point", "no")) == "yes"
         start = dual_start(problem) if primal_dual else None
@@ -456,7 +404,7 @@ class TouchstoneIpopt(PyomoPlugin):
                 result = replace(again, message=f"{again.message}; {_AGAIN}")
         self.last_result = result
         answer = PyomoAnswer(
-            found=result,
+            result=result,
             is_feasible=result.residuals.feasible,
             sense=problem.sense,
             has_objective=problem.objective_data is not None,
@@ -485,13 +433,12 @@ _WITHOUT_POINT = frozenset(
 
 
 def _has_point(result: IpoptResult) -> bool:
-    """Whether x is worth loading: Ipopt worked on it, and it is a point."""
     if result.outcome in _WITHOUT_POINT or (result.status == NOT_SENT and not result.solved):
         return False
     return bool(np.all(np.isfinite(result.x)))
 
 
-# Infeasible only near the start: a local solver proves nothing.
+# A local solver finds infeasibility only near the start and proves nothing.
 _SECOND_CONDITIONS = MappingProxyType({
     Outcome.SOLVED: second.TerminationCondition.convergenceCriteriaSatisfied,
     Outcome.ITERATION_LIMIT: second.TerminationCondition.iterationLimit,
@@ -504,8 +451,6 @@ _SECOND_CONDITIONS = MappingProxyType({
 
 
 class _Loader(SolutionLoader):
-    """One answer, on its way into the model."""
-
     def __init__(self, model: Any, answer: PyomoAnswer) -> None:
         self._pyomo_model, self._answer = model, answer
 
@@ -545,12 +490,17 @@ class _Loader(SolutionLoader):
 
 
 def _chosen(pairs: Any, wanted: Sequence[Any] | None) -> Any:
-    found = ComponentMap(pairs)
-    return found if wanted is None else ComponentMap((item, found[item]) for item in wanted)
+    values = ComponentMap(pairs)
+    return values if wanted is None else ComponentMap((item, values[item]) for item in wanted)
 
 
 class ContribSolver(SolverBase):
-    """A plugin of the first interface, asked in the words of the second."""
+    """A solver of the first interface, offered through Pyomo's second interface.
+
+    from pyomo.contrib.solver.common.factory import SolverFactory
+    results = SolverFactory("mpec_ipopt").solve(model, time_limit=60, load_solutions=False)
+    results.solution_loader.load_vars()
+    """
 
     def __init__(self, plugin: type[PyomoPlugin], **settings: Any) -> None:
         super().__init__(name=plugin.title, **settings)
@@ -558,11 +508,11 @@ class ContribSolver(SolverBase):
         self.last_result: Any = None
 
     def available(self) -> Availability:
-        """Always: importing the package needs Ipopt."""
+        """Return full availability."""
         return Availability.FullLicense
 
     def version(self) -> tuple[int, ...]:
-        """Version of the Ipopt that would run."""
+        """Return Ipopt's version."""
         return self.plugin().version()
 
     def solve(self, model: Any, **settings: Any) -> second.Results:
@@ -571,11 +521,11 @@ class ContribSolver(SolverBase):
         Raises
         ------
         ModelRefusedError, MissingValueError, UnknownOptionError
-            before anything runs
+            before the solve starts
         NoOptimalSolutionError
             unless raise_exception_on_nonoptimal_result is False
         NoFeasibleSolutionError
-            where there is nothing to load, unless load_solutions is False
+            if there is no point to load, unless load_solutions is False
         """
         began, begun = perf_counter(), datetime.now(UTC)
         config = self.config(value=settings, preserve_implicit=True)
@@ -592,15 +542,15 @@ class ContribSolver(SolverBase):
             config,
         )
         results.termination_condition = _SECOND_CONDITIONS.get(
-            answer.found.outcome, second.TerminationCondition.error
+            answer.result.outcome, second.TerminationCondition.error
         )
         results.solution_status = _status(answer)
         results.solution_loader = _Loader(model, answer)
         results.incumbent_objective = (
-            answer.found.objective if answer.is_feasible and answer.has_objective else None
+            answer.result.objective if answer.is_feasible and answer.has_objective else None
         )
-        results.extra_info.message = answer.found.message
-        results.extra_info.iteration_count = answer.found.iterations
+        results.extra_info.message = answer.result.message
+        results.extra_info.iteration_count = answer.result.iterations
         results.timing_info.start_timestamp, results.timing_info.wall_time = (
             begun,
             perf_counter() - began,
@@ -610,7 +560,7 @@ class ContribSolver(SolverBase):
             and results.solution_status is not second.SolutionStatus.optimal
         ):
             raise NoOptimalSolutionError(
-                f"{NoOptimalSolutionError.default_message} It ended with: {answer.found.message}"
+                f"{NoOptimalSolutionError.default_message} It ended with: {answer.result.message}"
             )
         if config.load_solutions:
             if answer.x is None:
@@ -622,7 +572,7 @@ class ContribSolver(SolverBase):
 def _status(answer: PyomoAnswer) -> second.SolutionStatus:
     if answer.x is None:
         return second.SolutionStatus.noSolution
-    if answer.found.outcome is Outcome.SOLVED:
+    if answer.result.outcome is Outcome.SOLVED:
         return second.SolutionStatus.optimal
     return (
         second.SolutionStatus.feasible if answer.is_feasible else second.SolutionStatus.infeasible

@@ -1,14 +1,10 @@
-"""Pyomo expressions -> linear triplets and nonlinear terms, in one pass over each expression and without recursion.
+"""Read Pyomo expressions into linear triplets and nonlinear terms, without recursion.
 
     m.p * x[1] + 3 * x[2] - sin(x[1] * x[2]) + 4
 
-gives the triplet (row, x[2], 3), the constant 4, and two terms: ("*", "p", 0) with weight 1 (its
-slope is data, so it is read again at each refresh) and ("sin", "*", 0, 1) with weight -1. Terms of
-one signature are collected in one `Bucket`.
-
-A term too long to be read as a tree is read with operands first and every shared subexpression
-once: `"shared"` in front, and `("ref", k)` for the k-th operation already written. Pyomo's classes
-are looked up exactly; a class met for the first time is asked what it is.
+gives the triplet (row, x[2], 3), the constant 4, and the terms ("*", "p", 0) and ("sin", "*", 0, 1)
+with weights 1 and -1. A term that is too long as a tree starts with `"shared"`: operands come
+first, and `("ref", k)` repeats the k-th operation.
 """
 
 from __future__ import annotations
@@ -46,8 +42,6 @@ from formulations.ipopt.model import EvaluatedExpression, ModelRefusedError, as_
 
 
 class _Read(NamedTuple):
-    """An operation whose operands have been read, on the stack of a term with operands first."""
-
     node: Any
     operator: Any
 
@@ -68,13 +62,11 @@ _KIND: dict[type, int] = {
 
 
 def _kind_of(node: Any) -> int:
-    """The kind of an expression node or leaf."""
     known = _KIND.get(node.__class__)
     return _classify(node, node.__class__) if known is None else known
 
 
 def _classify(node: Any, cls: type) -> int:
-    """The kind of a class that was not met before; remembered unless it depends on the object."""
     if cls in native_numeric_types:
         _KIND[cls] = _NUMBER
         return _NUMBER
@@ -91,22 +83,24 @@ def _classify(node: Any, cls: type) -> int:
 
 _ONE = ("c", 1.0)
 # A data factor is carried into a sum with more summands than this, so that p * (x1**2 + .. +
-# x5000**2) is 5000 small terms, not a huge one.
+# x5000**2) is 5000 small terms instead of a huge one.
 _WIDE_SUM = 16
+# Nodes inspected in the search for a wide sum.
 _SHORT_LOOK = 64
-# A sum that is met again and again inside one expression (e = e + 0.1 * e, sixty times) is a small
-# graph but an astronomically large tree: after this many repeated summands, sums are handed on
-# whole to the reader of shared terms.
+# After this many repeated summands, sums are left to the reader of shared terms: a sum repeated
+# inside one expression (e = e + 0.1 * e, sixty times) is a small graph but a huge tree.
 _REPEATED = 100_000
-# A term longer than this is read again with every shared subexpression written once: expressions
-# built by repeated substitution (x_next = f(x), five hundred times) are small graphs but
-# astronomically large trees.
+# A term with more tokens is read as a shared term: repeated substitution (x_next = f(x), five
+# hundred times) gives a small graph but a huge tree.
 _LONG_TERM = 4_000
 
 
 @dataclass
 class Bucket:
-    """All terms of one signature: parallel flat lists, `slots` has a fixed number of entries a term, likewise numbers and params."""
+    """All terms of one signature, in parallel flat lists.
+
+    slots, numbers and params have a fixed number of entries per term.
+    """
 
     rows: list[int] = field(default_factory=list)
     weights: list[float] = field(default_factory=list)
@@ -116,19 +110,17 @@ class Bucket:
 
 
 class TermReader:
-    """Reads expressions of one model into so many rows.
+    """Read the expressions of one model into rows.
 
     Variables get columns in order of first appearance; Params and fixed variables get data numbers.
     """
 
     def __init__(self, rows: int) -> None:
         self.variables: list[Any] = []
-        self.data: list[
-            Any
-        ] = []  # Params, fixed variables, EvaluatedExpressions: all have `.value`
-        self.named: dict[
-            int, tuple[Any, Any]
-        ] = {}  # named expressions and what they held when they were read
+        # Params, fixed variables, EvaluatedExpressions: all have `.value`.
+        self.data: list[Any] = []
+        # Named expressions and their content when read.
+        self.named: dict[int, tuple[Any, Any]] = {}
         self.buckets: dict[tuple, Bucket] = {}
         self.rows: list[int] = []
         self.columns: list[int] = []
@@ -139,19 +131,18 @@ class TermReader:
         self.where: Any = None
 
     # -- leaves
-    #   ---------------------------------------------------------------------------------------------------------------
 
     def place(self, leaf: Any) -> int:
-        """Column of a free variable, or ~k for the k-th datum.
+        """Return the column of a free variable, or ~k for the k-th datum.
 
         Raises ModelRefusedError for a variable that is not continuous.
         """
-        known = self._place.get(id(leaf))
-        if known is not None:
-            return known
+        place = self._place.get(id(leaf))
+        if place is not None:
+            return place
         if leaf.__class__ is EvaluatedExpression:
             for variable in identify_variables(leaf.expression, include_fixed=True):
-                self.place(variable)  # so that a refresh notices when it is unfixed
+                self.place(variable)  # a refresh then detects an unfixed variable
         elif leaf.is_variable_type() and not leaf.fixed:
             self._require_continuous(leaf)
             self._place[id(leaf)] = len(self.variables)
@@ -163,41 +154,29 @@ class TermReader:
 
     def _require_continuous(self, variable: Any) -> None:
         domain = variable.domain
-        known = self._domains.get(id(domain))
-        if known is None:
-            known = self._domains[id(domain)] = (domain, variable.is_continuous())
-        if not known[1]:
+        entry = self._domains.get(id(domain))
+        if entry is None:
+            entry = self._domains[id(domain)] = (domain, variable.is_continuous())
+        if not entry[1]:
             raise ModelRefusedError(
                 f"variable '{variable.name}' has the domain {variable.domain.name}: Ipopt treats continuous variables only "
                 "(fix it, relax it with core.relax_integer_vars, or use a mixed-integer solver)"
             )
 
     # -- top level: a sum of terms
-    #   ------------------------------------------------------------------------------------------------
 
     def read(self, row: int, expression: Any, sign: float, where: Any) -> None:
-        """Add sign * expression to a row.
+        """Add sign * expression to a row; `where` is the component named in messages.
 
-        Parameters
-        ----------
-        row : number of the row
-        expression : a Pyomo expression, or a number
-        sign : what it is multiplied by
-        where : the component, for messages
-
-        Raises
-        ------
-        ModelRefusedError
-            for what is no smooth expression of continuous variables
+        Raises ModelRefusedError if this is not a smooth expression of continuous variables.
         """
         self.where = where
         place, kind = self._place.get, _KIND.get
         rows, columns, slopes = self.rows, self.columns, self.slopes
         met: set[int] = set()
         repeated = 0
-        stack: list[tuple[Any, float, Any]] = [
-            (expression, sign, None)
-        ]  # (summand, number, data or None): their product
+        # (summand, number, data or None): their product
+        stack: list[tuple[Any, float, Any]] = [(expression, sign, None)]
         while stack:
             node, weight, data = stack.pop()
             code = kind(node.__class__)
@@ -250,7 +229,7 @@ class TermReader:
     def _factor(
         self, row: int, node: Any, weight: float, data: Any, stack: list[tuple[Any, float, Any]]
     ) -> None:
-        """A product or quotient on the top level: carry numbers into the weight, and data into wide sums."""
+        """Move numbers of a product or quotient into the weight, and data into wide sums."""
         inside, factor, divides = _data_factor(node)
         if factor.__class__ in native_numeric_types and not (divides and factor == 0):
             stack.append((inside, weight / factor if divides else weight * factor, data))
@@ -264,7 +243,7 @@ class TermReader:
             self._term(row, weight, node, data)
 
     def open_named(self, named: Any) -> Any:
-        """What a named expression holds. Raises ModelRefusedError for an empty one."""
+        """Return the content of a named expression; raise ModelRefusedError if it is empty."""
         inside = named.args[0]
         self.named[id(named)] = (named, inside)
         if inside is None:
@@ -287,21 +266,20 @@ class TermReader:
         bucket.params += params
 
     # -- one term
-    #   ---------------------------------------------------------------------------------------------------------------
 
     def _tokens(
         self, root: Any, *, shared: bool = False
     ) -> tuple[tuple, list[int], list[float], list[int]]:
-        """Tokens, columns by slot, numbers and data numbers of a term.
+        """Return tokens, columns by slot, numbers and data numbers of a term.
 
-        shared: operands first, and every subexpression once.
+        shared: operands first, and each subexpression once.
         """
         place, kind = self._place.get, _KIND.get
         tokens: list[Any] = ["shared"] if shared else []
         numbers: list[float] = []
         params: list[int] = []
         slot: dict[int, int] = {}
-        written: dict[int, int] = {}  # id(expression) -> number of the operation that computes it
+        written: dict[int, int] = {}  # id(expression) -> number of its operation
         stack = [root]
         while stack:
             node = stack.pop()
@@ -323,10 +301,8 @@ class TermReader:
                 else:
                     tokens.append("n")
                     numbers.append(node)
-            elif not shared and code in (
-                _PRODUCT,
-                _MONOMIAL,
-            ):  # here too, because they are most of all: a tenth of the whole translation
+            # Duplicate of `_operator` for speed: products are a tenth of the whole translation.
+            elif not shared and code in (_PRODUCT, _MONOMIAL):
                 tokens.append("*")
                 stack.extend(reversed(node.args))
             elif code == _NAMED:
@@ -337,12 +313,12 @@ class TermReader:
             elif id(node) in written:
                 tokens.append(("ref", written[id(node)]))
             else:
-                found = _operator(node, code)
-                if found is None:
+                operation = _operator(node, code)
+                if operation is None:
                     tokens.append("p")
                     params.append(~self.place(as_data(node, self.where)))
                     continue
-                operator, operands = found
+                operator, operands = operation
                 if shared:
                     stack.append(_Read(node, operator))
                 else:
@@ -354,7 +330,6 @@ class TermReader:
 
 
 def _operator(node: Any, code: int) -> tuple[Any, Sequence[Any]] | None:
-    """Token and operands of an operation; None for one that the algebra does not have."""
     if code in (_PRODUCT, _MONOMIAL):
         return "*", node.args
     if code == _SUM:
@@ -377,10 +352,7 @@ def _operator(node: Any, code: int) -> tuple[Any, Sequence[Any]] | None:
 
 
 def _data_factor(node: Any) -> tuple[Any, Any, bool]:
-    """(rest, data, whether it divides) of a product or quotient.
-
-    (node, None, False) if neither operand is data.
-    """
+    """Return (rest, data, whether it divides) of a product or quotient, or (node, None, False)."""
     left, right = node.args
     if _kind_of(node) == _DIVISION:
         return (node, None, False) if is_potentially_variable(right) else (left, right, True)
@@ -394,25 +366,22 @@ def _data_factor(node: Any) -> tuple[Any, Any, bool]:
 
 
 def _variable_and_wide_sum(node: Any) -> tuple[Any, Sequence[Any]] | None:
-    """(variable, summands) of a variable times a wide sum; None for anything else.
+    """Return (variable, summands) of a variable times a wide sum, else None.
 
-    A quadratic form x' A x is written as such products. Whole, each row of A is a shape of its own
-    with a dense Hessian, to be generated and compiled: with 100 variables that is 6 of 8 CPU s.
-    Multiplied out they are terms of one shape.
+    In x' A x each row of A would be a shape with a dense Hessian: 6 of 8 CPU s with 100 variables.
     """
     if _kind_of(node) == _PRODUCT:
-        for variable, others in (node.args, node.args[::-1]):
+        for variable, summands in (node.args, node.args[::-1]):
             if (
                 _kind_of(variable) == _LEAF
-                and _kind_of(others) == _SUM
-                and others.nargs() > _WIDE_SUM
+                and _kind_of(summands) == _SUM
+                and summands.nargs() > _WIDE_SUM
             ):
-                return variable, others.args
+                return variable, summands.args
     return None
 
 
 def _leads_to_wide_sum(node: Any) -> bool:
-    """Whether nothing but sums, signs, names, numbers and data stands between the node and a wide sum, as far as a short look tells."""
     stack = [node]
     for _ in range(_SHORT_LOOK):
         if not stack:

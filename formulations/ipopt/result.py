@@ -1,8 +1,7 @@
-"""What a solve hands back, frozen, and the explicit step that writes it into the Pyomo model.
+"""The results of a solve, and the explicit step that writes them into the Pyomo model.
 
-`STATUS` maps Ipopt's return codes to an Outcome; a code that is not in it is FAILED, never success.
-`residuals` says how far a point is from a KKT point of the model as it was written: no scaling, no
-relaxed bounds, nothing taken from Ipopt's report.
+`STATUS` maps Ipopt's return codes to an Outcome; an unknown code is FAILED. `residuals` measures
+the distance from a KKT point of the model as written, independently of Ipopt's own report.
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ from pyomo.core.staleflag import StaleFlagManager
 from formulations.ipopt.problem import IpoptProblem
 from formulations.solution import Outcome, Seconds
 
-# Ipopt's ApplicationReturnStatus (IpReturnCodes_inc.h), complete as of Ipopt 3.14. SOLVED here is
-# Ipopt's opinion; `solve` keeps it only if the unscaled residuals agree.
+# Ipopt's ApplicationReturnStatus (IpReturnCodes_inc.h), complete as of Ipopt 3.14. SOLVED is
+# Ipopt's claim; `solve` keeps it only if the unscaled residuals agree.
 STATUS = MappingProxyType({
     0: ("Solve_Succeeded", Outcome.SOLVED),
     1: ("Solved_To_Acceptable_Level", Outcome.SOLVED),
@@ -43,37 +42,34 @@ STATUS = MappingProxyType({
     -199: ("Internal_Error", Outcome.CRASHED),
 })  # fmt: skip
 
-# The status of a problem that was decided without Ipopt: nothing to optimise, contradicting bounds,
-# a false constraint of numbers.
+# Status of a problem decided without Ipopt: no free variable, contradicting bounds, or a violated
+# constraint without variables.
 NOT_SENT = -1000
 
 
 def outcome_of(status: int) -> Outcome:
-    """The outcome Ipopt's code claims; FAILED for a code that nobody has named."""
+    """Return the outcome that Ipopt's code claims, FAILED for an unknown code."""
     return STATUS[status][1] if status in STATUS else Outcome.FAILED
 
 
 def name_of(status: int) -> str:
-    """Ipopt's name of a status."""
+    """Return Ipopt's name of a status."""
     return STATUS[status][0] if status in STATUS else f"unknown Ipopt status {status}"
 
 
-# Judging a point solved: violation of a constraint or bound relative to max(1, |bound|);
-# stationarity relative to the largest term of its own sum (at least 1); complementarity relative to
-# max(1, |objective|). Ipopt stops at 1e-8 in *its* scaling, which is up to a factor 100 away from
-# the model's, and relaxes bounds by 1e-8: hence 1e-6, which no true solution misses and no
-# acceptable-level one meets by accident.
+# Limits of the relative residuals of a solved point. Ipopt stops at 1e-8 in its own scaling, which
+# can differ from the model's by a factor 100, and relaxes bounds by 1e-8: hence 1e-6.
+# Violation of a constraint or bound, relative to max(1, |bound|).
 FEASIBILITY = 1e-6
+# Stationarity, relative to the largest term of its own sum (at least 1).
 STATIONARITY = 1e-5
+# Complementarity, relative to max(1, |objective|).
 COMPLEMENTARITY = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Residuals:
-    """Largest absolute values, and the same relative to the scales named above (these are judged).
-
-    All NaN if a function is.
-    """
+    """Largest absolute residuals, and the decisive relative ones; all NaN if a function is NaN."""
 
     constraint_violation: float
     dual_infeasibility: float
@@ -83,10 +79,7 @@ class Residuals:
     relative_complementarity: float
 
     def meets(self, tolerance: float = 0.0) -> bool:
-        """Whether the point passes.
-
-        `tolerance` loosens the limits where the caller asked Ipopt for less than they demand.
-        """
+        """Return whether the point passes; a `tolerance` above the limits replaces them."""
         return (
             self.relative_violation <= max(FEASIBILITY, tolerance)
             and self.relative_dual <= max(STATIONARITY, tolerance)
@@ -95,12 +88,12 @@ class Residuals:
 
     @property
     def feasible(self) -> bool:
-        """Whether all constraints and bounds hold to `FEASIBILITY`."""
+        """Return whether all constraints and bounds hold to `FEASIBILITY`."""
         return self.relative_violation <= FEASIBILITY
 
     @property
     def sentence(self) -> str:
-        """The three residuals in words."""
+        """Return the three residuals as text."""
         return (
             f"constraint violation {self.constraint_violation:.2e}, dual infeasibility {self.dual_infeasibility:.2e}, "
             f"complementarity {self.complementarity:.2e} (unscaled)"
@@ -108,7 +101,6 @@ class Residuals:
 
 
 def _largest(values: np.ndarray) -> float:
-    """Largest entry, 0 for none; NaN stays NaN."""
     return float(np.max(values)) if values.size else 0.0
 
 
@@ -121,21 +113,9 @@ def bound_products(
     zu: np.ndarray,
     rows: np.ndarray,
 ) -> np.ndarray:
-    """|distance to a bound * its multiplier| where the bound is finite, of the variables and of some constraints.
+    """Return |distance to a finite bound * multiplier| (bounds,) [objective units]. Raises nothing.
 
-    Raises nothing: NaN stays NaN.
-
-    Parameters
-    ----------
-    problem : the compiled model
-    x, g : (n,) point, (m,) values of the constraints [units of the variables, of the constraints]
-    lagrange : (m,) multipliers of the constraints [objective per constraint]
-    zl, zu : (n,) multipliers of the bounds [objective per variable]
-    rows : (m,) mask of the constraints that count [-]
-
-    Returns
-    -------
-    (bounds,) products [units of the objective]
+    rows: (m,) mask of the constraints to include; all variables are.
     """
     low, high = problem.constraint_lower, problem.constraint_upper
     sides = (
@@ -152,16 +132,9 @@ def bound_products(
 def residuals(
     problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray
 ) -> Residuals:
-    """Unscaled residuals of a point with multipliers in Ipopt's signs (L = f + lagrange' g - zl' x + zu' x).
+    """Return the unscaled residuals at x (n,); NaN if a function is NaN. Raises nothing.
 
-    Raises nothing: NaN where a function has no number.
-
-    Parameters
-    ----------
-    problem : the compiled model
-    x : (n,) point [units of the variables]
-    lagrange : (m,) multipliers of the constraints [objective per constraint]
-    zl, zu : (n,) multipliers of the bounds [objective per variable]
+    lagrange (m,), zl, zu (n,) are multipliers in Ipopt's signs [objective per row].
     """
     objective, g = problem.values(x)
     gradient, jacobian = problem.derivatives(x)
@@ -176,9 +149,8 @@ def residuals(
 
         products = jacobian * lagrange[rows]
         stationarity = gradient + np.bincount(columns, products, problem.n) - zl + zu
-        stationarity[problem.lower == problem.upper] = (
-            0.0  # a bound on both sides takes any multiplier
-        )
+        # Equal bounds admit any multiplier.
+        stationarity[problem.lower == problem.upper] = 0.0
         wrong_side = np.concatenate([
             np.maximum(-lagrange, 0.0)[np.isinf(problem.constraint_lower)],
             np.maximum(lagrange, 0.0)[np.isinf(problem.constraint_upper)],
@@ -217,9 +189,9 @@ UNKNOWN = Residuals(**dict.fromkeys((item.name for item in fields(Residuals)), f
 
 @dataclass(frozen=True)
 class Iteration:
-    """One line of Ipopt's log, in the order in which Ipopt tells it but for the first two.
+    """One line of Ipopt's log, in Ipopt's order except for the first two fields.
 
-    objective and mu in the model's sign and scale, inf_pr and inf_du as Ipopt scales them
+    objective and mu have the model's sign and scale; inf_pr and inf_du have Ipopt's scaling
     """
 
     iteration: int
@@ -237,10 +209,11 @@ class Iteration:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IpoptExit:
-    """Where Ipopt ended: its status code (`NOT_SENT` if it was not needed), the point and its multipliers; a message only where Ipopt was not needed.
+    """The end of an Ipopt run: status (`NOT_SENT` without a run), point and multipliers.
 
-    x: (n,) by `problem.variables`; lagrange: (m,) by `problem.equations`; zl, zu: (n,), all in
-        Ipopt's signs, L = f + lagrange' g - zl' x + zu' x
+    message: only if Ipopt did not run
+    x, zl, zu: (n,)
+    lagrange: (m,), in Ipopt's signs, L = f + lagrange' g - zl' x + zu' x
     """
 
     status: int
@@ -253,11 +226,12 @@ class IpoptExit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IpoptResult(IpoptExit):
-    """How a solve ended.
+    """The result of a solve.
 
-    outcome: after our own check; message: one sentence; objective: in the model's own sense;
-        residuals: unscaled, at x; seconds: in the model's functions, in
-    the rest of Ipopt (its linear algebra), and in all
+    outcome: after our own check of the residuals
+    objective: in the model's own sense
+    residuals: unscaled, at x
+    seconds: in the model's functions, in the rest of Ipopt, in total
     """
 
     outcome: Outcome
@@ -272,26 +246,26 @@ class IpoptResult(IpoptExit):
 
     @property
     def solved(self) -> bool:
-        """Whether the outcome is SOLVED."""
+        """Return whether the outcome is SOLVED."""
         return self.outcome is Outcome.SOLVED
 
     @property
-    def told(self) -> str:
-        """The message; where Ipopt stopped at an infeasible point, what that does not show too."""
+    def explanation(self) -> str:
+        """Return the message; for a local infeasibility with the remark that it proves nothing."""
         if self.outcome is Outcome.INFEASIBLE and self.status != NOT_SENT:
-            return f"no feasible point was found near the start, which does not show that there is none ({self.message})"
+            return f"no feasible point was found near the start; another start may find one ({self.message})"
         return self.message
 
 
 def load(problem: IpoptProblem, result: IpoptResult) -> None:
-    """Write x into the model's variables (marking all others stale, as Pyomo's solvers do)."""
+    """Write x into the model's variables."""
     write_point(problem.variables, result.x)
 
 
 def write_point(variables: tuple[Any, ...], x: np.ndarray) -> None:
-    """Set variables to x (n,) [units of the variables], marking all others of the process stale, as Pyomo's solvers do.
+    """Set variables to x (n,) [variable units], and mark the rest stale, as Pyomo's solvers do.
 
-    Raises ValueError where x has another size.
+    Raises ValueError if x has another size.
     """
     StaleFlagManager.mark_all_as_stale()
     for variable, number in zip(variables, x.tolist(), strict=True):

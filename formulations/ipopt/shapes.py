@@ -1,17 +1,10 @@
-"""Term shapes: a signature (what the expression walker wrote down) becomes tapes, once per process.
+"""Compile term shapes: a signature becomes tapes, once per process.
 
     0.5 * k * (q[3] - q[1])**2   and   0.5 * k * (q[8] - q[2])**2
 
-have one signature: two variable slots, one Param slot. It is analysed once: the affine part goes to
-the sparse linear rows, the rest is differentiated exactly, and nodes that depend on data alone are
-computed once per refresh. Values, slopes and Hessian are a `Tape` each.
-
-`TermGroup` holds all terms of one shape in one model.
-
-Hessians of large terms are a Hessian-vector product, multiplied by few directions: columns that
-share no row are read off one product (Curtis, Powell and Reid, 1974), so that a sum of five
-thousand separate terms needs one direction, a dense Hessian as many as it has columns. The
-instances of the product's tape are the terms once for each direction.
+share one signature. The affine part goes to the sparse rows, the rest is differentiated exactly.
+Hessians of large terms use Hessian-vector products: columns without a common row share a direction
+(Curtis, Powell and Reid, 1974).
 """
 
 from __future__ import annotations
@@ -37,23 +30,22 @@ from formulations.ipopt.tape import Tape, record
 
 
 def hoist(graph: Graph, roots: Sequence[int]) -> dict[int, int]:
-    """{data node, structural constants apart, that the roots use directly: its place in `p`}: computed once per refresh and handed in."""
-    found = graph.reachable(*roots, until=lambda node: graph.is_data[node])
+    """Number the data nodes, except structural constants, that the roots use directly."""
+    nodes = graph.reachable(*roots, until=lambda node: graph.is_data[node])
     return {
         node: k
         for k, node in enumerate(
-            node for node in found if graph.is_data[node] and graph.op[node] != CONSTANT
+            node for node in nodes if graph.is_data[node] and graph.op[node] != CONSTANT
         )
     }
 
 
-# A pattern with a larger filled share than this is taken as dense: looking for columns without a
-# common row would cost and find none.
+# A pattern with a larger filled share counts as dense: columns without a common row are unlikely.
 _DENSE_SHARE = 0.1
 
 
 def _product_nodes(graph: Graph, slopes: dict[int, int]) -> dict[int, int]:
-    """{i: node of sum_j H[i, j] seed[j]}, by differentiating the directional derivative once more."""
+    """Return {i: node of sum_j H[i, j] seed[j]}."""
     along = graph.zero
     for slot, slope in slopes.items():
         along = graph.add(along, graph.mul(slope, graph.seed(slot)))
@@ -61,18 +53,9 @@ def _product_nodes(graph: Graph, slopes: dict[int, int]) -> dict[int, int]:
 
 
 def column_groups(pairs: np.ndarray, size: int) -> np.ndarray:
-    """Groups of the Hessian's columns, such that two columns of a group have no common row.
+    """Return a group (size,) for each column; columns of one group have no common row [-].
 
-    Raises nothing.
-
-    Parameters
-    ----------
-    pairs : (2, entries) rows and columns of one triangle [-]
-    size : number of columns
-
-    Returns
-    -------
-    (size,) group of each column [-]
+    pairs (2, entries) are rows and columns of one triangle. Raises nothing.
     """
     groups = np.arange(size)
     if pairs.shape[1] > _DENSE_SHARE * size * size:
@@ -95,9 +78,8 @@ def column_groups(pairs: np.ndarray, size: int) -> np.ndarray:
     return groups
 
 
-# Above this product of variables and operations a symbolic Hessian would cost more source than it
-# saves; the Hessian is then evaluated through one generated Hessian-vector product. 20 000
-# operations compile in about 0.3 s.
+# Above this product of variables and operations, one Hessian-vector product replaces the symbolic
+# Hessian, whose source would cost more than it saves. 20 000 operations compile in about 0.3 s.
 _SYMBOLIC_HESSIAN_LIMIT = 20_000
 
 Signature = tuple[Hashable, ...]
@@ -105,10 +87,10 @@ Signature = tuple[Hashable, ...]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExpressionShape:
-    """One analysed signature.
+    """One analysed signature; slots number the variables of a term.
 
-    Slots number the variables of a term. The outputs of `prepare` are the constant, the linear
-    coefficients and the hoisted values; its data are the numbers and Params of a term.
+    `prepare` maps the numbers and Params of a term to its constant, linear coefficients and hoisted
+    values.
     """
 
     linear: tuple[int, ...]  # slots with a linear coefficient
@@ -120,27 +102,26 @@ class ExpressionShape:
     slope: Tape | None
     hessian_pairs: np.ndarray  # (2, entries) positions in `curved` of each Hessian entry
     hessian: Tape | None
-    # (curved, directions) of the product, and the output and direction (2, entries) of each entry,
-    # the output below 0 where there is none; None: the outputs of `hessian` are the entries
+    # directions: (curved, directions) of the product; output: (2, entries) output and direction of
+    # each Hessian entry, output < 0 without one. None: the outputs of `hessian` are the entries.
     directions: np.ndarray | None = None
     output: np.ndarray | None = None
 
 
-@lru_cache(
-    maxsize=20_000
-)  # a process that builds new models for ever must not keep every shape it met; a scene needs about fifteen
+# Bounded for processes that build new models forever; a scene needs about fifteen shapes.
+@lru_cache(maxsize=20_000)
 def shape_of(signature: Signature) -> ExpressionShape:
-    """The compiled shape of a signature, the same in the whole process."""
+    """Return the compiled shape of a signature."""
     return _compile_shape(*parse(signature))
 
 
 def parse(signature: Signature) -> tuple[Graph, int]:
-    """Graph and root of a signature: operands first (`"shared"` as first token) or operator first (everything else)."""
+    """Return graph and root of a signature; operands come first only after `"shared"`."""
     graph = Graph()
     numbers = params = 0
     shared = signature[0] == "shared"
-    # Operator-first text is read backwards, so that operands are ready when their operator comes;
-    # then data slots count backwards too.
+    # Operator-first text is read backwards, so that operands precede their operator; data slots
+    # then count backwards too.
     tokens = signature[1:] if shared else signature[::-1]
     total_numbers, total_params = tokens.count("n"), tokens.count("p")
     values: list[int] = []
@@ -184,7 +165,6 @@ def _apply(graph: Graph, token: Hashable, values: list[int], shared: bool) -> in
 
 
 def _sum(graph: Graph, terms: list[int]) -> int:
-    """Left-to-right sum, as Pyomo evaluates it; 0 for no term."""
     total = graph.zero
     for term in terms:
         total = graph.add(total, term)
@@ -244,9 +224,9 @@ def _seeds(graph: Graph) -> list[int]:
 def _directions(
     pairs: np.ndarray, products: Sequence[int], size: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Directions (size, count), and in which product and direction each entry (2, entries) is read.
+    """Return directions (size, count), and the product and direction (2, entries) of each entry.
 
-    products: the row of the Hessian that each output is; an entry of another row is zero.
+    products: the Hessian row of each output; entries of other rows are zero.
     """
     groups = column_groups(pairs, size)
     of_row = np.full(size, -1, dtype=np.intp)
@@ -256,7 +236,6 @@ def _directions(
 
 
 def _symbolic_hessian(graph: Graph, slopes: dict[int, int]) -> dict[tuple[int, int], int]:
-    """{(i, j), i >= j: node of the second derivative}."""
     nodes: dict[tuple[int, int], int] = {}
     for i, slope in slopes.items():
         for j, node in gradient(graph, slope).items():
@@ -270,10 +249,9 @@ _NOWHERE = np.empty(0, dtype=np.int32)
 
 
 class TermGroup:
-    """N instances of a shape. Arrays over instances are the last axis.
+    """N instances of a shape; the last axis of arrays is the instance.
 
-    rows, weights: (N,) the row of the model each term belongs to, and the number it is multiplied
-        by there
+    rows, weights: (N,) the row of each term, and its factor
     columns: (slots, N) the variable in each slot
     """
 
@@ -294,51 +272,32 @@ class TermGroup:
             self._curved_along = np.tile(self._curved, shape.directions.shape[1])
 
     # -- structure
-    #   --------------------------------------------------------------------------------------------------------------
 
     @property
     def affine_entries(self) -> tuple[np.ndarray, np.ndarray]:
-        """Places of the affine part, slot after slot; values in `affine_values` after a refresh.
-
-        Raises nothing.
-
-        Returns
-        -------
-        rows, columns (linear slots * N,) [-]
-        """
+        """Return rows and columns (linear slots * N,) of the affine part [-]. Raises nothing."""
         slots = list(self.shape.linear)
         return np.tile(self.rows, len(slots)), self.columns[slots].ravel()
 
     @property
     def slope_entries(self) -> tuple[np.ndarray, np.ndarray]:
-        """Places of the nonlinear part's gradient entries.
+        """Return rows and columns (gradient slots * N,) of the nonlinear gradient [-].
 
         Raises nothing.
-
-        Returns
-        -------
-        rows, columns (gradient slots * N,) [-]
         """
         slots = list(self.shape.slope_slots)
         return np.tile(self.rows, len(slots)), self._curved[slots].ravel().astype(np.intp)
 
     @property
     def curvature_entries(self) -> tuple[np.ndarray, np.ndarray]:
-        """Places of the Hessian entries.
-
-        Raises nothing.
-
-        Returns
-        -------
-        larger column, smaller column (pairs * N,) [-]
-        """
+        """Return larger and smaller columns (pairs * N,) of the Hessian [-]. Raises nothing."""
         first, second = (
             self._curved[slots].ravel().astype(np.intp) for slots in self.shape.hessian_pairs
         )
         return np.maximum(first, second), np.minimum(first, second)
 
     def curvature_places(self, places: np.ndarray) -> np.ndarray:
-        """Return the places for `add_curvatures`, from the places (pairs * N,) of the `curvature_entries`.
+        """Spread the places (pairs * N,) of the entries for `add_curvatures` [-].
 
         Raises nothing.
         """
@@ -346,25 +305,24 @@ class TermGroup:
         shape = self.shape
         if shape.hessian is None or shape.directions is None or shape.output is None:
             return places
-        found, (output, direction) = shape.output[0] >= 0, shape.output
+        stored, (output, direction) = shape.output[0] >= 0, shape.output
         size = (shape.hessian.outputs, shape.directions.shape[1], len(self.rows))
         spread = np.full(size, -1, dtype=np.int32)
-        spread[output[found], direction[found]] = places[found]
+        spread[output[stored], direction[stored]] = places[stored]
         return spread
 
     # -- values
-    #   -----------------------------------------------------------------------------------------------------------------
 
     def refresh(self, data: np.ndarray) -> None:
-        """Compute everything that depends on data alone, from all data of the model (data,) [units of the data].
+        """Compute the data-only parts from all data of the model (data,) [data units].
 
-        Raises nothing: NaN or inf where the model has no number.
+        Raises nothing.
         """
-        given = np.ascontiguousarray(np.concatenate([self._numbers, data[self._params]]))
+        inputs = np.ascontiguousarray(np.concatenate([self._numbers, data[self._params]]))
         place = np.arange(self._prepared.size, dtype=np.int32)
         self._prepared[:] = 0.0
         self.shape.prepare.run(
-            _NONE, _NOWHERE, given, np.ones(len(self.rows)), place, self._prepared
+            _NONE, _NOWHERE, inputs, np.ones(len(self.rows)), place, self._prepared
         )
         if self.shape.directions is not None:
             seeds = np.repeat(self.shape.directions, len(self.rows), axis=1)
@@ -373,49 +331,49 @@ class TermGroup:
 
     @property
     def constants(self) -> np.ndarray:
-        """Weighted constant parts (N,) [units of the rows]. Raises nothing."""
+        """Return the weighted constant parts (N,) [row units]. Raises nothing."""
         return self.weights * self._prepared[0]
 
     @property
     def affine_values(self) -> np.ndarray:
-        """Weighted linear coefficients (linear slots * N,), in the order of `affine_entries` [row per variable]. Raises nothing."""
+        """Return the weighted coefficients (linear slots * N,) [row per variable].
+
+        Raises nothing.
+        """
         return (self.weights * self._prepared[1 : 1 + len(self.shape.linear)]).ravel()
 
     @property
     def is_curved(self) -> bool:
-        """Whether the terms have a nonlinear part."""
+        """Return whether the terms have a nonlinear part."""
         return self.shape.value is not None
 
     def values(self, x: np.ndarray) -> np.ndarray:
-        """Weighted values (N,) of the nonlinear parts at x (n,) [units of the rows].
-
-        Raises nothing: NaN or inf where the model has no number.
-        """
+        """Return the weighted nonlinear values (N,) at x (n,) [row units]. Raises nothing."""
         out = np.zeros(len(self.rows))
         self.add_values(x, np.arange(len(out), dtype=np.int32), out)
         return out
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Weighted gradient entries (gradient slots * N,) at x (n,), in the order of `slope_entries` [row per variable].
+        """Return the weighted gradient (gradient slots * N,) at x (n,) [row per variable].
 
-        Raises nothing: NaN or inf where the model has no number.
+        Raises nothing.
         """
         out = np.zeros(len(self.shape.slope_slots) * len(self.rows))
         self.add_slopes(x, np.arange(len(out), dtype=np.int32), out)
         return out
 
     def add_values(self, x: np.ndarray, places: np.ndarray, total: np.ndarray) -> None:
-        """Add the weighted values of the nonlinear parts at x (n,) to their places (N,) in total.
+        """Add the weighted values at x (n,) to their places (N,) in total [row units].
 
-        Raises nothing: NaN or inf where the model has no number.
+        Raises nothing.
         """
         if self.shape.value is not None:
             self.shape.value.run(x, self._curved, self._hoisted, self.weights, places, total)
 
     def add_slopes(self, x: np.ndarray, places: np.ndarray, total: np.ndarray) -> None:
-        """Add the weighted gradient entries at x (n,) to their places (gradient slots * N,) in total.
+        """Add the weighted gradient at x (n,) to its places (slots * N,) in total.
 
-        Raises nothing: NaN or inf where the model has no number.
+        Raises nothing.
         """
         if self.shape.slope is not None:
             self.shape.slope.run(x, self._curved, self._hoisted, self.weights, places, total)
@@ -423,16 +381,9 @@ class TermGroup:
     def add_curvatures(
         self, x: np.ndarray, multipliers: np.ndarray, places: np.ndarray, total: np.ndarray
     ) -> None:
-        """Add the weighted Hessian entries times the multiplier of each term's row.
+        """Add the Hessian entries at x (n,), weighted by multipliers (constraints + 1,), to total.
 
-        Raises nothing: NaN or inf where the model has no number.
-
-        Parameters
-        ----------
-        x : (n,) point [units of the variables]
-        multipliers : (constraints + 1,) of all rows [objective per row]
-        places : of `curvature_places`
-        total : entries of the Hessian, changed here [objective per variable^2]
+        places come from `curvature_places`; total is in [objective per variable^2]. Raises nothing.
         """
         if self.shape.hessian is None:
             return

@@ -1,8 +1,8 @@
-"""Derivatives that are infinite or undefined where a solver ended, in words.
+"""Report derivatives that are infinite or undefined at the end point of a solver.
 
-    endless_slope(problem, x)       # "the slope of objective 'o' is infinite at x = 0", "" without one
+    endless_slope(problem, x)  # "the slope of objective 'o' is infinite at x = 0", or ""
 
-Such a point may be right, and no test by derivatives can tell: sqrt(x) is least at x = 0.
+Such a point may be optimal: sqrt(x) is smallest at x = 0, which derivatives cannot show.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ import numpy as np
 
 from formulations.ipopt.problem import IpoptProblem
 
-# Solvers end this near the bound, or the round number, at which a slope is infinite, relative to
-# max(1, |x|): a root changes by a hundredth there, which no tolerance overlooks.
+# Distance from a bound or round number with an infinite slope, relative to max(1, |x|), at which
+# solvers stop. A square root changes by 0.01 there, more than any tolerance.
 _NEAR = 1e-4
+# Significant digits of a round number.
 _DIGITS = 4
 
 
 def endless_slope(problem: IpoptProblem, x: np.ndarray) -> str:
-    """Name the first function that has no finite derivative at x (n,) [units of the variables], or at the bounds and round numbers that x is near, and a variable.
+    """Return a clause on the first function without a finite derivative at x (n,), or "".
 
-    Empty if there is none. Raises nothing.
+    Bounds and round numbers near x [units of the variables] are checked too. Raises nothing.
     """
     if not np.all(np.isfinite(x)):
         return ""
@@ -42,17 +43,10 @@ def endless_slope(problem: IpoptProblem, x: np.ndarray) -> str:
 
 
 def in_words(source: Any, variable: Any, at: Any, slope: Any) -> str:
-    """Return `the slope of objective 'o' is infinite at x = 0`, a clause.
+    """Return a clause such as `the slope of objective 'o' is infinite at x = 0`.
 
-    Parameters
-    ----------
-    source : the objective, constraint or complementarity
-    variable, at : by which it has no finite derivative, and its value [unit of the variable]
-    slope : the derivative: infinite, or NaN where there is none
-
-    Raises
-    ------
-    Nothing.
+    source is a component; variable and at [unit of the variable] are those of the derivative; slope
+    is infinite, or NaN if undefined. Raises nothing.
     """
     what = f"{source.ctype.__name__.lower()} '{source.name}'"
     where = f"{variable.name} = {at:.6g}"
@@ -62,12 +56,12 @@ def in_words(source: Any, variable: Any, at: Any, slope: Any) -> str:
 
 
 def _rounded(problem: IpoptProblem, x: np.ndarray) -> np.ndarray:
-    """The point (n,) with each variable at the bound or at the round number that it is within rounding of."""
+    """Return the point (n,) with each variable moved to a bound or round number close to it."""
     with np.errstate(all="ignore"):
-        found = np.array([float(f"{value:.{_DIGITS}g}") for value in x.tolist()])
-    found = np.where(np.abs(x) <= _NEAR, 0.0, found)
-    found = np.where(np.abs(found - x) <= _NEAR * np.maximum(1.0, np.abs(x)), found, x)
+        rounded = np.array([float(f"{value:.{_DIGITS}g}") for value in x.tolist()])
+    rounded = np.where(np.abs(x) <= _NEAR, 0.0, rounded)
+    rounded = np.where(np.abs(rounded - x) <= _NEAR * np.maximum(1.0, np.abs(x)), rounded, x)
     for bound in (problem.lower, problem.upper):
         near = np.isfinite(bound) & (np.abs(x - bound) <= _NEAR * np.maximum(1.0, np.abs(bound)))
-        found = np.where(near, bound, found)
-    return found
+        rounded = np.where(near, bound, rounded)
+    return rounded

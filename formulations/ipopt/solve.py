@@ -1,7 +1,4 @@
-"""Solve a compiled problem by one run of Ipopt, through cyipopt, and judge the answer before believing it.
-
-A start is what the caller has: a point, perhaps multipliers, perhaps only some of them.
-"""
+"""Solve a compiled problem with one run of Ipopt, and check the answer by its residuals."""
 
 from __future__ import annotations
 
@@ -39,17 +36,17 @@ from formulations.ipopt.result import (
 from formulations.ipopt.slopes import endless_slope
 from formulations.solution import Outcome, Seconds
 
-# Limits of the barrier parameter that a primal-dual start begins with: Ipopt's own first value, and
-# about its last.
+# Limits of the initial barrier parameter of a primal-dual start: Ipopt's default first value, and
+# roughly its last value.
 _MU_LARGEST = 0.1
 _MU_SMALLEST = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """x (n,).
+    """A start: x (n,), and for a primal-dual start lagrange (m,), zl (n,), zu (n,).
 
-    Multipliers lagrange (m,), zl, zu (n,) in Ipopt's signs, or None for a primal start.
+    Multipliers have Ipopt's signs; None is a missing multiplier.
     """
 
     x: np.ndarray
@@ -58,25 +55,24 @@ class Start:
     zu: np.ndarray | None = None
 
 
-def _complete_start(problem: IpoptProblem, given: Start | None) -> tuple[Start, int]:
-    """The start with all multipliers or none, and the number of variables that had no value.
+def _complete_start(problem: IpoptProblem, start: Start | None) -> tuple[Start, int]:
+    """Return the start with all multipliers or none, and the number of variables without a value.
 
-    Missing lagrange are 0; missing zl and zu are what stationarity leaves to them. Raises
-    ValueError for a wrong shape or a NaN.
+    Missing lagrange are 0; missing zl and zu follow from stationarity.
     """
-    if given is None:
+    if start is None:
         x, missing = problem.start()
         return Start(x=x), missing
-    x = _checked("x", given.x, problem.n)
-    if given.lagrange is None and given.zl is None and given.zu is None:
+    x = _checked("x", start.x, problem.n)
+    if start.lagrange is None and start.zl is None and start.zu is None:
         return Start(x=x), 0
     lagrange = (
         np.zeros(problem.m)
-        if given.lagrange is None
-        else _checked("lagrange", given.lagrange, problem.m)
+        if start.lagrange is None
+        else _checked("lagrange", start.lagrange, problem.m)
     )
-    zl = None if given.zl is None else _checked("zl", given.zl, problem.n)
-    zu = None if given.zu is None else _checked("zu", given.zu, problem.n)
+    zl = None if start.zl is None else _checked("zl", start.zl, problem.n)
+    zu = None if start.zu is None else _checked("zu", start.zu, problem.n)
     if zl is None or zu is None:
         slope = np.nan_to_num(
             problem.lagrangian_gradient(x, lagrange), nan=0.0, posinf=0.0, neginf=0.0
@@ -98,10 +94,6 @@ def _checked(name: str, values: np.ndarray, size: int) -> np.ndarray:
 
 
 def _warm_options(problem: IpoptProblem, start: Start) -> dict[str, str | int | float]:
-    """Options of a primal-dual start.
-
-    The barrier parameter is the mean complementarity of what was given.
-    """
     if start.lagrange is None or start.zl is None or start.zu is None:
         return {}
     inequality = problem.constraint_lower < problem.constraint_upper
@@ -120,12 +112,12 @@ def _warm_options(problem: IpoptProblem, start: Start) -> dict[str, str | int | 
 
 
 def ipopt_version() -> tuple[int, ...]:
-    """Version of the Ipopt that runs."""
+    """Return the version of the installed Ipopt."""
     return tuple(int(part) for part in cyipopt.IPOPT_VERSION)
 
 
 def version() -> str:
-    """Versions of cyipopt and Ipopt in words."""
+    """Return the versions of cyipopt and Ipopt as text."""
     return f"cyipopt {cyipopt.__version__}, Ipopt {'.'.join(str(part) for part in ipopt_version())}"
 
 
@@ -135,14 +127,9 @@ def run(
     start: Start,
     options: Mapping[str, str | int | float],
 ) -> IpoptExit:
-    """One run of Ipopt, from a complete start.
+    """Run Ipopt once, from a complete start.
 
-    Raises
-    ------
-    UnknownOptionError
-        for a value that Ipopt does not take
-    BaseException
-        what a callback raised, as it was
+    Raises UnknownOptionError for a value that Ipopt rejects, and a callback's exception unchanged.
     """
     nlp = cyipopt.Problem(
         n=problem.n,
@@ -181,13 +168,13 @@ def run(
     )
 
 
-# Multipliers of constraints that repeat each other grow without end where rounding hides it. Of
-# 1210 solves of random quadratic programs with repeated equations 21 did not end, 18 of them with
-# more than this; of those that ended one did. With perturb_always_cd all ended.
+# Multipliers of dependent constraints grow without limit if rounding hides the dependence. In 1210
+# random quadratic programs with repeated equations 21 did not converge, 18 of them with multipliers
+# above this limit; only one converged problem exceeded it. With perturb_always_cd all converged.
 _ENDLESS = 1e8
 _RESTORATION = -2
-# Ipopt stops as diverging where a variable passes 1e20: an objective that went along is below this,
-# in any unit.
+# Ipopt reports divergence when a variable exceeds 1e20. An objective that diverges too is below
+# -1e8 in any unit.
 _UNBOUNDED = 1e8
 
 Callback = Callable[[Iteration], "bool | None"]
@@ -201,41 +188,40 @@ def solve(
     callback: Callback | None = None,
     time_limit: float | None = None,
 ) -> IpoptResult:
-    """Minimise from `warm_start` (default: the current values of the model's variables).
+    """Minimise from `warm_start`, by default from the current values of the model's variables.
 
-    The model is left as it is.
+    The model is not changed.
 
     Parameters
     ----------
     problem : the compiled model
-    options : Ipopt options by name; one of MUMPS asks for MUMPS, unless linear_solver is given
-    warm_start : with multipliers (some or all), Ipopt starts primal-dual; `mu_init` defaults to the
-        mean complementarity given
-    callback : called after each iteration; returning False stops (Outcome.INTERRUPTED), an
+    options : Ipopt options by name; a MUMPS option selects MUMPS unless linear_solver is set
+    warm_start : with any multipliers Ipopt starts primal-dual; `mu_init` then defaults to the mean
+        complementarity of the start
+    callback : called after each iteration; False stops the solve (Outcome.INTERRUPTED), an
         exception propagates
-    time_limit : wall time [s], checked once an iteration
+    time_limit : wall time [s], checked once per iteration
 
     Raises
     ------
     UnknownOptionError
-        for an unknown option, before anything runs
+        for an unknown option, before the solve starts
     ValueError
-        for a start of another shape or with numbers that are not finite, and for a time limit that
-        is not positive
+        for a start of a wrong shape or with non-finite numbers, or a time limit that is not
+        positive
     MachineError
-        where a linear solver is insisted on that cannot be had
+        if the selected linear solver is not available
     """
-    asked = checked_options(options or {})
-    factorised_by = linear_solver(
-        _asked_for(asked)
-    )  # compiled at its first use, which no solve is to blame for
+    user_options = checked_options(options or {})
+    # Compiled at the first use, before the clock of the solve starts.
+    factorised_by = linear_solver(_requested_solver(user_options))
     begin, cpu = time.perf_counter(), time.process_time()
     start, missing = _complete_start(problem, warm_start)
     used: dict[str, str | int | float] = {
         **DEFAULTS,
         "linear_solver": factorised_by,
         **_warm_options(problem, start),
-        **asked,
+        **user_options,
     }
     if time_limit is not None:
         if not time_limit > 0:
@@ -273,8 +259,7 @@ def solve(
     )
 
 
-def _asked_for(options: Mapping[str, Any]) -> str:
-    """The linear solver that is named, or whose own options are."""
+def _requested_solver(options: Mapping[str, Any]) -> str:
     return str(
         options.get("linear_solver", "")
         or (MUMPS if any(name.startswith("mumps_") for name in options) else "")
@@ -282,7 +267,7 @@ def _asked_for(options: Mapping[str, Any]) -> str:
 
 
 class _Recorder:
-    """Ipopt's intermediate callback: keeps the log and asks the caller whether to go on."""
+    """Ipopt's intermediate callback: store the log, and return whether to continue."""
 
     def __init__(self, sense: int, callback: Callback | None) -> None:
         self.lines: list[Iteration] = []
@@ -309,7 +294,7 @@ class _Recorder:
 
 
 def _decided_without_ipopt(problem: IpoptProblem, start: Start) -> IpoptExit | None:
-    """An answer where nothing is left for Ipopt: contradicting bounds, a false constraint of numbers, no variable at all."""
+    """Return an answer for crossing bounds, a false trivial constraint, or no free variable."""
     violation, name = problem.trivial_violation()
     crossed = np.flatnonzero(problem.lower > problem.upper)
     ranges = np.flatnonzero(problem.constraint_lower > problem.constraint_upper)
@@ -335,14 +320,13 @@ def _decided_without_ipopt(problem: IpoptProblem, start: Start) -> IpoptExit | N
     )
 
 
-# Names listed in a sentence.
+# Names listed in one message.
 _NAMES = 4
 
 
 def _judge(
     problem: IpoptProblem, answer: IpoptExit, options: Mapping[str, Any]
 ) -> tuple[Outcome, str, Residuals]:
-    """Ipopt's claim, checked: no 'solved' without residuals that say so."""
     vectors = (answer.x, answer.lagrange, answer.zl, answer.zu)
     finite = all(np.isfinite(v).all() for v in vectors)
     certificate = residuals(problem, *vectors) if finite else UNKNOWN
@@ -378,9 +362,8 @@ def _judge(
             f"{name_of(answer.status)}, but the point holds numbers that are not finite",
             certificate,
         )
-    tolerance = 10.0 * float(
-        options.get("tol", 0.0)
-    )  # a caller who asks for less is judged by what was asked
+    # A caller who sets a looser tol is judged by that tol.
+    tolerance = 10.0 * float(options.get("tol", 0.0))
     if certificate.meets(tolerance):
         return outcome, message, certificate
     return (
@@ -391,7 +374,6 @@ def _judge(
 
 
 def _too_many_equations(problem: IpoptProblem) -> str:
-    """Return a sentence on more equations than free variables; empty if there are not more."""
     equal = np.flatnonzero(problem.constraint_lower == problem.constraint_upper)
     if len(equal) <= problem.n:
         return ""
@@ -410,12 +392,10 @@ def _too_many_equations(problem: IpoptProblem) -> str:
 
 
 def _some(names: list[str]) -> str:
-    """List the first names."""
     return ", ".join(names[:_NAMES]) + (", .." if len(names) > _NAMES else "")
 
 
 def _undefined(problem: IpoptProblem, x: np.ndarray) -> str:
-    """Which function is no number where Ipopt stopped."""
     if not np.all(np.isfinite(x)):
         name = problem.variables[int(np.flatnonzero(~np.isfinite(x))[0])].name
         return f"; variable '{name}' is no finite number there: give it one to start from"
@@ -428,14 +408,14 @@ def _undefined(problem: IpoptProblem, x: np.ndarray) -> str:
             "; the objective has no finite value there: start where it has, or bound what it takes"
         )
     if endless_slope(problem, x):
-        return ""  # which is told of every end
-    return "; all functions have finite values there, so that one of their derivatives has none"
+        return ""
+    return "; all functions have finite values there, but a derivative does not"
 
 
 def repeats_constraints(result: IpoptResult) -> bool:
-    """Whether Ipopt ended as where constraints repeat each other, and the option that copes with them was not set.
+    """Return whether dependent constraints may have stopped Ipopt, without perturb_always_cd set.
 
-    That is with multipliers without end, or by giving up the search for a feasible point at one.
+    They cause multipliers above the limit, or a failed restoration at a feasible point.
     """
     if result.options.get("perturb_always_cd") == "yes":
         return False
@@ -450,21 +430,20 @@ def _is_endless(outcome: Outcome, lagrange: np.ndarray) -> bool:
 
 
 def _hint(outcome: Outcome, lagrange: np.ndarray, options: Mapping[str, Any]) -> str:
-    """What may help where dependent constraints kept Ipopt from an end; empty elsewhere."""
     if options.get("perturb_always_cd") == "yes" or not _is_endless(outcome, lagrange):
         return ""
     largest = float(np.max(np.abs(lagrange)))
-    return f"; multipliers up to {largest:.0e}: constraints may repeat each other there, which the option perturb_always_cd='yes' can cope with"
+    return f"; multipliers up to {largest:.0e}: constraints may be dependent; try the option perturb_always_cd='yes'"
 
 
 def _is_unbounded(problem: IpoptProblem, x: np.ndarray) -> bool:
-    """Whether iterates that left for infinity took the objective down with them, along points that are feasible but for rounding.
+    """Return whether the objective decreased without limit along points feasible up to rounding.
 
-    Of a row that is the rounding of its terms: where it levels off far out, as exp(-x) >= 1e-3
-    does, they are small, and it is violated there.
+    The rounding of a row is that of its terms. A row that levels off, such as exp(-x) >= 1e-3, has
+    small terms far out, and its violation counts.
     """
     row, column = problem.jacobianstructure()
-    with np.errstate(all="ignore"):  # what is no number, or infinite, is not below
+    with np.errstate(all="ignore"):  # non-finite values compare as False
         g, terms = (
             problem.constraints(x),
             np.bincount(row, np.abs(problem.jacobian(x) * x[column]), problem.m),

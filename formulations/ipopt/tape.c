@@ -1,7 +1,8 @@
-/* Runs a tape: the arithmetic of one term shape, instruction by instruction, over a few instances at a time. See tape.py.
+/* Run a tape: the arithmetic of one term shape, one instruction at a time, over LANES instances.
+ * See tape.py.
  *
- * A register holds one number for each of LANES instances: first the numbers of the tape, then the variables, then results. A negative operand -1-k
- * is row k of the data, which has one number for each instance. */
+ * A register holds one number per instance: first the numbers of the tape, then the variables,
+ * then results. A negative operand -1-k is row k of the data, which has one number per instance. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -22,7 +23,7 @@ static double logistic(double z)
     return (z >= 0.0 ? 1.0 : small) / (1.0 + small);
 }
 
-/* 1 / cosh(z)^2, which overflows for no z. */
+/* 1 / cosh(z)^2 without overflow. */
 static double sech2(double z)
 {
     double c = cosh(z);
@@ -33,7 +34,7 @@ static double (*const functions[])(double) = {exp,  log,  log10, sin,   cos,   t
                                               sinh, cosh, tanh,  asinh, acosh, atanh, softplus, logistic, sech2};
 enum { FALLING_POWER = FIRST_FUNCTION + sizeof functions / sizeof *functions };
 
-/* p (p-1) .. (p-order+1) base^(p-order), and 0 where a factor is 0. */
+/* p (p-1) .. (p-order+1) base^(p-order), and 0 if a factor is 0. */
 static double falling_power(double base, double exponent, int order)
 {
     double factor = 1.0;
@@ -66,10 +67,12 @@ static void compute(int code, int lanes, double *restrict r, const double *a, co
     }
 }
 
-/* Adds scale * output to sum[place], for each output of each instance whose place is not negative. Returns 0 without memory.
+/* Add scale * output to sum[place] for each output of each instance; skip negative places.
+ * Return 0 if the allocation fails.
  *
- * tape (length, 4): instruction, result (of OUT: number of the output), operands. columns (variables, instances): where in x the variables are.
- * data (.., instances), scale (instances), place (outputs, instances). */
+ * tape (length, 4): instruction, result (OUT: number of the output), operands. columns
+ * (variables, instances): index in x of each variable. data (.., instances), scale (instances),
+ * place (outputs, instances). */
 __attribute__((visibility("default"))) int run_tape(int length, const int *tape, int number_count, const double *numbers, int variables,
                                                     int registers, int instances, const double *x, const int *columns, const double *data,
                                                     const double *scale, const int *place, double *sum)

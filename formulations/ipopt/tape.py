@@ -1,11 +1,9 @@
-"""Tapes: the arithmetic of a term shape as a list of instructions, run by compiled C (tape.c) over all its instances.
+"""Record the arithmetic of a term shape as instructions that tape.c runs over all its instances.
 
     tape = record(graph, outputs, hoisted, row)
     tape.run(x, columns, data, scale, place, total)  # total[place] += scale * outputs
 
-The C is the same for every model: it is compiled once a machine. An instruction works on a register
-of a few instances at a time, which stays in the processor's nearest cache; registers are used again
-as soon as their last reader has run.
+A register holds a few instances, so that it stays in the L1 cache.
 """
 
 from __future__ import annotations
@@ -35,14 +33,14 @@ _CODE = {name: code for code, name in enumerate(_INSTRUCTIONS)}
 
 @cache
 def _library() -> ctypes.CDLL:
-    """Compiled once and cached on disk. Raises MachineError without a compiler."""
+    """Compile tape.c, or load it from the disk cache; raise MachineError without a compiler."""
     sources = {_SOURCE.name: _SOURCE.read_text(encoding="utf-8")}
     return load_library(cached_library(sources, _OPTIMISED), _SIGNATURES)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tape:
-    """instructions (length, 4) int32, numbers (count,), and how many of what it has."""
+    """instructions (length, 4) int32, numbers (count,), and the sizes of its arrays."""
 
     instructions: np.ndarray
     numbers: np.ndarray
@@ -59,25 +57,16 @@ class Tape:
         place: np.ndarray,
         total: np.ndarray,
     ) -> None:
-        """Add scale times each output to its place in `total`; NaN or inf where the term has no number.
+        """Add scale times each output to its place in `total`, NaN or inf if a term has no number.
 
-        All arrays are contiguous, of float64 or int32; no size is checked.
-
-        Parameters
-        ----------
-        x : (n,) point
-        columns : (variables, instances) place in x of each variable
-        data : (data, instances) rows of the hoisted nodes
-        scale : (instances,)
-        place : (outputs, instances) place in `total` of each output; one below 0 is left out
-        total : (m,) changed here
-
-        Raises
-        ------
-        MachineError
-            without a C compiler
-        MemoryError
-            where there is no room for the registers
+        x: (n,) point
+        columns: (variables, instances) place in x of each variable
+        data: (data, instances) rows of the hoisted nodes
+        scale: (instances,)
+        place: (outputs, instances) place in `total` of each output; negative places are skipped
+        total: (m,) changed in place
+        Arrays are contiguous, of float64 or int32; sizes are not checked. Raises MachineError
+        without a C compiler, MemoryError if the registers do not fit into memory.
         """
         done = _library().run_tape(
             len(self.instructions),
@@ -99,10 +88,10 @@ def record(
     hoisted: Mapping[int, int],
     row: Mapping[int, int],
 ) -> Tape:
-    """The tape whose k-th output is the node outputs[k].
+    """Return the tape whose k-th output is the node outputs[k].
 
-    `hoisted[node]` is the row of the data that holds a node, which may be a seed; `row[i]` is the
-    row of the columns for variable i.
+    `hoisted[node]` is the data row of a hoisted node (a seed too); `row[i]` is the row of variable
+    i in the columns.
     """
     order = graph.reachable(*outputs, until=hoisted.__contains__)
     for node in order:
@@ -110,7 +99,7 @@ def record(
             raise ValueError(f"{graph.op[node]} {graph.args[node][0]} is used but was not hoisted")
     numbers = [node for node in order if graph.op[node] == CONSTANT]
     place = {node: k for k, node in enumerate(numbers)}
-    first = len(numbers) + len(row)  # of the registers that are used again
+    first = len(numbers) + len(row)  # first reusable register
     steps: list[tuple[int, ...]] = []
     last: dict[int, int] = {}
     places: dict[int, list[int]] = {}

@@ -1,1 +1,1 @@
-"""One file = one method; the file name is the method's name and the file defines `METHOD`."""
+"""Methods: one file each, named like its method; the file defines `METHOD`."""

@@ -1,14 +1,13 @@
-"""Exact contact for every scene: run several pipelines from a cold start and keep the cheapest plan.
+"""Exact contact for every scene: the cheapest plan of several pipelines from a cold start.
 
     mpcc has a plan to follow:    mpcc, relaxed+strict, softplus_dc+strict
     otherwise:                    shot, shot+strict, relaxed+strict, softplus_dc+strict,
                                   relaxed_walk+strict, softly_shot+strict
     none of these has a plan:     strict
 
-A plan solves the equations of its grid. `departure` measures how far the motion on finer steps
-leaves it, with feedback and in its contacts, in parts of what the scene allows. A plan with more
-than 1 is solved again on shorter steps, from the motion that followed it, and is taken only if
-there is no other. docs/campaigns.md has figures.
+`departure` compares the motion on finer steps with the plan, with feedback and in its contacts, in
+parts of what the scene allows. A plan above 1 is solved again on shorter steps, and is taken only
+if there is no other. docs/campaigns.md has figures.
 """
 
 from __future__ import annotations
@@ -56,21 +55,19 @@ from models.trajectory import Trajectory
 
 _MODES = find_pipeline("mpcc")
 _STRICT = find_pipeline("strict")
-# Part of a cost by which two are the same.
+# Relative difference of equal costs.
 _SAME = 1e-9
-# A plan is solved again on finer steps until it departs by at most this part of what is allowed:
-# what is not measured here, contact forces and the judge's own error, has the rest. push_box
-# departs by 1.64, 0.80 and 0.31 on its grid and on steps a half and a quarter as long,
-# hopper_planar by 1.005 and 0.53.
+# Departure that ends the refinement; the rest is for the judge's own error and unmeasured
+# quantities. push_box departs by 1.64, 0.80 and 0.31 on its grid and on steps a half and a quarter
+# as long, hopper_planar by 1.005 and 0.53.
 _CLEARLY = 0.75
-# Pipelines that are left out if mpcc has a plan that is followed.
+# Pipelines skipped if mpcc has a plan that is followed.
 _WITHOUT_MODES = (SHOT, RELAXED_WALK, SOFTLY_SHOT)
-# The contact modes of a plan, and those that are cheaper beside them; no search for others.
+# The contact modes of a plan and cheaper adjacent ones, without a wider search.
 _MODES_OF_SHOT = Leg(method="strict_lcp", options={"attack_iterations": 1})
-# Most halvings to a stable step. Further off, plans are found on the task's steps and refined from
-# there.
+# Largest number of halvings to a stable step; with more, plans start on the task's steps.
 _STABLE_HALVINGS = 3
-# Share of the time limit that the pipelines leave for finer steps.
+# Share of the time limit reserved for finer steps.
 _FOR_FINER = 0.2
 _DEPARTURE = "departure"
 # Departure of a plan that is not the motion of its inputs, as in formulations.grids.
@@ -100,7 +97,7 @@ def _nothing_stored(legs: Sequence[Leg]) -> None:
 
 
 class BestExactSession(Session):
-    """Opens the sessions of the other methods, one after the other."""
+    """Run the sessions of the other methods one after the other."""
 
     def __init__(self, method: BestExact, scene: Scene, options: BestExactOptions) -> None:
         self._method, self._task, self._options = method, scene, options
@@ -117,7 +114,7 @@ class BestExactSession(Session):
     ) -> Solution:
         """Return the cheapest plan of all pipelines, each started from `warm_start`.
 
-        Seconds and iterations are the sums over all pipelines, stored stages included. Raises
+        Seconds and iterations are sums over all pipelines, including stored stages. Raises
         TrajectoryError for a plan of another grid.
         """
         self._method.check_stage(eps, time_limit)
@@ -126,15 +123,15 @@ class BestExactSession(Session):
             warm_start = on_grid(warm_start, self._scene)
         ends = monotonic() + time_limit
         crashed: list[str] = []
-        found = list(self._found(warm_start, ends, time_limit, crashed))
-        best = _best([solution for _, solution in found])
+        named = list(self._solutions(warm_start, ends, time_limit, crashed))
+        best = _best([solution for _, solution in named])
         attempts = tuple(
-            Attempt(start=words, outcome=each.outcome, cost=each.cost) for words, each in found
+            Attempt(start=words, outcome=each.outcome, cost=each.cost) for words, each in named
         )
-        words = next(words for words, each in found if each is best)
+        words = next(words for words, each in named if each is best)
         message = (
-            f"The best of {len(found)} ways, by {words}: {best.message}"
-            if len(found) > 1
+            f"The best of {len(named)} ways, by {words}: {best.message}"
+            if len(named) > 1
             else best.message
         )
         if self._scene is not self._task:
@@ -150,18 +147,18 @@ class BestExactSession(Session):
             message=message
             if _is_followed(best)
             else f"{ended(message)} {_DEPARTS.format(best.residuals[_DEPARTURE])}",
-            iterations=sum(each.iterations for _, each in found),
-            seconds=sum((each.seconds for _, each in found), Seconds()),
+            iterations=sum(each.iterations for _, each in named),
+            seconds=sum((each.seconds for _, each in named), Seconds()),
             options=asdict(self._options),
-            starts=attempts if len(found) > 1 else best.starts,
+            starts=attempts if len(named) > 1 else best.starts,
         )
 
-    def _found(
+    def _solutions(
         self, start: Trajectory | None, ends: float, time_limit: float, crashed: list[str]
     ) -> Iterator[tuple[str, Solution]]:
         """Yield the name and the solution of each pipeline, then of each solve on finer steps.
 
-        Once a plan is found, an error in another way costs that way alone: a sentence in `crashed`.
+        After a first plan, an error of another pipeline is only a sentence in `crashed`.
         """
         scene = self._scene
         solved: list[Solution] = []
@@ -177,25 +174,25 @@ class BestExactSession(Session):
             if way is _STRICT and solved:
                 continue
             try:
-                # Without a plan a pipeline may take half of the time that is left.
+                # Without a plan a pipeline may use half of the remaining time.
                 now = monotonic()
                 last = ends - _FOR_FINER * time_limit if solved else now + (ends - now) / 2.0
-                found = _with_departure(scene, self._way(way, start, last))
-            except MachineError:  # a full disk, for example, ends the other ways too
+                solution = _with_departure(scene, self._way(way, start, last))
+            except MachineError:  # a full disk, for example, ends all pipelines
                 raise
-            except Exception as error:  # noqa: BLE001 - plans that are found are kept
+            except Exception as error:  # noqa: BLE001 - earlier plans are kept
                 first_error = first_error or error
                 crashed.append(_crash(way.name, error))
                 continue
-            solved += [found] if found.outcome is Outcome.SOLVED else []
-            by_modes = by_modes or (way is _MODES and bool(solved) and _is_followed(found))
-            yield way.name, found
+            solved += [solution] if solution.outcome is Outcome.SOLVED else []
+            by_modes = by_modes or (way is _MODES and bool(solved) and _is_followed(solution))
+            yield way.name, solution
             if way is SHOT:
-                shot = found
-                # This takes little time, and the ways after it may take all that is left.
-                others = len(solved) - (found.outcome is Outcome.SOLVED)
-                yield from self._kept(self._from_shot(found, solved, ends), crashed)
-                refined = solved[others:]
+                shot = solution
+                # This is fast, and later pipelines may use all the time.
+                before = len(solved) - (solution.outcome is Outcome.SOLVED)
+                yield from self._kept(self._from_shot(solution, solved, ends), crashed)
+                refined = solved[before:]
             if monotonic() >= (last if solved else ends):
                 break
         if first_error is not None and not solved:
@@ -212,37 +209,37 @@ class BestExactSession(Session):
     def _from_shot(
         self, shot: Solution, solved: list[Solution], ends: float
     ) -> Iterator[tuple[str, Solution]]:
-        """The contact modes of a shot, then the better of both on finer steps if it is not followed.
+        """Yield the contact modes of a shot, and the better of both on finer steps if not followed.
 
-        solved: plans on the task's steps, to which this adds.
+        solved: plans on the task's steps, extended here
         """
         if shot.outcome is Outcome.SOLVED:
-            found = _with_departure(
+            solution = _with_departure(
                 self._scene, _solved(self._scene, _MODES_OF_SHOT, shot.trajectory, ends)[-1]
             )
-            yield "shot+strict", found
-            if found.outcome is Outcome.SOLVED:
-                solved.append(found)
-                shot = min(shot, found, key=lambda each: each.residuals[_DEPARTURE])
+            yield "shot+strict", solution
+            if solution.outcome is Outcome.SOLVED:
+                solved.append(solution)
+                shot = min(shot, solution, key=lambda each: each.residuals[_DEPARTURE])
         if shot.outcome is Outcome.SOLVED and not any(map(_is_followed, solved)):
             yield from self._on_finer_steps(shot, SHOT.legs, ends)
 
     def _kept(
-        self, found: Iterator[tuple[str, Solution]], crashed: list[str]
+        self, solutions: Iterator[tuple[str, Solution]], crashed: list[str]
     ) -> Iterator[tuple[str, Solution]]:
-        """Yield what is found until an error ends it, which costs no plan."""
         try:
-            yield from found
+            yield from solutions
         except MachineError:
             raise
-        except Exception as error:  # noqa: BLE001 - plans that are found are kept
+        except Exception as error:  # noqa: BLE001 - earlier plans are kept
             crashed.append(_crash("finer steps", error))
 
     def _way(self, way: Pipeline, start: Trajectory | None, ends: float) -> Solution:
         """Return the last stage of a pipeline, with the iterations and seconds of all its stages.
 
-        A leg without a plan ends the pipeline: strict_lcp from a cold start is a pipeline of its
-        own. Stored stages are from a cold start too.
+        A leg without a plan ends the pipeline: cold strict_lcp is a pipeline of its own. Stored
+            stages
+        are from a cold start.
         """
         plan, iterations, seconds = start, 0, Seconds()
         for number, leg in enumerate(way.legs):
@@ -262,14 +259,14 @@ class BestExactSession(Session):
     def _on_finer_steps(
         self, coarse: Solution, legs: Sequence[Leg], ends: float
     ) -> Iterator[tuple[str, Solution]]:
-        """Solve on steps halved again and again, from the motion that followed the plan before.
+        """Solve on repeatedly halved steps, from the motion that followed the previous plan.
 
-        legs: tried in turn at each length, until a plan is clearly followed.
+        legs: tried in turn at each length, until a plan is clearly followed
         """
-        scene, found = self._scene, coarse
+        scene, best = self._scene, coarse
         for _ in range(self._options.halvings):
-            plan = found.trajectory if found.outcome is Outcome.SOLVED else None
-            if monotonic() >= ends or _is_clear(found):
+            plan = best.trajectory if best.outcome is Outcome.SOLVED else None
+            if monotonic() >= ends or _is_clear(best):
                 return
             motion = None if plan is None else motion_on_finer_steps(scene, plan, 2)
             scene = finer_scene(scene, 2)
@@ -281,49 +278,47 @@ class BestExactSession(Session):
                 yield f"{leg.method}, on {scene.task.steps} steps", tried[-1]
             if any(map(_is_clear, tried)):
                 return
-            found = min(tried, key=_order, default=found)
+            best = min(tried, key=_order, default=best)
 
 
 def _solved(scene: Scene, leg: Leg, start: Trajectory | None, ends: float) -> tuple[Solution, ...]:
-    """Solve the stages of a leg. ends: time.monotonic() of the time limit."""
-    alone = Pipeline(name=leg.method, title="", legs=(leg,))
+    pipeline = Pipeline(name=leg.method, title="", legs=(leg,))
     left = max(1e-3, ends - monotonic())
-    return tuple(solve_stages(scene, alone, warm_start=start, time_limit=left))
+    return tuple(solve_stages(scene, pipeline, warm_start=start, time_limit=left))
 
 
-def _with_departure(scene: Scene, found: Solution) -> Solution:
-    """The same with the residual `departure` where it is solved, and as the motion of its inputs."""
-    if found.outcome is not Outcome.SOLVED or found.trajectory is None:
-        return found
-    found, is_motion = _as_motion(scene, found, found.trajectory)
-    assert found.trajectory is not None, "a motion is a plan"
-    plan = found.trajectory
+def _with_departure(scene: Scene, solution: Solution) -> Solution:
+    """Return a solved plan as the motion of its inputs, with the residual `departure`."""
+    if solution.outcome is not Outcome.SOLVED or solution.trajectory is None:
+        return solution
+    solution, is_motion = _as_motion(scene, solution, solution.trajectory)
+    assert solution.trajectory is not None, "a motion is a plan"
+    plan = solution.trajectory
     departs = max(departure(scene, plan), contact_departure(scene, plan)) if is_motion else _LOST
-    return replace(found, residuals={**found.residuals, _DEPARTURE: departs})
+    return replace(solution, residuals={**solution.residuals, _DEPARTURE: departs})
 
 
-def _as_motion(scene: Scene, found: Solution, plan: Trajectory) -> tuple[Solution, bool]:
-    """The plan, or the motion of its inputs if that differs; and whether it is such a motion.
+def _as_motion(scene: Scene, solution: Solution, plan: Trajectory) -> tuple[Solution, bool]:
+    """Return the plan, or the motion of its inputs if that differs, and whether it is one.
 
-    Where rounding decides when contact begins, or grows, a plan is not what its inputs do on its
-    own grid: then that motion is corrected to end on the goal.
+    Rounding may decide when contact begins; the motion is then corrected to end on the goal.
     """
     if plan.scheme is not Scheme.SEMI_IMPLICIT_EULER or plan.steps != scene.task.steps:
-        return found, True
+        return solution, True
     kernel, near = load_kernel(scene), allowed_miss(scene)
     if is_motion(scene, kernel, plan.u, plan.q):
-        return found, True
+        return solution, True
     shot = corrected(scene, kernel, plan.u, near)
     settled = off_the_edge(scene, kernel, shot, near) if shot.has_arrived else None
     if settled is None:
-        return found, False
+        return solution, False
     return replace(
-        found, trajectory=plan_of(scene, settled.rollout, settled.u), cost=settled.cost
+        solution, trajectory=plan_of(scene, settled.rollout, settled.u), cost=settled.cost
     ), True
 
 
 def _stable(scene: Scene, halvings: int) -> Scene:
-    """The task on steps halved until they are stable in contact, at most so often; itself if they are."""
+    """Return the task on halved steps that are stable in contact, or the task."""
     for halving in range(halvings + 1):
         finer = finer_scene(scene, 2**halving) if halving else scene
         if step_stability(finer).is_stable:
@@ -332,39 +327,35 @@ def _stable(scene: Scene, halvings: int) -> Scene:
 
 
 def _crash(way: str, error: Exception) -> str:
-    """Return a sentence on an error within a pipeline."""
     return f"{way} ended with an error ({type(error).__name__}: {str(error).rstrip('.')})."
 
 
-def _is_followed(found: Solution) -> bool:
-    return found.residuals.get(_DEPARTURE, 0.0) <= 1.0
+def _is_followed(solution: Solution) -> bool:
+    return solution.residuals.get(_DEPARTURE, 0.0) <= 1.0
 
 
-def _is_clear(found: Solution) -> bool:
-    return found.outcome is Outcome.SOLVED and found.residuals[_DEPARTURE] <= _CLEARLY
+def _is_clear(solution: Solution) -> bool:
+    return solution.outcome is Outcome.SOLVED and solution.residuals[_DEPARTURE] <= _CLEARLY
 
 
-def _order(found: Solution) -> tuple[bool, float]:
-    """Sorts solved plans first, and of these the one that departs least."""
-    is_solved = found.outcome is Outcome.SOLVED
-    return not is_solved, found.residuals.get(_DEPARTURE, 0.0)
+def _order(solution: Solution) -> tuple[bool, float]:
+    is_solved = solution.outcome is Outcome.SOLVED
+    return not is_solved, solution.residuals.get(_DEPARTURE, 0.0)
 
 
-def _best(found: list[Solution]) -> Solution:
-    """The cheapest that is solved and followed; else that is solved and departs least.
-
-    Else any plan, or the last word.
-    """
-    solved = [each for each in found if each.outcome is Outcome.SOLVED and each.cost is not None]
+def _best(solutions: list[Solution]) -> Solution:
+    """Return the cheapest solved plan that is followed, else the closest one, else any plan."""
+    solved = [
+        each for each in solutions if each.outcome is Outcome.SOLVED and each.cost is not None
+    ]
     followed = [*filter(_is_followed, solved)]
     if solved and not followed:
         return min(solved, key=lambda each: each.residuals[_DEPARTURE])
-    priced = followed or [each for each in found if each.cost is not None]
-    return _cheapest(priced) if priced else found[-1]
+    priced = followed or [each for each in solutions if each.cost is not None]
+    return _cheapest(priced) if priced else solutions[-1]
 
 
 def _cheapest(priced: list[Solution]) -> Solution:
-    """The first of those whose cost differs from the least by rounding."""
     least = min(each.cost for each in priced if each.cost is not None)
     return next(
         each for each in priced if each.cost is not None and each.cost <= least + _SAME * abs(least)
@@ -391,7 +382,7 @@ class BestExact(Method[BestExactOptions]):
     )
 
     def session(self, scene: Scene, options: BestExactOptions, clock: Clock) -> Session:
-        """Open a session; the sessions of the pipelines are opened one after the other."""
+        """Open a session; those of the pipelines are opened later."""
         return BestExactSession(self, scene, options)
 
 

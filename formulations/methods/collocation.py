@@ -1,13 +1,6 @@
-"""Exact contact on a coarse grid: collocation of order 2 or 3 instead of semi-implicit Euler, contact modes by a softplus homotopy.
+"""Exact contact on a coarse grid by collocation of order 2 or 3, with modes of a softplus homotopy.
 
-    softplus homotopy -> which contact is closed at which stage -> lam = k phi or lam = 0 there,
-    solved
-
-Modes are read off the last stages of the homotopy, the sharpest first; where none has a plan, from
-a relaxed complementarity that starts at the sharpest (`contact_modes.collocation`).
-
-Contacts open and close within steps, not at nodes. What that costs is bounded: residual
-`switch_error` (models.collocation).
+Contacts switch within steps; the residual `switch_error` bounds the effect (models.collocation).
 """
 
 from __future__ import annotations
@@ -32,10 +25,9 @@ class Collocation(Method[CollocationOptions]):
         return super().accepts(scene) or why_not_collocated(scene)
 
     def session(self, scene: Scene, options: CollocationOptions, clock: Clock) -> Session:
-        """Open a session, whose models are built at its first solve."""
-        from formulations.contact_modes.collocation import (
-            CollocationSession,
-        )  # imports Pyomo and Ipopt: 1 s that planning a campaign does without
+        """Open a session; its first solve builds the models."""
+        # Imports Pyomo and Ipopt: 1 s that planning a campaign saves.
+        from formulations.contact_modes.collocation import CollocationSession
 
         return CollocationSession(self, scene, options, clock)
 

@@ -1,4 +1,4 @@
-"""No plan at all: the scene's own motion from its start, by its time step and true contact, for scenes without inputs."""
+"""The motion of a scene without inputs, by its time step and true contact."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class _FreeMotionSession(Session):
 
 
 class FreeMotion(Method):
-    """The motion of a scene that has no inputs."""
+    """The motion of a scene without inputs."""
 
     name = "free_motion"
     title = "Free motion of a scene without inputs"
@@ -56,7 +56,7 @@ class FreeMotion(Method):
     needs_eps = False
 
     def accepts(self, scene: Scene) -> str | None:
-        """Refuse scenes with inputs, whose motion is to be planned."""
+        """Refuse scenes with inputs."""
         return (
             f"scene {scene.name} has inputs, so its motion is to be planned." if scene.nu else None
         )

@@ -1,8 +1,6 @@
-"""The exact contact problem by its contact modes: softplus homotopy, modes read off, what is left solved exactly, mode sequences searched.
+"""Exact contact by modes: softplus homotopy, exact solution of the modes, search of mode sequences.
 
-Where the end is free and has a cost, a plan that touches nothing is a local optimum from which no
-slope leads to a contact (two_discs_wall: nothing done costs 0.61, a throw off the wall 0.39). There
-throws by constant inputs are tried, and the cheapest are solved with their contact modes.
+If the end is free and has a cost, throws by constant inputs are tried too.
 """
 
 from __future__ import annotations
@@ -23,14 +21,13 @@ class Mpcc(Method[MpccOptions]):
     options = MpccOptions
 
     def accepts(self, scene: Scene) -> str | None:
-        """Refuse scenes without inputs, with friction, with damped contacts, or with functions that Pyomo does not have."""
+        """Refuse scenes without inputs, with friction, damping, or functions unknown to Pyomo."""
         return why_not(scene)
 
     def session(self, scene: Scene, options: MpccOptions, clock: Clock) -> Session:
-        """Open a session on the scene."""
-        from formulations.contact_modes.session import (
-            MpccSession,
-        )  # imports Pyomo and Ipopt: 1 s that planning a campaign does without
+        """Open a session."""
+        # Imports Pyomo and Ipopt: 1 s that planning a campaign saves.
+        from formulations.contact_modes.session import MpccSession
 
         return MpccSession(self, scene, options, clock)
 

@@ -1,11 +1,7 @@
-"""Single shooting on true contact: inputs are corrected by damped Newton steps until their motion ends on the goal, then made cheaper along such motions.
+"""Single shooting on true contact: correct inputs by damped Newton steps to end on the goal.
 
-From a cold start the inputs are random pushes. Those that end nearest to the goal are corrected,
-and the cheapest of the first that arrive is kept. No force acts at a distance and no contact modes
-are decided: they are those of the motion. So friction and damping take no further unknowns.
-
-A drawn pad that drags a slab by friction: 1.2 CPU s. strict_lcp from its softplus plan stalls after
-17 CPU s at twice the steps.
+From a cold start random pushes that end close to the goal are corrected, and the cheapest of the
+first that arrive is improved and kept. Contact modes, friction and damping need no unknowns.
 """
 
 from __future__ import annotations
@@ -55,7 +51,7 @@ class NewtonShootingOptions(Options):
 
 
 class NewtonShootingSession(Session):
-    """The compiled time step serves every solve."""
+    """The session of `newton_shooting`."""
 
     def __init__(
         self, method: NewtonShooting, scene: Scene, options: NewtonShootingOptions, clock: Clock
@@ -91,7 +87,7 @@ class NewtonShootingSession(Session):
             words = f"none of {len(shots)} inputs could be corrected to end near the goal."
             outcome = Outcome.TIME_LIMIT if monotonic() >= ends else Outcome.STALLED
         spent = monotonic() - began
-        found = Solution(
+        solution = Solution(
             method=self._method.name,
             outcome=outcome,
             message=words,
@@ -99,10 +95,9 @@ class NewtonShootingSession(Session):
             options=asdict(self._options),
             seconds=stage_seconds(stage, self._clock, spent, spent),
         )
-        return found if best is None else self._with_plan(found, best)
+        return solution if best is None else self._with_plan(solution, best)
 
     def _shots(self, start: Trajectory | None, ends: float) -> list[Shot]:
-        """Corrected inputs: those of the start, or of pushes until enough have arrived."""
         scene, kernel, near, own = self._scene, self._kernel, self._near, self._options
         shots: list[Shot] = []
         if start is not None:
@@ -115,7 +110,7 @@ class NewtonShootingSession(Session):
             shots.append(corrected(scene, kernel, u, near))
         return shots
 
-    def _with_plan(self, found: Solution, shot: Shot) -> Solution:
+    def _with_plan(self, solution: Solution, shot: Shot) -> Solution:
         scene = self._scene
         plan = plan_of(scene, shot.rollout, shot.u)
         residuals = {
@@ -124,9 +119,9 @@ class NewtonShootingSession(Session):
         }
         most = self._options.plan_tolerance
         promises = {"input_bound_excess": most, "velocity_bound_excess": most}
-        outcome, message = checked(found.outcome, found.message, residuals, promises)
+        outcome, message = checked(solution.outcome, solution.message, residuals, promises)
         fields = {"outcome": outcome, "message": message, "residuals": residuals}
-        return replace(found, trajectory=plan, cost=shot.cost, **fields)
+        return replace(solution, trajectory=plan, cost=shot.cost, **fields)
 
 
 class NewtonShooting(Method[NewtonShootingOptions]):

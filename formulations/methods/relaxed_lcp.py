@@ -1,13 +1,9 @@
-"""Direct transcription with relaxed complementarity lam (lam - k phi) <= eps [N^2], Pyomo's own relaxation, tightened by its bound.
+"""Direct transcription with relaxed complementarity lam (lam - k phi) <= eps [N^2].
 
-Plans for a smaller eps are among those for a larger one: where a start led to none, it is not tried
-again below. On a long horizon the first stage is solved on coarser grids before, each half as fine.
-
-A start without a plan that leads nowhere soon begins again softer, at ten times the eps, and comes
-back from that plan: hundreds of iterations from a cold start are a walk in which the last digit
-decides where it ends. Iterations and cost at eps = 1e-2, directly and by 1e-1: push_box 764 and
-381, both 4803; transport 1002 at 1.75 and 1289 at 0.91; two_finger_lift 1000 without an end and 219
-at 59.0; hopper_planar 1312 without a plan and 1460 with one.
+Plans for a smaller eps are feasible for a larger one, so a failed start is not tried again below.
+The first stage of a long horizon is solved on coarser grids before. A cold start that makes no
+progress begins at ten times the eps and returns from there: two_finger_lift at 1e-2 finds no plan
+in 1000 iterations directly, but by 1e-1 in 219.
 """
 
 from __future__ import annotations
@@ -38,21 +34,21 @@ if TYPE_CHECKING:
     from formulations.transcription.homotopy import Stage
 
 
-# Stages of the bank that ended well took up to 3.9e6 from a cold start (two_finger_lift: 575
-# iterations, of 6814 unknowns), and up to 2.6e6 from a plan (two_discs_wall: 333, of 7688).
+# Limits of work: successful stages of the bank took up to 3.9e6 from a cold start (two_finger_lift)
+# and 2.6e6 from a plan (two_discs_wall).
 _COLD = Work(5e6, 1000)
 _WARM = Work(3e6, 400)
-# Iterations after which a start without a plan begins softer: the bank's quick ones are done in 18
-# to 102, the others need 222 to more than 1312.
+# Iterations after which a cold start begins softer: fast scenes take 18 to 102, the rest 222 to
+# more than 1312.
 _SOON = 150
 _SOFTER = "It began softer, at eps = {:g}: from a cold start there was no plan soon."
-# A last iterate that misses its own time step [m/s] or its products [N^2] by more is no plan: the
-# next stage starts better from the one before.
+# An iterate with a larger error of the time step [m/s] or products [N^2] is no plan.
 _BROKEN = 1e-2
-# More steps than the first are solved on every second step before, and so on down to the second:
-# from their softplus plan three carts in 5000 steps take 1386 iterations, in 312 steps 96, and
-# then, from grid to grid, 34, 32 and 96.
+# With more steps than this, every second step is solved first, and so on. From their softplus plan
+# three carts take 1386 iterations in 5000 steps, but 96 in 312 steps and then, grid by grid, 34, 32
+# and 96.
 _LONG = 2000
+# The coarsest grid has at most this number of steps.
 _SHORT = 500
 
 
@@ -65,10 +61,9 @@ class RelaxedLCPOptions(BarrierOptions):
 
 
 class RelaxedLCPSession(Session):
-    """The model is built once.
+    """The session of `relaxed_lcp`; each eps only changes the bound.
 
-    Each eps moves its bound, and starts warm. longest: more steps than this are solved on coarser
-    grids first.
+    longest: with more steps, coarser grids are solved first
     """
 
     def __init__(
@@ -79,9 +74,8 @@ class RelaxedLCPSession(Session):
         clock: Clock,
         longest: int | None = None,
     ) -> None:
-        from formulations.transcription import (
-            homotopy,
-        )  # imports Pyomo and Ipopt: 0.9 s that planning a campaign does without
+        # Imports Pyomo and Ipopt: 0.9 s that planning a campaign saves.
+        from formulations.transcription import homotopy
 
         self._method, self._scene, self._options = method, scene, options
         self._longest = _LONG if longest is None else longest
@@ -100,23 +94,23 @@ class RelaxedLCPSession(Session):
             warm_start,
             time_limit,
             first,
-            lambda stage, eps: self._found(stage, eps, warm_start),
+            lambda stage, eps: self._solve_stage(stage, eps, warm_start),
         )
 
     def _rules(self, eps: float) -> StageRules:
         scene, options, tolerance = self._scene, self._options, self._options.plan_tolerance
-        # Softplus with sharpness b = k ln2 / sqrt(eps) has this worst-case violation: lam (lam - k
+        # Softplus with sharpness b = k ln2 / sqrt(eps) has the same worst violation: lam (lam - k
         # phi) = eps at phi = 0.
         softest = min(load_kernel(scene).stiffness(), default=math.inf)
         plan_limits, promises = (
             {"dynamics_defect": _BROKEN},
             {**options.promises(), "friction_cone": tolerance},
         )
-        # there the bound holds for spring, switch and force each, not for the force against the
-        # true law
+        # With damping the bound holds for spring, switch and force separately, not for the true
+        # law.
         if not scene.damped:
             plan_limits |= dict.fromkeys(("complementarity", "friction_law"), 2.0 * eps + _BROKEN)
-            # each friction has two products, and friction_law is their sum
+            # friction_law is the sum of a friction's two products.
             products = {"complementarity": eps + tolerance, "friction_law": 2.0 * eps + tolerance}
             promises = {
                 **options.promises(),
@@ -135,11 +129,9 @@ class RelaxedLCPSession(Session):
             promises=promises,
         )
 
-    def _found(self, stage: Stage, eps: float, start: Trajectory | None) -> IpoptResult:
-        """Solve the model, which holds the start already."""
-        if (
-            self._scene.task.steps <= self._longest or self._solver.last is not None
-        ):  # a later stage starts from a plan of this grid
+    def _solve_stage(self, stage: Stage, eps: float, start: Trajectory | None) -> IpoptResult:
+        # A later stage starts from a plan of this grid.
+        if self._scene.task.steps <= self._longest or self._solver.last is not None:
             return self._reached_cold(stage, eps) if start is None else stage.reach(eps, start)
         coarse = self._from_coarser_grid(stage.budget, eps, start)
         if coarse is not None:
@@ -149,7 +141,6 @@ class RelaxedLCPSession(Session):
     def _from_coarser_grid(
         self, budget: SolveBudget, eps: float, start: Trajectory | None
     ) -> Trajectory | None:
-        """A plan of every second step, on this grid, or None if there is none."""
         coarse = coarse_scene(self._scene, math.ceil(self._scene.task.steps / 2))
         if coarse is None or not step_stability(coarse).is_stable:
             return None
@@ -157,15 +148,12 @@ class RelaxedLCPSession(Session):
             session = RelaxedLCPSession(self._method, coarse, self._options, Clock(), _SHORT)
             start = None if start is None else on_grid(start, coarse)
             session._solver.prepare(eps, start)
-        session._found(session._homotopy.stage(budget), eps, start)
+        session._solve_stage(session._homotopy.stage(budget), eps, start)
         solved = session._solver.last
         return None if solved is None else on_grid(solved.plan, self._scene)
 
     def _reached_cold(self, stage: Stage, eps: float) -> IpoptResult:
-        """From the first guess, which the model holds.
-
-        Softer first where that leads nowhere soon.
-        """
+        """Solve from the loaded first guess, at a larger eps first if there is no progress."""
         levels = [eps]
         while self._scene.nl and 10.0 * levels[-1] < 1.0:
             levels.append(10.0 * levels[-1])
@@ -179,10 +167,7 @@ class RelaxedLCPSession(Session):
         return result
 
     def _first_to_end(self, stage: Stage, levels: list[float]) -> tuple[IpoptResult, int]:
-        """Cold starts, each softer than the one before, until one ends soon.
-
-        The softest may take its time.
-        """
+        """Start cold at each level until one converges soon; the last one has no limit."""
         for index, level in enumerate(levels):
             self._solver.load(None)
             result = stage.solve(
@@ -193,12 +178,11 @@ class RelaxedLCPSession(Session):
         return result, index
 
     def _back_from(self, stage: Stage, levels: list[float]) -> IpoptResult:
-        """From the plan that the softest level left in the model to the first.
+        """Return from the plan of the softest level to the first, or start the first cold.
 
-        Where it is none, the first from a cold start.
-
-        From a plan that was not solved, by half the steps: hopper_planar at 1e-2 from the last
-        iterate at 1e-1 is lost, and by 3e-2 it is not.
+        From an unsolved plan the steps are halved: hopper_planar fails at 1e-2 from the last
+            iterate at 1e-1
+        unless by 3e-2.
         """
         halfway = (
             []

@@ -1,4 +1,4 @@
-"""Single shooting by gradient descent through the true contact law: exact forces, but none - and no gradient - at a distance."""
+"""Single shooting by gradient descent on true contact, without gradients at a distance."""
 
 from formulations.method import Kind
 from formulations.shooting.method import DescentMethod

@@ -1,4 +1,4 @@
-"""Single shooting by L-BFGS through the true contact law: second-order steps on the loss of relu_gd, and the goal met by multipliers."""
+"""Single shooting by L-BFGS on the true contact law, with multipliers for the goal."""
 
 from formulations.method import Kind
 from formulations.shooting.method import QuasiNewtonMethod

@@ -1,4 +1,4 @@
-"""Multiple shooting through the true contact law: for unstable scenes, whose errors then grow over one time step only."""
+"""Multiple shooting on true contact, for unstable scenes: errors grow over one step only."""
 
 from formulations.method import Kind
 from formulations.multiple_shooting.method import MultipleShootingMethod

@@ -1,8 +1,7 @@
-"""Direct transcription with softplus contact: smooth forces that act at a distance, tightened by their sharpness |ln eps|.
+"""Direct transcription with softplus contact: smooth forces at a distance, sharpness |ln eps|.
 
-A stage from a plan gets a bounded amount of work, and what it leaves is handed on only if it is a
-plan. A cold start whose multipliers run away is begun again with its goal let go
-(`transcription.solving`).
+A stage from a plan has a work limit, and its result is used only if it is a plan. A cold start with
+diverging multipliers starts again with a released goal (`transcription.solving`).
 """
 
 from __future__ import annotations
@@ -22,13 +21,10 @@ from models.contact_law import sharpness
 from models.scene import Scene
 from models.trajectory import Trajectory
 
-# Of a stage that starts from a plan, in nonzeros, which is what an iteration's time grows with:
-# friction and many contacts have three times as many a unknown. Those of the bank that ended well
-# took up to 6.3e6 (transport: 951 iterations, of 6608), and where they were larger up to 136
-# iterations.
+# Limit of a stage from a plan, in nonzeros, to which an iteration's time is proportional.
+# Successful stages of the bank took up to 6.3e6 (transport), larger models up to 136 iterations.
 _WORK = Work(6.5e6, 130)
-# A last iterate that misses its own time step [m/s], contact or friction law [N] by more is no
-# plan: the next stage starts better from the one before.
+# An iterate with a larger error of the time step [m/s], contact or friction law [N] is no plan.
 _BROKEN = 1e-2
 
 
@@ -41,14 +37,13 @@ class SoftplusDCOptions(TranscriptionOptions):
 
 
 class SoftplusDCSession(Session):
-    """The model is built once; each eps moves its sharpness, and starts warm."""
+    """The session of `softplus_dc`; each eps only changes the sharpness."""
 
     def __init__(
         self, method: SoftplusDC, scene: Scene, options: SoftplusDCOptions, clock: Clock
     ) -> None:
-        from formulations.transcription import (
-            homotopy,
-        )  # imports Pyomo and Ipopt: 0.9 s that planning a campaign does without
+        # Imports Pyomo and Ipopt: 0.9 s that planning a campaign saves.
+        from formulations.transcription import homotopy
 
         self._scene, self._options = scene, options
         self._band = homotopy.band_options()
@@ -85,7 +80,7 @@ class SoftplusDCSession(Session):
 
 
 class SoftplusDC(Method[SoftplusDCOptions]):
-    """Collocation with softplus contact, whose forces act at a distance."""
+    """Collocation with softplus contact."""
 
     name = "softplus_dc"
     title = "Collocation with softplus contact"

@@ -1,4 +1,4 @@
-"""Single shooting by gradient descent through softplus contact: the forces are smooth, present at a distance, and unphysical."""
+"""Single shooting by gradient descent on softplus contact, with forces at a distance."""
 
 from formulations.method import Kind
 from formulations.shooting.method import DescentMethod

@@ -1,4 +1,4 @@
-"""Single shooting by L-BFGS through softplus contact: second-order steps on the loss of softplus_gd, and the goal met by multipliers."""
+"""Single shooting by L-BFGS on softplus contact, with multipliers for the goal."""
 
 from formulations.method import Kind
 from formulations.shooting.method import QuasiNewtonMethod

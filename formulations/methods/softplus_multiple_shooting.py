@@ -1,4 +1,4 @@
-"""Multiple shooting through softplus contact: for unstable scenes, whose errors then grow over one time step only; its forces act at a distance."""
+"""Multiple shooting on softplus contact, for unstable scenes: errors grow over one step only."""
 
 from formulations.method import Kind
 from formulations.multiple_shooting.method import MultipleShootingMethod

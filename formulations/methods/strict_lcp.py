@@ -1,19 +1,9 @@
-"""Direct transcription with strict complementarity 0 <= lam, lam - k phi, and one of them zero: no relaxation is left in its plan.
+"""Direct transcription with strict complementarity 0 <= lam, lam - k phi, one of them zero.
 
-Ipopt attacks the model at a tiny bound, the modes of the contacts are read off, and the rest is
-solved exactly.
-
-1. attack: lam * v <= attack_bound, from the given plan or cold (no smoother problem is solved
-    first): at once where the scene is linear,
-   by way of looser bounds where it is not. A plan that meets this bound already goes straight to 2.
-2. modes: every pair is decided, and the problem without any complementarity is solved
-    (`transcription.solving.FixedModes`).
-3. If those modes have no plan: the bound is tightened by 100, warm, and the modes are read again.
-    An attack that was cut off by a limit
-   has its modes tried once.
-
-The plan is judged on its own: residuals from the scene, and the goal after a replay of its inputs
-through true contact.
+1. attack: solve with lam * v <= attack_bound, from the given plan or cold; by looser bounds first
+   if the scene is not linear
+2. modes: fix every pair and solve the smooth problem (`transcription.solving.FixedModes`)
+3. if the modes have no plan, tighten the bound by 100 and repeat
 """
 
 from __future__ import annotations
@@ -36,25 +26,23 @@ if TYPE_CHECKING:
     from formulations.ipopt import IpoptResult
     from formulations.transcription.solving import FixedModes
 
-# Step 3: the factor between two bounds, and the last one; below it Ipopt's own tolerance (1e-8) is
-# coarser than the bound.
+# Factor between two bounds of step 3.
 _TIGHTENING = 1e-2
+# Last bound: below it Ipopt's tolerance (1e-8) is coarser.
 _LAST_BOUND = 1e-8
-# Bounds of lam * v on the way to the attack's, where the scene is not linear: two fingers that
-# carry a disc need 63, 60 and 13 iterations for 1e-2, 1e-3 and 1e-4, and have no plan after 500 at
-# 1e-4 alone. A linear scene is solved at once in fewer.
+# First bound of the attack in nonlinear scenes: two fingers that carry a disc take 63, 60 and 13
+# iterations at 1e-2, 1e-3 and 1e-4, and fail after 500 at 1e-4 directly.
 _FIRST_BOUND = 1e-2
+# Factor between two of these bounds.
 _NARROWING = 0.1
-# Most iterations at the first of these bounds from a given plan with Ipopt's own barrier: those
-# that were solved took up to 121. A soft plan of two fingers that lift a disc leads nowhere in ten
-# times as many, and is solved in 89 with the barrier of a cold start.
+# Iteration limit at the first bound, from a plan with Ipopt's default barrier; successful solves
+# took up to 121. A softplus plan of two fingers that lift a disc fails even in 1300, but takes 89
+# with the barrier of a cold start.
 _FROM_PLAN = 130
-# Of each solve of the attack, beside its option: those that were solved took up to 4.8e6
-# (acrobot_limits: 529 iterations, of 9004 unknowns) or up to 801 iterations. What is cut off has
-# its modes tried.
+# Limit of each solve of the attack, in addition to its option; successful ones took up to 4.8e6
+# (acrobot_limits) or 801 iterations.
 _ATTACK = Work(5e6, 1000)
-# A plan that misses its own time step by more than this was never one: the first guess is a better
-# start.
+# A plan with a larger error of its time step is a worse start than the first guess.
 _BROKEN = 1e-2
 _CUT_OFF = "The search for contact modes was cut off by its limit or stalled; with more time, or a warm start, a cheaper plan may be found."
 
@@ -96,14 +84,13 @@ class StrictLCPOptions(BarrierOptions):
 
 
 class StrictLCPSession(Session):
-    """The model is built once, at the bound of the attack, and translated a second time with its modes fixed."""
+    """The session of `strict_lcp`: one model at the bound of the attack, one with fixed modes."""
 
     def __init__(
         self, method: StrictLCP, scene: Scene, options: StrictLCPOptions, clock: Clock
     ) -> None:
-        from formulations.transcription import (
-            solving,
-        )  # imports Pyomo and Ipopt: 0.9 s that planning a campaign does without
+        # Imports Pyomo and Ipopt: 0.9 s that planning a campaign saves.
+        from formulations.transcription import solving
 
         self._method, self._scene, self._options = method, scene, options
         self._solver = solving.PlanSolver(
@@ -113,10 +100,7 @@ class StrictLCPSession(Session):
         self._modes: FixedModes | None = None
 
     def start_used(self, warm_start: Trajectory | None) -> Trajectory | None:
-        """Without contacts any plan is a start.
-
-        With them one that misses its own time step is none.
-        """
+        """Return the warm start, or None if it is not a usable plan of this scene with contacts."""
         if (
             warm_start is None
             or not self._scene.nl
@@ -130,16 +114,13 @@ class StrictLCPSession(Session):
     def solve(
         self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float
     ) -> Solution:
-        """Find an exact plan by the three steps.
-
-        Raises TrajectoryError for a plan of another grid.
-        """
+        """Find an exact plan by the three steps. Raises TrajectoryError for another grid."""
         self._method.check_stage(eps, time_limit)
         budget = self._solver.begin(self._options.attack_bound, warm_start, time_limit)
         start = self.start_used(warm_start)
         if start is not warm_start:
             self._solver.load(start)
-        result = self._found(budget, start)
+        result = self._search_plan(budget, start)
         return self._solver.solution(
             self._method.name,
             budget,
@@ -149,10 +130,7 @@ class StrictLCPSession(Session):
             promises=self._promises(),
         )
 
-    # -- the three steps
-    #   --------------------------------------------------------------------------------------------------------
-
-    def _found(self, budget: SolveBudget, start: Trajectory | None) -> IpoptResult:
+    def _search_plan(self, budget: SolveBudget, start: Trajectory | None) -> IpoptResult:
         if not self._scene.nl:
             return self._solver.attempt(budget, self._ipopt(start), from_plan=self._options.ipopt())
         bound = self._options.attack_bound
@@ -178,22 +156,20 @@ class StrictLCPSession(Session):
             self._solver.set_relaxation(bound)
             self._solver.release_modes()
             result = self._solver.run(budget, self._options.ipopt(), after=result)
-            if (
-                result.outcome is Outcome.INFEASIBLE
-            ):  # a little looser there was a plan: that is no proof that there is none
+            # There was a plan at a looser bound, so this proves nothing.
+            if result.outcome is Outcome.INFEASIBLE:
                 result = replace(result, outcome=Outcome.STALLED)
         return result
 
     def _is_nearly_strict(self, plan: Trajectory, bound: float) -> bool:
-        found, tolerance = self._solver.residuals.of(plan), self._options.plan_tolerance
-        products = max(found.get("complementarity", 0.0), found.get("friction_law", 0.0))
+        residuals, tolerance = self._solver.residuals.of(plan), self._options.plan_tolerance
+        products = max(residuals.get("complementarity", 0.0), residuals.get("friction_law", 0.0))
         return (
             products <= bound + tolerance
-            and max(found["terminal_error"], found["dynamics_defect"]) <= tolerance
+            and max(residuals["terminal_error"], residuals["dynamics_defect"]) <= tolerance
         )
 
     def _attack(self, budget: SolveBudget, start: Trajectory | None, bound: float) -> IpoptResult:
-        """Step 1; a plan that leads nowhere is left for the first guess."""
         self._solver.release_modes()
         if start is not None:
             result = self._narrowed(budget, start, bound)
@@ -203,7 +179,6 @@ class StrictLCPSession(Session):
         return self._narrowed(budget, None, bound)
 
     def _narrowed(self, budget: SolveBudget, start: Trajectory | None, bound: float) -> IpoptResult:
-        """The model solved at the bound from what it holds: at once, or by way of looser bounds, each from the plan before."""
         bounds = [bound]
         while not derive(self._scene).structure.linear and bounds[0] < _FIRST_BOUND:
             bounds.insert(0, bounds[0] / _NARROWING)
@@ -220,11 +195,6 @@ class StrictLCPSession(Session):
     def _attempted(
         self, budget: SolveBudget, start: Trajectory | None, *, is_first: bool
     ) -> IpoptResult:
-        """At the bound of the model.
-
-        A plan that leads nowhere with Ipopt's own barrier is tried once more from well inside its
-        bounds.
-        """
         options, from_plan = self._attack_options(budget, start), self._options.ipopt()
         if start is None or not is_first:
             return self._solver.attempt(budget, options, from_plan=from_plan)
@@ -253,12 +223,10 @@ class StrictLCPSession(Session):
         }
 
     def _exact(self, budget: SolveBudget, plan: Trajectory) -> IpoptResult:
-        """Step 2 with the modes of a plan.
+        """Perform step 2 with the modes of a plan, else with those of its inputs in true contact.
 
-        Where they have none, with those of its inputs under the true law.
-
-        These have one: that motion, if it only reached the goal. Where friction begins to hold, a
-        mode that is one step early leaves nothing.
+        The latter always have a motion. A friction mode one step early can make the problem
+        infeasible.
         """
         exact = self._with_modes(budget, self._solver.residuals.modes(plan))
         if exact.outcome is Outcome.SOLVED or budget.is_over:
@@ -276,9 +244,6 @@ class StrictLCPSession(Session):
         if self._modes is None:
             self._modes = self._solver.with_fixed_modes(self._options.mode_switches)
         return self._modes.solve(budget, closed)
-
-    # -- what is promised of the plan
-    #   -------------------------------------------------------------------------------------------
 
     def _residuals(self, plan: Trajectory) -> dict[str, float]:
         return {

@@ -1,13 +1,11 @@
-"""MPECs written with pyomo.mpec: solved by relaxation, polished to exact complementarity, and certified.
+"""Solve MPECs written with pyomo.mpec: relax, polish to exact complementarity, certify.
 
-import formulations                                          # registers SolverFactory("mpec_ipopt")
-pyo.SolverFactory("mpec_ipopt").solve(model)  # any model with Complementarity components
+pyo.SolverFactory("mpec_ipopt").solve(model)  # importing formulations registers the solver
 
-from formulations.mpec import MpecSettings, certify, load, solve_mpec
-result = solve_mpec(model, MpecSettings(strategy="scholtes"))    # the model is only read
+result = solve_mpec(model, MpecSettings(strategy="scholtes"))  # the model is only read
 load(result)
-certify(model).sentence                                      # of any point, whoever computed it
-certify_plan(scene, trajectory).sentence  # of a scene's plan, in the scene's strict model
+certify(model).sentence  # of any point
+certify_plan(scene, trajectory).sentence  # of a plan, in the scene's strict model
 """
 
 from __future__ import annotations

@@ -1,15 +1,9 @@
-"""Every pair decided: which side is 0 is fixed, and what remains is a smooth problem, solved exactly. Pairs with both sides 0 branch.
+"""Solve one branch of an MPEC exactly: fix one side of each pair at 0, and improve the choice.
 
-At a solution of a branch a pair with v = 0 = w has a multiplier on the side that is held at 0.
-Where it is negative, the other branch goes down to first order. Those pairs are switched, all at
-once, then one by one, then - where there are few - in every combination, and the best branch is
-kept.
-
-A branch is refined from Ipopt's answer to the vertex or face it stands beside, where active bounds
-and rows hold to rounding, multipliers too: Ipopt stops at about 1e-9 from its bounds, and at 1e-5
-from those whose multiplier is zero. Here the active set is guessed, variables with an active bound
-are put on it, and Newton's method solves the equations that remain. A guess is taken only where it
-makes the point better.
+In a branch, a pair with v = 0 = w has a multiplier on the fixed side. If it is negative, the other
+branch has a lower objective to first order: these pairs are switched together, one by one, or in
+every combination. `refined` moves Ipopt's answer to the active constraints, from which Ipopt stops
+at about 1e-9 (1e-5 if the multiplier is zero), by Newton's method with a guessed active set.
 """
 
 from __future__ import annotations
@@ -28,64 +22,63 @@ from formulations.ipopt import IpoptProblem, IpoptResult, Start
 from formulations.mpec.homotopy import Columns, Workspace
 from formulations.solution import Outcome
 
-# A pair counts as biactive where both sides are below this, and as wanting the other branch where
-# its multiplier is below -_WANTING.
+# A pair is biactive if both sides are below this.
 _BIACTIVE = 1e-6
+# A biactive pair needs its other branch if its multiplier is below -_WANTING.
 _WANTING = 1e-6
-# Where nothing feasible is known so many branches are tried, until one is: of 8 pairs all. They
-# cost some 10 ms each where a problem is small.
+# Largest number of branches tried without a known feasible one: all of 8 pairs. Small problems cost
+# some 10 ms per branch.
 NEAREST = 256
-# What counts as a better objective, relative to max(1, |objective|).
+# Smallest improvement of the objective, relative to max(1, |objective|).
 BETTER = 1e-9
-# A branch is a smooth problem started near its solution, or one without any: no need to insist.
+# Iteration limit: a branch starts near its solution, or has no solution.
 _BRANCH_ITERATIONS = 200
-# Ipopt's codes for a point that it takes for a solution, in its own scaling.
+# Ipopt's codes for a solution in its own scaling.
 _CLAIMS_SUCCESS = (0, 1)
 
-# Where variables are held within 1e-9; refining the solution puts them back.
+# Ipopt relaxes fixed variables by this; `refined` restores them.
 _LOOSELY_HELD = {"fixed_variable_treatment": "relax_bounds", "bound_relax_factor": 1e-9}
 
-# Newton's steps of one guess: it converges quadratically or not at all.
+# Newton steps per guess: the method converges quadratically or not at all.
 _STEPS = 6
-# Up to this many unknowns a dense least-squares solve, which does not mind dependent rows or flat
+# Largest system for the dense least-squares solve, which handles dependent rows and flat
 # directions.
 _DENSE = 150
-# Regularisation of the sparse solve: small steps are repeated, so it costs iterations and no
-# accuracy.
+# Regularisation of the sparse solve: repeated steps compensate for it.
 _DELTA = 1e-9
-# A refined point is the same solution: its objective may differ by this (relative to max(1,
-# |objective|)), and each step by _LONGEST.
+# Limits of a refined point that is still the same solution: change of the objective, relative to
+# max(1, |objective|).
 _SAME = 1e-5
+# Change of the point per step.
 _LONGEST = 1e-1
-# A guess that leaves no more than this is not improved on.
+# A guess with a smaller error ends the search.
 _GOOD_ENOUGH = 1e-13
-# A refined point may violate rows and bounds by this, or by as much as Ipopt's did.
+# Violation of a refined point, if Ipopt's own was smaller.
 _STAYS_FEASIBLE = 1e-9
-# Where more than this is left, Ipopt's tolerance was too loose to tell what is active: once more
-# from there with a tighter one, by this at least, and by more where the objective is flat.
+# With a larger error Ipopt's tolerance did not show the active set: solve again with a tighter one.
 _UNREFINED = 1e-6
+# Factor of the tighter tolerance; a flat objective needs more.
 _TIGHTER = 1e-3
+# Smallest tolerance.
 _TIGHTEST = 1e-14
-# The barrier that a solve begins with which goes on from a solution.
+# Initial barrier of a solve that starts at a solution.
 _SMALL_BARRIER = 1e-10
-# A curvature below this, of the sum of what its terms are without their signs, is more than
-# rounding and the errors of multipliers.
+# Negative curvature, relative to the sum of its absolute terms, that exceeds rounding and the
+# errors of multipliers.
 _CURVED = 1e-6
-# Multipliers of a point with a larger error say too little about what is active.
+# Largest error of a point whose multipliers show the active set.
 _EXACT = 1e-9
-# The step along a direction of negative curvature: of its largest component, relative to max(1,
-# |x|).
+# Largest component of the step along negative curvature, relative to max(1, |x|).
 _ASIDE = 0.1
-# Steps of Lanczos's method, each two solves with one factorisation.
+# Lanczos steps, each two solves with one factorisation.
 _LANCZOS = 20
-# A vector of which no more than this is left spans nothing new, and a direction of length 1 that
-# changes a row by no more keeps it.
+# A vector with a smaller remainder is in the span; a row with a smaller change is unchanged.
 _EXHAUSTED = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refined:
-    """x (n,), lagrange (m,) and how far they are from a KKT point: largest of violation, slope and wrong sign."""
+    """x (n,), lagrange (m,), and their KKT error: the largest violation, slope or wrong sign."""
 
     x: np.ndarray
     lagrange: np.ndarray
@@ -93,16 +86,9 @@ class Refined:
 
 
 def refined(problem: IpoptProblem, result: IpoptResult, size: float = 1.0) -> Refined:
-    """The best of the given point and three guesses of what is active.
+    """Return the best of the result's point and three guesses of its active set. Raises nothing.
 
-    Bounds are those of the problem as it stands.
-
-    Raises nothing.
-
-    Parameters
-    ----------
-    problem, result : a problem, and where Ipopt ended
-    size : of the objective's derivatives, by which errors are measured where those at the point are
+    size: derivatives of the objective that errors are relative to, if those at the point are
         smaller [objective per variable]
     """
     best = Refined(
@@ -111,9 +97,8 @@ def refined(problem: IpoptProblem, result: IpoptResult, size: float = 1.0) -> Re
         error=_kkt_error(problem, result.x, result.lagrange, size),
     )
     limit = _SAME * max(1.0, abs(result.objective))
-    feasible = max(
-        _STAYS_FEASIBLE, problem.violation(result.x)
-    )  # slopes are of the objective's unit: what they gain is no price for feasibility
+    # Errors of slopes depend on the objective's unit; a smaller one does not justify infeasibility.
+    feasible = max(_STAYS_FEASIBLE, problem.violation(result.x))
     for near, by_multiplier in ((1e-5, True), (1e-3, False), (1e-3, True)):
         candidate = _newton(problem, result, near, by_multiplier, size)
         if (
@@ -130,10 +115,7 @@ def refined(problem: IpoptProblem, result: IpoptResult, size: float = 1.0) -> Re
 
 
 def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, size: float) -> float:
-    """Largest of: violation, slope of a free variable, slope or multiplier with the wrong sign.
-
-    Slopes relative to the objective's.
-    """
+    """Return the largest violation, or slope or multiplier of a wrong sign, slopes relative."""
     low, high = problem.lower, problem.upper
     slope = problem.lagrangian_gradient(x, lagrange)
     wrong = np.abs(slope)
@@ -155,17 +137,17 @@ def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, size:
 def _newton(
     problem: IpoptProblem, result: IpoptResult, near: float, by_multiplier: bool, floor: float
 ) -> Refined | None:
-    """Newton on what is active if everything within `near` of its limit is (and, by_multiplier, pulls harder than it is far)."""
+    """Solve for the constraints within `near` of their limit.
+
+    by_multiplier: only those whose multiplier exceeds their distance.
+    """
     x, y = result.x.copy(), result.lagrange.copy()
     low, high = problem.lower, problem.upper
 
     size = min(1.0, problem.slope_size(x))
 
     def active(gap: np.ndarray, multiplier: np.ndarray) -> np.ndarray:
-        """Mask (k,) of the limits at distance gap (k,) with multiplier (k,) that are active [-].
-
-        Raises nothing.
-        """
+        """Return the mask (k,) of active limits (k,) [-]. Raises nothing."""
         return (
             (gap <= near) & ((multiplier > size * np.minimum(gap, near)) | (gap <= 1e-12))
             if by_multiplier
@@ -209,7 +191,7 @@ def _step(
     rows: np.ndarray,
     target: np.ndarray,
 ) -> np.ndarray | None:
-    """(step of the free variables, new multipliers of the active rows)."""
+    """Return (step of the free variables, new multipliers of the active rows), or None."""
     row, column = problem.jacobianstructure()
     jacobian = sparse.csr_matrix(
         (problem.jacobian(x), (row, column)), shape=(problem.m, problem.n)
@@ -228,17 +210,15 @@ def _step(
             else np.zeros(0)
         )
     signs = np.concatenate([np.full(len(free), _DELTA), np.full(len(rows), -_DELTA)])
-    right[len(free) :] -= (
-        _DELTA * y[rows]
-    )  # a proximal step: the regularisation vanishes as the multipliers settle
+    # Proximal step: the regularisation vanishes as the multipliers converge.
+    right[len(free) :] -= _DELTA * y[rows]
     try:
         return splu((system + sparse.diags(signs)).tocsc()).solve(right)
-    except RuntimeError:  # singular in spite of the regularisation
+    except RuntimeError:  # singular despite the regularisation
         return None
 
 
 def _hessian(problem: IpoptProblem, x: np.ndarray, y: np.ndarray) -> sparse.csr_matrix:
-    """Of the Lagrangian, both triangles (n, n)."""
     lower = sparse.csr_matrix(
         (problem.hessian(x, y, 1.0), problem.hessianstructure()), shape=(problem.n, problem.n)
     )
@@ -248,17 +228,10 @@ def _hessian(problem: IpoptProblem, x: np.ndarray, y: np.ndarray) -> sparse.csr_
 def step_aside(
     problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, weak: float
 ) -> np.ndarray | None:
-    """A step (n,) by which the Lagrangian falls to second order, while what is active keeps its value to first order; None where none is found.
+    """Return a step (n,) [variable units] that decreases the Lagrangian to second order, or None.
 
-    Raises nothing.
-
-    Parameters
-    ----------
-    problem : with the bounds as they are to hold
-    x, lagrange : (n,), (m,) a point that is stationary with these multipliers [units of the
-        variables, objective per constraint]
-    weak : an inequality need not keep its value where its multiplier is no more than this
-        [objective per variable]
+    Active constraints keep their values to first order, except inequalities whose multiplier is at
+    most `weak` [objective per variable]. x (n,) is stationary with lagrange (m,). Raises nothing.
     """
     slope, g = np.abs(problem.lagrangian_gradient(x, lagrange)), problem.constraints(x)
     at_bound = np.minimum(x - problem.lower, problem.upper - x)
@@ -277,9 +250,8 @@ def step_aside(
     ways = _curving_down(hessian, jacobian)
     if not ways.shape[1]:
         return None
-    direction = ways @ np.random.default_rng(0).normal(
-        size=ways.shape[1]
-    )  # along one alone the others would be left at their maximum
+    # A random combination leaves no direction at its maximum.
+    direction = ways @ np.random.default_rng(0).normal(size=ways.shape[1])
     step = np.zeros(problem.n)
     step[free] = direction * (_ASIDE / np.max(np.abs(direction) / np.maximum(1.0, np.abs(x[free]))))
     gain = -0.5 * float(step[free] @ (hessian @ step[free]))
@@ -287,7 +259,10 @@ def step_aside(
 
 
 def _curving_down(hessian: sparse.csr_matrix, jacobian: sparse.csr_matrix) -> np.ndarray:
-    """Orthogonal directions (n, k) of length 1, in the null space of the Jacobian, of negative curvature; with many unknowns those that Lanczos's method finds."""
+    """Return orthonormal directions (n, k) of negative curvature in the null space of the Jacobian.
+
+    Large problems use the directions of Lanczos's method.
+    """
     n, m = hessian.shape[0], jacobian.shape[0]
     length = np.sqrt(np.asarray(jacobian.multiply(jacobian).sum(axis=1)).ravel())
     rows = sparse.diags(1.0 / np.where(length > 0.0, length, 1.0)) @ jacobian
@@ -307,21 +282,19 @@ def _curving_down(hessian: sparse.csr_matrix, jacobian: sparse.csr_matrix) -> np
 
 
 def _krylov(hessian: sparse.csr_matrix, rows: sparse.csr_matrix) -> np.ndarray:
-    """Orthogonal directions (n, k) of length 1 that keep the rows: a random one, and what the Hessian makes of it again and again."""
+    """Return orthonormal directions (n, k) that keep the rows: a Krylov space of the Hessian."""
     n, m = hessian.shape[0], rows.shape[0]
     try:
         factors = splu(
             sparse.bmat([[sparse.eye(n), rows.T], [rows, -_DELTA * sparse.eye(m)]], format="csc")
         )
-    except RuntimeError:  # singular in spite of the regularisation
+    except RuntimeError:  # singular despite the regularisation
         return np.zeros((n, 0))
     span = np.zeros((n, 0))
     vector = np.random.default_rng(0).normal(size=n)
     for _ in range(_LANCZOS):
         size = np.linalg.norm(vector)
-        for _ in range(
-            2
-        ):  # once leaves of the rows and of the others what the regularisation and rounding do
+        for _ in range(2):  # the second pass removes regularisation and rounding errors
             vector = factors.solve(np.append(vector, np.zeros(m)))[:n]
             vector = vector - span @ (span.T @ vector)
         if not np.linalg.norm(vector) > _EXHAUSTED * size:
@@ -335,9 +308,11 @@ def _krylov(hessian: sparse.csr_matrix, rows: sparse.csr_matrix) -> np.ndarray:
 class Branch:
     """A solved branch.
 
-    closed: (pairs,) True where v is held at 0, else w; x (n,), lagrange (m,) refined; biactive:
-        (pairs,) both sides 0; multipliers: (pairs,) of the held
-    side of each pair; slope (n,): `_bound_multipliers`
+    closed: (pairs,) True if v is fixed at 0, else w is
+    x, lagrange: (n,), (m,), refined
+    biactive: (pairs,) both sides 0
+    multipliers: (pairs,) of the fixed side of each pair
+    slope: (n,) of `_bound_multipliers`
     """
 
     closed: np.ndarray
@@ -350,38 +325,36 @@ class Branch:
 
     @property
     def is_strong(self) -> bool:
-        """Whether no biactive pair wants its other branch."""
+        """Return whether no biactive pair needs its other branch."""
         return not bool(np.any(self.wanting))
 
     @property
     def wanting(self) -> np.ndarray:
-        """Mask (pairs,) of biactive pairs that want their other branch [-]. Raises nothing."""
+        """Return the mask (pairs,) of biactive pairs that need their other branch [-].
+
+        Raises nothing.
+        """
         return self.biactive & (self.multipliers < -_WANTING)
 
 
 class Branching:
-    """The branches of one problem: each solved once from a point of the relaxation, anew once a saddle is left, and improved pair by pair."""
+    """The branches of one problem, each solved once, and again after a saddle point."""
 
     def __init__(self, work: Workspace, start: np.ndarray) -> None:
         self._work, self._settings, self._budget = work, work.settings, work.budget
         self._columns = work.branches
         self._known: dict[bytes, Branch | None] = {}
         self.last: IpoptResult | None = None
-        self.unbounded = False  # whether some branch turned out to be
-        # whether the branch last given to `past_saddle` does, and it found none that is better
+        # Whether some branch is unbounded.
+        self.unbounded = False
+        # Whether the last branch of `past_saddle` has negative curvature, without a better branch.
         self.curves_down = False
         self._size = work.branches.problem.slope_size_nearby(work.branch_point(start))
 
     def polish(self, x: np.ndarray) -> Branch | None:
-        """The best branch reached from a point of the relaxation.
+        """Return the best branch near a point x (n,) of the relaxation [variable units], or None.
 
-        None if the branch read off has no solution.
-
-        Raises what `formulations.ipopt.solve` does.
-
-        Parameters
-        ----------
-        x : (n,) point of the relaxation [units of the variables]
+        Raises the errors of `formulations.ipopt.solve`.
         """
         point = self._work.branch_point(x)
         first, second = self._columns.pair_values(point)
@@ -391,40 +364,28 @@ class Branching:
         return None if branch is None else self._improve(branch)
 
     def search(self, branch: Branch, start: np.ndarray) -> Branch:
-        """Local search beyond the nearest solution: decide one pair after the other otherwise, go where it is better, until no neighbour is.
+        """Search locally: switch each pair in turn, and move to better branches.
 
-        Raises what `formulations.ipopt.solve` does.
-
-        Parameters
-        ----------
-        branch : where to begin
-        start : (n,) where the user started, in the relaxation's columns [units of the variables];
-            the branch found is solved from there too, since it may be
-            curved
+        start: (n,) the user's start in the relaxation's columns [variable units]; the curved branch
+            may have a better solution from there
+        Raises the errors of `formulations.ipopt.solve`.
         """
         if len(branch.closed) > self._settings.search:
             return branch
-        again = self._solve_anew(branch.closed, self._work.branch_point(start))
-        if again is not None and self._is_better(again, branch):
-            branch = self._improve(again)
+        restarted = self._solve_anew(branch.closed, self._work.branch_point(start))
+        if restarted is not None and self._is_better(restarted, branch):
+            branch = self._improve(restarted)
         while True:
             neighbours = [self._try(branch, [k]) for k in range(len(branch.closed))]
-            found = [self._improve(neighbour) for neighbour in neighbours if neighbour is not None]
-            if not found:
+            better = [self._improve(neighbour) for neighbour in neighbours if neighbour is not None]
+            if not better:
                 return branch
-            branch = min(found, key=self._sense)
+            branch = min(better, key=self._sense)
 
     def past_saddle(self, branch: Branch) -> Branch | None:
-        """A better point of the same branch where its Lagrangian curves downwards (a maximum, a saddle); None where it does not, or none is found.
+        """Return a better point of the same branch, beyond a maximum or saddle point, or None.
 
-        `curves_down` says afterwards whether it does, in both senses of a direction that keeps all
-        that is active, and none was found.
-
-        Raises what `formulations.ipopt.solve` does.
-
-        Parameters
-        ----------
-        branch : where first order sees no way down
+        `curves_down` is then True if negative curvature exists but no better point was found.
         """
         self.curves_down = False
         if _kkt_error(self._hold(branch.closed)[0], branch.x, branch.lagrange, self._size) > _EXACT:
@@ -432,19 +393,21 @@ class Branching:
         tried: np.ndarray | None = None
         for weak in (_WANTING * self._size, -np.inf):
             step = step_aside(self._hold(branch.closed)[0], branch.x, branch.lagrange, weak)
-            if step is None:  # nor is there one that keeps more
+            if step is None:  # a stricter `weak` has none either
                 return None
             if tried is None or not np.array_equal(step, tried):
-                found = [
+                solved = [
                     self._solve_anew(branch.closed, branch.x + sign * step)
                     for sign in (1.0, -1.0)
                     if not self._budget.is_over
                 ]
                 better = [
-                    other for other in found if other is not None and self._is_better(other, branch)
+                    other
+                    for other in solved
+                    if other is not None and self._is_better(other, branch)
                 ]
                 if better:
-                    # solved from the saddle other branches may end at saddles too
+                    # Branches solved from the saddle point may be saddle points too.
                     self._known.clear()
                     return min((self._improve(other) for other in better), key=self._sense)
             tried = step
@@ -452,18 +415,11 @@ class Branching:
         return None
 
     def every_branch(self, starts: Sequence[np.ndarray]) -> tuple[Branch | None, Outcome]:
-        """The best of all branches, improved, and how it ended: for a few pairs of which no branch is known.
+        """Return the best of all branches, and the outcome; for a few pairs.
 
-        Raises what `formulations.ipopt.solve` does.
-
-        Parameters
-        ----------
-        starts : points (n,) in the columns of the problem without products [units of the variables]
-
-        Returns
-        -------
-        branch or None, and outcome: DIVERGED where a branch is; INFEASIBLE only where each is from
-            every start
+        starts: points (n,) in the columns of the problem without products [variable units]
+        DIVERGED if one branch is unbounded, INFEASIBLE only if all are infeasible from every start.
+        Raises the errors of `formulations.ipopt.solve`.
         """
         best, outcomes = None, set[Outcome]()
         for closed in itertools.product((True, False), repeat=len(self._columns.first)):
@@ -488,14 +444,11 @@ class Branching:
     def nearest_branch(
         self, start: np.ndarray, iterations: float
     ) -> tuple[Branch | None, Outcome, int]:
-        """The first branch that has a solution, of the NEAREST to a point, how it ended, as in `every_branch`, and how many were tried.
+        """Return the first solvable one of the NEAREST branches, the outcome, and the number tried.
 
-        Raises what `formulations.ipopt.solve` does.
-
-        Parameters
-        ----------
-        start : (n,) point in the columns of the problem without products [units of the variables]
-        iterations : no branch is begun after so many [-]
+        start: (n,) point in the columns of the problem without products [variable units]
+        iterations: limit after which no branch starts [-]
+        Raises the errors of `formulations.ipopt.solve`.
         """
         first, second = self._columns.pair_values(start)
         every = np.array(list(itertools.product((True, False), repeat=len(first))))
@@ -517,11 +470,7 @@ class Branching:
             tried,
         )
 
-    # -- branches
-    #   -----------------------------------------------------------------------------------------------------------------
-
     def _repair(self, first: np.ndarray, second: np.ndarray, point: np.ndarray) -> Branch | None:
-        """The branch read off has no solution: decide the least clear pairs otherwise."""
         closed = first < second
         ambiguous = np.argsort(np.maximum(first, second) + np.abs(first - second))[
             : self._settings.max_biactive
@@ -547,24 +496,23 @@ class Branching:
         if together is not None:
             return together
         singles = [self._try(branch, [k]) for k in wanting[:32]] if len(wanting) > 1 else []
-        found = [single for single in singles if single is not None]
+        better = [single for single in singles if single is not None]
         biactive = np.flatnonzero(branch.biactive)
-        if not found and len(biactive) <= self._settings.max_biactive:
+        if not better and len(biactive) <= self._settings.max_biactive:
             subsets = itertools.chain.from_iterable(
                 itertools.combinations(biactive, size) for size in range(1, len(biactive) + 1)
             )
-            found = [
+            better = [
                 other
                 for other in (self._try(branch, list(subset)) for subset in subsets)
                 if other is not None
             ]
-        return min(found, key=self._sense, default=None)
+        return min(better, key=self._sense, default=None)
 
     def _sense(self, branch: Branch) -> float:
         return self._columns.problem.sense * branch.objective
 
     def _try(self, branch: Branch, switch: Any) -> Branch | None:
-        """The branch with these pairs switched, if it is better."""
         if self._budget.is_over:
             return None
         other = self._solve(_switched(branch.closed, switch), branch.x)
@@ -580,14 +528,13 @@ class Branching:
         return self._known[key]
 
     def _hold(self, closed: np.ndarray) -> tuple[IpoptProblem, np.ndarray]:
-        """The problem with the bounds of a branch, and the columns (pairs,) that it holds at 0."""
+        """Set the bounds of a branch; return the problem and the fixed columns."""
         problem, columns = self._columns.problem, self._columns
         low, high, row_low, row_high = (bound.copy() for bound in self._columns.bounds)
         held = np.where(closed, columns.first, columns.second)
         high[held] = np.minimum(high[held], 0.0)
-        # Where v equals a variable u of the user both are held and the row between them says
-        # nothing more: a row holds within a tolerance only, and x = 5e-13 beside y = 2e12 would
-        # satisfy x y >= 1. (It also makes them one side, with one multiplier.)
+        # If v equals a user's variable u, both are fixed and the row between them is dropped: its
+        # tolerance would allow x = 5e-13, y = 2e12 with x y >= 1. Both bounds are one side.
         twins = closed & (columns.twin >= 0)
         high[columns.twin[twins]] = np.minimum(high[columns.twin[twins]], 0.0)
         row_low[columns.twin_row[twins]], row_high[columns.twin_row[twins]] = -np.inf, np.inf
@@ -610,11 +557,9 @@ class Branching:
         start = Start(x=np.clip(point, problem.lower, np.maximum(problem.lower, problem.upper)))
         result = self._budget.run(problem, options, start)
         if not result.solved and result.status in _CLAIMS_SUCCESS and not self._budget.is_over:
-            # Rows that say the same twice (a pair stated twice, held on the same side): multipliers
-            # of 1e17 that cancel, and a point off the solution. With the rows' block always
-            # regularised they stay finite. Where they make as many equations as free variables,
-            # Ipopt takes the objective for settled; with the held ones a little loose, as it does
-            # itself where there are more, it does not.
+            # Dependent rows (a pair stated twice, fixed on the same side) give multipliers of 1e17
+            # that cancel; regularising the rows keeps them finite. With as many equations as free
+            # variables Ipopt ignores the objective; relaxed fixed variables prevent this.
             free, equal = (
                 problem.lower < problem.upper,
                 problem.constraint_lower == problem.constraint_upper,
@@ -628,8 +573,7 @@ class Branching:
             result = again if again.solved else result
         self.last = result
         self.unbounded = self.unbounded or result.outcome is Outcome.DIVERGED
-        # Where a branch has a single point, say, its multipliers may not exist: the point counts,
-        # and the certificate judges it.
+        # A branch with a single point may have no multipliers: the certificate decides.
         if result.solved or (result.status in _CLAIMS_SUCCESS and result.residuals.feasible):
             better = self._refined(problem, result, options)
         elif (
@@ -637,9 +581,8 @@ class Branching:
             and result.residuals.feasible
             and not self._budget.is_over
         ):
-            better = refined(
-                problem, result, self._size
-            )  # Ipopt's steps are short near a maximum: a point that Newton's make exact is one
+            # Ipopt's steps are short near a maximum; Newton's method may make the point exact.
+            better = refined(problem, result, self._size)
             if better.error > _EXACT:
                 return None
         else:
@@ -672,14 +615,14 @@ class Branching:
         scaled = self._budget.run(
             problem, tight, Start(x=result.x, lagrange=result.lagrange, zl=result.zl, zu=result.zu)
         )
-        again = refined(problem, scaled, self._size) if scaled.solved else better
-        return again if again.error < better.error else better
+        repeated = refined(problem, scaled, self._size) if scaled.solved else better
+        return repeated if repeated.error < better.error else better
 
 
 def _bound_multipliers(columns: Columns, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
-    """What stationarity leaves to the bounds of each variable (n,), zl - zu with the signs free.
+    """Return zl - zu (n,) from stationarity, with free signs.
 
-    Where v equals a variable u of the user both hold the sum: they are one side of a pair.
+    If v equals a user's variable u, both have the sum: they are one side of a pair.
     """
     slope = columns.problem.lagrangian_gradient(x, lagrange)
     twins = columns.twin >= 0

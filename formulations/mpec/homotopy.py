@@ -1,7 +1,8 @@
-"""Follow a relaxation as its eps goes to 0: how far a step goes is learnt from the steps before, and a failed one is taken again, shorter.
+"""Follow a relaxation as its eps tends to 0, with adaptive steps.
 
-`Workspace` holds the numbers of one solve: the compiled relaxation, the compiled problem without
-products, and the columns of the pairs in both.
+Retry a failed step with a shorter one.
+
+`Workspace` holds the compiled problems of a solve and the columns of their pairs.
 """
 
 from __future__ import annotations
@@ -28,34 +29,37 @@ from formulations.mpec.lifted import Lifted
 from formulations.mpec.strategies import MpecSettings, Strategy
 from formulations.solution import Outcome
 
-# eps goes down by this at first; a step of few iterations makes the next one bolder, one of many
-# makes it more careful.
+# First factor of eps.
 _FIRST_FACTOR = 0.1
+# Limits of the factor.
 _BOLDEST = 1e-3
 _MOST_CAREFUL = 0.5
+# A step of fewer iterations enlarges the next step, one of more shortens it.
 _FEW = 15
 _MANY = 120
-# eps does nothing where it is this much larger than all products; after two such steps in a row it
-# goes to the products at once. (After one the same problem, begun anew, may have a better solution:
-# water-net ends at 909.0 instead of 927.3.)
+# eps has no effect if its product with this exceeds all products v w; after two such steps in a row
+# eps falls to the products. (After one step a restart may find a better solution: water-net ends at
+# 909.0 instead of 927.3.)
 _IDLE = 1e-2
-# Failed steps in a row, and in all, before the path is given up; the factors by which a first step
-# that fails is tried again: a looser relaxation is easier to satisfy, a tighter one is bounded
-# where a looser one is not.
+# Failed steps in a row that end the path.
 _RETRIES = 3
+# Failed steps in total that end the path.
 _FAILURES = 8
+# Factors of eps that retry a failed first step: a looser relaxation is easier to satisfy, a tighter
+# one may be bounded.
 _LOOSER = 100.0
 _TIGHTER = 1e-2
-# Iterations of the first step of a path that is only tried.
+# Iterations of the first step of a trial path.
 _TRIAL = 100
 
 
 class Columns:
-    """Where things are in a compiled problem.
+    """Positions of variables and rows in a compiled problem.
 
-    bounds: of variables and rows as the problem was compiled, (n,), (n,), (m,), (m,); first[k],
-        second[k]: columns of pair k; twin[k]: the column of the
-    user's variable which first[k] equals, or -1; twin_row[k]: the row that says so
+    bounds: of variables (n,), (n,) and rows (m,), (m,), as compiled
+    first, second: columns of each pair
+    twin: the column of the user's variable equal to first[k], or -1
+    twin_row: the row of that equality
     """
 
     def __init__(self, problem: IpoptProblem, lifted: Lifted) -> None:
@@ -79,27 +83,22 @@ class Columns:
         self.twin_row = np.array([row[id(pair.data.ve)] for pair in lifted.pairs], dtype=np.intp)
 
     def pair_values(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Both sides v, w (pairs,) of all pairs at x (n,) [units of the sides]. Raises nothing."""
+        """Return v (pairs,), w (pairs,) at x (n,) [units of the sides]. Raises nothing."""
         return x[self.first], x[self.second]
 
 
 def natural_residual(first: np.ndarray, second: np.ndarray) -> float:
-    """Largest |min(v, w)| of a pair, 0 without pairs.
+    """Return the largest |min(v, w)| of sides (pairs,) [side units], 0 without pairs.
 
-    Raises nothing: NaN stays NaN.
-
-    Parameters
-    ----------
-    first, second : (pairs,) values of the two sides [units of the sides]
+    NaN stays NaN. Raises nothing.
     """
     return float(np.max(np.abs(np.minimum(first, second)))) if first.size else 0.0
 
 
 class Workspace:
-    """Compiled once per strategy, `branches` once for all.
+    """The compiled problems; `branches` is shared by all strategies, and only numbers change later.
 
-    Only numbers change afterwards. own: `id`s of the variables that the user does not have.
-
+    own: `id`s of the variables that are not the user's
     settings, budget: of the whole solve
     """
 
@@ -129,27 +128,15 @@ class Workspace:
         )
 
     def set(self, eps: float) -> None:
-        """Move the relaxation to eps."""
+        """Set eps of the relaxation."""
         self._steered.value = self.strategy.number(eps)
         self.relaxed.problem.refresh(check=False)
 
     def start(self, number: int = 0) -> np.ndarray:
-        """A start in the relaxation's columns.
+        """Return a start (n,) of the relaxation, with slacks from their equations [variable units].
 
-        Every slack at the value that its own equation asks for, at least its bound.
-
-        Parameters
-        ----------
-        number : 0 for the user's values; else the seed of a random point around them
-
-        Returns
-        -------
-        (n,) point of the relaxation [units of the variables]
-
-        Raises
-        ------
-        MissingValueError
-            where a variable starts at a number that is not finite
+        number: 0 for the user's values, else the seed of a random point around them
+        Raises MissingValueError if a variable starts at a non-finite number.
         """
         problem = self.relaxed.problem
         x, _ = problem.start()
@@ -163,13 +150,13 @@ class Workspace:
         return x
 
     def branch_point(self, x: np.ndarray) -> np.ndarray:
-        """A point of the relaxation (n,) in the columns of the problem without products (columns,) [units of the variables].
+        """Return a relaxation's point (n,) in the columns of `branches` (columns,) [-].
 
         Raises nothing.
         """
         point = np.zeros(self.branches.problem.n)
-        known = self._to_branch >= 0
-        point[known] = x[self._to_branch[known]]
+        shared = self._to_branch >= 0
+        point[shared] = x[self._to_branch[shared]]
         return point
 
     def _slacks(self) -> list[Any]:
@@ -177,10 +164,7 @@ class Workspace:
 
 
 def _random_start(problem: IpoptProblem, x: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """A point (n,) around x: uniform between two finite bounds, else normal with the size of x.
-
-    Never beyond a bound.
-    """
+    """Sample uniformly in a box, else normally around x, within the bounds."""
     low, high = problem.lower, problem.upper
     around = np.clip(x + np.maximum(1.0, np.abs(x)) * random.normal(size=len(x)), low, high)
     share = random.uniform(size=len(x))
@@ -190,15 +174,9 @@ def _random_start(problem: IpoptProblem, x: np.ndarray, random: np.random.Genera
 
 
 def settle(relaxed: Columns, x: np.ndarray, slacks: list[Any]) -> None:
-    """Give each slack the value that makes its defining row hold, within its bounds.
+    """Set each slack in x (n,) by its defining equality, within its bounds [variable units].
 
-    The row is an equality that no slack of a later pair enters. Raises nothing.
-
-    Parameters
-    ----------
-    relaxed : the compiled problem
-    x : (n,) point, changed in place [units of the variables]
-    slacks : Pyomo variables
+    The equality contains no slack of a later pair. Raises nothing.
     """
     problem, place = relaxed.problem, relaxed.place
     columns = np.array([place[id(s)] for s in slacks if id(s) in place], dtype=np.intp)
@@ -206,9 +184,8 @@ def settle(relaxed: Columns, x: np.ndarray, slacks: list[Any]) -> None:
         return
     x[columns] = np.clip(0.0, problem.lower[columns], problem.upper[columns])
     rows, entries = problem.jacobianstructure()
-    for _ in range(
-        2
-    ):  # slacks of user expressions first, then v == expression, which may hold such a slack
+    # The first pass sets slacks of user expressions, the second v == expression with such slacks.
+    for _ in range(2):
         values, slopes = problem.constraints(x), problem.jacobian(x)
         is_equality = problem.constraint_lower == problem.constraint_upper
         wanted = np.full(problem.n, np.nan)
@@ -223,9 +200,9 @@ def settle(relaxed: Columns, x: np.ndarray, slacks: list[Any]) -> None:
 
 
 def compile_branches(lifted: Lifted) -> Columns:
-    """The problem without products, to be compiled before any relaxation.
+    """Compile the problem without products, before any relaxation.
 
-    A side that stands nowhere else keeps its row w >= 0, so that it has a column.
+    A side that appears nowhere else keeps its row w >= 0, so that it has a column.
     """
     lifted.products(active=False)
     problem = compile_model(lifted.shadow)
@@ -242,7 +219,7 @@ def compile_branches(lifted: Lifted) -> Columns:
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One solve at one eps: how it ended, and the largest min(v, w) of a pair at its point."""
+    """One solve at one eps: its outcome, and the largest min(v, w) of a pair."""
 
     strategy: str
     eps: float
@@ -255,7 +232,7 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PathPoint:
-    """Where the path is after a step that can be believed: x (n,), in the relaxation's columns."""
+    """A point of the path after a usable step: x (n,), in the relaxation's columns."""
 
     eps: float
     x: np.ndarray
@@ -263,9 +240,9 @@ class PathPoint:
 
 
 class WorkBudget:
-    """Time and iterations of a whole solve; `remaining` is None where there is no limit.
+    """Time and iterations of a whole solve; `remaining` is None without a limit.
 
-    most_iterations: of Ipopt, in all; infinite until a first answer is there
+    most_iterations: total limit, infinite before the first answer
     """
 
     def __init__(self, limit: float | None) -> None:
@@ -278,21 +255,21 @@ class WorkBudget:
 
     @property
     def remaining(self) -> float | None:
-        """Seconds left [s], at least a millisecond; None where there is no limit."""
+        """Return the remaining seconds [s], at least a millisecond, or None."""
         return None if self._deadline is None else max(1e-3, self._deadline - time.perf_counter())
 
     @property
     def is_late(self) -> bool:
-        """Whether the time is over."""
+        """Return whether the time is used up."""
         return self._deadline is not None and time.perf_counter() >= self._deadline
 
     @property
     def is_over(self) -> bool:
-        """Whether the time or the iterations are used up."""
+        """Return whether the time or the iterations are used up."""
         return self.is_late or self.iterations >= self.most_iterations
 
     def run(self, problem: Any, options: dict[str, Any], start: Start) -> IpoptResult:
-        """Solve within the time and the iterations that are left, and count them."""
+        """Solve within the remaining time and iterations, and count them."""
         if math.isfinite(self.most_iterations):
             options = {
                 **options,
@@ -307,9 +284,9 @@ class WorkBudget:
 
 
 class Path:
-    """The steps of one strategy, taken one at a time by `points` and added to `steps`.
+    """The steps of one strategy; `points` performs and stores them.
 
-    gave_up: it ended before its last eps, and `last_outcome` and `last_message` say why
+    gave_up: the path ended before its last eps, for `last_outcome` and `last_message`
     """
 
     def __init__(self, work: Workspace, steps: list[Step]) -> None:
@@ -326,17 +303,11 @@ class Path:
         self.last_message = ""
 
     def points(self, start: np.ndarray, *, is_tried: bool = False) -> Iterator[PathPoint]:
-        """Points of smaller and smaller eps.
+        """Yield points of decreasing eps, up to the last eps, a limit, or repeated failure.
 
-        Ends at the last eps, at a limit, or where no shorter step helps either.
-
-        Raises what `formulations.ipopt.solve` does.
-
-        Parameters
-        ----------
-        start : (n,) point of the relaxation [units of the variables]
-        is_tried : whether others are left to go, so that a first step may take _TRIAL iterations,
-            and is not taken again from another eps
+        start: (n,) point of the relaxation [variable units]
+        is_tried: trial: limit the first step to _TRIAL iterations, without retries
+        Raises the errors of `formulations.ipopt.solve`.
         """
         settings, strategy = self._settings, self._strategy
         first = settings.eps_start or strategy.first
@@ -362,7 +333,7 @@ class Path:
                 continue
             failures += 1
             self.gave_up = True
-            self.last_outcome, self.last_message = result.outcome, result.told
+            self.last_outcome, self.last_message = result.outcome, result.explanation
             if (
                 self._budget.is_over
                 or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT)
@@ -383,7 +354,6 @@ class Path:
                 eps = math.sqrt(eps * good.eps)
 
     def _largest_product(self, good: PathPoint) -> float:
-        """Largest v w of a pair where eps bounds it; infinite for other strategies."""
         first, second = self._work.relaxed.pair_values(good.x)
         return (
             float(np.max(first * second, initial=0.0))
@@ -402,8 +372,7 @@ class Path:
         }
         begins = Start(x=start if good is None else good.x)
         if good is not None and eps <= self._strategy.warm_below and good.result.solved:
-            # Multipliers are worth keeping only where the solution hardly moves any more; earlier
-            # they mislead.
+            # Multipliers help only near convergence; earlier ones mislead.
             before = good.result
             begins = Start(x=before.x, lagrange=before.lagrange, zl=before.zl, zu=before.zu)
             options["mu_init"] = min(1e-4, max(1e-11, 1e-2 * eps))
@@ -433,7 +402,6 @@ class Path:
 
 
 def _is_usable(result: IpoptResult) -> bool:
-    """Solved, or stalled at a feasible point: good enough to go on from, since every later step is judged again."""
     return result.solved or (
         result.outcome in (Outcome.STALLED, Outcome.ITERATION_LIMIT) and result.residuals.feasible
     )

@@ -1,11 +1,9 @@
-"""Absolute values, minima and maxima of variables, written as complementarities in a copy of the model.
+"""Rewrite abs, min and max of variables as complementarities, in a copy of the model.
 
-    e = p - n,  0 <= p  complementary to  n >= 0:   |e| = p + n,   max(a, b) = b + p with e = a - b,
-        min(a, b) = a - p
+    e = p - n,  0 <= p  complementary to  n >= 0
+    |e| = p + n,   max(a, b) = b + p with e = a - b,   min(a, b) = a - p
 
-p is the positive part of e and n its negative part, so that the copy has the same points with the
-same objective; where e is not 0 at the answer the pair is decided there and the answer is that of a
-smooth problem.
+The copy has the same points and objective. A pair with e != 0 at the answer is smooth there.
 """
 
 from __future__ import annotations
@@ -23,9 +21,10 @@ from pyomo.mpec import Complementarity, complements
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SmoothCopy:
-    """A copy without kinks; the user's components by the `id` of those of the copy.
+    """A copy without kinks.
 
-    The block that holds what was added.
+    users: the user's components by the `id` of their copies
+    block: the added components
     """
 
     model: Any
@@ -34,10 +33,7 @@ class SmoothCopy:
 
 
 def smooth_copy(model: Any) -> SmoothCopy:
-    """A copy of the model without absolute values, minima and maxima of its variables.
-
-    The model is only read.
-    """
+    """Return a copy of the model without abs, min and max of its variables; only read the model."""
     with PauseGC():
         copy = model.clone()
         both = [
@@ -81,27 +77,26 @@ def _free_name(model: Any) -> str:
 
 
 class _Replacing(ExpressionReplacementVisitor):
-    """Writes the copy's expressions anew; a named expression is written once, in its place."""
-
     def __init__(self, block: Any) -> None:
         super().__init__(descend_into_named_expressions=True, remove_named_expressions=False)
         self._block = block
 
     def exitNode(self, node: Any, data: Any) -> Any:  # noqa: N802 - the visitor's own name
-        found = super().exitNode(node, data)
-        if isinstance(found, AbsExpression) and not found.is_fixed():
-            positive, negative = self._parts(found.args[0])
+        rewritten = super().exitNode(node, data)
+        if isinstance(rewritten, AbsExpression) and not rewritten.is_fixed():
+            positive, negative = self._parts(rewritten.args[0])
             return positive + negative
-        if isinstance(found, MaxExpression | MinExpression) and not found.is_fixed():
-            chosen, *others = found.args
-            for other in others:
+        if isinstance(rewritten, MaxExpression | MinExpression) and not rewritten.is_fixed():
+            chosen, *rest = rewritten.args
+            for other in rest:
                 positive, _ = self._parts(chosen - other)
-                chosen = other + positive if isinstance(found, MaxExpression) else chosen - positive
+                chosen = (
+                    other + positive if isinstance(rewritten, MaxExpression) else chosen - positive
+                )
             return chosen
-        return found
+        return rewritten
 
     def _parts(self, expression: Any) -> tuple[Any, Any]:
-        """The positive and the negative part, which begin at the values of now."""
         block = self._block
         positive, negative = block.positive.add(), block.negative.add()
         now = pyo.value(expression, exception=False)

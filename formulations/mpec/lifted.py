@@ -1,19 +1,13 @@
-"""A shadow of the user's model, in which every complementarity is a pair of variables.
+"""Build a shadow of the user's model, in which every complementarity is a pair of variables.
 
-    0 <= v,  0 <= w,  v w = 0   v: Pyomo's own variable of the pair (v == first);
-        w: the user's variable where it is one, else a slack
+    0 <= v,  0 <= w,  v w = 0   v: Pyomo's variable of the pair; w: a user's variable or a slack
 
-The shadow is a ConcreteModel of its own whose rows are the user's (by reference) and whose pairs
-    went through Pyomo's own
-`mpec.simple_nonlinear`: each has `v`, its equation `ve`, and the product `ccon`: v w <= mpec_bound,
-    a mutable Param. The user's model is
-read and never written, so there is nothing to undo after a failure or Ctrl-C.
-
-What a Complementarity says: complements(a, b), both relations hold, and at least one of the
-inequalities holds as an equality. Pyomo accepts two finite bounds in all: one on each side (two
-expressions of which none is negative and one is zero), both on one side (a box: l <= body <= u
-complements a free expression that is >= 0 at l, <= 0 at u and 0 between), or an equality (it always
-holds as an equality, hence nothing is left to choose; the other side holds as it is written).
+The shadow references the user's rows and is otherwise independent; the user's model is never
+written. Pairs come from `mpec.simple_nonlinear`: `v`, its equation `ve`, the product `ccon`: v w <=
+mpec_bound, a mutable Param. complements(a, b) means: both relations hold, and one inequality holds
+with equality. It has one finite bound on each side, or two on one side (a box: l <= body <= u with
+a free expression that is >= 0 at l, <= 0 at u, 0 between), or an equality, which leaves nothing to
+choose.
 """
 
 from __future__ import annotations
@@ -48,15 +42,10 @@ Sides = tuple[tuple[int, float], tuple[int, float]]
 
 
 def relation_of(side: Any, data: Any) -> Relation:
-    """(lower, body, upper) of one argument of `complements`; a bound is None where there is none.
+    """Return (lower, body, upper) of one argument of `complements`; a missing bound is None.
 
-    Raises
-    ------
-    ModelRefusedError
-        for a strict inequality, a range with variable bounds, and what is neither an expression nor
-        a relation
-    MissingValueError
-        where a bound has no value
+    Raises ModelRefusedError for a strict inequality, variable bounds of a range, or no relation,
+    MissingValueError if a bound has no value.
     """
     kind = side.__class__
     if kind is EqualityExpression:
@@ -86,7 +75,6 @@ def relation_of(side: Any, data: Any) -> Relation:
 
 
 def _finite(bound: Any, data: Any, unbounded: float) -> Any:
-    """The bound, None for an infinite one."""
     if is_potentially_variable(bound):
         raise ModelRefusedError(
             f"complementarity '{data.name}' has a range with a variable bound ({bound}): write its two sides as differences"
@@ -102,7 +90,6 @@ def _number(bound: Any, data: Any) -> float:
 
 
 def _distance(relation: Relation) -> tuple[Any, float]:
-    """(how far the body is inside its one bound, sign of the body in it)."""
     lower, body, upper = relation
     if upper is None:
         return (
@@ -113,14 +100,15 @@ def _distance(relation: Relation) -> tuple[Any, float]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LiftedPair:
-    """Two variables v, w of the shadow of which none is negative and one is 0.
+    """Two variables v, w >= 0 of the shadow, one of which is 0.
 
-    data: the transformed Complementarity with `v`, `ve`, `ccon`; second: w; condition: what the
-        user wrote
-    twin: the user's variable that v equals, where the first side is a variable with lower bound 0
-        itself; swapped: whether v is the second
-    argument's side; sides: of v and of w, which argument of `complements` its multiplier belongs
-        to, and with which sign (0: to none)
+    data: the transformed Complementarity with `v`, `ve`, `ccon`
+    second: w
+    condition: the user's Complementarity
+    twin: the user's variable that v equals, if the first side is a variable with lower bound 0
+    swapped: whether v is the side of the second argument
+    sides: for v and w, the argument of `complements` that has its multiplier, and the sign (0:
+        none)
     """
 
     data: Any
@@ -132,7 +120,7 @@ class LiftedPair:
 
     @property
     def first(self) -> Any:
-        """The variable v."""
+        """Return v."""
         return self.data.v
 
 
@@ -140,8 +128,8 @@ class LiftedPair:
 class Lifted:
     """The shadow and its pairs.
 
-    conditions: what the user wrote, as Complementarity data; imposed: (one of them, number of its
-        argument, row) for what holds without a choice
+    conditions: the user's Complementarity data
+    imposed: (condition, number of its argument, row) of relations without a choice
     """
 
     shadow: Any
@@ -150,9 +138,9 @@ class Lifted:
     imposed: tuple[tuple[Any, int, Any], ...]
 
     def relaxation(self) -> Any:
-        """A new empty block for a relaxation.
+        """Return a new empty block for a relaxation.
 
-        Products and what was written for another relaxation are no part of the shadow any more.
+        Remove products and the previous relaxation.
         """
         shadow = self.shadow
         shadow.del_component("relaxation")
@@ -164,7 +152,7 @@ class Lifted:
 
     @property
     def objective(self) -> Any | None:
-        """The objective of the shadow, None for a problem without one."""
+        """Return the objective of the shadow, or None."""
         return next(self.shadow.component_objects(pyo.Objective, descend_into=False), None)
 
     def products(self, *, active: bool) -> None:
@@ -176,19 +164,14 @@ class Lifted:
                 pair.data.ccon.deactivate()
 
 
-# Components of a shadow.
 _OWN = ("user_rows", "slack", "slack_rows", "pair", "relaxation")
 
 
 def lift(model: Any) -> Lifted:
     """Read a model and build its shadow.
 
-    Raises
-    ------
-    ModelRefusedError
-        for what this solver cannot treat
-    MissingValueError
-        where a bound of a complementarity has no value
+    Raises ModelRefusedError for an unsupported component, MissingValueError for a bound without
+    value.
     """
     refuse_unknown_components(model, also=frozenset({Complementarity}))
     with PauseGC():
@@ -198,7 +181,7 @@ def lift(model: Any) -> Lifted:
             shadow.user_rows = pyo.Reference(dict(enumerate(rows)), ctype=pyo.Constraint)
         objective = active_objective(model)
         if objective is not None:
-            # Messages name it as the user does; the other components have names of their own.
+            # The user's name for messages; it must not clash with the other components.
             name = "user_objective" if objective.name in _OWN else objective.name
             shadow.add_component(name, pyo.Objective(expr=objective.expr, sense=objective.sense))
         shadow.slack = pyo.VarList(domain=pyo.Reals)
@@ -206,23 +189,24 @@ def lift(model: Any) -> Lifted:
         conditions = tuple(
             model.component_data_objects(Complementarity, active=True, descend_into=Block)
         )
-        found: list[tuple[Any, Any, Any, bool, Sides]] = []
+        all_choices: list[tuple[Any, Any, Any, bool, Sides]] = []
         held: list[tuple[Any, int, Relation]] = []
         for condition in conditions:
             choices, relations = _read(shadow, condition)
-            found += [(condition, *choice) for choice in choices]
+            all_choices += [(condition, *choice) for choice in choices]
             held += [(condition, argument, relation) for argument, relation in relations]
         imposed = [
             (condition, argument, _impose(shadow, *relation))
             for condition, argument, relation in held
         ]
         shadow.pair = Complementarity(
-            range(len(found)), rule=lambda _, k: complements(found[k][1] >= 0, found[k][2] >= 0)
+            range(len(all_choices)),
+            rule=lambda _, k: complements(all_choices[k][1] >= 0, all_choices[k][2] >= 0),
         )
-        transformed = tuple(shadow.pair[k] for k in range(len(found)))
+        transformed = tuple(shadow.pair[k] for k in range(len(all_choices)))
         pyo.TransformationFactory("mpec.simple_nonlinear").apply_to(shadow, mpec_bound=1.0)
         for data in transformed:
-            # w >= 0 is the bound of w already; as a row it would cost a slack each
+            # w >= 0 is already the bound of w; a row would add a slack.
             data.c.deactivate()
     pairs = tuple(
         LiftedPair(
@@ -233,7 +217,9 @@ def lift(model: Any) -> Lifted:
             swapped=swapped,
             sides=sides,
         )
-        for data, (condition, first, second, swapped, sides) in zip(transformed, found, strict=True)
+        for data, (condition, first, second, swapped, sides) in zip(
+            transformed, all_choices, strict=True
+        )
     )
     return Lifted(
         shadow=shadow,
@@ -246,10 +232,10 @@ def lift(model: Any) -> Lifted:
 def _read(
     shadow: Any, data: Any
 ) -> tuple[list[tuple[Any, Any, bool, Sides]], list[tuple[int, Relation]]]:
-    """What a Complementarity says: the choices that it leaves, and what must hold without one.
+    """Return the choices of a Complementarity, and the relations that hold without a choice.
 
-    A choice is (expression, variable with lower bound 0, whether swapped, sides); the rest is
-    (number of the argument, relation). ModelRefusedError names one that cannot be understood.
+    A choice is (expression, variable with lower bound 0, whether swapped, sides), a relation
+    (number of the argument, relation). Raises ModelRefusedError for an invalid condition.
     """
     arguments = getattr(data, "_args", None)
     if not arguments:
@@ -297,7 +283,6 @@ def _read(
 
 
 def _impose(shadow: Any, lower: Any, body: Any, upper: Any) -> Any | None:
-    """The row lower <= body <= upper; None without bounds."""
     body = _expression(shadow, body)
     if lower is not None and upper is not None:
         return shadow.slack_rows.add(
@@ -318,7 +303,6 @@ def _slack(shadow: Any, expression: Any) -> Any:
 
 
 def _is_nonnegative_variable(expression: Any) -> bool:
-    """Whether it is a free variable that its own bounds keep from being negative: then it can be a side of a pair itself."""
     return (
         isinstance(expression, VarData)
         and not expression.fixed
@@ -328,7 +312,7 @@ def _is_nonnegative_variable(expression: Any) -> bool:
 
 
 def _expression(shadow: Any, expression: Any) -> Any:
-    """A plain number becomes a fixed variable, so that relations with it are relations and not True or False."""
+    """Return a fixed variable for a number, because Pyomo evaluates relations between numbers."""
     if expression.__class__ not in native_numeric_types:
         return expression
     constant = shadow.slack.add()

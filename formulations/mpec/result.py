@@ -1,4 +1,4 @@
-"""What a solve hands back: a candidate's claim held against residuals first, its columns as the user's variables, rows and complementarities."""
+"""Results of an MPEC solve: judge a candidate, and map it to the user's components."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from formulations.solution import Outcome
 def verdict(
     candidate: Candidate, residual: float, certificate: Certificate | None
 ) -> tuple[Outcome, str]:
-    """Outcome and sentence of a candidate that has a point."""
+    """Return outcome and sentence of a candidate with a point."""
     summary = f"{candidate.work.strategy.name}: " + (
         certificate.sentence
         if certificate
-        else f"complementarity {residual:.1e}, no certificate asked for"
+        else f"complementarity {residual:.1e}, no certificate requested"
     )
     if candidate.branch is None and candidate.outcome is not Outcome.SOLVED:
         return candidate.outcome, f"{candidate.message}; {summary}"
@@ -59,7 +59,7 @@ def verdict(
 
 
 def outcome_without_point(candidate: Candidate) -> tuple[Outcome, str]:
-    """Outcome and sentence where no relaxation could be solved."""
+    """Return outcome and sentence if no relaxation was solved."""
     if candidate.work.budget.is_late:
         return (
             Outcome.TIME_LIMIT,
@@ -72,10 +72,10 @@ def outcome_without_point(candidate: Candidate) -> tuple[Outcome, str]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """What one strategy found: a branch, or only a point of its relaxation, or neither.
+    """The result of one strategy: a branch, or only a point of its relaxation, or neither.
 
-    unbounded: whether it met a branch without a lower bound; curves_down: whether the Lagrangian
-        curves downwards at the branch, and no better one was found
+    unbounded: whether a branch was unbounded
+    curves_down: whether the branch has negative curvature, and no better branch was found
     """
 
     work: Workspace
@@ -88,7 +88,7 @@ class Candidate:
 
     @property
     def columns(self) -> Columns:
-        """The columns that the point is in."""
+        """Return the columns of the point."""
         return (
             self.work.relaxed
             if self.branch is None and self.point is not None
@@ -97,15 +97,12 @@ class Candidate:
 
     @property
     def sense(self) -> int:
-        """1 where the objective is minimised, -1 where it is maximised."""
+        """Return 1 to minimise, -1 to maximise."""
         return self.work.branches.problem.sense
 
     @property
     def objective(self) -> float:
-        """Of the point, in the model's own sense, without a strategy's penalty.
-
-        NaN without a point.
-        """
+        """Return the objective in the model's own sense without a penalty, NaN without a point."""
         if self.branch is not None:
             return self.branch.objective
         return (
@@ -117,21 +114,17 @@ class Candidate:
 
     @property
     def x(self) -> np.ndarray | None:
-        """Where the point is (columns,) [units of the variables]; None if there is none.
-
-        Raises nothing.
-        """
-        found = self.branch or self.point
-        return None if found is None else found.x
+        """Return the point (columns,) [variable units], or None. Raises nothing."""
+        result = self.branch or self.point
+        return None if result is None else result.x
 
 
 @dataclass(frozen=True, kw_only=True)
 class StrategyAttempt:
-    """What one strategy found from one start (0: the user's, else the seed).
+    """The result of one strategy from one start (0: the user's, else the seed).
 
-    objective: in the model's own sense, NaN without a point; outcome: SOLVED where a branch was
-        found; only points that are better than those of the
-    attempts before are certified, and SOLVED is withdrawn where the certificate says no
+    objective: in the model's own sense, NaN without a point
+    outcome: SOLVED if a branch was found, and not refuted; only improvements are certified
     """
 
     strategy: str
@@ -143,10 +136,9 @@ class StrategyAttempt:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PairState:
-    """How one complementarity ended: the values of its two sides, and their multipliers (NaN without polish).
+    """The values of a complementarity's two sides, and their multipliers (NaN without polish).
 
-    For a box l <= body <= u the sides are the distance to the nearer bound and the free expression
-    towards it.
+    The sides of a box l <= body <= u are the distance to the nearer bound and the free expression.
     """
 
     name: str
@@ -158,17 +150,18 @@ class PairState:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MpecResult:
-    """How a solve ended; objective in the model's own sense.
+    """The result of a solve; objective in the model's own sense.
 
-    variables, x (n,): the user's variables and their values; rows, lagrange (m,): the user's
-        constraints and their multipliers (Ipopt's signs); zl, zu
-    (n,): of bounds; all NaN where there are none
-    polished: every pair decided, and what remained solved exactly; has_multipliers: false without
-        polish, and where those of the branch do not belong
-    to the point; residual: largest min of a pair; pair_multipliers: (complementarity, (of its first
-        argument, of its second)), the change of the
-    objective when what the argument is compared with grows; attempts: what each strategy and start
-        found, the answer is the best; steps: their paths
+    variables, x: (n,) the user's variables and their values
+    rows, lagrange: (m,) the user's constraints and their multipliers in Ipopt's signs, or NaN
+    zl, zu: (n,) of the bounds, or NaN
+    polished: every pair is decided, and the branch solved exactly
+    has_multipliers: False without polish, or if the branch's multipliers do not fit the point
+    residual: largest min of a pair
+    pair_multipliers: (complementarity, multipliers of its two arguments): the change of the
+        objective when the bound of the argument grows
+    attempts: by strategy and start; the best is the answer
+    steps: of all paths
     certificate: recomputed from the model (None if switched off)
     """
 
@@ -199,20 +192,23 @@ class MpecResult:
 
     @property
     def solved(self) -> bool:
-        """Whether the outcome is SOLVED."""
+        """Return whether the outcome is SOLVED."""
         return self.outcome is Outcome.SOLVED
 
     @property
     def spread(self) -> float:
-        """Between the best and the worst objective of the attempts that found a solution [units of the objective]; 0 for one."""
-        found = [
+        """Return the worst minus the best objective of successful attempts.
+
+        0 for one [objective units].
+        """
+        objectives = [
             attempt.objective for attempt in self.attempts if attempt.outcome is Outcome.SOLVED
         ]
-        return max(found) - min(found) if found else 0.0
+        return max(objectives) - min(objectives) if objectives else 0.0
 
     @property
     def has_point(self) -> bool:
-        """Whether x is a point worth loading."""
+        """Return whether x is worth loading."""
         return (
             self.x.size == len(self.variables)
             and bool(np.all(np.isfinite(self.x)))
@@ -221,12 +217,12 @@ class MpecResult:
 
 
 def is_feasible(result: MpecResult) -> bool:
-    """Whether the point is known to satisfy the model, complementarity included."""
+    """Return whether the point is known to satisfy the model including complementarity."""
     return result.has_point and result.certificate is not None and result.certificate.feasible
 
 
 def load(result: MpecResult) -> None:
-    """Write x into the variables, marking all others stale as Pyomo's solvers do."""
+    """Write x into the variables, marking all other variables stale, as Pyomo's solvers do."""
     write_point(result.variables, result.x)
 
 
@@ -239,17 +235,10 @@ def result_of(
     certificate: Certificate | None = None,
     multipliers: Multipliers | None = None,
 ) -> MpecResult:
-    """The result of a candidate, by the user's variables and rows.
+    """Return the result of a candidate, without steps and totals of the whole solve.
 
-    Steps and what was spent are those of the whole solve, and not known here.
-
-    Parameters
-    ----------
-    candidate : what a strategy found
-    outcome, message : how it ended
-    residual : largest min of a pair
-    certificate : of the point
-    multipliers : those of its branch, where they belong to the point
+    residual: largest min of a pair
+    multipliers: of the candidate's branch, if they fit the point
     """
     work, branch, x, settings = (
         candidate.work,
@@ -270,10 +259,10 @@ def result_of(
         np.full(len(keep), np.nan),
     )
     if branch is not None and multipliers is not None:
-        given = dict(zip((id(row) for row in problem.equations), branch.lagrange, strict=True))
-        lagrange = np.array([given.get(id(row), 0.0) for row in rows])
+        multiplier = dict(zip((id(row) for row in problem.equations), branch.lagrange, strict=True))
+        lagrange = np.array([multiplier.get(id(row), 0.0) for row in rows])
         slope = branch.slope[keep]
-        # a side held at 0 keeps its sign: that is what classes look at
+        # Fixed sides keep the sign of their multiplier, which decides the class of stationarity.
         held_low = np.isclose(point, problem.lower[keep], rtol=0.0, atol=1e-9)
         zl, zu = (
             np.where(held_low, slope, np.maximum(slope, 0.0)),
@@ -311,7 +300,6 @@ def result_of(
 def _pair_states(
     candidate: Candidate, x: np.ndarray, with_multipliers: bool
 ) -> tuple[PairState, ...]:
-    """One per pair of the shadow: a box has two."""
     lifted, columns = candidate.work.lifted, candidate.columns
     first, second = columns.pair_values(x)
     nu = mu = np.full(len(first), np.nan)
@@ -334,7 +322,7 @@ def _pair_states(
 
 
 def multipliers_of(candidate: Candidate) -> Multipliers:
-    """The branch's multipliers by the user's components, in the certificate's signs."""
+    """Return the branch's multipliers by the user's components, in the certificate's signs."""
     branch, lifted, columns, mine = (
         candidate.branch,
         candidate.work.lifted,
@@ -362,9 +350,8 @@ def multipliers_of(candidate: Candidate) -> Multipliers:
         add(condition, argument, by_row.get(id(row), 0.0))
     for k, pair in enumerate(lifted.pairs):
         nu, mu = float(slope[columns.first[k]]), float(slope[columns.second[k]])
-        if (
-            id(pair.second) not in mine
-        ):  # the user's own variable: its multiplier belongs to the first pair it is in, once
+        # The multiplier of a user's variable belongs to its first pair only.
+        if id(pair.second) not in mine:
             mu = bounds.pop(pair.second, 0.0)
         if pair.twin is not None:
             nu = bounds.pop(pair.twin, 0.0)
@@ -375,15 +362,15 @@ def multipliers_of(candidate: Candidate) -> Multipliers:
 
 
 def _pair_multipliers(
-    sense: int, found: Multipliers
+    sense: int, multipliers: Multipliers
 ) -> tuple[tuple[Any, tuple[float, float]], ...]:
-    """Of each complementarity, in the model's own sense.
+    """Return the multipliers of each complementarity, in the model's own sense.
 
-    A side that is a variable's own bound once more has the multiplier of that bound too.
+    A side that repeats a variable's bound includes the multiplier of that bound.
     """
-    told = []
-    bounds = ComponentMap(found.bounds.items())
-    for condition, sides in found.pairs.items():
+    results = []
+    bounds = ComponentMap(multipliers.bounds.items())
+    for condition, sides in multipliers.pairs.items():
         both = list(sides)
         for k, side in enumerate(condition._args):
             lower, body, upper = relation_of(side, condition)
@@ -394,8 +381,8 @@ def _pair_multipliers(
             if bound is not None and value(bound) == own:
                 both[k] += z
                 del bounds[body]  # of two pairs with this side one has it
-        told.append((condition, (sense * both[0], sense * both[1])))
-    return tuple(told)
+        results.append((condition, (sense * both[0], sense * both[1])))
+    return tuple(results)
 
 
 def _user_rows(candidate: Candidate) -> tuple[Any, ...]:

@@ -1,20 +1,14 @@
-"""Solve an MPEC: follow a relaxation, decide the pairs as soon as they are clear, solve what remains exactly, and have the point judged.
+"""Solve an MPEC: follow a relaxation, decide the pairs, solve the branch, certify the point.
 
-result = solve_mpec(model)                        # MpecResult; the model is untouched
-load(result)                                      # writes the variables
+    result = solve_mpec(model)  # MpecResult; the model is unchanged
+    load(result)  # write the variables
 
-The same behind Pyomo's own solver interface:
+or behind Pyomo's solver interface, with our options by name and the rest passed to Ipopt:
 
-    import formulations
     solver = pyo.SolverFactory("mpec_ipopt")
-    solver.options["strategy"] = "scholtes"           # its own options; others go to Ipopt
-    results = solver.solve(model)
-    # B-stationary, certified by residuals recomputed from the model
-    pyo.assert_optimal_termination(results)
+    solver.options["strategy"] = "scholtes"
+    solver.solve(model)
     solver.last_result.certificate.sentence
-
-The model keeps its components as they were (nothing is transformed in place); values, and the
-suffixes `dual`, `ipopt_zL_out`, `ipopt_zU_out` where the model imports them, are loaded.
 """
 
 from __future__ import annotations
@@ -60,45 +54,39 @@ from formulations.solution import Outcome
 
 logger = logging.getLogger(__name__)
 
-# The pairs are decided early where two steps in a row agree on all of them, below this eps; the
-# branch is believed where it is strongly stationary and its objective is this near to the
-# relaxation's, relative to max(1, |objective|).
+# Pairs are decided early if two consecutive steps agree on all of them, below this eps.
 _EARLY_EPS = 1e-3
+# An early branch is accepted if it is strongly stationary, with an objective this close to the
+# relaxation's, relative to max(1, |objective|).
 _NEAR = 1e-2
-# Of a penalty, whose eps says nothing about a distance, the same where no pair's smaller side is
-# above this.
+# Early limit of a penalty, whose eps is no distance: largest smaller side of a pair.
 _EARLY_RESIDUAL = 1e-3
-# A step whose multipliers do not fit has decided the pairs where their smaller sides are below
-# this.
+# A step with wrong multipliers has decided the pairs if their smaller sides are below this.
 _DECIDED = 1e-6
-# Multipliers with a larger residual (relative) are not handed out.
+# Multipliers with a larger relative residual are not returned.
 _WRONG_MULTIPLIERS = 1e-4
-# Iterations for what comes after the first success, as a multiple of those up to there and of the
-# starts: with at most `search` pairs, and with more. With more than LARGE it is 1 a further start,
-# and nothing follows where there is one: of 8 problems with 832 to 1748 pairs none had a better
-# answer by another strategy.
+# Iterations after the first success, as a multiple of those before it, per start: for problems of
+# at most `search` pairs, and for larger ones. With more than LARGE pairs the factor is 1 for each
+# further start, and nothing otherwise: none of 8 problems with 832 to 1748 pairs improved by
+# another strategy.
 _SMALL_WORK = 1.0
 _WORK = 3.0
-# But no more than this, iterations times entries of derivatives: some 8 CPU s. Nor of the nearest
-# branches, where no other was found.
+# Limit of iterations times entries of derivatives, some 8 CPU s; also for the nearest branches.
 _ENTRIES = 1e7
-# An attempt is begun where at least this share of the iterations of the first success is left.
+# Smallest share of the first success's iterations with which a new attempt starts.
 _WORTHWHILE = 0.5
-# So many maxima and saddles are left on the way down, one lower than the other: more than anybody
-# has, so that it ends.
+# Bound on consecutive saddle points, far above any seen; it only ensures termination.
 _SADDLES = 100
-# The first rank of `_rank` without a feasible point.
+# First rank of `_rank` without a feasible point.
 _WITHOUT = 3
-# Both parts of an absolute value below this: the answer lies on its kink.
+# An absolute value with both parts below this is at its kink.
 _ON_KINK = 1e-6
 
 
 def solve_mpec(
     model: Any, settings: MpecSettings | None = None, *, time_limit: float | None = None
 ) -> MpecResult:
-    """Solve from the current values of the model's variables.
-
-    The model is only read, also by the certificate.
+    """Solve from the current values of the model's variables; the model is only read.
 
     Parameters
     ----------
@@ -109,9 +97,9 @@ def solve_mpec(
     Raises
     ------
     ModelRefusedError
-        for what cannot be treated, before anything runs
+        for a component that cannot be treated, before the solve starts
     MissingValueError
-        for data without a value, before anything runs
+        for data without a value, before the solve starts
     ValueError
         for a time limit that is not positive
     """
@@ -125,7 +113,6 @@ def solve_mpec(
 
 
 def _by_users(result: MpecResult, smooth: SmoothCopy) -> MpecResult:
-    """The result of a copy by the user's variables and rows, and a word about the kinks."""
     kept = np.array(
         [k for k, variable in enumerate(result.variables) if id(variable) in smooth.users],
         dtype=np.intp,
@@ -155,7 +142,7 @@ def _by_users(result: MpecResult, smooth: SmoothCopy) -> MpecResult:
 
 
 def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResult:
-    """The best of all attempts: strategies from the first start, then from the next, until the work allowed after the first success is done."""
+    """Return the best of all attempts: all strategies from each start, within the allowed work."""
     begin = time.perf_counter()
     best: MpecResult | None = None
     steps: list[Step] = []
@@ -242,15 +229,15 @@ def _better(objective: float) -> float:
 def _attempts_in_words(attempts: list[StrategyAttempt]) -> str:
     words = []
     for attempt in attempts:
-        told = (
+        outcome = (
             f"{attempt.objective:.6g}"
             if attempt.outcome is Outcome.SOLVED
             else attempt.outcome.name.lower().replace("_", " ")
         )
         if attempt.outcome is Outcome.REFUSED:
-            told += f" (more equations than variables{', each pair is one' if attempt.strategy == 'smoothing' else ''})"
+            outcome += f" (more equations than variables{', each pair is one' if attempt.strategy == 'smoothing' else ''})"
         words.append(
-            f"{attempt.strategy}{f' from start {attempt.start}' if attempt.start else ''} {told}"
+            f"{attempt.strategy}{f' from start {attempt.start}' if attempt.start else ''} {outcome}"
         )
     return f"best of {len(attempts)}: {', '.join(words)}"
 
@@ -264,11 +251,12 @@ def _run_strategy(
     is_tried: bool,
     is_last: bool,
 ) -> Candidate:
-    """One strategy from one start: its path, whose steps are added to those before, and the branch it leads to.
+    """Follow one strategy from one start, and return the branch or point that it reaches.
 
-    searched: branches around which others were tried before, which is not done again; is_tried: as
-        of `Path.points`; is_last: whether nothing feasible
-    was found before, and nothing comes after
+    steps: receives the steps of the path
+    searched: branches whose neighbours were already tried
+    is_tried: as in `Path.points`
+    is_last: no feasible point is known, and this is the last attempt
     """
     strategy, settings = work.strategy, work.settings
     start = work.start(number)
@@ -277,7 +265,7 @@ def _run_strategy(
     branch, last, outcome, message = None, None, Outcome.SOLVED, ""
     if not work.lifted.pairs:
         branch = branching.polish(start)
-        searched = [] if branch is None else [branch]  # without pairs there are no others
+        searched = [] if branch is None else [branch]  # without pairs there are no other branches
     else:
         before: np.ndarray | None = None
         for last in path.points(start, is_tried=is_tried):
@@ -312,7 +300,7 @@ def _run_strategy(
         )
     else:
         assert branching.last is not None
-        outcome, message = branching.last.outcome, branching.last.told
+        outcome, message = branching.last.outcome, branching.last.explanation
     return Candidate(
         work=work,
         branch=branch,
@@ -327,7 +315,6 @@ def _run_strategy(
 def _settled(
     branching: Branching, branch: Branch, start: np.ndarray, searched: list[Branch]
 ) -> Branch:
-    """Where no neighbour of a branch is better, and no direction along which it curves downwards leads to a better one."""
     for _ in range(_SADDLES):
         if not any(_is_same(branch, known) for known in searched):
             searched.append(branch)
@@ -355,7 +342,7 @@ def _without_branch(
     *,
     is_last: bool,
 ) -> tuple[Branch | None, Outcome, str]:
-    """What to make of a path that led to no branch: all branches are tried where there are few, else it is told why the path ended."""
+    """Return branch, outcome and message of a path without a branch; try all branches if few."""
     settings, budget = work.settings, work.budget
     pairs = len(work.lifted.pairs)
     is_small = pairs <= settings.max_biactive
@@ -404,10 +391,6 @@ def _without_branch(
 
 
 def _judged(model: Any, candidate: Candidate) -> MpecResult:
-    """The result of a candidate.
-
-    Nothing is `solved` without residuals and a certificate that say so.
-    """
     x = candidate.x
     if x is None:
         return result_of(candidate, *outcome_without_point(candidate))
@@ -431,10 +414,6 @@ def _agrees(objective: float, relaxed: float) -> bool:
 
 
 def _rank(result: MpecResult) -> tuple[int, float]:
-    """Solved first, by objective; then unbounded; points that are feasible; infeasible.
-
-    And whatever else there is, by residual.
-    """
     if result.solved or (is_feasible(result) and result.outcome is not Outcome.DIVERGED):
         return 0 if result.solved else 2, result.sense * result.objective
     order = {Outcome.DIVERGED: 1, Outcome.INFEASIBLE: 3}.get(result.outcome, 4)
@@ -442,11 +421,9 @@ def _rank(result: MpecResult) -> tuple[int, float]:
 
 
 class MpecIpopt(PyomoPlugin):
-    """A Pyomo solver object; `last_result` is the MpecResult of the last solve.
+    """Pyomo's solver for MPECs; `last_result` is the MpecResult of the last solve.
 
-    A start is always taken from the model's values.
-
-    "optimal" is a B-stationary point here, not a proved global optimum.
+    A solve starts from the model's values. "optimal" is a B-stationary point, not a global optimum.
     """
 
     title = "mpec_ipopt"
@@ -457,7 +434,7 @@ class MpecIpopt(PyomoPlugin):
         """Solve with `solve_mpec`."""
         result = self.last_result = solve_mpec(model, read_settings(options), time_limit=timelimit)
         answer = PyomoAnswer(
-            found=result,
+            result=result,
             is_feasible=result.solved or is_feasible(result),
             sense=result.sense,
             has_objective=result.has_objective,

@@ -1,10 +1,9 @@
-"""Strategies: the ways to make the pairs of a shadow smooth, each steered by one number eps > 0 that goes to 0.
+"""Strategies that make the pairs smooth, each controlled by a number eps > 0 that tends to 0.
 
-steered = STRATEGIES["scholtes"].attach(lifted)        # once, before the shadow is compiled
-steered.value = STRATEGIES["scholtes"].number(eps)
+    parameter = STRATEGIES["scholtes"].attach(lifted)  # once, before the shadow is compiled
+    parameter.value = STRATEGIES["scholtes"].number(eps)
 
-`MpecSettings` are the options of a solve: `mpec_ipopt` reads its own by name, everything else goes
-to Ipopt (and is refused there if Ipopt does not have it).
+`MpecSettings` are our options of a solve; `read_settings` passes the rest to Ipopt.
 """
 
 from __future__ import annotations
@@ -25,12 +24,12 @@ from models.errors import nearest
 
 
 class Strategy(ABC):
-    """A way to make all pairs smooth.
+    """A relaxation of all pairs.
 
-    name: as chosen by option; first, last: where eps starts and ends unless the caller says
-        otherwise; warm_below: from which eps on a step starts from
-    the multipliers of the step before; bounds_products: whether eps is an upper bound of v w;
-        eps_is_weight: whether 1 / eps is the weight of a penalty
+    first, last: default range of eps
+    warm_below: eps below which a step reuses the multipliers of the previous step
+    bounds_products: whether eps is an upper bound of v w
+    eps_is_weight: whether 1 / eps is the weight of a penalty
     """
 
     name: str
@@ -42,20 +41,17 @@ class Strategy(ABC):
 
     @abstractmethod
     def attach(self, lifted: Lifted) -> Any:
-        """Write the relaxation into the shadow, in place of another.
-
-        Returns the mutable Param that steers it.
-        """
+        """Write the relaxation into the shadow, replacing another, and return its mutable Param."""
 
     def number(self, eps: float) -> float:
-        """What the Param is at this eps."""
+        """Return the value of the Param at this eps."""
         return eps
 
 
 class Scholtes(Strategy):
-    """v w <= eps (Scholtes): Pyomo's own `mpec.simple_nonlinear`, whose mutable bound goes to 0.
+    """v w <= eps (Scholtes): Pyomo's `mpec.simple_nonlinear` with a mutable bound.
 
-    It starts where pairs hardly bind, and so from what the rest of the problem would like best.
+    It starts with a loose bound, near the optimum of the problem without complementarity.
     """
 
     name = "scholtes"
@@ -63,20 +59,23 @@ class Scholtes(Strategy):
     bounds_products = True
 
     def attach(self, lifted: Lifted) -> Any:
-        """Products at most `mpec_bound`."""
+        """Bound the products by `mpec_bound`."""
         lifted.relaxation()
         lifted.products(active=True)
         return lifted.shadow.mpec_bound
 
 
 class Smoothing(Strategy):
-    """v + w = sqrt(v^2 + w^2 + 2 eps) (Fischer-Burmeister, smoothed by Kanzow): in place of the complementarity, with v w = eps and v, w > 0 on the path."""
+    """v + w = sqrt(v^2 + w^2 + 2 eps) (Fischer-Burmeister, smoothed by Kanzow).
+
+    It implies v w = eps and v, w > 0.
+    """
 
     name = "smoothing"
     last = 1e-10
 
     def attach(self, lifted: Lifted) -> Any:
-        """One equation a pair instead of its product."""
+        """Replace the product of each pair by one equation."""
         block = lifted.relaxation()
         block.smoothing = pyo.Param(mutable=True, initialize=self.first)
         sides = [(pair.first, pair.second) for pair in lifted.pairs]
@@ -90,82 +89,74 @@ class Smoothing(Strategy):
 
 
 class L1Penalty(Strategy):
-    """f + (1 / eps) sum v w: the products in the objective.
-
-    Exact: a finite weight is enough where the solution is strongly stationary.
-    """
+    """f + (1 / eps) sum v w; exact at a finite weight if the solution is strongly stationary."""
 
     name = "l1_penalty"
     last = 1e-8
     eps_is_weight = True
 
     def attach(self, lifted: Lifted) -> Any:
-        """No products; a weighted penalty in the objective."""
-        block, given = lifted.relaxation(), lifted.objective
+        """Replace the products by a weighted penalty in the objective."""
+        block, objective = lifted.relaxation(), lifted.objective
         block.weight = pyo.Param(mutable=True, initialize=1.0)
         penalty = sum((block.weight * pair.first * pair.second for pair in lifted.pairs), start=0.0)
-        if given is None:
+        if objective is None:
             block.penalised = pyo.Objective(expr=penalty)
         else:
-            given.deactivate()
-            sign = 1.0 if given.sense == pyo.minimize else -1.0
-            block.penalised = pyo.Objective(expr=given.expr + sign * penalty, sense=given.sense)
+            objective.deactivate()
+            sign = 1.0 if objective.sense == pyo.minimize else -1.0
+            block.penalised = pyo.Objective(
+                expr=objective.expr + sign * penalty, sense=objective.sense
+            )
         return block.weight
 
     def number(self, eps: float) -> float:
-        """The weight is 1 / eps."""
+        """Return 1 / eps."""
         return 1.0 / eps
 
 
 class Direct(Scholtes):
-    """v w <= 0 at once: what an NLP solver makes of the problem as it stands."""
+    """v w <= 0 in one step, as a plain NLP."""
 
     name = "direct"
-    first = last = (
-        1e-8  # Ipopt's own tolerance: a bound of 0 would leave its iterates no interior at all
-    )
+    # Ipopt's own tolerance: with a bound of 0 its iterates would have no interior.
+    first = last = 1e-8
 
 
 STRATEGIES: dict[str, Strategy] = {
     item.name: item for item in (Scholtes(), Smoothing(), L1Penalty(), Direct())
 }
 STRATEGY_NAMES = tuple(STRATEGIES)
-# The order of "auto". Measured on 87 MacMPEC problems (solved, at the published optimum without
-# `search`, iterations) and on three_cart with 500 steps (cost, iterations; scholtes from eps 1):
-# smoothing 87, 81, 6573 and 490.600, 173; scholtes 87, 82, 6997 and 490.624, 815; direct 87, 82,
-# 4478; l1_penalty 86, 77, 5424. Two more never were the best of any: the elastic mode (85, 78,
-# 10350), and the path of smoothing by the equation of Chen, Harker, Kanzow and Smale (85, 78,
-# 6432).
+# Order of "auto". On 87 MacMPEC problems (solved, at the published optimum without `search`,
+# iterations): smoothing 87, 81, 6573; scholtes 87, 82, 6997; direct 87, 82, 4478; l1_penalty 86,
+# 77, 5424. On three_cart with 500 steps (cost, iterations): smoothing 490.600, 173; scholtes
+# 490.624, 815. The elastic mode (85, 78, 10350) and smoothing by Chen, Harker, Kanzow and Smale
+# (85, 78, 6432) were never best.
 FALLBACKS = ("smoothing", "scholtes", "l1_penalty")
-# With more pairs than LARGE smoothing is only tried (`Path.points`), and l1_penalty is next.
-# Smoothing's first step takes 16 to 40 iterations on a membrane of 1024 pairs and on three_cart,
-# which nothing else solves as fast; on MacMPEC's packings of 961 pairs it finds nothing in 240 to
-# 500, four times over (24 CPU s), where l1_penalty has decided the pairs after 80 to 220 (6 to 15
-# CPU s). scholtes takes 7 CPU s on some of them and 44 in vain on others.
+# Above LARGE pairs smoothing has a trial step only (`Path.points`), and l1_penalty is next. The
+# trial takes 16 to 40 iterations on a membrane of 1024 pairs and on three_cart, where smoothing is
+# fastest. On MacMPEC's packings of 961 pairs it fails after 240 to 500 iterations, four times (24
+# CPU s); l1_penalty decides these after 80 to 220 (6 to 15 CPU s), scholtes takes 7 CPU s or fails
+# after 44.
 LARGE = 300
 _OF_LARGE = ("smoothing", "l1_penalty", "scholtes")
 
 
 @dataclass(frozen=True, kw_only=True)
 class MpecSettings:
-    """How an MPEC is solved.
+    """Settings of a solve.
 
-    strategy: how pairs are made smooth; "auto" takes FALLBACKS in order and keeps the best
-        certified answer
-    starts: so many starts: the model's values, then random points around them, by seed; all
-        strategies from each
-    work: Ipopt's iterations for what comes after the first success, as a multiple of those up to
-        there; 0: the first success is the answer;
-    None: 1 a start with at most `search` pairs, 3 with up to LARGE, but some 8 CPU s a start
-        (counted in iterations, not by a clock); then 1 a further start
-    eps_start, eps_end: where the relaxation starts and ends (None: the strategy's own)
-    complementarity_tolerance: largest min(v, w) of a pair that counts as complementary without
-        polish
-    polish: decide every pair and solve what remains exactly; certificate: recompute residuals and
-        stationarity from the model
-    max_biactive: up to how many undecided pairs every combination is tried
-    search: with up to this many pairs, neighbouring branches are tried as well (each pair in turn
-        decided otherwise), biactive or not
+    strategy: "auto" tries FALLBACKS in order and keeps the best certified answer
+    starts: number of starts: the model's values, then random points around them, by seed
+    work: Ipopt iterations after the first success, as a multiple of those before; 0: stop there;
+        None: 1 a start with at most `search` pairs, 3 with up to LARGE, limited to some 8 CPU s;
+        above LARGE 1 a further start
+    eps_start, eps_end: range of eps (None: the strategy's own)
+    complementarity_tolerance: largest min(v, w) of a pair that is complementary without polish
+    polish: decide every pair and solve the branch exactly
+    certificate: recompute residuals and stationarity from the model
+    max_biactive: largest number of undecided pairs for which all combinations are tried
+    search: largest number of pairs for which neighbouring branches are tried
     step_iterations: iterations of Ipopt for one eps
     ipopt: options for Ipopt
     """
@@ -184,28 +175,18 @@ class MpecSettings:
     ipopt: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def order(self, pairs: int) -> tuple[str, ...]:
-        """Names of the strategies to try, in order, of a problem with so many pairs [-].
-
-        Raises nothing.
-        """
+        """Return the names of the strategies for a problem with this many pairs, in order."""
         if self.strategy != "auto":
             return (self.strategy,)
-        return (
-            FALLBACKS[: None if pairs else 1] if pairs <= LARGE else _OF_LARGE
-        )  # without pairs all are the same
+        # Without pairs all strategies are the same.
+        return FALLBACKS[: None if pairs else 1] if pairs <= LARGE else _OF_LARGE
 
 
 _OWN = {item.name: item for item in fields(MpecSettings) if item.name != "ipopt"}
 
 
 def read_settings(options: Mapping[str, Any]) -> MpecSettings:
-    """Split options into our own and Ipopt's, and check them.
-
-    Raises
-    ------
-    UnknownOptionError
-        for a name there is not, or a value that cannot be used, with what to write instead
-    """
+    """Split options into those of MpecSettings and Ipopt's; raise UnknownOptionError with advice for a wrong one."""
     own = {name: value for name, value in options.items() if name in _OWN}
     ipopt = {
         name: value for name, value in options.items() if name not in _OWN and name != "solver"

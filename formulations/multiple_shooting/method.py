@@ -1,4 +1,4 @@
-"""What the two multiple shooting methods share: all but the contact law, whose file names it."""
+"""The base of both multiple shooting methods; each file of a method adds its contact law."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from models.trajectory import Trajectory, uniform_grid
 
 
 class MultipleShootingSession(Session):
-    """Multiple shooting on one scene: its steps are compiled once and serve every eps."""
+    """Multiple shooting on one scene; its compiled steps serve every eps."""
 
     def __init__(
         self,
@@ -50,7 +50,7 @@ class MultipleShootingSession(Session):
     ) -> Solution:
         """Shoot from the nodes of the warm start.
 
-        Raises TrajectoryError for a plan of another scene or grid.
+        Raises TrajectoryError for another scene or grid.
         """
         stage, started = Clock(), perf_counter()
         self._method.check_stage(eps, time_limit)
@@ -63,15 +63,14 @@ class MultipleShootingSession(Session):
             options=self._options,
         )
         solving = perf_counter()
-        found = solver.solve(x, u, started + time_limit)
+        result = solver.solve(x, u, started + time_limit)
         solving = perf_counter() - solving
-        solution = self._solution(found, eps)
+        solution = self._solution(result, eps)
         return replace(
             solution, seconds=stage_seconds(stage, self._clock, solver.evaluate_seconds, solving)
         )
 
     def _first_guess(self, warm_start: Trajectory | None) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes (steps+1, 2*nq) from the start on, and inputs (steps, nu) within their bounds."""
         task = self._scene.task
         start = np.array(task.start)
         u = np.clip(given_inputs(self._scene, warm_start), *input_bounds(self._scene))
@@ -86,26 +85,26 @@ class MultipleShootingSession(Session):
         x[0] = start
         return x, u
 
-    def _solution(self, found: SolverResult, eps: float | None) -> Solution:
-        """The plan: the motion that the inputs make, or the nodes themselves while there are gaps between them."""
+    def _solution(self, result: SolverResult, eps: float | None) -> Solution:
+        """Return the motion of the inputs as plan, or the nodes if there are gaps between them."""
         scene, task, law = self._scene, self._scene.task, self._method.law
         base = {
             "method": self._method.name,
-            "iterations": found.iterations,
+            "iterations": result.iterations,
             "options": asdict(self._options),
-            "history": {column: tuple(values) for column, values in found.history.items()},
+            "history": {column: tuple(values) for column, values in result.history.items()},
         }
-        if not found.outcome.has_answer:
-            return Solution(outcome=found.outcome, message=f"{found.message}.", **base)
-        nq, u = scene.nq, found.u
+        if not result.outcome.has_answer:
+            return Solution(outcome=result.outcome, message=f"{result.message}.", **base)
+        nq, u = scene.nq, result.u
         run = self._kernel.rollout(np.array(task.start), u, task.step, law, eps)
-        if run.diverged or found.gap > self._options.gap_tolerance:
-            linear = self._steps.linearise(found.x[:-1], u, task.step, law, eps)
+        if run.diverged or result.gap > self._options.gap_tolerance:
+            linear = self._steps.linearise(result.x[:-1], u, task.step, law, eps)
             lam = np.zeros((task.steps, scene.nl)) if linear is None else linear.lam
             plan = Trajectory(
                 t=uniform_grid(task.step, task.steps),
-                q=found.x[:, :nq],
-                v=found.x[:, nq:],
+                q=result.x[:, :nq],
+                v=result.x[:, nq:],
                 u=u,
                 lam=lam,
                 scheme=Scheme.SEMI_IMPLICIT_EULER,
@@ -114,15 +113,15 @@ class MultipleShootingSession(Session):
             plan = plan_of(scene, run, u)
         growth = measure_growth(self._steps, np.hstack([plan.q, plan.v]), u, law, eps)
         residuals = {
-            "gap": found.gap,
-            "promised_decrease": max(0.0, -found.slope),
+            "gap": result.gap,
+            "promised_decrease": max(0.0, -result.slope),
             **plan_residuals(scene, plan),
             **({} if growth is None else growth.residuals()),
         }
-        outcome, message = found.outcome, found.message
+        outcome, message = result.outcome, result.message
         open_gap = (
-            f"the nodes are up to {found.gap:.2g} apart from the motion"
-            if found.gap > self._options.gap_tolerance
+            f"the nodes are up to {result.gap:.2g} apart from the motion"
+            if result.gap > self._options.gap_tolerance
             else ""
         )
         message = "; ".join(part for part in (message, open_gap) if part)
@@ -150,5 +149,5 @@ class MultipleShootingMethod(Method[MultipleShootingOptions]):
     options = MultipleShootingOptions
 
     def session(self, scene: Scene, options: MultipleShootingOptions, clock: Clock) -> Session:
-        """Open a session with the compiled steps."""
+        """Open a session."""
         return MultipleShootingSession(self, scene, options, clock)

@@ -1,16 +1,19 @@
 /* The linear-quadratic subproblem of multiple shooting, by dynamic programming over its stages.
  *
- *   min sum_t  lx'dx + lu'du + 1/2 (dx'lxx dx + 2 du'lux dx + du'luu du)  + px'dx_N + 1/2 dx_N'pxx dx_N
+ *   min sum_t  lx'dx + lu'du + 1/2 (dx'lxx dx + 2 du'lux dx + du'luu du)
+ *              + px'dx_N + 1/2 dx_N'pxx dx_N
  *   s.t. dx[t+1] = A dx[t] + B du[t] + gap[t],  dx[0] = 0,   lower <= u + du <= upper
  *
- * Arrays are row-major, one block a stage. The bounds hold for du at dx = 0; an input that stands at a bound there gets no feedback. */
+ * Arrays are row-major, one block per stage. The bounds hold for du at dx = 0; an input at a
+ * bound has no feedback. */
 #include <math.h>
 #include <string.h>
 
 #define EXPORT __attribute__((visibility("default")))
 #define QP_ROUNDS 50
 
-/* Cholesky of the free part of H (n, n), in place of L; 0, or 1 if it is not positive definite. Rows of held inputs become those of the identity. */
+/* Cholesky of the free part of H (n, n), in place of L; return 1 if it is not positive definite.
+ * Rows of held inputs become those of the identity. */
 static int factor(int n, const double *H, const int *held, double *L)
 {
     for (int i = 0; i < n; i++)
@@ -27,7 +30,7 @@ static int factor(int n, const double *H, const int *held, double *L)
     return 0;
 }
 
-/* Solve L L' x = x in place, entries `stride` apart. */
+/* Solve L L' x = x in place, with entries `stride` apart. */
 static void solve(int n, const double *L, double *x, int stride)
 {
     for (int i = 0; i < n; i++) {
@@ -52,8 +55,8 @@ static double quadratic(int n, const double *H, const double *g, const double *x
     return value;
 }
 
-/* min 1/2 x'Hx + g'x over low <= x <= high by projected Newton steps, from x. held: which entries end at a bound; L: factor of the rest.
- * work: 3 n. 0, or 1 if H is not positive definite. */
+/* Minimise 1/2 x'Hx + g'x over low <= x <= high by projected Newton steps from x. held: entries
+ * at a bound; L: factor of the rest; work: 3 n. Return 1 if H is not positive definite. */
 static int box_qp(int n, const double *H, const double *g, const double *low, const double *high, double *x, int *held, double *L, double *work)
 {
     double *slope = work, *direction = work + n, *moved = work + 2 * n, first = 0.0;
@@ -100,12 +103,13 @@ static void product(int n, int k, int m, const double *X, const double *Z, doubl
         }
 }
 
-/* Size of the buffer that riccati_backward works in [doubles]. */
+/* Size of the work buffer of riccati_backward [doubles]. */
 EXPORT int riccati_work(int nx, int nu) { return 4 * nx * nx + 4 * nx * nu + 2 * nu * nu + 4 * nx + 8 * nu; }
 
-/* From the last stage to the first. shift: added to the diagonal of the Hessian of the inputs.
- * Vx (steps + 1, nx), Vxx (nx, nx): slope of the value at each node and its Hessian at the last one, given at the last node; the slopes
- * of the others are written. k (steps, nu), K (steps, nu, nx): du = k + K dx. held (nu): room. 0, or 1 where a Hessian is not positive definite. */
+/* Sweep from the last stage to the first. shift is added to the diagonal of the inputs' Hessian.
+ * Vx (steps + 1, nx), Vxx (nx, nx): slopes of the value and its Hessian; the caller sets those
+ * of the last node. k (steps, nu), K (steps, nu, nx): du = k + K dx. held (nu): work space.
+ * Return 1 if a Hessian is not positive definite. */
 EXPORT int riccati_backward(int steps, int nx, int nu, const double *A, const double *B, const double *gap, const double *lx, const double *lu,
     const double *lxx, const double *lux, const double *luu, double shift, const double *u, const double *lower, const double *upper,
     double *Vx, double *Vxx, double *k, double *K, double *work, int *held)
@@ -161,7 +165,8 @@ EXPORT int riccati_backward(int steps, int nx, int nu, const double *A, const do
     return 0;
 }
 
-/* The step that the feedback law makes of the linearised stages: dx (steps + 1, nx), du (steps, nu), from dx[0] = 0. */
+/* Apply the feedback law to the linearised stages: dx (steps + 1, nx), du (steps, nu), from
+ * dx[0] = 0. */
 EXPORT void riccati_forward(int steps, int nx, int nu, const double *A, const double *B, const double *gap, const double *k, const double *K,
     double *dx, double *du)
 {

@@ -1,24 +1,12 @@
-"""Multiple shooting by sequential linear-quadratic programming, with the steps run through the scene's own time step under feedback.
+"""Multiple shooting by sequential linear-quadratic programming with feedback rollouts.
 
-Unknowns are the inputs u and the states x at every node; gap[t] = f(x[t], u[t]) - x[t+1]. In each
-iteration the linear-quadratic subproblem gives inputs and feedback, and the plan is rolled out with
-both, the gaps closed by the length of the step. A step is taken if it lowers the exact penalty
-function cost + goal term + nu sum |gap|, nu above the multipliers of the gaps. The goal is met by
-an augmented Lagrangian (`GoalTerm`): its multipliers are updated where the iterations have settled.
+Unknowns are the inputs u and the states x at every node; gap[t] = f(x[t], u[t]) - x[t+1]. The
+subproblem (riccati.c, linear in the number of stages) gives inputs and feedback, with which the
+scene's time step rolls out; an unstable scene stays near the plan. A step must lower the exact
+penalty cost + goal term + nu sum |gap|, nu above the multipliers of the gaps.
 
-The subproblem is solved in compiled C (riccati.c), linear in the number of stages:
-
-    stages = Stages(steps, nx, nu)
-    stages.A, stages.B, stages.gap, stages.lx ...      # filled in by the caller
-    if stages.backward(u, lower, upper, shift=0.0): stages.k, stages.K, stages.Vx
-    dx, du = stages.forward()
-
-The recursion is that of iLQR with gaps between the nodes; the bounds of the inputs are met stage by
-stage by a small quadratic program (Tassa, Mansard and Todorov, Control-Limited Differential Dynamic
-Programming, ICRA 2014; gaps as in Mastalli et al., Crocoddyl, ICRA 2020).
-
-`Costs` are the running and final cost of a scene with first and second derivatives, for all steps
-at once.
+The recursion is iLQR with gaps (Mastalli et al., Crocoddyl, ICRA 2020); input bounds are met stage
+by stage by a small QP (Tassa, Mansard and Todorov, ICRA 2014).
 """
 
 from __future__ import annotations
@@ -86,7 +74,10 @@ class MultipleShootingOptions(Options):
 
 
 class GoalTerm:
-    """The goal as an augmented Lagrangian, y'm + weight/2 |m|^2 with m = x_T - goal, 0 where the end is free. y (2*nq,): multipliers, from zero."""
+    """The goal as an augmented Lagrangian, y'm + weight/2 |m|^2 with m = x_T - goal, 0 where free.
+
+    y (2*nq,) are the multipliers, initially zero; they are updated when the iterations settle.
+    """
 
     def __init__(self, scene: Scene, weight: float) -> None:
         self._goal = goal_state(scene.task)
@@ -95,14 +86,14 @@ class GoalTerm:
         self.weight = weight
 
     def miss(self, end: np.ndarray) -> np.ndarray:
-        """Give end - goal (2*nq,) [m, rad, m/s, rad/s] of an end (2*nq,) [m, rad, m/s, rad/s].
+        """Return end - goal (2*nq,) [SI] of an end (2*nq,) [m, rad, m/s, rad/s].
 
         Raises ValueError for another length.
         """
         return miss(end, self._goal)
 
     def value(self, end: np.ndarray) -> float:
-        """Evaluate the term at an end (2*nq,) [m, rad, m/s, rad/s].
+        """Return the term at an end (2*nq,) [m, rad, m/s, rad/s].
 
         Raises ValueError for another length.
         """
@@ -110,20 +101,26 @@ class GoalTerm:
         return float(self.multipliers @ m + 0.5 * self.weight * m @ m)
 
     def slope(self, end: np.ndarray) -> np.ndarray:
-        """Differentiate the term at an end (2*nq,) [m, rad, m/s, rad/s]: (2*nq,) [1/m, 1/rad, s/m, s/rad]. Raises ValueError for another length."""
+        """Return the gradient (2*nq,) [1/m, 1/rad, s/m, s/rad] at an end (2*nq,) [SI].
+
+        Raises ValueError for another length.
+        """
         return np.where(self._given, self.multipliers + self.weight * self.miss(end), 0.0)
 
     def hessian(self) -> np.ndarray:
-        """Give its second derivatives: (2*nq, 2*nq) [-]."""
+        """Return the Hessian (2*nq, 2*nq) [-]. Raises nothing."""
         return np.diag(np.where(self._given, self.weight, 0.0))
 
     def update(self, end: np.ndarray) -> None:
-        """Update the multipliers to first order, y <- y + weight (x_T - goal), at an end (2*nq,) [m, rad, m/s, rad/s]. Raises ValueError for another length."""
+        """Update y <- y + weight (x_T - goal) at an end (2*nq,) [m, rad, m/s, rad/s].
+
+        Raises ValueError for another length.
+        """
         self.multipliers += np.where(self._given, self.weight * self.miss(end), 0.0)
 
 
 class Costs:
-    """Running and final cost of a scene: values, slopes and Hessians, the Hessians made positive semidefinite."""
+    """Running and final cost of a scene, with slopes and positive semidefinite Hessians."""
 
     def __init__(self, scene: Scene) -> None:
         d = derive(scene)
@@ -137,34 +134,32 @@ class Costs:
         self._final = _Derivatives(final, state)
 
     def value(self, x: np.ndarray, u: np.ndarray) -> float:
-        """Evaluate the cost of nodes x (steps+1, nx) [m, rad, m/s, rad/s] and inputs u (steps, nu) [N, N m].
+        """Return the cost of nodes x (steps+1, nx) [SI] and inputs u (steps, nu) [N, N m].
 
-        Raises ValueError where their lengths do not fit.
+        Raises ValueError if their lengths do not fit.
         """
         return float(
             self._running.value(np.hstack([x[:-1], u])).sum() + self._final.value(x[-1:])[0]
         )
 
     def running(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Give the slope (steps, nx+nu) [-] and Hessian (steps, nx+nu, nx+nu) [-] of the running cost at x (steps, nx), u (steps, nu) [SI].
+        """Return slope (steps, nx+nu) and Hessian (steps, nx+nu, nx+nu) [-] of the running cost.
 
-        Raises ValueError where their lengths differ.
+        Raises ValueError if their lengths differ.
         """
         point = np.hstack([x, u])
         return self._running.slope(point), self._running.hessian(point)
 
     def final(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Give the slope (nx,) [-] and Hessian (nx, nx) [-] of the final cost at x (nx,) [m, rad, m/s, rad/s].
+        """Return slope (nx,) and Hessian (nx, nx) [-] of the final cost at x (nx,) [SI].
 
-        Raises nothing: NaN or inf where the cost has no number.
+        Raises nothing.
         """
         point = x[None, :]
         return self._final.slope(point)[0], self._final.hessian(point)[0]
 
 
 class _Derivatives:
-    """slope: a function of points (n, symbols) [SI] to (n, symbols) [-]."""
-
     def __init__(self, expression: sp.Expr, symbols: Sequence[sp.Symbol]) -> None:
         n = len(symbols)
         slope = [sp.diff(expression, symbol) for symbol in symbols]
@@ -176,16 +171,13 @@ class _Derivatives:
         self._quadratic = not any(entry.free_symbols for entry in hessian)
 
     def value(self, point: np.ndarray) -> np.ndarray:
-        """Evaluate at points (n, symbols) [SI]: (n,) [-].
-
-        Raises nothing: NaN or inf where it has no number.
-        """
+        """Return values (n,) [-] at points (n, symbols) [SI]. Raises nothing."""
         return self._value(point)[:, 0]
 
     def hessian(self, point: np.ndarray) -> np.ndarray:
-        """Differentiate twice at points (n, symbols) [SI], made positive semidefinite: (n, symbols, symbols) [-].
+        """Return semidefinite Hessians (n, symbols, symbols) [-] at points (n, symbols) [SI].
 
-        Raises LinAlgError where no eigenvalues are found, as with NaN.
+        Raises LinAlgError if the eigenvalues do not converge, as for NaN.
         """
         rows = self._hessian(point[:1] if self._quadratic else point).reshape(-1, self._n, self._n)
         value, vectors = np.linalg.eigh(rows)
@@ -199,7 +191,6 @@ class _Derivatives:
 
 @lru_cache(maxsize=1)
 def _library() -> ctypes.CDLL:
-    """Compiled once and cached on disk. Raises MachineError without a compiler."""
     return load_library(
         cached_library({_SOURCE.name: _SOURCE.read_text(encoding="utf-8")}), _SIGNATURES
     )
@@ -208,10 +199,13 @@ def _library() -> ctypes.CDLL:
 class Stages:
     """The data of the subproblem, and its solution (riccati.c).
 
-    A (steps, nx, nx), B (steps, nx, nu), gap (steps, nx): the linearised steps; lx (steps, nx), lu
-    (steps, nu), lxx (steps, nx, nx), lux (steps, nu, nx), luu (steps, nu, nu): the cost of the
-    stages; px (nx,), pxx (nx, nx): that of the end. k (steps, nu), K (steps, nu, nx): du = k + K
-    dx; Vx (steps+1, nx): slope of the value, which is the multiplier of each gap.
+    A (steps, nx, nx), B (steps, nx, nu), gap (steps, nx): the linearised steps
+    lx (steps, nx), lu (steps, nu), lxx (steps, nx, nx), lux (steps, nu, nx), luu (steps, nu, nu):
+    the
+        cost of the stages
+    px (nx,), pxx (nx, nx): the cost of the end
+    k (steps, nu), K (steps, nu, nx): du = k + K dx
+    Vx (steps+1, nx): slope of the value, the multiplier of each gap
     """
 
     def __init__(self, steps: int, nx: int, nu: int) -> None:
@@ -238,31 +232,30 @@ class Stages:
         self._held = np.zeros(nu, dtype=np.intc)
 
     def backward(self, u: np.ndarray, lower: np.ndarray, upper: np.ndarray, shift: float) -> bool:
-        """Fill k, K, Vx for inputs u (steps, nu) [N, N m] within bounds (nu,) [N, N m].
+        """Set k, K, Vx for inputs u (steps, nu) [N, N m] within bounds (nu,) [N, N m].
 
-        shift: added to the inputs' Hessian. False where a Hessian is not positive definite (try a
-            larger shift).
-        Raises nothing: sizes are not checked.
+        shift is added to the inputs' Hessian. Return False if a Hessian is not positive definite; a
+        larger shift may help. Raises nothing: sizes are not checked.
         """
         self.Vx[-1] = self.px
         hessian = self.pxx.copy()
-        given = (self.A, self.B, self.gap, self.lx, self.lu, self.lxx, self.lux, self.luu)
+        linear = (self.A, self.B, self.gap, self.lx, self.lu, self.lxx, self.lux, self.luu)
         inputs = [np.ascontiguousarray(array, dtype=np.float64) for array in (u, lower, upper)]
         rest = (*inputs, self.Vx, hessian, self.k, self.K, self._room, self._held)
         failed = self._library.riccati_backward(
             self.steps,
             self.nx,
             self.nu,
-            *(a.ctypes.data for a in given),
+            *(a.ctypes.data for a in linear),
             shift,
             *(a.ctypes.data for a in rest),
         )
         return failed == 0
 
     def forward(self, gap: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Give dx (steps+1, nx) [SI] and du (steps, nu) [N, N m] of the linearised stages under k and K; with a gap (steps, nx) [SI] of one's own: K alone.
+        """Return dx (steps+1, nx) [SI], du (steps, nu) [N, N m] of the stages under k and K.
 
-        Raises nothing: sizes are not checked.
+        With a gap (steps, nx) [SI] only K applies. Raises nothing: sizes are not checked.
         """
         dx, du = np.zeros((self.steps + 1, self.nx)), np.zeros((self.steps, self.nu))
         arrays = (self.A, self.B, self.gap, self.k, self.K, dx, du)
@@ -282,32 +275,34 @@ class Stages:
         return dx, du
 
 
-_SUFFICIENT = 1e-4  # of the decrease that the linearised penalty function promises
-_SHORTEST = 2.0**-12  # step length; below, the subproblem is damped instead
-_NU = 1.5  # nu over the largest multiplier of a gap
-# of the inputs' Hessian, relative to its size
+# Sufficient share of the decrease promised by the linearised penalty function.
+_SUFFICIENT = 1e-4
+# Shortest step length; below it the subproblem is damped instead.
+_SHORTEST = 2.0**-12
+# nu relative to the largest multiplier of a gap.
+_NU = 1.5
+# Shift of the inputs' Hessian, relative to its size.
 _FIRST_SHIFT = 1e-6
 _LARGEST_SHIFT = 1e12
 _SHIFT_GROWTH = 10.0
-_SLOW = (
-    0.25  # a miss that shrinks by less than this from update to update gets ten times the weight
-)
+# Ratio of goal errors between updates; a larger one multiplies the weight by ten.
+_SLOW = 0.25
 _HEAVIEST = 1e12
-# so many steps in a row that gain less than this share of the precision: a kink, and no way on
+# Consecutive steps of too little gain that end the iterations: a kink.
 _CRAWL = 10
+# Gain relative to the precision that is too little.
 _CRAWLS = 1e-2
-_FIRST_PRECISION = (
-    1e-3  # before the first update of the multipliers; each one asks for ten times more
-)
+# Precision before the first update of the multipliers; each update reduces it by ten.
+_FIRST_PRECISION = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SolverResult:
-    """How it ended: x (steps+1, 2*nq), u (steps, nu), the last nodes and inputs.
+    """The result: last nodes x (steps+1, 2*nq) and inputs u (steps, nu).
 
-    gap: largest entry; slope: promised decrease of the penalty function; history: columns of equal
-        length, one row an
-    iteration.
+    gap: largest entry
+    slope: promised decrease of the penalty function
+    history: columns of equal length, one row per iteration
     """
 
     outcome: Outcome
@@ -320,14 +315,13 @@ class SolverResult:
     history: dict[str, list[float]]
 
 
-_Taken = tuple[
-    np.ndarray, np.ndarray, Linearised, float
-]  # nodes, inputs and their linearised steps, at the end of a step of this length
+# Nodes, inputs and their linearised steps after a step of this length.
+_Taken = tuple[np.ndarray, np.ndarray, Linearised, float]
 
 
 @dataclass(eq=False)
 class Solver:
-    """The iterations on one scene. evaluate_seconds: wall seconds in its compiled steps."""
+    """The iterations on one scene; evaluate_seconds is the wall time in its compiled steps."""
 
     steps: Steps
     costs: Costs
@@ -348,13 +342,16 @@ class Solver:
     def solve(self, x: np.ndarray, u: np.ndarray, deadline: float) -> SolverResult:
         """Iterate until nodes and inputs settle, or a limit is reached.
 
-        Raises MachineError without a C compiler.
-
         Parameters
         ----------
         x : (steps+1, 2*nq) [m, rad, m/s, rad/s], first nodes, x[0] the start
         u : (steps, nu) [N, N m], first inputs, within their bounds
         deadline : of perf_counter [s]
+
+        Raises
+        ------
+        MachineError
+            without a C compiler
         """
         scene, options = self.steps.scene, self.options
         goal = GoalTerm(scene, options.goal_weight)
@@ -461,9 +458,9 @@ class Solver:
 
     def _linearise(self, x: np.ndarray, u: np.ndarray) -> Linearised | None:
         started = perf_counter()
-        found = self.steps.linearise(x[:-1], u, self.steps.scene.task.step, self.law, self.eps)
+        linear = self.steps.linearise(x[:-1], u, self.steps.scene.task.step, self.law, self.eps)
         self.evaluate_seconds += perf_counter() - started
-        return found
+        return linear
 
     def _fill(self, x: np.ndarray, u: np.ndarray, lin: Linearised, goal: GoalTerm) -> None:
         stages, nx = self._stages, x.shape[1]
@@ -480,7 +477,6 @@ class Solver:
         stages.px[:], stages.pxx[:] = slope_end + goal.slope(x[-1]), hessian_end + goal.hessian()
 
     def _slope(self) -> tuple[float, float]:
-        """Directional derivative of the penalty function along the subproblem's step, and nu."""
         stages = self._stages
         dx, du = stages.forward()
         nu = _NU * float(np.abs(stages.Vx).max())
@@ -495,11 +491,10 @@ class Solver:
     def _search(
         self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, nu: float, slope: float
     ) -> _Taken | None:
-        """The longest step that lowers the penalty function enough; None if none does.
+        """Return the longest step that lowers the penalty function enough, or None.
 
-        While there are gaps the nodes move along the subproblem's step, so that no error grows over
-        more than one time step; without gaps, or where that fails, the plan is rolled out under the
-        subproblem's feedback.
+        With gaps the nodes follow the subproblem's step, so that errors grow over one time step
+        only. Without gaps, or if that fails, the plan is rolled out under feedback.
         """
         before = self._penalty(x, u, goal, nu, self._stages.gap)
         dx, du = self._stages.forward()
@@ -516,8 +511,7 @@ class Solver:
                 gap = None if trial is None else self._gap(*trial)
                 if trial is not None and gap is not None:
                     lin = self._lower_at(trial, gap, goal, nu, limit)
-                    # what the step leaves open because the scene is not linear, closed by one more
-                    # linear step
+                    # One more linear step closes the gaps that nonlinearity left open.
                     if lin is None and not rolled:
                         ddx, ddu = self._stages.forward(gap - (1.0 - length) * self._stages.gap)
                         trial = self._moved(*trial, ddx, ddu)
@@ -530,7 +524,6 @@ class Solver:
         return None
 
     def _gap(self, x: np.ndarray, u: np.ndarray) -> np.ndarray | None:
-        """The gaps (steps, 2*nq) between the nodes; None where a step is not finite."""
         started = perf_counter()
         ends = self.steps.ends(x[:-1], u, self.steps.scene.task.step, self.law, self.eps)
         self.evaluate_seconds += perf_counter() - started
@@ -544,7 +537,6 @@ class Solver:
         nu: float,
         limit: float,
     ) -> Linearised | None:
-        """The linearised steps at a trial whose penalty function is at most `limit`, else None."""
         lower = self._penalty(*trial, goal, nu, gap) <= limit
         return self._linearise(*trial) if lower else None
 
@@ -556,10 +548,6 @@ class Solver:
     def _rolled(
         self, x: np.ndarray, u: np.ndarray, length: float
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Nodes and inputs of the scene's own motion under the subproblem's inputs and feedback.
-
-        The gaps closed by `length`.
-        """
         stages = self._stages
         started = perf_counter()
         run = self.steps.follow(

@@ -1,29 +1,14 @@
-"""Gradient descent: on a loss of the inputs, by the gradients of PyTorch, projected on their bounds.
+"""Gradient descent on a loss of the inputs, projected on their bounds, and diagnoses of its end.
 
-    found = descend(Objective(load_kernel(scene), law=ContactLaw.RELU), u0, DescentOptions(learning_rate=500.0, iterations=15), time_limit=60.0)
+    result = descend(objective, u0, DescentOptions(learning_rate=500.0, iterations=15),
+    time_limit=60.0)
 
-The step is `u <- clip(u - learning_rate * gradient, lower, upper)`. The paper's descent ignores the
-bounds and its plans stay inside them: there the projection changes nothing, not even a bit.
-`projected_descent` is the loop alone, for many plans at once, on any device:
+A step is `u <- clip(u - learning_rate * gradient, lower, upper)`; the paper's plans stay inside the
+bounds. The stopping rule uses the losses of the last quarter of the iterations (at least 50), so
+that a slow learning rate is not mistaken for convergence:
 
-    u = torch.randn(64, 500, 2, device="cuda", requires_grad=True)
-    for _, loss in zip(range(100), projected_descent(lambda u: loss_of(rollout(kernel, u), u), u, 500.0, lower, upper)): ...
-
-When to stop is judged by the losses alone, whatever their scale and whatever the learning rate,
-over the last quarter of the iterations (at least 50). That span grows with the iterations because a
-learning rate ten times smaller needs ten times the iterations for the same way: one of fixed length
-would call a slow descent finished.
-
-    settled      the best loss fell by less than `tolerance` (relative) over the span, or is down to
-                 rounding
-    runaway      the loss stayed above twice its best over half the span: it climbs instead of
-                 descending
-
-Why a descent ends where it ends, in numbers and then in words.
-
-The rows of S = d x_T / d u, one adjoint each, tell what the inputs can still do: a coordinate whose
-row is zero stays where it is, whatever its error. With a dead ReLU that is every body that only
-contact moves.
+    settled   the best loss fell by less than `tolerance` (relative), or is down to rounding
+    runaway   the loss stayed above twice its best over half the span
 """
 
 from __future__ import annotations
@@ -46,25 +31,24 @@ from formulations.solution import Outcome, ended
 from models.contact_law import ContactLaw
 from models.scene import Scene
 
-# A coordinate counts as missed beyond this share of its nominal size, and as out of reach if one
-# iteration closes less than this share of its error through its own row of S (a million iterations
-# would not get there).
+# A coordinate misses its goal beyond this share of its nominal size.
 _MISSED = 1e-4
+# It is out of reach if one iteration closes less than this share of its error through its own row
+# of S = d x_T / d u.
 _OUT_OF_REACH = 1e-6
 
-# Enough for one digit of the largest curvature; the difference is small against the inputs and
-# large against rounding.
+# Enough for one digit of the largest curvature.
 _POWER_ITERATIONS = 20
+# Small against the inputs, large against rounding.
 _DIFFERENCE = 1e-5
 
 
 def sensitivity(objective: Objective, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Differentiate the last state at inputs u (steps, nu) [N, N m], by one adjoint sweep for each of its components.
+    """Return the derivatives of the last state by the inputs and by the start.
 
-    Returns its derivatives by the inputs (2*nq, steps*nu) and by the start (2*nq, 2*nq); the 2-norm
-    of these is the largest factor by which a disturbance of the start grows over the horizon.
-
-    Raises KernelError where the mass matrix is not positive definite along the rollout.
+    One adjoint sweep per component gives (2*nq, steps*nu) and (2*nq, 2*nq) [-] at inputs u (steps,
+    nu) [N, N m]. The 2-norm of the second is the largest growth of a disturbance of the start.
+    Raises KernelError if the mass matrix is not positive definite along the rollout.
     """
     kernel, task = objective.kernel, objective.kernel.scene.task
     plan = kernel.rollout(np.array(task.start), u, task.step, objective.law, objective.eps)
@@ -75,9 +59,13 @@ def sensitivity(objective: Objective, u: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def out_of_reach(objective: Objective, to_inputs: np.ndarray, learning_rate: float) -> list[str]:
-    """Name the coordinates that miss the goal and that no gradient moves, each with its error. to_inputs: as of `sensitivity`."""
+    """Name the coordinates that miss the goal and that no gradient moves, each with its error.
+
+    Their rows of S are zero, as for bodies moved only by contact with a dead ReLU. to_inputs is S
+    (`sensitivity`).
+    """
     scene, missed = objective.kernel.scene, np.abs(objective.error)
-    found = []
+    names = []
     for index, coordinate in enumerate(scene.coordinates):
         closes = (
             learning_rate
@@ -88,18 +76,22 @@ def out_of_reach(objective: Objective, to_inputs: np.ndarray, learning_rate: flo
         )
         if missed[index] > _MISSED * coordinate.nominal and closes < _OUT_OF_REACH:
             slope = float(np.linalg.norm(to_inputs[index]))
-            found.append(
+            names.append(
                 f"{coordinate.name} (it misses its goal by {missed[index]:.3g} {coordinate.unit}; |d {coordinate.name}/d u| = {slope:.2g})"
             )
-    return found
+    return names
 
 
 def dead_contact_message(objective: Objective, u: np.ndarray, learning_rate: float) -> str:
-    """Say which coordinate misses the goal although nothing moves it at inputs u (steps, nu) [N, N m], those evaluated last; "" where there is none. Raises KernelError where the mass matrix is not positive definite along the rollout."""
-    found = out_of_reach(objective, sensitivity(objective, u)[0], learning_rate)
-    if not found:
+    """Return a sentence on coordinates that miss the goal but are not moved at inputs u, or "".
+
+    u (steps, nu) [N, N m] are the last evaluated inputs. Raises KernelError if the mass matrix is
+    not positive definite along the rollout.
+    """
+    coordinates = out_of_reach(objective, sensitivity(objective, u)[0], learning_rate)
+    if not coordinates:
         return ""
-    names = " and ".join(found)
+    names = " and ".join(coordinates)
     assert objective.plan is not None
     scene, relu, step = (
         objective.kernel.scene,
@@ -137,12 +129,10 @@ def _gaps(scene: Scene, phi: np.ndarray, contacts: list[int], step: float) -> st
 
 
 def stable_rate(objective: Objective, u: np.ndarray) -> float:
-    """Give the largest learning rate at which a gradient step near u (steps, nu) [N, N m] does not overshoot: 2 / largest curvature of the loss.
+    """Return the largest rate without overshoot near u (steps, nu) [N, N m]: 2 / curvature.
 
-    The curvature comes from a power iteration on differences of gradients, so that all of the loss
-    counts: the way to the goal, contacts, and the running cost.
-
-    Raises KernelError where the mass matrix is not positive definite along the rollout.
+    The curvature of the whole loss comes from a power iteration on differences of gradients. Raises
+    KernelError if the mass matrix is not positive definite along the rollout.
     """
     objective.value(u)
     direction = objective.gradient().copy()
@@ -166,7 +156,10 @@ def stable_rate(objective: Objective, u: np.ndarray) -> float:
 def divergence_message(
     objective: Objective, learning_rate: float, iteration: int, best: np.ndarray | None
 ) -> str:
-    """Say what went wrong at this iteration, with growth and rate at the best inputs seen (steps, nu) [N, N m], if there are any. Raises KernelError where the mass matrix is not positive definite along the rollout."""
+    """Explain a divergence, with growth and rate at the best inputs (steps, nu) [N, N m].
+
+    Raises KernelError if the mass matrix is not positive definite along the rollout.
+    """
     where = (
         f"after {iteration} {'iteration' if iteration == 1 else 'iterations'} at learning rate {learning_rate:g}"
         if iteration
@@ -192,20 +185,22 @@ def divergence_message(
 
 
 def _rounded_down(value: float) -> str:
-    """One digit, so that the text promises no more than an estimate can."""
     scale = 10.0 ** math.floor(math.log10(value))
     return f"{math.floor(value / scale) * scale:g}"
 
 
+# Fewest iterations of the stopping rule's span.
 _SHORTEST_SPAN = 50
+# The span is this fraction of the iterations.
 _SPAN_SHARE = 4
-# A loss this far below the first one has lost all digits that the goal was given in.
+# Relative to the first loss: below it all digits of the goal are used up.
 _NOTHING_LEFT = 1e-20
+# Loss relative to the best one that counts as runaway.
 _RUNAWAY = 2.0
 
 
 class Progress(Enum):
-    """How the losses go."""
+    """Trend of the losses."""
 
     DESCENDING = "descending"
     SETTLED = "settled"
@@ -213,14 +208,14 @@ class Progress(Enum):
 
 
 class Losses:
-    """The loss before each iteration and at the end (`values`), and what they say of the descent."""
+    """The loss before each iteration and at the end (`values`), and its trend."""
 
     def __init__(self) -> None:
         self.values: list[float] = []
-        self._best: list[float] = []  # the least of the first so many
+        self._best: list[float] = []  # running minimum
 
     def add(self, loss: float, tolerance: float) -> Progress:
-        """Take the next loss and say how the descent goes."""
+        """Append a loss and return the trend."""
         self.values.append(loss)
         self._best.append(min(loss, self._best[-1]) if self._best else loss)
         if self.exhausted:
@@ -236,33 +231,32 @@ class Losses:
 
     @property
     def span(self) -> int:
-        """Over how many iterations the decrease is judged."""
+        """Return the number of iterations of the stopping rule."""
         return max(_SHORTEST_SPAN, len(self.values) // _SPAN_SHARE)
 
     @property
     def best(self) -> float:
-        """The least loss so far."""
+        """Return the smallest loss."""
         return self._best[-1]
 
     @property
     def exhausted(self) -> bool:
-        """Whether the best loss is down to rounding."""
+        """Return whether the best loss is down to rounding."""
         return self.best <= _NOTHING_LEFT * self.values[0]
 
     def decrease(self) -> float:
-        """Give the relative decrease of the best loss over the span."""
+        """Return the relative decrease of the best loss over the span."""
         earlier = self._best[max(0, len(self._best) - 1 - self.span)]
         return (earlier - self.best) / earlier if earlier > 0.0 else 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Descent:
-    """How a descent ended.
+    """The result of a descent.
 
-    u (steps, nu): its plan, None if there is none: the last one if a number of iterations was asked
-        for, else the best one.
-    gradient_norm: of the loss at u. history: columns of equal length, one row before each step and
-        one at the end.
+    u: (steps, nu), the last plan for a given number of iterations, else the best one; may be None
+    gradient_norm: of the loss at u
+    history: columns of equal length, one row before each step and one at the end
     """
 
     outcome: Outcome
@@ -276,22 +270,13 @@ class Descent:
 def projected_descent(
     loss_of: Callable[[Tensor], Tensor], u: Tensor, rate: float, lower: Tensor, upper: Tensor
 ) -> Iterator[Tensor]:
-    """Yield the loss, and again after each step, without end; u.grad is its gradient there.
+    """Yield the loss (..) [-] before each step, without end; u.grad is its gradient.
 
-    Parameters
-    ----------
-    loss_of : u (.., steps, nu) [N, N m] -> (..) [-]
-    u : (.., steps, nu) [N, N m]; requires a gradient, and moves in place when the next loss is
-        asked for; each of its leading rows descends by itself
-    lower, upper : (nu,) [N, N m]
-
-    Yields
-    ------
-    (..) [-]
+    u (.., steps, nu) [N, N m] requires a gradient and changes in place; leading rows are
+    independent. lower, upper are (nu,) [N, N m].
     """
-    # The step is written out, as torch.optim.SGD takes it: the first optimiser of a process imports
-    # torch's compiler, 1.1 CPU s, and an interrupt in that import leaves PyTorch without any
-    # optimiser until the process ends.
+    # The first torch.optim optimiser of a process imports torch's compiler (1.1 CPU s), and an
+    # interrupt of that import breaks all optimisers; hence no torch.optim.SGD.
     while True:
         u.grad = None
         loss = loss_of(u)
@@ -304,17 +289,10 @@ def projected_descent(
 def descend(
     objective: Objective, u0: np.ndarray, options: DescentOptions, time_limit: float
 ) -> Descent:
-    """Descend until nothing is gained, or a limit is reached.
+    """Descend from u0 (steps, nu) [N, N m] until nothing is gained, or a limit is reached.
 
-    Parameters
-    ----------
-    u0 : (steps, nu) [N, N m], first guess
-    time_limit : wall seconds [s]
-
-    Raises
-    ------
-    ShootingError
-        For a loss of one's own that has no gradient with respect to the inputs.
+    time_limit is in wall seconds [s]. Raises ShootingError for a custom loss without a gradient
+    with respect to the inputs.
     """
     began = perf_counter()
     scene = objective.kernel.scene
@@ -330,8 +308,8 @@ def descend(
         "gradient_norm": [],
     }
 
-    def told(outcome: Outcome, message: str, plan: np.ndarray | None, norm: float) -> Descent:
-        """Say how it ended, with plan (steps, nu) [N, N m]."""
+    def result(outcome: Outcome, message: str, plan: np.ndarray | None, norm: float) -> Descent:
+        """Return the result with plan (steps, nu) [N, N m]. Raises nothing."""
         return Descent(
             outcome=outcome,
             message=message,
@@ -357,7 +335,7 @@ def descend(
             message = divergence_message(
                 objective, rate, iteration, best.numpy() if iteration else None
             )
-            return told(
+            return result(
                 Outcome.DIVERGED if iteration else Outcome.EVALUATION_ERROR, message, None, 0.0
             )
         progress = losses.add(value, options.tolerance)
@@ -375,7 +353,7 @@ def descend(
     objective.seconds += perf_counter() - began
 
     if by_rule and progress is Progress.RUNAWAY:
-        return told(
+        return result(
             Outcome.DIVERGED,
             divergence_message(objective, rate, iteration, best.numpy()),
             None,
@@ -404,12 +382,12 @@ def descend(
     at_bound = int(((plan <= lower) | (plan >= upper)).sum())
     if at_bound:
         message = f"{message}; {at_bound} of {plan.size} inputs are held at their bound"
-    return told(outcome, ended(message), plan, _norm(slope))
+    return result(outcome, ended(message), plan, _norm(slope))
 
 
 def _norm(array: np.ndarray) -> float:
     flat = array.ravel()
-    with np.errstate(over="ignore"):  # an overflow is an answer: the descent diverged
+    with np.errstate(over="ignore"):  # an overflow means divergence
         return float(np.sqrt(flat @ flat))
 
 
@@ -418,7 +396,7 @@ def _limit_message(options: DescentOptions, losses: Losses) -> str:
         rose = (
             "; the loss is higher than at the start" if losses.values[-1] > losses.values[0] else ""
         )
-        return f"stopped after the {options.iterations} iterations asked for{rose}"
+        return f"stopped after the {options.iterations} requested iterations{rose}"
     return (
         f"stopped at max_iterations = {options.max_iterations}; over the last quarter of them the loss still fell by "
         f"{100.0 * losses.decrease():.2g} % (tolerance {100.0 * options.tolerance:.2g} %)"
@@ -426,12 +404,11 @@ def _limit_message(options: DescentOptions, losses: Losses) -> str:
 
 
 def _settled(losses: Losses, tolerance: float, promise: float) -> tuple[Outcome, str]:
-    """SOLVED if the gradient agrees that there is nothing left to gain, else STALLED.
+    """Return SOLVED if the gradient promises no gain either, else STALLED.
 
-    promise: the decrease that one more step would bring if the loss were linear. Where the loss has
-        settled although every step
-    promises more than the tolerance, the steps are too long for its curvature or its kinks, and it
-        is no minimum.
+    promise: decrease of one more step for a linear loss. If it exceeds the tolerance although the
+        loss
+    settled, the steps are too long for its curvature or kinks.
     """
     if losses.exhausted:
         return Outcome.SOLVED, f"the loss is down to {losses.best:.2g}, from {losses.values[0]:.2g}"

@@ -1,6 +1,6 @@
-"""What the single shooting methods share: a loss of the inputs alone under one contact law, made small by gradient descent or by L-BFGS.
+"""The base of single shooting methods: a loss of the inputs under one contact law.
 
-Light to import: no PyTorch.
+No PyTorch import.
 """
 
 from __future__ import annotations
@@ -19,34 +19,28 @@ _Weighted = TypeVar("_Weighted", bound=DescentOptions | QuasiNewtonOptions)
 
 
 class ShootingMethod(Method[_Weighted]):
-    """Single shooting under one contact law.
-
-    PyTorch is imported when a session is opened: 1.7 s that planning a campaign does without.
-    """
+    """Single shooting under one contact law; opening a session imports PyTorch (1.7 s)."""
 
     law: ContactLaw
 
     def loss(self, scene: Scene) -> Loss | None:
-        """Give a loss of one's own, of a rollout and its inputs (formulations.shooting.objective).
-
-        None: the paper's, by the weights among the options.
-        """
+        """Return a custom loss of a rollout and its inputs, or None for the paper's."""
         return None
 
     def session(self, scene: Scene, options: _Weighted, clock: Clock) -> Session:
-        """Open a session, which imports PyTorch."""
+        """Open a session."""
         from formulations.shooting.session import ShootingSession
 
         return ShootingSession(self, scene, options, clock, self.law, self.loss(scene))
 
 
 class DescentMethod(ShootingMethod[DescentOptions]):
-    """By gradient descent."""
+    """Single shooting by gradient descent."""
 
     options = DescentOptions
 
 
 class QuasiNewtonMethod(ShootingMethod[QuasiNewtonOptions]):
-    """By L-BFGS within the bounds of the inputs."""
+    """Single shooting by L-BFGS within the input bounds."""
 
     options = QuasiNewtonOptions

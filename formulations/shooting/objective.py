@@ -1,20 +1,12 @@
-"""The loss that is descended, in PyTorch operations on `rollout`: how far from the goal the plan ends, plus a little of what it costs.
+"""The loss of single shooting, in PyTorch operations on `rollout`.
 
     loss = terminal_weight * mean((x_T - x_f)^2) + input_weight * sum of the running cost
-
-The paper prints no loss; terminal_weight = 1, input_weight = 5e-6 and the mean over all positions
-and velocities reproduce its rows.
-
     objective = Objective(load_kernel(scene), law=ContactLaw.SOFTPLUS, eps=1e-3)
     objective(u).backward()  # u (steps, nu), a tensor that requires a gradient
 
-A loss of one's own is any function of a rollout (RolloutTensors) and its inputs that returns one
-number for each plan:
-
-    def calm(plan, u):
-        return (plan.end - goal).square().mean(-1) + 1e-5 * u.diff(dim=-2).square().sum((-2, -1))
-
-    objective = Objective(load_kernel(scene), law=ContactLaw.RELU, loss=calm)
+The paper prints no loss; weights 1 and 5e-6 and the mean over all positions and velocities
+reproduce its rows. A custom loss is a function of a rollout (RolloutTensors) and its inputs with
+one number per plan, passed as `loss`.
 """
 
 from __future__ import annotations
@@ -36,44 +28,42 @@ from models.scene.goal import goal_state, miss
 
 @dataclass(frozen=True, kw_only=True)
 class Weights:
-    """Weights of the mean squared terminal error and of the running cost in the loss."""
+    """Weights of the mean squared terminal error and of the running cost."""
 
     terminal: float = 1.0
     running: float = 5e-6
 
 
 class GoalLoss:
-    """The paper's loss: (..) of the rollouts of inputs u (.., steps, nu). goal (2*nq,): None or NaN where the end is free."""
+    """The paper's loss (..) of rollouts; goal (2*nq,) is None or NaN for a free end."""
 
     def __init__(
         self, goal: Sequence[float | None] | np.ndarray, weights: Weights | None = None
     ) -> None:
-        given = np.array(goal, dtype=float)
+        values = np.array(goal, dtype=float)
         self.weights = Weights() if weights is None else weights
-        self._goal = torch.from_numpy(np.nan_to_num(given))
-        self._asked = torch.from_numpy(~np.isnan(given)) if np.isnan(given).any() else None
+        self._goal = torch.from_numpy(np.nan_to_num(values))
+        self._asked = torch.from_numpy(~np.isnan(values)) if np.isnan(values).any() else None
 
     def __call__(self, plan: RolloutTensors, u: Tensor) -> Tensor:
-        """Weigh the squared miss of the goal against the running cost: (..) [-] for each rollout."""
+        """Return the loss (..) [-] of each rollout."""
         if (self._goal.device, self._goal.dtype) != (plan.end.device, plan.end.dtype):
             self._goal = self._goal.to(plan.end)
             self._asked = None if self._asked is None else self._asked.to(plan.end.device)
         error = plan.end - self._goal
         if self._asked is not None:
             error = torch.where(self._asked, error, 0.0)
-        squares = (error * error).cumsum(-1)[
-            ..., -1
-        ]  # added up from the first to the last, so that no processor does it otherwise
+        # Summed in a fixed order, so that the rounding does not depend on the processor.
+        squares = (error * error).cumsum(-1)[..., -1]
         return self.weights.terminal * squares / len(self._goal) + self.weights.running * plan.cost
 
 
 class Objective:
-    """A loss as a function of inputs (steps, nu) alone.
+    """A loss as a function of inputs (steps, nu), and the state of its last evaluation.
 
-    Facts of the last evaluation stand beside it.
-
-    goal (2*nq,): what terminal_error is measured from, and what the loss aims at unless `loss` is
-    given (`aim`); NaN where free. plan: the last rollout; seconds: wall seconds spent so far.
+    goal: (2*nq,), reference of terminal_error, and the aim unless `loss` is given; NaN where free
+    plan: the last rollout
+    seconds: wall seconds of the evaluations
     """
 
     def __init__(
@@ -95,20 +85,17 @@ class Objective:
         self.aim(goal_state(task), Weights() if weights is None else weights)
 
     def aim(self, goal: np.ndarray, weights: Weights) -> None:
-        """Change the goal (2*nq,) [m, rad, m/s, rad/s] and the weights.
+        """Set the goal (2*nq,) [m, rad, m/s, rad/s] and the weights; a custom loss is unchanged.
 
-        A loss of one's own stays as it is. Raises ValueError for a goal that holds no numbers.
+        Raises ValueError for a goal that is not numeric.
         """
         self.goal, self.weights = goal, weights
         self.loss = GoalLoss(goal, weights) if self._own is None else self._own
 
     def __call__(self, u: Tensor) -> Tensor:
-        """The loss at inputs u (steps, nu), a scalar that can be differentiated.
+        """Return the differentiable loss at u (steps, nu), not finite for a diverged rollout.
 
-        Not finite if the rollout diverges.
-
-        Raises ShootingError for a loss of one's own that is no number, or does not depend on the
-        plan.
+        Raises ShootingError for a custom loss that is no number, or does not depend on the plan.
         """
         self.plan = rollout(self.kernel, u, self.start, law=self.law, eps=self.eps)
         value = self.loss(self.plan, u)
@@ -133,12 +120,12 @@ class Objective:
 
     @property
     def finite(self) -> bool:
-        """Whether the last rollout stayed finite to its end."""
+        """Return whether the last rollout stayed finite."""
         return self.finite_steps == len(self._inputs)
 
     @property
     def finite_steps(self) -> int:
-        """How many steps of the last rollout stayed finite."""
+        """Return the number of finite steps of the last rollout."""
         if self.plan is None or not math.isnan(self.plan.cost.item()):
             return len(self._inputs)
         rows = torch.isfinite(self.plan.q).all(-1) & torch.isfinite(self.plan.v).all(-1)
@@ -150,17 +137,20 @@ class Objective:
 
     @property
     def aims(self) -> bool:
-        """Whether the loss is that of the module docstring, which `aim` changes."""
+        """Return whether the loss is the paper's, which `aim` changes."""
         return self._own is None
 
     def missed(self, goal: np.ndarray) -> np.ndarray:
-        """Give x_T - goal (2*nq,) [m, rad, m/s, rad/s] of the last rollout, 0 where the goal is free. Raises ValueError for a goal of another length."""
+        """Return x_T - goal (2*nq,) [m, rad, m/s, rad/s] of the last rollout, 0 where free.
+
+        Raises ValueError for a goal of another length.
+        """
         assert self.plan is not None
         return miss(self.plan.end.detach().numpy(), goal)
 
     @property
     def error(self) -> np.ndarray:
-        """x_T minus the goal aimed at: (2*nq,) [m, rad, m/s, rad/s], 0 where it is free.
+        """Return x_T minus the goal aimed at (2*nq,) [m, rad, m/s, rad/s], 0 where free.
 
         Raises AssertionError before the first evaluation.
         """
@@ -168,31 +158,34 @@ class Objective:
 
     @property
     def terminal_error(self) -> float:
-        """|x_T - goal| over positions and velocities."""
+        """Return |x_T - goal| over positions and velocities."""
         error = self.error
         return math.sqrt(float(error @ error))
 
     @property
     def cost(self) -> float:
-        """The scene's cost of the last rollout."""
+        """Return the scene's cost of the last rollout."""
         assert self.plan is not None
         return self.plan.cost.item()
 
     def value(self, u: np.ndarray) -> float:
-        """Evaluate the loss at inputs u (steps, nu) [N, N m]; infinite if the rollout diverges.
+        """Return the loss at u (steps, nu) [N, N m], infinite if the rollout diverges.
 
-        Raises ShootingError as `__call__` does.
+        Raises ShootingError as `__call__`.
         """
         began = perf_counter()
         self._inputs = torch.tensor(u, dtype=torch.float64, requires_grad=True)
         self._value = self(self._inputs)
-        found = self._value.item()
+        loss = self._value.item()
         self.seconds += perf_counter() - began
-        return found if math.isfinite(found) else math.inf
+        return loss if math.isfinite(loss) else math.inf
 
     def gradient(self) -> np.ndarray:
-        """Differentiate the loss at the inputs that `value` evaluated last: (steps, nu) [1/N, 1/N/m]. Raises KernelError where the mass matrix is not positive definite along the rollout."""
+        """Return the gradient (steps, nu) [1/N, 1/N/m] at the inputs of the last `value`.
+
+        Raises KernelError if the mass matrix is not positive definite along the rollout.
+        """
         began = perf_counter()
-        (found,) = torch.autograd.grad(self._value, self._inputs, retain_graph=True)
+        (gradient,) = torch.autograd.grad(self._value, self._inputs, retain_graph=True)
         self.seconds += perf_counter() - began
-        return found.numpy()
+        return gradient.numpy()

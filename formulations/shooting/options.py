@@ -1,4 +1,4 @@
-"""Options of gradient descent and of L-BFGS. Light to import: no PyTorch."""
+"""Options of gradient descent and of L-BFGS; light to import (no PyTorch)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from formulations.method import OptionError, Options, option
 
 @dataclass(frozen=True, kw_only=True)
 class WeightOptions(Options):
-    """The weights of the paper's loss."""
+    """Weights of the paper's loss."""
 
     input_weight: float = option(
         5e-6, "weight of the running cost in the loss", lower=0.0, upper=1e12
@@ -55,7 +55,7 @@ class DescentOptions(WeightOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class QuasiNewtonOptions(WeightOptions):
-    """Options of L-BFGS, which meets the goal by aiming beside it."""
+    """Options of L-BFGS, which meets the goal by multipliers."""
 
     memory: int = option(
         20, "pairs of steps and gradient differences that are kept", lower=1, upper=1000

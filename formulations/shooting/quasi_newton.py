@@ -1,12 +1,10 @@
-"""L-BFGS on an Objective within the bounds of the inputs (SciPy's L-BFGS-B), and the goal met by aiming beside it.
+"""L-BFGS on an Objective within the input bounds (SciPy's L-BFGS-B), with multipliers for the goal.
 
-    found = minimise(objective, u0, QuasiNewtonOptions(), time_limit=60.0)
+    result = minimise(objective, u0, QuasiNewtonOptions(), time_limit=60.0)
 
-SciPy's, because `torch.optim.LBFGS` knows no bounds. The loss is that of gradient descent, through
-the same `rollout`; it weighs the goal against the cost and so the plan ends a little beside the
-goal. Each round after the first displaces the goal that is aimed at by what was missed: goal - s
-with s <- s + (x_T - goal). That is the method of multipliers, since w |m + s|^2 = w |m|^2 + 2 w s'm
-+ constant, with 2 w s as multipliers.
+The loss weighs the goal against the cost, so its minimum misses the goal a little. Each further
+round aims at goal - s, with s <- s + (x_T - goal): the method of multipliers, because
+w |m + s|^2 = w |m|^2 + 2 w s'm + constant. (`torch.optim.LBFGS` has no bounds.)
 """
 
 from __future__ import annotations
@@ -23,16 +21,20 @@ from formulations.shooting.objective import Objective
 from formulations.shooting.options import QuasiNewtonOptions
 from formulations.solution import Outcome, ended
 
-_JUDGED_OVER = 20  # iterations over which the decrease is judged
-# a round that misses by more than this share of the least before makes the goal heavier
+# Iterations over which the decrease is measured.
+_JUDGED_OVER = 20
+# A round with an error above this share of the smallest one increases the goal's weight.
 _SHRINKS = 0.25
+# Factor of the weight.
 _HEAVIER = 5.0
-_STALLS = 0.9  # three rounds in a row that miss by more than this share of the least are enough
-_FLAT = 1e-5  # a gradient of this share of the first one is none, where no step lowers the loss
+# Three consecutive rounds with an error above this share of the smallest one end the rounds.
+_STALLS = 0.9
+# Relative to the first gradient: a smaller one counts as zero if no step lowers the loss.
+_FLAT = 1e-5
 
 
 class _Run:
-    """One minimisation for a fixed aim: the function in units of its first value, its best point, and when to stop."""
+    """One minimisation for a fixed aim, scaled by its first value."""
 
     def __init__(
         self,
@@ -50,18 +52,17 @@ class _Run:
             history,
         )
         self._shape = (objective.kernel.scene.task.steps, objective.kernel.scene.nu)
-        self._last: tuple[np.ndarray, float, np.ndarray, float, float] | None = (
-            None  # point, loss, gradient, miss, cost
-        )
+        # Point, loss, gradient, error, cost.
+        self._last: tuple[np.ndarray, float, np.ndarray, float, float] | None = None
         self._scale = 1.0
         self.losses: list[float] = []
         self.ending = ""
-        self._norm = 0.0  # of the projected gradient at the last iterate
+        self._norm = 0.0  # of the last projected gradient
 
     def start(self, u: np.ndarray) -> float:
-        """Scale by the loss at u (steps, nu) [N, N m], and give it.
+        """Return the loss at u (steps, nu) [N, N m], and use it as scale.
 
-        Raises ShootingError for a loss of one's own that cannot be differentiated.
+        Raises ShootingError for a custom loss that cannot be differentiated.
         """
         value = self._objective.value(u)
         self._scale = value if np.isfinite(value) and value > 0.0 else 1.0
@@ -72,9 +73,9 @@ class _Run:
         return value
 
     def minimised(self, u: np.ndarray) -> np.ndarray:
-        """The inputs (steps, nu) [N, N m] where L-BFGS from u ends, which `ending` names.
+        """Return the inputs (steps, nu) [N, N m] at the end of L-BFGS from u.
 
-        Raises what `function` does.
+        `ending` names the reason. Raises as `function`.
         """
         lower, upper = (
             np.broadcast_to(bound, u.shape).ravel()
@@ -97,17 +98,19 @@ class _Run:
                 "maxls": 40,
             },
         )
-        # nothing is left of the projected gradient that the first point had, or no step lowers the
-        # loss
+        # "flat": the projected gradient vanished; "search": no step lowers the loss.
         if not self.ending:
             norms = self._history["gradient_norm"]
             self.ending = "flat" if self._norm <= _FLAT * (norms[0] if norms else 0.0) else "search"
         return np.clip(result.x.reshape(u.shape), lower.reshape(u.shape), upper.reshape(u.shape))
 
     def function(self, point: np.ndarray) -> tuple[float, np.ndarray]:
-        """Evaluate the scaled loss and its gradient (steps*nu,) [1/N, 1/N/m] at a point (steps*nu,) [N, N m]. Raises ShootingError for a loss of one's own that cannot be differentiated."""
+        """Return scaled loss and gradient (steps*nu,) [1/N, 1/N/m] at (steps*nu,) [N, N m].
+
+        Raises ShootingError for a custom loss that cannot be differentiated.
+        """
         value = self._objective.value(point.reshape(self._shape))
-        if not np.isfinite(value):  # a step too far: the line search shortens it
+        if not np.isfinite(value):  # the line search then shortens the step
             return 1e300, np.zeros(point.size)
         gradient = self._objective.gradient().ravel()
         missed = float(np.linalg.norm(self._objective.missed(self._goal)))
@@ -115,7 +118,7 @@ class _Run:
         return value / self._scale, gradient / self._scale
 
     def monitor(self, point: np.ndarray) -> None:
-        """Note an iterate (steps*nu,) [N, N m]; raises StopIteration where it is enough."""
+        """Record an iterate (steps*nu,) [N, N m]; raises StopIteration to end the run."""
         objective, options = self._objective, self._options
         if self._last is None or not np.array_equal(self._last[0], point):
             self.function(point)
@@ -141,7 +144,10 @@ class _Run:
 
 
 def projected(objective: Objective, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Take out of a gradient (steps, nu) [1/N, 1/N/m] at u (steps, nu) [N, N m] what would leave the bounds: (steps, nu) [1/N, 1/N/m]. Raises ValueError for an array of another shape."""
+    """Project a gradient (steps, nu) [1/N, 1/N/m] at u (steps, nu) [N, N m] on the bounds.
+
+    Raises ValueError for an array of another shape.
+    """
     lower, upper = input_bounds(objective.kernel.scene)
     beyond = ((u <= lower) & (gradient > 0.0)) | ((u >= upper) & (gradient < 0.0))
     return np.where(beyond, 0.0, gradient)
@@ -150,12 +156,10 @@ def projected(objective: Objective, u: np.ndarray, gradient: np.ndarray) -> np.n
 def minimise(
     objective: Objective, u0: np.ndarray, options: QuasiNewtonOptions, time_limit: float
 ) -> Descent:
-    """Minimise from u0 (steps, nu) [N, N m] within the bounds.
+    """Minimise from u0 (steps, nu) [N, N m] within the bounds; time_limit in wall seconds.
 
-    The objective's goal is left where it was.
-
-    Of the answer, gradient_norm is without entries that point beyond a bound. time_limit: wall
-    seconds. Raises ShootingError for a loss of one's own that cannot be differentiated.
+    The gradient_norm of the result ignores entries that point beyond a bound. Raises ShootingError
+    for a custom loss that cannot be differentiated.
     """
     deadline = perf_counter() + time_limit
     goal, weights = objective.goal, objective.weights
@@ -230,9 +234,9 @@ def _rounds(
     deadline: float,
     history: dict[str, list[float]],
 ) -> tuple[_Run | None, np.ndarray, float, int]:
-    """Minimise, displace the goal by what was missed, and again.
+    """Minimise repeatedly with a shifted goal.
 
-    The last run, the best inputs, what they miss, and how often displaced.
+    Return last run, best inputs, error, number of shifts.
     """
     goal, best, least, displaced, weight, slow = (
         objective.goal,
@@ -254,7 +258,7 @@ def _rounds(
         missed = float(np.linalg.norm(error))
         slow = slow + 1 if missed > _STALLS * least else 0
         shift += error
-        if missed > _SHRINKS * least:  # a heavier goal, with the same multipliers
+        if missed > _SHRINKS * least:  # a larger weight, with the same multipliers
             weight, shift = weight * _HEAVIER, shift / _HEAVIER
         if missed < least:
             best, least = u, missed

@@ -1,23 +1,13 @@
-"""The rollout in plain PyTorch operations, written from the scene's SymPy equations: slow, simple, differentiable to any order.
+"""The rollout in plain PyTorch: slow, simple, differentiable to any order, on any device.
 
     q, v, lam = reference_rollout(scene, u, start)
 
-It shares nothing with the compiled kernel but the equations themselves, and is what the kernel's
-values and gradients are tested against. About a thousand times slower: use
-`formulations.shooting.rollout` to plan. Many plans at once (leading dimensions of u and start) cost
-little more than one, and it runs where the tensors are: it is the rollout on devices that the
-compiled one does not reach.
+It shares only the SymPy equations with the compiled kernel, which is tested against it, and is a
+thousand times slower. Dry friction acts by the slips at the end of the step,
+s(f) = s0 + h W f with W = S M^-1 S', and the limits mu N:
 
-Dry friction acts by the forces of one time step, with their derivatives by the implicit function
-theorem. With s(f) = s0 + h W f the slips at the end of the step, W = S M^-1 S', and the limits mu
-N:
-
-    Coulomb        |f| <= mu N,  f minimises f's / 2 + s0' f:   s = 0, or f = -mu N sign(s)
-    regularised    f = -mu N tanh(c s),                         c = |ln eps| / (2 nominal)
-
-Which forces stick, and roughly how large they are, is found without derivatives by sweeps over
-single forces; the equations that then hold are solved once more by a Newton step that PyTorch
-differentiates: exact first and second derivatives, away from the corners between stick and slip.
+    Coulomb       |f| <= mu N,  f minimises f's / 2 + s0' f:   s = 0, or f = -mu N sign(s)
+    regularised   f = -mu N tanh(c s),                         c = |ln eps| / (2 nominal)
 """
 
 from __future__ import annotations
@@ -36,22 +26,19 @@ from models.scene import Scene
 from models.scene.contacts import DampingLaw
 
 _SWEEPS = 10000
-_SETTLED = 1e-15  # change of a force in parts of its limit
+# Change of a force relative to its limit that ends the sweeps.
+_SETTLED = 1e-15
 
 
 def friction_forces(s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor | None) -> Tensor:
-    """Give the friction forces of one step of many plans.
+    """Return the friction forces (.., nf) [N] of one step of many plans.
 
-    Parameters
-    ----------
-    s0 : (.., nf) [m/s], slips at the end of the step without friction
-    hw : (.., nf, nf) [m/s/N], h W
-    limit : (.., nf) [N], mu N
-    steepness : (nf,) [s/m], c of the regularised law; None for Coulomb's
-
-    Returns
-    -------
-    (.., nf) [N]
+    Sweeps without derivatives find the forces; a Newton step on the equations that hold makes them
+    differentiable twice, away from the corners between stick and slip.
+    s0: (.., nf) [m/s], slips at the end of the step without friction
+    hw: (.., nf, nf) [m/s/N], h W
+    limit: (.., nf) [N], mu N
+    steepness: (nf,) [s/m], c of the regularised law; None for Coulomb's
     """
     nf = s0.shape[-1]
     rows = [
@@ -64,7 +51,7 @@ def friction_forces(s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor | N
 
 
 def coulomb(s0: Tensor, hw: Tensor, limit: Tensor) -> Tensor:
-    """Give the forces (nf,) [N] of Coulomb's law from s0 (nf,) [m/s], hw = h W (nf, nf) [m/s/N], limit mu N (nf,) [N]."""
+    """Return Coulomb's forces (nf,) [N]; s0 (nf,) [m/s], hw (nf, nf) [m/s/N], limit (nf,) [N]."""
     held, sticks = _swept(s0.detach(), hw.detach(), limit.detach(), None)
     slipping = torch.sign(held) * limit * ~sticks
     if not bool(sticks.any()):
@@ -75,10 +62,10 @@ def coulomb(s0: Tensor, hw: Tensor, limit: Tensor) -> Tensor:
 
 
 def regularised(s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor) -> Tensor:
-    """Give them by the regularised law; steepness c (nf,) [s/m]."""
+    """Return the forces of the regularised law, with steepness c (nf,) [s/m]."""
     f, _ = _swept(s0.detach(), hw.detach(), limit.detach(), steepness)
     one = torch.eye(len(f), dtype=f.dtype, device=f.device)
-    for _ in range(3):  # the first polishes, each carries derivatives one order further
+    for _ in range(3):  # the first refines, each adds an order of derivatives
         g = torch.tanh(steepness * (s0 + hw @ f))
         slope = one + (limit * steepness * (1.0 - g**2))[:, None] * hw
         f = f - torch.linalg.solve(slope, f + limit * g)
@@ -88,7 +75,6 @@ def regularised(s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor) -> Ten
 def _swept(
     s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """Forces by sweeps over single ones, and which of them stick (Coulomb)."""
     f = torch.zeros_like(s0)
     for _ in range(_SWEEPS):
         before = f.clone()
@@ -111,7 +97,7 @@ def _swept(
 
 
 def _root(rest: float, w: float, limit: float, c: float) -> float:
-    """Solve for f in f + limit tanh(c (rest + w f)) = 0, whose left side increases: bisection."""
+    """Solve f + limit tanh(c (rest + w f)) = 0 for f by bisection; the left side increases."""
     low, high = -limit, limit
     for _ in range(200):
         middle = 0.5 * (low + high)
@@ -137,22 +123,14 @@ def reference_rollout(
     law: ContactLaw = ContactLaw.RELU,
     eps: float | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Simulate lam[t] = L(phi(q[t])), v[t+1] = v[t] + h M^-1 (tau + J' lam), q[t+1] = q[t] + h v[t+1].
+    """Simulate lam[t] = L(phi(q[t])), v[t+1] = v[t] + h M^-1 (tau + J' lam), q[t+1] = q[t] + h v.
 
-    All is computed in the dtype of start: float64, unless it is to be seen what float32 loses; and
-    on its device.
-
-    Parameters
-    ----------
-    u : (.., steps, nu) [N, N m], inputs
-    start : (.., 2*nq) [m, rad, m/s, rad/s]
-    step : h [s], that of the task unless given
-    law, eps : contact law, and the eps of softplus [-]
-
-    Returns
-    -------
-    q (.., steps+1, nq) [m, rad], v (.., steps+1, nq) [m/s, rad/s] and lam (.., steps, nc+nf) [N],
-        contact and then friction forces
+    u: (.., steps, nu) [N, N m], inputs
+    start: (.., 2*nq) [m, rad, m/s, rad/s], with the dtype and device of the rollout
+    step: h [s], by default the task's
+    law, eps: contact law, and eps of softplus [-]
+    Return q (.., steps+1, nq) [m, rad], v (.., steps+1, nq) [m/s, rad/s] and lam (.., steps, nc+nf)
+    [N], contact forces before friction forces.
     """
     h = scene.task.step if step is None else step
     force = _contact_law(law, eps, scene.length)
@@ -184,17 +162,7 @@ def reference_rollout(
 
 
 def reference_cost(scene: Scene, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
-    """Sum the running cost over the steps, and the cost of the last state.
-
-    Parameters
-    ----------
-    q, v : (.., steps+1, nq) [m, rad, m/s, rad/s]
-    u : (.., steps, nu) [N, N m]
-
-    Returns
-    -------
-    (..) [-]
-    """
+    """Return the cost (..) [-] of q, v (.., steps+1, nq) [SI], u (.., steps, nu) [N, N m]."""
     d = derive(scene)
     kind = {"dtype": q.dtype, "device": q.device}
     running = _torch_function(scene, sp.Matrix([d.running_cost]), d.q, d.v, d.u, **kind)
@@ -210,14 +178,17 @@ def _contact_law(
     if law is ContactLaw.RELU:
         return lambda phi, k: k * torch.relu(phi)
     b = sharpness(eps if eps is not None else 0.0, length)
-    # logaddexp neither overflows nor turns linear (as torch.nn.functional.softplus does beyond 20).
+    # torch.nn.functional.softplus turns linear beyond 20; logaddexp does not.
     return lambda phi, k: k / b * torch.logaddexp(b * phi, torch.zeros_like(phi))
 
 
 def _damped_forces(
     scene: Scene, law: ContactLaw, eps: float | None, **kind: Any
 ) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
-    """(lam, q, v) -> lam with the forces of the damped contacts (laws and smoothing: models.scene.contacts, models/codegen/damping.h)."""
+    """Return a function (lam, q, v) -> lam with the forces of the damped contacts.
+
+    Laws and smoothing are those of models.scene.contacts and models/codegen/damping.h.
+    """
     d = derive(scene)
     rate = -d.gap_jacobian * sp.Matrix(d.v)
     quantities = (sp.Matrix([d.penetration, d.stiffness, d.damping, rate]), d.q, d.v)
@@ -264,7 +235,6 @@ def _friction_forces(
     acceleration: Callable[..., Tensor],
     **kind: Any,
 ) -> Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]:
-    """(q, v, u, lam) -> f (.., nf) [N], of the slips at the end of the step."""
     d = derive(scene)
     slip, limit = (
         _torch_function(scene, d.slip, d.q, d.v, **kind),
@@ -314,10 +284,6 @@ def _torch_function(
     dtype: torch.dtype = torch.float64,
     device: torch.device | str = "cpu",
 ) -> Callable[..., Tensor]:
-    """Entries of a matrix, flattened row by row, as a function of vectors (.., n).
-
-    Parameters have the scene's values.
-    """
     parameters = tuple(parameter.symbol for parameter in scene.parameters)
     compiled = _compiled(
         (parameters, *(tuple(group) for group in groups)),
@@ -343,7 +309,7 @@ def _torch_function(
     return function
 
 
-# PyTorch takes whole numbers of 64 bits.
+# PyTorch's integers have 64 bits.
 _LARGEST_INT = 2**63
 
 
@@ -351,12 +317,11 @@ _LARGEST_INT = 2**63
 def _compiled(
     groups: tuple[tuple[sp.Symbol, ...], ...], entries: tuple[sp.Expr, ...]
 ) -> Callable[..., list[Any]]:
-    """Values of the entries, of one sequence of tensors a group.
+    """Return the entries as a function of one sequence of tensors per group.
 
-    Cached, because a descent calls for the same ones in each iteration: they take 10 ms to make
-    (three carts) or 50 (two fingers), the loop over 500 steps 100 or 650. Parameters enter as
-    tensors and constants as floats, because PyTorch's functions take tensors only (`torch.sqrt(2)`
-    fails).
+    Cached: a function takes 10 ms (three carts) or 50 ms (two fingers), a loop over 500 steps 100
+        or
+    650. Constants are floats, because torch functions accept tensors only (`torch.sqrt(2)` fails).
     """
     plain = [
         entry.replace(

@@ -1,24 +1,14 @@
-"""The compiled time step of a scene as a PyTorch function that can be differentiated once.
+"""The compiled time step of a scene as a PyTorch function with first derivatives.
 
-    q, v, lam, cost, end = rollout(scene, u)                                  # true (ReLU) contact
+    q, v, lam, cost, end = rollout(scene, u)  # true (ReLU) contact
     plan = rollout(scene, u, start, law=ContactLaw.SOFTPLUS, eps=1e-3)
 
-Values come from the C kernel, gradients with respect to `u` and `start` from its adjoint. Any loss
-of the outputs may be built on top. Decisions:
-
-- Leading dimensions are plans of their own: u (B, steps, nu) gives q (B, steps+1, nq) and a cost
-  (B,), in one call, each row as if alone.
-- The compiled code computes in float64 on the CPU. Another type is refused, not converted in
-  silence: `rollout(scene, u.double())` lets
-  gradients flow back to a float32 tensor, and says in the caller's code where precision changes.
-- Tensors on another device (CUDA) never visit the CPU: the same time step is then a loop of PyTorch
-  operations on that device, in the tensors'
-  own float type (formulations/shooting/reference.py). One plan is a thousand times slower so; thousands at once are what it is for. Scenes with friction
-  are refused there.
-- First derivatives only on the CPU; `create_graph=True` followed by a second backward raises
-  ShootingError.
-- At a penetration of exactly zero the ReLU has slope 0, as in `torch.relu`.
-- A rollout that diverges gives NaN from there on, and NaN gradients, as PyTorch functions do.
+- Leading dimensions are plans: u (B, steps, nu) gives q (B, steps+1, nq) and a cost (B,).
+- The CPU code needs float64: use `rollout(scene, u.double())`.
+- On another device the step is a loop of PyTorch operations (`reference`): for thousands of plans,
+  without friction.
+- A second derivative raises ShootingError. The ReLU has slope 0 at 0, as `torch.relu`.
+- A diverged rollout has NaN values and gradients.
 """
 
 from __future__ import annotations
@@ -37,15 +27,14 @@ from models.scene import Scene
 
 
 class ShootingError(TouchstoneError):
-    """Tensors that the compiled rollout cannot take, or a derivative that it does not have."""
+    """The compiled rollout cannot use these tensors, or lacks this derivative."""
 
 
 class RolloutTensors(NamedTuple):
     """A rollout: q, v (.., steps+1, nq) [m, rad, m/s, rad/s]; lam (.., steps, nc+nf) [N].
 
-    cost: (..) sum of the scene's running cost over the steps, and the final one; end: (.., 2*nq)
-        the last positions and velocities, once more: a gradient
-    of them alone is cheaper.
+    cost: (..) running and final cost
+    end: (.., 2*nq) last positions and velocities, with a cheaper gradient
     """
 
     q: Tensor
@@ -71,15 +60,15 @@ def rollout(
 
     Parameters
     ----------
-    u : (.., steps, nu) [N, N m], inputs, held over each step
-    start : (.., 2*nq) [m, rad, m/s, rad/s], that of the scene's task unless given
-    step : [s], that of the scene's task unless given
-    law, eps : contact law, and the eps of softplus [-], 0 < eps < 1
+    u : (.., steps, nu) [N, N m], inputs, constant over each step
+    start : (.., 2*nq) [m, rad, m/s, rad/s], by default the task's
+    step : [s], by default the task's
+    law, eps : contact law, and eps of softplus [-], 0 < eps < 1
 
     Raises
     ------
     ShootingError
-        For tensors of another type, device or shape than it takes.
+        for tensors of a wrong type, device or shape
     """
     kernel = load_kernel(scene) if isinstance(scene, Scene) else scene
     task = kernel.scene.task
@@ -141,8 +130,6 @@ def _check(scene: Scene, u: Tensor, start: Tensor) -> None:
 
 
 class _Rollout(torch.autograd.Function):
-    """Of u (.., steps, nu) and start (.., 2*nq), whose leading dimensions are equal."""
-
     @staticmethod
     def forward(
         ctx: Any,
@@ -188,9 +175,7 @@ class _Rollout(torch.autograd.Function):
             raise KernelError(
                 f"scene {ctx.kernel.scene.name}: the mass matrix is not positive definite along rollout {done}."
             )
-        if (
-            torch.is_grad_enabled()
-        ):  # create_graph=True: whoever differentiates these again shall be told
+        if torch.is_grad_enabled():  # create_graph=True: another derivative must raise
             parents = [
                 tensor for tensor in (u, q, *bars) if tensor is not None and tensor.requires_grad
             ]
@@ -199,10 +184,7 @@ class _Rollout(torch.autograd.Function):
 
 
 class _FirstDerivativeOnly(torch.autograd.Function):
-    """The identity on a gradient that cannot be differentiated again.
-
-    Depends on what it came from, so that trying raises.
-    """
+    """The identity on a gradient; differentiating it raises."""
 
     @staticmethod
     def forward(ctx: Any, gradient: Tensor, *parents: Tensor) -> Tensor:
@@ -211,6 +193,6 @@ class _FirstDerivativeOnly(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *bars: Tensor) -> Tensor:
         raise ShootingError(
-            "the compiled rollout can be differentiated once, but a second derivative was asked for; "
+            "the compiled rollout can be differentiated once, but a second derivative was requested; "
             "use formulations.shooting.reference.reference_rollout, which is plain PyTorch."
         )

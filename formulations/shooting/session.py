@@ -1,4 +1,4 @@
-"""A single shooting method opened on a scene: the kernel is loaded once and serves every eps."""
+"""A single shooting method opened on a scene; the kernel serves every eps."""
 
 from __future__ import annotations
 
@@ -31,10 +31,7 @@ from models.trajectory import Trajectory
 
 
 class ShootingSession(Session):
-    """One method on one scene, by gradient descent or by L-BFGS, as its options say.
-
-    clock: of the opening; loss: one's own, None for the paper's.
-    """
+    """One method on one scene; `loss` is a custom loss, or None for the paper's."""
 
     def __init__(
         self,
@@ -55,7 +52,7 @@ class ShootingSession(Session):
     ) -> Solution:
         """Descend from the inputs of the warm start.
 
-        Raises TrajectoryError for a plan of another scene or grid.
+        Raises TrajectoryError for another scene or grid.
         """
         stage = Clock()
         self._method.check_stage(eps, time_limit)
@@ -74,9 +71,9 @@ class ShootingSession(Session):
         return replace(solution, seconds=stage_seconds(stage, self._clock, evaluating, descending))
 
     def _solution(self, descent: Descent, u0: np.ndarray, eps: float | None) -> Solution:
-        """The plan simulated once more by the kernel, and its residuals recomputed from that.
+        """Return the plan simulated again with its residuals.
 
-        Without a plan, the growth at the first guess.
+        Without a plan the growth at the first guess.
         """
         task, law = self._scene.task, self._law
         empty = Solution(
@@ -104,7 +101,7 @@ class ShootingSession(Session):
                     residuals=growth.residuals(),
                 )
             )
-        if plan.diverged:  # of a loss of one's own, which may be a number where the motion has none
+        if plan.diverged:  # a custom loss can be finite on a diverged motion
             return replace(
                 empty,
                 outcome=Outcome.EVALUATION_ERROR,

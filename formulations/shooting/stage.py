@@ -1,13 +1,11 @@
-"""What every shooting method does with a warm start when a stage begins, and with its plan when it ends: its residuals, and how gradients grow along it.
+"""Start and end of a shooting stage: warm start, residuals, and the growth of gradients.
 
     growth = measure_growth(load_steps(scene), x, u, law, eps)
-    growth.factor, growth.rate                      # |d x_T/d x_0| and its exponent [1/s]
-    growth.sentence()                               # "" while it is harmless
+    growth.factor, growth.rate  # |d x_T/d x_0| and its exponent [1/s]
+    growth.sentence()  # "" if harmless
 
-The derivative of a loss with respect to x_t is (d x_T/d x_t)' times that with respect to x_T, so
-that the spectral norm of d x_T/d x_t is the factor by which shooting's gradients may grow on their
-way back from the end to t. It is the product of the exact Jacobians of the time steps from t on,
-kept with its exponent apart, so that no horizon is too long.
+A gradient at x_t is (d x_T/d x_t)' times that at x_T: the spectral norm is its largest growth on
+the way back. It is a product of the exact Jacobians of the steps, with a separate exponent.
 """
 
 from __future__ import annotations
@@ -27,39 +25,36 @@ from models.scene import Scene
 from models.scene.goal import goal_state, miss
 from models.trajectory import Trajectory
 
-# A factor below this costs two digits at most: no shooting method fails of it.
+# A smaller factor costs at most two digits.
 HARMLESS = 100.0
-_LARGEST_EXPONENT = 690.0  # exp of it is still a float
+_LARGEST_EXPONENT = 690.0  # exp of it is still finite
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GradientGrowth:
-    """exponents (steps+1,): natural logarithm of the spectral norm of d x_T/d x_t, 0 at the end.
-
-    Step [s].
-    """
+    """exponents (steps+1,): natural logarithm of |d x_T/d x_t|, 0 at the end; step [s]."""
 
     exponents: np.ndarray
     step: float
 
     @property
     def factor(self) -> float:
-        """|d x_T/d x_0|, at most e^690."""
+        """Return |d x_T/d x_0|, at most e^690."""
         return math.exp(min(float(self.exponents[0]), _LARGEST_EXPONENT))
 
     @property
     def rate(self) -> float:
-        """Slope of the exponents over the time to go, by least squares [1/s]: the growth is about e^(rate T)."""
+        """Return the least-squares slope of the exponents over the time to go [1/s]."""
         to_go = self.step * np.arange(len(self.exponents))[::-1]
         centred = to_go - to_go.mean()
         return float(centred @ self.exponents / (centred @ centred))
 
     def residuals(self) -> dict[str, float]:
-        """Give what a solution says of it: gradient_growth [-] and growth_rate [1/s]."""
+        """Return the residuals gradient_growth [-] and growth_rate [1/s]."""
         return {"gradient_growth": self.factor, "growth_rate": self.rate}
 
     def sentence(self) -> str:
-        """Say what the growth means for shooting, or "" while it is harmless."""
+        """Return a sentence on the growth, or "" if it is harmless."""
         if self.exponents[0] < math.log(HARMLESS):
             return ""
         horizon = self.step * (len(self.exponents) - 1)
@@ -70,7 +65,7 @@ class GradientGrowth:
 
 
 def with_growth(message: str, growth: GradientGrowth) -> str:
-    """Add to the message of a method that did not solve its scene what the growth has to do with it."""
+    """Append the growth to the message of an unsolved scene."""
     return f"{message} {growth.sentence()}".strip()
 
 
@@ -86,18 +81,9 @@ def measure_growth(
     law: ContactLaw = ContactLaw.RELU,
     eps: float | None = None,
 ) -> GradientGrowth | None:
-    """Measure the growth along a plan; None where a step is not finite.
+    """Return the growth along nodes x (steps+1, 2*nq) [SI] and inputs u (steps, nu) [N, N m].
 
-    Parameters
-    ----------
-    x : (steps+1, 2*nq) [m, rad, m/s, rad/s], nodes
-    u : (steps, nu) [N, N m], inputs
-    law, eps : contact law of the steps, and the eps of softplus [-]
-
-    Raises
-    ------
-    KernelError
-        For an array of another shape.
+    None if a step is not finite. Raises KernelError for an array of another shape.
     """
     step = steps.scene.task.step
     linear = steps.linearise(x[:-1], u, step, law, eps)
@@ -109,7 +95,7 @@ def measure_growth(
     for t in range(n - 1, -1, -1):
         product = products[t + 1] @ linear.A[t]
         size = float(np.abs(product).max())
-        if size == 0.0:  # what happens before is forgotten
+        if size == 0.0:  # independent of earlier states
             products[: t + 1], scales[: t + 1] = 0.0, scales[t + 1]
             break
         products[t], scales[t] = product / size, scales[t + 1] + math.log(size)
@@ -120,12 +106,12 @@ def measure_growth(
         )
 
 
-# Beyond a velocity bound by less [m/s, rad/s] is rounding.
+# A smaller excess of a velocity bound [m/s, rad/s] is rounding.
 _TOLERANCE = 1e-6
 
 
 def given_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
-    """Give the inputs (steps, nu) [N, N m] of the warm start, or zeros.
+    """Return the inputs (steps, nu) [N, N m] of the warm start, or zeros.
 
     Raises TrajectoryError for a plan of another scene or grid.
     """
@@ -135,7 +121,7 @@ def given_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
 
 
 def plan_residuals(scene: Scene, plan: Trajectory) -> dict[str, float]:
-    """Measure terminal_error, its position and velocity parts, input_bound_excess and, where the scene has such bounds, velocity_bound_excess."""
+    """Return terminal errors and excesses of bounds by name."""
     error = miss(plan.end, goal_state(scene.task))
     return {
         "terminal_error": float(np.linalg.norm(error)),
@@ -152,9 +138,9 @@ def arrived(
     residuals: Mapping[str, float],
     advice: str = "a larger terminal_weight",
 ) -> tuple[Outcome, str]:
-    """Turn SOLVED into STALLED, and say why, where the plan converged away from the goal or beyond a velocity bound.
+    """Turn SOLVED into STALLED for a plan that misses the goal or exceeds a velocity bound.
 
-    advice: what brings it nearer to the goal.
+    advice: remedy for a missed goal
     """
     for name in ("terminal_position_error", "terminal_velocity_error"):
         limit = scene.limit(name)
@@ -164,7 +150,7 @@ def arrived(
             and limit.value is not None
             and residuals[name] > limit.value
         ):
-            missed = f"{name} is {residuals[name]:.3g}, the scene asks for {limit.value:g}; {advice} brings it nearer"
+            missed = f"{name} is {residuals[name]:.3g}, the scene allows {limit.value:g}; {advice} brings it nearer"
             outcome, message = (
                 Outcome.STALLED,
                 f"{message} It converged away from the goal: {missed}.".strip(),
@@ -184,7 +170,10 @@ def arrived(
 
 
 def stage_seconds(stage: Clock, opening: Clock, evaluate: float, solving: float) -> Seconds:
-    """Give the seconds of a stage, and of opening its session if it is the first. solving: wall seconds of the solve, of which evaluate in the scene's code."""
+    """Return the seconds of a stage, including the opening of its session if it is the first.
+
+    solving: wall seconds of the solve, of which `evaluate` in the scene's code
+    """
     stage.stop()
     (wall, cpu), (build, build_cpu) = stage.pay(), opening.pay()
     return Seconds(

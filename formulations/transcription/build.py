@@ -1,38 +1,10 @@
-"""Scene -> Pyomo model: a plain ConcreteModel, or a Block of the user's own model.
+"""Build the Pyomo model of a plan, write plans into it and read them from it.
 
-And how a plan gets into it and out.
-
-    model = build_model("three_cart", contact=ContactFormulation.SOFTPLUS, eps=1e-3)
-    model.parameter_scene["k"] = 300.0                               # no rebuilding
-    model.own = pyo.Constraint(expr=model.variable_q[250, "q2"] >= 3.2)
-    load_plan(model, plan)                                           # a Trajectory as first guess
-    plan = read_plan(model)  # the model's values as a Trajectory
-
-What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
-
-| name | index | what |
-|---|---|---|
-| variable_q, variable_v | t in nodes, coordinate | positions [m, rad], velocities |
-| variable_u | t in steps, input | inputs within their bounds |
-| variable_lam | t in steps, contact | contact forces [N] at the start of the step |
-| variable_spring, variable_touch | t in steps, damped contact | k max(phi, 0) [N], and Kelvin-Voigt's switch; complementarity only |
-| variable_friction | t in steps, friction | friction forces [N], of the slip at the end of the step |
-| variable_slip | t in steps, friction, way | slip speeds forward and backward [m/s], complementarity only |
-| parameter_scene | parameter | the scene's parameters, mutable |
-| parameter_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | mutable; goals only where the end is given |
-| parameter_step | | h [s], mutable |
-| parameter_sharpness | | b = abs(ln eps)/L [1/m], L the scene's length, softplus only, mutable: `set_relaxation` |
-| parameter_length | | L [m], softplus only |
-| mpec_bound | | eps of relaxed complementarity, mutable: `set_relaxation` |
-| constraint_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | goals only where the end is given |
-| constraint_position_step, constraint_velocity_step | t in steps, coordinate | semi-implicit Euler |
-| constraint_contact_softplus or complementarity_contact | t in steps, contact | the contact law |
-| complementarity_spring, complementarity_touch | t in steps, damped contact | what the two variables above are |
-| constraint_friction_regularised, or constraint_slip and complementarity_friction | t in steps, friction (, way) | the friction law |
-| expression_cost, objective_cost | | sum of the running cost, and the final cost; the objective exists in `build_model` only |
-
-What the scene does not need is not there: no variable_u without inputs, no variable_lam without
-contacts, no variable_friction without friction, no variable_spring without damping.
+model = build_model("three_cart", contact=ContactFormulation.SOFTPLUS, eps=1e-3)
+model.parameter_scene["k"] = 300.0  # no rebuilding
+model.own = pyo.Constraint(expr=model.variable_q[250, "q2"] >= 3.2)
+load_plan(model, plan)  # a Trajectory as first guess
+plan = read_plan(model)  # the model's values as a Trajectory
 """
 
 from __future__ import annotations
@@ -84,29 +56,29 @@ def build_model(
     scheme: Scheme = Scheme.SEMI_IMPLICIT_EULER,
     integrate_cost: bool = False,
 ) -> pyo.ConcreteModel:
-    """A plain Pyomo model of the scene's task, at the first guess of the paper (start held, u = lam = 0).
+    """Return a plain Pyomo model of the scene's task, at the paper's first guess.
+
+    The first guess: all nodes at the start, u = lam = 0. `build_block` lists the components.
 
     Parameters
     ----------
     scene : a Scene, its name, or the path of its file
-    contact : how contact is written
-    eps : with SOFTPLUS needed, 0 < eps < 1; with COMPLEMENTARITY None leaves pyomo.mpec's
-        `Complementarity` untransformed (for solvers and
-        transformations of your own), a number applies Pyomo's `mpec.simple_nonlinear` with that
-        bound [N^2]
-    steps, step : another grid than the task's [s]; the plan lasts steps * step, so that either
-    alone changes how long scheme : the time step, semi-implicit Euler or a collocation of higher
-    order (`collocation` says what its block has) integrate_cost : with a collocation, weigh the
-    running cost of the stages as its quadrature does instead of summing that of the nodes
+    contact : formulation of contact
+    eps : SOFTPLUS: 0 < eps < 1; COMPLEMENTARITY: a number applies Pyomo's `mpec.simple_nonlinear`
+        with that bound [N^2], None leaves pyomo.mpec's `Complementarity` untransformed
+    steps, step : another grid [s]; the plan lasts steps * step
+    scheme : the time step, semi-implicit Euler or a collocation (see `collocation`)
+    integrate_cost : with a collocation, integrate the running cost by its quadrature instead of
+        summing over the nodes
 
     Raises
     ------
     ModelError
-        for a contact that is none, and a scene that has no collocation
+        for an unknown contact, and a scene without collocation
     SceneError
-        for what is no scene, and a function that Pyomo does not have
+        for an object that is no scene, and a function that Pyomo does not have
     UnknownNameError
-        for a name that no scene has
+        for an unknown scene name
 
     Examples
     --------
@@ -116,7 +88,7 @@ def build_model(
     >>> model.parameter_scene["k"] = 300.0  # stiffer contact, no rebuilding
     >>> # a constraint of the caller
     >>> model.own = pyo.Constraint(expr=model.variable_q[25, "q2"] <= 3.2)
-    >>> set_relaxation(model, 1e-4)  # the bound moves, the model stays
+    >>> set_relaxation(model, 1e-4)  # another bound, the same model
     >>> pyo.value(model.mpec_bound)
     0.0001
     """
@@ -147,7 +119,34 @@ def build_block(
     scheme: Scheme = Scheme.SEMI_IMPLICIT_EULER,
     integrate_cost: bool = False,
 ) -> None:
-    """Fill a Block of your own model, as `build_model` does, without an objective: `block.expression_cost` is there to be weighed.
+    """Fill a Block as `build_model` does, without an objective (see `block.expression_cost`).
+
+    Components exist only if the scene needs them; t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
+
+    | name | index | meaning |
+    |---|---|---|
+    | variable_q, variable_v | node, coordinate | positions [m, rad], velocities |
+    | variable_u | step, input | inputs within their bounds |
+    | variable_lam | step, contact | contact forces [N] at the start of the step |
+    | variable_spring, variable_touch | step, damped contact | see `contact.add_springs` |
+    | variable_friction | step, friction | friction forces [N], by the slip at the end of the step |
+    | variable_slip | step, friction, way | slip speeds [m/s] of complementarity |
+    | parameter_scene | parameter | the scene's parameters, mutable |
+    | parameter_start_position, parameter_start_velocity | coordinate | mutable |
+    | parameter_goal_position, parameter_goal_velocity | coordinate | mutable; not for a free end |
+    | parameter_step | | h [s], mutable |
+    | parameter_sharpness | | softplus: b = abs(ln eps)/L [1/m], mutable |
+    | parameter_length | | softplus: the scene's length L [m] |
+    | mpec_bound | | eps of relaxed complementarity, mutable |
+    | constraint_start_position, constraint_start_velocity | coordinate | |
+    | constraint_goal_position, constraint_goal_velocity | coordinate | not for a free end |
+    | constraint_position_step, constraint_velocity_step | step, coordinate | semi-implicit Euler |
+    | constraint_contact_softplus or complementarity_contact | step, contact | contact law |
+    | complementarity_spring, complementarity_touch | step, damped contact | spring and switch |
+    | constraint_friction_regularised | step, friction | friction law of softplus |
+    | constraint_slip, complementarity_friction | step, friction (, way) | of complementarity |
+    | expression_cost | | running and final cost |
+    | objective_cost | | only in `build_model` |
 
     >>> import pyomo.environ as pyo
     >>> from formulations import ContactFormulation, build_block
@@ -176,11 +175,12 @@ def build_block(
         chosen = chosen.with_task(
             steps=task.steps if steps is None else steps, step=task.step if step is None else step
         )
+    # Checks eps before the model is built.
     b = (
         sharpness(cast(float, eps), chosen.length)
         if contact is ContactFormulation.SOFTPLUS
         else None
-    )  # checks eps before anything is built
+    )
     with PauseGC():
         _add_sets(block, chosen)
         _add_parameters(block, chosen)
@@ -227,7 +227,6 @@ def _add_parameters(block: Any, scene: Scene) -> None:
 
 
 def _add_variables(block: Any, scene: Scene) -> None:
-    """Created at the paper's first guess: the start held, no inputs, no contact forces."""
     nodes, steps = block.set_nodes, block.set_steps
     start = dict(
         zip(
@@ -324,9 +323,9 @@ def _add_contact(
     states: tuple[list, list],
     p: list[Any],
 ) -> list[list[Any]]:
-    """The contact forces and their law; states: q, v as rows of variables.
+    """Add the contact forces and their law; return lam[t][contact].
 
-    Returns the variables lam[t][contact].
+    states: q, v as rows of variables
     """
     q, v = states
     place = {name: index for index, name in enumerate(block.set_contacts)}
@@ -359,12 +358,12 @@ def _add_contact(
 
 
 def release_goal(model: Any) -> list[tuple[Any, Any, str]]:
-    """Take the goal's constraints out.
+    """Remove the goal's constraints.
 
-    Returns (last state, goal, coordinate) of every component that was given.
+    Return (last state, goal, coordinate) of each given component.
     """
     last = max(model.set_nodes)
-    given = []
+    components = []
     for part, variable in (("position", model.variable_q), ("velocity", model.variable_v)):
         constraint, goal = (
             model.component(f"constraint_goal_{part}"),
@@ -372,21 +371,21 @@ def release_goal(model: Any) -> list[tuple[Any, Any, str]]:
         )
         if constraint is not None:
             constraint.deactivate()
-            given += [(variable[last, name], goal[name], name) for name in goal]
-    return given
+            components += [(variable[last, name], goal[name], name) for name in goal]
+    return components
 
 
 def load_plan(block: Any, plan: Trajectory) -> None:
-    """Write a plan into the variables of a block, as first guess.
+    """Write a plan into the variables of a block as first guess.
 
-    Its ends need not be those of the task.
+    Its ends may differ from the task's.
 
     Raises
     ------
     TrajectoryError
         unless the plan has the block's grid and numbers of columns
     ModelError
-        for a model of something else
+        if the block does not come from `build_block`
     """
     steps, h = _steps_of(block), pyo.value(block.parameter_step)
     if not isinstance(plan, Trajectory):
@@ -430,7 +429,7 @@ def _steps_of(block: Any) -> int:
 
 
 def load_first_guess(block: Any) -> None:
-    """The paper's first guess: the start held, no inputs (or the nearest allowed), no contact forces."""
+    """Write the paper's first guess, with inputs clipped to their bounds."""
     for name, end in (("variable_q", "position"), ("variable_v", "velocity")):
         start = [pyo.value(value) for value in block.component(f"parameter_start_{end}").values()]
         write_values(block.component(name), np.tile(start, (len(block.set_nodes), 1)))
@@ -452,9 +451,9 @@ def load_first_guess(block: Any) -> None:
 
 
 def read_plan(block: Any) -> Trajectory:
-    """The plan that the block's variables hold now.
+    """Return the plan in the block's variables.
 
-    Raises TrajectoryError where one has no finite value, ModelError for a model of something else.
+    Raises TrajectoryError for a value that is not finite, ModelError for a block without a plan.
     """
     steps = _steps_of(block)
     arrays, scheme = {}, Scheme.SEMI_IMPLICIT_EULER
@@ -478,17 +477,16 @@ def read_plan(block: Any) -> Trajectory:
 
 
 def read_values(variable: Any) -> np.ndarray:
-    """Values (n,) of an indexed variable in its own order, NaN where there is none [units of the variable]."""
+    """Return the values (n,) of an indexed variable, NaN if missing [variable unit]."""
     return np.array(
         [np.nan if data.value is None else data.value for data in variable.values()], dtype=float
     )
 
 
 def write_values(variable: Any, values: np.ndarray) -> None:
-    """Set an indexed variable from values (n,) in its own order [units of the variable].
+    """Set an indexed variable from values (n,) in its own order [variable unit].
 
-    One outside the bounds is a guess like any other. Raises ValueError for another number of
-    values.
+    Values outside the bounds are allowed. Raises ValueError for another number of values.
     """
     for data, value in zip(
         variable.values(), np.asarray(values, dtype=float).ravel().tolist(), strict=True

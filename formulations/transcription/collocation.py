@@ -1,21 +1,10 @@
-"""Collocation in a plan's model: the scene's own equations at the stages of each step, one input held over all of them.
+"""Collocation in a plan's model: the scene's equations at the stages of each step.
 
-    model = build_model("three_cart", contact=ContactFormulation.SOFTPLUS, eps=1e-5, steps=100, step=0.05, scheme=Scheme.RADAU_IIA_2)
+    model = build_model("three_cart", contact=ContactFormulation.SOFTPLUS, eps=1e-5, steps=100,
+    step=0.05, scheme=Scheme.RADAU_IIA_2)
 
-The block contains the nodes of `build` and the names below, i in 1..s (`set_stages`). The second
-stage of Radau IIA is the next node and has no variable.
-
-| name | index | what |
-|---|---|---|
-| variable_stage_q, variable_stage_v | t in steps, coordinate | positions and velocities of the first stage, at t h + c_1 h |
-| variable_lam | t in steps, i, contact | contact forces [N] at the stages |
-| constraint_position_step, constraint_velocity_step | t in steps, i, coordinate | the derivative of the polynomial through node and stages is the motion |
-| constraint_position_end, constraint_velocity_end | t in steps, coordinate | the next node, on that polynomial; implicit midpoint only |
-| constraint_contact_softplus or complementarity_contact | t in steps, i, contact | the contact law at the stages |
-| expression_penetration, expression_stage_penetration | t in steps (, i), contact | phi at the node and at the stages [m] |
-
-What a plan says of its contact forces, `lam` at the start of each step, is the contact law at the
-node: of Radau IIA a stage's own force.
+The input is constant over a step. A plan's `lam` at the start of each step is the contact law at
+the node.
 """
 
 from __future__ import annotations
@@ -49,12 +38,24 @@ def add_collocation(
     *,
     integrate_cost: bool = False,
 ) -> None:
-    """Stages, dynamics, contact law and cost of a block that has its nodes, inputs and ends.
+    """Add stages, dynamics, contact law and cost to a block with nodes, inputs and ends.
+
+    Stages are i in 1..s (`set_stages`); the second stage of Radau IIA is the next node.
+
+    | name | index | meaning |
+    |---|---|---|
+    | variable_stage_q, variable_stage_v | step, coordinate | first stage, at t h + c_1 h ||
+    | variable_lam | step, i, contact | contact forces [N] |
+    | constraint_position_step, constraint_velocity_step | step, i, coordinate | motion |
+    | constraint_position_end, constraint_velocity_end | step, coordinate | implicit midpoint only |
+    | constraint_contact_softplus or complementarity_contact | step, i, contact | contact law |
+    | expression_penetration | step, contact | phi at the node [m] |
+    | expression_stage_penetration | step, i, contact | phi at the stages [m] |
 
     Raises
     ------
     ModelError
-        for a scene that has no collocation
+        for a scene without collocation
     """
     reason = why_not_collocated(scene)
     if reason is not None:
@@ -88,8 +89,8 @@ def add_collocation(
 def _add_stages(
     block: Any, table: Tableau, q: list, v: list
 ) -> tuple[list[list[list[Any]]], list[list[list[Any]]]]:
-    """Return stage positions and velocities [t][i][coordinate]; only the first stage has variables."""
-    found = []
+    """Return stage positions and velocities [t][i][coordinate]; only first stages are variables."""
+    states = []
     for name, nodes in (("q", q), ("v", v)):
         start = {data.index()[1]: data.value for data in nodes[0]}
         variable = pyo.Var(
@@ -101,8 +102,8 @@ def _add_stages(
         rows = [[first] for first in rows_by_time(variable, len(nodes) - 1)]
         if table.is_stiffly_accurate:
             rows = [[*stages, after] for stages, after in zip(rows, nodes[1:], strict=True)]
-        found.append(rows)
-    return found[0], found[1]
+        states.append(rows)
+    return states[0], states[1]
 
 
 def _add_motion(
@@ -118,7 +119,7 @@ def _add_motion(
     ]
 
     def gained(rows: list, now: list, t: int, i: int) -> list[Any]:
-        """Return sum_j D_ij (X_j - x[t]) of every coordinate (nq,), D = A^-1 [-]."""
+        """Return sum_j D_ij (X_j - x[t]) (nq,), D = A^-1 [-]."""
         return [
             sum(
                 float(weight) * (rows[t][j][c] - now[t][c])
@@ -170,9 +171,9 @@ def _add_contact(
     states: tuple,
     p: list[Any],
 ) -> list[list[list[Any]]]:
-    """The contact forces and their law; states: nodes q, stages q.
+    """Add the contact forces and their law; return lam[t][i][contact].
 
-    Returns the variables lam[t][i][contact].
+    states: nodes q, stages q
     """
     q, stage_q = states
     place = {name: index for index, name in enumerate(block.set_contacts)}
@@ -216,12 +217,12 @@ def _add_contact(
 
 
 def is_collocated(block: Any) -> bool:
-    """Whether the block's steps have stages."""
+    """Return whether the block's steps have stages."""
     return block.component("set_stages") is not None
 
 
 def settle_stages(block: Any) -> None:
-    """Give stages the values on the straight line between their nodes, and every force what the contact law says of its stage."""
+    """Set the stages on the line between their nodes, and the forces by the contact law."""
     table = tableau(block.scheme)
     for name in ("q", "v"):
         variable, nodes = (
@@ -235,7 +236,7 @@ def settle_stages(block: Any) -> None:
 
 
 def settle_forces(block: Any) -> None:
-    """Give every force what the contact law says of its stage."""
+    """Set the forces by the contact law of their stages."""
     if block.component("variable_lam") is None:
         return
     for data, force in zip(
@@ -248,9 +249,9 @@ def settle_forces(block: Any) -> None:
 
 
 def forces_at_nodes(block: Any) -> np.ndarray:
-    """Contact forces (steps, nc) at the start of each step [N], by the block's contact law.
+    """Return contact forces (steps, nc) [N] at the start of each step, by the block's contact law.
 
-    Raises ValueError where a variable has no value.
+    Raises ValueError if a variable has no value.
     """
     if block.component("variable_lam") is None:
         return np.zeros((len(block.set_steps), 0))
@@ -258,9 +259,9 @@ def forces_at_nodes(block: Any) -> np.ndarray:
 
 
 def stage_penetration(block: Any) -> np.ndarray:
-    """Penetrations (steps, s * nc) at the stages [m], those of the first stage first.
+    """Return penetrations (steps, s * nc) [m] at the stages, by stages.
 
-    Raises ValueError where a variable has no value.
+    Raises ValueError if a variable has no value.
     """
     return _values(block.expression_stage_penetration).reshape(len(block.set_steps), -1)
 

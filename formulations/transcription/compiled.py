@@ -1,18 +1,4 @@
-"""A compiled model: translated for Ipopt once, solved many times.
-
-And how large it is, counted on paper beside what Ipopt is given.
-
-T steps, g of the 2 nq components of the end given:
-
-    unknowns      2 nq (T+1) + nu T + nc T + nf T       states, inputs, contact and friction forces
-    equations   2 nq + g + 2 nq T + nc T + nf T
-        start, end, time steps, one law a contact and friction
-
-Complementarity adds to each contact and step its separation force and that force's definition; to
-each friction and step two slip speeds, two reserves, and the four equations that tie them to the
-slip and to the force; to each damped contact and step the force of its spring and that force's
-complement, its definition and their product, and with Kelvin-Voigt as much for the switch.
-"""
+"""A model compiled for Ipopt once and solved many times; its size counted by hand."""
 
 from __future__ import annotations
 
@@ -41,8 +27,17 @@ from models.trajectory import Trajectory
 
 
 def size_on_paper(scene: Scene, contact: ContactFormulation) -> ModelSize:
-    """Unknowns and equations of the scene's model by hand; see the module docstring."""
-    steps, given = scene.task.steps, sum(value is not None for value in scene.task.goal)
+    """Count the unknowns and equations of a model with T steps and g goal components.
+
+        unknowns    2 nq (T+1) + nu T + nc T + nf T    states, inputs, contact and friction forces
+        equations   2 nq + g + 2 nq T + nc T + nf T    start, end, time steps, laws
+
+    Complementarity adds per step: a separation force and its definition per contact; two slip
+        speeds,
+    two reserves and four equations per friction; a spring force, its complement, definition and
+    product per damped contact, and as many for a Kelvin-Voigt switch.
+    """
+    steps, ends_given = scene.task.steps, sum(value is not None for value in scene.task.goal)
     laws = [scene.contacts[index].damping_law for index in scene.damped]
     pairs = len(laws) + laws.count(DampingLaw.KELVIN_VOIGT)
     extra = (
@@ -50,7 +45,7 @@ def size_on_paper(scene: Scene, contact: ContactFormulation) -> ModelSize:
     )
     return ModelSize(
         unknowns=2 * scene.nq * (steps + 1) + (scene.nu + scene.nl + extra) * steps,
-        equations=2 * scene.nq + given + (2 * scene.nq + scene.nl + extra) * steps,
+        equations=2 * scene.nq + ends_given + (2 * scene.nq + scene.nl + extra) * steps,
     )
 
 
@@ -58,14 +53,14 @@ Callback = Callable[[Iteration], "bool | None"]
 
 
 class CompiledModel:
-    """One Pyomo model and its translation."""
+    """One Pyomo model and its compiled problem."""
 
     def __init__(self, model: Any) -> None:
         self.model = model
         self._problem: IpoptProblem | None = None
 
     def problem(self, budget: SolveBudget) -> IpoptProblem:
-        """The translation, current with the model's Params and bounds."""
+        """Return the compiled problem, refreshed."""
         begin = perf_counter()
         if self._problem is None:
             self._problem = compile_model(self.model)
@@ -75,22 +70,19 @@ class CompiledModel:
         return self._problem
 
     def load(self, start: Trajectory | None) -> None:
-        """The model holds this plan, or the paper's first guess.
-
-        Raises TrajectoryError for a plan of another grid.
-        """
+        """Load this plan, or the paper's first guess. Raises TrajectoryError for another grid."""
         if start is None:
             load_first_guess(self.model)
         else:
             load_plan(self.model, start)
 
     def read(self) -> Trajectory:
-        """The plan that the model holds. Raises TrajectoryError where a value is not finite."""
+        """Return the plan in the model. Raises TrajectoryError for a value that is not finite."""
         return read_plan(self.model)
 
     @property
     def size(self) -> ModelSize | None:
-        """Of what was translated; None before the first solve."""
+        """Return the compiled size, None before the first solve."""
         return (
             None
             if self._problem is None
@@ -105,14 +97,11 @@ class CompiledModel:
         *,
         callback: Callback | None = None,
     ) -> IpoptResult:
-        """Solve from the values of the model's variables, or with all that another solve knew, and write the point where it ended into the model.
+        """Solve from the model's values, or after another solve, and load the end point.
 
-        Parameters
-        ----------
-        budget : of the stage
-        options : Ipopt's; max_iter counts for the whole stage
-        after : the other solve, whose point and multipliers this one starts from
-        callback : called after each iteration; False stops
+        options: Ipopt's; max_iter is for the whole stage
+        after: another solve, with the point and multipliers of the start
+        callback: called after each iteration; False stops
         """
         problem = self.problem(budget)
         left = {
@@ -143,7 +132,11 @@ class CompiledModel:
     def ends(
         self, budget: SolveBudget, result: IpoptResult, variables: Iterable[Any]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Values (n,) of variables at the end of a solve, and by each the derivative (n,) of the Lagrangian without its bounds: the multipliers of these."""
+        """Return values (n,) of variables after a solve, and the multipliers (n,) of their bounds.
+
+        A multiplier is the derivative of the Lagrangian without bounds [objective per variable].
+        Raises KeyError for a variable outside the model.
+        """
         problem = self.problem(budget)
         place = {id(variable): column for column, variable in enumerate(problem.variables)}
         columns = np.array([place[id(variable)] for variable in variables])

@@ -1,46 +1,8 @@
-"""Dry friction in a plan's model.
+"""Contact, damping and friction in a plan's model: variables, laws, relaxation, fixed modes.
 
-Its forces belong to the slip speed at the end of the step, s = S(q[t]) v[t+1]: only so can a step
-stick.
-
-    variable_friction[t, name]       the friction force f [N]
-    regularised (softplus):          f = -mu N tanh(|ln eps| s / (2 nominal)), a logistic function
-                                     of the slip
-    complementarity:                 s = s_forward - s_backward,  0 <= s_forward  complements  mu N
-                                     + f >= 0,
-                                                                  0 <= s_backward complements mu N -
-                                                                  f >= 0
-
-In the plane this is the model of Stewart and Trinkle (maximal dissipation) with one variable less:
-whoever slips forward is held back by all of mu N, and whoever is held by less does not slip.
-
-SymPy equations of a scene -> functions of Pyomo variables and Params.
-
-    equations = SceneExpressions(derive(scene))
-    equations.penetration(q, p)        # [Pyomo expression per contact]
-
-Arguments are sequences in the scene's order: q, v (nq), u (nu), lam (nc), p (np). Entries that are
-zero for the scene are the number 0, so that nothing is written for what is not there.
-
-How a plan's model writes contact, and how it is tightened without building the model again.
-
-Damped contacts in a plan's model. Their rates of penetration r are those at the start of the step,
-as their penetrations are.
-
-    variable_lam[t, name]            the contact force: 0 <= lam  complements  lam - push >= 0, so
-                                     lam = max(push, 0)
-    variable_spring[t, name]         sigma = k max(phi, 0) [N]
-    variable_touch[t, name]          w, Kelvin-Voigt only: 1 where phi > 0, 0 where phi < 0, and
-                                     between where it touches
-
-    Hunt-Crossley    push = sigma (1 + d r)       0 <= sigma  complements  sigma - k phi >= 0
-    Kelvin-Voigt   push = sigma + c w r   0 <= sigma  complements  1 - w >= 0,   0 <= w  complements
-        sigma - k phi >= 0
-
-The force of Kelvin-Voigt jumps where it touches, so no formulation without a switch is exact: k phi
-+ c r may be positive before anything touches. What the two pairs of the switch say: where sigma >
-0, w = 1; where w > 0, sigma = k phi; so phi > 0 gives sigma = k phi and w = 1, and phi < 0 gives w
-= 0 and sigma = 0. Softplus (models/codegen/damping.h) needs neither variable.
+equations = SceneExpressions(derive(scene))
+equations.penetration(q, p)  # [Pyomo expression per contact]
+set_relaxation(model, 1e-4)  # without building the model again
 """
 
 from __future__ import annotations
@@ -69,20 +31,17 @@ Entries = Callable[..., Sequence[Any]]
 
 
 class SceneExpressions:
-    """The functions a transcription needs.
+    """The functions of a scene on Pyomo variables and Params.
 
-    Raises
-    ------
-    SceneError
-        for a function that Pyomo does not have (atan2)
+    Arguments are sequences in the scene's order: q, v (nq), u (nu), lam (nc), p (np). Zero entries
+    are the number 0. Raises SceneError for a function that Pyomo does not have (atan2).
     """
 
     def __init__(self, dynamics: Dynamics) -> None:
         d = dynamics
         self.nq = len(d.q)
-        self.mass = _function(
-            d, "the mass matrix", list(d.mass_matrix), d.q, d.p
-        )  # row by row, nq*nq entries
+        # nq*nq entries, by rows.
+        self.mass = _function(d, "the mass matrix", list(d.mass_matrix), d.q, d.p)
         self.force = _function(
             d,
             "the generalised force",
@@ -119,7 +78,7 @@ def _function(
 
 
 def rows_by_time(variable: Any, count: int) -> list[list[Any]]:
-    """The variables of each of `count` times, in the scene's order."""
+    """Return the variables of each time, in the scene's order."""
     rows: list[list[Any]] = [[] for _ in range(count)]
     for (t, _), data in variable.items():
         rows[t].append(data)
@@ -129,7 +88,7 @@ def rows_by_time(variable: Any, count: int) -> list[list[Any]]:
 class ContactFormulation(Enum):
     """SOFTPLUS: smooth force at a distance, eps in (0, 1).
 
-    COMPLEMENTARITY: lam (lam - k phi) <= eps [N^2], eps = 0 is the true law.
+    COMPLEMENTARITY: lam (lam - k phi) <= eps [N^2]; eps = 0 is the true law.
     """
 
     SOFTPLUS = "softplus"
@@ -137,23 +96,19 @@ class ContactFormulation(Enum):
 
 
 class ModelError(TouchstoneError):
-    """A model is asked for something it was not built for.
-
-    One sentence says what and what to do instead.
-    """
+    """A model does not have the requested part."""
 
 
 def relax(block: Any, eps: float) -> None:
-    """Replace the complementarity of a built block by Pyomo's own relaxation lam * v <= mpec_bound, v = lam - k phi (mpec.simple_nonlinear).
+    """Relax the complementarity of a block in place: lam * v <= mpec_bound, v = lam - k phi.
 
-    In place, once. To keep the untransformed model, relax a clone: `relaxed = model.clone();
-    relax(relaxed, 1e-2)`.
+    This is Pyomo's `mpec.simple_nonlinear`. Relax a clone to keep the untransformed model.
 
     Raises
     ------
     ModelError
-        where there is nothing to relax, and for a second time: the transformation would silently
-        disconnect the first bound
+        if there is nothing to relax, or the block is relaxed already: a second transformation
+        would silently disconnect the first bound
     """
     if not _families(block):
         raise ModelError(
@@ -166,36 +121,30 @@ def relax(block: Any, eps: float) -> None:
     bound = _checked_bound(block, eps)
     pyo.TransformationFactory("mpec.simple_nonlinear").apply_to(block, mpec_bound=bound)
     for _, pair in pairs(block):
-        # that a force or slip is not negative is its bound already; as a row it would cost a slack
-        # each
+        # The variable's bound already states this; a row would add a slack.
         pair.c.deactivate()
     settle_separation(block)  # the transformation leaves v without a value
 
 
 def settle_separation(block: Any) -> None:
-    """Give every variable that a pair brings with it the value that its own equation asks for.
-
-    That is the separation force v = lam - k phi (friction: the reserve mu N - |f| either way) of
-    each relaxed pair, at least 0, and slip speeds and springs.
-    """
+    """Set separation forces (reserves of friction), slips and springs from their equations."""
     _settle_slip(block)
     _settle_springs(block)
     if not hasattr(block, "mpec_bound"):  # never relaxed
         return
     for _, pair in pairs(block):
         pair.v.set_value(0.0, skip_validation=True)
-        pair.v.set_value(
-            max(0.0, -pyo.value(pair.ve.body)), skip_validation=True
-        )  # ve: v - (lam - k phi) == 0
+        # ve: v - (lam - k phi) == 0.
+        pair.v.set_value(max(0.0, -pyo.value(pair.ve.body)), skip_validation=True)
 
 
 def set_relaxation(block: Any, eps: float) -> None:
-    """Set the relaxation of a built block: sharpness b = |ln eps| for softplus, the bound eps [N^2] for complementarity (0 allowed).
+    """Set b = |ln eps| / L of softplus, or the bound eps >= 0 [N^2] of complementarity.
 
     Raises
     ------
     ModelError
-        where the block has no relaxation
+        if the block has no relaxation
     """
     if hasattr(block, "parameter_sharpness"):
         block.parameter_sharpness.value = sharpness(eps, pyo.value(block.parameter_length))
@@ -208,9 +157,9 @@ def set_relaxation(block: Any, eps: float) -> None:
 
 
 def pairs(block: Any) -> list[tuple[Any, Any]]:
-    """Variable and pair of every complementarity, each by step: (lam, its pair), (slip one way, its pair).
+    """Return (variable, pair) of every complementarity: contacts, frictions, springs, switches.
 
-    Contacts come first, then frictions, then springs and switches of damped contacts.
+    The variables are lam, the slip one way, the spring force and the switch.
     """
     return [
         item
@@ -220,10 +169,10 @@ def pairs(block: Any) -> list[tuple[Any, Any]]:
 
 
 def sides(block: Any) -> list[tuple[Any, Any]]:
-    """The two variables of every pair of a relaxed block, of which one is zero, step by step as in `hold_modes`.
+    """Return the two variables of every relaxed pair, by steps as in `hold_modes`.
 
-    (lam, lam - k phi) of the contacts, then (slip forward, mu N + f), (slip backward, mu N - f) of
-    the frictions, then the pairs of springs and of switches.
+    (lam, lam - k phi) of contacts, (slip forward, mu N + f), (slip backward, mu N - f) of
+    frictions, then the pairs of springs and of switches.
     """
     steps = len(block.set_steps)
     rows: list[list[tuple[Any, Any]]] = [[] for _ in range(steps)]
@@ -241,28 +190,19 @@ def sides(block: Any) -> list[tuple[Any, Any]]:
 def _families(block: Any) -> list[tuple[Any, Any]]:
     kinds = (("lam", "contact"), ("slip", "friction"), ("spring", "spring"), ("touch", "touch"))
     names = [(f"variable_{variable}", f"complementarity_{pair}") for variable, pair in kinds]
-    found = [(block.component(variable), block.component(pair)) for variable, pair in names]
-    return [(variable, pair) for variable, pair in found if pair is not None]
+    families = [(block.component(variable), block.component(pair)) for variable, pair in names]
+    return [(variable, pair) for variable, pair in families if pair is not None]
 
 
 def hold_modes(block: Any, closed: np.ndarray) -> None:
-    """Decide every pair of a relaxed block; the products are switched off.
+    """Fix every pair of a relaxed block, and switch the products off.
 
-    What is left has no complementarity: for a linear scene without friction a convex quadratic
-    program. Of a friction whose contact is open nothing is decided, whatever `closed` says: it has
-    no force, and slips as it will.
-
-    Parameters
-    ----------
-    block : a relaxed block
-    closed : (steps, nc + 2 nf + springs + switches) [-]: True where a contact is closed (lam = k
-        phi; else lam = 0); then, for each friction, where it may
-        slip forward against f = -mu N (else it does not), and where backward; then whether each damped contact touches, for its spring and its switch
-
-    Raises
-    ------
-    ValueError
-        For modes of another shape.
+    closed (steps, nc + 2 nf + springs + switches) [-]: whether each contact is closed (lam = k phi,
+    else 0), may slip forward (f = -mu N) and backward, then spring and switch of each damped
+    contact. The rest is a convex quadratic program for a linear scene without friction. Friction of
+    an open contact is never fixed: it has no force and any slip. Raises ValueError for modes of
+    another
+        shape.
     """
     for _, pair in pairs(block):
         pair.ccon.deactivate()
@@ -276,7 +216,7 @@ def hold_modes(block: Any, closed: np.ndarray) -> None:
 
 
 def release_modes(block: Any) -> None:
-    """Undo `hold_modes`: the pairs are open to choice again, and their products are bounded by mpec_bound."""
+    """Undo `hold_modes`: free the pairs, and bound their products by mpec_bound."""
     for variable, pair in pairs(block):
         pair.ccon.activate()
         for side in (variable, pair.v):
@@ -300,14 +240,12 @@ def add_contact_law(
     softplus: Callable[..., Any],
     push: Callable[..., Any],
 ) -> None:
-    """The law of the forces of a block.
+    """Add the law of the contact forces.
 
-    Parameters
-    ----------
-    index : the sets of `variable_lam`
-    b : sharpness of softplus, or None
-    softplus : of an index, the equation of the smoothed law
-    push : of an index, what the force is the positive part of
+    index: the sets of `variable_lam`
+    b: sharpness of softplus, or None
+    softplus: equation of the smoothed law, by index
+    push: expression whose positive part is the force, by index
     """
     if contact is ContactFormulation.SOFTPLUS:
         block.parameter_sharpness = pyo.Param(initialize=b, mutable=True)
@@ -322,7 +260,7 @@ def add_contact_law(
 
 
 def damped_softplus(scene: Scene, contact: int, phi: Any, rate: Any, k: Any, c: Any, b: Any) -> Any:
-    """The smoothed force of a damped contact [N]."""
+    """Return the smoothed force of a damped contact [N]."""
     if scene.contacts[contact].damping_law is DampingLaw.KELVIN_VOIGT:
         return equations.expression_kelvin_voigt_softplus(phi, rate, k, c, b)
     return equations.expression_hunt_crossley_softplus(phi, rate, k, c, b, scene.length)
@@ -337,17 +275,19 @@ def add_springs(
     v: list[Any],
     parameters: list[Any],
 ) -> list[dict[int, Any]]:
-    """Variables and pairs of the damped contacts.
+    """Add the variables and pairs of the damped contacts, with rates r at the start of the step.
 
-    Parameters
-    ----------
-    phi : penetrations by step
-    q, v : rows of variables by node
-    parameters : of the scene
+        variable_spring[t, name]   sigma = k max(phi, 0) [N]
+        variable_touch[t, name]    w, Kelvin-Voigt only: 1 for phi > 0, 0 for phi < 0
+        Hunt-Crossley   push = sigma (1 + d r)   0 <= sigma  complements  sigma - k phi >= 0
+        Kelvin-Voigt    push = sigma + c w r     0 <= sigma  complements  1 - w >= 0,
+                                                 0 <= w      complements  sigma - k phi >= 0
 
-    Returns
-    -------
-    the push of each damped contact, by step
+    lam = max(push, 0). Kelvin-Voigt's force jumps at contact: k phi + c r may be positive before,
+    hence
+    the switch w. phi are penetrations by step, q and v variables by node. Return the push of each
+    damped
+    contact, by step.
     """
     names = [scene.contacts[index].name for index in scene.damped]
     switched = [
@@ -380,16 +320,16 @@ def add_springs(
         i = place[name]
         force = b.variable_spring[t, name]
         if name in switched:
-            return equations.complementarity_reserve(
-                force, 1 - b.variable_touch[t, name]
-            )  # a spring that is compressed touches
+            # A compressed spring touches.
+            return equations.complementarity_reserve(force, 1 - b.variable_touch[t, name])
         return equations.complementarity_contact(force, k[i] * phi[t][i])
 
     def touch(b: Any, t: int, name: str) -> Any:
         i = place[name]
+        # There is no gap while touching.
         return equations.complementarity_reserve(
             b.variable_touch[t, name], b.variable_spring[t, name] - k[i] * phi[t][i]
-        )  # what touches has no gap
+        )
 
     block.complementarity_spring = Complementarity(block.set_steps, block.set_damped, rule=spring)
     if switched:
@@ -412,7 +352,6 @@ def add_springs(
 
 
 def _settle_springs(block: Any) -> None:
-    """Give the springs and switches of a block the values that their penetrations ask for."""
     if block.component("variable_spring") is None:
         return
     for index, expression in block.expression_spring.items():
@@ -434,17 +373,16 @@ def add_friction(
     plan: tuple[list, list, list],
     parameters: list[Any],
 ) -> list[list[Any]]:
-    """The friction forces and their law.
+    """Add the friction forces and their law, by the slip s = S(q[t]) v[t+1] at the end of the step.
 
-    Parameters
-    ----------
-    sharpness : b of the regularised law, or None for complementarity
-    plan : q, v (nodes) and lam (steps) as rows of variables
-    parameters : of the scene
+        regularised (softplus)   f = -mu N tanh(|ln eps| s / (2 nominal))
+        complementarity          s = s_forward - s_backward,
+                                 0 <= s_forward   complements  mu N + f >= 0,
+                                 0 <= s_backward  complements  mu N - f >= 0
 
-    Returns
-    -------
-    the variables f[t][friction]
+    Only the slip at the end lets a step stick. In the plane complementarity is the model of Stewart
+    and Trinkle (maximal dissipation) with one variable less. sharpness: b of the regularised law,
+    or None; plan: q, v (nodes) and lam (steps) as variables. Return the variables f[t][friction].
     """
     q, v, lam = plan
     names = [friction.name for friction in scene.frictions]
@@ -504,7 +442,7 @@ def add_friction(
 
 
 def _settle_slip(block: Any) -> None:
-    """Give the two slip speeds of each friction the values that their own equation asks for (one of them zero)."""
+    """Set the two slip speeds of each friction from their equation; one is zero."""
     if block.component("constraint_slip") is None:
         return
     for (t, name), row in block.constraint_slip.items():
@@ -517,7 +455,10 @@ def _settle_slip(block: Any) -> None:
 
 
 def pressed_columns(block: Any) -> list[tuple[int, int]]:
-    """For each friction pressed by a contact: the columns, as in `hold_modes`, of that contact and of its way forward (backward is the next)."""
+    """Return (contact, way forward) as columns of `hold_modes` for each friction of a contact.
+
+    The way backward is the next column.
+    """
     if block.component("set_pressed") is None:
         return []
     contacts, frictions = list(block.component("set_contacts") or ()), list(block.set_frictions)
@@ -528,14 +469,14 @@ def pressed_columns(block: Any) -> list[tuple[int, int]]:
 
 
 def _free_unpressed(block: Any, couples: list[tuple[Any, Any]], closed: np.ndarray) -> None:
-    """Bounds of frictions whose contact is open.
+    """Free the pairs of frictions whose contact is open.
 
-    couples: (slip, reserve) of all pairs and closed as in `hold_modes`.
+    couples: (slip, reserve) of all pairs
+    closed: as in `hold_modes`
 
-    One equation for the force, mu N + f = 0 with N = 0, and one variable for the slip, of either
-    sign. That mu N - f >= 0 then follows; kept as a bound it would leave an interior-point method
-    no interior, and a way decided for a slip that nothing holds would be a constraint on the
-    flight.
+    One equation for the force, mu N + f = 0 with N = 0, and one slip variable of either sign
+    remain. The redundant bound mu N - f >= 0 would leave no interior; a fixed way would constrain
+    the flight.
     """
     for contact, forward in pressed_columns(block):
         for t in np.flatnonzero(~closed[:, contact]).tolist():

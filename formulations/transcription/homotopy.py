@@ -1,15 +1,8 @@
-"""A model solved for ever smaller eps: a stage gets a bounded amount of work, and what it leaves is handed on only if it is a plan.
+"""Solve a model for decreasing eps, in stages of bounded work.
 
-Where contact is softer and there was no plan, none is looked for from the same start. A stage that
-leads from a plan of this session to none is solved half way before, at the geometric mean of the
-two eps. Iterations of softplus contact from 1e-3 to 1e-5, directly and by 1e-4: transport 983
-without a plan and 190 with one, hopper_planar 292 without and 166 with one.
-
-`Stage.walk` chooses the eps itself: from a loose one, in steps of the sharpness that grow where
-they were cheap, and shrink where they were dear or led to no plan. Where the first eps is too
-small, the plan is caught where contact happens to be; a plan of a loose one has still the choice.
-Cost of the exact plan in the end, relaxed 1e-2, 1e-3, 1e-4 and walked from 0.9: transport 0.916 and
-0.704, two_finger 49.5 and 45.6.
+After a failure at a larger eps the same start is not tried again. A stage that fails from a plan of
+this session is preceded by one at the geometric mean of both eps. `Stage.walk` adapts the steps
+itself, from a loose eps that leaves the choice of contacts open.
 """
 
 from __future__ import annotations
@@ -32,19 +25,22 @@ from models.trajectory import Trajectory
 
 __all__ = ["ContactFormulation", "Homotopy", "Stage", "band_options"]
 
-# Of a walk: the factor of the sharpness at its first step, its least and largest; squared after a
-# step of few iterations, its root taken after one of many or one without a plan, so often before
-# the walk ends. Steps of transport take 8 to 42 iterations with a factor of 1.4 or 2.
+# Factor of the sharpness at the first step of a walk. Steps of transport take 8 to 42 iterations
+# with 1.4 or 2.
 _FACTOR = 2.0
+# Limits of the factor.
 _LEAST = 1.2
 _LARGEST = 16.0
+# A step of fewer iterations squares the factor.
 _FEW = 30
+# A step of more iterations, or without a plan, takes its square root.
 _MANY = 100
+# Number of such reductions that ends the walk.
 _SHRINKS = 3
 
 
 class Homotopy:
-    """One method's model on a scene. rules: what the method asks of a stage at an eps."""
+    """The model of one method on a scene; `rules` are those of a stage at an eps."""
 
     def __init__(
         self,
@@ -57,9 +53,8 @@ class Homotopy:
     ) -> None:
         self._method, self.options, self.rules = method, options, rules
         self.solver = PlanSolver(scene, contact, options, clock)
-        self._failure: tuple[float, Trajectory | None, Outcome] | None = (
-            None  # eps, start and end of a stage that gave no plan
-        )
+        # eps, start and outcome of a stage without a plan.
+        self._failure: tuple[float, Trajectory | None, Outcome] | None = None
 
     def solve(
         self,
@@ -69,18 +64,20 @@ class Homotopy:
         first: float,
         begin: Callable[[Stage, float], IpoptResult],
     ) -> Solution:
-        """One stage: what `begin` finds at the first eps, where that is the larger one, walked down to this one; that there is no plan is remembered.
+        """Run one stage: `begin` solves at the larger of first and eps; then walk down to eps.
 
-        Where there was none at a larger eps from this very start, it is not tried. A cold start of
-        softplus contact is another one at each eps: contact acts from less far away. But plans of a
-        smaller bound of complementarity are among those of a larger one.
+        Nothing runs if a larger eps failed from this start. Cold starts of softplus contact differ
+        by eps, since contact acts at another distance; complementarity plans of a smaller bound are
+        feasible for a larger one.
         """
         self._method.check_stage(eps, time_limit)
         eps = cast(float, eps)
         softer, before, ending = self._failure or (0.0, None, Outcome.STALLED)
         is_nested = not self.solver.is_softplus
         if start is before and eps < softer and (is_nested or start is not None):
-            message = f"Not tried: from this start there was no plan at eps = {softer:g} either, where contact is softer."
+            message = (
+                f"Not tried: this start gave no plan at eps = {softer:g}, where contact is softer."
+            )
             outcome = ending if is_nested and ending is Outcome.INFEASIBLE else Outcome.STALLED
             return Solution(
                 method=self._method.name,
@@ -93,75 +90,77 @@ class Homotopy:
         result, eps = stage.walk(begin(stage, first), first, eps)
         rules = self.rules(eps)
         limits = {"plan_limits": rules.plan_limits, "promises": rules.promises}
-        found = self.solver.solution(
+        solution = self.solver.solution(
             self._method.name, budget, result, lambda plan: self.residuals(plan, eps), **limits
         )
-        if found.trajectory is None and found.outcome is not Outcome.TIME_LIMIT:
-            self._failure = eps, start, found.outcome
-        return found
+        if solution.trajectory is None and solution.outcome is not Outcome.TIME_LIMIT:
+            self._failure = eps, start, solution.outcome
+        return solution
 
     def stage(self, budget: SolveBudget) -> Stage:
-        """A stage that spends of this budget."""
+        """Return a stage with this budget."""
         return Stage(self, budget)
 
     def residuals(self, plan: Trajectory, eps: float) -> dict[str, float]:
-        """Residuals of a plan by name, held against the contact law at this eps."""
+        """Return the residuals of a plan by name, for the contact law at this eps."""
         of = self.solver.residuals.of
         return of(plan, ForceLaw.SOFTPLUS, eps) if self.solver.is_softplus else of(plan)
 
     def sharper(self, eps: float, factor: float) -> float:
-        """The eps at which contact is sharper by a factor."""
+        """Return the eps of contact that is sharper by a factor."""
         return eps**factor if self.solver.is_softplus else eps / factor**2
 
 
 class Stage:
-    """The solves of one stage, whose iterations are limited for each."""
+    """The solves of one stage, with limited iterations."""
 
     def __init__(self, homotopy: Homotopy, budget: SolveBudget) -> None:
         self._homotopy, self._solver, self.budget = homotopy, homotopy.solver, budget
-        self._spent = 0  # iterations of its solves
+        self._spent = 0  # iterations
 
     @property
     def may_go_on(self) -> bool:
-        """Whether time and iterations are left."""
+        """Return whether time and iterations remain."""
         return not self.budget.is_over and self._spent < self._homotopy.options.max_iterations
 
     def reach(self, eps: float, start: Trajectory | None) -> IpoptResult:
-        """Solve at this eps from the start, which the model holds already.
+        """Solve at this eps from the loaded start.
 
-        By half way where it is a plan of this session and leads to none.
+        If the start is a plan of this session and the solve fails, insert a stage half way.
         """
-        known = None if start is None else self._solver.solved_before(start)
+        previous = None if start is None else self._solver.solved_before(start)
         result = self.solve(eps, start)
         if (
-            known is not None
+            previous is not None
             and self.may_go_on
             and result.outcome is not Outcome.SOLVED
             and self.left(eps) is None
         ):
-            between = math.sqrt(known.eps * eps)
-            self._solver.load(known.plan)
-            if self.solve(between, known.plan).outcome is Outcome.SOLVED:
+            between = math.sqrt(previous.eps * eps)
+            self._solver.load(previous.plan)
+            if self.solve(between, previous.plan).outcome is Outcome.SOLVED:
                 result = self.solve(eps, self._solver.read())
-                words = f"It went by eps = {between:g}: directly there was no plan."
+                words = (
+                    f"It was solved via eps = {between:g}, because the direct step found no plan."
+                )
                 result = replace(result, message=f"{ended(result.message)} {words}".lstrip())
         return result
 
     def walk(self, result: IpoptResult, first: float, eps: float) -> tuple[IpoptResult, float]:
-        """From what was found at the first eps down to this one, each step from the plan before.
+        """Walk from the first eps down to this one, each step from the previous plan.
 
-        And the eps of the last plan, which the model holds.
+        Return also the eps of the last plan, which the model holds.
         """
-        here, factor = first, _FACTOR
+        reached, factor = first, _FACTOR
         known, shrinks = self._solver.last, 0
-        while known is not None and here > eps and self.may_go_on and shrinks < _SHRINKS:
+        while known is not None and reached > eps and self.may_go_on and shrinks < _SHRINKS:
             sharper, before = self._homotopy.sharper, self._spent
-            there = sharper(here, factor) if sharper(here, factor**1.1) > eps else eps
+            there = sharper(reached, factor) if sharper(reached, factor**1.1) > eps else eps
             self._solver.load(known.plan)
             self._solver.last = known
             result = self.solve(there, known.plan)
             if result.outcome is Outcome.SOLVED:
-                here, known, shrinks = there, self._solver.last, 0
+                reached, known, shrinks = there, self._solver.last, 0
                 spent = self._spent - before
                 factor = (
                     min(_LARGEST, factor**2)
@@ -172,9 +171,9 @@ class Stage:
                 )
             else:
                 factor, shrinks = math.sqrt(factor), shrinks + 1
-        if known is not None and here > eps:
+        if known is not None and reached > eps:
             self._solver.load(known.plan)
-            words = f"The walk to eps = {eps:g} ended at {here:.3g}."
+            words = f"The walk to eps = {eps:g} ended at {reached:.3g}."
             limit = Outcome.TIME_LIMIT if self.budget.is_over else Outcome.ITERATION_LIMIT
             outcome = {Outcome.SOLVED: limit, Outcome.INFEASIBLE: Outcome.STALLED}.get(
                 result.outcome, result.outcome
@@ -182,15 +181,14 @@ class Stage:
             result = replace(
                 result, outcome=outcome, message=f"{ended(result.message)} {words}".lstrip()
             )
-        return result, here
+        return result, reached
 
     def solve(
         self, eps: float, start: Trajectory | None, *, cold_work: Work | None = None
     ) -> IpoptResult:
-        """Solve once at this eps from the start, which the model holds already. cold_work: most of it without a plan, if not as in the rules."""
+        """Solve once at this eps from the loaded start; cold_work replaces the rules' limit."""
         rules = self._homotopy.rules(eps)
-        # work is counted in nonzeros of a softplus model, and in unknowns of one with
-        # complementarity
+        # Work counts nonzeros of a softplus model, and unknowns of a complementarity model.
         size = (
             self._solver.problem(self.budget).nonzeros
             if self._solver.is_softplus
@@ -206,7 +204,7 @@ class Stage:
         return result
 
     def left(self, eps: float) -> Trajectory | None:
-        """What a solve at eps left in the model, if that is a plan."""
+        """Return the plan left by a solve at eps, or None."""
         plan = self._solver.read()
         return (
             None
@@ -215,7 +213,6 @@ class Stage:
         )
 
     def _limited(self, options: dict[str, Any], work: Work | None, size: int) -> dict[str, Any]:
-        """With no more iterations than the stage has left, and than the work allows."""
         left = max(0, options["max_iter"] - self._spent)
         most = left if work is None else min(left, work.iterations(size))
         return {**options, "max_iter": self.budget.iterations + most}

@@ -1,7 +1,4 @@
-"""What a direct-transcription method states and spends: options, the rules of a stage as plain values, the budget of its solves. Light: no Pyomo.
-
-And which functions of SymPy have a form in Pyomo.
-"""
+"""Options, stage rules and budgets of direct-transcription methods; light to import (no Pyomo)."""
 
 from __future__ import annotations
 
@@ -43,9 +40,9 @@ SMOOTH = (
 
 
 def check_smooth(scene: Scene, what: str, expressions: Iterable[Any]) -> None:
-    """Raises SceneError for a function that Pyomo does not have (atan2).
+    """Raise SceneError for a function that Pyomo does not have (atan2).
 
-    Scenes have none with corners (models.scene.functions).
+    Scenes have no functions with corners (models.scene.functions).
     """
     for expression in expressions:
         for call in sp.sympify(expression).atoms(sp.Function):
@@ -56,7 +53,7 @@ def check_smooth(scene: Scene, what: str, expressions: Iterable[Any]) -> None:
 
 
 def why_not_collocated(scene: Scene) -> str | None:
-    """None, or the reason why a scene has no collocation."""
+    """Return the reason why a scene has no collocation, or None."""
     if scene.nf:
         return (
             f"scene {scene.name} has friction, whose force jumps where it begins to slip: a stage of a step cannot stick, and the order is lost; "
@@ -69,7 +66,7 @@ def why_not_collocated(scene: Scene) -> str | None:
 
 @dataclass(frozen=True, kw_only=True)
 class TranscriptionOptions(Options):
-    """Options of every method that solves a plan's model by Ipopt."""
+    """Options of methods that solve a plan's model by Ipopt."""
 
     tolerance: float = option(1e-8, "Ipopt's own stopping tolerance (tol)", lower=1e-12, upper=1e-2)
     max_iterations: int = option(3000, "most Ipopt iterations of a stage", lower=1, upper=10**9)
@@ -81,11 +78,11 @@ class TranscriptionOptions(Options):
     )
 
     def ipopt(self) -> dict[str, object]:
-        """Ipopt's options of every solve."""
+        """Return Ipopt's options of every solve."""
         return {"tol": self.tolerance, "max_iter": self.max_iterations}
 
     def promises(self) -> dict[str, float]:
-        """Largest residuals with which the outcome may be SOLVED, whatever the contact law."""
+        """Return the largest residuals of a SOLVED plan, for any contact law."""
         names = (
             "dynamics_defect",
             "start_error",
@@ -97,23 +94,23 @@ class TranscriptionOptions(Options):
 
 
 def duals_option(unit: str = "1") -> Any:
-    """Declare the option `duals_from`. unit: of eps."""
+    """Declare the option `duals_from`, for an eps of this unit."""
     words = "a stage at this eps or below also takes the multipliers of the stage before it; larger eps move the plan too much"
     return option(1e-4, words, unit=unit, lower=0.0, upper=1.0)
 
 
 def first_eps_option(upper: float, unit: str = "1") -> Any:
-    """Declare the option `first_eps`. upper: the largest eps there is, of this unit."""
+    """Declare the option `first_eps`, up to the largest eps, of this unit."""
     words = "walk down from this eps where it is above the one asked for, in steps that adapt to what they cost"
     return option(0.0, words, unit=unit, lower=0.0, upper=upper)
 
 
-# Ipopt's own 0.1 and 0.01 start a complementarity model so close to its bounds (no force, no
-# separation) that it crawls along them: 428 iterations to the first relaxed plan of the three
-# carts, 78 from a start well inside.
+# Ipopt's defaults of 0.1 and 0.01 start a complementarity model so close to its bounds (no force,
+# no separation) that it progresses slowly: 428 iterations to the first relaxed plan of the three
+# carts, 78 from an interior start.
 @dataclass(frozen=True, kw_only=True)
 class BarrierOptions(TranscriptionOptions):
-    """Options of a complementarity model: further, how far inside its bounds Ipopt starts."""
+    """Options of a complementarity model, including Ipopt's initial distance from the bounds."""
 
     barrier_start: float = option(
         10.0, "Ipopt's mu_init of a start without a plan", lower=1e-9, upper=1e9
@@ -123,11 +120,11 @@ class BarrierOptions(TranscriptionOptions):
     )
 
     def ipopt(self) -> dict[str, object]:
-        """Relaxed bounds (Ipopt's default) would let a force be -1e-8 N and a product exceed its bound."""
+        """Return the options without relaxed bounds, which would allow a force of -1e-8 N."""
         return {**super().ipopt(), "bound_relax_factor": 0.0}
 
     def cold_barrier(self) -> dict[str, object]:
-        """Ipopt's options of a complementarity model without a plan to start from."""
+        """Return Ipopt's options without a plan to start from."""
         return {
             "mu_init": self.barrier_start,
             "bound_push": self.bound_push,
@@ -137,27 +134,27 @@ class BarrierOptions(TranscriptionOptions):
 
 @dataclass(frozen=True)
 class Work:
-    """Most iterations of a solve, times the size of its model, and the fewest iterations it may have however large the model."""
+    """Iteration limit times the size of the model, and the minimum number of iterations."""
 
     most: float
     fewest: int
 
     def iterations(self, size: int) -> int:
-        """Most iterations of a model of this size."""
+        """Return the iteration limit for a model of this size."""
         return max(self.fewest, int(self.most / size))
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageRules:
-    """What a method asks of a stage at one eps.
+    """The rules of a stage at one eps.
 
-    ipopt: options of every solve; cold: further ones for a start without a plan; cold_work,
-        warm_work: of one solve, None: as much as `max_iter` says;
-    takes_duals: whether a stage that follows another of the session starts with its multipliers
-        too; sharpest: sharpness b [1/m] of softplus contact that
-    goes as far from the true law as the method's own contact; plan_limits: largest residuals of a
-        last iterate that was not solved and is handed on all the
-    same; promises: largest residuals with which the outcome may be SOLVED.
+    ipopt: options of every solve
+    cold: more options, for a start without a plan
+    cold_work, warm_work: limit of one solve (None: only `max_iter`)
+    takes_duals: whether a stage starts with the multipliers of the previous stage too
+    sharpest: sharpness b [1/m] of softplus contact as far from the true law as the method's contact
+    plan_limits: largest residuals of an unsolved last iterate that counts as a plan
+    promises: largest residuals of a SOLVED plan
     """
 
     ipopt: Mapping[str, object]
@@ -174,13 +171,11 @@ _COLUMNS = ("objective", "inf_pr", "inf_du", "mu")
 
 
 class SolveBudget:
-    """Where one stage spends its iterations, work and seconds.
+    """The iterations, work and seconds of one stage.
 
-    `opened`: wall and CPU seconds spent before the stage that belong to it.
-
-    work: iterations of Ipopt times nonzeros of the Jacobian and the Hessian, which is what an
-        iteration's time grows with; most_work: of it there
-    may be so much. It is the same whatever else the machine does.
+    opened: wall and CPU seconds before the stage that count for it
+    work: Ipopt iterations times nonzeros of Jacobian and Hessian, machine-independent
+    most_work: limit of work
     """
 
     def __init__(self, time_limit: float, opened: tuple[float, float] = (0.0, 0.0)) -> None:
@@ -189,26 +184,26 @@ class SolveBudget:
         self.build, self.translate, self.evaluate, self.linear_algebra = opened[0], 0.0, 0.0, 0.0
         self.iterations = 0
         self.work, self.most_work = 0.0, math.inf
-        self.solver = ""  # which Ipopt ran
+        self.solver = ""  # Ipopt's version
         self.history: dict[str, list[float]] = {name: [] for name in _COLUMNS}
 
     @property
     def remaining(self) -> float:
-        """Wall seconds left, never less than a millisecond: Ipopt wants a positive limit and then stops at once."""
+        """Return the remaining wall seconds, at least 1 ms: Ipopt needs a positive limit."""
         return max(1e-3, self._deadline - perf_counter())
 
     @property
     def is_late(self) -> bool:
-        """Whether the time is over."""
+        """Return whether the time is used up."""
         return perf_counter() >= self._deadline
 
     @property
     def is_over(self) -> bool:
-        """Whether the time or the work is."""
+        """Return whether the time or the work is used up."""
         return self.is_late or self.work >= self.most_work
 
     def iterations_left(self, problem: IpoptProblem) -> float:
-        """Iterations of Ipopt on a problem until the work is over."""
+        """Return the iterations of Ipopt on a problem within the work limit."""
         return (
             max(0, math.ceil((self.most_work - self.work) / problem.nonzeros))
             if math.isfinite(self.most_work)
@@ -228,13 +223,13 @@ class SolveBudget:
 
     @contextmanager
     def building(self) -> Iterator[None]:
-        """What is done inside counts as making models."""
+        """Count the time inside the context as building."""
         begin = perf_counter()
         yield
         self.build += perf_counter() - begin
 
     def spent_on(self, solution: Solution) -> Solution:
-        """The solution with what was spent on it, and those of its residuals that are numbers."""
+        """Return the solution with the spent iterations and seconds, and its finite residuals."""
         return replace(
             solution,
             iterations=self.iterations,
@@ -253,16 +248,13 @@ class SolveBudget:
             history={name: tuple(values) for name, values in self.history.items()},
         )
 
-    def told(self, found: Solution) -> None:
-        """What the stage of another method spent in this budget's time.
-
-        Its own rules limit its work.
-        """
-        self.iterations += found.iterations
-        self.solver = self.solver or found.solver
+    def add_solution(self, solution: Solution) -> None:
+        """Count the stage of another method; its work has limits of its own."""
+        self.iterations += solution.iterations
+        self.solver = self.solver or solution.solver
         for name in ("build", "translate", "evaluate", "linear_algebra"):
-            setattr(self, name, getattr(self, name) + getattr(found.seconds, name))
+            setattr(self, name, getattr(self, name) + getattr(solution.seconds, name))
         self.history = {
-            name: values + list(found.history.get(name, ()))
+            name: values + list(solution.history.get(name, ()))
             for name, values in self.history.items()
         }

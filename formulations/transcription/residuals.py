@@ -1,7 +1,7 @@
-"""How far a plan is from its equations: recomputed from the scene, unscaled, knowing neither Pyomo model nor solver.
+"""Residuals of a plan, recomputed from the scene, unscaled, without Pyomo model or solver.
 
 residuals = PlanResiduals(scene)
-residuals.of(plan)                                         # against the true contact law
+residuals.of(plan)  # of the true contact law
 residuals.of(plan, law=ContactLaw.SOFTPLUS, eps=1e-3)
 """
 
@@ -27,10 +27,7 @@ from models.trajectory import Trajectory
 
 
 class PlanResiduals:
-    """Residual functions of one scene, compiled once for numpy.
-
-    All arrays have the steps as first axis.
-    """
+    """Residual functions of one scene; the first axis of all arrays is the step."""
 
     def __init__(self, scene: Scene | str | Path) -> None:
         self._scene = scene = as_scene(scene)
@@ -51,7 +48,11 @@ class PlanResiduals:
         self._stiffness = np.array(d.stiffness.subs(scene.parameter_values), dtype=float).ravel()
 
     def separation(self, plan: Trajectory) -> np.ndarray:
-        """Separation force lam - k phi (steps, nc) [N], k phi with its damping: at least 0 under the true law, and 0 where a contact pushes. Raises ValueError for a plan of another scene."""
+        """Return lam - push (steps, nc) [N], where push is k phi with its damping.
+
+        The true law requires >= 0, and 0 while a contact pushes. Raises ValueError for another
+        scene's plan.
+        """
         phi, damped = self._penetration(plan.q[:-1]), list(self._scene.damped)
         push = self._stiffness * phi
         if damped:
@@ -61,20 +62,12 @@ class PlanResiduals:
         return plan.lam[:, : self._scene.nc] - push
 
     def modes(self, plan: Trajectory) -> np.ndarray:
-        """The contact modes that a plan shows.
+        """Return the contact modes of a plan, (steps, nc + 2 nf + springs + switches) [-].
 
-        Returns
-        -------
-        (steps, nc + 2 nf + springs + switches) [-]: whether a contact is closed - its force is
-            larger than its separation force - and, for each friction,
-        whether it slips forward and whether backward: its slip (in its nominal) is larger than what
-            is left of its force (in mu N); then, for the spring and
-        for the switch of each damped contact, whether it touches
-
-        Raises
-        ------
-        ValueError
-            For a plan of another scene.
+        A contact is closed if its force exceeds its separation force. A friction slips forward or
+        backward if the slip (in its nominal) exceeds the reserve of its force (in mu N). The
+        springs and switches of damped contacts show touch. Raises ValueError for another scene's
+        plan.
         """
         closed = plan.lam[:, : self._scene.nc] > np.maximum(self.separation(plan), 0.0)
         slip, force, limit = self.friction(plan)
@@ -93,7 +86,10 @@ class PlanResiduals:
         return np.hstack([closed, np.stack(ways, axis=2).reshape(len(closed), -1), springs])
 
     def friction(self, plan: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slip at the end of each step [m/s], friction force and its limit mu N [N], each (steps, nf). Raises ValueError for a plan of another scene."""
+        """Return slip at the end of a step [m/s], friction force and mu N [N], each (steps, nf).
+
+        Raises ValueError for another scene's plan.
+        """
         nc = self._scene.nc
         return (
             self._slip(plan.q[:-1], plan.v[1:]),
@@ -102,18 +98,16 @@ class PlanResiduals:
         )
 
     def cost(self, plan: Trajectory) -> float:
-        """Sum of the running cost over the steps, and the final cost."""
+        """Return the sum of the running cost over the steps, plus the final cost."""
         return float(
             self._cost(plan.q[:-1], plan.v[:-1], plan.u).sum()
             + self._final_cost(plan.q[-1:], plan.v[-1:]).sum()
         )
 
     def dynamics_defect(self, plan: Trajectory) -> float:
-        """Largest miss of the plan's own time step, in velocity [m/s, rad/s] or position [m, rad].
+        """Return the largest error of the plan's time step [m, rad, m/s, rad/s].
 
-        A collocation's is taken with the true contact law.
-
-        A plan that declares no scheme is asked for the step of the transcription, semi-implicit
+        Collocation uses the true contact law. A plan without a scheme counts as semi-implicit
         Euler.
         """
         if plan.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
@@ -130,56 +124,47 @@ class PlanResiduals:
     def of(
         self, plan: Trajectory, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
     ) -> dict[str, float]:
-        """Largest absolute values, held against a contact law.
+        """Return the largest residuals of a plan by name, for a contact law (RELU is the true one).
 
-        Parameters
-        ----------
-        plan : on the scene's grid
-        law : RELU is the true one
-        eps : of the smoothed law
-
-        Returns
-        -------
-        by name, those that the scene and the law have
-
-        dynamics_defect : largest miss of the time step, in velocity [m/s, rad/s] or position [m,
-        rad] start_error, terminal_error : norm of x[0] - start; of x[T] - goal, over the components
-        that are given input_bound_excess : by how much an input leaves its bounds [N, N m]
-        velocity_bound_excess : by how much a velocity leaves its bounds at the start of a step
-        physics : sum over steps and contacts of abs(lam (lam - k phi)) [N^2], k phi with its
-        damping (paper, eq. 10) complementarity : largest abs(lam (lam - k phi)) [N^2] force_sign :
-        by how much lam or lam - k phi is negative [N] contact_law : largest miss of the softplus
-        law [N] friction_cone : by how much a friction force exceeds mu N [N] friction_law : largest
-        mu N abs(s) + f s: what the friction dissipates less than maximal dissipation asks for [W]
-        regularised_friction : largest miss of the regularised friction law [N]
+        dynamics_defect : error of the time step, in velocity [m/s, rad/s] or position [m, rad]
+        start_error, terminal_error : norm of x[0] - start; of x[T] - goal over the given components
+        input_bound_excess : of the inputs [N, N m]
+        velocity_bound_excess : of the velocities at the start of a step
+        physics : sum over steps and contacts of abs(lam (lam - push)) [N^2] (paper, eq. 10)
+        complementarity : largest abs(lam (lam - push)) [N^2]
+        force_sign : size of a negative lam or lam - push [N]
+        contact_law : error of the softplus law [N]
+        friction_cone : excess of a friction force over mu N [N]
+        friction_law : mu N abs(s) + f s, the shortfall from maximal dissipation [W]
+        regularised_friction : error of the regularised friction law [N]
         """
         scene = self._scene
-        found = {
+        residuals = {
             "dynamics_defect": self.dynamics_defect(plan),
             "start_error": float(np.linalg.norm(plan.start - np.array(scene.task.start))),
             "terminal_error": distance(plan.end, goal_state(scene.task)),
             **bound_excess(scene, plan),
         }
         if scene.nf:
-            found |= self._friction_residuals(plan, law, eps)
+            residuals |= self._friction_residuals(plan, law, eps)
         if not scene.nc:
-            return found
+            return residuals
         separation, lam = self.separation(plan), plan.lam[:, : scene.nc]
         products = np.abs(lam * separation)
-        found["physics"] = float(products.sum())
+        residuals["physics"] = float(products.sum())
         if law is ContactLaw.RELU:
-            found["complementarity"] = _largest(products)
-            found["force_sign"] = max(
+            residuals["complementarity"] = _largest(products)
+            residuals["force_sign"] = max(
                 _largest(np.maximum(-lam, 0.0)), _largest(np.maximum(-separation, 0.0))
             )
         else:
-            found["contact_law"] = _largest(lam - self._relaxed(plan, law, eps))
-        return found
+            residuals["contact_law"] = _largest(lam - self._relaxed(plan, law, eps))
+        return residuals
 
     def _relaxed(self, plan: Trajectory, law: ContactLaw, eps: float | None) -> np.ndarray:
-        """(steps, nc) the smoothed contact forces at the plan's states.
+        """Return the smoothed contact forces (steps, nc).
 
-        Damped ones by models/codegen/damping.h.
+        Damped ones as in models/codegen/damping.h.
         """
         phi, k = self._penetration(plan.q[:-1]), self._stiffness
         lam, b = (
@@ -221,16 +206,18 @@ class PlanResiduals:
 def _function(
     scene: Scene, matrix: sp.Matrix, *groups: Sequence[sp.Symbol]
 ) -> Callable[..., np.ndarray]:
-    """As `rows_of`, at the scene's parameter values."""
     return rows_of(list(matrix.subs(scene.parameter_values)), *groups)
 
 
 def rows_of(entries: Sequence[sp.Expr], *groups: Sequence[sp.Symbol]) -> Callable[..., np.ndarray]:
-    """A function of arrays (rows, size of the group) to (rows, number of entries), constants spread over the rows."""
+    """Return a function of arrays (rows, size of the group) [-] with result (rows, entries)."""
     evaluate = sp.lambdify([list(group) for group in groups], list(entries), modules=[np], cse=True)
 
     def function(*arrays: np.ndarray) -> np.ndarray:
-        """Evaluate at arrays (rows, size of the group), giving (rows, entries) [units of the entries]. Raises ValueError for a group of another size."""
+        """Return (rows, entries) [units of the entries] at arrays (rows, size of the group).
+
+        Raises ValueError for a group of another size.
+        """
         result = np.zeros((len(arrays[0]), len(entries)))
         for column, values in enumerate(evaluate(*(array.T for array in arrays))):
             result[:, column] = values

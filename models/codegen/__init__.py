@@ -1,5 +1,1 @@
-"""SymPy -> C: one header a scene, shared by the shooting kernel and the FMUs.
-
-emit.emit_model(scene)          text of scene_model.h
-kernel.load_kernel(scene)       the compiled time step and its adjoint, as numpy functions
-"""
+"""Generate C from SymPy: one header per scene, shared by the shooting kernel and the FMUs."""

@@ -1,21 +1,10 @@
-"""One C function from SymPy expressions: arguments are vectors whose entries have names, common subexpressions are shared.
+"""Write SymPy expressions as C functions, and differentiate them with shared subexpressions.
 
-The argument vectors of the generated C, and a scene's equations written in their entries.
+    definitions, df = push_forward(f, [x])  # df = (df/dx) dx
+    definitions, columns = pull_back(f, w, [x])  # (df/dx)' w
 
-Derivatives of a column of expressions by the chain rule over what its entries share, as definitions
-to be evaluated in order.
-
-    # df = (df/dx) dx, forward: one tangent for each shared subexpression
-    definitions, df = push_forward(f, [x])
-    # (df/dx)' w, backward: one adjoint for each shared subexpression
-    definitions, columns = pull_back(f, w, [x])
-    forward_function("void name", (x, p, tangent(x)), "df", f, [x])       # the same as C functions
-    backward_function("void name", (x, p, w), f, w, [x])                  # this one adds to x_bar
-
-Differentiated whole, an expression whose parts are shared many times is written out once for each
-of them: minutes of computer algebra for a box pushed by a finger, and thousands of operations that
-are found to be equal again afterwards. Griewank and Walther, Evaluating Derivatives (2008),
-sections 3.1 and 3.2.
+Differentiating whole expressions would repeat every shared part: minutes of computer algebra for a
+box pushed by a finger. Griewank and Walther, Evaluating Derivatives (2008), sections 3.1 and 3.2.
 """
 
 from __future__ import annotations
@@ -32,10 +21,9 @@ from models.dynamics import Dynamics
 
 @dataclass(frozen=True)
 class SceneVectors:
-    """The argument vectors of one scene, and its equations written in their entries.
+    """The argument vectors of one scene, and its equations in their entries.
 
-    lam holds all contact forces, then all friction forces: both act linearly, so the accelerations
-    treat them alike.
+    lam holds all contact forces, then all friction forces; both act linearly.
     """
 
     dynamics: Dynamics
@@ -47,7 +35,7 @@ class SceneVectors:
 
     @classmethod
     def of(cls, d: Dynamics) -> SceneVectors:
-        """The vectors of a scene's equations, with its names."""
+        """Return the vectors of a scene's equations."""
 
         def vector(name: str, symbols: Sequence[sp.Symbol]) -> Vector:
             return Vector.of(name, [symbol.name for symbol in symbols])
@@ -68,16 +56,16 @@ class SceneVectors:
 
     @property
     def arguments(self) -> tuple[Vector, ...]:
-        """(q, v, u, lam, p): what an acceleration depends on."""
+        """Return (q, v, u, lam, p), the arguments of an acceleration."""
         return (self.q, self.v, self.u, self.lam, self.p)
 
     @property
     def contacts(self) -> tuple[str, ...]:
-        """The names of the contacts, in the order of the penetrations."""
+        """Return the names of the contacts, in order."""
         return tuple(contact.name for contact in self.dynamics.scene.contacts)
 
     def local(self, expression: sp.Expr | sp.Matrix) -> sp.Matrix:
-        """An expression or matrix of the scene, in the entries of these vectors."""
+        """Return an expression or matrix of the scene in the entries of these vectors."""
         d = self.dynamics
         pairs = zip(
             (*d.q, *d.v, *d.u, *d.lam, *d.f, *d.p),
@@ -88,12 +76,12 @@ class SceneVectors:
         return matrix.xreplace(dict(pairs))
 
 
-# (symbol, value) pairs, each value in terms of the arguments and of symbols before it.
+# (symbol, value) pairs, each value in terms of arguments and earlier symbols.
 Definitions = Sequence[tuple[sp.Symbol, sp.Expr]]
 
 
 def push_forward(function: sp.Matrix, vectors: Sequence[Vector]) -> tuple[Definitions, sp.Matrix]:
-    """(df/dx) dx of a column f (m, 1) along the `tangent` dx of each x of `vectors`: definitions, and in their symbols one column (m, 1)."""
+    """Return (df/dx) dx (m, 1) of a column f along the tangents of `vectors`, with definitions."""
     shared, entries = _shared(function)
     moving: dict[sp.Symbol, sp.Expr] = {
         x: dx
@@ -113,10 +101,10 @@ def push_forward(function: sp.Matrix, vectors: Sequence[Vector]) -> tuple[Defini
 def pull_back(
     function: sp.Matrix, weights: Vector, vectors: Sequence[Vector]
 ) -> tuple[Definitions, list[sp.Matrix]]:
-    """(df/dx)' w of a column f (m, 1) with weights w (m entries): definitions, and in their symbols a column for each x of `vectors`."""
+    """Return (df/dx)' w for each x of `vectors`, of a column f (m, 1), with definitions."""
     shared, entries = _shared(function)
     wanted = {symbol for vector in vectors for symbol in vector.symbols}
-    for symbol, value in shared:  # what depends on none of them needs no adjoint
+    for symbol, value in shared:  # other symbols need no adjoint
         if value.free_symbols & wanted:
             wanted.add(symbol)
     adjoint: dict[sp.Symbol, sp.Expr] = dict.fromkeys(wanted, sp.Integer(0))
@@ -141,7 +129,7 @@ def pull_back(
 
 
 def tangent(vector: Vector) -> Vector:
-    """The direction d<vector> along which a product of <vector> is taken."""
+    """Return the direction d<vector>."""
     return vector.like(f"d{vector.name}")
 
 
@@ -153,7 +141,7 @@ def forward_function(
     vectors: Sequence[Vector],
     tail: str = "",
 ) -> str:
-    """The C function `head` (its type and name): Jacobian-vector product of a column along d<vector> of each of `vectors`."""
+    """Return the C function `head` (type and name): the Jacobian times d<vector> of `vectors`."""
     definitions, column = push_forward(function, vectors)
     result, name = head.split()
     return c_function(result, name, arguments, output, column, tail=tail, definitions=definitions)
@@ -167,7 +155,7 @@ def backward_function(
     vectors: Sequence[Vector],
     tail: str = "",
 ) -> str:
-    """The C function `head`: it adds Jacobian' weights to <vector>_bar of each of `vectors`."""
+    """Return the C function `head` that adds Jacobian' weights to <vector>_bar of `vectors`."""
     definitions, columns = pull_back(function, weights, vectors)
     result, name = head.split()
     outputs = [
@@ -179,12 +167,10 @@ def backward_function(
 
 
 def _shared(function: sp.Matrix) -> tuple[list[tuple[sp.Symbol, sp.Expr]], list[sp.Expr]]:
-    """Definitions of what the entries share, and the entries in their symbols."""
     return sp.cse(list(function), symbols=sp.numbered_symbols("part", real=True), order="canonical")
 
 
 def _along(value: sp.Expr, moving: dict[sp.Symbol, sp.Expr]) -> sp.Expr:
-    """The derivative of `value` where its symbols change by `moving`."""
     symbols = sorted(
         (symbol for symbol in value.free_symbols if symbol in moving),
         key=lambda symbol: symbol.name,
@@ -192,26 +178,21 @@ def _along(value: sp.Expr, moving: dict[sp.Symbol, sp.Expr]) -> sp.Expr:
     return sp.Add(*(sp.diff(value, symbol) * moving[symbol] for symbol in symbols))
 
 
-# Integer powers up to this one are written as products: exact, faster than pow(), and equal on
-# every libm.
+# Largest power written as a product: exact, faster than pow(), and equal on every libm.
 _LARGEST_PRODUCT = 4
-# Whole numbers up to this one are int literals in C; larger ones are literals of double.
+# Largest int literal in C; larger numbers are double literals.
 _LARGEST_INT = 2**31 - 1
 
 
 class _Printer(C99CodePrinter):
-    """Of one function.
-
-    What is multiplied with itself is computed once: it becomes a constant of its own, in `lines`.
-    """
+    """The printer of one function; repeated factors become constants in `lines`."""
 
     def __init__(self) -> None:
-        super().__init__({"math_macros": {}})  # M_PI and the like are POSIX, not C99
+        super().__init__({"math_macros": {}})  # M_PI and similar macros are POSIX, not C99
         self.lines: list[str] = []
         self._factors: dict[str, str] = {}
 
     def statements(self, head: str, expression: sp.Expr) -> list[str]:
-        """`head expression;`, after the constants it needs."""
         text = self.doprint(expression)
         lines, self.lines = self.lines, []
         return [f"    {line}" for line in (*lines, f"{head} {text};")]
@@ -225,7 +206,7 @@ class _Printer(C99CodePrinter):
             self.lines.append(f"const double {self._factors[text]} = {text};")
         return self._factors[text]
 
-    def _print_Pow(self, expr: sp.Pow) -> str:  # noqa: N802 - SymPy finds it by this name
+    def _print_Pow(self, expr: sp.Pow) -> str:  # noqa: N802 - SymPy's name
         base, exponent = expr.base, expr.exp
         if exponent.is_Integer and 2 <= abs(int(exponent)) <= _LARGEST_PRODUCT:
             factor = self._factor(base)
@@ -233,16 +214,16 @@ class _Printer(C99CodePrinter):
             return f"({product})" if int(exponent) > 0 else f"(1.0/({product}))"
         return super()._print_Pow(expr)
 
-    def _print_NumberSymbol(self, expr: sp.NumberSymbol) -> str:  # noqa: N802 - SymPy finds it by this name
+    def _print_NumberSymbol(self, expr: sp.NumberSymbol) -> str:  # noqa: N802 - SymPy's name
         return self._print(sp.Float(expr, 17))
 
-    def _print_Exp1(self, expr: sp.NumberSymbol) -> str:  # noqa: N802 - SymPy finds it by this name
+    def _print_Exp1(self, expr: sp.NumberSymbol) -> str:  # noqa: N802 - SymPy's name
         return self._print_NumberSymbol(expr)
 
-    def _print_Integer(self, expr: sp.Integer) -> str:  # noqa: N802 - SymPy finds it by this name
+    def _print_Integer(self, expr: sp.Integer) -> str:  # noqa: N802 - SymPy's name
         return str(expr) if abs(int(expr)) <= _LARGEST_INT else repr(float(expr))
 
-    def _print_Rational(self, expr: sp.Rational) -> str:  # noqa: N802 - SymPy finds it by this name
+    def _print_Rational(self, expr: sp.Rational) -> str:  # noqa: N802 - SymPy's name
         if max(abs(int(expr.p)), int(expr.q)) <= _LARGEST_INT:
             return super()._print_Rational(expr)
         return f"({float(expr)!r})"
@@ -250,7 +231,7 @@ class _Printer(C99CodePrinter):
 
 @dataclass(frozen=True)
 class Vector:
-    """An argument `const double *name` with one symbol for each entry."""
+    """An argument `const double *name` with one symbol per entry."""
 
     name: str
     entries: tuple[str, ...]
@@ -258,7 +239,7 @@ class Vector:
 
     @classmethod
     def of(cls, name: str, entries: Sequence[str]) -> Vector:
-        """A vector of real symbols `<name>_<entry>`."""
+        """Return a vector of real symbols `<name>_<entry>`."""
         return cls(
             name,
             tuple(entries),
@@ -266,12 +247,12 @@ class Vector:
         )
 
     def like(self, name: str) -> Vector:
-        """A vector of the same entries under another name (a tangent or an adjoint of this one)."""
+        """Return a vector of the same entries under another name."""
         return Vector.of(name, self.entries)
 
     @property
     def column(self) -> sp.Matrix:
-        """Its symbols as a column (n, 1)."""
+        """Return the symbols as a column (n, 1)."""
         return sp.Matrix(len(self.symbols), 1, list(self.symbols))
 
 
@@ -286,12 +267,13 @@ def c_function(
     tail: str = "",
     definitions: Definitions = (),
 ) -> str:
-    """A static inline C function.
+    """Return a static inline C function.
 
-    output: the name of the array written from `expressions`; or several (name, column) pairs; or
-        None to return the one
-    expression. operator: "=" or "+=". tail: a last statement. definitions: of symbols in which the
-        expressions are written.
+    output: name of the array written from `expressions`, several (name, column) pairs, or None to
+        return the single expression
+    operator: "=" or "+="
+    tail: a last statement
+    definitions: of symbols in the expressions
     """
     outputs = [(output, expressions)] if output is None or isinstance(output, str) else output
     columns = [sp.Matrix(column) for _, column in outputs]
@@ -344,7 +326,7 @@ def c_function(
 def _needed(
     definitions: Definitions, entries: Sequence[sp.Expr]
 ) -> list[tuple[sp.Symbol, sp.Expr]]:
-    """Those definitions of which the entries make use, each after those in whose symbols it is written."""
+    """Return the definitions used by the entries, in order of evaluation."""
     values, ordered = dict(definitions), {}
     waiting = [(symbol, False) for entry in reversed(entries) for symbol in _by_name(entry)]
     while waiting:

@@ -1,7 +1,4 @@
-"""A folder of things built once: content-addressed, so that it never needs cleaning to be right.
-
-The folder is $TOUCHSTONE_CACHE, or `touchstone` in the user's cache folder.
-"""
+"""A content-addressed cache: $TOUCHSTONE_CACHE, or `touchstone` in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -16,14 +13,14 @@ from pathlib import Path
 
 from models.errors import MachineError
 
-# What is being built, and by whom: building-<process>-<host>-<random>.
+# Temporary names: building-<process>-<host>-<random>.
 _BUILDING = "building-"
 
 
 def _place() -> Path:
-    given = os.environ.get("TOUCHSTONE_CACHE")
-    if given:
-        return Path(given).absolute()
+    folder = os.environ.get("TOUCHSTONE_CACHE")
+    if folder:
+        return Path(folder).absolute()
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA", str(Path.home()))) / "touchstone"
     if sys.platform == "darwin":
@@ -32,7 +29,7 @@ def _place() -> Path:
 
 
 def cache_folder() -> Path:
-    """The cache folder, created if needed. Raises MachineError if it cannot be written."""
+    """Return the cache folder, created if needed; raise MachineError if it is not writable."""
     folder = _place()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -47,33 +44,31 @@ def cache_folder() -> Path:
     return folder
 
 
-def _remove_what_the_dead_left(folder: Path) -> None:
-    """Of processes of this machine alone: those of another cannot be looked up here."""
+def _remove_leftovers(folder: Path) -> None:
     import psutil
 
-    for left in folder.glob(f"{_BUILDING}*"):
-        number, _, rest = left.name.removeprefix(_BUILDING).partition("-")
+    for leftover in folder.glob(f"{_BUILDING}*"):
+        number, _, rest = leftover.name.removeprefix(_BUILDING).partition("-")
         if (
             rest.rpartition("-")[0] == socket.gethostname()
             and number.isdigit()
             and not psutil.pid_exists(int(number))
         ):
-            shutil.rmtree(left, ignore_errors=True)
+            shutil.rmtree(leftover, ignore_errors=True)
 
 
 def cached(key_text: str, suffix: str, build: Callable[[Path], object]) -> Path:
-    """The file for this content: found, be it in a folder that cannot be written, or made by `build(path)` in a temporary place and renamed.
+    """Return the file for this content; if it does not exist, `build(path)` it and rename it.
 
-    Two processes may build the same file at once; both end with a whole one. What a process left
-    that was killed while it built goes with the next one that builds. Raises MachineError when the
-    disk refuses.
+    An existing file is found in a read-only folder too. Concurrent builds are safe. Raises
+    MachineError for errors of the disk.
     """
     key = hashlib.sha256(key_text.encode()).hexdigest()
     target = _place() / f"{key[:32]}{suffix}"
     if target.exists():
         return target
     cache_folder()
-    _remove_what_the_dead_left(target.parent)
+    _remove_leftovers(target.parent)
     try:
         with tempfile.TemporaryDirectory(
             dir=target.parent, prefix=f"{_BUILDING}{os.getpid()}-{socket.gethostname()}-"

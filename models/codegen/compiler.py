@@ -1,4 +1,4 @@
-"""Finds a C compiler and runs it: $CC, then cc, gcc, clang, then `python -m ziglang cc` if that wheel is installed; and loads what it made."""
+"""Find and run a C compiler: $CC, cc, gcc, clang, or `python -m ziglang cc`; load libraries."""
 
 from __future__ import annotations
 
@@ -20,10 +20,8 @@ from pathlib import Path
 from models.codegen.cache import cached
 from models.errors import MachineError
 
-# -O2 always: at -O0 zig traps undefined behaviour. No contraction to fused multiply-add, so that
-#   the same expression
-# gives the same bits in the rollout, in the score and on every machine. -s keeps the files small
-# and free of paths.
+# -O2 always: at -O0 zig traps undefined behaviour. Without fused multiply-add an expression gives
+# equal bits in rollout, score and on every machine. -s keeps files small and free of paths.
 FLAGS = (
     "-O2",
     "-s",
@@ -37,22 +35,21 @@ FLAGS = (
     "-Werror",
 )
 
-# Results and arguments of C functions: n a count, d a double, p the address of doubles. Addresses
-# are passed as plain integers: a ctypes pointer object for each of them would cost more than a
-# rollout itself.
+# Types of C functions: n count, d double, p address of doubles. Addresses are integers, because
+# ctypes pointers would cost more than a rollout.
 _TYPES = {"n": ctypes.c_int, "d": ctypes.c_double, "p": ctypes.c_void_p, "": None}
 
 
 @dataclass(frozen=True)
 class Compiler:
-    """A command that compiles C, and the first line of what it says of itself: what of it decides the compiled bytes."""
+    """A C compiler and the first line of its version, which decide the compiled bytes."""
 
     command: tuple[str, ...]
     version: str
 
 
 def find_compiler() -> Compiler:
-    """The first compiler that runs. Raises MachineError with what to install."""
+    """Return the first compiler that runs; raise MachineError with advice."""
     return _find(os.environ.get("CC", ""), os.environ.get("PATH", ""))
 
 
@@ -88,7 +85,7 @@ def _find(cc: str, path: str) -> Compiler:
 
 
 def zig_compiler(target: str) -> Compiler:
-    """The cross-compiler of the `[compiler]` extra for a target such as x86_64-linux-gnu.2.17.
+    """Return the cross-compiler of the `[compiler]` extra for a target, e.g. x86_64-linux-gnu.2.17.
 
     Raises MachineError if it does not run.
     """
@@ -121,13 +118,12 @@ def compile_shared(
     include_dirs: Sequence[Path] = (),
     flags: Sequence[str] = FLAGS,
 ) -> None:
-    """Compile the .c files among `sources` (file name -> text) into the shared library `output`.
+    """Compile the .c files among `sources` (name -> text) into the shared library `output`.
 
-    include_dirs: absolute, or relative to the sources.
-
-    Raises MachineError with the compiler's first errors if it refuses.
+    include_dirs are absolute, or relative to the sources. Raises MachineError with the compiler's
+    first errors.
     """
-    # Below the output, so that it goes with the output's own place if we are killed.
+    # Inside the output's folder, so that it is removed with it if this process is killed.
     with tempfile.TemporaryDirectory(prefix="touchstone-", dir=output.parent) as folder:
         for name, text in sources.items():
             place = Path(folder) / name
@@ -148,9 +144,9 @@ def compile_shared(
         ]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode != 0 or not output.exists():
-        said = done.stderr.strip().splitlines()
-        errors = [line for line in said if "error:" in line]
-        lines = "; ".join((errors or said)[:3]) or "it ended without writing a library"
+        messages = done.stderr.strip().splitlines()
+        errors = [line for line in messages if "error:" in line]
+        lines = "; ".join((errors or messages)[:3]) or "it ended without writing a library"
         if os.strerror(errno.ENOSPC) in done.stderr:
             raise MachineError(
                 f"the C compiler ({compiler.version}) had no room for its files ({lines}); make room there."
@@ -161,11 +157,9 @@ def compile_shared(
 
 
 def cached_library(sources: Mapping[str, str], extra_flags: Sequence[str] = ()) -> Path:
-    """The shared library of `compile_shared`, found in the cache or made there.
+    """Return the library of `compile_shared` from the cache, which machines may share.
 
-    Machines of several kinds may share the cache.
-
-    Raises MachineError without a compiler, or a cache that can be written.
+    Raises MachineError without a compiler or a writable cache.
     """
     compiler, machine = find_compiler(), f"{sys.platform} {platform.machine()}"
     texts = [f"{name}\n{text}" for name, text in sorted(sources.items())]
@@ -174,7 +168,7 @@ def cached_library(sources: Mapping[str, str], extra_flags: Sequence[str] = ()) 
 
 
 def load_library(path: Path, signatures: Mapping[str, tuple[str, str]]) -> ctypes.CDLL:
-    """A shared library with the signatures of its functions by name: result ("": none), and arguments; a letter each, n, d or p."""
+    """Load a library; a signature is the result ("": none) and the arguments, letters n, d or p."""
     library = ctypes.CDLL(str(path))
     for name, (result, arguments) in signatures.items():
         function = getattr(library, name)

@@ -1,13 +1,16 @@
-/* Force of damped contacts within a time step, and its derivatives. Needs scene_model.h; only for scenes with a damped contact.
+/* Force of damped contacts within a time step, and its derivatives. Needs scene_model.h; only
+ * for scenes with a damped contact.
  *
- *   damping 1, Kelvin-Voigt:    lam = max(k phi + c r, 0)      where phi > 0, else 0        r = d phi / dt
- *   damping 2, Hunt-Crossley:   lam = k phi max(1 + c r, 0)    where phi > 0, else 0
+ *   damping 1, Kelvin-Voigt:    lam = max(k phi + c r, 0)      if phi > 0, else 0      r = d phi
+ * / dt
+ *   damping 2, Hunt-Crossley:   lam = k phi max(1 + c r, 0)    if phi > 0, else 0
  *
- * Smoothed by s(x) = log(1 + exp(b x)) / b, whose derivative w(x) = 1 / (1 + exp(-b x)) stands for "where x > 0":
+ * Smoothed by s(x) = log(1 + exp(b x)) / b with derivative w(x) = 1 / (1 + exp(-b x)):
  *
- *   1:  lam = k s(phi + w(phi) c r / k)          2:  lam = k s(phi) s(1 + c r) / s(1), b L for b in the last two, L the scene's length
+ *   1:  lam = k s(phi + w(phi) c r / k)
+ *   2:  lam = k s(phi) s(1 + c r) / s(1), with b L for b in the last two, L the scene's length
  *
- * Both are never negative, and at rest (r = 0) they are the softplus law of an undamped contact. */
+ * Both are never negative, and equal the softplus law at rest (r = 0). */
 #ifndef DAMPING_H
 #define DAMPING_H
 
@@ -20,7 +23,7 @@ typedef struct {
     double value, phi, rate, k, c;
 } Push;
 
-/* The force in contact, before its positive part is taken. */
+/* The force in contact, before the positive part. */
 SCENE_FUNCTION Push contact_push(int damping, double k, double c, double phi, double rate)
 {
     const double s = 1.0 + c * rate;
@@ -40,7 +43,7 @@ SCENE_FUNCTION double soft_switch(double b, double x)
     return (x > 0.0 ? 1.0 : e) / (1.0 + e);
 }
 
-/* The law of a time step: 0 = as it is, 1 = smoothed with sharpness b (then without the derivatives by k and c). */
+/* The law of a time step: 0 exact, 1 smoothed with sharpness b (without derivatives by k and c). */
 SCENE_FUNCTION Push damped_force(int law, double b, int damping, double k, double c, double phi, double rate)
 {
     Push none = {0.0, 0.0, 0.0, 0.0, 0.0};
@@ -63,7 +66,7 @@ SCENE_FUNCTION Push damped_force(int law, double b, int damping, double k, doubl
     return none;
 }
 
-/* The forces of the damped contacts at (q, v) into lam; the others stay. */
+/* Write the forces of the damped contacts at (q, v) into lam. */
 SCENE_FUNCTION void damp_contacts(int law, double b, const double *k, const double *q, const double *v, const double *p, double *lam)
 {
     double phi[NC], rate[NC], c[NC];
@@ -74,7 +77,7 @@ SCENE_FUNCTION void damp_contacts(int law, double b, const double *k, const doub
         if (scene_damping_laws[i]) lam[i] = damped_force(law, b, scene_damping_laws[i], k[i], c[i], phi[i], rate[i]).value;
 }
 
-/* From lam_bar of the damped contacts, which becomes zero, to q_bar and v_bar. */
+/* Propagate lam_bar of the damped contacts to q_bar and v_bar, and set it to zero. */
 SCENE_FUNCTION void damp_contacts_vjp(int law, double b, const double *k, const double *q, const double *v, const double *p, double *lam_bar,
     double *q_bar, double *v_bar)
 {

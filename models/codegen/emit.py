@@ -1,28 +1,9 @@
-"""Scene -> `scene_model.h`: static inline C functions, common subexpressions eliminated, names as the scene has them.
+"""Write `scene_model.h` of a scene: static inline C functions with shared subexpressions.
 
-The text depends on the scene alone (no date, no random names), so that equal scenes give equal
-bytes. What the scene does not need is not written: a constant mass matrix is inverted here,
-symbolically, and only a scene whose mass matrix depends on q gets a Cholesky factorisation.
-
-Within the C functions every entry of a vector has a name of its own, `<vector>_<name>`: `q_q1`,
-`lam_left`, `p_k`.
-
-The Cholesky factorisation is written out for the entries that are not always zero: two fingers and
-a disc have seven coordinates, but only two blocks of two in their mass matrix. The order of
-operations is that of the usual loops.
-
-Hand-written C has what damped contacts need between `#ifdef DAMPING` and `#else` or `#endif`, or in
-one line as `DAMPED(statement;)`. `for_scene` leaves that out of the sources of a scene that has
-none, so that they are the same, byte for byte, as if there were no damping at all.
-
-How much arithmetic the equations cost (`step_operations`) is counted in that C, function by
-function:
-
-    # Counter({"add": 6, "multiply": 6, "divide": 1})
-    count_operations(emit_model(scene))["scene_acceleration"]
-
-A sign is not counted (it becomes a subtraction or goes into a constant), nor is arithmetic among
-numbers, which the compiler does. A power written as a product counts its multiplications.
+Equal scenes give equal bytes. A constant mass matrix is inverted symbolically, and a Cholesky
+factorisation covers nonzero entries only. Vector entries are named `<vector>_<name>`: `q_q1`,
+`lam_left`. In hand-written C, code for damped contacts is between `#ifdef DAMPING` and `#else` or
+`#endif`, or in `DAMPED(statement;)`; `for_scene` removes it for undamped scenes.
 """
 
 from __future__ import annotations
@@ -55,7 +36,7 @@ SCENE_INLINE int scene_solve(double M[NQ][NQ], double *b)
 
 
 def cholesky_function(mass: sp.Matrix) -> str:
-    """C of `scene_solve` for a mass matrix with the zeros of this one."""
+    """Return `scene_solve` for a mass matrix with these zeros."""
     lower = _factor_pattern(mass)
     n = mass.rows
     lines: list[str] = []
@@ -80,7 +61,7 @@ def cholesky_function(mass: sp.Matrix) -> str:
 
 
 def _factor_pattern(mass: sp.Matrix) -> set[tuple[int, int]]:
-    """Entries (i, j), i > j, of L that are not always zero: those of M, and the fill that eliminating a column makes."""
+    """Return the entries (i, j), i > j, of L that can be nonzero: those of M, and the fill."""
     n = mass.rows
     lower = {(i, j) for i in range(n) for j in range(i) if mass[i, j] != 0}
     for k in range(n):
@@ -97,11 +78,11 @@ _LINE = "DAMPED("
 
 
 def for_scene(scene: Scene, text: str) -> str:
-    """A hand-written C source as this scene needs it: whole, or without what is for damped contacts only."""
+    """Return a hand-written C source for this scene, without unneeded code for damped contacts."""
     if scene.damped or not ("DAMPING" in text or _LINE in text):
         return text
     kept: list[str] = []
-    depth, taken = 0, True  # depth within the section that is being taken apart
+    depth, taken = 0, True  # inside a conditional section
     for line in text.splitlines(keepends=True):
         words = line.strip()
         if depth == 0 and words in (_OPEN, _OPEN_WITHOUT):
@@ -115,23 +96,19 @@ def for_scene(scene: Scene, text: str) -> str:
                 depth += 1
             elif depth and words.startswith(_CLOSE):
                 depth -= 1
-            if (
-                taken and not words.startswith(_LINE) and (words or not kept or kept[-1].strip())
-            ):  # what is left out leaves no empty line behind
+            # Removed code leaves no empty line.
+            if taken and not words.startswith(_LINE) and (words or not kept or kept[-1].strip()):
                 kept.append(line)
     return "".join(kept)
 
 
 def penetration_rate(x: SceneVectors) -> sp.Matrix:
-    """Rates of penetration d phi/dt (nc, 1) along the velocities v [m/s]."""
+    """Return d phi/dt (nc, 1) along the velocities v [m/s]."""
     return -x.local(x.dynamics.gap_jacobian) * x.v.column
 
 
 def damping_functions(x: SceneVectors) -> list[str]:
-    """Laws, coefficients, and derivatives of the rates of penetration.
-
-    Nothing for a scene without a damped contact.
-    """
+    """Return laws, coefficients and rate derivatives of damped contacts, if there are any."""
     d = x.dynamics
     if not d.structure.contact_damping:
         return []
@@ -163,7 +140,7 @@ def damping_functions(x: SceneVectors) -> list[str]:
 
 
 def force_sources(scene: Scene) -> dict[str, str]:
-    """File name -> text of the hand-written laws that a scene has: friction within a time step, the force of a damped contact."""
+    """Return file name -> text of the hand-written laws of a scene: friction, damping."""
     names = [
         name for name, present in (("friction.h", scene.nf), ("damping.h", scene.damped)) if present
     ]
@@ -171,10 +148,7 @@ def force_sources(scene: Scene) -> dict[str, str]:
 
 
 def friction_functions(x: SceneVectors) -> list[str]:
-    """Slip speeds and the limits mu N of the friction forces.
-
-    Nothing for a scene without friction.
-    """
+    """Return slip speeds and limits mu N of the frictions, if there are any."""
     d = x.dynamics
     if not d.structure.friction:
         return []
@@ -200,13 +174,13 @@ def friction_functions(x: SceneVectors) -> list[str]:
 
 
 def slip_rate(x: SceneVectors, a: Vector) -> sp.Matrix:
-    """ds/dt (nf, 1) along the velocities v and the accelerations a [m/s^2]."""
+    """Return ds/dt (nf, 1) along velocities v and accelerations a [m/s^2]."""
     slip = x.local(x.dynamics.slip)
     return slip.jacobian(x.q.column) * x.v.column + slip.jacobian(x.v.column) * a.column
 
 
 def emit_model(scene: Scene) -> str:
-    """Text of `scene_model.h` (C99, no I/O, static inline functions only), which serves all parameter values of a scene."""
+    """Return `scene_model.h` (C99, no I/O), valid for all parameter values of a scene."""
     vectors = SceneVectors.of(derive(scene))
     parts = [
         _head(scene),
@@ -224,7 +198,7 @@ def emit_model(scene: Scene) -> str:
 
 
 def model_source(scene: Scene) -> str:
-    """`emit_model`, cached between processes."""
+    """Return `emit_model`, cached between processes."""
     return cached_text(scene, "scene_model.h", lambda: emit_model(scene))
 
 
@@ -311,7 +285,6 @@ def _energy_functions(x: SceneVectors) -> list[str]:
 
 
 def _final_cost_functions(x: SceneVectors, cost_bar: Vector) -> list[str]:
-    """The cost of the last state; nothing for a task without one."""
     if x.dynamics.final_cost == 0:
         return []
     cost = x.local(x.dynamics.final_cost)
@@ -347,7 +320,7 @@ def _closed_acceleration(x: SceneVectors) -> list[str]:
     ]
 
 
-# Cholesky factorisation and solve, written only for scenes whose mass matrix depends on q.
+# Cholesky factorisation and solve, for scenes whose mass matrix depends on q.
 _SOLVES = """\
 SCENE_FUNCTION int scene_acceleration(const double *q, const double *v, const double *u, const double *lam, const double *p, double *a)
 {
@@ -387,13 +360,13 @@ def _factorised_acceleration(x: SceneVectors) -> list[str]:
     d = x.dynamics
     mass, force = x.local(d.mass_matrix), x.local(d.generalised_force)
     a, w, moving = x.q.like("a"), x.q.like("w"), (x.q, x.v, x.u, x.lam)
-    # For fixed a, the residual f - M a has the Jacobian that both products below need.
+    # For fixed a, both products below use the Jacobian of the residual f - M a.
     residual = force - mass * a.column
     return [
         cholesky_function(d.mass_matrix),
         c_function("void", "scene_mass", (x.q, x.p), "M", sp.Matrix(list(mass))),
-        # As scene_solve, what an FMU has inlined in its accelerations (fmu/shell/model.h), which
-        # share their sines.
+        # Inlined, as scene_solve, into the accelerations of an FMU (fmu/shell/model.h), which share
+        # sines.
         c_function("void", "scene_force", x.arguments, "f", force).replace(
             "SCENE_FUNCTION", "SCENE_INLINE", 1
         ),
@@ -412,7 +385,7 @@ def _factorised_acceleration(x: SceneVectors) -> list[str]:
 _FUNCTION = re.compile(
     r"^SCENE_(?:FUNCTION|INLINE) \w+ (\w+)\([^)]*\)\n\{\n(.*?)^\}$", re.MULTILINE | re.DOTALL
 )
-# What a time step evaluates once, before the contact law and the two updates.
+# Functions that a time step evaluates once.
 _OF_A_STEP = (
     "scene_penetration",
     "scene_slip",
@@ -424,25 +397,26 @@ _OF_A_STEP = (
 )
 
 
-# Additions and subtractions, multiplications, divisions, and calls (square roots, sines ..).
+# Additions and subtractions, multiplications, divisions; calls are counted separately.
 _KINDS = {ast.Add: "add", ast.Sub: "add", ast.Mult: "multiply", ast.Div: "divide"}
 
 
 def step_operations(scene: Scene) -> dict[str, int]:
-    """How many operations of each kind (add, multiply, divide, call) the equations have that one time step evaluates: gaps, slips, and accelerations.
+    """Count the operations (add, multiply, divide, call) of a step: gaps, slips, accelerations.
 
-    The contact law (two operations a contact) and the updates of v and q (four a coordinate) are
-    the same for every scene, and not in it.
+    The contact law (two operations per contact) and the updates of v and q (four per coordinate)
+    are not included.
     """
-    found = count_operations(model_source(scene))
-    total = sum((found[name] for name in _OF_A_STEP if name in found), Counter())
+    functions = count_operations(model_source(scene))
+    total = sum((functions[name] for name in _OF_A_STEP if name in functions), Counter())
     return {kind: total[kind] for kind in (*dict.fromkeys(_KINDS.values()), "call")}
 
 
 def count_operations(source: str) -> dict[str, Counter[str]]:
-    """The operations of every function of `emit_model`'s text, by its name and their kind.
+    """Count the operations of every function of `emit_model`, by name and kind.
 
-    Calls of functions of this text are left out.
+    Signs, arithmetic of constants, and calls within the text do not count; a power written as a
+    product counts its multiplications.
     """
     return {
         name: sum(map(_of_statement, body.splitlines()), Counter())
@@ -451,10 +425,7 @@ def count_operations(source: str) -> dict[str, Counter[str]]:
 
 
 def _of_statement(line: str) -> Counter[str]:
-    """Of what stands right of `=` or `return`, and of `+=`, `-=` and `/=`.
-
-    declarations, casts to void and braces have none.
-    """
+    """Count the right side of `=` or `return`, and the operator of `+=`, `-=` and `/=`."""
     match = re.match(r"(?!if |for )(?:return |.*? ([-+/]?)= )(.*);", line.strip())
     if match is None:
         return Counter()
@@ -463,9 +434,9 @@ def _of_statement(line: str) -> Counter[str]:
 
 
 def _of_expression(node: ast.expr) -> tuple[Counter[str], bool]:
-    """Of numbers, names, subscripts, calls and + - * /, which C writes as Python does.
+    """Count an expression in the common syntax of C and Python.
 
-    And whether it is a number.
+    Return also whether it is a number.
     """
     match node:
         case ast.UnaryOp():
@@ -478,11 +449,11 @@ def _of_expression(node: ast.expr) -> tuple[Counter[str], bool]:
             own = () if is_left and is_right else (_KINDS[type(node.op)],)
             return left + right + Counter(own), is_left and is_right
         case ast.Call():
-            found = [_of_expression(argument) for argument in node.args]
-            is_number = all(is_one for _, is_one in found)
-            ours = is_number or ast.unparse(node.func).startswith("scene_")
+            arguments = [_of_expression(argument) for argument in node.args]
+            is_number = all(is_one for _, is_one in arguments)
+            is_free = is_number or ast.unparse(node.func).startswith("scene_")
             return sum(
-                (inside for inside, _ in found), Counter(() if ours else ("call",))
+                (inside for inside, _ in arguments), Counter(() if is_free else ("call",))
             ), is_number
         case ast.Subscript():
             return _of_expression(node.slice)[0], False

@@ -1,14 +1,16 @@
-/* Dry friction within one time step of semi-implicit Euler, and its adjoint. Needs scene_model.h; only for scenes with friction.
+/* Dry friction within one time step of semi-implicit Euler, and its adjoint. Needs
+ * scene_model.h; only for scenes with friction.
  *
- * The friction forces f belong to the slip speeds at the *end* of the step, s = S(q[t]) v[t+1]: only so can a step stick.
+ * The friction forces f depend on the slip at the *end* of the step, s = S(q[t]) v[t+1], so that
+ * a step can stick.
  *
  *   v[t+1] = v[t] + h a(q, v, u, lam, f),      s = s0 + h W f,      W = S M^-1 S'
  *
- *   law 0, Coulomb:      f minimises the dissipation f s over |f| <= mu N:  s = 0, or |f| = mu N against s
- *   law 1, regularised:  f = -mu N tanh(b L s / (2 nominal)), L the scene's length, a logistic function of the slip
+ *   law 0, Coulomb:      f minimises f s over |f| <= mu N:  s = 0, or |f| = mu N against s
+ *   law 1, regularised:  f = -mu N tanh(b L s / (2 nominal)), L the scene's length
  *
- * Both are the minimiser of a convex function of f (W is positive semidefinite), found by sweeps over the single forces;
- * what sticks is then solved exactly. */
+ * Both minimise a convex function of f (W is positive semidefinite). Sweeps over single forces
+ * find the minimiser; sticking forces are then solved exactly. */
 #ifndef FRICTION_H
 #define FRICTION_H
 
@@ -17,7 +19,8 @@
 
 #include "scene_model.h"
 
-/* One force is exact in one sweep; coupled ones converge linearly, in tens of sweeps. The score judges what is left (friction law). */
+/* One force needs one sweep; coupled ones converge linearly, in tens of sweeps. The score
+ * measures the remaining error (friction law). */
 #define FRICTION_SWEEPS 10000
 
 typedef struct {
@@ -27,11 +30,11 @@ typedef struct {
     double limit[NF];     /* mu N [N] */
 } FrictionStep;
 
-/* A pivot below this share of its diagonal entry is rounding: frictions before it hold the same motion already. */
+/* A smaller share of the diagonal is rounding: earlier frictions already hold this motion. */
 #define FRICTION_REDUNDANT 1e-14
 
-/* Solve the symmetric positive semidefinite system K x = b of size n in place (K destroyed); a friction whose motion those before it
- * hold already gets 0. Returns 0, or 1 if K has no numbers. */
+/* Solve the symmetric positive semidefinite system K x = b of size n in place (K is destroyed);
+ * a redundant friction gets 0. Return 1 if K contains NaN. */
 SCENE_FUNCTION int friction_solve(int n, double K[NF][NF], double *x)
 {
     for (int j = 0; j < n; j++) {
@@ -55,7 +58,8 @@ SCENE_FUNCTION int friction_solve(int n, double K[NF][NF], double *x)
     return 0;
 }
 
-/* A, hW = h S M^-1 S' and the limits, at the contact forces in front of lam. 0, or 1 if the mass matrix is not positive definite. */
+/* Compute A, hW = h S M^-1 S' and the limits at the contact forces in lam. Return 1 if the mass
+ * matrix is not positive definite. */
 SCENE_FUNCTION int friction_columns(double h, const double *p, const double *q, const double *v, const double *u, const double *lam, FrictionStep *step)
 {
     double zero_q[NQ], zero_u[NU > 0 ? NU : 1], unit[NC + NF];
@@ -74,7 +78,8 @@ SCENE_FUNCTION int friction_columns(double h, const double *p, const double *q, 
     return 0;
 }
 
-/* lam: contact forces (NC), then NF entries that are set to zero here. 0, or 1 if the mass matrix is not positive definite. */
+/* Prepare a step. lam: contact forces (NC), then NF entries that are set to zero. Return 1 if
+ * the mass matrix is not positive definite. */
 SCENE_FUNCTION int friction_step(double h, const double *p, const double *q, const double *v, const double *u, double *lam, FrictionStep *step)
 {
     double a[NQ], end[NQ];
@@ -94,8 +99,9 @@ SCENE_FUNCTION double slip_at_end(const FrictionStep *step, const double *f, int
 
 SCENE_FUNCTION double friction_sharpness(double b, int j) { return 0.5 * b * SCENE_LENGTH / scene_friction_nominals[j]; }
 
-/* The root in [-1, 1] of x + tanh(c (rest + w x)), c, w >= 0: x = -tanh(y) with y + c w tanh(y) = c rest. For rest > 0 the left side is concave
- * between 0 and its root: Newton from below comes to it from below, never beyond, and is there when it does not rise any more. */
+/* Return the root in [-1, 1] of x + tanh(c (rest + w x)), c, w >= 0: x = -tanh(y) with y + c w
+ * tanh(y) = c rest. For rest > 0 the left side is concave between 0 and its root, so Newton from
+ * below converges monotonically. */
 SCENE_FUNCTION double regularised_root(double c, double rest, double w)
 {
     const double cw = c * w, right = c * fabs(rest);
@@ -109,7 +115,7 @@ SCENE_FUNCTION double regularised_root(double c, double rest, double w)
     return rest > 0.0 ? -g : g;
 }
 
-/* One force, the others held. */
+/* One force, with the other forces fixed. */
 SCENE_FUNCTION double friction_alone(int law, double b, const FrictionStep *step, const double *f, int j)
 {
     const double limit = step->limit[j], w = step->hW[j][j];
@@ -120,10 +126,10 @@ SCENE_FUNCTION double friction_alone(int law, double b, const FrictionStep *step
     return fmin(fmax(-rest / w, -limit), limit);
 }
 
-/* Coulomb: which forces stay inside their limits is known from f; these stick exactly, if that contradicts nothing. */
+/* Coulomb: forces inside their limits stick; solve these exactly unless that is contradictory. */
 SCENE_FUNCTION void stick_exactly(const FrictionStep *step, double *f)
 {
-    int sticks[NF] = {0}, n = 0; /* zeros: compilers that unroll the loops below cannot see that only the first n are read */
+    int sticks[NF] = {0}, n = 0; /* zeros: compilers warn otherwise */
     double K[NF][NF], x[NF];
     for (int j = 0; j < NF; j++)
         if (fabs(f[j]) < step->limit[j]) sticks[n++] = j;
@@ -139,7 +145,7 @@ SCENE_FUNCTION void stick_exactly(const FrictionStep *step, double *f)
     for (int i = 0; i < n; i++) f[sticks[i]] = x[i];
 }
 
-/* All forces of which `free` is not zero (NULL: all), from f; the others are held. */
+/* Compute all forces with nonzero `free` (NULL: all), starting at f; the rest is fixed. */
 SCENE_FUNCTION void friction_balance(int law, double b, const FrictionStep *step, const int *free, double *f)
 {
     for (int n = 0; n < FRICTION_SWEEPS; n++) {
@@ -155,7 +161,8 @@ SCENE_FUNCTION void friction_balance(int law, double b, const FrictionStep *step
     if (law == 0 && NF > 1) stick_exactly(step, f);
 }
 
-/* The friction forces of a step, into lam[NC ..]; the contact forces in front are given. 0, or 1 as friction_step. */
+/* Compute the friction forces of a step into lam[NC ..] from the contact forces before. Return
+ * as friction_step. */
 SCENE_FUNCTION int friction_forces(int law, double b, double h, const double *p, const double *q, const double *v, const double *u, double *lam)
 {
     FrictionStep step;
@@ -164,14 +171,14 @@ SCENE_FUNCTION int friction_forces(int law, double b, double h, const double *p,
     return 0;
 }
 
-/* The part of the adjoint of a step that goes through the friction forces.
+/* The part of the adjoint of a step through the friction forces.
  *
- * v_bar (NQ): the derivative of the loss with respect to v[t+1] = v_end; what the slip adds to it is added here (S' s_bar). Adds to
- * q_bar what slip and limit depend on, and to lam_bar[0 .. NC) what the limit depends on; lam_bar[NC ..] are the derivatives with respect
- * to f itself. f = lam[NC ..] as friction_forces left it.
+ * v_bar (NQ): derivative of the loss by v[t+1] = v_end; S' s_bar is added. Adds to q_bar through
+ * slip and limit, and to lam_bar[0 .. NC) through the limit; lam_bar[NC ..] are the derivatives
+ * by f = lam[NC ..].
  *
- * With f_bar = lam_bar + h A (v_bar + S' s_bar): where a force slips or is regularised s_bar = (df/ds) f_bar; where it sticks, f_bar = 0
- * determines s_bar. */
+ * With f_bar = lam_bar + h A (v_bar + S' s_bar): slipping or regularised forces have s_bar =
+ * (df/ds) f_bar; for sticking ones f_bar = 0 determines s_bar. */
 SCENE_FUNCTION int friction_adjoint(int law, double b, double h, const double *p, const double *q, const double *v, const double *u,
     const double *lam, const double *v_end, double *v_bar, double *q_bar, double *lam_bar)
 {
@@ -196,7 +203,7 @@ SCENE_FUNCTION int friction_adjoint(int law, double b, double h, const double *p
         }
         if (slope[j] > 0.0) at[n++] = j;
     }
-    /* (1/slope + hW) s_bar = -f_bar on the forces that depend on the slip */
+    /* (1/slope + hW) s_bar = -f_bar for the forces that depend on the slip */
     for (int i = 0; i < n; i++) {
         s_bar[i] = -f_bar[at[i]];
         for (int j = 0; j < n; j++) K[i][j] = step.hW[at[i]][at[j]] + (i == j ? 1.0 / slope[at[i]] : 0.0);
@@ -205,7 +212,7 @@ SCENE_FUNCTION int friction_adjoint(int law, double b, double h, const double *p
     for (int i = n - 1; i >= 0; i--) {
         const double value = s_bar[i];
         s_bar[i] = 0.0;
-        s_bar[at[i]] = value; /* at[i] >= i, and later entries have moved already */
+        s_bar[at[i]] = value; /* at[i] >= i, and later entries were moved before */
     }
     for (int j = 0; j < NF; j++) {
         limit_bar[j] = f_bar[j];

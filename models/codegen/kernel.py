@@ -3,12 +3,10 @@
     kernel = load_kernel(scene)
     rollout = kernel.rollout(scene.task.start, u, step=0.01)  # true (ReLU) contact
     rollout = kernel.rollout(start, u, step=0.01, law=ContactLaw.SOFTPLUS, eps=1e-3)
-    # gradient of any loss of q, v, lam
-    u_bar, start_bar = kernel.adjoint(rollout, u, q_bar=..., v_bar=...)
+    u_bar, start_bar = kernel.adjoint(rollout, u, q_bar=..., v_bar=...)  # gradient of a loss
 
-Semi-implicit Euler with the paper's indices: lam[t] = L(phi(q[t])), v[t+1] = v[t] + h a[t], q[t+1]
-= q[t] + h v[t+1]; friction forces belong to the slip at the end of the step (friction.h) and stand
-behind the contact forces in lam.
+Semi-implicit Euler: lam[t] = L(phi(q[t])), v[t+1] = v[t] + h a[t], q[t+1] = q[t] + h v[t+1].
+Friction forces follow the contact forces in lam; they depend on the slip at the end of the step.
 """
 
 from __future__ import annotations
@@ -26,11 +24,10 @@ from models.errors import TouchstoneError
 from models.scene import Scene
 
 _SOURCE = Path(__file__).with_name("rollout.c")
-# The adjoint takes 0.6 of its time at -O2, and the same operations in the same order: equal bits.
-# Compiling takes a fifth longer.
+# The adjoint takes 0.6 of its time at -O2, with equal bits; compilation takes a fifth longer.
 _OPTIMISED = ("-O3",)
 
-# Result and arguments of the C functions (models.codegen.compiler); n stands for a law, too.
+# Results and arguments of the C functions (models.codegen.compiler); n is also a law.
 _SIGNATURES = {
     "kernel_rollout": ("n", "ndpndppppp"),
     "kernel_adjoint": ("n", "ndpndppppppppdpp"),
@@ -57,11 +54,10 @@ class KernelError(TouchstoneError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rollout:
-    """q, v: (steps+1, nq); lam: (steps, nc+nf) contact, then friction forces.
+    """A motion: q, v (steps+1, nq); lam (steps, nc+nf) contact, then friction forces.
 
-    finite_steps: how many steps stayed finite (all, unless it diverged).
-
-    step [s], law and eps are those it was made with; rows after a divergence are NaN.
+    finite_steps: number of finite steps; later rows are NaN
+    step [s], law, eps: of the rollout
     """
 
     q: np.ndarray
@@ -74,31 +70,29 @@ class Rollout:
 
     @property
     def diverged(self) -> bool:
-        """Whether a state stopped being finite before the last step."""
+        """Return whether a state was not finite."""
         return self.finite_steps < len(self.lam)
 
 
 def load_kernel(scene: Scene) -> Kernel:
-    """Compile (or find in the cache) the kernel of a scene.
+    """Compile the kernel of a scene, or load it from the cache.
 
-    Raises MachineError without a compiler.
+    Raise MachineError without a compiler.
     """
     return Kernel(scene, cached_library(kernel_sources(scene), _OPTIMISED))
 
 
 def kernel_sources(scene: Scene) -> dict[str, str]:
-    """File name -> text of the C sources of a scene's kernel."""
+    """Return file name -> text of the C sources of a scene's kernel."""
     rollout = for_scene(scene, _SOURCE.read_text(encoding="utf-8"))
     return {"scene_model.h": model_source(scene), "rollout.c": rollout, **force_sources(scene)}
 
 
 class Kernel:
-    """Numpy functions over the compiled kernel of one scene; see the module docstring.
+    """Numpy functions of the compiled kernel of one scene, in float64.
 
-    All arrays are float64.
-
-    library: its C functions, for callers that keep buffers and addresses of their own
-        (formulations.shooting.rollout, validate.judge.replay.tracking).
+    library: its C functions, for callers with buffers of their own (formulations.shooting.rollout,
+        validate.judge.replay.tracking)
     """
 
     def __init__(self, scene: Scene, library: Path) -> None:
@@ -115,22 +109,10 @@ class Kernel:
         self._p_of_step: dict[float, np.ndarray] = {}
 
     def with_parameters(self, values: np.ndarray) -> Kernel:
-        """The same functions with other values of the scene's parameters, which a new scene would take a hundred times as long to give.
+        """Return the functions for other parameter values (np,) [SI]; `scene` keeps the old values.
 
-        Parameters
-        ----------
-        values
-            (np,), each in its own unit [SI], in the scene's order.
-
-        Returns
-        -------
-        Kernel
-            Its `scene` says the old values.
-
-        Raises
-        ------
-        KernelError
-            For another number of values.
+        A new scene would take a hundred times as long. Raises KernelError for another number of
+        values.
         """
         other = copy(self)
         other._p, other._p_of_step = (
@@ -140,48 +122,30 @@ class Kernel:
         return other
 
     def parameters_of(self, step: float) -> np.ndarray:
-        """Parameter values for time steps of that length, which is the relaxation time of a scene without inertia (models.scene.quasi_static).
+        """Return the parameters (np,) [SI] for time steps of this length [s]. Raises nothing.
 
-        Parameters
-        ----------
-        step
-            Length of a step [s].
-
-        Returns
-        -------
-        np.ndarray
-            Values (np,), each in its own unit [SI].
+        The step replaces the relaxation time of a scene without inertia
+        (models.scene.quasi_static).
         """
         index = self.scene.relaxation_index
         if index is None or self._p[index] == step:
             return self._p
-        if step not in self._p_of_step:  # kept as long as the kernel: others have its address
+        if (
+            step not in self._p_of_step
+        ):  # kept as long as the kernel, because callers have its address
             self._p_of_step[step] = self._p.copy()
             self._p_of_step[step][index] = step
         return self._p_of_step[step]
 
     def penetration(self, q: np.ndarray) -> np.ndarray:
-        """Penetration of each contact, positive in contact.
+        """Return phi (n, nc) [m] at q (n, nq) [m, rad], positive in contact.
 
-        Parameters
-        ----------
-        q
-            Positions (n, nq) [m, rad].
-
-        Returns
-        -------
-        np.ndarray
-            phi (n, nc) [m].
-
-        Raises
-        ------
-        KernelError
-            Where an array has another shape.
+        Raises KernelError for an array of another shape.
         """
         return self._by_row("kernel_penetration", self.scene.nc, q=q)
 
     def stiffness(self) -> np.ndarray:
-        """Stiffness k (nc,) of each contact [N/m]."""
+        """Return the stiffnesses k (nc,) [N/m]. Raises nothing."""
         k = np.empty(self.scene.nc)
         self.library.kernel_stiffness(address(self._p), address(k))
         return k
@@ -194,28 +158,10 @@ class Kernel:
         *,
         v: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Contact forces under a law.
+        """Return contact forces lam (n, nc) [N] at q (n, nq) [m, rad] under a law.
 
-        Parameters
-        ----------
-        q
-            Positions (n, nq) [m, rad].
-        law, eps
-            The contact law, and the relaxation of a softplus [-].
-        v
-            Velocities (n, nq) [m/s, rad/s], which damped contacts depend on; None is at rest.
-
-        Returns
-        -------
-        np.ndarray
-            lam (n, nc) [N].
-
-        Raises
-        ------
-        KernelError
-            Where an array has another shape.
-        RelaxationError
-            Unless 0 < eps < 1, of a relaxed law.
+        v (n, nq) [m/s, rad/s] affects damped contacts; None is at rest. Raises KernelError for an
+        array of another shape, RelaxationError unless 0 < eps < 1 for softplus.
         """
         law_of = (law.value, law_sharpness(law, eps, self.scene.length))
         if not self.scene.damped:
@@ -229,98 +175,35 @@ class Kernel:
         )
 
     def contact_push(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """What the true contact force is the positive part of: k phi without damping.
+        """Return the pushes (n, nc) [N], with the true forces as positive parts.
 
-        Parameters
-        ----------
-        q
-            Positions (n, nq) [m, rad].
-        v
-            Velocities (n, nq) [m/s, rad/s].
-
-        Returns
-        -------
-        np.ndarray
-            Pushes (n, nc) [N].
-
-        Raises
-        ------
-        KernelError
-            Where an array has another shape.
+        q, v are (n, nq) [m, rad, m/s, rad/s]. Raises KernelError for an array of another shape.
         """
         if not self.scene.damped:
             return self.stiffness() * self.penetration(q)
         return self._by_row("kernel_contact_push", self.scene.nc, q=q, v=v)
 
     def slip(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Slip speed of each friction.
+        """Return slip speeds (n, nf) [m/s] at q, v (n, nq) [m, rad, m/s, rad/s].
 
-        Parameters
-        ----------
-        q
-            Positions (n, nq) [m, rad].
-        v
-            Velocities (n, nq) [m/s, rad/s].
-
-        Returns
-        -------
-        np.ndarray
-            s (n, nf) [m/s].
-
-        Raises
-        ------
-        KernelError
-            Where an array has another shape.
+        Raises KernelError for an array of another shape.
         """
         return self._by_row("kernel_slip", self.scene.nf, q=q, v=v)
 
     def friction_limit(self, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """The largest friction forces, mu N.
+        """Return the limits mu N (n, nf) [N] at q (n, nq) [m, rad], lam (n, nc+nf) [N].
 
-        Parameters
-        ----------
-        q
-            Positions (n, nq) [m, rad].
-        lam
-            Contact, then friction forces (n, nc+nf) [N].
-
-        Returns
-        -------
-        np.ndarray
-            Limits (n, nf) [N].
-
-        Raises
-        ------
-        KernelError
-            Where an array has another shape.
+        Raises KernelError for an array of another shape.
         """
         return self._by_row("kernel_friction_limit", self.scene.nf, q=q, lam=lam)
 
     def acceleration(
         self, q: np.ndarray, v: np.ndarray, u: np.ndarray, lam: np.ndarray
     ) -> np.ndarray:
-        """Accelerations dv/dt of M dv/dt = tau(q, v, u) + J' lam + S' f, row by row.
+        """Return accelerations (n, nq) [m/s^2, rad/s^2] of M dv/dt = tau(q, v, u) + J' lam + S' f.
 
-        Parameters
-        ----------
-        q
-            Positions (n, nq) [m, rad].
-        v
-            Velocities (n, nq) [m/s, rad/s].
-        u
-            Inputs (n, nu) [N, N m].
-        lam
-            Contact, then friction forces (n, nc+nf) [N].
-
-        Returns
-        -------
-        np.ndarray
-            Accelerations (n, nq) [m/s^2, rad/s^2].
-
-        Raises
-        ------
-        KernelError
-            Where M is not positive definite, or an array has another shape.
+        q, v (n, nq), u (n, nu), lam (n, nc+nf) contact, then friction forces. Raises KernelError if
+        M is not positive definite, or for an array of another shape.
         """
         return self._by_row("kernel_acceleration", self.scene.nq, q=q, v=v, u=u, lam=lam)
 
@@ -332,30 +215,11 @@ class Kernel:
         law: ContactLaw = ContactLaw.RELU,
         eps: float | None = None,
     ) -> Rollout:
-        """Simulate with inputs that are held over each step.
+        """Simulate with constant inputs per step; NaN after a divergence.
 
-        Parameters
-        ----------
-        start
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        u
-            Inputs (steps, nu) [N, N m].
-        step
-            Length of a step [s].
-        law, eps
-            The contact law, and the relaxation of a softplus [-].
-
-        Returns
-        -------
-        Rollout
-            The motion and its forces; NaN behind a divergence.
-
-        Raises
-        ------
-        KernelError
-            Where an array has another shape.
-        RelaxationError
-            Unless 0 < eps < 1, of a relaxed law.
+        start is (2*nq,) [m, rad, m/s, rad/s], u (steps, nu) [N, N m], step [s], eps of softplus
+        [-]. Raises KernelError for an array of another shape, RelaxationError unless 0 < eps < 1
+        for softplus.
         """
         u, start = (
             self._array("u", u, None, self.scene.nu),
@@ -380,30 +244,11 @@ class Kernel:
     def rollouts(
         self, start: np.ndarray, u: np.ndarray, step: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Simulate several motions under the true contact law.
+        """Simulate several motions under the true contact law; NaN after a divergence.
 
-        A row that diverges is NaN from there on.
-
-        Parameters
-        ----------
-        start
-            States (rows, 2*nq): positions [m, rad], then velocities [m/s, rad/s].
-        u
-            Inputs (rows, steps, nu) [N, N m].
-        step
-            Length of a step [s].
-
-        Returns
-        -------
-        lam
-            Forces (rows, steps, nc+nf) [N].
-        ends
-            Last states (rows, 2*nq).
-
-        Raises
-        ------
-        KernelError
-            Where an array has another shape.
+        start (rows, 2*nq) [m, rad, m/s, rad/s], u (rows, steps, nu) [N, N m], step [s]. Return lam
+        (rows, steps, nc+nf) [N] and the last states (rows, 2*nq). Raises KernelError for an array
+        of another shape.
         """
         rows, steps, _ = u.shape
         start, u = (
@@ -432,46 +277,25 @@ class Kernel:
         cost_bar: float = 0.0,
         end_bar: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients of a loss along a rollout, from its derivatives by what the rollout gave.
+        """Return the gradients of a loss along a rollout by u (steps, nu) and start (2*nq,).
 
-        None where it does not depend on that.
-
-        Parameters
-        ----------
-        rollout
-            The rollout, whose step and law are taken.
-        u
-            Its inputs (steps, nu) [N, N m].
-        q_bar, v_bar
-            Derivatives (steps+1, nq) by positions and velocities [1/m, s/m and so on, per unit of the loss].
-        lam_bar
-            Derivatives (steps, nc+nf) by forces [1/N].
-        cost_bar
-            Derivative by the cost of the task [-].
-        end_bar
-            Derivatives (2*nq,) by the last state, beside q_bar and v_bar.
-
-        Returns
-        -------
-        u_bar
-            Gradient (steps, nu) by the inputs.
-        start_bar
-            Gradient (2*nq,) by the start.
-
-        Raises
-        ------
-        KernelError
-            Where M is not positive definite along the rollout, or an array has another shape.
+        Derivatives of the loss that are None count as zero.
+        q_bar, v_bar: (steps+1, nq), by positions and velocities [1/m, s/m and so on]
+        lam_bar: (steps, nc+nf), by forces [1/N]
+        cost_bar: by the cost of the task [-]
+        end_bar: (2*nq,), by the last state, in addition to q_bar and v_bar
+        Raises KernelError if M is not positive definite along the rollout, or for another shape.
         """
         u = self._array("u", u, len(rollout.lam), self.scene.nu)
-        given = (
+        loss_bars = (
             ("q_bar", q_bar, rollout.q.shape),
             ("v_bar", v_bar, rollout.v.shape),
             ("lam_bar", lam_bar, rollout.lam.shape),
             ("end_bar", end_bar, (2 * self.scene.nq,)),
         )
         bars = [
-            None if bar is None else self._array(name, bar, *shape) for name, bar, shape in given
+            None if bar is None else self._array(name, bar, *shape)
+            for name, bar, shape in loss_bars
         ]
         u_bar, start_bar = np.empty_like(u), np.empty(2 * self.scene.nq)
         failed = self.library.kernel_adjoint(
@@ -489,29 +313,10 @@ class Kernel:
     def end_derivatives(
         self, start: np.ndarray, u: np.ndarray, step: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the state in which a motion under the true contact law ends.
+        """Return the last state's derivatives by start (2*nq, 2*nq) and constant inputs (2*nq, nu).
 
-        Parameters
-        ----------
-        start
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        u
-            Inputs (steps, nu) [N, N m].
-        step
-            Length of a step [s].
-
-        Returns
-        -------
-        by_start
-            (2*nq, 2*nq) by the start.
-        by_inputs
-            (2*nq, nu) by a change of all the inputs by the same.
-
-        Raises
-        ------
-        KernelError
-            Where the motion leaves every bound, M is not positive definite along it, or an array
-            has another shape.
+        The motion has start (2*nq,), u (steps, nu) [N, N m], step [s] and true contact. Raises
+        KernelError if it diverges, if M is not positive definite, or for an array of another shape.
         """
         rollout, states = self.rollout(start, u, step), 2 * self.scene.nq
         if rollout.diverged:
@@ -521,15 +326,15 @@ class Kernel:
         u = self._array("u", u, None, self.scene.nu)
         by_start, by_inputs = np.empty((states, states)), np.empty((states, self.scene.nu))
         end_bar, start_bar, u_bar = np.zeros(states), np.empty(states), np.empty_like(u)
-        # Looked up once for all rows: `adjoint` row by row takes three times as long.
-        given = (
+        # Addresses are computed once: `adjoint` per row takes three times as long.
+        arguments = (
             *self.head(len(u), step, rollout.law, rollout.eps), address(rollout.q),
             address(rollout.v), address(rollout.lam), address(u), None, None, None,
             address(end_bar), 0.0, address(u_bar), address(start_bar),
         )  # fmt: skip
         for row in range(states):
             end_bar[row] = 1.0
-            if self.library.kernel_adjoint(*given):
+            if self.library.kernel_adjoint(*arguments):
                 raise KernelError(
                     f"scene {self.scene.name}: the mass matrix is not positive definite along the rollout."
                 )
@@ -538,72 +343,26 @@ class Kernel:
         return by_start, by_inputs
 
     def energy(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Kinetic and potential energy, without what contacts store.
+        """Return kinetic and potential energy (n,) [J], without contacts.
 
-        Parameters
-        ----------
-        q
-            Positions (n, nq) [m, rad].
-        v
-            Velocities (n, nq) [m/s, rad/s].
-
-        Returns
-        -------
-        kinetic, potential
-            Energies (n,) [J].
-
-        Raises
-        ------
-        KernelError
-            Where an array has another shape.
+        q, v are (n, nq) [m, rad, m/s, rad/s]. Raises KernelError for an array of another shape.
         """
         energy = self._by_row("kernel_energy", 2, q=q, v=v)
         return energy[:, 0], energy[:, 1]
 
     def power(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Power of the inputs, and dissipated power.
+        """Return the power of the inputs and the dissipated power, (n,) [W].
 
-        Parameters
-        ----------
-        q
-            Positions (n, nq) [m, rad].
-        v
-            Velocities (n, nq) [m/s, rad/s].
-        u
-            Inputs (n, nu) [N, N m].
-
-        Returns
-        -------
-        inputs, dissipated
-            Powers (n,) [W].
-
-        Raises
-        ------
-        KernelError
-            Where an array has another shape.
+        q, v are (n, nq), u (n, nu) [N, N m]. Raises KernelError for an array of another shape.
         """
         power = self._by_row("kernel_power", 2, q=q, v=v, u=u)
         return power[:, 0], power[:, 1]
 
     def cost(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
-        """Sum of the running cost over the steps, and the cost of the last state.
+        """Return the running cost over the steps plus the final cost [-].
 
-        Parameters
-        ----------
-        q, v
-            Positions and velocities (steps+1, nq) [m, rad, m/s, rad/s].
-        u
-            Inputs (steps, nu) [N, N m].
-
-        Returns
-        -------
-        float
-            The cost, in the unit that the task weighs with [-].
-
-        Raises
-        ------
-        KernelError
-            Where an array has another shape.
+        q, v are (steps+1, nq), u (steps, nu) [N, N m]. Raises KernelError for an array of another
+        shape.
         """
         u = self._array("u", u, None, self.scene.nu)
         q, v = (
@@ -617,10 +376,7 @@ class Kernel:
     def head(
         self, n: int, step: float, law: ContactLaw, eps: float | None
     ) -> tuple[int, float, int, int, float]:
-        """What every C function of n time steps takes first.
-
-        Those of several plans after their number.
-        """
+        """Return the first arguments of C functions of n time steps, after a number of plans."""
         return (
             n,
             step,
@@ -630,33 +386,32 @@ class Kernel:
         )
 
     def _by_row(
-        self, function: str, columns: int, *settings: float, **given: np.ndarray
+        self, function: str, columns: int, *settings: float, **inputs: np.ndarray
     ) -> np.ndarray:
-        """What a C function writes (n, columns) of given arrays by name, row by row.
+        """Return the result (n, columns) of a C function at arrays by name, row by row.
 
-        Without columns there may be no such function.
+        Without columns the function may not exist.
         """
         n: int | None = None
         arrays: list[np.ndarray] = []
-        for name, value in given.items():
+        for name, value in inputs.items():
             arrays.append(self._array(name, value, n, self._columns[name]))
             n = len(arrays[0])
-        found = np.empty((len(arrays[0]), columns))
+        result = np.empty((len(arrays[0]), columns))
         done = (
             getattr(self.library, function)(
-                n, address(self._p), *settings, *map(address, arrays), address(found)
+                n, address(self._p), *settings, *map(address, arrays), address(result)
             )
             if columns
             else None
         )
-        if done is not None and done < len(found):
+        if done is not None and done < len(result):
             raise KernelError(
                 f"scene {self.scene.name}: the mass matrix is not positive definite at q = {arrays[0][done].tolist()}."
             )
-        return found
+        return result
 
     def _array(self, name: str, value: np.ndarray, *shape: int | None) -> np.ndarray:
-        """As the C functions take it; shape: None where any size will do."""
         array = np.ascontiguousarray(value, dtype=np.float64)
         if array.ndim != len(shape) or any(
             size not in (None, found) for size, found in zip(shape, array.shape, strict=True)
@@ -669,12 +424,15 @@ class Kernel:
 
 
 def address(array: np.ndarray) -> int:
-    """Address of the first entry of an array (n,) of any shape and unit [SI], as the C functions take it. Raises AttributeError for what is no array."""
+    """Return the address of an array (n,) [SI] of any shape, for the C functions.
+
+    Raises AttributeError for an object that is no array.
+    """
     return array.ctypes.data
 
 
 def law_sharpness(law: ContactLaw, eps: float | None, length: float) -> float:
-    """Sharpness [1/m] of a relaxed law, as the C functions take it; 0 of the true one.
+    """Return the sharpness [1/m] of softplus for the C functions, 0 for the true law.
 
     Raises RelaxationError unless 0 < eps < 1.
     """

@@ -1,10 +1,11 @@
-/* The discrete time step of a scene (semi-implicit Euler) and its adjoint, over whole trajectories.
+/* The discrete time step of a scene (semi-implicit Euler) and its adjoint, over whole
+ * trajectories.
  *
  *   lam[t] = L(phi(q[t]))          a[t] = M^-1 (tau(q[t], v[t], u[t]) + J' lam[t] + S' f[t])
  *   v[t+1] = v[t] + h a[t]         q[t+1] = q[t] + h v[t+1]
  *
- * Arrays are row-major, one row a node or step. Contact law: 0 = ReLU, 1 = softplus with sharpness b.
- * Friction forces f (friction.h) stand behind the contact forces in each row of lam. */
+ * Arrays are row-major, one row per node or step. Contact law: 0 = ReLU, 1 = softplus with
+ * sharpness b. Friction forces f (friction.h) follow the contact forces in each row of lam. */
 #include <stddef.h>
 
 #include "scene_model.h"
@@ -43,7 +44,8 @@ static void contact_forces(int law, double b, const double *k, const double *q, 
     for (int i = 0; i < NC; i++) lam[i] = contact_force(law, b, k[i], phi[i]);
 }
 
-/* A copy that no output can alias, so that the compiler computes what depends on parameters alone (1/m) once, not every step. */
+/* Copy the parameters so that no output aliases them; the compiler then hoists 1/m out of the
+ * loop. */
 static void local_parameters(const double *parameters, double *p)
 {
     for (int i = 0; i < NP; i++) p[i] = parameters[i];
@@ -57,8 +59,8 @@ static int finite_row(const double *row, int n)
     return 1;
 }
 
-/* q, v: (steps + 1, NQ), first row filled from start (2 NQ); lam: (steps, NL). Returns the number of steps that were
- * finite: fewer than `steps` if the rollout diverged or the mass matrix lost definiteness. */
+/* q, v: (steps + 1, NQ), first row from start (2 NQ); lam: (steps, NL). Return the number of
+ * finite steps, fewer than `steps` after a divergence or a loss of definiteness. */
 EXPORT int kernel_rollout(int steps, double h, const double *parameters, int law, double b, const double *start, const double *u,
     double *q, double *v, double *lam)
 {
@@ -89,9 +91,9 @@ EXPORT int kernel_rollout(int steps, double h, const double *parameters, int law
     return steps;
 }
 
-/* Reverse sweep: given the derivatives of a loss with respect to every entry of q, v and lam (q_bar, v_bar, lam_bar), to the last state once more
- * (end_bar, 2 NQ) - each may be NULL - and to the cost (cost_bar), writes those with respect to u (steps, NU) and start (2 NQ). Returns 0, or 1 if the mass
- * matrix is not positive definite. */
+/* Reverse sweep: from the derivatives of a loss by q, v, lam (q_bar, v_bar, lam_bar), by the
+ * last state (end_bar, 2 NQ), each may be NULL, and by the cost (cost_bar), write those by u
+ * (steps, NU) and start (2 NQ). Return 1 if the mass matrix is not positive definite. */
 EXPORT int kernel_adjoint(int steps, double h, const double *parameters, int law, double b, const double *q, const double *v,
     const double *lam, const double *u, const double *q_bar, const double *v_bar, const double *lam_bar, const double *end_bar, double cost_bar,
     double *u_bar, double *start_bar)
@@ -138,8 +140,8 @@ EXPORT int kernel_adjoint(int steps, double h, const double *parameters, int law
 
 EXPORT double kernel_cost(int n, const double *p, const double *q, const double *v, const double *u);
 
-/* Rows of plans, each as kernel_rollout's: also their costs and last states (rows, 2 NQ). NAN after the last finite step, and in costs and ends, of a
- * row that diverged. */
+/* Rows of plans as in kernel_rollout, with costs and last states (rows, 2 NQ). NAN after the
+ * last finite step, and in costs and ends, of a diverged row. */
 EXPORT void kernel_rollouts(int rows, int steps, double h, const double *parameters, int law, double b, const double *start, const double *u,
     double *q, double *v, double *lam, double *costs, double *ends)
 {
@@ -155,8 +157,8 @@ EXPORT void kernel_rollouts(int rows, int steps, double h, const double *paramet
     }
 }
 
-/* Their adjoints, each as kernel_adjoint's; cost_bars may be NULL too. NAN in the rows that diverged. Returns the number of rows done, fewer than all if
- * a mass matrix is not positive definite. */
+/* Their adjoints as in kernel_adjoint; cost_bars may be NULL too. NAN in diverged rows. Return
+ * the number of rows, fewer than all if a mass matrix is not positive definite. */
 EXPORT int kernel_adjoints(int rows, int steps, double h, const double *parameters, int law, double b, const double *q, const double *v,
     const double *lam, const double *u, const double *q_bar, const double *v_bar, const double *lam_bar, const double *cost_bars,
     const double *end_bars, double *u_bar, double *start_bar)
@@ -191,7 +193,7 @@ EXPORT void kernel_damped_contact_force(int n, const double *p, int law, double 
     }
 }
 
-/* The forces whose positive parts are those of the contacts: without damping k phi. */
+/* The forces whose positive parts are the contact forces: k phi without damping. */
 EXPORT void kernel_contact_push(int n, const double *p, const double *q, const double *v, double *push)
 {
     double k[NC], c[NC], rate[NC];
@@ -215,7 +217,7 @@ EXPORT void kernel_contact_force(int n, const double *p, int law, double b, cons
 
 EXPORT void kernel_stiffness(const double *p, double *k) { scene_stiffness(p, k); }
 
-/* Returns the number of rows done; fewer than n if the mass matrix is not positive definite somewhere. */
+/* Return the number of rows, fewer than n if the mass matrix is not positive definite. */
 EXPORT int kernel_acceleration(int n, const double *p, const double *q, const double *v, const double *u, const double *lam, double *a)
 {
     for (int t = 0; t < n; t++)
@@ -253,7 +255,8 @@ EXPORT void kernel_power(int n, const double *p, const double *q, const double *
     }
 }
 
-/* The running cost summed over n steps, and the cost of the state after them (q, v: (n + 1) rows; without a final cost the last is not read). */
+/* Return the running cost over n steps plus the final cost (q, v: n + 1 rows; the last is read
+ * only with a final cost). */
 EXPORT double kernel_cost(int n, const double *p, const double *q, const double *v, const double *u)
 {
     double total = 0.0;

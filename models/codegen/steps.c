@@ -1,21 +1,21 @@
-/* The time steps of a scene one by one: each linearised at a state of its own, or run one after the other with feedback.
- *
- * A library of its own, compiled only where it is asked for: rollout.c (here as rollout.h) and what it makes stay as they are. State x = (q, v), 2 NQ entries. */
+/* Single time steps of a scene: linearised at given states, or consecutive with feedback. A
+ * library of its own that includes rollout.c as rollout.h. State x = (q, v), 2 NQ entries. */
 #include <stddef.h>
 
 #include "rollout.h"
 
 #define NX (2 * NQ)
 
-/* One step from x with inputs u into next (NX) and lam (NL): 0, or 1 if it is not finite. */
+/* One step from x with inputs u into next (NX) and lam (NL). Return 1 if it is not finite. */
 static int one_step(double h, const double *parameters, int law, double b, const double *x, const double *u, double *q, double *v, double *lam)
 {
     return kernel_rollout(1, h, parameters, law, b, x, u, q, v, lam) < 1;
 }
 
-/* n steps that know nothing of each other, from states x (n, NX) with inputs u (n, NU): where they end, next (n, NX), their forces
- * lam (n, NL), and the derivatives of next, A (n, NX, NX) with respect to x and B (n, NX, NU) with respect to u, by the adjoint of the step.
- * A may be NULL: then no derivatives. Returns the number of steps done, fewer than n if one is not finite. */
+/* n independent steps from states x (n, NX) with inputs u (n, NU): ends next (n, NX), forces lam
+ * (n, NL), and the derivatives of next, A (n, NX, NX) by x and B (n, NX, NU) by u, from the
+ * adjoint. A may be NULL: no derivatives. Return the number of steps, fewer than n if one is not
+ * finite. */
 EXPORT int kernel_linearise(int n, double h, const double *parameters, int law, double b, const double *x, const double *u, double *next,
     double *lam, double *A, double *B)
 {
@@ -39,10 +39,12 @@ EXPORT int kernel_linearise(int n, double h, const double *parameters, int law, 
     return n;
 }
 
-/* x[t+1] = f(x[t], u[t]) + jump[t] with u[t] = clip(u_plan[t] + gain[t] (x[t] - x_plan[t]), lower, upper), from x[0] = start.
+/* x[t+1] = f(x[t], u[t]) + jump[t] with u[t] = clip(u_plan[t] + gain[t] (x[t] - x_plan[t]),
+ * lower, upper), from x[0] = start.
  *
- * x_plan (steps, NX), u_plan (steps, NU), gain (steps, NU, NX), lower, upper (NU); jump (steps, NX) or NULL: none.
- * Writes x (steps + 1, NX), u (steps, NU), lam (steps, NL); returns the number of steps that stayed finite. */
+ * x_plan (steps, NX), u_plan (steps, NU), gain (steps, NU, NX), lower, upper (NU); jump (steps,
+ * NX) or NULL. Write x (steps + 1, NX), u (steps, NU), lam (steps, NL); return the number of
+ * finite steps. */
 EXPORT int kernel_feedback_rollout(int steps, double h, const double *parameters, int law, double b, const double *start,
     const double *x_plan, const double *u_plan, const double *gain, const double *lower, const double *upper, const double *jump, double *x,
     double *u, double *lam)

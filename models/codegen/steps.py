@@ -1,14 +1,10 @@
-"""The time steps of a scene one by one: linearised at states of their own, or run one after the other with feedback.
+"""Single time steps of a scene: linearised at given states, or consecutive with feedback.
 
-    steps = load_steps(scene)
-    # x (n, 2*nq), u (n, nu) -> next, lam, A (n, 2*nq, 2*nq), B (n, 2*nq, nu)
-    steps.linearise(x, u, step=0.01)
-    steps.ends(x, u, step=0.01)  # next alone
-    # u = clip(u_plan + gain (x - x_plan), lower, upper)
-    steps.follow(start, x_plan, u_plan, gain, step=0.01)
+    steps.linearise(x, u, step=0.01)  # next, lam, A (n, 2*nq, 2*nq), B (n, 2*nq, nu)
+    steps.ends(x, u, step=0.01)  # next only
+    steps.follow(start, x_plan, u_plan, gain, step=0.01)  # u = clip(u_plan + gain (x - x_plan))
 
-The steps are those of models.codegen.kernel, bit for bit; the derivatives come from its adjoint.
-State x = (q, v), positions first.
+The steps are those of models.codegen.kernel, bit for bit. x = (q, v).
 """
 
 from __future__ import annotations
@@ -31,10 +27,7 @@ _SIGNATURES = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Linearised:
-    """n steps. next (n, 2*nq): where each ends; lam (n, nc+nf) [N]; A (n, 2*nq, 2*nq) = d next/d x.
-
-    B (n, 2*nq, nu) = d next/d u.
-    """
+    """n steps: ends next (n, 2*nq), forces lam (n, nc+nf) [N], A = d next/d x, B = d next/d u."""
 
     next: np.ndarray
     lam: np.ndarray
@@ -44,9 +37,9 @@ class Linearised:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Followed:
-    """x (steps+1, 2*nq), u (steps, nu) within the scene's bounds, lam (steps, nc+nf) [N].
+    """A motion: x (steps+1, 2*nq), u (steps, nu) within bounds, lam (steps, nc+nf) [N].
 
-    finite_steps: how many stayed finite.
+    finite_steps: number of finite steps
     """
 
     x: np.ndarray
@@ -56,26 +49,23 @@ class Followed:
 
     @property
     def diverged(self) -> bool:
-        """Whether a state stopped being finite before the last step."""
+        """Return whether a state was not finite."""
         return self.finite_steps < len(self.u)
 
 
 def load_steps(scene: Scene) -> Steps:
-    """Compile (or find in the cache) the single steps of a scene.
+    """Compile the single steps of a scene, or load these from the cache.
 
     Raises MachineError without a compiler.
     """
     sources = kernel_sources(scene)
-    sources["rollout.h"] = sources.pop("rollout.c")  # included by steps.c, not compiled beside it
+    sources["rollout.h"] = sources.pop("rollout.c")  # included by steps.c
     sources["steps.c"] = Path(__file__).with_name("steps.c").read_text(encoding="utf-8")
     return Steps(scene, cached_library(sources))
 
 
 class Steps(Kernel):
-    """A kernel with more functions; see the module docstring.
-
-    All arrays are float64; shapes that do not fit raise KernelError.
-    """
+    """A kernel with single steps."""
 
     def __init__(self, scene: Scene, library: Path) -> None:
         super().__init__(scene, library)
@@ -91,30 +81,10 @@ class Steps(Kernel):
         law: ContactLaw = ContactLaw.RELU,
         eps: float | None = None,
     ) -> Linearised | None:
-        """One step from each state, and its derivatives.
+        """Return a step from each state x (n, 2*nq) [SI] with u (n, nu) [N, N m], and derivatives.
 
-        Parameters
-        ----------
-        x
-            States (n, 2*nq): positions [m, rad], then velocities [m/s, rad/s].
-        u
-            Inputs (n, nu) [N, N m].
-        step
-            Length of the step [s].
-        law, eps
-            The contact law, and the relaxation of a softplus [-].
-
-        Returns
-        -------
-        Linearised | None
-            None where one of the steps is not finite.
-
-        Raises
-        ------
-        KernelError
-            Where an array has another shape.
-        RelaxationError
-            Unless 0 < eps < 1, of a relaxed law.
+        None if a step is not finite. Raises KernelError for an array of another shape,
+        RelaxationError unless 0 < eps < 1 for softplus.
         """
         scene, n = self.scene, len(u)
         x, u = self._array("x", x, n, 2 * scene.nq), self._array("u", u, n, scene.nu)
@@ -137,9 +107,9 @@ class Steps(Kernel):
         law: ContactLaw = ContactLaw.RELU,
         eps: float | None = None,
     ) -> np.ndarray | None:
-        """Return the end of one step from each state: `next` (n, 2*nq) of `linearise`, without derivatives.
+        """Return the ends (n, 2*nq) [SI] of one step from each state, without derivatives.
 
-        Parameters and errors are those of `linearise`.
+        Raises as `linearise`.
         """
         scene, n = self.scene, len(u)
         x, u = self._array("x", x, n, 2 * scene.nq), self._array("u", u, n, scene.nu)
@@ -163,38 +133,16 @@ class Steps(Kernel):
         eps: float | None = None,
         jump: np.ndarray | None = None,
     ) -> Followed:
-        """Run with feedback u = u_plan + gain (x - x_plan), within the bounds of the inputs.
+        """Run with feedback u = u_plan + gain (x - x_plan) within the input bounds.
 
         Rows after a divergence are NaN.
-
-        Parameters
-        ----------
-        start
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        x_plan
-            States (steps, 2*nq) of the plan.
-        u_plan
-            Inputs (steps, nu) of the plan [N, N m].
-        gain
-            Gains (steps, nu, 2*nq) [N/m, N s/m and so on].
-        step
-            Length of a step [s].
-        law, eps
-            The contact law, and the relaxation of a softplus [-].
-        jump
-            Added to the state after each step (steps, 2*nq); None for a motion without jumps.
-
-        Returns
-        -------
-        Followed
-            The motion, its inputs and forces.
-
-        Raises
-        ------
-        KernelError
-            Where an array has another shape.
-        RelaxationError
-            Unless 0 < eps < 1, of a relaxed law.
+        start: (2*nq,) [m, rad, m/s, rad/s]
+        x_plan, u_plan: (steps, 2*nq) and (steps, nu) [N, N m]
+        gain: (steps, nu, 2*nq) [N/m, N s/m and so on]
+        step: length of a step [s]
+        jump: added to the state after each step (steps, 2*nq), or None
+        Raises KernelError for an array of another shape, RelaxationError unless 0 < eps < 1 for
+        softplus.
         """
         scene, n = self.scene, len(u_plan)
         x_plan, u_plan = (
@@ -211,9 +159,9 @@ class Steps(Kernel):
             np.full((n, scene.nu), np.nan),
             np.full((n, scene.nl), np.nan),
         )
-        given = (start, x_plan, u_plan, gain, self._lower, self._upper)
+        arrays = (start, x_plan, u_plan, gain, self._lower, self._upper)
         done = self._single.kernel_feedback_rollout(
-            *self.head(n, step, law, eps), *(address(array) for array in given),
+            *self.head(n, step, law, eps), *(address(array) for array in arrays),
             None if jump is None else address(jump),
             *(address(array) for array in (x, u, lam)),
         )  # fmt: skip

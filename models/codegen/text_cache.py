@@ -1,8 +1,8 @@
-"""Texts that are generated from a scene's equations, cached between processes.
+"""Cache texts generated from a scene's equations between processes.
 
     cached_text(scene, "scene_model.h", lambda: emit_model(scene))
 
-Deriving and printing the equations of a large scene takes seconds; reading the text takes none.
+Deriving and printing the equations of a large scene takes seconds.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from models.scene import Scene
 from models.scene.text import equations_text
 
 _MODELS = Path(__file__).parents[1]
-# Whatever decides the text beside the scene's own equations.
+# Sources that decide the text, besides the scene's equations.
 _GENERATORS = (
     "codegen/*.py",
     "contact*.py",
@@ -28,27 +28,15 @@ _GENERATORS = (
     "fmu/structure.py",
     "fmu/variables.py",
 )
-# And of an FMU: all but the scenes, whose text is in the key.
+# Those of an FMU: all but the scenes, whose text is in the key.
 _ALL = ("*.py", "codegen/*.*", "fmu/**/*.*")
 
 
 def cached_text(scene: Scene, name: str, make: Callable[[], str]) -> str:
-    """The text `name` of a scene: read from the cache folder, or made and stored there.
+    """Return the text `name` of a scene from the cache, or make and store it.
 
-    Parameters
-    ----------
-    make
-        Makes the text; it must depend on nothing but the scene's equations.
-
-    Returns
-    -------
-    str
-        The text.
-
-    Raises
-    ------
-    MachineError
-        For a cache folder that cannot be written; and what `make` raises.
+    `make` may depend on the scene's equations only. Raises MachineError if the cache folder is not
+    writable, and the errors of `make`.
     """
     key = "\n".join([name, sp.__version__, _generators(), equations_text(scene)])
     return cached(
@@ -57,13 +45,12 @@ def cached_text(scene: Scene, name: str, make: Callable[[], str]) -> str:
 
 
 def generators() -> str:
-    """Return the parts of an FMU's key beside its scene, compiler and headers: SymPy's version and a digest of models."""
+    """Return SymPy's version and a digest of models, the rest of an FMU's key."""
     return "\n".join([sp.__version__, _generators(_ALL)])
 
 
 @lru_cache(maxsize=2)
 def _generators(patterns: tuple[str, ...] = _GENERATORS) -> str:
-    """Digest of the code that writes the text."""
     paths = sorted(
         path for pattern in patterns for path in _MODELS.glob(pattern) if path.suffix != ".pyc"
     )

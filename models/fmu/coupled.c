@@ -1,8 +1,8 @@
-/* FMI 2.0 for Co-Simulation around a contact: outputs y are functions of inputs and parameters x alone, there is no state.
+/* FMI 2.0 for Co-Simulation around a contact: outputs y are functions of inputs and parameters
+ * x, without state.
  *
- * contact_model.h (generated) has the functions, the sizes and the limits. Value references: 0 is the time, then x, then y.
- * Outputs follow the inputs at once, also between steps: a master may ask for the force at inputs it has just set.
- */
+ * contact_model.h (generated) has the functions, sizes and limits. Value references: 0 is the
+ * time, then x, then y. Outputs follow the inputs immediately, also between steps. */
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -12,7 +12,8 @@
 #include "contact_model.h" /* MODEL_GUID, INPUT_COUNT, X_COUNT, Y_COUNT, X_START, X_LOWER, X_UPPER; contact_* functions */
 #include "fmi2Functions.h"
 
-/* Static libraries need names of their own: FMI2_FUNCTION_PREFIX, which some copies of the standard header ignore. */
+/* Static libraries need unique names: FMI2_FUNCTION_PREFIX, which some copies of the standard
+ * header ignore. */
 #ifdef FMI2_FUNCTION_PREFIX
 #undef fmi2FullName
 #define PREFIXED_AGAIN(prefix, name) prefix##name
@@ -20,14 +21,14 @@
 #define fmi2FullName(name) PREFIXED(FMI2_FUNCTION_PREFIX, name)
 #endif
 
-/* Two times are the same if they differ by less than this share: importers add up their steps. */
+/* Relative difference of equal times; importers accumulate their steps. */
 #define TIME_TOLERANCE 1e-9
 
 enum { MADE = 1, INITIALIZING = 2, READY = 4, TERMINATED = 8 };
 #define READABLE (INITIALIZING | READY | TERMINATED)
 #define ANY (MADE | READABLE)
 
-/* Flat: copying its bytes copies the state. */
+/* Flat: copying the bytes copies the state. */
 typedef struct {
     char guid[sizeof MODEL_GUID];
     double time, stop_time;
@@ -42,7 +43,8 @@ typedef struct {
     char *name;
 } Instance;
 
-/* Tell the importer why a call is refused; the text must not contain '%', because the logger formats it once more. */
+/* Report a refused call to the importer. The text must not contain '%', because the logger
+ * formats it again. */
 static fmi2Status refuse(const Instance *self, const char *format, ...)
 {
     char text[512];
@@ -54,7 +56,8 @@ static fmi2Status refuse(const Instance *self, const char *format, ...)
     return fmi2Error;
 }
 
-/* The instance if `function` may be called in its phase and `count` values have a place; NULL (and a logged sentence) if not. */
+/* Return the instance if `function` may be called in its phase with `count` values, else NULL
+ * after logging. */
 static Instance *allowed(fmi2Component c, const char *function, int phases, const void *references, const void *values, size_t count)
 {
     Instance *self = c;
@@ -94,7 +97,7 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean loggingOn)
 {
     (void)fmuResourceLocation, (void)visible, (void)loggingOn;
-    if (!functions || !functions->logger) return NULL; /* without a logger nothing can be told */
+    if (!functions || !functions->logger) return NULL; /* without a logger nothing can be reported */
     Instance draft = {.logger = functions->logger, .environment = functions->componentEnvironment, .name = (char *)"?"};
     if (!instanceName || !instanceName[0]) return refuse(&draft, "fmi2Instantiate: the instance name is missing."), NULL;
     draft.name = (char *)instanceName;
@@ -125,7 +128,7 @@ void fmi2FreeInstance(fmi2Component c)
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories, const fmi2String categories[])
 {
-    (void)loggingOn; /* only errors are logged, and those always */
+    (void)loggingOn; /* errors are always logged, nothing else is */
     const Instance *self = allowed(c, "fmi2SetDebugLogging", ANY, categories, categories, nCategories);
     if (!self) return fmi2Error;
     for (size_t i = 0; i < nCategories; i++)
@@ -163,7 +166,7 @@ fmi2Status fmi2Reset(fmi2Component c)
 
 /* Values and derivatives */
 
-/* Whether the surfaces touch: what makes the outputs continue one expression or the other. */
+/* Return whether the surfaces touch, which selects the expression of the outputs. */
 static double closed(const State *state) { return contact_penetration(state->x) > 0.0 ? 1.0 : 0.0; }
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[])
@@ -321,11 +324,11 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boo
     const Instance *self = allowed(c, "fmi2GetBooleanStatus", READY | TERMINATED, value, value, 1);
     if (!self) return fmi2Error;
     if (s != fmi2Terminated) return refuse(self, "fmi2GetBooleanStatus: the status %d is not available, because steps are synchronous.", (int)s);
-    *value = fmi2False; /* the model never ends a simulation by itself */
+    *value = fmi2False; /* the model never ends a simulation */
     return fmi2OK;
 }
 
-/* Why a function that the standard wants is of no use here. */
+/* Refuse a function that has no use here. */
 static fmi2Status absent(fmi2Component c, const char *function, const char *reason)
 {
     const Instance *self = allowed(c, function, ANY, NULL, NULL, 0);

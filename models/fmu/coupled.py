@@ -1,27 +1,12 @@
-"""A scene as several coupled FMUs: one for each body, one for each contact, and how they are connected (SSP).
+"""Export a scene as coupled FMUs, one per body and contact, with their connections (SSP).
 
     parts = split(load_scene("three_cart"))
-    [body.name for body in parts.bodies]        three_cart_q1, three_cart_q2, three_cart_q3: each a
-                                                Scene
-    [part.name for part in parts.contacts]      three_cart_left, three_cart_right
-    path = build_part(parts.contacts[0])        the FMU of a part
-    path = build_ssp(scene)                     all FMUs and how they are connected in one .ssp
-                                                (System Structure and Parameterization 1.0)
+    [body.name for body in parts.bodies]  # three_cart_q1, three_cart_q2, ..: each a Scene
+    path = build_ssp(scene)  # all in one .ssp (System Structure and Parameterization 1.0)
 
-Systems are often split this way, with the contact in a model of its own. docs/cosimulation.md states
-what the split costs.
-
-A body is a smallest set of coordinates that neither the mass matrix nor the forces couple to the
-others; it goes through the exporter of scenes. It gets the generalised force of each contact on
-each of its coordinates as an input, `lam_left_q1` = J[left, q1] lam_left. A contact takes the
-positions and velocities of the coordinates its gap depends on, and gives those forces: the
-velocities for the power that it hands over, which masters that watch the energy (ECCO) connect as a
-power bond. It has no state, so its FMU (FMI 2.0 for Co-Simulation) is algebraic: `coupled.c` around
-generated functions.
-
-In the .ssp SystemStructure.ssd also leads the scene's inputs and outputs to the border of the
-system. PartsOnly.ssd leaves that out, for masters that know connections between components only
-(libcosim refuses any other).
+A body is a minimal set of coordinates that neither mass matrix nor forces couple to the rest;
+contact forces `lam_left_q1` = J[left, q1] lam_left are its inputs. A contact is algebraic
+(`coupled.c`); its velocities are for power bonds (ECCO). docs/cosimulation.md states the cost.
 """
 
 from __future__ import annotations
@@ -60,9 +45,10 @@ from models.scene.contacts import Contact
 
 @dataclass(frozen=True, kw_only=True)
 class ContactPart:
-    """A contact as a model of its own. gradient: the gap's derivative along each of `coordinates`.
+    """A contact as a model of its own.
 
-    start: their positions, then velocities.
+    gradient: derivative of the gap by each coordinate
+    start: positions of the coordinates, then velocities
     """
 
     name: str
@@ -74,12 +60,12 @@ class ContactPart:
     task: Task
 
     def force_name(self, coordinate: Coordinate) -> str:
-        """Name of the generalised force of this contact on a coordinate, as `lam_left_q1`."""
+        """Return the name of this contact's force on a coordinate, such as `lam_left_q1`."""
         return f"{self.contact.force_name}_{coordinate.name}"
 
 
 class Connection(NamedTuple):
-    """An output of one part that is an input of another, by their names."""
+    """An output of one part that is an input of another."""
 
     source: str
     output: str
@@ -98,12 +84,12 @@ class Parts:
 
 
 def force_unit(coordinate: Coordinate) -> str:
-    """The unit of a generalised force [J per unit of the coordinate]."""
+    """Return the unit of a generalised force [J per unit of the coordinate]."""
     return {"m": "N", "rad": "N m"}.get(coordinate.unit, f"J/{coordinate.unit}")
 
 
 def split(scene: Scene) -> Parts:
-    """The parts of a scene, in continuous time.
+    """Split a scene into parts, in continuous time.
 
     Raises SceneError for a scene with friction, with damped contacts or without contacts.
     """
@@ -139,7 +125,6 @@ def split(scene: Scene) -> Parts:
 
 
 def _blocks(d: Dynamics) -> list[list[int]]:
-    """Indices of the coordinates of each body."""
     used = [sp.Matrix([*d.mass_matrix[i, :], d.tau[i]]).free_symbols for i in range(d.scene.nq)]
     joined = sp.Matrix(
         d.scene.nq,
@@ -175,8 +160,8 @@ def _body(d: Dynamics, block: list[int], contacts: tuple[ContactPart, ...]) -> S
     scene = d.scene
     coordinates = tuple(scene.coordinates[i] for i in block)
     own = {d.q[i] for i in block}
-    others = {d.v[i]: 0 for i in range(scene.nq) if i not in block}
-    kinetic = scene.kinetic_energy.subs(others)
+    foreign = {d.v[i]: 0 for i in range(scene.nq) if i not in block}
+    kinetic = scene.kinetic_energy.subs(foreign)
     potential = sp.Add(
         *(
             term
@@ -236,9 +221,9 @@ def _connections(
 
 
 def contact_table(part: ContactPart) -> tuple[Variable, ...]:
-    """Every variable of the contact's FMU.
+    """Return the variables of the contact's FMU: time, inputs, parameters, outputs.
 
-    The position in the table is the value reference: time, inputs, parameters, outputs.
+    The position in the table is the value reference.
     """
     return (
         Variable(name="time", kind=VariableKind.TIME, unit="s", description="time"),
@@ -249,7 +234,7 @@ def contact_table(part: ContactPart) -> tuple[Variable, ...]:
 
 
 def build_part(part: Scene | ContactPart) -> Path:
-    """The FMU of a body or of a contact (FMI 2.0), found in the cache or built there.
+    """Return the FMU (2.0) of a body or of a contact from the cache, or build it.
 
     Raises as build_fmu.
     """
@@ -283,7 +268,7 @@ def build_part(part: Scene | ContactPart) -> Path:
 
 
 def contact_texts(part: ContactPart) -> dict[str, str]:
-    """Every text file of the FMU, by its path inside."""
+    """Return the text files of the FMU, by path."""
     standard = find_standard("2.0")
     table = contact_table(part)
     shared = {
@@ -376,7 +361,6 @@ def _outputs(part: ContactPart) -> list[Variable]:
 
 
 def _expressions(part: ContactPart, mode: sp.Expr) -> sp.Matrix:
-    """The outputs, in the order of the table; mode: 1 in contact, 0 else."""
     phi = part.contact.penetration
     force = mode * part.contact.stiffness * phi
     power = force * sum(
@@ -392,7 +376,6 @@ def _expressions(part: ContactPart, mode: sp.Expr) -> sp.Matrix:
 
 
 def _symbols(part: ContactPart) -> list[sp.Symbol]:
-    """x: positions, velocities, parameters."""
     moving = part.coordinates
     return [
         *(item.symbol for item in moving),
@@ -425,7 +408,7 @@ def _functions(part: ContactPart) -> str:
 
 
 def _unknowns(part: ContactPart, table: tuple[Variable, ...]) -> dict[str, list[Unknown]]:
-    """Sections of the ModelStructure: parameters are knowns during initialization only."""
+    """Return the ModelStructure's sections; parameters are known only during initialization."""
     symbols, y = _symbols(part), _expressions(part, sp.S.One)
 
     def rows(knowns: list[sp.Symbol]) -> list[Unknown]:
@@ -445,9 +428,11 @@ PARTS_ONLY = "PartsOnly.ssd"
 
 
 def build_ssp(scene: Scene) -> Path:
-    """The scene as coupled FMUs in one file, found in the cache or built there.
+    """Return the scene as coupled FMUs in one file, from the cache or built.
 
-    Raises SceneError as `split` and MachineError as build_fmu.
+    SystemStructure.ssd exposes the scene's inputs and outputs; PartsOnly.ssd does not, for masters
+    without system connectors (libcosim). Raises SceneError as `split` and MachineError as
+    build_fmu.
     """
     parts = split(scene)
     content = {
@@ -463,7 +448,7 @@ def build_ssp(scene: Scene) -> Path:
 
 
 def system_structure(parts: Parts, border: bool = True) -> str:
-    """The text of an .ssd. border: the system takes the scene's inputs and gives its positions, velocities, contact forces and gaps."""
+    """Return the text of an .ssd; `border` exposes inputs, positions, velocities, forces, gaps."""
     components = {part.name: _connectors(variable_table(part)) for part in parts.bodies}
     components |= {part.name: _connectors(contact_table(part)) for part in parts.contacts}
     system = _connectors(variable_table(parts.scene))
@@ -479,25 +464,24 @@ def system_structure(parts: Parts, border: bool = True) -> str:
         for variable in connectors
         if variable.causality == "output"
     }
-    # Energies are sums over the parts: what the system gives is what one part has under the same
-    # name.
-    given = [
+    # Energies are sums over the parts, so no part can provide them.
+    exposed = [
         variable
         for variable in system
         if variable.causality == "input"
         or (variable.name in homes and "energy" not in variable.name)
     ]
-    given = [variable for variable in given if "power" not in variable.name]
+    exposed = [variable for variable in exposed if "power" not in variable.name]
     outputs = [
         (homes[variable.name], variable.name, "", variable.name)
-        for variable in given
+        for variable in exposed
         if variable.causality == "output"
     ]
     return render(
         "SystemStructure.xml.j2",
         scene=parts.scene,
         date=generation_date(),
-        connectors=given if border else [],
+        connectors=exposed if border else [],
         components=components,
         connections=[*inputs, *parts.connections, *outputs] if border else parts.connections,
         units=unit_table(variable for connectors in components.values() for variable in connectors),

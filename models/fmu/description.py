@@ -1,10 +1,7 @@
-"""Scene -> the generated texts of its FMU: C configuration, modelDescription.xml, build description, documentation.
+"""Generate the texts of a scene's FMU: C configuration, modelDescription.xml, documentation.
 
-The output depends on the scene and the version of FMI alone: no date but SOURCE_DATE_EPOCH's, and a
-GUID that is a hash of everything else.
-
-Templates are strict: an undefined name stops the build, numbers are written so that they read back
-bit for bit.
+The output depends on scene and FMI version only; the date is SOURCE_DATE_EPOCH, the GUID a hash of
+the rest. An undefined name in a template stops the build; numbers read back bit for bit.
 """
 
 from __future__ import annotations
@@ -41,7 +38,7 @@ _TEMPLATES = Path(__file__).parent / "templates"
 
 
 def number(value: float) -> str:
-    """The shortest text that reads back as the same double; C's HUGE_VAL for an infinite one."""
+    """Return the shortest text of a double; C's HUGE_VAL for infinity."""
     if math.isinf(value):
         return "HUGE_VAL" if value > 0 else "-HUGE_VAL"
     return repr(float(value))
@@ -49,7 +46,7 @@ def number(value: float) -> str:
 
 @lru_cache(maxsize=1)
 def _engine() -> jinja2.Environment:
-    import jinja2  # only where an FMU is built, not where it is found
+    import jinja2  # not needed for cached FMUs
 
     engine = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
@@ -63,26 +60,26 @@ def _engine() -> jinja2.Environment:
 
 
 def render(template: str, block: str = "", **context: Any) -> str:
-    """The text of `templates/<template>`, or of a block of it.
+    """Return the text of `templates/<template>`, or of one of its blocks.
 
-    Raises jinja2.UndefinedError if the template names something not given.
+    Raises jinja2.UndefinedError for an undefined name.
     """
-    found = _engine().get_template(template)
+    source = _engine().get_template(template)
     return (
-        "".join(found.blocks[block](found.new_context(context)))
+        "".join(source.blocks[block](source.new_context(context)))
         if block
-        else found.render(**context)
+        else source.render(**context)
     )
 
 
 @dataclass(frozen=True)
 class Standard:
-    """One version of FMI and how its files differ.
+    """One version of FMI.
 
-    prefix: of its functions and of the shell's files; headers: names of the standard's files;
-        header_folder: where they lie
-    within `sources` ("" or with a slash at its end); first_index: number of the first variable in
-        the ModelStructure.
+    prefix: of its functions and of the shell's files
+    headers: names of the standard's files
+    header_folder: within `sources`, "" or with a final slash
+    first_index: number of the first variable in the ModelStructure
     """
 
     version: str
@@ -92,8 +89,7 @@ class Standard:
     first_index: int
 
 
-# FMI 3.0 wants its headers from the importer: ours stay in a folder of their own, which an importer
-# may leave out.
+# In FMI 3.0 importers provide the headers; our copies are in a folder that importers may ignore.
 STANDARDS = {
     standard.version: standard
     for standard in (
@@ -112,7 +108,7 @@ STANDARDS = {
 
 
 def find_standard(version: str) -> Standard:
-    """The standard of a version, "2.0" or "3.0". Raises UnknownNameError for another one."""
+    """Return the standard of version "2.0" or "3.0"; raise UnknownNameError for another one."""
     if version not in STANDARDS:
         raise UnknownNameError(
             f"FMI version {version!r} is not offered; choose {' or '.join(STANDARDS)}."
@@ -121,10 +117,7 @@ def find_standard(version: str) -> Standard:
 
 
 def standard_headers(standard: Standard) -> dict[str, str]:
-    """The headers of the FMI standard, taken from the FMPy package.
-
-    Raises MachineError if it is not installed.
-    """
+    """Return the headers of the FMI standard from FMPy; raise MachineError without it."""
     spec = importlib.util.find_spec("fmpy")
     if spec is None or spec.origin is None:
         raise MachineError(
@@ -139,16 +132,15 @@ def standard_headers(standard: Standard) -> dict[str, str]:
         ) from error
 
 
-# 1980-01-01, the earliest date a zip file can hold: the date of a build that was given none.
+# 1980-01-01, the earliest date in a zip file.
 DEFAULT_EPOCH = 315532800
-# Relative tolerance proposed to importers: the reference replay's, far below the error of any plan
-# it judges.
+# Proposed relative tolerance, that of the reference replay: far below the error of a plan.
 TOLERANCE = 1e-8
 _RATES = (VariableKind.POSITION_RATE, VariableKind.VELOCITY_RATE)
 
 
 def source_epoch() -> int:
-    """Seconds since 1970 of the generation date: SOURCE_DATE_EPOCH, or a fixed date."""
+    """Return the generation date in seconds since 1970: SOURCE_DATE_EPOCH, or a fixed date."""
     text = os.environ.get("SOURCE_DATE_EPOCH")
     if text is None:
         return DEFAULT_EPOCH
@@ -160,13 +152,13 @@ def source_epoch() -> int:
 
 
 def generation_date() -> str:
-    """The same as FMI writes it."""
+    """Return the generation date in FMI's format."""
     return datetime.fromtimestamp(source_epoch(), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """A row of the ModelStructure: numbers of variables as the standard counts them.
+    """A row of the ModelStructure, with the standard's numbers of variables.
 
     Without dependencies it may depend on every known.
     """
@@ -177,9 +169,9 @@ class Unknown:
 
 
 def model_structure(scene: Scene, standard: Standard) -> dict[str, list[Unknown]]:
-    """Section of the ModelStructure -> its unknowns.
+    """Return section of the ModelStructure -> its unknowns.
 
-    Parameters are knowns during initialization; in FMI 3.0 always.
+    Parameters are known during initialization, in FMI 3.0 always.
     """
     table = variable_table(scene)
     number = {
@@ -196,8 +188,7 @@ def model_structure(scene: Scene, standard: Standard) -> dict[str, list[Unknown]
             for name, kind in depends[variable.name].items()
             if initially or name not in left_out
         }
-        # A factor that is a fixed parameter is itself a known during initialization, hence plainly
-        # dependent.
+        # A fixed parameter is a known during initialization, hence its factor is a dependency.
         kinds = [
             Dependency.DEPENDENT if initially and kind is Dependency.FIXED else kind
             for kind in rows.values()
@@ -218,7 +209,7 @@ def model_structure(scene: Scene, standard: Standard) -> dict[str, list[Unknown]
 
 
 def unit_table(variables: Iterable[Variable]) -> dict[str, dict[str, int]]:
-    """Every unit of the variables -> exponents of its base units, sorted by name."""
+    """Return unit -> exponents of its base units, sorted by name."""
     return {
         unit: base_exponents(unit)
         for unit in sorted({variable.unit for variable in variables if variable.unit})
@@ -233,12 +224,13 @@ def stamped(
     table: Sequence[Variable],
     **shared: Any,
 ) -> tuple[str, str]:
-    """C configuration and model description, which carry the GUID, a hash of all content.
+    """Return C configuration and model description with the GUID, a hash of all content.
 
-    content: all other texts by their names; config: GUID -> C configuration; shared: what else the
-        template of the model description needs, exchange: whether
-    there is Model Exchange, and events: whether there are events, adjoint derivatives and inputs
-        that slope.
+    content: all other texts by name
+    config: GUID -> C configuration
+    shared: further context of the model description
+    exchange: whether there is Model Exchange
+    events: whether there are events, adjoint derivatives and sloped inputs
     """
     numbers = {
         variable.name: position
@@ -247,7 +239,7 @@ def stamped(
     state_of = {
         variable.name: numbers[variable.name[4:-1]] for variable in table if variable.kind in _RATES
     }
-    given = {
+    context = {
         **shared,
         "table": table,
         "state_of": state_of,
@@ -257,20 +249,20 @@ def stamped(
 
     def marked(guid: str) -> tuple[str, str]:
         return config(guid), render(
-            f"modelDescription_{standard.prefix}.xml.j2", guid=guid, **given
+            f"modelDescription_{standard.prefix}.xml.j2", guid=guid, **context
         )
 
-    found, texts = (
+    digest, texts = (
         hashlib.sha256(),
         dict(zip(("model_config.h", "modelDescription.xml"), marked(""), strict=True)),
     )
     for name, text in sorted({**content, **texts}.items()):
-        found.update(f"{name}\0{text}\0".encode())
-    return marked(found.hexdigest())
+        digest.update(f"{name}\0{text}\0".encode())
+    return marked(digest.hexdigest())
 
 
 def describe(scene: Scene, sources: Mapping[str, str], standard: Standard) -> dict[str, str]:
-    """The generated texts of the FMU made of these sources (file name -> text), by their paths inside."""
+    """Return the generated texts of the FMU with these sources (name -> text), by path."""
     table, nominals = (
         variable_table(scene),
         [coordinate.nominal for coordinate in scene.coordinates],

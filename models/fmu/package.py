@@ -1,13 +1,11 @@
-"""Scene -> FMU file: the sources are put together, compiled, packed and cached by content.
+"""Build the FMU file of a scene: collect sources, compile, pack, cache by content.
 
-    build_fmu(scene)   ->  .../a1b2....three_cart.fmu
+    build_fmu(scene)  # .../a1b2....three_cart.fmu
     build_fmu(scene, version="3.0", platforms=("x86_64-linux", "win64"))
 
-Equal scenes give equal bytes wherever and whenever they are built: fixed time stamps, sorted names,
-no path of this machine inside.
-
-The binaries of this machine's platform need any C compiler; those of others, and Linux binaries
-that run on any glibc since 2.17, need the cross-compiler of the `[compiler]` extra.
+Equal scenes give equal bytes: fixed time stamps, sorted names, no local paths. Binaries of this
+platform need a C compiler; other platforms, and Linux binaries for glibc since 2.17, need the
+cross-compiler of the `[compiler]` extra.
 """
 
 from __future__ import annotations
@@ -43,10 +41,7 @@ from models.scene.text import scene_text
 
 @dataclass(frozen=True)
 class Platform:
-    """name: FMI 3.0's platform tuple; fmi2: FMI 2.0's name; suffix of shared libraries.
-
-    target: in the cross-compiler's words.
-    """
+    """A platform: FMI 3.0's name, FMI 2.0's name, library suffix, cross-compiler target."""
 
     name: str
     fmi2: str
@@ -54,15 +49,12 @@ class Platform:
     target: str
 
     def folder(self, standard: Standard) -> str:
-        """Its folder within `binaries`."""
+        """Return the folder within `binaries`."""
         return self.fmi2 if standard.version == "2.0" else self.name
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """Compiler flags.
-
-        On Windows all code is position-independent, and the flag that says so is an error.
-        """
+        """Return the compiler flags; Windows rejects -fPIC."""
         return tuple(flag for flag in FLAGS if flag != "-fPIC") if self.suffix == ".dll" else FLAGS
 
 
@@ -78,19 +70,16 @@ _ARCHITECTURES = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "
 
 
 def this_platform() -> str | None:
-    """FMI 3.0's name of this machine, or None if it is not one of PLATFORMS."""
+    """Return FMI 3.0's name of this machine, or None if it is not in PLATFORMS."""
     system, architecture = _SYSTEMS.get(sys.platform), _ARCHITECTURES.get(machine.machine().lower())
     name = f"{architecture}-{system}"
     return name if name in {known.name for known in PLATFORMS} else None
 
 
 def find_platforms(names: Iterable[str]) -> tuple[Platform, ...]:
-    """The platforms of these names (of FMI 2.0 or 3.0), each once, in the order of PLATFORMS.
+    """Return the named platforms (FMI 2.0 or 3.0 names) in order, by default this machine's.
 
-    This machine's if none is named.
-
-    Raises UnknownNameError for an unknown name, MachineError if this machine is none of them and
-    none is named.
+    Raises UnknownNameError for an unknown name, MachineError if this machine is no platform.
     """
     wanted = list(names) or [this_platform()]
     if None in wanted:
@@ -108,9 +97,9 @@ def find_platforms(names: Iterable[str]) -> tuple[Platform, ...]:
 
 
 def platform_compiler(platform: Platform) -> Compiler:
-    """The compiler for a platform: $CC for this machine's own, else the cross-compiler, else any compiler of this machine.
+    """Return $CC for this machine's platform, else the cross-compiler, else any compiler here.
 
-    Raises MachineError with what to install.
+    Raises MachineError with advice.
     """
     own = platform.name == this_platform()
     if own and os.environ.get("CC"):
@@ -125,17 +114,14 @@ def platform_compiler(platform: Platform) -> Compiler:
 
 
 def pack(path: Path, content: Mapping[str, bytes], first: str) -> None:
-    """Write `content` (name inside -> bytes) as a zip.
-
-    The file `first` comes first, so that a reader of the stream finds it at once.
-    """
+    """Write `content` (name -> bytes) as a zip, with the file `first` at the beginning."""
     stamp = datetime.fromtimestamp(source_epoch(), UTC).timetuple()[:6]
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name in sorted(content, key=lambda name: (name != first, name)):
             entry = zipfile.ZipInfo(name, date_time=stamp)
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
-            entry.create_system = 3  # Unix, whatever machine packs it
+            entry.create_system = 3  # Unix, on every machine
             archive.writestr(entry, content[name])
 
 
@@ -145,15 +131,13 @@ _ICON = _HERE / "icon"
 
 
 def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = ()) -> Path:
-    """Return the FMU of a scene, in continuous time: Co-Simulation and Model Exchange in one file.
+    """Return the FMU of a scene in continuous time, with Co-Simulation and Model Exchange.
 
-    The file comes from the cache, or is built there.
-
-    platforms: names of FMI 2.0 or 3.0 (`linux64` or `x86_64-linux`); default: this machine's.
-
-    Raises UnknownNameError for an FMI version or platform that is not offered, SceneError for a
-    scene whose names an FMU cannot carry, MachineError without a compiler or a cache folder that
-    can be written.
+    The file comes from the cache, or is built there. platforms: names of FMI 2.0 or 3.0 (`linux64`
+        or
+    `x86_64-linux`), by default this machine's. Raises UnknownNameError for an unknown FMI version
+    or platform, SceneError for names that an FMU cannot have, MachineError without a compiler or a
+    writable cache.
     """
     standard = find_standard(version)
     scene = scene.continuous()
@@ -180,7 +164,7 @@ def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = ())
 
 
 def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
-    """Every text file of the FMU, by its path inside."""
+    """Return the text files of the FMU, by path."""
     sources = {
         path.name: for_scene(scene, path.read_text(encoding="utf-8"))
         for path in sorted(_SHELL.iterdir())
@@ -207,14 +191,14 @@ def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
 
 
 def belongs(path: Path, standard: Standard) -> bool:
-    """Whether a file of the shell is C of this version, or of all of them."""
+    """Return whether a file of the shell is C for this version."""
     return path.suffix in (".c", ".h") and (
         not path.name.startswith("fmi") or path.name.startswith(standard.prefix)
     )
 
 
 def icons(standard: Standard) -> dict[str, bytes]:
-    """The icon, drawn and as pixels; FMI 2.0 has a place of its own for it."""
+    """Return the icon as drawing and as pixels."""
     pixels, drawing = ((_ICON / name).read_bytes() for name in ("icon.png", "icon.svg"))
     files = {"terminalsAndIcons/icon.png": pixels, "terminalsAndIcons/icon.svg": drawing}
     return files | ({"model.png": pixels} if standard.version == "2.0" else {})
@@ -228,7 +212,7 @@ def binaries(
     place: Path,
     extra_flags: Sequence[str] = (),
 ) -> dict[str, bytes]:
-    """The FMU's libraries, by their paths inside, compiled in a folder below `place`, which goes with it if we are killed."""
+    """Return the FMU's libraries by path, compiled in a temporary folder below `place`."""
     sources = {
         name.removeprefix("sources/"): text
         for name, text in files.items()

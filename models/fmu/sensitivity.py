@@ -1,15 +1,12 @@
-"""Scene -> `scene_sensitivity.h`: the derivatives an FMU must offer beyond those of `scene_model.h`.
-
-Jacobian-vector products of energies and powers, and of everything with respect to parameters, and
-their transposes, which add to the adjoints (q, v, u, p)_bar:
+"""Generate `scene_sensitivity.h`: derivatives of an FMU beyond those of `scene_model.h`.
 
     scene_<quantity>_jvp            energies and powers along (dq, dv, du, dp)
-    scene_<quantity>_vjp            the same backwards, times the weight w
+    scene_<quantity>_vjp            the transpose times w, added to (q, v, u, p)_bar
     scene_<quantity>_parameter_jvp  penetration, stiffness and acceleration along dp
-    scene_<quantity>_parameter_vjp  the same backwards
+    scene_<quantity>_parameter_vjp  the transpose
 
-and, in scenes with damped contacts, those of the rates of penetration and coefficients; in scenes
-with friction, those of slips, of their rates and of the limits mu N.
+With damped contacts also penetration rates and coefficients; with friction also slips, their rates
+and the limits mu N.
 """
 
 from __future__ import annotations
@@ -38,7 +35,7 @@ _HEAD = """\
 #include "scene_model.h"
 """
 
-# M da = (df/dp - dM/dp a) dp and its transpose, for scenes whose mass matrix depends on q.
+# M da = (df/dp - dM/dp a) dp and its transpose, if the mass matrix depends on q.
 _SOLVES = """\
 SCENE_FUNCTION int scene_acceleration_parameter_jvp(const double *q, const double *v, const double *u, const double *lam, const double *p,
     const double *a, const double *dp, double *d_a)
@@ -63,7 +60,7 @@ SCENE_FUNCTION int scene_acceleration_parameter_vjp(const double *q, const doubl
 
 
 def emit_sensitivity(scene: Scene) -> str:
-    """Text of `scene_sensitivity.h` (C99, static inline functions; needs `scene_model.h`)."""
+    """Return the text of `scene_sensitivity.h` (C99), which needs `scene_model.h`."""
     x = SceneVectors.of(derive(scene))
     return "\n".join(
         [
@@ -79,7 +76,7 @@ def emit_sensitivity(scene: Scene) -> str:
 
 
 def sensitivity_source(scene: Scene) -> str:
-    """`emit_sensitivity`, cached between processes."""
+    """Return `emit_sensitivity`, cached between processes."""
     return cached_text(scene, "scene_sensitivity.h", lambda: emit_sensitivity(scene))
 
 
@@ -92,10 +89,7 @@ def _by_parameters(
     weights: Vector,
     tail: str = "",
 ) -> list[str]:
-    """The products of a column along dp, forward and backward.
-
-    head: type and name without what they end in.
-    """
+    """Return the products of a column along dp, forward and backward; `head` lacks the suffix."""
     return [
         forward_function(
             f"{head}_parameter_jvp", (*arguments, tangent(x.p)), output, function, [x.p], tail=tail
@@ -129,7 +123,6 @@ def _parameter_functions(x: SceneVectors) -> list[str]:
 
 
 def _damping_functions(x: SceneVectors) -> list[str]:
-    """Rates of penetration and damping coefficients along the parameters, of a scene with damped contacts."""
     if not x.dynamics.structure.contact_damping:
         return []
     rate_bar, c_bar = (Vector.of(name, x.contacts) for name in ("rate_bar", "c_bar"))
@@ -142,9 +135,9 @@ def _damping_functions(x: SceneVectors) -> list[str]:
 
 
 def _friction_functions(x: SceneVectors) -> list[str]:
-    """Slip, its rate and the limit mu N along everything.
+    """Return slip, its rate and mu N along all variables.
 
-    Backwards what scene_model.h leaves out.
+    Backward without scene_model.h's parts.
     """
     d = x.dynamics
     if not d.structure.friction:

@@ -1,6 +1,6 @@
-"""Which variable depends on which: the model structure of an FMU, computed from the equations.
+"""Compute the model structure of an FMU, the dependencies of its variables, from the equations.
 
-dependencies(scene)["lam_left"]      {"q1": FIXED, "q2": ...}
+dependencies(scene)["lam_left"]  # {"q1": FIXED, "q2": ...}
 """
 
 from __future__ import annotations
@@ -17,12 +17,14 @@ from models.dynamics import Dynamics, derive
 from models.fmu.variables import Variable, VariableKind, variable_table
 from models.scene import Scene
 
+# Golden ratio minus 1.
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-_CLEARLY = 1e-6  # relative: far above what rounding makes of terms that cancel
+# Relative difference far above the rounding of cancelling terms.
+_CLEARLY = 1e-6
 
 
 class Dependency(StrEnum):
-    """How an unknown depends on a known, in the words of FMI."""
+    """FMI's kinds of dependencies."""
 
     DEPENDENT = "dependent"
     FIXED = "fixed"  # the factor is a parameter
@@ -30,22 +32,21 @@ class Dependency(StrEnum):
 
 
 def dependencies(scene: Scene) -> dict[str, dict[str, Dependency]]:
-    """Of each calculated variable and each state: the knowns it depends on (states, inputs, parameters), in table order.
+    """Return the knowns of each calculated variable and state, cached, in table order.
 
-    Differentiating the energies of a large scene for it takes seconds: it is cached, as the
-    generated C is.
+    Differentiating the energies of a large scene takes seconds.
     """
-    found = json.loads(
+    structure = json.loads(
         cached_text(scene, "structure.json", lambda: json.dumps(derived_dependencies(scene)))
     )
     return {
         name: {known: Dependency(kind) for known, kind in knowns.items()}
-        for name, knowns in found.items()
+        for name, knowns in structure.items()
     }
 
 
 def derived_dependencies(scene: Scene) -> dict[str, dict[str, Dependency]]:
-    """The same, from the equations."""
+    """Return the knowns of each calculated variable and state."""
     dynamics, table = derive(scene), variable_table(scene)
     names = {symbol: symbol.name for symbol in (*dynamics.q, *dynamics.v, *dynamics.u, *dynamics.p)}
     order = {variable.name: position for position, variable in enumerate(table)}
@@ -95,38 +96,37 @@ def _knowns(d: Dynamics, variable: Variable) -> dict[sp.Symbol, Dependency] | No
 
 
 def _of_expression(d: Dynamics, expression: sp.Expr) -> dict[sp.Symbol, Dependency]:
-    """What an expression depends on."""
     parameters = set(d.p)
-    found: dict[sp.Symbol, Dependency] = {}
+    kinds: dict[sp.Symbol, Dependency] = {}
     slopes = {symbol: sp.diff(expression, symbol) for symbol in _all_dependent(d, [expression])}
     varying = _seen_to_vary(slopes, parameters)
     for symbol, slope in slopes.items():
         if symbol in varying:
-            found[symbol] = Dependency.DEPENDENT
+            kinds[symbol] = Dependency.DEPENDENT
             continue
-        left = sp.expand(slope).free_symbols  # what cancels is no dependence
-        found[symbol] = (
+        remaining = sp.expand(slope).free_symbols  # cancelled terms are no dependence
+        kinds[symbol] = (
             Dependency.DEPENDENT
-            if left - parameters
+            if remaining - parameters
             else Dependency.FIXED
-            if left
+            if remaining
             else Dependency.CONSTANT
         )
-    return found
+    return kinds
 
 
 def _seen_to_vary(
     slopes: Mapping[sp.Symbol, sp.Expr], parameters: set[sp.Symbol]
 ) -> set[sp.Symbol]:
-    """Those whose slope has clearly different values at two points that differ in more than parameters.
+    """Return symbols whose slope differs clearly at two points with equal parameters.
 
-    That proves it without any expansion, which takes minutes for the energies of several bodies.
-    What is not seen here may vary all the same.
+    This proves dependence without expansion, which takes minutes for the energies of several
+    bodies. Other symbols may still be dependences.
     """
     symbols = sorted(set().union(*(slope.free_symbols for slope in slopes.values())), key=str)
     points = []
     for place in range(2):
-        # multiples of the golden ratio: no two alike, none special to an angle or a length
+        # Multiples of the golden ratio are distinct, and special for no angle or length.
         points.append(
             [
                 0.3 + (_GOLDEN * (k + 1 + (0 if symbol in parameters else 100 * place))) % 1.0
@@ -142,7 +142,7 @@ def _seen_to_vary(
         TypeError,
         NameError,
         SyntaxError,
-    ):  # a function that Python has not, or a point outside of one
+    ):  # a function that Python lacks, or a point outside its domain
         return set()
     return {
         symbol
@@ -152,7 +152,7 @@ def _seen_to_vary(
 
 
 def _is_real(value: object) -> bool:
-    """Whether it is a finite number; Python's own powers of negative numbers are complex."""
+    """Return whether this is a finite number; powers of negative numbers are complex."""
     return isinstance(value, (int, float)) and math.isfinite(value)
 
 
@@ -165,10 +165,6 @@ def _all_dependent(d: Dynamics, entries: Iterable[sp.Expr]) -> dict[sp.Symbol, D
 
 
 def _of_contact(d: Dynamics, contact: int) -> dict[sp.Symbol, Dependency]:
-    """A contact force follows its penetration in one mode and nothing in the other.
-
-    A damped one follows the rate too.
-    """
     if not d.scene.contacts[contact].is_damped:
         return _of_spring(d, contact)
     return _all_dependent(d, [d.push[contact]])
@@ -179,7 +175,7 @@ def _of_spring(d: Dynamics, contact: int) -> dict[sp.Symbol, Dependency]:
 
 
 def _of_everything(d: Dynamics) -> dict[sp.Symbol, Dependency]:
-    """A friction force holds against everything that moves: while it sticks, it depends on all that accelerates the bodies."""
+    """Return the dependences of a friction force: while sticking, of all accelerations."""
     return _all_dependent(
         d,
         [*d.generalised_force, *d.mass_matrix, *d.slip, *d.friction_limit, *d.penetration, *d.push],
@@ -187,7 +183,6 @@ def _of_everything(d: Dynamics) -> dict[sp.Symbol, Dependency]:
 
 
 def _merge(parts: Iterable[dict[sp.Symbol, Dependency]]) -> dict[sp.Symbol, Dependency]:
-    """Several dependencies at once; a known of more than one of them is plainly `dependent`."""
     merged: dict[sp.Symbol, Dependency] = {}
     for part in parts:
         for symbol, kind in part.items():
@@ -196,10 +191,7 @@ def _merge(parts: Iterable[dict[sp.Symbol, Dependency]]) -> dict[sp.Symbol, Depe
 
 
 def _of_acceleration(d: Dynamics, index: int) -> dict[sp.Symbol, Dependency]:
-    """Row `index` of M^-1 (tau + J' lam): exact where M is constant.
-
-    Otherwise all that stands in the rows M couples it to.
-    """
+    """Return the dependences of row `index` of M^-1 (tau + J' lam), exact for a constant M."""
     if d.f:
         return _of_everything(d)
     if d.acceleration is not None:

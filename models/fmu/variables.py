@@ -1,10 +1,7 @@
-"""The variables of a scene's FMU: one table, from which C, XML and the documentation are written.
+"""The table of variables of a scene's FMU, from which C, XML and documentation are written.
 
-variable_names(scene).q          ("q1", "q2", "q3")
-variable_table(scene)            every variable with unit, start, range; its position is its value
-                                 reference
-
-What a variable of an FMU can be, and what FMI calls it.
+variable_names(scene).q  # ("q1", "q2", "q3")
+variable_table(scene)  # every variable; its position is its value reference
 """
 
 from __future__ import annotations
@@ -22,8 +19,8 @@ from models.dynamics import derive
 from models.errors import SceneError
 from models.scene import Input, Parameter, Scene
 
-# The methods of Co-Simulation: name and meaning, numbered from 1 as in `shell/model.h`; the last is
-# the default.
+# Methods of Co-Simulation: name and meaning, numbered from 1 as in `shell/model.h`; the last is the
+# default.
 INTEGRATORS = (
     ("explicit_euler", "order 1, contacts are not located"),
     (
@@ -36,7 +33,7 @@ INTEGRATORS = (
 
 
 class VariableKind(Enum):
-    """What a variable is; the value is the constant of `shell/model.h`."""
+    """Kind of a variable; the value is the constant of `shell/model.h`."""
 
     TIME = "KIND_TIME"
     POSITION = "KIND_POSITION"
@@ -61,7 +58,7 @@ class VariableKind(Enum):
     OUTPUT = "KIND_OUTPUT"
 
 
-# Kind -> (causality, variability, initial) in the words of FMI.
+# Kind -> FMI's (causality, variability, initial).
 _ROLES: dict[VariableKind, tuple[str, str, str | None]] = {
     VariableKind.TIME: ("independent", "continuous", None),
     VariableKind.POSITION: ("output", "continuous", "exact"),
@@ -81,10 +78,9 @@ _OUTPUT = ("output", "continuous", "calculated")
 class Variable:
     """One variable.
 
-    `index` is its place among those of its kind (friction forces stand behind contact forces).
-    start is None where the value is calculated.
-
-    unit is empty for an enumeration, which is the only kind that is not a real number.
+    index: its place among those of its kind (friction forces follow contact forces)
+    start: None for a calculated value
+    unit: empty for an enumeration
     """
 
     name: str
@@ -99,41 +95,37 @@ class Variable:
 
     @property
     def causality(self) -> str:
-        """FMI's causality: input, output, parameter .."""
+        """Return FMI's causality: input, output, parameter .."""
         return _ROLES.get(self.kind, _OUTPUT)[0]
 
     @property
     def variability(self) -> str:
-        """FMI's variability: continuous, fixed, tunable .."""
+        """Return FMI's variability: continuous, fixed, tunable .."""
         return _ROLES.get(self.kind, _OUTPUT)[1]
 
     @property
     def initial(self) -> str | None:
-        """FMI's attribute `initial`; None where it has none."""
+        """Return FMI's attribute `initial`, or None."""
         return _ROLES.get(self.kind, _OUTPUT)[2]
 
     @property
     def is_enumeration(self) -> bool:
-        """Whether it is an enumeration instead of a real number."""
+        """Return whether the variable is an enumeration."""
         return self.kind is VariableKind.INTEGRATOR
 
 
-# The internal step may be shortened to this [s]; below it a communication step of 10 ms takes ten
-# million steps.
+# Smallest internal step [s]; with it a communication step of 10 ms has ten million steps.
 SMALLEST_INTERNAL_STEP = 1e-9
-# Internal steps within one step of the task: the everyday replay then follows the motion to about
-# 1e-8 of its size.
+# Internal steps per step of the task, for a replay error of about 1e-8.
 INTERNAL_STEPS = 100
 
 
 @dataclass(frozen=True, kw_only=True)
 class VariableNames:
-    """Names of the variables of a scene's FMU, in the order of the scene.
+    """Names of the variables of a scene's FMU, in the order of the scene; None if missing.
 
-    None for what the scene does not have.
-
-    q, v, u, lam, gap, friction, slip, der_q, der_v, parameters: one name an entry; energies [J] and
-        powers [W]: one name each.
+    q, v, u, lam, gap, friction, slip, der_q, der_v, parameters have one name per entry; energies
+    [J] and powers [W] have one name each.
     """
 
     q: tuple[str, ...]
@@ -156,7 +148,7 @@ class VariableNames:
 
 
 def variable_names(scene: Scene) -> VariableNames:
-    """The names under which the scene's quantities appear in its FMU."""
+    """Return the names of the scene's quantities in its FMU."""
     table = variable_table(scene)
 
     def names(kind: VariableKind) -> tuple[str, ...]:
@@ -177,15 +169,15 @@ def variable_names(scene: Scene) -> VariableNames:
         "internal_step",
         "integrator",
     )
-    found: dict[str, Any] = {name: names(kind) for name, kind in several.items()}
-    found |= {name: next(iter(names(kinds[name.upper()])), None) for name in single}
-    return VariableNames(lam=forces[: scene.nc], friction=forces[scene.nc :], **found)
+    fields: dict[str, Any] = {name: names(kind) for name, kind in several.items()}
+    fields |= {name: next(iter(names(kinds[name.upper()])), None) for name in single}
+    return VariableNames(lam=forces[: scene.nc], friction=forces[scene.nc :], **fields)
 
 
 def variable_table(scene: Scene) -> tuple[Variable, ...]:
-    """Every variable of the scene's FMU; the position in the table is the value reference.
+    """Return the variables of the scene's FMU; the position in the table is the value reference.
 
-    Raises SceneError if the scene uses a name that the FMU needs for itself.
+    Raises SceneError if the scene uses a name that every FMU has.
     """
     table = (
         Variable(name="time", kind=VariableKind.TIME, unit="s", description="time"),
@@ -220,18 +212,18 @@ def _states(scene: Scene) -> list[Variable]:
         (f"der({item.velocity_name})", f"{item.unit}/s^2", f"acceleration of {item.name}")
         for item in items
     ]
-    found, kinds = list[Variable](), VariableKind
+    states, kinds = list[Variable](), VariableKind
     for kind, rows, values in (
         (kinds.POSITION, positions, start[: scene.nq]),
         (kinds.VELOCITY, velocities, start[scene.nq :]),
     ):
-        found += numbered(
+        states += numbered(
             kind,
             [(*row, value) for row, value in zip(rows, values, strict=True)],
             then=["nominal", "start"],
         )
     return [
-        *found,
+        *states,
         *numbered(kinds.POSITION_RATE, rates),
         *numbered(kinds.VELOCITY_RATE, accelerations),
     ]
@@ -244,10 +236,7 @@ def numbered(
     *,
     then: Sequence[str] = ("start", "lower", "upper"),
 ) -> list[Variable]:
-    """Variables of a kind, numbered from `first`.
-
-    A row is name, unit, description, and what it has of `then`.
-    """
+    """Number the variables of a kind from `first`; a row is name, unit, description, and `then`."""
     fields = ("name", "unit", "description", *then)
     return [
         Variable(kind=kind, index=index, **dict(zip(fields, row, strict=False)))
@@ -258,7 +247,6 @@ def numbered(
 def _given(
     kind: VariableKind, items: Sequence[Input | Parameter], starts: Sequence[float], what: str
 ) -> list[Variable]:
-    """What the importer sets, with its range."""
     return numbered(
         kind,
         [
@@ -295,7 +283,10 @@ def _contacts(scene: Scene) -> list[Variable]:
 
 
 def friction_nominals(scene: Scene) -> list[float]:
-    """Typical friction forces (nf,) [N]: mu times the nominal force of the contact, or the given normal force at the start; at least 1e-6 N."""
+    """Return typical friction forces (nf,) [N], at least 1e-6 N.
+
+    mu times the contact's nominal force, or the given normal force at the start. Raises nothing.
+    """
     start = dict(
         zip((coordinate.symbol for coordinate in scene.coordinates), scene.task.start, strict=False)
     )
@@ -312,7 +303,7 @@ def friction_nominals(scene: Scene) -> list[float]:
 
 
 def _frictions(scene: Scene) -> list[Variable]:
-    """And of each damped contact whether it presses: in the rows of forces these stand behind the frictions."""
+    """Return the frictions, then whether each damped contact presses, as in the rows of forces."""
     rows = [
         (item, item.description or item.name, nominal)
         for item, nominal in zip(scene.frictions, friction_nominals(scene), strict=True)
@@ -347,9 +338,8 @@ def _frictions(scene: Scene) -> list[Variable]:
 
 
 def _energies(scene: Scene) -> list[Variable]:
-    """Energies and powers the scene has: no contact energy without contacts, no input power without inputs, and so on."""
     dynamics = derive(scene)
-    taken = "friction and by " * bool(scene.nf) + "the damping of contacts and by " * bool(
+    dissipation = "friction and by " * bool(scene.nf) + "the damping of contacts and by " * bool(
         scene.damped
     )
     rows = (
@@ -370,8 +360,8 @@ def _energies(scene: Scene) -> list[Variable]:
         (
             "dissipated_power",
             "W",
-            f"power taken out by {taken}forces that remain without inputs",
-            dynamics.dissipated_power != 0 or taken,
+            f"power taken out by {dissipation}forces that remain without inputs",
+            dynamics.dissipated_power != 0 or dissipation,
         ),
     )
     return [
@@ -382,7 +372,7 @@ def _energies(scene: Scene) -> list[Variable]:
 
 
 def parameter_variables(parameters: Sequence[Parameter]) -> list[Variable]:
-    """The physical parameters as variables, in their order."""
+    """Return the physical parameters as variables, in order."""
     return _given(
         VariableKind.PARAMETER,
         parameters,
@@ -392,7 +382,6 @@ def parameter_variables(parameters: Sequence[Parameter]) -> list[Variable]:
 
 
 def _settings(scene: Scene) -> list[Variable]:
-    """How Co-Simulation integrates."""
     largest = min(scene.task.step / INTERNAL_STEPS, math.inf if scene.lag is None else scene.lag)
     words = "largest internal step of Co-Simulation; equal steps divide each communication step; it is for motions like that of the task, faster ones need a smaller one"
     methods = float(len(INTEGRATORS))

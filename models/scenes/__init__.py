@@ -1,1 +1,1 @@
-"""One file = one scene; the file name is the scene's name and the file defines `SCENE`."""
+"""Scenes: one file each, named like its scene; the file defines `SCENE`."""

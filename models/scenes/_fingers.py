@@ -1,27 +1,15 @@
-"""Two planar fingers and a disc between them: what the scenes `two_finger` and `two_finger_lift` share. Equations only, no task.
+"""Equations of two planar fingers and a disc, shared by `two_finger` and `two_finger_lift`.
 
-Each finger is two uniform bars (length l, width w, mass m_l), hinged at a base `reach` left or
-right of the middle and at an elbow. Angles are absolute, measured inwards: 0 points at the other
-finger, pi/2 up. So the two fingers are each other's mirror image at equal angles, and the mass
-matrix of one needs a single cosine, of the angle a between its links (c = l^2 + w^2, the square of
-a bar's diagonal):
+A finger is two uniform bars (length l, width w, mass m_l), hinged at a base `reach` from the middle
+and at an elbow. Angles are absolute: 0 points at the other finger, pi/2 up. With the angle a
+    between
+its links and c = l^2 + w^2 (a bar's squared diagonal)
 
     M = m_l [[c/12 + l^2/4 + l^2,  l^2/2 cos a],  [l^2/2 cos a,  c/12 + l^2/4]]
+    phi = R + w/2 - d,      d = sqrt(|disc - tip|^2 + BLUR^2)      (BLUR: see `two_discs`)
 
-The tip of a finger is a half disc of radius w/2 at the end of its second link; it touches the disc
-where the centres are nearer than R + w/2:
-
-    phi = R + w/2 - d,      d = sqrt(|disc - tip|^2 + BLUR^2)
-
-with the same small BLUR as in `two_discs`: even coincident centres have a defined (zero) normal.
-The surfaces meet on the line of centres at the shares R : w/2 of d, so that the friction forces,
-equal and opposite at one point, keep the angular momentum however deep the contact is:
-
-    slip = t . (v_disc - v_tip) - d (R omega_disc + w/2 omega_tip)/(R + w/2),
-        t: the line of centres, turned left
-
-that is, velocity of the disc's surface relative to the tip's, along t. It depends on the position:
-on the direction t.
+The surfaces meet at the shares R : w/2 of d, so friction keeps the angular momentum
+    (`tip_frictions`).
 """
 
 from __future__ import annotations
@@ -56,12 +44,12 @@ long, w, m_l, m_d, R, reach, c_d, k = sp.symbols("l w m_l m_d R reach c_d k", po
 
 Q = (*ANGLES, x, y, theta)
 V = (*RATES, vx, vy, w_theta)
-# side -> (sign of its base's x and of its sense of rotation, angles)
+# side -> (sign of its base's x and of its sense of rotation, angles).
 _SIDES = {"left": (-1, (left1, left2)), "right": (1, (right1, right2))}
 
 
 def joints(side: str) -> tuple[tuple[sp.Expr, sp.Expr], ...]:
-    """Base, elbow and tip of a finger [m]."""
+    """Return base, elbow and tip of a finger [m]."""
     sign, (first, second) = _SIDES[side]
     base = (sign * reach, sp.Integer(0))
     elbow = (base[0] - sign * long * sp.cos(first), base[1] + long * sp.sin(first))
@@ -83,19 +71,18 @@ def _middle(
 
 
 def bars() -> list[tuple[tuple[sp.Expr, sp.Expr], sp.Symbol]]:
-    """Centre [m] and angle of each of the four links."""
-    found = []
+    """Return centre [m] and angle of the four links."""
+    links = []
     for side, (_, angles) in _SIDES.items():
         base, elbow, tip = joints(side)
-        found += [(_middle(base, elbow), angles[0]), (_middle(elbow, tip), angles[1])]
-    return found
+        links += [(_middle(base, elbow), angles[0]), (_middle(elbow, tip), angles[1])]
+    return links
 
 
 def kinetic_energy() -> sp.Expr:
-    """Of four bars and a uniform disc [J].
+    """Return the energy of four bars and a uniform disc [J].
 
-    The speed of the centre of a second link is that of two arrows, l w1 and long/2 w2, its angle
-    between them.
+    The centre of a second link moves with l w1 and long/2 w2, at the links' relative angle.
     """
     energy = m_d * (vx**2 + vy**2) / 2 + m_d * R**2 / 2 * w_theta**2 / 2
     for (first, second), (w_first, w_second) in ((ANGLES[:2], RATES[:2]), (ANGLES[2:], RATES[2:])):
@@ -112,10 +99,9 @@ def kinetic_energy() -> sp.Expr:
 
 
 def forces() -> tuple[sp.Expr, ...]:
-    """Torques at base and elbow.
+    """Return the generalised forces.
 
-    The disc is braked by c_d on its way, and by the same at its rim when it turns (torque c_d R^2 a
-    rad/s).
+    The disc has drag c_d, and torque c_d R^2 per rad/s by the same drag at its rim.
     """
     return (
         u_left1 - u_left2,
@@ -129,14 +115,14 @@ def forces() -> tuple[sp.Expr, ...]:
 
 
 def _centres(side: str) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
-    """From the tip to the centre of the disc (2), and their distance [m]."""
+    """Return the vector from the tip to the centre of the disc (2), and its length [m]."""
     tip = joints(side)[2]
     along = (x - tip[0], y - tip[1])
     return (*along, sp.sqrt(along[0] ** 2 + along[1] ** 2 + BLUR**2))
 
 
 def running_cost(x_goal: float, y_goal: float, pull: float) -> sp.Expr:
-    """Torques squared, and the distance of the disc from its goal: rounded off within NEAR, so that it is smooth there, and weighed with `pull` [1/m]."""
+    """Return squared torques plus `pull` [1/m] times the goal distance, smooth within NEAR."""
     return sum(torque**2 for torque in TORQUES) + pull * sp.sqrt(
         (x - x_goal) ** 2 + (y - y_goal) ** 2 + NEAR**2
     )
@@ -159,14 +145,18 @@ def tip_contacts(nominal: float) -> tuple[Contact, ...]:
 
 
 def tip_frictions(coefficient: sp.Expr, nominal: float) -> tuple[Friction, ...]:
-    """Coulomb friction between tip and disc, pressed by their contact."""
-    found = []
+    """Return Coulomb friction between tip and disc.
+
+    slip = t . (v_disc - v_tip) - d (R omega_disc + w/2 omega_tip)/(R + w/2), the velocity of the
+    disc's surface relative to the tip's along t, the line of centres turned left.
+    """
+    frictions = []
     for side, (sign, angles) in _SIDES.items():
         dx, dy, distance = _centres(side)
         tip = joints(side)[2]
         across = (dx * (vy - _rate(tip[1])) - dy * (vx - _rate(tip[0]))) / distance
         turning = distance * (R * w_theta - sign * w / 2 * _rate(angles[1])) / (R + w / 2)
-        found.append(
+        frictions.append(
             Friction(
                 name=side,
                 slip=across - turning,
@@ -176,7 +166,7 @@ def tip_frictions(coefficient: sp.Expr, nominal: float) -> tuple[Friction, ...]:
                 description=f"{side} finger tip along the rim of the disc",
             )
         )
-    return tuple(found)
+    return tuple(frictions)
 
 
 def coordinates() -> tuple[Coordinate, ...]:
@@ -253,7 +243,10 @@ def parameters(disc_mass: float) -> tuple[Parameter, ...]:
 
 
 def pinch(gap: float, height: float) -> tuple[float, float, float, float]:
-    """The four angles at which the tips stand at `height` [m], `gap` [m] off a disc in the middle at the same height, elbows outwards."""
+    """Return the four angles with tips at `height` and `gap` [m] from a disc in the middle.
+
+    The elbows point outwards.
+    """
     across, up = BASE - RADIUS - WIDTH / 2 - gap, height
     direction, half = math.atan2(up, across), math.acos(math.hypot(across, up) / (2 * LENGTH))
     outwards = math.copysign(half, up)
@@ -271,15 +264,15 @@ def stretched_answer() -> Answer:
 
 
 def shapes() -> tuple[Shape, ...]:
-    found = [Shape(name="disc", kind="disc", x=x, y=y, size=(R,))]
+    parts = [Shape(name="disc", kind="disc", x=x, y=y, size=(R,))]
     spoke = (x + R / 2 * sp.cos(theta), y + R / 2 * sp.sin(theta))
-    found.append(
+    parts.append(
         Shape(name="mark on the disc", kind="line", x=spoke[0], y=spoke[1], size=(R,), angle=theta)
     )
     for (centre, angle), side in zip(bars(), ("left", "left", "right", "right"), strict=True):
         part = "first" if angle in (left1, right1) else "second"
         turned = angle if side == "left" else sp.pi - angle
-        found.append(
+        parts.append(
             Shape(
                 name=f"{side} {part} link",
                 kind="box",
@@ -291,5 +284,5 @@ def shapes() -> tuple[Shape, ...]:
         )
     for side in _SIDES:
         tip = joints(side)[2]
-        found.append(Shape(name=f"{side} tip", kind="disc", x=tip[0], y=tip[1], size=(w / 2,)))
-    return tuple(found)
+        parts.append(Shape(name=f"{side} tip", kind="disc", x=tip[0], y=tip[1], size=(w / 2,)))
+    return tuple(parts)

@@ -1,24 +1,19 @@
-"""A double pendulum balances upside down by the torque of its elbow, its shoulder between two soft stops: unstable, underactuated.
+"""A double pendulum balances upside down by elbow torque, with soft stops at the shoulder.
 
-theta1 is the angle of the first link from upright, theta2 that of the second relative to the first;
-the masses sit at the ends of massless links. The stops act where the elbow, on its circle of radius
-l1, is further than l1 d from the top; written in its arc length they are springs of k_s/l1^2 a
-metre, that is, k_s a radian of the shoulder. The start leans against the right stop, so that its
-spring acts from the beginning.
-
-About upright, with the absolute angles of the links, M = [[(m1 + m2) l1^2, m2 l1 l2], [m2 l1 l2, m2
-l2^2]] and gravity's slope is diag((m1 + m2) g l1, m2 g l2), so that the rates s at which a small
-error grows solve
+theta1 is the angle of the first link from upright, theta2 that of the second relative to it; point
+masses are at the ends of massless links. The stops act at arc length l1 d of the elbow's circle,
+with k_s/l1^2 per metre, hence k_s per radian. The start leans against the right stop.
+Small errors about upright grow at the rates s of
 
     m1 m2 l1^2 l2^2 s^4 - (m1 + m2) m2 g l1 l2 (l1 + l2) s^2 + (m1 + m2) m2 g^2 l1 l2 = 0
 
-The faster one is 9.01/s here: eight thousand times over the 1 s of the task.
+The faster one is 9.01/s: a factor of eight thousand over the task's 1 s.
 """
 
 import math
 
 import sympy as sp
-from sympy.simplify.fu import TR8  # products of sines and cosines -> those of sums
+from sympy.simplify.fu import TR8  # products of sines and cosines -> sums
 
 from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, Shape, Task
 from models.scene.parts import limits
@@ -44,7 +39,6 @@ _TURNED_OVER = "where the elbow hangs straight down it is as far from either sto
 
 
 def _kinetic(mass: sp.Symbol, place: tuple[sp.Expr, sp.Expr]) -> sp.Expr:
-    """Kinetic energy of a point mass [J]."""
     velocity = [
         sp.diff(entry, theta1) * omega1 + sp.diff(entry, theta2) * omega2 for entry in place
     ]
@@ -154,7 +148,7 @@ SCENE = Scene(
             source="the same",
         ),
     ),
-    length=1.0,  # the paper's metre
+    length=1.0,  # as in the paper
     shapes=(
         Shape(
             name="first link",

@@ -1,13 +1,11 @@
-"""A mass falls on a spring floor and bounces for ever: no input, no damping, every number known in closed form.
+"""A mass falls on a spring floor and bounces forever, without input and damping, in closed form.
 
-With w = sqrt(k/m) and s the speed at which the mass meets the floor (s^2 = 2 g q(0) when it is
-dropped at rest):
+With w = sqrt(k/m) and the speed s at the floor (s^2 = 2 g q(0) from rest):
 
     largest depth   m g/k + sqrt((m g/k)^2 + s^2 m/k)
     contact time    (2 pi - 2 atan2(s/w, m g/k))/w
 
-because in contact the mass swings about its static depth m g/k. It leaves the floor as fast as it
-came.
+In contact the mass swings about its static depth m g/k, and leaves at the same speed.
 """
 
 import math

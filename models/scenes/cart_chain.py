@@ -1,13 +1,10 @@
-"""n carts in a row, n = 2..20.
+"""n carts in a row, n = 2..20: the paper's scene at any size; the outer two are driven.
 
-The outer two are driven and push those between them: the paper's scene at any size.
+    cart_chain(3)  # three_cart, bit for bit, except for its name
+    cart_chain(20)  # 40 states, 19 contacts, 2 inputs
 
-    cart_chain(3)      # is three_cart, bit for bit, but for its name
-    cart_chain(20)     # 40 states, 19 contacts, still 2 inputs
-
-Beyond three carts the row starts with a free space of 1 m in all, shared by the n - 1 gaps, and
-every cart has to move on by one gap: 0.5 m for three carts, as in the paper. No cart in between can
-move unless it is pushed, so every plan needs contact.
+With more than three carts the n - 1 gaps share 1 m, and each cart must move on by one gap (three
+carts: 0.5 m, as in the paper). Inner carts need contact to move.
 """
 
 from dataclasses import replace
@@ -28,7 +25,10 @@ FIRST = 2.0
 
 
 def cart_chain(n: int, steps: int = 500) -> Scene:
-    """The scene of n carts on `steps` steps of 0.01 s. Raises SceneError unless 2 <= n <= 20."""
+    """Return the scene of n carts with `steps` steps of 0.01 s.
+
+    Raise SceneError unless 2 <= n <= 20.
+    """
     if isinstance(n, bool) or not isinstance(n, int) or not SMALLEST <= n <= LARGEST:
         raise SceneError(
             f"scene cart_chain: n is {n!r}, but must be a whole number of carts from {SMALLEST} to {LARGEST}."

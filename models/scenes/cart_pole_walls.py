@@ -1,22 +1,17 @@
-"""A cart balances a pole between two soft walls that the pole may lean on: unstable, underactuated, nonlinear.
+"""A cart balances a pole between two soft walls: unstable, underactuated, nonlinear.
 
 x is the place of the cart, theta the angle of the pole from upright, positive to the right. The
-pole is a point mass at the end of a massless rod; its tip, at x + l sin(theta), touches the walls
-at +-w.
-
-At rest, a push of u can stop the pole from falling only where (m_c + m_p) g tan(|theta|) <= u: up
-to 0.36 rad with the 4 N there are. The start leans out by more, so it is the wall that must throw
-the pole back. The end weighs 100 |x_T|^2, and is asked to be upright exactly as well, so that the
-verdict says whether the pole stands. Without feedback no plan of this grid keeps the pole up: left
-alone near upright, an error grows as exp(3.67 t), a thousand and a half times over the 2 s: sqrt(g
-(m_c + m_p)/(l m_c)) is the rate. And the step is coarse for the tip against a wall (h w = 0.9): an
-impact lasts three and a half steps, and throws the pole back a little differently than planned.
+pole is a point mass on a massless rod; its tip x + l sin(theta) touches the walls at +-w. At rest
+an input u stops the fall only if (m_c + m_p) g tan(|theta|) <= u, 0.36 rad for 4 N; the start leans
+out further, so a wall must throw the pole back. The end costs 100 |x_T|^2 and must be upright.
+Errors grow as exp(3.67 t), rate sqrt(g (m_c + m_p)/(l m_c)), a factor of 1500 over 2 s, so plans
+need feedback. The step is coarse for the wall (h w = 0.9): an impact lasts 3.5 steps.
 """
 
 import math
 
 import sympy as sp
-from sympy.simplify.fu import TR8  # products of sines and cosines -> those of sums
+from sympy.simplify.fu import TR8  # products of sines and cosines -> sums
 
 from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, Shape, Task
 from models.scene.parts import limits
@@ -127,7 +122,7 @@ SCENE = Scene(
             source="linearised about upright: theta'' = (m_c + m_p) g/(l m_c) theta; checked on the derived equations",
         ),
     ),
-    length=1.0,  # the paper's metre
+    length=1.0,  # as in the paper
     shapes=(
         Shape(name="cart", kind="box", x=x, y=sp.Float(-0.05), size=(0.3, 0.1)),
         Shape(

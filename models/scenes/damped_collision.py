@@ -1,20 +1,14 @@
-"""Two discs collide through a damped spring, and the lighter one is thrown back onto a bumper: two laws of damping, both in closed form.
+"""Two discs collide through a damped spring, and one hits a bumper: two laws in closed form.
 
-Disc against disc, Kelvin-Voigt without adhesion, lam = max(k phi + c phi', 0). With the reduced
-mass mu = m1 m2/(m1 + m2), w = sqrt(k/mu), z = c/(2 sqrt(k mu)) = cos(a) and the closing speed s,
-phi = s/(w sin a) exp(-z w t) sin(w t sin a), so that
+Discs, Kelvin-Voigt, lam = max(k phi + c phi', 0). With mu = m1 m2/(m1 + m2), w = sqrt(k/mu),
+z = c/(2 sqrt(k mu)) = cos(a), closing speed s: phi = s/(w sin a) exp(-z w t) sin(w t sin a)
 
-    largest compression  s/w exp(-a/tan a)                             (phi' = 0 at w t sin a = a)
-    restitution   e = exp(-2 a/tan a)
-        (lam = -mu phi'' = 0 at w t sin a = 2 a: released, still compressed)
-    contact time   2 a/(w sin a) + 2 z/w   (from there the discs part at the speed e s)
+    largest compression  s/w exp(-a/tan a)                       (phi' = 0 at w t sin a = a)
+    restitution          e = exp(-2 a/tan a)                     (lam = 0 at w t sin a = 2 a)
+    contact time         2 a/(w sin a) + 2 z/w                   (the discs part at e s)
 
-A force that could pull would act until phi = 0, with the restitution exp(-pi/tan a): 0.54 instead
-of 0.58 here.
-
-Disc against bumper, Hunt-Crossley, lam = b phi max(1 + d phi', 0): m v dv/dphi = -b phi (1 + d v)
-gives x - ln x = y - ln y with y = 1 + d v_in and x = 1 - d v_out, x = -W(-y exp(-y)) with Lambert's
-W, whatever b and m are.
+With pulling the restitution is exp(-pi/tan a): 0.54 instead of 0.58. Bumper, Hunt-Crossley, lam =
+b phi max(1 + d phi', 0): x - ln x = y - ln y, y = 1 + d v_in, x = 1 - d v_out = -W(-y exp(-y)).
 """
 
 import math

@@ -1,14 +1,12 @@
-"""A hopper on one leg, in the vertical: a body, a light foot on a springy, driven leg below it, and a soft floor that only pushes.
+"""A vertical hopper: a body, a light foot on a driven springy leg, and a soft floor.
 
-z is the height of the body, y that of the foot; the leg z - y has the rest length l0 and pulls or
-pushes with u beside its spring. When the foot flies and when it stands is found by the optimiser.
-No force acts on the whole but weight and floor, so that whatever the leg does
+z is the height of the body, y that of the foot; the leg z - y has rest length l0, a spring and the
+force u. Only weight and floor act on the whole, so
 
     floor's impulse = (m_b + m_f) g T + change of momentum
 
-and its centre of mass flies on a parabola: a hop from rest to a higher rest 1 s later needs the
-floor to give exactly (m_b + m_f) g T. Without input the motion is piecewise linear in either mode,
-and exact by matrix exponentials.
+and a hop from rest to a higher rest 1 s later needs exactly (m_b + m_f) g T. Without input each
+mode is linear, with an exact solution by matrix exponentials.
 """
 
 import sympy as sp
@@ -105,7 +103,7 @@ SCENE = Scene(
             source="momentum from rest to rest: (m_b + m_f) g T",
         ),
     ),
-    length=1.0,  # the paper's metre
+    length=1.0,  # as in the paper
     shapes=(
         Shape(name="body", kind="disc", x=sp.Integer(0), y=z, size=(0.15,)),
         Shape(name="leg", kind="line", x=sp.Integer(0), y=(z + y) / 2, size=(l0,), angle=sp.pi / 2),

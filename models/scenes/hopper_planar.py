@@ -1,27 +1,12 @@
-"""A hopper in the vertical plane hops 2 m to the side: a body, a light foot on a springy leg, a soft floor that rubs.
+"""A planar hopper hops 2 m to the side: a body, a light foot on a springy leg, friction.
 
-The leg runs from the hip, in the centre of the body, to the foot; a thrust works along it beside
-its spring and its damper, and a torque at the hip turns it against the body, whose pitch must stay
-small. When the foot flies and when it stands, and how often, is found by the optimiser. Body and
-foot are points in Cartesian coordinates, so that the mass matrix is constant and only the leg is
-nonlinear.
-
-No force but weight, floor and friction acts on the whole: momentum, and in flight the parabola of
-the centre of mass, are kept whatever the leg does, and the angular momentum too. The foot's plane
-is e = 1 cm beside the hip's: the leg is sqrt(dx^2 + dz^2 + e^2) long and never of no length, and
-the hip's torque acts through the power hip (dz d(dx)/dt - dx d(dz)/dt - (dx^2 + dz^2) pitch
-rate)/leg^2, which keeps the angular momentum exactly and asks nothing of a leg that points straight
-out of the plane.
-
-m = 1 kg, l0 = 1 m, h = 0.02 s, T = 200, (0, 1.5) -> (2, 1) are those of our scene bank. Chosen
-here, with the step in mind: a foot of 0.3 kg on a floor of 300 N/m, a leg of 100 N/m and 1 N s/m -
-the foot's own oscillation sqrt((300 + 100)/0.3) = 37 rad/s has h w = 0.73, where semi-implicit
-Euler is stable up to 2 and wrong by some per cent of the foot's energy, little of the whole.
-Static, the foot sinks in by 4 cm.
-
-Standing is falling over: sqrt(g/l0) = 3.1 1/s, and each landing adds to it. In the open loop an
-error at the start is some 1e6 times larger after the 4 s, so that a plan of this grid needs
-feedback to hold.
+A thrust acts along the leg, with spring and damper, and a torque at the hip; the pitch must stay
+small. Body and foot are points in Cartesian coordinates, so the mass matrix is constant. The foot's
+plane is e = 1 cm from the hip's, so the leg sqrt(dx^2 + dz^2 + e^2) has no zero; the hip's power
+hip (dz d(dx)/dt - dx d(dz)/dt - (dx^2 + dz^2) pitch rate)/leg^2 keeps the angular momentum. m = 1
+kg, l0 = 1 m, h = 0.02 s, T = 200, (0, 1.5) -> (2, 1) are from our scene bank; chosen for the step:
+a foot of 0.3 kg, floor 300 N/m, leg 100 N/m and 1 N s/m, so h w = 0.73 of at most 2. Errors grow at
+sqrt(g/l0) = 3.1 1/s and at landings, by some 1e6 over 4 s: plans need feedback.
 """
 
 import sympy as sp
@@ -49,8 +34,8 @@ _dz = z - z_f
 _leg = sp.sqrt(_dx**2 + _dz**2 + e**2)
 _along = (
     thrust - c_l * (_dx * (v_x - v_xf) + _dz * (v_z - v_zf)) / _leg
-) / _leg  # force a metre of (dx, dz)
-_across = hip / _leg**2  # force a metre of (dz, -dx)
+) / _leg  # force per metre of (dx, dz)
+_across = hip / _leg**2  # force per metre of (dz, -dx)
 _force_x = _along * _dx + _across * _dz
 _force_z = _along * _dz - _across * _dx
 
@@ -193,7 +178,7 @@ SCENE = Scene(
         ),
     ),
     quick=False,
-    length=1.0,  # the paper's metre
+    length=1.0,  # as in the paper
     shapes=(
         Shape(name="body", kind="box", x=x, y=z, size=(0.4, 0.2), angle=-pitch),
         Shape(

@@ -1,28 +1,13 @@
-"""A finger pushes a box over a table to a place that one face alone does not lead to: which face, and when, is found by the optimiser.
+"""A point finger pushes a box over a table to a goal that needs two faces or a turn.
 
-The finger has no size and starts outside, below and to the left of the box; only its contact and
-its friction move the box. The goal lies atan2(0.25, 0.3) = 39.8 degrees off the normal of the left
-face. A finger on that face pushes within atan(mu) = 26.6 degrees of its normal, so that one face
-alone has to turn the box by 13.2 degrees on the way, and back; with the face below as well there is
-no need to.
-
-The table: friction under a sliding box is a limit surface, here the ellipsoid of Goyal, Ruina and
-Papadopoulos (1991) in its linear form, velocity proportional to wrench: d v = F, d c^2 omega =
-torque, where c is the mean distance of the footprint from its centre, the ratio of the largest
-torque to the largest force that a uniformly pressed table gives. The finger is driven through the
-same sort of damper, as a robot's would be whose velocity is commanded. Nothing has inertia: it is
-written as M dv/dt = F - D v with M = tau D, and tau is the time step of whoever makes a plan, which
-makes v' = v + h/M (F - D v) the quasi-static law v' = D^-1 F itself. The judge takes tau to nearly
-nothing (models.scene.quasi_static): what it judges knows no grid.
-
-The rim is one smooth curve, D(p) = log(sum of exp(beta d_i))/beta over the distances d_i from the
-lines of the four faces: the faces but for exp(-beta s)/beta at s from a corner, so that the gap has
-a normal everywhere and the finger may roll from one face to the next. The slip is weighed with
-abs(grad D), as the force is, which is 1 on the faces: so the cone is mu everywhere.
-
-Size, friction, step and horizon are those of our scene bank; chosen here: the damping (3 N move the
-box by 0.3 m/s), the rim, start and goal, and k = 150 N/m, with which the explicit quasi-static step
-is stable: h k/d (1 + (a/c)^2) + h k/d = 1.45 of at most 2.
+The goal is 39.8 degrees off the left face's normal; the friction cone is atan(mu) = 26.6 degrees.
+Friction under the box is the ellipsoid of Goyal, Ruina and Papadopoulos (1991) in linear form,
+d v = F, d c^2 omega = torque, c the footprint's mean distance. The finger has such a damper too.
+Without inertia this is M dv/dt = F - D v with M = tau D: tau is the time step of a plan, which
+gives v' = D^-1 F, and nearly 0 for the judge (models.scene.quasi_static). The rim is D(p) = log(sum
+of exp(beta d_i))/beta of the distances d_i from the faces; the slip is weighted by abs(grad D), as
+the force is. Size, friction, step and horizon are from our scene bank; chosen: damping, rim, start,
+goal, and k = 150 N/m for a stable step: h k/d (1 + (a/c)^2) + h k/d = 1.45 of at most 2.
 """
 
 import math
@@ -48,7 +33,7 @@ a, b, c, d, beta, k, mu, tau = sp.symbols("a b c d beta k mu tau", positive=True
 
 
 def mean_distance(half_length: float, half_width: float) -> float:
-    """Mean distance [m] of the points of a rectangle from its centre; half sides [m]."""
+    """Return the mean distance [m] of a rectangle's points from its centre, from half sides [m]."""
     s, w = half_length, half_width
     return (
         math.hypot(s, w) / 3
@@ -57,7 +42,7 @@ def mean_distance(half_length: float, half_width: float) -> float:
     )
 
 
-# The finger in the frame of the box, and its velocity there as seen from the box.
+# The finger and its velocity in the frame of the box.
 _cos = sp.cos(theta)
 _sin = sp.sin(theta)
 _along = _cos * (p_x - x) + _sin * (p_y - y)
@@ -192,7 +177,7 @@ SCENE = Scene(
             "the cone that this sweeps",
         ),
     ),
-    length=1.0,  # the paper's metre
+    length=1.0,  # as in the paper
     shapes=(
         Shape(name="box", kind="box", x=x, y=y, size=(2 * a, 2 * b), angle=theta),
         Shape(name="finger", kind="disc", x=p_x, y=p_y, size=(0.02,)),

@@ -1,11 +1,10 @@
-"""Three carts in a row; the outer ones are driven and push the middle one through soft contacts.
+"""Three carts in a row: the outer ones push the middle one through soft contacts.
 
 Source: H.J. Terry Suh, Yanwei Wang, "Comparing Effectiveness of Relaxation Methods for Warm
-    Starting Trajectory
-Optimization through Soft Contact", section V. The paper prints neither start, goal, cart length nor
-    bounds; those below
-reproduce its three softplus collocation rows to the printed digits. The sign of the penetration in
-    its (14) is corrected.
+    Starting
+Trajectory Optimization through Soft Contact", section V. The paper has no start, goal, cart length
+and bounds; those below reproduce its softplus collocation rows to the printed digits. The sign of
+the penetration in its (14) is corrected.
 """
 
 import sympy as sp
@@ -97,7 +96,7 @@ SCENE = Scene(
             source="convex QP with fixed contact windows (steps 131..178 and 276..306), local search over the four window ends; not proved global",
         ),
     ),
-    length=1.0,  # the paper's metre
+    length=1.0,  # as in the paper
     shapes=tuple(
         Shape(name=name, kind="box", x=q, y=d / 2, size=(d, d))
         for name, q in (("left", q1), ("middle", q2), ("right", q3))

@@ -1,19 +1,13 @@
-"""Cargo lies on a driven cart between two stops. Stick carries it, slip shifts it, stops catch it, and nothing may creep.
+"""Cargo lies on a driven cart between two stops, and must slip by the right amount.
 
-The cart (2 kg) is driven, the cargo (1 kg) lies on it between two soft stops, one metre either side
-of the middle. The cargo starts 0.5 m ahead of the cart's middle and has to end 0.5 m behind it: it
-must slip, by the right amount, and friction gives it at most mu g = 1.96 m/s^2. The stops may help:
-the cheapest plan lets the cargo run into the rear stop, which pushes with up to 56 N.
+The cart has 2 kg, the cargo 1 kg; the stops are 1 m from the middle. The cargo moves from 0.5 m
+ahead to 0.5 m behind; friction gives it at most mu g = 1.96 m/s^2. In the cheapest plan the rear
+stop pushes with up to 56 N. Regularised friction lets the cargo creep, which the replay reveals.
 
-Source: the equations are Lagrange's of two masses; masses, friction, half-length, grid, start and
-    goal are those of the transport
-benchmark of contact-implicit planning in our scene bank, whose weights (1e5, 1e5, 10, 10) on the
-    end are replaced by the exact end itself;
-R = 1e-4 weighs the force. Chosen here: the stops (k = 1000 N/m), so that the half-length is a
-    contact like any other, and 40 N for the drive.
-
-Regularised friction lets the cargo creep where dry friction holds it: what a plan gains by that is
-what the replay shows.
+Source: masses, friction, half-length, grid, start, goal and R = 1e-4 are those of the transport
+    benchmark
+of contact-implicit planning in our scene bank; its end weights (1e5, 1e5, 10, 10) are replaced by
+the exact end. Chosen: stops of 1000 N/m, a drive of 40 N.
 """
 
 import sympy as sp
@@ -26,7 +20,7 @@ cargo, cart = sp.symbols("cargo cart", real=True)
 v_cargo, v_cart = sp.symbols("v_cargo v_cart", real=True)
 u = sp.Symbol("u", real=True)
 m, m_c, mu, g, half, k = sp.symbols("m m_c mu g half k", positive=True)
-# Length of the cargo [m], as drawn.
+# Drawn length of the cargo [m].
 CARGO = sp.Rational(3, 10)
 _OFF_THE_CART = "half the length of the cargo: beyond it no part of the cargo lies on the cart, and its weight presses no longer"
 
@@ -125,7 +119,7 @@ SCENE = Scene(
             source="mu g is the largest acceleration of the cargo away from the stops",
         ),
     ),
-    length=1.0,  # the paper's metre
+    length=1.0,  # as in the paper
     shapes=(
         Shape(
             name="cart",

@@ -1,6 +1,6 @@
-"""Two free masses meet through a linear spring: restitution 1, momentum kept, everything known in closed form.
+"""Two free masses collide through a linear spring, in closed form: restitution 1, momentum kept.
 
-With the reduced mass mu = m1 m2/(m1 + m2) and the closing speed s:
+With mu = m1 m2/(m1 + m2) and the closing speed s:
 
     contact time         pi sqrt(mu/k)
     largest compression  s sqrt(mu/k)

@@ -1,23 +1,14 @@
-"""One disc is thrown at another, which then glides on and has to pass close by the goal when the time is over: elastic, without friction.
+"""One disc is thrown at another, which must glide past the goal at the end, elastic, frictionless.
 
-    two_discs()                                          # starts (-1, -2) and (-1, -1)
-    # starts (0.25, -0.3) and (-0.5, 0.6), a wall at y = 1: off the wall, to the goal
-    two_discs(wall=True)
+    two_discs()  # starts (-1, -2) and (-1, -1)
+    two_discs(wall=True)  # starts (0.25, -0.3) and (-0.5, 0.6), off a wall at y = 1
 
-The cost is |q2(T)|^2 + 0.01 int |u|^2 dt, with nothing asked of the end; disc 1 starts at rest and
-must be at the right place of the rim of disc 2 with the right speed. As k grows the soft contact
-tends to the impact of rigid discs. There, equal masses hand over the speed s along the line of
-centres n, and the least work that brings disc 1 from rest to a place d away, with speed s along n
-and any speed across, within time t is (per unit of mass and weight)
-
-    12 (d.n)^2/t^3 - 12 (d.n) s/t^2 + 4 s^2/t + 3 |d - (d.n) n|^2/t^3
-
-so that the optimum is a minimum over n, t and s alone: 0.3114169, and 0.3736364 with the wall, where
-disc 2 heads for the goal's mirror image behind the line of its reflected centre, y = 1 - r.
-
-To hold, a plan costs no more than the cheapest throw of rigid discs that brings disc 2 onto the
-goal itself: 0.4079873, and 0.5911108 with the wall. Doing nothing costs the square of its distance
-from there, 2 and 0.61.
+The cost is |q2(T)|^2 + 0.01 int |u|^2 dt. For k -> infinity contact tends to rigid impact, with
+speed s along the line of centres n; the least work to a place d away within t, per unit of mass and
+weight, is 12 (d.n)^2/t^3 - 12 (d.n) s/t^2 + 4 s^2/t + 3 |d - (d.n) n|^2/t^3. Its minimum over n, t,
+s is the optimum: 0.3114169, with the wall (goal mirrored at y = 1 - r) 0.3736364. The limit of the
+cost is the cheapest rigid throw onto the goal: 0.4079873, with the wall 0.5911108; doing nothing
+costs 2 and 0.61.
 """
 
 import sympy as sp
@@ -35,8 +26,8 @@ RIGID_OPTIMUM = 0.3114169
 RIGID_OPTIMUM_WALL = 0.3736364
 RIGID_HIT = 0.4079873
 RIGID_HIT_WALL = 0.5911108
-# Centres closer than this [m] have no direction of contact between them: the distance sqrt(|q2 -
-# q1|^2 + BLUR^2) is smooth even there, its gradient zero; where discs touch it is 1e-12 m off.
+# Smooths the distance sqrt(|q2 - q1|^2 + BLUR^2) [m] of coincident centres; touching discs are
+# 1e-12 m off.
 BLUR = 1e-6
 
 x1, y1, x2, y2 = q = sp.symbols("x1 y1 x2 y2", real=True)
@@ -46,7 +37,7 @@ m, r, k, y_w = sp.symbols("m r k y_w", positive=True)
 
 
 def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
-    """The scene with or without the wall at y = 1."""
+    """Return the scene with or without the wall at y = 1."""
     distance = sp.sqrt((x2 - x1) ** 2 + (y2 - y1) ** 2 + BLUR**2)
     contacts = [
         Contact(
@@ -147,7 +138,7 @@ def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
                 source="minimum of the rigid cost over direction, time and speed of the impact, see the docstring",
             ),
         ),
-        length=1.0,  # the paper's metre
+        length=1.0,  # as in the paper
         shapes=tuple(shapes),
     )
 

@@ -1,4 +1,4 @@
-"""One disc is thrown at another, which then goes off a wall towards the goal: `two_discs` with its wall at y = 1."""
+"""One disc is thrown at another, which goes off a wall to the goal: `two_discs` with a wall."""
 
 from models.scenes.two_discs import two_discs
 

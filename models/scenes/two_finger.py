@@ -1,24 +1,15 @@
-"""Two fingers carry a disc sideways and set it to rest: seven positions, four torques, and a mass matrix that depends on the position.
+"""Two fingers carry a disc sideways: seven positions, four torques, and a variable mass matrix.
 
-The disc (0.5 kg) lies on a smooth table, seen from above, between the tips of two 2-link fingers.
-It has no drive of its own: only the tips can move it, 0.05 m to the right, and they have to catch
-it again. The fingers start 5 mm off on both sides, so that no force acts at first and both contacts
-have to be found.
-
-Source: dimensions, masses, stiffness, damping and the time step are those of our scene bank, after
-    the planar grippers of contact-implicit
-planning; the equations are Lagrange's, see `_fingers`. Chosen here: bases 0.14 m beside the row of
-    tip, disc and tip, so that the elbows are
-bent; 2 N m at each joint, ten times what the push takes once the tips are there; no friction, which
-    this task can do without
-(`two_finger_lift` has it).
-
-To hold: the task asks for rest at the end, with the disc at its goal. The running cost counts the
-distance of the disc from its goal, 5 a metre, against the torques squared: enough that the disc
-arrives after half of the 0.5 s and stays for the other half. The distance is counted as it is, not
-squared: its square would let the last millimetres take as long as they like. Tips of 100 N/m are
-very soft: the push and the catch of the plan that strict complementarity finds are 3.4 and 4.6 N,
-and sink in by as many centimetres, of the 6 at which the centres would meet.
+The disc (0.5 kg) lies on a smooth table between the tips of two 2-link fingers, which must move it
+by 0.05 m and catch it. The fingers start 5 mm off, so both contacts must be found. Source:
+dimensions, masses, stiffness, damping and step are from our scene bank, after planar
+    grippers of
+contact-implicit planning. Chosen: bases 0.14 m from the row (bent elbows), 2 N m per joint (ten
+times the need), no friction. The running cost is 5 per metre of distance, plus squared torques: the
+disc arrives after half of
+    the
+0.5 s. A squared distance would leave the last millimetres slow. Tips of 100 N/m are very soft: push
+and catch of the strict plan are 3.4 and 4.6 N, as many centimetres deep, of 6 between the centres.
 """
 
 import sympy as sp

@@ -1,20 +1,11 @@
-"""Two fingers lift a disc off a table by friction and hold it: the paper's cup, which no force at a distance may lift.
+"""Two fingers lift a disc off a table by friction: the paper's cup.
 
-The fingers of `two_finger`, hung from above in the vertical plane. The disc stands on a smooth
-table; the tips start 5 mm off on both sides. They have to close, to press - friction gives mu N a
-side, so that it takes at least m g/(2 mu) on each to hold the disc - to lift it by 0.05 m and to
-hold it there. Without contact there is no lift, and without friction none either: both pushes are
-level.
-
-Source: as `two_finger`. Chosen here: mu = 1 (rubber); a disc of 0.1 kg, a cup: tips of 100 N/m hold
-    it with 5 mm of penetration, where
-the 0.5 kg of `two_finger` would sink in by 25 mm, half the radius; a table of 500 N/m, into which
-    it sinks by 2 mm, and which starts in balance;
-h = 0.002 s: the stiffest of its motions, the disc on the table, has h w = 0.14.
-
-To hold: as in `two_finger`, 0.2 s of the 0.4 s. Here the distance from the goal counts 20 a metre:
-1 a step on the table against 0.05 for the torques that hold the disc, so that lifting at once is
-worth it.
+The fingers of `two_finger` hang from above; the tips start 5 mm off. They must close, press (at
+least m g/(2 mu) per side to hold the disc), lift by 0.05 m and hold. Pushes are horizontal, so the
+lift needs friction. Source: as `two_finger`. Chosen: mu = 1 (rubber); a disc of 0.1 kg, held with 5
+mm of penetration (0.5 kg: 25 mm, half the radius); a table of 500 N/m with 2 mm, in balance; h =
+0.002 s: h w = 0.14 on the table. The distance costs 20 per metre: 1 per step on the table against
+0.05 for the holding torques, so lifting at once pays.
 """
 
 import sympy as sp

@@ -1,25 +1,12 @@
-"""An inverted pendulum, linearised about upright, is thrown at a soft wall: twenty steps, twenty decisions, a provable optimum.
+"""An inverted pendulum, linearised, is thrown at a soft wall: twenty steps, a provable optimum.
 
-Source: the small benchmark of hybrid model predictive control in Tobia Marcucci, Russ Tedrake,
-    "Warm Start of Mixed-Integer Programs for Model
-Predictive Control of Hybrid Systems" (IEEE Transactions on Automatic Control, 2021), and Robin
-    Deits, Twan Koolen, Russ Tedrake, "LVIS:
-Learning from Value Function Intervals for Contact-Aware Robot Controllers" (ICRA 2019). Taken from
-    there: mass, length, gravity, k = 100 N/m,
-the wall where l*theta = 0.1 m, h = 0.01 s, T = 20, the bounds of 4 N m and 1.5 rad/s, the start (0,
-    0.8) and the weights Q = I, R = 1.
-
-Chosen here, because a scene of this kind has one cost for all methods:
-- methods minimise the sum over the starts of the steps, t = 0..T-1, of theta^2 + omega^2 + u^2 in
-  rad, rad/s, N m; the judge measures its integral in steps of h. The end is free and weighs nothing:
-  the originals weigh it with the value of a controller that ignores the wall, and ask it to lie in
-  that controller's safe set.
-- one wall, on the side the pendulum falls to; the originals that have two put the other out of
-  reach of this start.
-- the bound of omega holds at the start of every step, as theirs on (x, u) do.
-
-The start needs the wall: the cheapest plan that never touches it brakes with up to the bound of 4 N
-m and costs 148.06 instead of 13.62.
+Source: hybrid MPC benchmark in Marcucci, Tedrake, "Warm Start of Mixed-Integer Programs for Model
+Predictive Control of Hybrid Systems" (IEEE TAC, 2021), and Deits, Koolen, Tedrake, "LVIS" (ICRA
+2019): mass, length, gravity, k = 100 N/m, wall at l*theta = 0.1 m, h = 0.01 s, T = 20, bounds of 4
+N m and 1.5 rad/s (at the start of every step), start (0, 0.8), Q = I, R = 1. Differences: the cost
+is the sum over t = 0..T-1 of theta^2 + omega^2 + u^2, with a free end without weight (there: the
+value of a controller that ignores the wall, and its safe set); one wall. Without contact the
+cheapest plan brakes with up to 4 N m and costs 148.06 instead of 13.62.
 """
 
 import sympy as sp
@@ -109,7 +96,7 @@ SCENE = Scene(
             source="convex QP with the wall open on all steps",
         ),
     ),
-    length=1.0,  # the paper's metre
+    length=1.0,  # as in the paper
     shapes=(
         Shape(
             name="pendulum",

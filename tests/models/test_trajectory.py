@@ -220,15 +220,15 @@ def test_hold_and_scheme_must_agree_with_declarations(reading):
     assert reading("# hold: zero\n" + PLAIN, hold=Hold.ZERO_ORDER).hold is Hold.ZERO_ORDER
     with pytest.raises(TrajectoryError, match="'zero', but --hold asks"):
         reading("# hold: zero\n" + PLAIN, hold=Hold.LINEAR)
-    with pytest.raises(TrajectoryError, match="'semi_implicit_euler' is asked for; leave one"):
+    with pytest.raises(TrajectoryError, match="'semi_implicit_euler' is requested; leave one"):
         reading(f"# scheme: {list(Scheme)[1].value}\n" + PLAIN, scheme="semi_implicit_euler")
     assert reading(PLAIN, hold=Hold.LINEAR).hold is Hold.LINEAR
     assert reading(PLAIN, scheme="semi_implicit_euler").scheme is Scheme.SEMI_IMPLICIT_EULER
 
 
 @pytest.mark.parametrize(("header", "words"), [
-    ("t,q1,q2,u1,u3", "'q3' is missing beside 'q1'; give q1, q2, q3, or none"),
-    ("t,q1,q2,q3,v1,u1,u3", "'v2' is missing beside 'v1'; give v1, v2, v3, or none"),
+    ("t,q1,q2,u1,u3", "'q3' is missing, but 'q1' is present; give q1, q2, q3, or none"),
+    ("t,q1,q2,q3,v1,u1,u3", "'v2' is missing, but 'v1' is present; give v1, v2, v3, or none"),
     ("t,u1,u3,lam_right", "the column 'lam_left' is missing beside 'lam_right'"),
     ("t,v1,v2,v3,u1,u3", "no positions; give q1, q2, q3 too"),
 ])  # fmt: skip
@@ -257,7 +257,8 @@ def test_empty_columns_are_as_none(reading, scene):
     with pytest.raises(TrajectoryError, match="the column 'u3' is empty; it has t, u1"):
         reading("t,u1,u3\n0,1,\n1,1,\n")
     with pytest.raises(
-        TrajectoryError, match="the column 'q3' is empty beside 'q1'; give q1, q2, q3, or none"
+        TrajectoryError,
+        match="the column 'q3' is empty, but 'q1' is present; give q1, q2, q3, or none",
     ):
         reading("t,q1,q2,q3,u1,u3\n0,0,1,,1,0\n1,1,2,,1,0\n")
 

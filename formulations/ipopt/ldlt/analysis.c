@@ -1,5 +1,5 @@
-/* From a matrix to its fronts: neighbours of each variable, zero diagonals paired with one of them; then order, tree, amalgamation, places of the
- * entries. */
+/* Analyse a matrix: neighbours of each variable, pairs for zero diagonals, order, elimination
+ * tree, amalgamation, places of the entries. */
 
 #include <limits.h>
 #include <math.h>
@@ -7,18 +7,21 @@
 
 #include "ldlt.h"
 
-/* Neighbours of each variable, off the diagonal, entries of one place added up; nodes of one or two variables. */
+/* Neighbours of each variable without the diagonal, duplicate entries summed; nodes of one or two
+ * variables. */
 struct pattern {
     int *start, *adjacent;
     double *entry, *diagonal;
     int nodes;
-    int *node_of, *member, *weight; /* per variable; per node two variables or one and -1; how many */
+    int *node_of; /* per variable */
+    int *member;  /* per node: two variables, or one and -1 */
+    int *weight;  /* per node: number of variables */
 };
 
-/* A neighbour with a smaller entry is no partner for a zero diagonal. */
+/* Smallest relative entry that pairs a neighbour with a zero diagonal. */
 static const double WEAK = 1e-3;
 
-/* start: zeros, n + 1; last: n, used up. Columns and rows count from 1. */
+/* Read the pattern. start: zeros, n + 1; last: n, overwritten. Rows and columns count from 1. */
 static void read_pattern(int n, int nz, const int *row, const int *column, const double *value, struct pattern *p, int *last)
 {
     int *end = last;
@@ -42,7 +45,7 @@ static void read_pattern(int n, int nz, const int *row, const int *column, const
         p->entry[end[j]++] = value[k];
     }
     for (int i = 0; i < n; i++)
-        last[i] = -1; /* where a neighbour stands in the list of the variable at hand */
+        last[i] = -1; /* place of a neighbour in the list of the current variable */
     int write = 0, begin = 0;
     for (int i = 0; i < n; i++) {
         int first = write, after = p->start[i + 1];
@@ -67,7 +70,8 @@ static int degree(const struct pattern *p, int i)
     return p->start[i + 1] - p->start[i];
 }
 
-/* The partner of i: a large entry, and of comparable ones the neighbour with the fewest neighbours; -1 if there is none. */
+/* Return the partner of i: the neighbour with the fewest neighbours among comparably large
+ * entries, or -1. */
 static int partner(const struct pattern *p, const int *mate, int i)
 {
     int best = -1;
@@ -85,8 +89,9 @@ static int partner(const struct pattern *p, const int *mate, int i)
     return chosen > WEAK ? best : -1;
 }
 
-/* Makes the nodes: a variable without a diagonal cannot be a pivot alone and goes with a neighbour, those with few neighbours choosing first.
- * mate, by_degree: n; place: zeros, n + 1; all used up. */
+/* Form the nodes. A variable with a zero diagonal cannot be a single pivot and joins a
+ * neighbour; variables with few neighbours choose first. mate, by_degree: n; place: zeros, n +
+ * 1; all overwritten. */
 static void pair_zero_diagonals(int n, struct pattern *p, int *mate, int *by_degree, int *place)
 {
     int count = 0;
@@ -122,7 +127,8 @@ static void pair_zero_diagonals(int n, struct pattern *p, int *mate, int *by_deg
     }
 }
 
-/* The neighbours of each node: adjacent[start[c]] .. of length[c]; met: per node, used up. */
+/* Join the neighbours of each node: adjacent[start[c]] .. of length[c]. met: per node,
+ * overwritten. */
 static void join_nodes(const struct pattern *p, int *start, int *length, int *adjacent, int *met)
 {
     int write = 0;
@@ -145,10 +151,12 @@ static void join_nodes(const struct pattern *p, int *start, int *length, int *ad
     }
 }
 
-/* Fronts with fewer pivots than this join their parent, if that has as few: their zeros cost less than passing them on. */
+/* Fronts with fewer pivots join a parent that also has fewer: their zeros are cheaper than the
+ * transfer. */
 enum { FEW_PIVOTS = 4 };
 
-/* The elimination tree, per step. into: the step a step was joined to; chain: the steps joined to one, itself first. */
+/* The elimination tree, per step. into: the step that a step joined; chain: the steps joined to
+ * one, itself first. */
 struct tree {
     int *child, *next, *pivots, *rows, *into, *chain, *tail, *number, *order;
     int fronts, all_rows;
@@ -173,7 +181,7 @@ static void grow_tree(const struct pattern *p, const struct ordering *o, struct 
     }
 }
 
-/* A child joins its parent where that adds no zeros, or where both are small. */
+/* Join a child to its parent if that adds no zeros, or if both are small. */
 static void amalgamate(const struct ordering *o, struct tree *t)
 {
     for (int p = 0; p < o->count; p++) {
@@ -237,7 +245,8 @@ static int parent_front(const struct ordering *o, const struct tree *t, int s)
     return t->number[up];
 }
 
-/* Rows of every front: its pivots, step by step, then what its own step was next to. home: the front that eliminates a variable. */
+/* Write the rows of every front: its pivots by step, then the neighbours of its own step. home:
+ * the front that eliminates a variable. */
 static void write_rows(const struct pattern *p, const struct ordering *o, const struct tree *t, struct analysis *a, int *with, int *head, int *home)
 {
     for (int s = 0; s < o->count; s++)
@@ -268,7 +277,7 @@ static void write_rows(const struct pattern *p, const struct ordering *o, const 
 static void write_places(int nz, const int *row, const int *column, const struct ordering *o, const struct tree *t, struct analysis *a,
                          const int *home, int *fill, int *place)
 {
-    for (int k = 0; k < nz; k++) { /* an entry belongs to the front that eliminates either variable first */
+    for (int k = 0; k < nz; k++) { /* an entry belongs to the front that eliminates the first of its variables */
         int i = home[row[k] - 1], j = home[column[k] - 1];
         a->first_entry[(i < j ? i : j) + 1]++;
     }

@@ -1,20 +1,23 @@
-/* Factorisation front by front with pivots of one and two variables: Duff and Reid, The multifrontal solution of indefinite sparse symmetric
- * linear equations, ACM Trans. Math. Softw. 9 (1983). A variable without an acceptable pivot is put off to the parent.
- * Pivots are sought in a front and eliminated by panels, so that what is updated stays in the cache.
+/* Factorise front by front with pivots of one and two variables: Duff and Reid, The multifrontal
+ * solution of indefinite sparse symmetric linear equations, ACM Trans. Math. Softw. 9 (1983). A
+ * variable without an acceptable pivot is delayed to the parent. Pivots are searched and
+ * eliminated by panels that stay in the cache.
  *
- * Kept of a front: in `index` its rows, its pivots, the rows' variables, the kind of each pivot, the length of all that; in `real` rows x pivots
- * column by column, the inverse of D on the diagonal (and below it in a pair), L below. */
+ * Stored per front, in `index`: numbers of rows and pivots, the rows' variables, the kind of
+ * each pivot, the total length. In `real`: rows x pivots by columns, the inverse of D on the
+ * diagonal (and below it in a pair), L below. */
 
 #include <math.h>
 #include <string.h>
 
 #include "ldlt.h"
 
-/* A symmetric front, its lower triangle by columns. The first `choosable` columns may become pivots, k of them are. */
+/* A symmetric front, its lower triangle by columns. Pivots come from the first `choosable`
+ * columns. */
 struct front {
     int rows, choosable;
     double *entry;
-    double *product; /* per pivot the column L D, rows long */
+    double *product; /* column L D per pivot, `rows` long */
     int *variable, *kind;
 };
 
@@ -23,13 +26,13 @@ static inline double *column_of(const struct front *f, int j)
     return f->entry + (size_t)j * (size_t)f->rows;
 }
 
-/* No pivot: its inverse is no number. */
+/* Smallest pivot; the inverse of a smaller one is not finite. */
 static const double NOTHING = 1e-300;
 
-/* Columns of a front kept up to date while pivots are sought among them; the others follow when these give no more. */
+/* Columns kept up to date during the search for pivots; the others follow when no pivot remains. */
 enum { PANEL = 48 };
 
-/* Pivots are sought with this threshold first, and with the caller's where there are none. */
+/* First pivot threshold; the caller's threshold applies if this accepts no pivot. */
 static const double CAREFUL = 0.01;
 
 static void exchange(double *a, double *b)
@@ -56,7 +59,8 @@ static void swap(struct front *f, int a, int b)
         exchange(first + i, second + i);
 }
 
-/* Largest entry of column c from row k on, off the diagonal and but for row `but`; *inner: the choosable row with the largest. */
+/* Return the largest entry of column c from row k, without the diagonal and row `but`; *inner:
+ * the choosable row with the largest entry. */
 static double largest(const struct front *f, int k, int c, int but, int *inner)
 {
     double most = 0.0, chosen = -1.0;
@@ -78,7 +82,8 @@ static double largest(const struct front *f, int k, int c, int but, int *inner)
     return most;
 }
 
-/* Brings an acceptable pivot to k: 1 or 2 variables, 0 if there is none; -1: a column is zero, now and in every front to come. */
+/* Move an acceptable pivot to k: return 1 or 2 variables, 0 without one, -1 if a column is zero
+ * in this front and all later ones. */
 static int choose(struct front *f, int k, double u)
 {
     for (int c = k; c < f->choosable; c++) {
@@ -106,9 +111,11 @@ static int choose(struct front *f, int k, double u)
     return 0;
 }
 
-/* Eliminates the variable at k from the choosable columns; its own becomes that of L. Returns how many eigenvalues are negative. Columns are divided
- * and not multiplied by an inverse: a row stated twice then leaves zeros more often than rounding. Rounding that is left becomes a pivot, as with
- * MA27: it cannot be told from a barrier's terms, which fall to 1e-18, and a degenerate problem regularised for these ends off its solution. */
+/* Eliminate the variable at k from the choosable columns; its own column becomes that of L.
+ * Return the number of negative eigenvalues. Columns are divided instead of multiplied by an
+ * inverse: a repeated row then leaves exact zeros more often. A pivot of pure rounding is
+ * accepted, as in MA27: barrier terms fall to 1e-18, and regularising degenerate problems for
+ * them moves the solution. */
 static int eliminate_one(struct front *f, int k)
 {
     double *restrict l = column_of(f, k), *restrict product = f->product + (size_t)k * (size_t)f->rows;
@@ -157,7 +164,8 @@ static int eliminate_pair(struct front *f, int k)
     return determinant < 0.0 ? 1 : a + c < 0.0 ? 2 : 0;
 }
 
-/* The columns behind the choosable ones lose what the pivots from `first` to before `pivots` eliminated, four at a time. */
+/* Update the columns behind the choosable ones with pivots `first` to `pivots` - 1, four at a
+ * time. */
 static void update_rest(struct front *f, int first, int pivots)
 {
     int rows = f->rows;
@@ -184,8 +192,8 @@ static void update_rest(struct front *f, int first, int pivots)
     }
 }
 
-/* Eliminates what can be of the choosable columns, panel by panel, with threshold u; adds the negative eigenvalues. Returns how many columns, -1
- * where the matrix is singular. */
+/* Eliminate the choosable columns by panels with threshold u; add the negative eigenvalues.
+ * Return the number of eliminated columns, -1 for a singular matrix. */
 static int eliminate(struct front *f, double u, int *negative)
 {
     int all = f->choosable, k = 0, applied = 0;
@@ -209,7 +217,7 @@ static int eliminate(struct front *f, double u, int *negative)
     }
 }
 
-/* Contributions that wait for their parent: lower triangles, and the variables put off. */
+/* Contributions that wait for their parent: lower triangles, and the delayed variables. */
 struct waiting {
     double *entry;
     size_t capacity, top;
@@ -231,7 +239,8 @@ static int enough(double **block, size_t *capacity, size_t needed)
     return 1;
 }
 
-/* Adds the youngest waiting child to its parent; its late variables are put at `at`. Returns how many. */
+/* Add the youngest waiting child to its parent, with its delayed variables at `at`. Return their
+ * number. */
 static int add_child(const struct analysis *a, struct front *f, struct waiting *w, int own, int delayed, int at, int *place)
 {
     int size = w->rows[--w->children], late = w->late[w->children], child = w->front[w->children];
@@ -276,7 +285,7 @@ static void assemble(const struct analysis *a, int s, const double *value, struc
         at += add_child(a, f, w, own, delayed, at, place);
 }
 
-/* The columns from k on wait for the parent. */
+/* Store the columns from k on for the parent. */
 static int pass_on(struct front *f, int s, int k, struct waiting *w)
 {
     int rest = f->rows - k;
@@ -332,7 +341,7 @@ int factorise(const struct analysis *a, const double *value, double u, double *r
         }
         assemble(a, s, value, &f, &w, delayed, place);
         int k = eliminate(&f, u, &out->negative);
-        if (k < 0) /* the rank is short of n: no front to come can mend that */
+        if (k < 0) /* rank below n: no later front can change that */
             break;
         if (out->reals + (int64_t)f.rows * k > reals)
             status = REALS_TOO_SHORT;
@@ -355,7 +364,7 @@ int factorise(const struct analysis *a, const double *value, double u, double *r
     return status;
 }
 
-/* Forward and back substitution with the factor. */
+/* Forward and back substitution. */
 
 static void forward(int rows, int pivots, const int *kind, const double *l, double *w)
 {

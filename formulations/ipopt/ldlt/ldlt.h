@@ -1,4 +1,5 @@
-/* Sparse symmetric indefinite L D L^T by fronts, for the optimality systems of an interior point method. Indices count from 0 but in ma27.c. */
+/* Sparse symmetric indefinite L D L^T by fronts, for the KKT systems of an interior point
+ * method. Indices count from 0, except in ma27.c. */
 
 #ifndef TOUCHSTONE_LDLT_H
 #define TOUCHSTONE_LDLT_H
@@ -7,24 +8,28 @@
 #include <stdint.h>
 #include <stdlib.h>
 
-/* The elimination: fronts, children before parents. One block of integers, so that it can be kept where the caller keeps integers.
- * A front has its pivots first, then the rows it shares with its parent; of an entry (row >= column) the places in its front are told. */
+/* The elimination: fronts, children before parents, in one block of integers that the caller can
+ * store in an integer array. A front has its pivots first, then the rows it shares with its
+ * parent. For each entry (row >= column) the analysis stores its place in the front. */
 struct analysis {
     int n, count;
-    int *pivots, *size, *children, *is_root; /* per front; size: rows, pivots among them */
-    int *first_row, *rows, *in_parent;       /* variables of each front; place of a row that is no pivot among the parent's rows */
+    /* Per front; size counts all rows including the pivots. */
+    int *pivots, *size, *children, *is_root;
+    /* Variables of each front; place of each row without pivot among the parent's rows. */
+    int *first_row, *rows, *in_parent;
     int *first_entry, *entry, *entry_row, *entry_column;
 };
 
-/* What a minimum degree order leaves behind, per step: nodes eliminated together, and the nodes they were next to. */
+/* Result of a minimum degree ordering, per step: the nodes eliminated together, and their
+ * neighbours. */
 struct ordering {
     int count;
     int *parent; /* step that absorbs this one, or -1 */
-    int *leader; /* per node: the step it goes with */
+    int *leader; /* per node: its step */
     int *first, *list;
 };
 
-/* Memory taken together and released together; `failed` once any was refused. */
+/* Allocations that are released together; `failed` is set if one was refused. */
 struct memory {
     void *blocks[24];
     int count, failed;
@@ -46,30 +51,35 @@ static inline void release(struct memory *memory)
         free(memory->blocks[--memory->count]);
 }
 
-/* Neighbours of node i: adjacent[start[i]] .. of length[i]; both lists are used up. False without memory; `out` then is released all the same. */
+/* Order the nodes. The neighbours of node i are adjacent[start[i]] .. of length[i]; both lists
+ * are overwritten. Return 0 without memory; `out` is then already released. */
 int order_nodes(int n, const int *weight, const int *start, int *length, int *adjacent, struct ordering *out);
 void release_ordering(struct ordering *ordering);
 
-/* A block of *length integers to be freed by the caller, or NULL without memory. value: entries, scaled; columns and rows count from 1. */
+/* Return a block of *length integers, to be freed by the caller, or NULL without memory. value:
+ * scaled entries; rows and columns count from 1. */
 int *analyse(int n, int nz, const int *row, const int *column, const double *value, int *length);
-/* The analysis in a block. */
+/* Return the analysis stored in a block. */
 struct analysis view(int *block);
 
 struct outcome {
-    int negative, rank, largest; /* negative eigenvalues, pivots found, rows of the largest front */
-    int64_t reals, integers;     /* room the factor needs, whether it had it or not */
+    int negative;            /* negative eigenvalues */
+    int rank;                /* pivots */
+    int largest;             /* rows of the largest front */
+    int64_t reals, integers; /* required size of the factor, also if the arrays were too short */
 };
 
-/* Of a pivot: alone, or one of a pair. */
+/* Kind of a pivot: single, or first or second of a pair. */
 enum { SINGLE = 1, FIRST = 2, SECOND = 3 };
 
 enum { FACTORISED = 0, NO_MEMORY = -1, INTEGERS_TOO_SHORT = -3, REALS_TOO_SHORT = -4 };
 
-/* value: entries, scaled; u: threshold of the pivots, 0 .. 0.5. A rank below n, whatever is answered, is that of a singular matrix. */
+/* Factorise. value: scaled entries; u: pivot threshold, 0 .. 0.5. A rank below n means a
+ * singular matrix, for any return value. */
 int factorise(const struct analysis *analysis, const double *value, double u, double *real, int64_t reals, int *index, int64_t integers,
               struct outcome *out);
 
-/* x: right side, then solution; work: rows of the largest front. */
+/* Solve. x: right side, then solution; work: as many as the rows of the largest front. */
 void solve_factor(int count, const double *real, const int *index, double *x, double *work);
 
 #endif

@@ -1,8 +1,9 @@
-/* The factorisation behind the calls of MA27, by which every Ipopt can be given a linear solver: Duff and Reid's interface, our own code. Nothing is
- * kept but in the caller's arrays, so that solvers may live side by side and end when they like.
+/* The factorisation behind the calls of MA27, which every Ipopt can load: the interface of Duff
+ * and Reid, our own code. All state is in the caller's arrays, so that solvers are independent.
  *
- * A after a factorisation: the scaling of n variables, then the factor. IW: the length of the analysis, the analysis, the factor's integers.
- * IKEEP[0] tells that IW holds the analysis; where the caller takes longer arrays it is made again. */
+ * A after a factorisation: the scaling of n variables, then the factor. IW: the length of the
+ * analysis, the analysis, the integers of the factor. IKEEP[0] marks an IW that holds the
+ * analysis; it is computed again if the caller allocates longer arrays. */
 
 #include <limits.h>
 #include <math.h>
@@ -20,18 +21,23 @@ EXPORT void ma27bd_(const int *n, const int *nz, const int *irn, const int *icn,
 EXPORT void ma27cd_(const int *n, const double *a, const int *la, const int *iw, const int *liw, double *w, const int *maxfrt, double *rhs, int *iw1,
                     const int *nsteps, int *icntl, int *info);
 
-enum { OUT_OF_MEMORY = -9, SINGULAR = -5, INFO_LENGTH = 20, REALS = 4, INTEGERS = 5, NEGATIVE = 14 }; /* the last three: places in INFO */
+enum { OUT_OF_MEMORY = -9, SINGULAR = -5, INFO_LENGTH = 20 };
+/* Places in INFO. */
+enum { REALS = 4, INTEGERS = 5, NEGATIVE = 14 };
 
 static int as_int(double number)
 {
     return number > INT_MAX ? INT_MAX : (int)number;
 }
 
-/* Powers of two that bring the largest entry of every row to about 1: Ruiz, A scaling algorithm to equilibrate both rows and columns norms in
- * matrices (2001), on exponents. False where an entry is not finite. */
+/* Compute powers of two that scale the largest entry of every row to about 1: Ruiz, A scaling
+ * algorithm to equilibrate both rows and columns norms in matrices (2001), on exponents. Return
+ * 0 if an entry is not finite. */
 static int scale_rows(int n, int nz, const int *irn, const int *icn, const double *a, double *scale, int *exponent, int *shift, int *most)
 {
-    enum { SWEEPS = 3, NONE = -100000, LIMIT = 300, INFINITE = 0x7ff, BIAS = 1022 }; /* the last two: of the bits of a double */
+    enum { SWEEPS = 3, NONE = -100000, LIMIT = 300 };
+    /* Bits of a double. */
+    enum { INFINITE = 0x7ff, BIAS = 1022 };
     for (int k = 0; k < nz; k++) {
         uint64_t bits;
         memcpy(&bits, a + k, sizeof bits);
@@ -47,7 +53,7 @@ static int scale_rows(int n, int nz, const int *irn, const int *icn, const doubl
             most[i] = NONE;
         for (int k = 0; k < nz; k++) {
             int i = irn[k] - 1, j = icn[k] - 1, e = exponent[k] + shift[i] + shift[j];
-            most[i] = e > most[i] ? e : most[i]; /* stored always: a branch here is guessed wrong half the time */
+            most[i] = e > most[i] ? e : most[i]; /* unconditional store: a branch is mispredicted half the time */
             most[j] = e > most[j] ? e : most[j];
         }
         for (int i = 0; i < n; i++)
@@ -68,7 +74,8 @@ void ma27id_(int *icntl, double *cntl)
     cntl[0] = 0.1;
 }
 
-/* Nothing yet: which diagonals are zero decides the order, and only values tell. INFO gets room that is enough as a rule. */
+/* Set INFO only: the order depends on which diagonals are zero, and values arrive later. The
+ * sizes in INFO usually suffice. */
 void ma27ad_(const int *n, const int *nz, const int *irn, const int *icn, int *iw, int *liw, int *ikeep, int *iw1, int *nsteps, int *iflag, int *icntl,
              double *cntl, int *info, double *ops)
 {
@@ -81,7 +88,8 @@ void ma27ad_(const int *n, const int *nz, const int *irn, const int *icn, int *i
     *ops = 0.0;
 }
 
-/* The analysis in IW, made if it is not there. Returns its length with the word that tells it; 0 without memory, less where IW is too short. */
+/* Return the length of the analysis in IW with its marker; compute it if it is missing. 0
+ * without memory, negative if IW is too short. */
 static int analysis_in(int n, int nz, const int *irn, const int *icn, const double *value, int *iw, int liw, int *ikeep)
 {
     if (ikeep[0])
@@ -102,7 +110,7 @@ static int analysis_in(int n, int nz, const int *irn, const int *icn, const doub
 static void ask_for(int *info, int *ikeep, int what, double room)
 {
     double most = 1.1 * room + 16.0;
-    info[0] = most > INT_MAX / 2 ? OUT_OF_MEMORY : what; /* callers count in int, and double it */
+    info[0] = most > INT_MAX / 2 ? OUT_OF_MEMORY : what; /* callers double this int */
     info[1] = as_int(most);
     ikeep[0] = 0;
 }

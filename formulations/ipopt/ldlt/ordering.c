@@ -1,6 +1,8 @@
-/* Minimum degree on a quotient graph with approximate degrees: Amestoy, Davis and Duff, An approximate minimum degree ordering algorithm, SIAM J.
- * Matrix Anal. Appl. 17 (1996). An eliminated node becomes an element, the list of its neighbours; the elements next to it are absorbed. Hubs, nodes
- * next to a large part of all, are set aside and come last, together: their lists would be read again at every step. */
+/* Minimum degree on a quotient graph with approximate degrees: Amestoy, Davis and Duff, An
+ * approximate minimum degree ordering algorithm, SIAM J. Matrix Anal. Appl. 17 (1996). An
+ * eliminated node becomes an element, the list of its neighbours, and absorbs adjacent elements.
+ * Hubs, nodes adjacent to a large part of the graph, come last together: every step would read
+ * their lists again. */
 
 #include <limits.h>
 #include <math.h>
@@ -10,7 +12,7 @@
 
 enum { ABSORBED = -2 };
 
-/* Nodes by degree: lists linked both ways. */
+/* Nodes by degree, in doubly linked lists. */
 struct queue {
     int *head, *next, *before, *degree;
     int lowest;
@@ -21,9 +23,9 @@ struct graph {
     int *length, *adjacent; /* a node's list: elements, then neighbours */
     int *elements;          /* how many elements */
     int *gone;              /* eliminated */
-    int *mark;              /* step whose element a node was last met in */
-    int *met;               /* per element: step it was last met in, or ABSORBED */
-    int *outside;           /* per element met: weight of its nodes outside this step's */
+    int *mark; /* step whose element last contained the node */
+    int *met; /* per element: step that last read it, or ABSORBED */
+    int *outside; /* per element: weight of its nodes outside the element of this step */
     int *element_weight;
 };
 
@@ -58,7 +60,7 @@ static int append(struct graph *graph, int i, int step, int *list, int used)
     return used + 1;
 }
 
-/* The element p leaves behind: its neighbours and those of its elements. Returns the end of its list. */
+/* Make the element of p: its neighbours and those of its elements. Return the end of its list. */
 static int make_element(struct graph *graph, int p, int step, struct ordering *out)
 {
     int used = out->first[step];
@@ -76,7 +78,7 @@ static int make_element(struct graph *graph, int p, int step, struct ordering *o
     return used;
 }
 
-/* How much of every element met lies outside the list. */
+/* Compute the weight of each adjacent element outside the list. */
 static void weigh_outside(struct graph *graph, const int *list, int count, int step)
 {
     for (int m = 0; m < count; m++) {
@@ -94,7 +96,8 @@ static void weigh_outside(struct graph *graph, const int *list, int count, int s
     }
 }
 
-/* Node i, next to the new element `step`, forgets what that covers. Returns the weight of what else it is next to, -1 where there is none. */
+/* Remove what the new element `step` covers from node i. Return the weight of its other
+ * neighbours, -1 without any. */
 static int renew(struct graph *graph, int i, int step, struct ordering *out)
 {
     int *own = graph->adjacent + graph->start[i], before = graph->elements[i], kept = 0, degree = 0, write = before;
@@ -102,7 +105,7 @@ static int renew(struct graph *graph, int i, int step, struct ordering *out)
         int e = own[k];
         if (graph->met[e] == ABSORBED)
             continue;
-        if (graph->outside[e] <= 0) { /* all of it is in the new one */
+        if (graph->outside[e] <= 0) { /* entirely in the new element */
             out->parent[e] = step;
             graph->met[e] = ABSORBED;
             continue;
@@ -118,7 +121,8 @@ static int renew(struct graph *graph, int i, int step, struct ordering *out)
         degree += graph->weight[j];
     }
     int plain = write - before;
-    /* The new element after the old ones: i met p as a neighbour or in an element, either of which left the list. */
+    /* Append the new element after the old ones. There is room: p as a neighbour or an element
+     * of i has left the list. */
     if (kept < before)
         memmove(own + kept + 1, own + before, sizeof(int) * (size_t)plain);
     else if (plain > 0)
@@ -161,7 +165,7 @@ static int eliminate_all(int n, struct graph *graph, struct queue *queue, int le
             int i = list[m];
             dequeue(queue, i);
             int degree = renew(graph, i, step, out);
-            if (degree < 0) { /* next to nothing else: eliminated with p without any fill */
+            if (degree < 0) { /* no other neighbours: eliminated with p without fill */
                 graph->gone[i] = 1;
                 out->leader[i] = step;
                 left -= graph->weight[i];
@@ -183,7 +187,8 @@ static int eliminate_all(int n, struct graph *graph, struct queue *queue, int le
     return 1;
 }
 
-/* For every step that hub h is next to, through its nodes or the elements it absorbed: one more of its list, in `count`, or at `end` if that is given. */
+/* For every step adjacent to hub h, through its nodes or absorbed elements: increment `count`,
+ * or append h at `end`. */
 static void reach(const struct graph *graph, int h, const struct ordering *out, int *seen, int *count, int *list, int *end)
 {
     for (int k = 0; k < graph->length[h]; k++) {
@@ -198,7 +203,8 @@ static void reach(const struct graph *graph, int h, const struct ordering *out, 
     }
 }
 
-/* The hubs become the last step; they join the lists of all steps they are next to. seen, count: a place per step and one more. */
+/* Make the hubs the last step, and append them to the lists of all adjacent steps. seen, count:
+ * one place per step and one more. */
 static int append_hubs(const struct graph *graph, const int *hub, int hubs, struct ordering *out, int *seen, int *count)
 {
     int last = out->count;
@@ -208,7 +214,7 @@ static int append_hubs(const struct graph *graph, const int *hub, int hubs, stru
         count[s] = 0;
     }
     for (int q = 0; q < hubs; q++)
-        out->leader[hub[q]] = -1; /* no step yet: a hub next to a hub leads nowhere */
+        out->leader[hub[q]] = -1; /* no step yet: adjacent hubs are skipped */
     for (int q = 0; q < hubs; q++)
         reach(graph, hub[q], out, seen, count, NULL, NULL);
     for (int s = 0; s < last; s++)
@@ -222,7 +228,7 @@ static int append_hubs(const struct graph *graph, const int *hub, int hubs, stru
         if (own > 0)
             memcpy(list + write, out->list + begin, sizeof(int) * (size_t)own);
         out->first[s] = write;
-        count[s] = write + own; /* where its hubs go */
+        count[s] = write + own; /* place of its hubs */
         write += own + more;
         seen[s] = -1;
     }

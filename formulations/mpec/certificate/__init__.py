@@ -1,1 +1,1 @@
-"""Judge a point by the Pyomo model alone, whoever computed the point."""
+"""Certify a point with only the Pyomo model."""

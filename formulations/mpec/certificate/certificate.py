@@ -1,14 +1,14 @@
-"""Judge the point that a Pyomo model's variables hold, whoever computed it.
+"""Certify the point in a Pyomo model's variables, independently of its solver.
 
-certificate = certify(model)
-certificate.holds  # feasible, complementary, and no direction goes down to first order
-print(certificate.sentence)
+    certificate = certify(model)
+    certificate.holds  # feasible, complementary, and no descent direction to first order
+    print(certificate.sentence)
 
-A point may satisfy every residual only because complementarity is not exact:
+A point may satisfy all residuals only because complementarity is inexact:
 
     x y >= 1,   0 <= x complementary to y >= 0        at   x = 5e-13, y = 2e12
 
-`forced` is the largest violation of the constraints after the step that makes every pair exact.
+`forced` is the largest violation of the constraints after a step to exact pairs.
 """
 
 from __future__ import annotations
@@ -38,21 +38,22 @@ from formulations.mpec.certificate.stationarity import (
 )
 from formulations.mpec.kinks import smooth_copy
 
-# Largest step of a variable that makes pairs exact, relative to max(1, |x|): far more than
-# tolerances need, far less than another solution.
+# Largest step of a variable to exact pairs, relative to max(1, |x|): far above tolerances, far
+# below the distance of another solution.
 _SMALL_STEP = 1e-2
-# Sides that are 0 but for rounding of their own terms need no step.
+# A side below the rounding of its own terms needs no step.
 _ROUNDING = 4.0 * float(np.finfo(float).eps)
-# Share of a side that may be left by the step, and of the largest side.
+# Share of a side that the step may leave.
 _EXACT = 1e-3
+# The same, of the largest side.
 _SOLVED = 1e-12
 
 
 def _forced_violation(local: LocalModel) -> float:
-    """Return the largest violation, to first order, after a small step that makes every pair exact.
+    """Return the largest first-order violation after a small step to exact pairs.
 
-    The shortest step, or if that violates a constraint, the step that violates the constraints
-    least. Relative to max(1, |bound|); inf if no small step makes the pairs exact.
+    The step is the shortest one, or if that violates a constraint, the least violating one.
+    Violations are relative to max(1, |bound|); inf without a small step.
     """
     rows = local.rows
     x = rows.value[local.jacobian.shape[0] :]
@@ -79,15 +80,14 @@ def _forced_violation(local: LocalModel) -> float:
 def _least_violation(
     rows: Rows, change: sparse.csr_matrix, scaled: sparse.csr_matrix, step: np.ndarray
 ) -> float:
-    """Return the least violation after a step of at most 1 that moves the sides as this step does.
+    """Return the least violation after a step of at most 1 that moves the sides as `step` does.
 
-    The unit of the linear program is the size of the step, so that the program's tolerance is a
-    small share of the step. inf if there is no such step.
+    The linear program is scaled by the step, so that its tolerance is small. inf without a step.
     """
     unit = float(np.max(np.abs(step)))
     low, high = rows.lower - rows.value, rows.upper - rows.value
     reach = np.asarray(abs(change).sum(axis=1)).ravel()
-    below, above = low > -reach, high < reach  # the others hold after every step
+    below, above = low > -reach, high < reach  # the other rows hold after every step
     matrix = sparse.vstack([-change[below], change[above]])
     size = np.concatenate([rows.size[below], rows.size[above]])
     answer = linprog(
@@ -104,10 +104,7 @@ def _least_violation(
 
 
 def _closed_sides(local: LocalModel) -> tuple[np.ndarray, sparse.csr_matrix]:
-    """Return values and gradients of the sides that pairs hold at 0.
-
-    They are the smaller side of each pair, and the free side of a box between its bounds.
-    """
+    """Return values and gradients of the smaller sides, and of free sides inside boxes."""
     rows, (first, second) = local.rows, local.sides
     held = np.flatnonzero(
         np.array([argument is not None for argument in rows.arguments], dtype=bool)
@@ -119,14 +116,14 @@ def _closed_sides(local: LocalModel) -> tuple[np.ndarray, sparse.csr_matrix]:
     return values, sparse.vstack([smaller, local.jacobian[held]], format="csr")
 
 
-# Feasibility relative to max(1, |bound|); complementarity as min(G, H) of a pair, in the user's
-# units; dual residual relative to the largest derivative of the objective, at the point or around
-# it, if that is less than 1. A point polished by this package has 1e-12 in the first two; a solver
-# without polish about 1e-8.
+# Violation of a feasible point, relative to max(1, |bound|). Points polished here have 1e-12 in
+# this and the next residual; solvers without polish have 1e-8.
 FEASIBILITY = 1e-6
+# min(G, H) of a pair, in the user's units.
 COMPLEMENTARITY = 1e-6
+# Dual residual, relative to the objective's largest derivative (nearby), at most 1.
 STATIONARITY = 1e-5
-# A row, bound or side this near zero is active.
+# A row, bound or side this close to zero is active.
 _ACTIVE = 1e-6
 
 
@@ -134,8 +131,8 @@ _ACTIVE = 1e-6
 class Tolerances:
     """Largest violations of a feasible point.
 
-    feasibility: of rows, bounds and sides, relative to max(1, |bound|); complementarity: of
-        min(G, H) of a pair
+    feasibility: of rows, bounds and sides, relative to max(1, |bound|)
+    complementarity: of min(G, H) of a pair
     """
 
     feasibility: float = FEASIBILITY
@@ -147,8 +144,8 @@ class Multipliers:
     """Multipliers by component; missing multipliers are 0.
 
     gradient (sense * f) = sum rows[c] gradient c + sum bounds[x] + sum of pairs
-    rows, bounds: positive pushes away from a lower bound. pairs: (multiplier of the body of the
-        first argument, of the second) of `complements`.
+    rows, bounds: positive at a lower bound
+    pairs: (multiplier of the body of the first argument, of the second) of `complements`
     """
 
     rows: Mapping[Any, float] = field(default_factory=ComponentMap)
@@ -156,7 +153,7 @@ class Multipliers:
     pairs: Mapping[Any, tuple[float, float]] = field(default_factory=ComponentMap)
 
     def __post_init__(self) -> None:
-        for name in ("rows", "bounds", "pairs"):  # Pyomo's components are not hashable in general
+        for name in ("rows", "bounds", "pairs"):  # Pyomo's components are not hashable
             object.__setattr__(self, name, ComponentMap(getattr(self, name).items()))
 
 
@@ -164,15 +161,17 @@ class Multipliers:
 class Certificate:
     """Residuals and stationarity of a point.
 
-    primal: largest violation of a row, a bound or a side of a pair [user's units]; complementarity:
-        largest min(G, H)
-    forced: violation of the constraints (relative) if the pairs held exactly, to first order
-    dual: residual of the multipliers (relative); given_dual: residual and wrong signs of the
-        multipliers given by the caller, NaN if none were given
-    biactive: pairs with both sides zero; obstacle: what prevents strong stationarity, in words
-    descent: slope of a direction that goes down (0: B-stationary; NaN: not known)
-    worst: the name of the component with the largest violation; objective: in the model's own sense
-    endless: a clause on a derivative that is infinite or undefined at the point; empty without one
+    primal: largest violation of a row, a bound or a side of a pair [user's units]
+    complementarity: largest min(G, H)
+    forced: relative violation of the constraints with exact pairs, to first order
+    dual: relative residual of the multipliers
+    given_dual: residual of the caller's multipliers, including wrong signs, NaN without
+    biactive: pairs with both sides zero
+    obstacle: clause on what prevents strong stationarity
+    descent: slope of a descent direction (0: B-stationary; NaN: not known)
+    worst: component with the largest violation
+    objective: in the model's own sense
+    endless: clause on an infinite or undefined derivative, or empty
     """
 
     primal: float
@@ -194,12 +193,12 @@ class Certificate:
 
     @property
     def feasible(self) -> bool:
-        """Within tolerances, and not thanks to them: no constraint needs a pair to be violated."""
+        """Return whether the point is within tolerances, and stays so with exact pairs."""
         return self._within and self.forced <= FEASIBILITY
 
     @property
     def lives_on_tolerance(self) -> bool:
-        """Whether the point is within tolerances, but no point with exact pairs is near."""
+        """Return whether the point is within tolerances, but exact pairs violate them."""
         return self._within and not self.forced <= FEASIBILITY and not self.endless
 
     @property
@@ -211,26 +210,26 @@ class Certificate:
 
     @property
     def strong(self) -> bool:
-        """Whether the point is strongly stationary (S-stationary), which implies B-stationary."""
+        """Return whether the point is strongly stationary (S-stationary), hence B-stationary."""
         return self.stationarity is Stationarity.STRONG
 
     @property
     def b_stationary(self) -> bool | None:
-        """Whether no direction goes down to first order; None if that is not known."""
+        """Return whether there is no descent direction to first order; None if not known."""
         if self.strong:
             return True
         return None if math.isnan(self.descent) else self.descent >= -STATIONARITY
 
     @property
     def holds(self) -> bool:
-        """Feasible, complementary and B-stationary; and multipliers that were given are right."""
+        """Return whether the point is feasible and B-stationary, and given multipliers fit."""
         return (
             self.feasible and self.b_stationary is True and not self.given_dual > STATIONARITY * 10
         )
 
     @property
     def sentence(self) -> str:
-        """Residuals and stationarity in words."""
+        """Return residuals and stationarity as text."""
         measured = f"primal {self.primal:.1e}, complementarity {self.complementarity:.1e}, in the model's units"
         if not (self.endless and math.isnan(self.dual)):
             measured += f", dual {self.dual:.1e} of the gradient"
@@ -250,7 +249,7 @@ class Certificate:
 
     @property
     def stationary_as(self) -> str:
-        """Stationarity in words, and what prevents it."""
+        """Return the stationarity as text, with the obstacle."""
         if self.strong:
             return "S-stationary"
         consequence = {
@@ -264,32 +263,31 @@ class Certificate:
 def certify(
     model: Any, multipliers: Multipliers | None = None, *, tolerances: Tolerances = Tolerances()
 ) -> Certificate:
-    """Judge the current values of a model's variables. The model is only read.
+    """Certify the current values of a model's variables; the model is only read.
 
-    Absolute values, minima and maxima of variables are judged as the pairs that they are
-    (`formulations.mpec.kinks`).
+    Absolute values, minima and maxima are treated as pairs (`formulations.mpec.kinks`).
 
     Parameters
     ----------
     model : a Pyomo model
-    multipliers : if given they are checked too, where the model has no such kinks
-    tolerances : up to which violation the point counts as feasible
+    multipliers : checked too, if the model has no such kinks
+    tolerances : largest violations of a feasible point
 
     Raises
     ------
     ModelRefusedError
-        for what is no Pyomo model
+        if this is not a Pyomo model
     MissingValueError
-        where a component needs an Expression that is empty
+        if a component needs an Expression that is empty
     """
     refuse_no_model(model)
     try:
         with PauseGC():
             local = read_local(model, _ACTIVE)
     except NotSmoothError:
-        found = certify(smooth_copy(model).model, tolerances=tolerances)
+        smooth = certify(smooth_copy(model).model, tolerances=tolerances)
         return replace(
-            found, notes=(*found.notes, "absolute values, minima and maxima are written as pairs")
+            smooth, notes=(*smooth.notes, "absolute values, minima and maxima are written as pairs")
         )
     first, second = local.sides
     negative = np.fmax(0.0, -np.fmin(first, second))
@@ -298,24 +296,24 @@ def certify(
     sources = [*local.rows.sources, *(pair.source for pair in local.pairs)]
     worst = _largest(violations)
     active = active_set(local, _ACTIVE)
-    given, forced, notes, endless = math.nan, math.nan, local.notes, ""
+    given_dual, forced, notes, endless = math.nan, math.nan, local.notes, ""
     if _is_finite(local):
-        found, forced = judge(local, active, STATIONARITY), _forced_violation(local)
-        given = math.nan if multipliers is None else _given_residual(local, multipliers)
+        verdict, forced = judge(local, active, STATIONARITY), _forced_violation(local)
+        given_dual = math.nan if multipliers is None else _given_residual(local, multipliers)
     else:
         endless = _endless_slope(local)
         notes = notes or (
             endless or "a function or derivative is not a finite number at this point",
         )
-        found = Verdict(kind=Stationarity.NONE, residual=math.nan, obstacle=notes[0])
-        if endless and not len(_closed_sides(local)[0]):  # no pair that a step would make exact
+        verdict = Verdict(kind=Stationarity.NONE, residual=math.nan, obstacle=notes[0])
+        if endless and not len(_closed_sides(local)[0]):  # no pair needs a step
             forced = _forced_violation(local)
         blocked = _without_endless_slopes(local) if endless else None
         if blocked is not None:
             forced = _forced_violation(blocked)
             judged = judge(blocked, active_set(blocked, _ACTIVE), STATIONARITY)
-            found = replace(
-                found,
+            verdict = replace(
+                verdict,
                 residual=judged.residual,
                 descent=0.0 if judged.kind is Stationarity.STRONG else judged.descent,
             )
@@ -324,13 +322,13 @@ def certify(
         primal_relative=_largest(relative),
         complementarity=_largest(np.maximum(0.0, np.minimum(first, second))),
         forced=forced,
-        dual=found.residual,
-        given_dual=given,
+        dual=verdict.residual,
+        given_dual=given_dual,
         pairs=len(local.pairs),
         biactive=len(active.both),
-        stationarity=found.kind,
-        obstacle=found.obstacle,
-        descent=found.descent,
+        stationarity=verdict.kind,
+        obstacle=verdict.obstacle,
+        descent=verdict.descent,
         tolerances=tolerances,
         worst=""
         if worst == 0.0
@@ -342,7 +340,6 @@ def certify(
 
 
 def _endless_slope(local: LocalModel) -> str:
-    """Name a function whose value is a number, but whose derivative is not; empty if a value is not."""
     if not (np.all(np.isfinite(local.rows.value)) and np.all(np.isfinite(local.sides))):
         return ""
     if not math.isfinite(local.objective):
@@ -365,10 +362,9 @@ def _endless_slope(local: LocalModel) -> str:
 
 
 def _without_endless_slopes(local: LocalModel) -> LocalModel | None:
-    """Return the model with variables fixed that leave their bounds only at an infinite cost.
+    """Return the model with variables fixed that can leave their bounds only at an infinite cost.
 
-    A direction along such a variable does not go down, so that the others decide. None if a slope
-    that is not finite is of another kind.
+    Such a direction is no descent. None if another derivative is not finite.
     """
     m = local.jacobian.shape[0]
     low, high = at_bounds(local.rows, _ACTIVE)
@@ -385,10 +381,6 @@ def _without_endless_slopes(local: LocalModel) -> LocalModel | None:
 
 
 def _given_residual(local: LocalModel, multipliers: Multipliers) -> float:
-    """Return the largest residual of the given multipliers, relative to the scale.
-
-    Residuals are the rest of the gradient, and multipliers with a wrong sign or of inactive rows.
-    """
     rows, m = local.rows, local.jacobian.shape[0]
     y = np.array(
         [
@@ -418,10 +410,7 @@ def _given_residual(local: LocalModel, multipliers: Multipliers) -> float:
 
 
 def _wrong(multiplier: np.ndarray, distance: np.ndarray, size: np.ndarray | float) -> np.ndarray:
-    """Return by how much each multiplier (rows,) is wrong.
-
-    An inactive row counts with its whole multiplier, an active row times its distance.
-    """
+    """Return the error of each multiplier (rows,), of active rows times their distance."""
     return np.abs(multiplier) * np.where(distance <= _ACTIVE * size, np.maximum(0.0, distance), 1.0)
 
 
@@ -432,13 +421,11 @@ def _row_multiplier(source: Any, argument: int | None, multipliers: Multipliers)
 
 
 def _pair_multipliers(pair: Pair, multipliers: Multipliers) -> tuple[float, float]:
-    """Return the multipliers (nu, mu) of the two sides, in the signs of the pair."""
-    given = multipliers.pairs.get(pair.source, (0.0, 0.0))
-    return pair.first_flip * given[pair.arguments[0]], pair.second_flip * given[pair.arguments[1]]
+    both = multipliers.pairs.get(pair.source, (0.0, 0.0))
+    return pair.first_flip * both[pair.arguments[0]], pair.second_flip * both[pair.arguments[1]]
 
 
 def _largest(values: np.ndarray) -> float:
-    """Return the largest value: 0.0 for no value, NaN if a value is NaN, never -0.0."""
     return float(np.max(values)) + 0.0 if values.size else 0.0
 
 

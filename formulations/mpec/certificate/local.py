@@ -1,10 +1,10 @@
 """A Pyomo model at its current values, to first order.
 
-local = read_local(model, 1e-6)
-local.rows.value, local.gradient, local.sides
+    local = read_local(model, 1e-6)
+    local.rows.value, local.gradient, local.sides
 
-Values are by `pyomo.value`. Derivatives are by the compiler of `formulations.ipopt`, and every
-expression's are compared with a difference of Pyomo's values along a random direction.
+Values come from `pyomo.value`, derivatives from `formulations.ipopt`. Each derivative is checked
+against a difference of Pyomo's values in a random direction.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from formulations.ipopt.model import (
 )
 from formulations.ipopt.problem import compile_model
 
-# Step of the differences, relative to max(1, |x|): near the root of the machine's precision.
+# Step of the differences relative to max(1, |x|): about the square root of the machine precision.
 _STEP = 1e-8
-# Derivatives that differ by less agree, relative to the largest that the direction can make of them.
+# Derivatives agree within this, relative to the largest possible in the direction.
 _AGREE = 1e-6
-# Rounding of a value, relative.
+# Relative rounding of a value.
 _ROUNDING = 1e-14
 
 
@@ -46,8 +46,8 @@ _ROUNDING = 1e-14
 class Rows:
     """lower <= value <= upper, each (rows,).
 
-    sources: the components: constraints, arguments of complementarities that must hold, variables
-    arguments: which argument of `complements` a row is; None for the others
+    sources: constraints, arguments of complementarities without a choice, variables
+    arguments: number of the argument of `complements`, or None
     """
 
     sources: tuple[Any, ...]
@@ -58,7 +58,7 @@ class Rows:
 
     @property
     def size(self) -> np.ndarray:
-        """Return the larger finite bound of each row (rows,), at least 1 [units of the rows].
+        """Return the larger finite |bound| of each row (rows,), at least 1 [row units].
 
         Raises nothing.
         """
@@ -66,20 +66,17 @@ class Rows:
         return np.maximum(1.0, np.max(np.where(np.isfinite(bounds), bounds, 0.0), axis=0))
 
     def violation(self, value: np.ndarray) -> np.ndarray:
-        """Return by how much these values (rows,) exceed their bounds [units of the rows].
-
-        NaN if a value or a bound is NaN. Raises nothing.
-        """
+        """Return how far these values (rows,) exceed their bounds [row units]. Raises nothing."""
         with np.errstate(invalid="ignore"):
             return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pair:
-    """Two sides 0 <= first, 0 <= second, complementary.
+    """Two complementary sides 0 <= first, 0 <= second.
 
-    A flip is -1 where a side is the negative of what the user wrote (upper bound); arguments: which
-    argument of `complements` each side is
+    A flip is -1 if the side is the negative of the user's expression (upper bound).
+    arguments: number of the argument of `complements` of each side
     """
 
     source: Any
@@ -94,10 +91,12 @@ class Pair:
 class LocalModel:
     """The model to first order at a point.
 
-    goal: the objective's component, None without one; objective: in the model's own sense; gradient (n,): of what is minimised; scale: largest
-        derivative of the objective, at least its size nearby
-    rows: those with jacobian (m, n), then the variables within their bounds; pairs with gradients
-        first_jacobian, second_jacobian (pairs, n), in the signs of `Pair`
+    goal: the objective's component, or None
+    objective: in the model's own sense
+    gradient: (n,) of the minimised objective
+    scale: largest derivative of the objective, at the point or nearby
+    rows: those with jacobian (m, n), then the variables within their bounds
+    first_jacobian, second_jacobian: (pairs, n), gradients of the pairs in the signs of `Pair`
     """
 
     variables: tuple[Any, ...]
@@ -114,10 +113,7 @@ class LocalModel:
 
     @property
     def sides(self) -> np.ndarray:
-        """Return the first and the second sides of the pairs (2, pairs) [units of the sides].
-
-        Raises nothing.
-        """
+        """Return the first and the second sides (2, pairs) [side units]. Raises nothing."""
         return np.array(
             [[pair.first for pair in self.pairs], [pair.second for pair in self.pairs]], dtype=float
         )
@@ -132,7 +128,7 @@ class LocalModel:
 
 @contextmanager
 def values_set(variables: Iterable[Any], numbers: Iterable[float]) -> Iterator[None]:
-    """Set variables to these numbers inside the context; restore values and staleness after it."""
+    """Set variables within the context; then restore values and staleness."""
     variables = list(variables)
     kept = [(variable, variable.value, variable.stale) for variable in variables]
     try:
@@ -146,7 +142,7 @@ def values_set(variables: Iterable[Any], numbers: Iterable[float]) -> Iterator[N
 
 
 def number_of(expression: Any) -> float:
-    """Return Pyomo's value of an expression; NaN if it has none."""
+    """Return Pyomo's value of an expression, NaN without a value."""
     try:
         number = pyo.value(expression, exception=False)
     except (ArithmeticError, ValueError, OverflowError):
@@ -155,7 +151,6 @@ def number_of(expression: Any) -> float:
 
 
 def _filled(source: Any, expression: Any, number: float) -> float:
-    """Return the number; raise MissingValueError if it is NaN because an Expression is empty."""
     hole = _empty_expression(expression) if math.isnan(number) else None
     if hole is not None:
         raise MissingValueError(
@@ -165,7 +160,6 @@ def _filled(source: Any, expression: Any, number: float) -> float:
 
 
 def _empty_expression(expression: Any) -> str | None:
-    """Return the name of an empty Expression inside an expression."""
     stack = [expression]
     while stack:
         node = stack.pop()
@@ -180,8 +174,9 @@ def _empty_expression(expression: Any) -> str | None:
 class Derivatives:
     """First derivatives of expressions by the n variables.
 
-    gradient (n,): of the minimised objective, scale: its size at the point and nearby; jacobian
-        (expressions, n): of the others
+    gradient: (n,) of the minimised objective
+    scale: size of the gradient, at the point or nearby
+    jacobian: (expressions, n)
     """
 
     variables: tuple[Any, ...]
@@ -196,17 +191,8 @@ def derivatives_of(
 ) -> Derivatives:
     """Return the derivatives of Pyomo expressions and of an objective at the variables' values.
 
-    They are NaN if Pyomo's values contradict them.
-
-    Parameters
-    ----------
-    valued, objective : expressions and their values by Pyomo
-    sense : of the objective
-
-    Raises
-    ------
-    ModelRefusedError, MissingValueError
-        if the expressions cannot be compiled; the number of an expression is in the message
+    They are NaN if they contradict Pyomo's values. `valued` and `objective` are expressions with
+    their values. Raises ModelRefusedError or MissingValueError with the number of the expression.
     """
     bodies, goal = [body for body, _ in valued], objective[0]
     scratch = pyo.ConcreteModel()
@@ -233,15 +219,15 @@ def derivatives_of(
 
 
 def _unknown(expressions: Sequence[Any], note: str) -> Derivatives:
-    found = {
+    variables = {
         id(variable): variable
         for expression in expressions
         if is_potentially_variable(expression)
         for variable in identify_variables(expression, include_fixed=False)
     }
-    n = len(found)
+    n = len(variables)
     return Derivatives(
-        variables=tuple(found.values()),
+        variables=tuple(variables.values()),
         gradient=np.full(n, math.nan),
         scale=1.0,
         jacobian=sparse.csr_matrix((len(expressions) - 1, n)),
@@ -255,10 +241,10 @@ def _contradicted(
     x: np.ndarray,
     jacobian: sparse.csr_matrix,
 ) -> int:
-    """Return how many expressions have another slope along a random direction by Pyomo's values.
+    """Return how many expressions contradict Pyomo's values along a random direction.
 
-    Values that are not numbers contradict nothing. Where a difference is too rough, because of
-    curvature or rounding, Pyomo's derivatives decide.
+    NaN contradicts nothing. If curvature or rounding spoil a difference, Pyomo's derivatives
+    decide.
     """
     expressions, values = zip(*valued, strict=True)
     random = np.random.default_rng(0)
@@ -273,36 +259,30 @@ def _contradicted(
 
 
 def _is_pyomos(expression: Any, variables: Sequence[Any], slopes: sparse.csr_matrix) -> bool:
-    """Whether these derivatives (1, n) are those that Pyomo computes; False if it has none."""
-    found = list(identify_variables(expression, include_fixed=False))
+    free = list(identify_variables(expression, include_fixed=False))
     try:
         # Pyomo would differentiate by a Param that is an exponent, too.
         numeric = evaluate_fixed_subexpressions(expression)
-        theirs = differentiate(numeric, wrt_list=found, mode=Modes.reverse_numeric)
+        derivatives = differentiate(numeric, wrt_list=free, mode=Modes.reverse_numeric)
     except (DifferentiationException, ArithmeticError, ValueError):
         return False
-    own = {id(variables[k]): slope for k, slope in zip(slopes.indices, slopes.data, strict=True)}
-    pyomos = {id(variable): slope for variable, slope in zip(found, theirs, strict=True)}
+    slope_of = {
+        id(variables[k]): slope for k, slope in zip(slopes.indices, slopes.data, strict=True)
+    }
+    pyomos = {id(variable): slope for variable, slope in zip(free, derivatives, strict=True)}
     limit = _AGREE * max(1.0, float(np.max(np.abs(slopes.data), initial=0.0)))
     return all(
-        abs(own.get(key, 0.0) - pyomos.get(key, 0.0)) <= limit for key in own.keys() | pyomos.keys()
+        abs(slope_of.get(key, 0.0) - pyomos.get(key, 0.0)) <= limit
+        for key in slope_of.keys() | pyomos.keys()
     )
 
 
 def read_local(model: Any, near: float) -> LocalModel:
-    """Return all active components at their current values.
+    """Read all active components at their current values.
 
-    Parameters
-    ----------
-    model : a Pyomo model
-    near : a box within this of a bound is a pair with that bound
-
-    Raises
-    ------
-    MissingValueError
-        if a component needs an Expression that is empty
-    NotSmoothError
-        for an absolute value, a minimum or a maximum of variables
+    near: largest distance at which a box is a pair with its bound
+    Raises MissingValueError for an empty Expression, NotSmoothError for abs, min or max of
+    variables.
     """
     rows: list[tuple[Any, int | None, float, float, float]] = []
     bodies: list[Any] = []
@@ -346,7 +326,7 @@ def read_local(model: Any, near: float) -> LocalModel:
     valued = [*zip(bodies, [value for _, _, value, _, _ in rows], strict=True)]
     valued += [first for first, _ in sides] + [second for _, second in sides]
     try:
-        found = derivatives_of(valued, (goal, objective), sense)
+        derivatives = derivatives_of(valued, (goal, objective), sense)
     except NotSmoothError:
         raise
     except (ModelRefusedError, MissingValueError) as error:
@@ -354,9 +334,10 @@ def read_local(model: Any, near: float) -> LocalModel:
         why = re.sub(
             r"expression\[(\d+)\]", lambda number: sources[int(number[1])].name, str(error)
         )
-        found = _unknown([*(body for body, _ in valued), goal], f"no derivatives: {why}")
+        derivatives = _unknown([*(body for body, _ in valued), goal], f"no derivatives: {why}")
     rows += [
-        (variable, None, number_of(variable), *bounds_of(variable)) for variable in found.variables
+        (variable, None, number_of(variable), *bounds_of(variable))
+        for variable in derivatives.variables
     ]
     sources, arguments, values, lower, upper = tuple(zip(*rows, strict=True)) or ((),) * 5
     flips = [
@@ -364,11 +345,11 @@ def read_local(model: Any, near: float) -> LocalModel:
         for name in ("first_flip", "second_flip")
     ]
     return LocalModel(
-        variables=found.variables,
+        variables=derivatives.variables,
         goal=minimised,
         objective=objective,
-        gradient=found.gradient,
-        scale=found.scale,
+        gradient=derivatives.gradient,
+        scale=derivatives.scale,
         rows=Rows(
             sources=sources,
             arguments=arguments,
@@ -376,16 +357,15 @@ def read_local(model: Any, near: float) -> LocalModel:
             lower=np.array(lower),
             upper=np.array(upper),
         ),
-        jacobian=found.jacobian[:m],
+        jacobian=derivatives.jacobian[:m],
         pairs=tuple(pairs),
-        first_jacobian=(flips[0] @ found.jacobian[m : m + k]).tocsr(),
-        second_jacobian=(flips[1] @ found.jacobian[m + k :]).tocsr(),
-        notes=found.notes,
+        first_jacobian=(flips[0] @ derivatives.jacobian[m : m + k]).tocsr(),
+        second_jacobian=(flips[1] @ derivatives.jacobian[m + k :]).tocsr(),
+        notes=derivatives.notes,
     )
 
 
 def _bounded(condition: Any, argument: Any) -> tuple[Any, Any, Any]:
-    """Return (lower, body, upper) of an argument, as Pyomo reads it."""
     form = condition._canonical_expression(argument)
     lower, body, upper = (form[0], form[1], form[0]) if len(form) == 2 else form
     low, high = (
@@ -397,7 +377,7 @@ def _bounded(condition: Any, argument: Any) -> tuple[Any, Any, Any]:
 def _local_pair(
     condition: Any, sides: list[tuple[Any, Any, Any]], near: float
 ) -> tuple[Pair, tuple[tuple[Any, float], tuple[Any, float]]] | None:
-    """Return the condition near this point as a pair, its expressions and their values.
+    """Return the condition at this point as a pair, its expressions and values.
 
     None without a pair.
     """
@@ -417,9 +397,8 @@ def _local_pair(
         return None
     arguments = (0, 1) if counts == [2, 0] else (1, 0)
     (lower, body, upper), (_, free, _) = (sides[k] for k in arguments)
-    if (
-        lower >= upper
-    ):  # equal: an equality; above: a range that holds no number, which is a row nothing can meet
+    # Equal bounds are an equality; crossing bounds are a row that nothing satisfies.
+    if lower >= upper:
         return None
     value, other = number_of(body), number_of(free)
     to_low, to_high = value - lower, upper - value
@@ -439,13 +418,12 @@ def _local_pair(
 
 
 def _distance(lower: Any, body: Any, upper: Any) -> tuple[float, float, float]:
-    """Return the distance to the one bound of a side, its flip, and the value of its expression."""
     value = number_of(body)
     return (value - lower, 1.0, value) if upper is None else (upper - value, -1.0, value)
 
 
 def _imposed(sides: list[tuple[Any, Any, Any]]) -> list[tuple[int, tuple[Any, Any, Any]]]:
-    """Return (number of the argument, relation) of the relations that hold without a choice.
+    """Return (number of the argument, relation) of the relations without a choice.
 
     Inside a box the free side is 0.
     """

@@ -1,12 +1,12 @@
-"""Stationarity of a point by its multipliers, from one linear program.
+"""Classify a point by its multipliers, from one linear program.
 
     gradient f = sum y gradient g,   y >= 0 for inequalities and for both sides of a biactive pair
 
-verdict = judge(local, active_set(local, 1e-6), 1e-5)
-verdict.kind is Stationarity.STRONG     # or verdict.obstacle names what prevents it
+    verdict = judge(local, active_set(local, 1e-6), 1e-5)
+    verdict.kind is Stationarity.STRONG  # else verdict.obstacle explains
 
-Where a point is not strongly stationary, a mixed-integer program looks for a direction along which
-the objective falls while one side of each biactive pair stays 0. Without one it is B-stationary.
+If a point is not strongly stationary, a mixed-integer program searches for a descent direction
+that keeps one side of each biactive pair at 0. Without one the point is B-stationary.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from formulations.mpec.certificate.local import LocalModel, Rows
 
-# Tightest tolerance that HiGHS accepts. (As tight a dual one makes its simplex method fail.)
+# Tightest tolerance of HiGHS. An equally tight dual tolerance makes its simplex method fail.
 PROGRAM = {"primal_feasibility_tolerance": 1e-10}
-# Status of SciPy for numerical difficulties.
+# SciPy's status for numerical difficulties.
 _NUMERICAL = 4
-# Share of the tolerance that a program may use: HiGHS holds bounds within its own.
+# Share of the tolerance given to a program, because HiGHS holds bounds only within its own.
 _SHARE = 0.999
 _NONE = np.empty(0, dtype=np.intp)
-# Any direction that goes down answers the question: the search ends within this gap, and unanswered
-# after so many nodes. The largest plan of the bank, with 169 biactive pairs, needs 1.
+# Any descent direction suffices, hence the wide gap. The search gives up after these nodes; the
+# largest plan of the bank, with 169 biactive pairs, needs 1.
 _PIECES = {"mip_rel_gap": 0.9, "node_limit": 1000}
 
 
 class Stationarity(Enum):
-    """Kind of a point by the multipliers it has; the value is its meaning."""
+    """Stationarity by multipliers; the value is the meaning."""
 
     STRONG = "multipliers exist, none of a pair with both sides zero is negative"
     WEAK = "multipliers exist, but one of a pair with both sides zero is negative"
@@ -45,10 +45,11 @@ class Stationarity(Enum):
 class ActiveSet:
     """Conditions that hold with equality within a tolerance.
 
-    normals (k, n): their gradients, each divided by the sum of its absolute entries, which is in
-        sizes (k,): HiGHS reads entries below 1e-9 as 0
-    lowest, highest (k,): limits of their multipliers, each 0 or infinite
-    both (b,): numbers of the biactive pairs; first, second (b,): rows of their sides in `normals`
+    normals: (k, n) gradients, each divided by its absolute sum; HiGHS reads entries below 1e-9 as 0
+    sizes: (k,) these sums
+    lowest, highest: (k,) limits of the multipliers, each 0 or infinite
+    both: (b,) numbers of the biactive pairs
+    first, second: (b,) rows of their sides in `normals`
     """
 
     normals: sparse.csr_matrix
@@ -88,10 +89,7 @@ def active_set(local: LocalModel, tolerance: float) -> ActiveSet:
 
 
 def at_bounds(rows: Rows, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return masks (rows,) of those within the tolerance of their lower, and of their upper bound.
-
-    Raises nothing.
-    """
+    """Return masks (rows,) of rows at their lower, and at their upper bound [-]. Raises nothing."""
     with np.errstate(invalid="ignore"):
         low = np.isfinite(rows.lower) & (
             rows.value - rows.lower <= tolerance * np.maximum(1.0, np.abs(rows.lower))
@@ -111,33 +109,31 @@ class Balance:
 
     @property
     def largest(self) -> float:
-        """Largest component of the rest."""
+        """Return the largest |component| of the rest."""
         return float(np.max(np.abs(self.rest), initial=0.0))
 
     @property
     def slope(self) -> float:
-        """Steepest slope of the objective along |d| <= 1 that the conditions allow (by duality)."""
+        """Return the steepest allowed slope of the objective for |d| <= 1, by duality."""
         return -float(np.sum(np.abs(self.rest)))
 
 
 def balance(
     active: ActiveSet, gradient: np.ndarray, tolerance: float, free: np.ndarray = _NONE
 ) -> Balance:
-    """Return multipliers that leave the least of a gradient (n,): the least sum of absolute components.
+    """Return multipliers that minimise the absolute sum of a gradient's rest (n,) [-].
 
-    If that leaves more than the tolerance in a component, multipliers are preferred that do not.
-
+    If a component exceeds the tolerance, multipliers without such a component are preferred.
     free: numbers of conditions whose multipliers may have any sign. Raises nothing.
     """
-    found = _least_sum(active, gradient, free, np.inf)
-    if found.largest > tolerance and -found.slope <= len(gradient) * tolerance:
+    least = _least_sum(active, gradient, free, np.inf)
+    if least.largest > tolerance and -least.slope <= len(gradient) * tolerance:
         within = _least_sum(active, gradient, free, _SHARE * tolerance)
-        return within if within.largest <= tolerance else found
-    return found
+        return within if within.largest <= tolerance else least
+    return least
 
 
 def _least_sum(active: ActiveSet, gradient: np.ndarray, free: np.ndarray, most: float) -> Balance:
-    """Return the multipliers with the least sum, and with at most so much in each component."""
     k, n = active.normals.shape
     if not n:
         return Balance(y=np.zeros(k), rest=gradient)
@@ -164,13 +160,11 @@ def _least_sum(active: ActiveSet, gradient: np.ndarray, free: np.ndarray, most: 
 
 
 def falling_piece(active: ActiveSet, gradient: np.ndarray, tolerance: float) -> np.ndarray | None:
-    """Return which sides (b,) to hold at 0 so that the objective falls: True for the first.
+    """Return the sides (b,) to fix at 0 so that the objective falls, True for the first [-].
 
-    Each biactive pair has a binary number that is 1 if its first side may rise, 0 if its second may.
-    A direction is the difference of two that are not negative, and costs half the tolerance per
-    component, so that small components of the gradient add up to no slope.
-    An empty answer means that every piece has multipliers within the tolerance; None that it is not
-    known. Raises nothing.
+    The binary of a pair is 1 if its first side may rise, 0 if its second may. Each component of
+    the direction costs half the tolerance, so that small gradients do not add up.
+    Empty: no piece falls by more than the tolerance. None: not known. Raises nothing.
     """
     half = 0.5 * tolerance
     n, pairs = active.normals.shape[1], len(active.both)
@@ -203,9 +197,9 @@ def falling_piece(active: ActiveSet, gradient: np.ndarray, tolerance: float) -> 
 class Verdict:
     """Stationarity of a point.
 
-    residual: largest component of the gradient that multipliers leave, relative to its scale
-    obstacle: what prevents strong stationarity ("": nothing does)
-    descent: slope of a direction that goes down, relative (0: there is none; NaN: not known)
+    residual: largest relative component of the gradient without multipliers
+    obstacle: clause on what prevents strong stationarity, or ""
+    descent: relative slope of a descent direction (0: none; NaN: not known)
     """
 
     kind: Stationarity
@@ -250,9 +244,9 @@ def judge(local: LocalModel, active: ActiveSet, tolerance: float) -> Verdict:
 
 
 def _descent(active: ActiveSet, gradient: np.ndarray, tolerance: float) -> float:
-    """Return the slope of a piece that falls by more than the tolerance, checked by its multipliers.
+    """Return the slope of a falling piece, checked by its multipliers.
 
-    0.0 if no piece falls; NaN if it is not known.
+    0.0 if none, NaN if unknown.
     """
     held = falling_piece(active, gradient, tolerance)
     if held is None:

@@ -1,9 +1,9 @@
-/* One instance of a MuJoCo model behind the shell of our FMUs: the place of model.h and equations.h, with the same functions.
+/* One instance of a MuJoCo model behind the shell of our FMUs, in place of model.h and
+ * equations.h with the same functions.
  *
- * Model is flat and holds the whole integration state of MuJoCo (mjSTATE_INTEGRATION, the warm start with it): copying its bytes copies the
- * state. What cannot be copied belongs to the instance: `data` steps and nothing else, so that a run is mj_step after mj_step; what is read at a
- * point is computed in `view`, so that reading changes nothing.
- */
+ * Model is flat and contains MuJoCo's integration state (mjSTATE_INTEGRATION, with the warm
+ * start): copying its bytes copies the state. Everything else belongs to the instance: `data`
+ * only performs mj_step; values are computed in `view`, so that reading changes nothing. */
 #ifndef EQUATIONS_H
 #define EQUATIONS_H
 
@@ -15,18 +15,19 @@
 
 #include <mujoco/mujoco.h>
 
-/* MuJoCo's own way to take over one thread's messages, which its compiler and its Python package use; the library is shipped with this file. */
+/* MuJoCo's own function to capture messages of one thread, used by its compiler and Python
+ * package; this library is shipped with it. */
 mjfLogHandler _mjPRIVATE_setTlsLogHandler(mjfLogHandler handler);
 
 #define INPUTS_SLOPE 0 /* MuJoCo holds its controls over a step */
 
-/* Velocities have the activations of actuators behind them. There are no fixed parameters: all may be changed between steps. */
+/* Velocities are followed by activations of actuators. All parameters may change between steps. */
 typedef enum {
     KIND_TIME, KIND_POSITION, KIND_VELOCITY, KIND_POSITION_RATE, KIND_VELOCITY_RATE, KIND_INPUT, KIND_PARAMETER, KIND_TUNABLE, KIND_OUTPUT,
     KIND_INTERNAL_STEP, KIND_INTEGRATOR
 } VariableKind;
 
-/* The two sides of a contact that is asked for: geoms from `first` on. */
+/* The two sides of a requested contact: geoms from `first` on. */
 typedef struct {
     int first[2], count[2];
 } Pair;
@@ -45,33 +46,33 @@ enum { GRAVITY = 0, FRICTION_SCALE = 3, STIFFNESS_SCALE, GIVE_SCALE, TIMESTEP, I
 typedef struct {
     mjModel *given, *model; /* as shipped, and with the settings */
     mjData *data, *view;
-    const char *path; /* of the shipped model, while it is opened */
-    double h; /* of the steps that are made, and how many */
+    const char *path; /* of the shipped model, during opening */
+    double h; /* length and number of steps */
     long count;
-    int loaded; /* whether `data` holds the Model's state */
+    int loaded; /* whether `data` has the Model's state */
     int applied;
-    double t[ROOM(NT)]; /* the settings that `model` has, if `applied` */
+    double t[ROOM(NT)]; /* settings of `model`, if `applied` */
     char trouble[256];
 } Engine;
 
 typedef struct {
     double time;
     double state[1 + STATE_COUNT + REST_SIZE]; /* mjSTATE_INTEGRATION: time, positions, velocities, activations, .. */
-    double u[ROOM(NU)], u_rate[ROOM(NU)]; /* no rates are ever set */
+    double u[ROOM(NU)], u_rate[ROOM(NU)]; /* rates are never set */
     double t[ROOM(NT)];
     double internal_step; /* t[TIMESTEP] */
     double start_time, stop_time;
-    double values[ROOM(VALUES)], rates[ROOM(STATE_COUNT)]; /* belong to the state while `evaluated` */
-    unsigned long long piece; /* of the equations, on which they are smooth */
-    int begun; /* a step was made: from then on MuJoCo keeps its own time */
+    double values[ROOM(VALUES)], rates[ROOM(STATE_COUNT)]; /* valid while `evaluated` */
+    unsigned long long piece; /* smooth piece of the equations */
+    int begun; /* a step was made: MuJoCo now keeps the time */
     int frozen;
     int evaluated;
     int stop_defined;
     int phase;
-    Engine *engine; /* of the instance: never copied */
+    Engine *engine; /* of the instance, never copied */
 } Model;
 
-/* A direction, and what follows from it. */
+/* A direction, and its results. */
 typedef struct {
     double x[ROOM(STATE_COUNT)], u[ROOM(NU)], t[ROOM(NT)], values[ROOM(VALUES)], rates[ROOM(STATE_COUNT)];
 } Tangent;
@@ -81,7 +82,8 @@ static inline int is_state(VariableKind kind) { return kind == KIND_POSITION || 
 static inline int is_setting(VariableKind kind) { return kind == KIND_TUNABLE || kind == KIND_INTERNAL_STEP || kind == KIND_INTEGRATOR; }
 static inline int is_calculated(VariableKind kind) { return kind == KIND_OUTPUT || kind == KIND_POSITION_RATE || kind == KIND_VELOCITY_RATE; }
 
-/* ---- MuJoCo's errors, which would end the process: while it is called from here they come back to `guard`. ---- */
+/* ---- MuJoCo's errors would end the process; during calls from here they return to `guard`.
+ * ---- */
 
 static __thread Engine *watched;
 static __thread jmp_buf guard;
@@ -92,13 +94,14 @@ static void keep_message(const mjLogMessage *message)
         char *text = watched->trouble;
         snprintf(text, sizeof watched->trouble, "MuJoCo says: %.*s", (int)sizeof watched->trouble - 32, message->subject);
         for (char *at = text; *at; at++)
-            if (*at == '%' || *at == '\n') *at = ' '; /* FMI 2.0's logger formats it once more */
+            if (*at == '%' || *at == '\n') *at = ' '; /* FMI 2.0's logger formats the text again */
         for (size_t end = strlen(text); end > 0 && strchr(" .", text[end - 1]); end--) text[end - 1] = '\0';
     }
     if (message->level == mjLOG_ERROR) longjmp(guard, 1);
 }
 
-/* Run `part`, which says what went wrong, or NULL; 1, and the engine's trouble, if something did or MuJoCo's error ended it. */
+/* Run `part`, which returns an error text or NULL. Return 1 and set the engine's trouble after
+ * an error, also one of MuJoCo. */
 static int guarded(Model *m, const char *(*part)(Model *))
 {
     const mjfLogHandler before = _mjPRIVATE_setTlsLogHandler(keep_message);
@@ -116,7 +119,7 @@ static int guarded(Model *m, const char *(*part)(Model *))
 
 static inline const char *model_trouble(const Model *m) { return m->engine->trouble; }
 
-/* What is wrong with numbers that MuJoCo goes on with: it would start anew, or leave contacts out. NULL: nothing. */
+/* Return an error of MuJoCo's numbers, after which it would restart or omit contacts, or NULL. */
 static inline const char *went_wrong(const mjData *data)
 {
     const mjWarningStat *seen = data->warning;
@@ -130,11 +133,12 @@ static inline const char *went_wrong(const mjData *data)
 
 /* ---- Begin and end. ---- */
 
-/* The file of the model below the resources: a path, or FMI 2.0's URI. 0 if it is too long. */
+/* Write the model's path below the resources, a path or FMI 2.0's URI. Return 0 if it is too
+ * long. */
 static inline int model_path(const char *at, char *path, size_t size)
 {
     size_t length = 0;
-    if (strncmp(at, "file://", 7) == 0) at += strcspn(at + 7, "/") + 7; /* behind the host, which is none or this */
+    if (strncmp(at, "file://", 7) == 0) at += strcspn(at + 7, "/") + 7; /* after the host, which is empty or this one */
     else if (strncmp(at, "file:", 5) == 0) at += 5;
     for (unsigned int code; *at && length + 16 < size; at++) {
         const int coded = *at == '%' && sscanf(at + 1, "%2x", &code) == 1;
@@ -156,7 +160,7 @@ static const char *open_model(Model *m)
     return NULL;
 }
 
-/* The engine of a new instance; NULL, or why there is none, in the middle of a sentence. */
+/* Open the engine of a new instance. Return NULL, or the reason of a failure as a clause. */
 static inline const char *model_open(Model *m, const char *resources)
 {
     static __thread char why[1400];
@@ -192,7 +196,7 @@ static inline void model_close(Model *m)
     free(engine);
 }
 
-/* All that is saved; the engine stays where it is, and follows before it is used again. */
+/* Copy the saved state; the engine stays and follows before its next use. */
 static inline void model_copy(Model *to, const Model *from)
 {
     Engine *engine = to->engine;
@@ -203,7 +207,7 @@ static inline void model_copy(Model *to, const Model *from)
 
 /* ---- Values. ---- */
 
-/* Where a variable's number is, of those of a Model or of a direction; NULL for the time. */
+/* Place of a variable's number in a Model or a direction, NULL for the time. */
 #define ENTRY(of, states, variable) entry_of(variable, states, (of)->rates, (of)->u, (of)->t, (of)->values)
 static inline double *entry_of(const Variable *variable, double *x, double *rates, double *u, double *t, double *values)
 {
@@ -234,7 +238,8 @@ static inline void model_assign(Model *m, const Variable *variable, double value
     if (is_state(variable->kind) || is_setting(variable->kind)) m->engine->loaded = 0;
 }
 
-/* All values at their starts; equal bytes for every fresh or reset instance, but for the engine. */
+/* Set all values to their starts, with equal bytes for every fresh or reset instance except the
+ * engine. */
 static inline void model_start(Model *m)
 {
     Engine *engine = m->engine;
@@ -250,8 +255,9 @@ static inline void model_start(Model *m)
 
 /* ---- Evaluate. ---- */
 
-/* Scale what `n` geoms or pairs bring into their contacts. MuJoCo's solref is (time constant, damping ratio) or (-stiffness, -damping), and the
- * damping ratio stays; its solimp is (d0, dmax, ..), and a constraint gives way by 1 - d. A scale of 1 keeps all bits. */
+/* Scale the contact properties of `n` geoms or pairs. MuJoCo's solref is (time constant, damping
+ * ratio) or (-stiffness, -damping); the damping ratio is kept. Its solimp is (d0, dmax, ..),
+ * with a compliance of 1 - d. A scale of 1 keeps all bits. */
 static inline void scale_contacts(const double *t, int n, int frictions, double *friction, double *solref, double *solimp)
 {
     const double stiffer = t[STIFFNESS_SCALE];
@@ -264,7 +270,7 @@ static inline void scale_contacts(const double *t, int n, int frictions, double 
     }
 }
 
-/* Bring the engine's model up to date with the settings. */
+/* Apply the settings to the engine's model. */
 static inline void apply_settings(const Model *m)
 {
     static const int masses[] = MASS_BODIES;
@@ -289,12 +295,12 @@ static inline void apply_settings(const Model *m)
         memcpy(engine->t, t, sizeof m->t);
         engine->applied = 1;
     }
-    model->opt.timestep = m->internal_step; /* which steps may have cut */
+    model->opt.timestep = m->internal_step; /* may be shortened by steps */
     model->opt.tolerance = engine->given->opt.tolerance;
-    model->opt.disableflags = engine->given->opt.disableflags | mjDSBL_AUTORESET; /* what became infinite is told, and does not start anew */
+    model->opt.disableflags = engine->given->opt.disableflags | mjDSBL_AUTORESET; /* infinite values are reported instead of a restart */
 }
 
-/* A MuJoCo data brought to the Model's state and inputs. */
+/* Load the Model's state and inputs into MuJoCo's data. */
 static inline void load(const Model *m, mjData *data)
 {
     apply_settings(m);
@@ -308,7 +314,8 @@ static inline int on_side(const Pair *pair, int side, int geom)
     return geom >= pair->first[side] && geom < pair->first[side] + pair->count[side];
 }
 
-/* The sum of the normal forces [N] between the two sides, and their smallest distance [m], negative where they overlap, FARTHEST at most. */
+/* Compute the sum of the normal forces [N] between both sides, and their smallest distance [m],
+ * negative for an overlap, at most FARTHEST. */
 static inline void look_at_pair(const mjModel *model, mjData *data, const Pair *pair, double *force, double *gap)
 {
     *force = 0.0;
@@ -325,7 +332,7 @@ static inline void look_at_pair(const mjModel *model, mjData *data, const Pair *
         *gap = fmin(*gap, mj_geomDistance(model, data, pair->first[0] + i / pair->count[1], pair->first[1] + i % pair->count[1], FARTHEST, NULL));
 }
 
-/* Whether steps of the model's length cut a time constant to twice that (refsafe). */
+/* Return whether steps of this length clip a time constant at twice their length (refsafe). */
 static inline int cuts(const mjModel *a)
 {
     const mjtNum *solref[] = {a->geom_solref, a->pair_solref, a->eq_solref, a->jnt_solref, a->dof_solref, a->tendon_solref_lim, a->tendon_solref_fri, a->opt.o_solref};
@@ -336,8 +343,8 @@ static inline int cuts(const mjModel *a)
     return 0;
 }
 
-/* What follows from the state. MuJoCo's solver stops where its cost no longer falls by a share of opt.tolerance, and leaves the 1e-5 by which derivatives
- * are taken unanswered; so it goes on here. */
+/* Evaluate the state. MuJoCo's solver stops when its cost falls by less than opt.tolerance, too
+ * early for differences of 1e-5; so it continues here. */
 static inline void forward(Model *m, int flags)
 {
     mjModel *model = m->engine->model;
@@ -348,7 +355,7 @@ static inline void forward(Model *m, int flags)
     mj_forward(model, m->engine->view);
 }
 
-/* A number that spreads over all bits (SplitMix64), of four small ones. */
+/* Mix four small numbers into all bits (SplitMix64). */
 static inline unsigned long long mixed(int a, int b, int c, int d)
 {
     unsigned long long z = (((unsigned long long)(unsigned)a * 0x9E3779B97F4A7C15u + (unsigned)b) * 0xBF58476D1CE4E5B9u + (unsigned)c) * 0x94D049BB133111EBu + (unsigned)d;
@@ -362,8 +369,9 @@ static inline int side_of(double value, const mjtNum range[2], int strictly)
     return strictly ? (value > range[1]) - (value < range[0]) : (value >= range[1]) - (value <= range[0]);
 }
 
-/* The piece of the equations on which a point lies, a sum in any order: which constraints there are (of a contact its geoms, as the order of contacts
- * may change), which of them press, stick or slide, which controls and forces are cut, and on which side of its dead band and around what a tendon runs. */
+/* Identify the smooth piece of the equations at a point, as a sum independent of the order:
+ * existing constraints (a contact by its geoms), which press, stick or slide, which controls and
+ * forces are clipped, the side of a tendon's dead band and its wrapping. */
 static inline unsigned long long piece_of(const mjModel *model, const mjData *data)
 {
     unsigned long long sum = 0;
@@ -382,7 +390,8 @@ static inline unsigned long long piece_of(const mjModel *model, const mjData *da
     return sum;
 }
 
-/* Rates are those of ever smaller steps, which cut no time constant; what is felt, once steps are made, is what these feel. */
+/* Rates are the limit of ever smaller steps, without clipped time constants; sensors are those
+ * of the actual steps, once there are steps. */
 static const char *evaluate(Model *m)
 {
     static const Pair pairs[] = PAIRS;
@@ -399,7 +408,7 @@ static const char *evaluate(Model *m)
         memcpy(rate, v, lines * sizeof *v);
         if (NQ == NV || (type != mjJNT_FREE && type != mjJNT_BALL)) continue; /* no quaternion */
         const double half[3] = {0.5 * v[lines], 0.5 * v[lines + 1], 0.5 * v[lines + 2]};
-        mju_mulQuatAxis(rate + lines, q + lines, half); /* dq/dt = q (0, w) / 2, w in the axes of the body */
+        mju_mulQuatAxis(rate + lines, q + lines, half); /* dq/dt = q (0, w) / 2, w in body axes */
     }
     if (m->begun && cuts(model)) {
         forward(m, 0);
@@ -410,7 +419,7 @@ static const char *evaluate(Model *m)
     return went_wrong(view);
 }
 
-/* Fill values and rates; 1, and the engine's trouble, if MuJoCo cannot. */
+/* Compute values and rates. Return 1 and set the engine's trouble if MuJoCo fails. */
 static inline int model_evaluate(Model *m)
 {
     if (!m->evaluated) m->evaluated = !guarded(m, evaluate);
@@ -432,10 +441,11 @@ static inline int model_update_modes(Model *m) { return (void)m, 0; }
 static inline int model_modes_wrong(const Model *m) { return (void)m, 0; }
 static inline void model_indicators(const Model *m, double *indicators) { (void)m, (void)indicators; }
 
-/* ---- Derivatives: differences over steps of DIFFERENCE and half of it, extrapolated: central ones, or one-sided ones where a contact opens, closes or
- * begins to slide on the other side. Where both sides have such a bend, the steps become shorter, down to SMALLEST_DIFFERENCE: below it, what the
- * solver leaves of an answer, 1e-12 of it, would be more than the 5e-5 that `check` allows. Nearer to a bend there is no derivative, but the mean of
- * two. ---- */
+/* ---- Derivatives: differences over steps of DIFFERENCE and half of it, extrapolated: central,
+ * or one-sided if a contact opens, closes or begins to slide on the other side. With such a kink
+ * on both sides the steps shrink to SMALLEST_DIFFERENCE; below, the solver's relative error of
+ * 1e-12 would exceed the 5e-5 that `check` allows. Closer to a kink the result is the mean of
+ * two derivatives. ---- */
 
 #define DIFFERENCE 1e-5
 #define SMALLEST_DIFFERENCE 1e-7
@@ -444,10 +454,11 @@ static inline void time_direction(const Model *m, Tangent *d) { memcpy(d->x, m->
 static inline double *known_entry(const Variable *variable, Tangent *d) { return ENTRY(d, d->x, variable); }
 static inline double model_value_tangent(const Model *m, Tangent *d, const Variable *variable) { return (void)m, *ENTRY(d, d->x, variable); }
 
-/* Samples of a direction: at these shares of a step. */
+/* Samples of a direction, at these shares of a step. */
 enum { HERE, AHEAD, BEHIND, HALF_AHEAD, HALF_BEHIND, SAMPLES };
 
-/* Complete a direction whose x and u are given, of an evaluated Model; 1, and the engine's trouble, if MuJoCo cannot. */
+/* Complete a direction with given x and u at an evaluated Model. Return 1 and set the engine's
+ * trouble if MuJoCo fails. */
 static inline int model_tangent(const Model *m, Tangent *d)
 {
     static const double share[SAMPLES] = {0.0, 1.0, -1.0, 0.5, -0.5};
@@ -484,7 +495,7 @@ static inline int model_tangent(const Model *m, Tangent *d)
     return 0;
 }
 
-/* Adjoints are not offered. */
+/* There are no adjoints. */
 static inline int model_adjoint(const Model *m, Tangent *bar)
 {
     snprintf(m->engine->trouble, sizeof m->engine->trouble, "adjoint derivatives are not offered");

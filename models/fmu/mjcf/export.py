@@ -1,9 +1,8 @@
-"""Robot -> FMU file: MuJoCo's library and the compiled model go in beside our shell, which is compiled here.
+"""Build the FMU file of a robot from MuJoCo's library, the compiled model and our shell.
 
-    build_robot(read_robot(Path("robot.xml")))          ->  .../a1b2....robot.fmu
+    build_robot(read_robot(Path("robot.xml")))  # .../a1b2....robot.fmu
 
-The library lies beside the binary, which looks for it there ($ORIGIN). Equal robots give equal
-bytes.
+The binary loads the library from its own folder ($ORIGIN). Equal robots give equal bytes.
 """
 
 from __future__ import annotations
@@ -33,20 +32,19 @@ from models.fmu.variables import VariableKind
 _HERE = Path(__file__).parent
 _SHELL = _HERE.parent / "shell"
 _OURS = ("equations.h", "integrator.h")
-# Of the shell, what is of scenes alone.
+# Files of the shell that are for scenes only.
 _OF_SCENES = (*_OURS, "model.h", "damping_modes.h", "friction_modes.h")
-# The experiment that an importer is proposed lasts this long [s].
+# Proposed duration of the experiment [s].
 _STOP = 1.0
 _TOLERANCE = 1e-6
 _SETTINGS = (VariableKind.TUNABLE, VariableKind.INTERNAL_STEP, VariableKind.INTEGRATOR)
 
 
 def build_robot(robot: Robot, version: str = "2.0") -> Path:
-    """The FMU of a robot, for this machine; found in the cache or built there.
+    """Return the FMU of a robot for this machine, from the cache or built.
 
-    Raises UnknownNameError for an FMI version that is not offered, RobotError for names that
-    collide, MachineError without a compiler, a library of MuJoCo that can be shipped, or a cache
-    that can be written.
+    Raises UnknownNameError for an unknown FMI version, RobotError for colliding names, MachineError
+    without a compiler, a library of MuJoCo or a writable cache.
     """
     standard, package = find_standard(version), mujoco()
     folder = Path(package.__file__).parent
@@ -90,7 +88,6 @@ def build_robot(robot: Robot, version: str = "2.0") -> Path:
 
 
 def _compiled(robot: Robot) -> bytes:
-    """The model as MuJoCo's binary, meshes inside. Raises RobotError for what it cannot write."""
     package = mujoco()
     try:
         buffer = np.zeros(package.mj_sizeModel(robot.model), dtype=np.uint8)
@@ -101,27 +98,26 @@ def _compiled(robot: Robot) -> bytes:
 
 
 def _licenses() -> dict[str, bytes]:
-    """Ours, and MuJoCo's with those of what is in its library."""
-    found = {}
+    licenses = {}
     for name in ("mujoco-core", "mujoco"):
         try:
             files = metadata.files(name) or []
         except metadata.PackageNotFoundError:
             continue
-        found |= {
+        licenses |= {
             f"documentation/licenses/mujoco/{file.name}": file.read_binary()
             for file in files
             if file.name.startswith("LICENSE")
         }
-    return found
+    return licenses
 
 
 def _texts(
     robot: Robot, standard: Standard, shipped: dict[str, bytes]
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Every text file of the FMU, and the sources that its binary is made of.
+    """Return the text files of the FMU, and the sources of its binary.
 
-    shipped: what decides the GUID beside the texts.
+    shipped: further content of the GUID
     """
     package, model, table = mujoco(), robot.model, robot.table
     sources = {
@@ -170,7 +166,10 @@ def _texts(
 
 
 def _structure(robot: Robot, standard: Standard) -> dict[str, list[Unknown]]:
-    """Section of the ModelStructure -> its unknowns: on everything that they may depend on, written out with Model Exchange, as CasADi reads none without."""
+    """Return the ModelStructure with all possible dependencies.
+
+    Model Exchange lists them, because CasADi does not read a structure without.
+    """
 
     def places(*wanted: VariableKind) -> list[int]:
         return [
@@ -182,7 +181,7 @@ def _structure(robot: Robot, standard: Standard) -> dict[str, list[Unknown]]:
     kinds, exchange = VariableKind, robot.no_exchange is None
     states, calculated = places(kinds.POSITION, kinds.VELOCITY), places(kinds.OUTPUT)
     rates = places(kinds.POSITION_RATE, kinds.VELOCITY_RATE) if exchange else []
-    given, settings = [*states, *places(kinds.INPUT)], places(*_SETTINGS)
+    known, settings = [*states, *places(kinds.INPUT)], places(*_SETTINGS)
 
     def unknowns(which: list[int], knowns: list[int]) -> list[Unknown]:
         return [
@@ -192,9 +191,8 @@ def _structure(robot: Robot, standard: Standard) -> dict[str, list[Unknown]]:
             for place in which
         ]
 
-    always = (
-        [*given, *settings] if standard.version != "2.0" else given
-    )  # FMI 3.0 counts parameters at all times
+    # FMI 3.0 counts parameters always.
+    always = [*known, *settings] if standard.version != "2.0" else known
     moved = [
         Unknown(place, (place,), ("constant",)) if exchange else Unknown(place, (), ())
         for place in states
@@ -202,6 +200,6 @@ def _structure(robot: Robot, standard: Standard) -> dict[str, list[Unknown]]:
     return {
         "outputs": [*moved, *unknowns(calculated, always)],
         "derivatives": unknowns(rates, always),
-        "initial": unknowns([*rates, *calculated], [*given, *settings]),
+        "initial": unknowns([*rates, *calculated], [*known, *settings]),
         "indicators": [],
     }

@@ -1,13 +1,14 @@
-/* Co-Simulation: mj_step after mj_step. The place of the integrator of scenes, with the same functions; an Observer is never asked. */
+/* Co-Simulation by consecutive mj_step, in place of the scenes' integrator with the same
+ * functions; the Observer is not called. */
 #ifndef INTEGRATOR_H
 #define INTEGRATOR_H
 
 #include "equations.h"
 
-/* What failed, in the middle of a sentence. */
+/* Return the failure as a clause. */
 static inline const char *step_trouble(const Model *m, StepResult result) { return (void)result, m->engine->trouble; }
 
-/* A step within this share of the model's own is the model's own, to the bit. */
+/* A step within this share of the model's own equals it, to the bit. */
 #define SAME_STEP 1e-9
 
 static const char *make_steps(Model *m)
@@ -15,7 +16,7 @@ static const char *make_steps(Model *m)
     Engine *engine = m->engine;
     if (engine->loaded) apply_settings(m);
     else load(m, engine->data);
-    engine->loaded = 0; /* until the step is whole */
+    engine->loaded = 0; /* until the step is complete */
     engine->model->opt.timestep = engine->h;
     for (long n = 0; n < engine->count; n++) {
         memcpy(engine->data->ctrl, m->u, NU * sizeof *m->u);
@@ -28,7 +29,8 @@ static const char *make_steps(Model *m)
     return NULL;
 }
 
-/* Integrate over a communication step *dt from `time` in `count` equal steps. On failure the Model is left as it was. */
+/* Integrate over a communication step *dt from `time` in `count` equal steps. A failure leaves
+ * the Model unchanged. */
 static inline StepResult model_step(Model *m, double time, double *dt, long count, int stopping, const Observer *observer)
 {
     (void)stopping, (void)observer;

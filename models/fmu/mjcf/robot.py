@@ -1,11 +1,13 @@
-"""A model of MuJoCo as a table of variables, from which C, XML, the documentation and the map of the FMU are written.
+"""The table of variables of a MuJoCo model, from which C, XML, documentation and map are written.
 
-Names: `q_J` the position and `v_J` the velocity of joint J; of a free joint `q_J_x` .. `q_J_z`,
-    `q_J_qw` .. `q_J_qz` (its quaternion) and `v_J_x` .. `v_J_z`,
-`v_J_wx` .. `v_J_wz` (its angular velocity, in the axes of the body); `u_A` the input of actuator A,
-    `act_A` its activation, `s_S` a sensor, `lam_A_B` and
-`gap_A_B` a contact that was asked for, `mass_B` of a body. Signs that FMI's structured names do not
-    have become `_`.
+    q_J, v_J                            position and velocity of joint J
+    q_J_x .. q_J_z, q_J_qw .. q_J_qz    position and quaternion of a free joint
+    v_J_x .. v_J_z, v_J_wx .. v_J_wz    its velocity, and angular velocity in body axes
+    u_A, act_A                          input and activation of actuator A
+    s_S, mass_B                         sensor, mass of a body
+    lam_A_B, gap_A_B                    a requested contact
+
+Characters that FMI's structured names do not allow become `_`.
 """
 
 from __future__ import annotations
@@ -25,10 +27,10 @@ from models.fmu.variables import SMALLEST_INTERNAL_STEP, Variable, VariableKind,
 
 
 class RobotError(TouchstoneError):
-    """A file is no model of MuJoCo, or one that an FMU cannot carry."""
+    """A file that is no MuJoCo model, or one that an FMU cannot represent."""
 
 
-# By MuJoCo's numbers + 1, as in equations.h.
+# Indexed by MuJoCo's numbers + 1, as in equations.h.
 INTEGRATORS = (
     ("euler", "semi-implicit Euler, joint damping implicit"),
     ("rk4", "Runge-Kutta of order 4, contacts are not located"),
@@ -36,7 +38,7 @@ INTEGRATORS = (
     ("implicitfast", "implicit in the velocities, without the derivatives of Coriolis forces"),
     ("discrete", "constraints solved in the metric of the time step"),
 )
-# Scales of all contacts: name, what it multiplies, smallest value.
+# Scales of all contacts: name, scaled quantity, smallest value.
 _SCALES = (
     ("friction_scale", "the friction coefficients of all geoms and pairs", 0.0),
     (
@@ -50,9 +52,9 @@ _SCALES = (
         1e-12,
     ),
 )
-# The range of a control that is not cut.
+# The range of an unlimited control.
 _UNCUT = (-math.inf, math.inf)
-# Gaps are measured up to here [m].
+# Largest measured gap [m].
 FARTHEST = 10.0
 _FREE = 0
 _BALL = 1
@@ -60,7 +62,7 @@ _SLIDE = 2
 _AXES = ("x", "y", "z")
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _TURNS = ("wx", "wy", "wz")
-# Of a sensor by the end of MuJoCo's name for its type; what is not here may be in anything.
+# Units of sensors by the suffix of MuJoCo's type name; other types have any unit.
 _SENSOR_UNITS = {
     "TOUCH": "N", "ACCELEROMETER": "m/s^2", "VELOCIMETER": "m/s", "GYRO": "rad/s", "FORCE": "N",
     "TORQUE": "N m", "RANGEFINDER": "m", "TENDONPOS": "m",
@@ -72,7 +74,7 @@ _SENSOR_UNITS = {
 
 
 def mujoco() -> Any:
-    """The package. Raises MachineError without it."""
+    """Return the package; raise MachineError without it."""
     try:
         import mujoco  # 0.1 s, and an extra
     except ImportError as error:
@@ -88,20 +90,23 @@ def _plain(name: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class GeomPair:
-    """Two sides whose contact is asked for: of each its name, a geom's or a body's, and its geoms."""
+    """A requested contact: names of both sides (geoms or bodies), and their geoms."""
 
     names: tuple[str, str]
     geoms: tuple[range, range]
 
     @property
     def name(self) -> str:
-        """In names of variables."""
+        """Return the name in names of variables."""
         return "_".join(map(_plain, self.names))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Robot:
-    """A compiled model, where it came from, where it starts (a keyframe's number, -1: its default), and which contacts are asked for."""
+    """A compiled model with its file, start, and requested contacts.
+
+    The start is the number of a keyframe, or -1 for the default.
+    """
 
     path: Path
     model: Any
@@ -111,15 +116,15 @@ class Robot:
 
     @property
     def identifier(self) -> str:
-        """Of the FMU: the file's name as C may have it."""
+        """Return the FMU's identifier: the file's name as a C identifier."""
         name = _plain(self.path.stem)
         return name if name[:1].isalpha() else f"robot_{name}"
 
     @cached_property
     def table(self) -> tuple[Variable, ...]:
-        """Every variable; the position in the table is the value reference.
+        """Return the variables; the position in the table is the value reference.
 
-        Raises RobotError where two have one name.
+        Raises RobotError for equal names.
         """
         time = Variable(name="time", kind=VariableKind.TIME, unit="s", description="time")
         table = (time, *_states(self), *_inputs(self), *_outputs(self), *_settings(self))
@@ -134,27 +139,27 @@ class Robot:
         return table
 
     def of(self, *kinds: VariableKind) -> list[Variable]:
-        """The variables of these kinds."""
+        """Return the variables of these kinds."""
         return [variable for variable in self.table if variable.kind in kinds]
 
     @cached_property
     def masses(self) -> tuple[int, ...]:
-        """Bodies that have a mass."""
+        """Return the bodies with a mass."""
         return tuple(
             body for body in range(1, self.model.nbody) if self.model.body_mass[body] > 0.0
         )
 
     @cached_property
     def no_exchange(self) -> str | None:
-        """Why the FMU has no Model Exchange; None where it has."""
+        """Return the reason why the FMU has no Model Exchange, or None."""
         model = self.model
         touching = (model.geom_contype | model.geom_conaffinity) != 0
         rubs = (
             (model.geom_condim[touching] > 1).any() or (model.pair_dim > 1).any() or model.nflex > 0
         )
         if rubs and not model.opt.disableflags & int(mujoco().mjtDisableBit.mjDSBL_CONTACT):
-            # A ball that slides at 2 m/s is pushed up by 80 m/s^2 at a depth of nothing, where its
-            # force jumps: LSODA took 430,000 evaluations for 5 ms of a hopper's foot.
+            # A ball that slides at 2 m/s is pushed up by 80 m/s^2 at zero depth, where its force
+            # jumps: LSODA took 430,000 evaluations for 5 ms of a hopper's foot.
             return "contacts have friction, and MuJoCo pushes what slides off the ground at no depth at all, where the force jumps: integrators get stuck"
         if model.nhistory:
             return "an actuator or a sensor has a delay, which is no state that an integrator could move"
@@ -166,7 +171,7 @@ class Robot:
 
     @property
     def notes(self) -> list[str]:
-        """What is to be said of the FMU, a sentence each."""
+        """Return remarks on the FMU, one sentence each."""
         free = [
             variable.name
             for variable in self.of(VariableKind.INPUT)
@@ -184,26 +189,26 @@ class Robot:
             if self.keyframe < 0
             else f"keyframe {self.model.key(self.keyframe).name!r}"
         )
-        found = {
+        remarks = {
             f"{source} is beyond the ctrlrange, and is cut as MuJoCo cuts it: {', '.join(cut[:5])}{' ..' * (len(cut) > 5)}.": cut,
             "the model has no actuators, so the FMU has no inputs: it can be simulated, but no plan can drive it.": not self.model.nu,
             f"no ctrlrange is in force for {', '.join(free[:5])}{' ..' * (len(free) > 5)}: bounds of these inputs are not asked of a plan.": free,
             f"no Model Exchange: {self.no_exchange}.": self.no_exchange is not None,
             "bodies that follow a motion capture stay where they start: the FMU has no inputs for them.": self.model.nmocap,
         }
-        return [text for text, told in found.items() if told]
+        return [text for text, applies in remarks.items() if applies]
 
     @cached_property
     def dofs(self) -> tuple[int | None, ...]:
-        """(nq,) the degree of freedom whose velocity is the rate of each position; None of a quaternion's parts, which have none."""
-        found: list[int | None] = [None] * self.model.nq
+        """Return (nq,) the degree of freedom of each position's rate, None for quaternions."""
+        dofs: list[int | None] = [None] * self.model.nq
         for first, dof, moves in self._joints():
-            found[first : first + moves] = range(dof, dof + moves)
-        return tuple(found)
+            dofs[first : first + moves] = range(dof, dof + moves)
+        return tuple(dofs)
 
     @cached_property
     def quaternions(self) -> tuple[tuple[int, int], ...]:
-        """Of each free and ball joint the place of its quaternion among the positions, and of its angular velocity among the velocities."""
+        """Return for each free and ball joint the places of quaternion and angular velocity."""
         kinds = self.model.jnt_type
         return tuple(
             (first + moves, dof + moves)
@@ -212,7 +217,7 @@ class Robot:
         )
 
     def _joints(self) -> Iterator[tuple[int, int, int]]:
-        """Of each joint its first position and velocity, and how many positions are moved by a velocity each."""
+        """Yield first position, first velocity and number of simple positions of each joint."""
         model = self.model
         for first, dof, kind in zip(
             model.jnt_qposadr, model.jnt_dofadr, model.jnt_type, strict=True
@@ -221,22 +226,22 @@ class Robot:
 
     @property
     def turns(self) -> list[Variable]:
-        """Angular velocities of free and ball joints, three a joint."""
+        """Return the angular velocities of free and ball joints, three per joint."""
         velocities = self.of(VariableKind.VELOCITY)
         return [item for _, dof in self.quaternions for item in velocities[dof : dof + 3]]
 
     @property
     def velocities(self) -> list[tuple[Variable, str, str]]:
-        """Of each position: its variable, the variable of its rate, the column of that in a plan."""
-        velocities, found = self.of(VariableKind.VELOCITY), []
+        """Return variable, variable of the rate, and the rate's column in a plan, by position."""
+        velocities, rows = self.of(VariableKind.VELOCITY), []
         for variable, dof in zip(self.of(VariableKind.POSITION), self.dofs, strict=True):
             rate = f"der({variable.name})" if dof is None else velocities[dof].name
-            found.append((variable, rate, f"v_{variable.name.removeprefix('q_')}"))
-        return found
+            rows.append((variable, rate, f"v_{variable.name.removeprefix('q_')}"))
+        return rows
 
     @property
     def map_text(self) -> str:
-        """MAP.toml: a plan whose columns have the FMU's names."""
+        """Return MAP.toml for a plan whose columns have the FMU's names."""
 
         def same(variables: list[Variable]) -> list[str]:
             return [f'{variable.name} = "{variable.name}"' for variable in variables]
@@ -252,14 +257,13 @@ class Robot:
                 f"contacts.{pair.name}": [f'force = "lam_{pair.name}"', f'gap = "gap_{pair.name}"']
                 for pair in self.contacts
             },
-            # What the plan has in columns of their own; the lines may go, or be numbers: without
-            # them these are zero.
+            # Angular velocities have columns of their own; without these lines they are zero.
             "start": same(self.turns),
             "uncertainty": [
                 f"gravity_{axis} = {{ value = 0.0, reason = 'it is known' }}" for axis in "xyz"
             ],
         }
-        title = f"# {self.path.name} as an FMU: how the columns of a plan are its variables. docs/replay.md tells all that may stand here."
+        title = f"# {self.path.name} as an FMU: maps the columns of a plan to its variables. docs/replay.md describes all entries."
         body = [
             "\n".join(["", f"[{name}]", *lines])
             for name, lines in sections.items()
@@ -269,7 +273,7 @@ class Robot:
 
 
 def read_robot(path: Path, contacts: Sequence[str] = (), keyframe: str | None = None) -> Robot:
-    """A robot of an MJCF, URDF or MJB file; contacts: `A:B`, names of geoms or bodies.
+    """Read a robot from an MJCF, URDF or MJB file; contacts: `A:B`, names of geoms or bodies.
 
     Raises RobotError, MachineError.
     """
@@ -284,15 +288,14 @@ def read_robot(path: Path, contacts: Sequence[str] = (), keyframe: str | None = 
         else package.MjModel.from_xml_path
     )
     warnings, before = list[str](), package.get_mju_user_warning()
-    package.set_mju_user_warning(
-        warnings.append
-    )  # which MuJoCo would write to a file here, and to stderr
+    # MuJoCo would write warnings to a file here, and to stderr.
+    package.set_mju_user_warning(warnings.append)
     try:
         model = load(str(path))
     except (ValueError, package.FatalError, package.UnexpectedError) as error:
-        said = "; ".join(" ".join(text.split()).rstrip(".") for text in (str(error), *warnings))
+        details = "; ".join(" ".join(text.split()).rstrip(".") for text in (str(error), *warnings))
         raise RobotError(
-            f"{path}: MuJoCo {package.__version__} does not read it ({said}); correct it, or, if it was made for another version, install that one."
+            f"{path}: MuJoCo {package.__version__} does not read it ({details}); correct it, or, if it was made for another version, install that one."
         ) from error
     finally:
         package.set_mju_user_warning(before)
@@ -318,7 +321,7 @@ def read_robot(path: Path, contacts: Sequence[str] = (), keyframe: str | None = 
 
 
 def _lost(package: Any, model: Any) -> str | None:
-    """What would be lost in an FMU, or is not in the state that it saves."""
+    """Return the feature that an FMU would lose, or that is not in its state."""
     if model.nplugin:
         return "it uses a plugin of MuJoCo, which an FMU does not carry; take <extension> and what uses it out"
     if not model.opt.timestep >= SMALLEST_INTERNAL_STEP:
@@ -340,7 +343,7 @@ def _lost(package: Any, model: Any) -> str | None:
 
 
 def _contact(path: Path, model: Any, text: str) -> GeomPair:
-    """`A:B`; names may hold colons themselves."""
+    """Return the contact `A:B`; names may contain colons."""
     geoms = {
         name: range(number, number + 1)
         for number in range(model.ngeom)
@@ -366,66 +369,69 @@ def _contact(path: Path, model: Any, text: str) -> GeomPair:
 def _named(
     count: int, name_of: Callable[[int], str], fallback: Callable[[int], str]
 ) -> list[tuple[str, str]]:
-    """Of each its name in those of variables, and as it is written.
+    """Return for each the name in variables, and the original name.
 
-    Of one without a name a fallback, with its number where that is taken.
+    Without a name it is `fallback`, with a number if that is taken.
     """
-    said = [name_of(number) for number in range(count)]
-    for number, name in enumerate(said):
+    names = [name_of(number) for number in range(count)]
+    for number, name in enumerate(names):
         if not name:
-            wanted = fallback(number)
-            said[number] = wanted if wanted and wanted not in said else f"{wanted}{number}"
-    return [(_plain(name), name) for name in said]
+            candidate = fallback(number)
+            names[number] = (
+                candidate if candidate and candidate not in names else f"{candidate}{number}"
+            )
+    return [(_plain(name), name) for name in names]
 
 
 def _joint_names(model: Any) -> list[tuple[str, str]]:
-    """Of each joint its name in those of variables, and as it is written.
-
-    Of one without a name that of its body.
-    """
     bodies = [model.body(int(body)).name or "joint" for body in model.jnt_bodyid]
     return _named(model.njnt, lambda number: model.joint(number).name, bodies.__getitem__)
 
 
 def _states(robot: Robot) -> list[Variable]:
-    """Positions, velocities and activations, in MuJoCo's order; then their rates."""
+    """Return positions, velocities and activations in MuJoCo's order, then their rates."""
     model, data = robot.model, robot.start
     positions: list[tuple[str, str, str]] = []
     velocities: list[tuple[str, str, str]] = []
-    for (name, said), kind in zip(_joint_names(model), model.jnt_type, strict=True):
+    for (name, original), kind in zip(_joint_names(model), model.jnt_type, strict=True):
         if kind in (_FREE, _BALL):
             moves = _AXES if kind == _FREE else ()
             positions += [
-                (f"q_{name}_{axis}", "m", f"position {axis} of joint {said}") for axis in moves
+                (f"q_{name}_{axis}", "m", f"position {axis} of joint {original}") for axis in moves
             ]
             positions += [
-                (f"q_{name}_{part}", "1", f"orientation {part} of joint {said} (quaternion)")
+                (f"q_{name}_{part}", "1", f"orientation {part} of joint {original} (quaternion)")
                 for part in _QUATERNION
             ]
             velocities += [
-                (f"v_{name}_{axis}", "m/s", f"velocity {axis} of joint {said}") for axis in moves
+                (f"v_{name}_{axis}", "m/s", f"velocity {axis} of joint {original}")
+                for axis in moves
             ]
             velocities += [
                 (
                     f"v_{name}_{axis}",
                     "rad/s",
-                    f"angular velocity {axis} of joint {said}, in the body's axes",
+                    f"angular velocity {axis} of joint {original}, in the body's axes",
                 )
                 for axis in _TURNS
             ]
         else:
             unit = "m" if kind == _SLIDE else "rad"
-            positions.append((f"q_{name}", unit, f"position of joint {said}"))
-            velocities.append((f"v_{name}", f"{unit}/s", f"velocity of joint {said}"))
-    for actuator, (name, said) in enumerate(_actuator_names(model)):
+            positions.append((f"q_{name}", unit, f"position of joint {original}"))
+            velocities.append((f"v_{name}", f"{unit}/s", f"velocity of joint {original}"))
+    for actuator, (name, original) in enumerate(_actuator_names(model)):
         count = int(model.actuator_actnum[actuator])
         velocities += [
-            (f"act_{name}{f'_{k}' * (count > 1)}", "1", f"activation of actuator {said}")
+            (f"act_{name}{f'_{k}' * (count > 1)}", "1", f"activation of actuator {original}")
             for k in range(count)
         ]
-    kinds, starts, found = VariableKind, iter([*data.qpos, *data.qvel, *data.act]), list[Variable]()
+    kinds, starts, states = (
+        VariableKind,
+        iter([*data.qpos, *data.qvel, *data.act]),
+        list[Variable](),
+    )
     for kind, rows in ((kinds.POSITION, positions), (kinds.VELOCITY, velocities)):
-        found += numbered(kind, [(*row, float(next(starts))) for row in rows], len(found))
+        states += numbered(kind, [(*row, float(next(starts))) for row in rows], len(states))
     for kind, rows in ((kinds.POSITION_RATE, positions), (kinds.VELOCITY_RATE, velocities)):
         rates = [
             (
@@ -435,12 +441,11 @@ def _states(robot: Robot) -> list[Variable]:
             )
             for name, unit, text in rows
         ]
-        found += numbered(kind, rates, 0 if kind is kinds.POSITION_RATE else len(positions))
-    return found
+        states += numbered(kind, rates, 0 if kind is kinds.POSITION_RATE else len(positions))
+    return states
 
 
 def _actuator_names(model: Any) -> list[tuple[str, str]]:
-    """As _joint_names; of one without a name that of what it acts on."""
     kinds = mujoco().mjtTrn
 
     def target(actuator: int) -> str:
@@ -458,10 +463,7 @@ def _actuator_names(model: Any) -> list[tuple[str, str]]:
 
 
 def _input_unit(model: Any, actuator: int) -> str:
-    """Of an input that is a force on a joint, or what a servo is to bring one to.
-
-    "1" where gears and gains make it anything.
-    """
+    """Return the unit of an input: a joint's force, or a servo's target; "1" if unclear."""
     package, joint = (
         mujoco(),
         (int(mujoco().mjtTrn.mjTRN_JOINT), int(mujoco().mjtTrn.mjTRN_JOINTINPARENT)),
@@ -493,7 +495,7 @@ def _input_unit(model: Any, actuator: int) -> str:
 
 
 def _range_of(model: Any, control: int) -> tuple[float, float]:
-    """Where MuJoCo cuts a control; infinite where it does not."""
+    """Return the range in which MuJoCo clips a control, or an infinite one."""
     uncut = model.opt.disableflags & int(mujoco().mjtDisableBit.mjDSBL_CLAMPCTRL)
     if uncut or not model.actuator_ctrllimited[control]:
         return _UNCUT
@@ -503,7 +505,7 @@ def _range_of(model: Any, control: int) -> tuple[float, float]:
 
 def _inputs(robot: Robot) -> list[Variable]:
     model, package, rows = robot.model, mujoco(), list[tuple]()
-    for actuator, (name, said) in enumerate(_actuator_names(model)):
+    for actuator, (name, original) in enumerate(_actuator_names(model)):
         first, count = int(model.actuator_ctrladr[actuator]), int(model.actuator_ctrlnum[actuator])
         for part in range(count):
             suffix = (
@@ -514,26 +516,26 @@ def _inputs(robot: Robot) -> list[Variable]:
             unit = _input_unit(model, actuator) if count == 1 else "1"
             lower, upper = _range_of(model, first + part)
             bounds = (lower, upper) if (lower, upper) != _UNCUT else ()
-            text = f"control of actuator {said}{', cut at its range' if bounds else ''}"
+            text = f"control of actuator {original}{', cut at its range' if bounds else ''}"
             start = min(max(float(robot.start.ctrl[first + part]), lower), upper)
             rows.append((f"u_{name}{suffix}", unit, text, start, *bounds))
     return numbered(VariableKind.INPUT, rows)
 
 
 def _outputs(robot: Robot) -> list[Variable]:
-    """Sensors; then forces, then gaps, of the contacts that were asked for."""
+    """Return sensors, then forces, then gaps of the requested contacts."""
     model, package, rows = robot.model, mujoco(), list[tuple]()
     names = _named(
         model.nsensor, lambda number: model.sensor(number).name, lambda number: f"sensor{number}"
     )
-    for sensor, (name, said) in enumerate(names):
+    for sensor, (name, original) in enumerate(names):
         kind = package.mjtSensor(int(model.sensor_type[sensor])).name.removeprefix("mjSENS_")
         size, unit = int(model.sensor_dim[sensor]), _SENSOR_UNITS.get(kind, "1")
         if kind in ("JOINTPOS", "JOINTVEL"):
             length = "m" if model.jnt_type[int(model.sensor_objid[sensor])] == _SLIDE else "rad"
             unit = length if kind == "JOINTPOS" else f"{length}/s"
         rows += [
-            (f"s_{name}{f'_{part}' * (size > 1)}", unit, f"sensor {said} ({kind.lower()})")
+            (f"s_{name}{f'_{part}' * (size > 1)}", unit, f"sensor {original} ({kind.lower()})")
             for part in range(size)
         ]
     sides = [(pair.name, " and ".join(pair.names)) for pair in robot.contacts]
@@ -546,8 +548,7 @@ def _outputs(robot: Robot) -> list[Variable]:
 
 
 def _settings(robot: Robot) -> list[Variable]:
-    """Parameters that may change between steps, in the order of equations.h."""
-    model, kinds, found = robot.model, VariableKind, list[Variable]()
+    model, kinds, settings = robot.model, VariableKind, list[Variable]()
     bodies = _named(model.nbody, lambda number: model.body(number).name, lambda number: "body")
     step = "longest time step; equal steps divide each communication step"
     groups = (
@@ -567,14 +568,14 @@ def _settings(robot: Robot) -> list[Variable]:
            float(model.body_mass[body]), 1e-12) for body in robot.masses]),
     )  # fmt: skip
     for kind, rows in groups:
-        found += numbered(kind, rows, len(found))
-    return found
+        settings += numbered(kind, rows, len(settings))
+    return settings
 
 
 class Recorder:
-    """A simulation with MuJoCo itself, recorded as a plan for the map that the FMU has: `record` before each `mj_step` and after the last.
+    """Record a MuJoCo simulation as a plan for the FMU's map.
 
-    model: MjModel of the package `mujoco`.
+    Call `record` before each `mj_step` and after the last one; model is an `mujoco.MjModel`.
     """
 
     def __init__(self, model: Any) -> None:
@@ -582,23 +583,23 @@ class Recorder:
         robot = Robot(path=Path("robot"), model=model, start=self._package.MjData(model))
         self._quaternions = robot.quaternions
         self._turns = [dof + part for _, dof in robot.quaternions for part in range(3)]
-        # of a quaternion, computed
+        # Velocities of a quaternion are computed.
         self._velocities = [0 if dof is None else dof for dof in robot.dofs]
-        given = [
+        columns = [
             variable.name
             for kind in (VariableKind.INPUT, VariableKind.POSITION)
             for variable in robot.of(kind)
         ]
         self.columns = [
             "t",
-            *given,
+            *columns,
             *(column for _, _, column in robot.velocities),
             *(variable.name for variable in robot.turns),
         ]
         self.rows: list[list[float]] = []
 
     def record(self, data: Any) -> None:
-        """Keep time [s], controls, positions and velocities of an MjData."""
+        """Store time [s], controls, positions and velocities of an MjData."""
         velocities, turns = data.qvel[self._velocities], data.qvel[self._turns]
         for (at, _), turn in zip(self._quaternions, turns.reshape(-1, 3), strict=True):
             self._package.mju_mulQuatAxis(
@@ -609,6 +610,6 @@ class Recorder:
         )
 
     def write(self, path: Path | str) -> None:
-        """As a CSV, each number so that it reads back bit for bit."""
+        """Write a CSV whose numbers read back bit for bit."""
         lines = [",".join(self.columns), *(",".join(map(repr, row)) for row in self.rows)]
         Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,10 +1,11 @@
-/* Getting and setting variables by value reference; directional and adjoint derivatives. Version-free, see instance.h. */
+/* Getting and setting variables by value reference; directional and adjoint derivatives.
+ * Version-free, see instance.h. */
 #ifndef ACCESS_H
 #define ACCESS_H
 
 #include "instance.h"
 
-/* As variable_of, and the variable must be an integer or a real one. */
+/* As variable_of; the variable must have the requested type, integer or real. */
 static inline const Variable *typed_variable(const Instance *self, const char *function, unsigned int reference, int integer)
 {
     const Variable *variable = variable_of(self, function, reference);
@@ -15,7 +16,8 @@ static inline const Variable *typed_variable(const Instance *self, const char *f
     return variable;
 }
 
-/* Whether one of these variables needs the model's results; a reference to none is refused where it is read. */
+/* Return whether one of these variables needs the model's results. Invalid references are
+ * refused when read. */
 static inline int any_calculated(const unsigned int *references, size_t count)
 {
     for (size_t i = 0; i < count; i++)
@@ -23,7 +25,7 @@ static inline int any_calculated(const unsigned int *references, size_t count)
     return 0;
 }
 
-/* The instance, if its variables may be read now and there is a place for them. */
+/* Return the instance if its variables may be read now into `values`. */
 static inline Instance *readable(void *instance, const char *function, const unsigned int *references, const void *values, size_t count)
 {
     Instance *self = allowed(instance, function, PHASES_READABLE | PHASE_OUTPUT_UPDATE);
@@ -35,7 +37,7 @@ static inline Instance *readable(void *instance, const char *function, const uns
     return any_calculated(references, count) && evaluated(self) != STATUS_OK ? NULL : self;
 }
 
-/* The instance, if variables may be set now and there are values. */
+/* Return the instance if variables may be set now from `values`. */
 static inline Instance *writable(void *instance, const char *function, const void *references, const void *values, size_t count)
 {
     Instance *self = allowed(instance, function, PHASES_STARTING | PHASES_RUNNING | PHASE_INPUT_UPDATE);
@@ -47,7 +49,7 @@ static inline Instance *writable(void *instance, const char *function, const voi
     return self;
 }
 
-/* A sentence is logged and an error returned unless `reference` may be given `value` now. */
+/* Log a sentence and return an error unless `reference` may be set to `value` now. */
 static inline Status check_assignment(const Instance *self, const char *function, unsigned int reference, double value, int integer)
 {
     const Variable *variable = typed_variable(self, function, reference, integer);
@@ -61,13 +63,14 @@ static inline Status check_assignment(const Instance *self, const char *function
     if (!phases) return FAIL(self, "%s: %s is calculated and cannot be set.", function, variable->name);
     if (!(self->model.phase & phases)) return FAIL(self, "%s: %s cannot be set in the state '%s'.", function, variable->name, phase_name(self->model.phase));
     if (!isfinite(value)) return FAIL(self, "%s: the value given to %s is not a finite number.", function, variable->name);
-    /* Inputs may exceed their range: it is the actuator's, and judging that is not the model's business. */
+    /* Inputs may exceed their range, which belongs to the actuator; judging that is not the
+     * model's task. */
     if (kind != KIND_INPUT && !(value >= variable->lower && value <= variable->upper))
         return FAIL(self, "%s: %g lies outside the range [%g, %g] of %s.", function, value, variable->lower, variable->upper, variable->name);
     return STATUS_OK;
 }
 
-/* Nothing is read or written: the model has no variables of this type. */
+/* Do nothing: the model has no variables of this type. */
 static inline Status no_variables(void *instance, const char *function, const char *type, size_t count)
 {
     Instance *self = allowed(instance, function, PHASES_ALL);
@@ -75,7 +78,7 @@ static inline Status no_variables(void *instance, const char *function, const ch
     return count == 0 ? STATUS_OK : FAIL(self, "%s: the model has no variables of type %s.", function, type);
 }
 
-/* Value references of real variables, as both standards type them, and their values. */
+/* Value references of real variables, in both standards' type, and their values. */
 typedef struct {
     const unsigned int *references;
     size_t count;
@@ -103,7 +106,8 @@ static inline Status set_reals(void *instance, const char *function, References 
     return STATUS_OK;
 }
 
-/* Whether the variable may be seeded: states and inputs, and parameters in `parameter_phases`. Otherwise a sentence is logged. */
+/* Return whether the variable may be a seed: states and inputs, and parameters in
+ * `parameter_phases`; else log. */
 static inline Status check_known(const Instance *self, const char *function, const Variable *variable, int parameter_phases)
 {
     const VariableKind kind = variable->kind;
@@ -121,17 +125,17 @@ static inline Status check_unknown(const Instance *self, const char *function, c
     return STATUS_OK;
 }
 
-/* A product with the Jacobian J of unknowns with respect to knowns: the seed goes in, the result comes out. */
+/* A product with the Jacobian J of unknowns by knowns: seed in, result out. */
 typedef struct {
     References unknowns, knowns;
     const double *seed;
     size_t seeds;
     double *result;
     size_t results;
-    int parameter_phases; /* in which parameters are knowns */
+    int parameter_phases; /* phases in which parameters are knowns */
 } JacobianProduct;
 
-/* The instance, if all arguments of the product are there and every variable is what it is used as. */
+/* Return the instance if all arguments of the product are valid. */
 static inline Instance *differentiable(void *instance, const char *function, const JacobianProduct *product, size_t seeds, size_t results)
 {
     Instance *self = allowed(instance, function, PHASES_READABLE);
@@ -188,7 +192,7 @@ static inline Status adjoint_derivative(void *instance, const char *function, co
     return STATUS_OK;
 }
 
-/* First derivatives of variables by time; held inputs do not move. */
+/* First time derivatives of variables; constant inputs have none. */
 static inline Status output_derivatives(void *instance, const char *function, References of, const int *orders, double *values)
 {
     const int phases = PHASE_STEP_COMPLETE | PHASE_TERMINATED | PHASE_ERROR | PHASE_OUTPUT_UPDATE;
@@ -197,7 +201,7 @@ static inline Status output_derivatives(void *instance, const char *function, Re
     if (of.count > 0 && (!of.references || !orders || !values))
         return FAIL(self, "%s: value references, orders or the place for the values are missing.", function);
     if (of.count > 0 && evaluated(self) != STATUS_OK) return STATUS_ERROR;
-    Tangent tangent; /* the direction in which time moves everything */
+    Tangent tangent; /* the direction of time */
     memset(&tangent, 0, sizeof tangent);
     time_direction(&self->model, &tangent);
     if (model_tangent(&self->model, &tangent)) return FAIL(self, "%s: %s.", function, model_trouble(&self->model));

@@ -1,9 +1,10 @@
-/* Damped contacts in continuous time. A closed contact presses (mode 1) or is released (mode 0): where the bodies part faster than the spring
- * follows, its force would pull. Included by equations.h in scenes with damped contacts only.
+/* Damped contacts in continuous time. A closed contact presses (mode 1), or is released (mode 0)
+ * if the bodies separate so fast that its force would pull. Included by equations.h only with
+ * damped contacts.
  *
- * The rows of lam, modes and event indicators behind the frictions belong to the damped contacts. In lam they hold what a closed contact would
- * push with, as a share of a typical force (Hunt-Crossley: 1 + d r); an open one has 1, because nothing can be released there.
- */
+ * Rows of lam, modes and event indicators after the frictions belong to the damped contacts. In
+ * lam they contain the push of a closed contact as a share of a typical force (Hunt-Crossley: 1
+ * + d r), and 1 for an open one. */
 #ifndef DAMPING_MODES_H
 #define DAMPING_MODES_H
 
@@ -14,7 +15,7 @@
 /* Half-width of the hysteresis around a push of zero; see HYSTERESIS. */
 #define PRESSING_BAND 1e-10
 
-/* What follows from a state for all contacts: penetrations, their rates, coefficients. */
+/* Results of a state for all contacts: penetrations, their rates, coefficients. */
 typedef struct {
     double phi[NC], rate[NC], k[NC], c[NC];
 } Contacts;
@@ -32,7 +33,7 @@ static inline Push push_of(const Contacts *at, int i)
     return contact_push(scene_damping_laws[i], at->k[i], at->c[i], at->phi[i], at->rate[i]);
 }
 
-/* The share in the rows of lam, of a closed contact. */
+/* The share of a closed contact in the rows of lam. */
 static inline Push pressing(const Contacts *at, int i)
 {
     const double unit = 1.0 / (at->k[i] * CONTACT_NOMINALS[i]), share = (at->k[i] * at->phi[i] + at->c[i] * at->rate[i]) * unit;
@@ -41,7 +42,8 @@ static inline Push pressing(const Contacts *at, int i)
     return scene_damping_laws[i] == 1 ? kelvin_voigt : hunt_crossley;
 }
 
-/* Overwrite the forces of the damped contacts in lam and fill their rows; modes: or NULL for the true law. */
+/* Overwrite the forces of the damped contacts in lam, and fill their rows; modes NULL: the true
+ * law. */
 SCENE_INLINE void damped_forces(const Model *m, const double *q, const double *v, const double *phi, const int *modes, double *lam)
 {
     Contacts at;
@@ -59,7 +61,7 @@ SCENE_INLINE void damped_forces(const Model *m, const double *q, const double *v
     }
 }
 
-/* How fast the shares of closed contacts change (ND) at the accelerations a. */
+/* Compute the rates of the shares of closed contacts (ND) at accelerations a. */
 static inline void pressing_rates(const Model *m, const double *q, const double *v, const double *a, double *rates)
 {
     double second[NC];
@@ -72,7 +74,8 @@ static inline void pressing_rates(const Model *m, const double *q, const double 
     }
 }
 
-/* Which mode a closed contact takes at an event: by the sign of its push outside the band, by its direction within it. */
+/* Return the mode of a closed contact at an event: by the sign of its push outside the band,
+ * else by its direction. */
 static inline int pressing_mode(double share, double rate, int before)
 {
     if (share > PRESSING_BAND) return 1;
@@ -82,7 +85,7 @@ static inline int pressing_mode(double share, double rate, int before)
     return before;
 }
 
-/* Add to a completed tangent, whose phi, k, q, v and p are there, the damped contacts and their rows. */
+/* Add the damped contacts and their rows to a tangent with phi, k, q, v and p. */
 static inline void damping_tangent(const Model *m, Tangent *d)
 {
     Contacts at;
@@ -100,7 +103,7 @@ static inline void damping_tangent(const Model *m, Tangent *d)
     }
 }
 
-/* The transpose of damping_tangent; lam_bar of the damped contacts becomes zero. */
+/* The transpose of damping_tangent; sets lam_bar of the damped contacts to zero. */
 static inline void damping_adjoint(const Model *m, Tangent *bar)
 {
     Contacts at;
@@ -121,7 +124,8 @@ static inline void damping_adjoint(const Model *m, Tangent *bar)
     scene_damping_parameter_vjp(m->p, c_bar, bar->p);
 }
 
-/* Energy held by the springs of closed contacts: also of a released one, which gives it to its damper. */
+/* Return the energy of the springs of closed contacts, also of released ones, whose dampers
+ * receive it. */
 static inline double spring_energy(const Model *m)
 {
     double energy = 0.0;
@@ -147,7 +151,8 @@ static inline void spring_energy_adjoint(const Model *m, double weight, Tangent 
     }
 }
 
-/* Power that the damped contacts take out: what they push with beyond their springs, times the rates of penetration. */
+/* Return the power dissipated by damped contacts: their force beyond the spring times the
+ * penetration rate. */
 static inline double damping_power(const Model *m)
 {
     double rate[NC], power = 0.0;

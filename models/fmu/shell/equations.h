@@ -9,7 +9,7 @@
 #if NF > 0
 #include "friction_modes.h"
 #else
-/* Without friction: what friction_modes.h would define. */
+/* Replacement of friction_modes.h without friction. */
 static inline double slip_value(const Model *m, int j) { return (void)m, (void)j, NAN; }
 static inline double reserve_value(const Model *m, int j) { return (void)m, (void)j, NAN; }
 static inline double friction_power(const Model *m) { return (void)m, 0.0; }
@@ -24,12 +24,13 @@ static inline int sticking_adjoint(const Model *m, Tangent *bar) { return (void)
 static inline int slipping_adjoint(const Model *m, Tangent *bar) { return (void)m, (void)bar, 0; }
 #endif
 
-/* Half-width of the hysteresis around gap = 0, as a share of the contact's nominal penetration. Event location leaves a gap
- * of about 1e-13 m; within the band the direction of motion decides, and the force in it is below 1e-10 of a typical one. */
+/* Half-width of the hysteresis around gap = 0, as a share of the contact's nominal penetration.
+ * Event location has an error of about 1e-13 m; within the band the direction of motion decides,
+ * with a force below 1e-10 of a typical one. */
 #define HYSTERESIS 1e-10
 
-/* Which mode a contact takes at an event: by the sign of phi outside the band, by the direction of motion within it,
- * as it was where it neither closes nor opens. */
+/* Return the mode of a contact at an event: by the sign of phi outside the band, else by the
+ * direction of motion, else unchanged. */
 static inline int contact_mode(int contact, double phi, double phi_rate, int before)
 {
     const double band = HYSTERESIS * CONTACT_NOMINALS[contact];
@@ -40,8 +41,8 @@ static inline int contact_mode(int contact, double phi, double phi_rate, int bef
     return before;
 }
 
-/* lam = closed ? k phi : 0, the smooth continuation of one contact mode beyond its boundary; without modes the true law,
- * lam = k max(phi, 0). */
+/* lam = closed ? k phi : 0, the smooth continuation of a contact mode; without modes the true
+ * law lam = k max(phi, 0). */
 static inline void contact_forces(const double *phi, const double *k, const int *modes, double *lam)
 {
     for (int i = 0; i < NC; i++) lam[i] = (modes ? modes[i] : phi[i] > 0.0) ? k[i] * phi[i] : 0.0;
@@ -49,7 +50,7 @@ static inline void contact_forces(const double *phi, const double *k, const int 
 
 DAMPED(static inline int decide_pressing(const Model *m, const double *q, const double *v, const double *u, int *modes);)
 
-/* Bring modes up to date with a point of the motion under the inputs u; returns how many changed. */
+/* Update the modes at a point of the motion under the inputs u; return the number of changes. */
 static inline int update_modes(const Model *m, const double *q, const double *v, const double *u, int *modes)
 {
     double phi[ROOM(NC)], rate[ROOM(NC)];
@@ -68,14 +69,14 @@ static inline int update_modes(const Model *m, const double *q, const double *v,
     contact_forces(phi, k, modes, lam);
     DAMPED(damped_forces(m, q, v, phi, modes, lam);)
     const int slips = decide_friction(m, q, v, u, modes + NC, lam);
-    changes += slips > 0 ? slips : 0; /* where it fails, so does the acceleration, and says so */
+    changes += slips > 0 ? slips : 0; /* a failure recurs in the acceleration */
 #else
     (void)u;
 #endif
     return changes;
 }
 
-/* As update_modes, of the Model itself. */
+/* As update_modes, for the Model itself. */
 static inline int model_update_modes(Model *m)
 {
     const int changes = update_modes(m, m->q, m->v, m->u, m->modes);
@@ -83,13 +84,13 @@ static inline int model_update_modes(Model *m)
     return changes;
 }
 
-/* The modes in which forces are taken, or (NULL) the true law of contact with given friction forces. */
+/* The modes of the forces, or (NULL) the true law of contact with given friction forces. */
 typedef struct {
     const int *modes;
     const double *friction; /* (NF), used without modes */
 } Law;
 
-/* All forces at (q, v, u) under a law; 1 as in model_acceleration. */
+/* Compute all forces at (q, v, u) under a law; return 1 as model_acceleration. */
 SCENE_INLINE int model_forces(const Model *m, const double *q, const double *v, const double *u, const Law *law, const double *phi, const double *k,
     double *lam)
 {
@@ -104,7 +105,8 @@ SCENE_INLINE int model_forces(const Model *m, const double *q, const double *v, 
     return 0;
 }
 
-/* a = M^-1 (tau + J' lam + S' f) at (q, v, u) under a law; 1 if M is not positive definite. */
+/* Compute a = M^-1 (tau + J' lam + S' f) at (q, v, u) under a law; return 1 if M is not positive
+ * definite. */
 static inline int model_acceleration(const Model *m, const double *q, const double *v, const double *u, const Law *law, double *a)
 {
     double phi[ROOM(NC)], k[ROOM(NC)], lam[ROOM(NL)];
@@ -114,7 +116,8 @@ static inline int model_acceleration(const Model *m, const double *q, const doub
 }
 
 #ifdef DAMPING
-/* For the integrator, the rows of the damped contacts; nothing can happen to an open one. 1 as in model_acceleration. */
+/* Compute the rows of the damped contacts for the integrator; open ones have no events. Return 1
+ * as model_acceleration. */
 static inline int look_at_pressing(const Model *m, const int *modes, const double *q, const double *v, const double *u, double *excess,
     double *rate, double *band)
 {
@@ -133,7 +136,7 @@ static inline int look_at_pressing(const Model *m, const int *modes, const doubl
     return 0;
 }
 
-/* Which closed contacts press and which are released; returns how many changed. */
+/* Decide which closed contacts press; return the number of changes. */
 static inline int decide_pressing(const Model *m, const double *q, const double *v, const double *u, int *modes)
 {
     double phi[NC], k[NC], lam[NL], a[NQ], rates[ND] = {0.0};
@@ -152,7 +155,7 @@ static inline int decide_pressing(const Model *m, const double *q, const double 
 }
 #endif
 
-/* Fill phi, k, lam and a; 1 if the mass matrix is not positive definite. */
+/* Compute phi, k, lam and a; return 1 if the mass matrix is not positive definite. */
 static inline int model_evaluate(Model *m)
 {
     if (m->evaluated) return 0;
@@ -166,7 +169,8 @@ static inline int model_evaluate(Model *m)
     return 0;
 }
 
-/* The event indicators of an evaluated Model: the gaps, then the reserves of the frictions. */
+/* Compute the event indicators of an evaluated Model: the gaps, then the reserves of the
+ * frictions. */
 static inline void model_indicators(const Model *m, double *indicators)
 {
     for (int i = 0; i < NC; i++) indicators[i] = -m->phi[i];
@@ -178,7 +182,7 @@ static inline void model_indicators(const Model *m, double *indicators)
     DAMPED(for (int i = PRESSING; i < NL; i++) indicators[i] = m->lam[i];)
 }
 
-/* Whether an evaluated Model is beyond the hysteresis of one of its modes. */
+/* Return whether an evaluated Model is beyond the hysteresis of one of its modes. */
 static inline int model_modes_wrong(const Model *m)
 {
     int wrong = 0;
@@ -205,7 +209,7 @@ static inline double contact_energy(const Model *m)
 }
 #endif
 
-/* The value of any variable; the Model must be evaluated. */
+/* Return the value of a variable of an evaluated Model. */
 static inline double model_value(const Model *m, const Variable *variable)
 {
     const int i = variable->index;
@@ -255,7 +259,7 @@ static inline void model_assign(Model *m, const Variable *variable, double value
     m->evaluated = 0;
 }
 
-/* Where a tangent or an adjoint has the entry of a state, an input or a parameter; NULL for any other variable. */
+/* Return the entry of a state, an input or a parameter in a tangent or an adjoint, else NULL. */
 static inline double *known_entry(const Variable *variable, Tangent *tangent)
 {
     switch (variable->kind) {
@@ -267,7 +271,8 @@ static inline double *known_entry(const Variable *variable, Tangent *tangent)
     }
 }
 
-/* Complete a tangent whose q, v, u, p are given, in the contact modes of the (evaluated) Model; 1 as in model_evaluate. */
+/* Complete a tangent with given q, v, u, p in the contact modes of the evaluated Model; return 1
+ * as model_evaluate. */
 static inline int model_tangent(const Model *m, Tangent *d)
 {
     double phi_p[ROOM(NC)], a_p[NQ];
@@ -295,7 +300,7 @@ static inline double contact_energy_tangent(const Model *m, const Tangent *d)
 }
 #endif
 
-/* The directional derivative of any variable along a completed tangent. */
+/* Return the directional derivative of a variable along a completed tangent. */
 static inline double model_value_tangent(const Model *m, const Tangent *d, const Variable *variable)
 {
     const int i = variable->index;
@@ -332,7 +337,8 @@ static inline double model_value_tangent(const Model *m, const Tangent *d, const
     return 0.0;
 }
 
-/* Add to an adjoint what `weight` times a variable depends on directly; model_adjoint follows it to states, inputs and parameters. */
+/* Add the direct dependences of `weight` times a variable to an adjoint; model_adjoint
+ * propagates these to states, inputs and parameters. */
 static inline void model_value_adjoint(const Model *m, double weight, const Variable *variable, Tangent *bar)
 {
     const int i = variable->index;
@@ -373,7 +379,8 @@ static inline void model_value_adjoint(const Model *m, double weight, const Vari
     }
 }
 
-/* Complete an adjoint: from a, lam, phi and k down to q, v, u and p; the transpose of model_tangent. 1 as in model_evaluate. */
+/* Complete an adjoint: from a, lam, phi and k to q, v, u and p; the transpose of model_tangent.
+ * Return 1 as model_evaluate. */
 static inline int model_adjoint(const Model *m, Tangent *bar)
 {
     if (sticking_adjoint(m, bar)) return 1;

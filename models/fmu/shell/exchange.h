@@ -1,5 +1,6 @@
-/* Model Exchange: the importer integrates; contact modes are frozen between events and change only in event mode, where the
- * event indicators (the gaps, the reserves of frictions) have changed their signs. Version-free, see instance.h. */
+/* Model Exchange: the importer integrates. Contact modes are frozen between events and change
+ * only in event mode, after a sign change of the event indicators (gaps, reserves of frictions).
+ * Version-free, see instance.h. */
 #ifndef EXCHANGE_H
 #define EXCHANGE_H
 
@@ -7,7 +8,7 @@
 
 #define PHASES_STATES (PHASE_INITIALIZATION | PHASE_EVENT | PHASE_CONTINUOUS | PHASE_TERMINATED | PHASE_ERROR)
 
-/* As allowed_type, and an array of the right length must be there. */
+/* As allowed_type; the array must have the right length. */
 static inline Instance *allowed_array(void *instance, const char *function, int phases, const void *array, size_t given, size_t needed)
 {
     Instance *self = allowed_type(instance, function, phases, MODEL_EXCHANGE);
@@ -19,8 +20,8 @@ static inline Instance *allowed_array(void *instance, const char *function, int 
     return self;
 }
 
-/* Asks for an event where a contact is beyond its hysteresis in the wrong mode: an importer that does not locate the
- * indicators' roots still gets the right modes, one step late. */
+/* Request an event if a contact is in the wrong mode beyond its hysteresis. Importers that do
+ * not locate the indicators' roots thus get the right modes one step late. */
 static inline Status integrator_step_completed(void *instance, const char *function, const void *places, int *enter_event_mode)
 {
     Instance *self = allowed_type(instance, function, PHASE_CONTINUOUS, MODEL_EXCHANGE);
@@ -35,7 +36,8 @@ static inline Status set_time(void *instance, const char *function, double time)
 {
     Instance *self = allowed_type(instance, function, PHASE_EVENT | PHASE_CONTINUOUS, MODEL_EXCHANGE);
     if (!self) return STATUS_ERROR;
-    /* A time beyond stopTime is accepted: integrators with an order above one look past the end and interpolate back. */
+    /* A time beyond stopTime is accepted: higher-order integrators step past the end and
+     * interpolate back. */
     if (!isfinite(time)) return FAIL(self, "%s: the time is not a finite number.", function);
     self->model.time = time;
     return STATUS_OK;

@@ -1,4 +1,5 @@
-/* FMI 2.0: its names and types for the version-free functions of instance.h, access.h, exchange.h and stepping.h. */
+/* FMI 2.0: its names and types for the version-free functions of instance.h, access.h,
+ * exchange.h and stepping.h. */
 #include "fmi2Functions.h"
 
 #include "access.h"
@@ -6,7 +7,8 @@
 #include "instance.h"
 #include "stepping.h"
 
-/* Static libraries need names of their own: FMI2_FUNCTION_PREFIX, which some copies of the standard header ignore. */
+/* Static libraries need unique names: FMI2_FUNCTION_PREFIX, which some copies of the standard
+ * header ignore. */
 #ifdef FMI2_FUNCTION_PREFIX
 #undef fmi2FullName
 #define PREFIXED_AGAIN(prefix, name) prefix##name
@@ -22,7 +24,7 @@ static inline fmi2Status said(Status status)
     return status == STATUS_OK ? fmi2OK : fmi2Error;
 }
 
-/* ---- Make an instance, lead it through its states, save and free it. ---- */
+/* ---- Make an instance, change its states, save and free it. ---- */
 
 const char *fmi2GetTypesPlatform(void)
 {
@@ -43,7 +45,7 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean loggingOn)
 {
     (void)visible;
-    if (!functions || !functions->logger) return NULL; /* without a logger nothing can be told */
+    if (!functions || !functions->logger) return NULL; /* without a logger nothing can be reported */
     Instance draft = {.type = fmuType == fmi2ModelExchange ? MODEL_EXCHANGE : CO_SIMULATION, .log_events = loggingOn};
     draft.logger = (Callback)functions->logger;
     draft.environment = functions->componentEnvironment;
@@ -320,7 +322,7 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boo
 {
     if (s != fmi2Terminated) return no_status(c, "fmi2GetBooleanStatus", s);
     if (!allowed_type(c, "fmi2GetBooleanStatus", PHASES_STATUS, CO_SIMULATION) || !value) return fmi2Error;
-    *value = fmi2False; /* the model never ends a simulation by itself */
+    *value = fmi2False; /* the model never ends a simulation */
     return fmi2OK;
 }
 

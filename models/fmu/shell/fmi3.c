@@ -1,5 +1,5 @@
-/* FMI 3.0: its names and types for the version-free functions of instance.h, access.h, exchange.h and stepping.h; and what this FMU does
- * not offer, each call of which says so. */
+/* FMI 3.0: its names and types for the version-free functions of instance.h, access.h,
+ * exchange.h and stepping.h, and refusals of everything else. */
 #include "fmi3Functions.h"
 
 #include "access.h"
@@ -15,14 +15,14 @@ static inline fmi3Status said(Status status)
     return status == STATUS_OK ? fmi3OK : fmi3Error;
 }
 
-/* The answer of a function that this FMU does not offer. */
+/* Refuse a function that this FMU does not provide. */
 static inline fmi3Status not_offered(fmi3Instance instance, const char *function, const char *why)
 {
     const Instance *self = instance;
     return self ? said(FAIL(self, "%s: %s.", function, why)) : fmi3Error;
 }
 
-/* ---- Make an instance, lead it through its states, save and free it. ---- */
+/* ---- Make an instance, change its states, save and free it. ---- */
 
 const char *fmi3GetVersion(void)
 {
@@ -109,7 +109,7 @@ fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
     return said(exit_initialization(instance, "fmi3ExitInitializationMode"));
 }
 
-/* From continuous-time mode, or from step mode of an instance that was made for event mode. */
+/* From continuous-time mode, or from step mode of an instance with event mode. */
 fmi3Status fmi3EnterEventMode(fmi3Instance instance)
 {
     Instance *self = instance;
@@ -175,7 +175,7 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte seriali
 
 /* ---- Get and set variables by value reference; directional and adjoint derivatives. ---- */
 
-/* Every variable is a scalar: as many values as value references. */
+/* Every variable is a scalar: one value per value reference. */
 static int as_many(fmi3Instance instance, const char *function, size_t references, size_t values)
 {
     if (references == values) return 1;
@@ -195,7 +195,7 @@ fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], 
     return said(set_reals(instance, "fmi3SetFloat64", (References){vr, nvr}, values));
 }
 
-/* Enumerations are got and set as Int64. */
+/* Enumerations are read and set as Int64. */
 fmi3Status fmi3GetInt64(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, fmi3Int64 values[], size_t nValues)
 {
     if (!as_many(instance, "fmi3GetInt64", nvr, nValues)) return fmi3Error;
@@ -220,7 +220,7 @@ fmi3Status fmi3SetInt64(fmi3Instance instance, const fmi3ValueReference vr[], si
     return fmi3OK;
 }
 
-/* Both derivatives know the parameters at all times: FMI 3.0 counts them among the knowns of every mode. */
+/* FMI 3.0 counts parameters among the knowns of both derivatives in every mode. */
 static JacobianProduct product_of(const fmi3ValueReference unknowns[], size_t nUnknowns, const fmi3ValueReference knowns[], size_t nKnowns,
     const fmi3Float64 seed[], size_t nSeed, fmi3Float64 sensitivity[], size_t nSensitivity)
 {
@@ -324,13 +324,13 @@ fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance, const fmi3ValueRefere
     return said(output_derivatives(instance, "fmi3GetOutputDerivatives", (References){vr, nvr}, orders, values));
 }
 
-/* A communication step on its way. */
+/* A communication step in progress. */
 typedef struct {
     Instance *self;
     double begin;
 } Communication;
 
-/* Tentative: within an internal step the importer may set inputs, nothing else. */
+/* Tentative: within an internal step the importer may only set inputs. */
 static void set_inputs(void *context, double offset)
 {
     const Communication *step = context;
@@ -342,7 +342,7 @@ static void set_inputs(void *context, double offset)
     self->model.phase = PHASE_STEP_COMPLETE;
 }
 
-/* After an internal step the importer may get values, and ask for an early return. */
+/* After an internal step the importer may read values, and request an early return. */
 static void step_finished(void *context, double offset, double *finish)
 {
     const Communication *step = context;
@@ -372,7 +372,7 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
     double dt = communicationStepSize;
     int event;
     const Status status = do_step(self, "fmi3DoStep", currentCommunicationPoint, &dt, &observer, &event);
-    *terminateSimulation = fmi3False; /* the model never ends a simulation by itself */
+    *terminateSimulation = fmi3False; /* the model never ends a simulation */
     *eventHandlingNeeded = event != 0;
     *earlyReturn = status == STATUS_OK && dt < communicationStepSize;
     *lastSuccessfulTime = self->model.time;

@@ -1,6 +1,6 @@
-/* Part of fmi3.c, and compiled with it: the functions of FMI 3.0 that this FMU does not offer; each says so. */
+/* Part of fmi3.c: the functions of FMI 3.0 that this FMU does not provide; each reports that. */
 
-/* ---- What is not offered: other types, clocks, structural parameters, scheduled execution. ---- */
+/* ---- Not provided: other types, clocks, structural parameters, scheduled execution. ---- */
 
 #define NO_VARIABLES(Type)                                                                                                            \
     fmi3Status fmi3Get##Type(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, fmi3##Type values[], size_t nValues)    \

@@ -1,11 +1,10 @@
-/* Dry friction in continuous time: each friction slips one way (mode 1 or -1) or sticks (mode 0). Included by equations.h in
- * scenes with friction only.
+/* Dry friction in continuous time: each friction slips one way (mode 1 or -1) or sticks (mode
+ * 0). Included by equations.h only with friction.
  *
- * Where it slips, f = -mode mu N. Where it sticks, all sticking forces together are those that keep the slip speeds from
- * changing, ds/dt = 0: the slip is zero and stays zero, there is no creep. Modes change at events only: a slip that comes to zero,
- * a sticking force that exceeds mu N. What then sticks and what slips, and which way, is decided for all undecided frictions at
- * once by maximal dissipation of the slip accelerations (friction.h).
- */
+ * A slipping friction has f = -mode mu N. Sticking forces together keep the slip speeds
+ * constant, ds/dt = 0, so the slip stays zero without creep. Modes change only at events: a slip
+ * reaches zero, or a sticking force exceeds mu N. Maximal dissipation of the slip accelerations
+ * (friction.h) decides all open modes together. */
 #ifndef FRICTION_MODES_H
 #define FRICTION_MODES_H
 
@@ -14,16 +13,18 @@
 #include "friction.h"
 #include "model.h"
 
-/* A slip below this share of its nominal is zero: events are located to about 1e-14 m/s. */
+/* A smaller slip, relative to its nominal, is zero: event location has an error of about 1e-14
+ * m/s. */
 #define SLIP_BAND 1e-10
-/* What sticks already, while modes are frozen, goes on below this share: ds/dt = 0 holds a slip at zero only as well as the importer's integrator does,
- * and an event of somebody else's must not end the sticking. */
+/* Sticking continues below this share while modes are frozen: ds/dt = 0 holds the slip only
+ * within the importer's tolerance, and foreign events must not end sticking. */
 #define DRIFT_BAND 1e-4
-/* By this share a sticking force may exceed mu N: when it starts to slip, it is pushed off by at least as much. What sticks is
- * decided with half of it, so that an event located a little early still ends the sticking. */
+/* Relative excess of a sticking force over mu N; it starts to slip with at least this push.
+ * Sticking is decided with half of it, so that an event located slightly early still ends it. */
 #define STICKING_SLACK 1e-10
 
-/* At the point (q, v, u) with the contact forces lam: s0 the slip accelerations without friction, hW = S M^-1 S', limit = mu N. */
+/* At (q, v, u) with contact forces lam: slip accelerations s0 without friction, hW = S M^-1 S',
+ * limit = mu N. */
 static inline int friction_rates(const Model *m, const double *q, const double *v, const double *u, double *lam, FrictionStep *rates)
 {
     double a[NQ];
@@ -33,16 +34,16 @@ static inline int friction_rates(const Model *m, const double *q, const double *
     return friction_columns(1.0, m->p, q, v, u, lam, rates);
 }
 
-/* Sticking frictions whose slips are multiples of one slip form a group. They share its force as their limits are, so that all of them
- * begin to slip at once. */
+/* Sticking frictions whose slips are multiples of one slip form a group, and share its force in
+ * proportion to their limits, so that all begin to slip together. */
 typedef struct {
-    int leader[NF];     /* the first friction of the group, -1 for what slips */
+    int leader[NF]; /* first friction of the group, -1 if slipping */
     double ratio[NF];   /* |slip / slip of the leader| */
     double share[NF];   /* friction force / force of the group along the leader's slip */
-    double limit[NF];   /* of the group, at its leader */
+    double limit[NF]; /* of the group, at its leader */
 } Sharing;
 
-/* Whether the slips of two frictions are multiples of each other. */
+/* Return whether the slips of two frictions are multiples of each other. */
 static inline int is_parallel(const FrictionStep *rates, int i, int j)
 {
     return rates->hW[i][j] * rates->hW[j][i] >= (1.0 - 1e-12) * rates->hW[i][i] * rates->hW[j][j];
@@ -65,8 +66,9 @@ static inline void share_sticking(const FrictionStep *rates, const int *modes, S
         if (!modes[j]) g->share[j] /= g->limit[g->leader[j]];
 }
 
-/* Solve (S M^-1 S') x = b on the leaders of the sticking frictions; entries of x elsewhere become zero. x holds b. Leaders that hold
- * the same motion together share the force: a share of 1e-13 on the diagonal decides how. */
+/* Solve (S M^-1 S') x = b on the leaders of the sticking frictions, with x = b on entry and
+ * zeros elsewhere on return. A share of 1e-13 on the diagonal divides the force of leaders that
+ * hold the same motion. */
 static inline int solve_leaders(const FrictionStep *rates, const Sharing *g, double *x)
 {
     double K[NF][NF], b[NF], largest = 0.0;
@@ -85,19 +87,20 @@ static inline int solve_leaders(const FrictionStep *rates, const Sharing *g, dou
     return 0;
 }
 
-/* The forces x of sticking frictions that change their slip accelerations by b; entries of x elsewhere become zero. x holds b. */
+/* Compute the forces x of sticking frictions that change their slip accelerations by b, with x =
+ * b on entry and zeros elsewhere on return. */
 static inline int solve_sticking(const FrictionStep *rates, const int *modes, double *x)
 {
     Sharing g;
     share_sticking(rates, modes, &g);
     if (solve_leaders(rates, &g, x)) return 1;
-    for (int j = NF - 1; j >= 0; j--) /* a leader comes before its followers */
+    for (int j = NF - 1; j >= 0; j--) /* leaders precede followers */
         if (g.leader[j] >= 0) x[j] = g.share[j] * x[g.leader[j]];
     return 0;
 }
 
-/* The friction forces in the given modes, into lam[NC ..]; 1 if the mass matrix is not positive definite or a sticking friction
- * has nothing to hold. */
+/* Compute the friction forces in the given modes into lam[NC ..]. Return 1 if the mass matrix is
+ * not positive definite or a sticking friction has nothing to hold. */
 static inline int friction_in_modes(const Model *m, const double *q, const double *v, const double *u, const int *modes, double *lam)
 {
     FrictionStep rates;
@@ -105,7 +108,8 @@ static inline int friction_in_modes(const Model *m, const double *q, const doubl
     int sticks = 0;
     for (int j = 0; j < NF; j++) sticks |= !modes[j];
     if (!sticks) {
-        /* What slips needs neither rates nor a mass matrix: so push_box is stepped in a third of the time. */
+        /* Slipping needs neither rates nor a mass matrix, which reduces a step of push_box to a
+         * third of the time. */
         for (int j = 0; j < NF; j++) f[j] = 0.0;
         scene_friction_limit(q, lam, m->p, rates.limit);
         for (int j = 0; j < NF; j++) f[j] = -modes[j] * (rates.limit[j] > 0.0 ? rates.limit[j] : 0.0);
@@ -120,8 +124,8 @@ static inline int friction_in_modes(const Model *m, const double *q, const doubl
     return 0;
 }
 
-/* Which modes the frictions take at (q, v, u) with the contact forces lam; modes becomes them, and the forces go into lam[NC ..].
- * Returns how many changed, or -1 as friction_in_modes fails. */
+/* Decide the friction modes at (q, v, u) with contact forces lam, and write the forces to lam[NC
+ * ..]. Return the number of changes, or -1 as friction_in_modes fails. */
 static inline int decide_friction(const Model *m, const double *q, const double *v, const double *u, int *modes, double *lam)
 {
     FrictionStep rates;
@@ -140,11 +144,12 @@ static inline int decide_friction(const Model *m, const double *q, const double 
         int mode = s[j] > 0.0 ? 1 : -1;
         if (undecided[j]) {
             mode = f[j] > 0.0 ? -1 : 1;
-            for (int i = 0; i < NF; i++) /* a group sticks if one of it does */
+            for (int i = 0; i < NF; i++) /* a group sticks if a member does */
                 if (undecided[i] && fabs(f[i]) < rates.limit[i] && (i == j || is_parallel(&rates, i, j))) mode = 0;
         }
         else if (fabs(s[j]) <= SLIP_BAND * scene_friction_nominals[j]) {
-            /* Nothing presses: it slips the way it is about to, so that a slip that only passes zero is one event. */
+            /* Without pressure it slips in its imminent direction, so that a slip through zero
+             * is one event. */
             const double rate = slip_at_end(&rates, f, j);
             mode = rate > 0.0 ? 1 : rate < 0.0 ? -1 : modes[j] ? modes[j] : 1;
         }
@@ -154,7 +159,8 @@ static inline int decide_friction(const Model *m, const double *q, const double 
     return friction_in_modes(m, q, v, u, modes, lam) ? -1 : changes;
 }
 
-/* How far each friction is from leaving its mode, as shares of nominal values: the slip in its own direction, or what is left of mu N. */
+/* Compute each friction's distance from leaving its mode, relative to nominal values: the slip
+ * in its direction, or the rest of mu N. */
 static inline void friction_reserves(const Model *m, const double *q, const double *v, const double *lam, const int *modes, double *reserve)
 {
     double s[NF], limit[NF];
@@ -165,13 +171,14 @@ static inline void friction_reserves(const Model *m, const double *q, const doub
                               : (limit[j] * (1.0 + STICKING_SLACK) - fabs(lam[NC + j])) / FRICTION_NOMINALS[j];
 }
 
-/* What counts as zero in a reserve. */
+/* The zero of a reserve. */
 static inline double reserve_band(int j, int mode, double limit)
 {
     return mode ? SLIP_BAND : STICKING_SLACK * limit / FRICTION_NOMINALS[j];
 }
 
-/* The values of an evaluated Model, and their exact directional and adjoint derivatives in its modes. */
+/* Values of an evaluated Model, and their exact directional and adjoint derivatives in its
+ * modes. */
 
 static inline double slip_value(const Model *m, int j)
 {
@@ -187,7 +194,7 @@ static inline double reserve_value(const Model *m, int j)
     return reserve[j];
 }
 
-/* Power that friction takes out. */
+/* Return the power dissipated by friction. */
 static inline double friction_power(const Model *m)
 {
     double s[NF], power = 0.0;
@@ -196,8 +203,8 @@ static inline double friction_power(const Model *m)
     return power;
 }
 
-/* Complete a tangent by the friction forces; its contact forces are there already. A sticking force is defined by
- * 0 = ds/dt(q, v, a(q, v, u, lam, f)), which is differentiated. 1 as in model_evaluate. */
+/* Add the friction forces to a tangent that has its contact forces. A sticking force is defined
+ * by 0 = ds/dt(q, v, a(q, v, u, lam, f)), which is differentiated. Return 1 as model_evaluate. */
 static inline int friction_tangent(const Model *m, Tangent *d)
 {
     const int *modes = m->modes + NC;
@@ -213,7 +220,7 @@ static inline int friction_tangent(const Model *m, Tangent *d)
     if (friction_columns(1.0, m->p, m->q, m->v, m->u, m->lam, &rates) || solve_sticking(&rates, modes, rate)) return 1;
     for (int j = 0; j < NF; j++)
         if (!modes[j]) d->lam[NC + j] = rate[j];
-    if (NF > 1) { /* the shares follow the limits */
+    if (NF > 1) { /* shares follow the limits */
         Sharing g;
         double group[NF] = {0.0};
         share_sticking(&rates, modes, &g);
@@ -285,7 +292,8 @@ static inline void friction_power_adjoint(const Model *m, double weight, Tangent
     }
 }
 
-/* Before an adjoint is followed through the accelerations: the multipliers of ds/dt = 0 of what sticks. 1 as in model_evaluate. */
+/* First part of an adjoint, before the accelerations: multipliers of ds/dt = 0 of sticking
+ * frictions. Return 1 as model_evaluate. */
 static inline int sticking_adjoint(const Model *m, Tangent *bar)
 {
     double rate_bar[NF];
@@ -304,7 +312,8 @@ static inline int sticking_adjoint(const Model *m, Tangent *bar)
     return 0;
 }
 
-/* After it: through the limits of what slips, and the shares of what sticks, to the contact forces that press it. */
+/* Second part: through the limits of slipping and the shares of sticking frictions to their
+ * contact forces. */
 static inline int slipping_adjoint(const Model *m, Tangent *bar)
 {
     const int *modes = m->modes + NC;

@@ -1,8 +1,7 @@
-/* One instance behind an FMI: which call is allowed when, how failures are told, how it begins, is saved and ends.
+/* One instance behind an FMI: allowed calls, error reports, start, saved states, end.
  *
- * Version-free: fmi2.c and fmi3.c give these functions their standard's names and types. Every function here takes
- * the name of the FMI function it stands for, so that a refusal names what the importer called.
- */
+ * Version-free: fmi2.c and fmi3.c provide the standards' names and types. Every function takes
+ * the name of its FMI function for messages. */
 #ifndef INSTANCE_H
 #define INSTANCE_H
 
@@ -12,40 +11,40 @@
 
 #include "equations.h"
 
-/* The numbers of fmi2Status and fmi3Status alike. */
+/* The numbers of both fmi2Status and fmi3Status. */
 typedef enum { STATUS_OK = 0, STATUS_ERROR = 3 } Status;
 
 typedef enum { MODEL_EXCHANGE = 0, CO_SIMULATION = 1 } InterfaceType;
 
-/* Phases of the state machine; bits, so that a set of them says where a call is allowed. */
+/* Phases of the state machine, as bits of the set of phases in which a call is allowed. */
 enum {
     PHASE_INSTANTIATED = 1,
     PHASE_INITIALIZATION = 2,
     PHASE_EVENT = 4,
     PHASE_CONTINUOUS = 8,
-    PHASE_STEP_COMPLETE = 16, /* step mode, in the words of FMI 3.0 */
+    PHASE_STEP_COMPLETE = 16, /* step mode of FMI 3.0 */
     PHASE_TERMINATED = 32,
     PHASE_ERROR = 64,
-    PHASE_INPUT_UPDATE = 128, /* intermediate update mode: the importer may set inputs */
-    PHASE_OUTPUT_UPDATE = 256 /* intermediate update mode: the importer may get values */
+    PHASE_INPUT_UPDATE = 128, /* intermediate update mode, inputs may be set */
+    PHASE_OUTPUT_UPDATE = 256 /* intermediate update mode, values may be read */
 };
 #define PHASES_STARTING (PHASE_INSTANTIATED | PHASE_INITIALIZATION)
 #define PHASES_RUNNING (PHASE_EVENT | PHASE_CONTINUOUS | PHASE_STEP_COMPLETE)
 #define PHASES_READABLE (PHASE_INITIALIZATION | PHASES_RUNNING | PHASE_TERMINATED | PHASE_ERROR)
 #define PHASES_ALL (PHASE_INSTANTIATED | PHASES_READABLE) /* all between two calls of the importer */
 
-typedef void (*Callback)(void); /* any callback; the version that stored it knows its type */
+typedef void (*Callback)(void); /* any callback, cast back by the version that stored it */
 
 typedef struct Instance {
-    Model model; /* first: all that get/set/serialise of an FMU state copies */
+    Model model; /* first: the saved part of an FMU state */
     InterfaceType type;
-    int event_mode_used;      /* Co-Simulation of FMI 3.0: contacts change in event mode only */
-    int early_return_allowed; /* Co-Simulation of FMI 3.0: a step may end at a contact that changes */
+    int event_mode_used; /* FMI 3.0 Co-Simulation: contacts change in event mode only */
+    int early_return_allowed; /* FMI 3.0 Co-Simulation: a step may end at a changing contact */
     int log_events;
-    int sets_inputs; /* the importer wants to set inputs within a step */
+    int sets_inputs; /* the importer sets inputs within a step */
     Callback logger, update;
     void *environment;
-    const char *resources; /* where the FMU's resources lie, as the importer says it: while the instance is made */
+    const char *resources; /* location of the FMU's resources, during creation */
     void (*write)(const struct Instance *self, int status, const char *category, const char *text);
     char *name;
 } Instance;
@@ -66,7 +65,8 @@ static inline const char *phase_name(int phase)
     }
 }
 
-/* Tell the importer; the text must not contain '%', because FMI 2.0's logger formats it once more. Returns `status`. */
+/* Report to the importer. The text must not contain '%', because FMI 2.0's logger formats it
+ * again. Return `status`. */
 static inline Status tell(const Instance *self, Status status, const char *category, const char *format, ...)
 {
     char text[512];
@@ -80,7 +80,7 @@ static inline Status tell(const Instance *self, Status status, const char *categ
 
 #define FAIL(self, ...) tell(self, STATUS_ERROR, "logStatusError", __VA_ARGS__)
 
-/* The instance behind a pointer if `function` may be called now; NULL (and a logged sentence) if not. */
+/* Return the instance behind a pointer if `function` may be called now, else NULL after logging. */
 static inline Instance *allowed(void *instance, const char *function, int phases)
 {
     Instance *self = instance;
@@ -91,7 +91,7 @@ static inline Instance *allowed(void *instance, const char *function, int phases
     return self;
 }
 
-/* As `allowed`, for functions of one of the two interface types. */
+/* As `allowed`, for functions of one interface type. */
 static inline Instance *allowed_type(void *instance, const char *function, int phases, InterfaceType type)
 {
     const Instance *self = instance;
@@ -103,14 +103,14 @@ static inline Instance *allowed_type(void *instance, const char *function, int p
     return allowed(instance, function, phases);
 }
 
-/* Make the model's results current. */
+/* Evaluate the model if needed. */
 static inline Status evaluated(Instance *self)
 {
     if (model_evaluate(&self->model)) return FAIL(self, "at t = %g s %s.", self->model.time, model_trouble(&self->model));
     return STATUS_OK;
 }
 
-/* The row of a value reference, or NULL and a logged sentence. */
+/* Return the row of a value reference, or NULL after logging. */
 static inline const Variable *variable_of(const Instance *self, const char *function, unsigned int reference)
 {
     if (reference < VARIABLE_COUNT) return &MODEL_VARIABLES[reference];
@@ -127,8 +127,8 @@ static inline void free_instance(void *instance)
     free(self);
 }
 
-/* An instance with the settings of `draft` (its name is copied), or NULL and a logged sentence. token_word: what the standard calls
- * the token. */
+/* Return a new instance with the settings of `draft` (its name is copied), or NULL after
+ * logging. token_word: the standard's name of the token. */
 static inline Instance *new_instance(const Instance *draft, const char *function, const char *name, const char *token, const char *token_word)
 {
     Instance refused = *draft;
@@ -179,7 +179,7 @@ static inline Status set_logging(void *instance, const char *function, int on, s
     return STATUS_OK;
 }
 
-/* Start and stop time of the experiment. */
+/* Set start and stop time of the experiment. */
 static inline Status set_experiment(Instance *self, const char *function, double start, int stop_defined, double stop)
 {
     if (!isfinite(start)) return FAIL(self, "%s: the start time is not a finite number.", function);
@@ -190,7 +190,7 @@ static inline Status set_experiment(Instance *self, const char *function, double
     return STATUS_OK;
 }
 
-/* Go from one of `phases` to the phase `next`. */
+/* Change to the phase `next` from one of `phases`. */
 static inline Status change_phase(Instance *self, int next)
 {
     if (!self) return STATUS_ERROR;
@@ -214,7 +214,8 @@ static inline Status reset(void *instance, const char *function)
     return change_phase(self, PHASE_INSTANTIATED);
 }
 
-/* Event mode: the only place where contacts change while the model is frozen. Modes depend on the states alone: one update is enough. */
+/* Event mode, the only phase in which frozen contacts change. Modes depend on states only: one
+ * update suffices. */
 static inline Status update_discrete_states(void *instance, const char *function)
 {
     Instance *self = allowed(instance, function, PHASE_EVENT);
@@ -224,7 +225,7 @@ static inline Status update_discrete_states(void *instance, const char *function
     return STATUS_OK;
 }
 
-/* A saved state is the bytes of a Model behind a head that says which model and which kind of instance it belongs to. */
+/* A saved state: the bytes of a Model after a head that identifies model and kind of instance. */
 typedef struct {
     char guid[sizeof MODEL_GUID];
     int type, event_mode_used;

@@ -1,27 +1,26 @@
-/* Fixed-step integration of a Model. The Runge-Kutta methods keep their order through contact and friction because the instant
- * at which a mode changes - a contact closes or opens, a friction sticks or slips - is located and the step is divided there;
- * the two Euler methods are the plain textbook ones under the true contact law, semi-implicit Euler being the time step of the
- * plans.
+/* Fixed-step integration of a Model. Runge-Kutta methods keep their order through contact and
+ * friction, because steps are divided at located mode changes (a contact closes or opens, a
+ * friction sticks or slips). The Euler methods are the plain ones under the true contact law;
+ * semi-implicit Euler is the time step of the plans.
  *
- * Within a located step the modes are frozen and the forces continue smoothly beyond their boundaries, so each part of a
- * divided step is a smooth problem.
- */
+ * Within a located step the modes are frozen and forces continue smoothly beyond their
+ * boundaries. */
 #ifndef INTEGRATOR_H
 #define INTEGRATOR_H
 
 #include "equations.h" /* and StepResult and Observer of stepping.h */
 
-/* What failed, in the middle of a sentence. */
+/* Return the failure as a clause. */
 static inline const char *step_trouble(const Model *m, StepResult result)
 {
     (void)m;
     return result == STEP_MASS ? "the mass matrix lost its definiteness" : "a state became infinite or not a number (internal_step too large?)";
 }
 
-/* Mode changes that are located within one internal step; a step with more is finished with the true law instead. */
+/* Located mode changes per internal step; a step with more is finished with the true law. */
 #define EVENTS_PER_STEP (8 * ROOM(NL) + 8)
 
-/* Iterations of one location; each halves the bracket at worst, and a double has 53 bits. */
+/* Iterations of a location; each at least halves the bracket, and a double has 53 bits. */
 #define LOCATION_ITERATIONS 80
 
 /* Inputs during one internal step: polynomials in the seconds since its beginning. */
@@ -41,7 +40,7 @@ static inline StepResult finite_point(const Point *x)
     return STEP_OK;
 }
 
-/* One Runge-Kutta step whose every stage starts from the rates of the stage before it. */
+/* One Runge-Kutta step in which every stage starts from the rates of the previous stage. */
 typedef struct {
     int stages;
     double at[4], weight[4];
@@ -79,7 +78,7 @@ static inline StepResult runge_kutta(const Model *m, const Law *law, const Point
     return finite_point(to);
 }
 
-/* First the velocities, then the positions with the new velocities. */
+/* Update the velocities, then the positions with the new velocities. */
 static inline StepResult semi_implicit_euler(const Model *m, const Law *law, const Point *from, const Inputs *inputs, double offset, double s, Point *to)
 {
     double u[ROOM(NU)], a[NQ];
@@ -94,8 +93,8 @@ static inline StepResult semi_implicit_euler(const Model *m, const Law *law, con
     return finite_point(to);
 }
 
-/* A step of size s from `from`, which lies `offset` after the beginning of the internal step. modes: or NULL for the true law;
- * friction is then that of a time step that sticks or slips as a whole (friction.h). */
+/* Step by s from `from`, at `offset` within the internal step. modes NULL: the true law, with
+ * friction that sticks or slips over the whole step (friction.h). */
 static inline StepResult advance(const Model *m, const int *modes, const Point *from, const Inputs *inputs, double offset, double s, Point *to)
 {
     Law law = {modes, NULL};
@@ -115,13 +114,14 @@ static inline StepResult advance(const Model *m, const int *modes, const Point *
     return (m->integrator == SEMI_IMPLICIT_EULER ? semi_implicit_euler : runge_kutta)(m, &law, from, inputs, offset, s, to);
 }
 
-/* How far each contact and friction is on the wrong side of its mode (negative: on the right side), how fast that grows (NAN where
- * it is not known: a sticking force), and what counts as nothing. */
+/* For each contact and friction: excess beyond its mode (negative: inside), its rate (NAN if
+ * unknown: a sticking force), and its zero. */
 typedef struct {
     double excess[ROOM(NL)], rate[ROOM(NL)], band[ROOM(NL)];
 } View;
 
-/* At x, `offset` after the beginning of the internal step; 1 if the mass matrix is not positive definite. */
+/* Evaluate at x, `offset` within the internal step; return 1 if the mass matrix is not positive
+ * definite. */
 static inline int look(const Model *m, const int *modes, const Point *x, const Inputs *inputs, double offset, View *view)
 {
     scene_penetration(x->q, m->p, view->excess);
@@ -155,7 +155,8 @@ static inline int look(const Model *m, const int *modes, const Point *x, const I
     return 0;
 }
 
-/* Where the cubic through (0, e0), (s, e1) with slopes r0, r1 is extreme after leaving 0; a negative number if nowhere in (0, s). */
+/* Return the extremum after 0 of the cubic through (0, e0), (s, e1) with slopes r0, r1, or a
+ * negative number if there is none in (0, s). */
 static inline double cubic_extremum(double e0, double r0, double e1, double r1, double s)
 {
     const double secant = (e1 - e0) / s;
@@ -180,7 +181,7 @@ typedef struct {
     int which;
 } Watch;
 
-/* Its excess after a step of size s; NAN if that step fails. */
+/* Return its excess after a step of size s, NAN if the step fails. */
 static inline double excess_after(const Watch *watch, double s)
 {
     Point x;
@@ -190,8 +191,9 @@ static inline double excess_after(const Watch *watch, double s)
     return view.excess[watch->which];
 }
 
-/* Root of the excess in [low, high], at whose ends it is <= 0 and > 0: regula falsi, Illinois variant, with bisection
- * whenever that does not halve the bracket. beyond: the root is wanted on the far side. */
+/* Return the root of the excess in [low, high], with values <= 0 and > 0 at the ends: regula
+ * falsi (Illinois) with bisection if the bracket is not halved. beyond: on the far side of the
+ * root. */
 static inline double locate(const Watch *watch, double low, double high, double at_low, double at_high, double enough, int beyond)
 {
     const double width = 4e-16 * high;
@@ -213,15 +215,15 @@ static inline double locate(const Watch *watch, double low, double high, double 
     return high;
 }
 
-/* When within a step of size s a contact or friction leaves its mode; a negative number if it does not. Also finds one that leaves
- * and returns within the step, where its rate is known. */
+/* Return when a contact or friction leaves its mode within a step of size s, else a negative
+ * number. With a known rate this includes one that leaves and returns. */
 static inline double crossing(const Watch *watch, double s, const View *start, const View *end)
 {
     const int i = watch->which;
     const double band = fmin(start->band[i], end->band[i]), enough = 1e-3 * band;
     const double e0 = start->excess[i], r0 = start->rate[i], e1 = end->excess[i], r1 = end->rate[i];
     double low = 0.0, high = s, at_low = e0, at_high = e1;
-    if (e0 > band) return 0.0; /* as after a step that was finished with the true law */
+    if (e0 > band) return 0.0; /* after a step finished with the true law */
     if (e1 <= band) {
         if (!(r0 > 0.0 && r1 < 0.0)) return -1.0;
         high = cubic_extremum(e0, r0, e1, r1, s);
@@ -231,7 +233,7 @@ static inline double crossing(const Watch *watch, double s, const View *start, c
     }
     if (isnan(r0)) return locate(watch, low, high, fmin(at_low, -enough), at_high, enough, 1);
     if (e0 > -band) {
-        /* It starts at its boundary: either it leaves at once, or it enters first and leaves later. */
+        /* A start at the boundary leaves at once, or enters first and leaves later. */
         if (r0 >= 0.0) return 0.0;
         low = cubic_extremum(e0, r0, e1, r1, s);
         if (low <= 0.0) return 0.0;
@@ -241,7 +243,7 @@ static inline double crossing(const Watch *watch, double s, const View *start, c
     return locate(watch, low, high, at_low, at_high, enough, 0);
 }
 
-/* Whether event mode would change any mode at x. */
+/* Return whether event mode would change a mode at x. */
 static inline int modes_change(const Model *m, const int *modes, const Point *x, const double *u)
 {
     int changed[ROOM(NL)];
@@ -249,7 +251,8 @@ static inline int modes_change(const Model *m, const int *modes, const Point *x,
     return update_modes(m, x->q, x->v, u, changed) > 0;
 }
 
-/* One internal step of an Euler method: nothing is located, and a changed mode is an event at its end. */
+/* One internal step of an Euler method without event location; a changed mode is an event at its
+ * end. */
 static inline StepResult plain_step(const Model *m, int *modes, Point *x, const Inputs *inputs, double s, int stopping)
 {
     const StepResult result = advance(m, NULL, x, inputs, 0.0, s, x);
@@ -261,7 +264,7 @@ static inline StepResult plain_step(const Model *m, int *modes, Point *x, const 
     return STEP_OK;
 }
 
-/* The other mode for a contact or friction that leaves its own at x. */
+/* Switch the mode of a contact or friction that leaves its own at x. */
 static inline void leave_mode(const Model *m, int *modes, const Point *x, const double *u, int which)
 {
     if (which < NC) modes[which] = !modes[which];
@@ -278,8 +281,9 @@ static inline void leave_mode(const Model *m, int *modes, const Point *x, const 
 #endif
 }
 
-/* One internal step of size *s, divided where modes change. x and modes are brought to its end. If `stopping`, the first change
- * ends it: *s becomes the seconds done, and the modes are left for event mode to change. */
+/* One internal step of size *s, divided at mode changes; x and modes are advanced to its end.
+ * With `stopping` the first change ends it: *s becomes the elapsed seconds, and event mode
+ * changes the modes. */
 static inline StepResult internal_step(const Model *m, int *modes, Point *x, const Inputs *inputs, double *s, int stopping)
 {
     if (m->integrator == EXPLICIT_EULER || m->integrator == SEMI_IMPLICIT_EULER) return plain_step(m, modes, x, inputs, *s, stopping);
@@ -324,8 +328,8 @@ static inline StepResult internal_step(const Model *m, int *modes, Point *x, con
     }
 }
 
-/* Inputs from `begin` to `finish` seconds after the communication point: held, or along their rates, or the parabola through
- * what the importer sets at the beginning, the middle and the end. */
+/* Prepare the inputs from `begin` to `finish` seconds after the communication point: constant,
+ * along their rates, or the parabola through the importer's values at beginning, middle and end. */
 static inline void prepare_inputs(Model *m, const Observer *observer, double begin, double finish, Inputs *inputs)
 {
     memset(inputs, 0, sizeof *inputs);
@@ -346,8 +350,9 @@ static inline void prepare_inputs(Model *m, const Observer *observer, double beg
     }
 }
 
-/* Integrate over a communication step *dt from `time` in `count` equal internal steps. *dt becomes the seconds done, fewer if
- * the observer ended the step or (STEP_EVENT) if `stopping` at a contact that changes. On failure the Model is left as it was. */
+/* Integrate over a communication step *dt from `time` in `count` equal internal steps. *dt
+ * becomes the elapsed seconds, fewer if the observer ends the step, or if `stopping`
+ * (STEP_EVENT) at a changing contact. A failure leaves the Model unchanged. */
 static inline StepResult model_step(Model *m, double time, double *dt, long count, int stopping, const Observer *observer)
 {
     Model before;

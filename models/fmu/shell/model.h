@@ -1,27 +1,29 @@
-/* One instance of a scene's model, without any FMI in it: values, contact modes, and which variable is which.
+/* One instance of a scene's model, independent of FMI: values, contact modes, numbering of
+ * variables.
  *
- * Model is a flat struct: copying its bytes copies the state, which is all that get/set/serialise of an FMU state needs.
- * Arrays have room for at least one entry, because C has no empty arrays and a scene may have no inputs or contacts.
- */
+ * Model is a flat struct: copying its bytes copies the state, for get/set/serialise of an FMU
+ * state. Arrays have at least one entry, because C has no empty arrays. */
 #ifndef MODEL_H
 #define MODEL_H
 
 #include <math.h>
 #include <string.h>
 
-/* Inlined wherever it is called: forces and the solve within an acceleration, forces in modes that the caller knows. At -O2 gcc leaves
- * that, which costs two_finger 7 % of the instructions of Model Exchange and 4 % of those of Co-Simulation. */
+/* Inlined at every call: forces and the solve within an acceleration, forces in known modes. gcc
+ * at -O2 does not inline them, which costs two_finger 7 % of the instructions in Model Exchange
+ * and 4 % in Co-Simulation. */
 #if defined(__GNUC__)
 #define SCENE_INLINE static inline __attribute__((always_inline, unused))
 #endif
 #include "scene_model.h"
 #include "scene_sensitivity.h"
 
-#define INPUTS_SLOPE 1 /* whether they may follow a derivative over a communication step */
+#define INPUTS_SLOPE 1 /* whether inputs may follow a derivative over a communication step */
 
-/* Rows of lam hold the contact forces, then the friction forces; rows of modes and event indicators likewise. */
+/* Rows of lam hold the contact forces, then the friction forces; modes and event indicators
+ * likewise. */
 #ifdef DAMPING
-#define NL (NC + NF + ND) /* and then those of the damped contacts: damping_modes.h */
+#define NL (NC + NF + ND) /* then the damped contacts: damping_modes.h */
 #else
 #define NL (NC + NF)
 #endif
@@ -50,7 +52,7 @@ typedef enum {
     KIND_INTEGRATOR
 } VariableKind;
 
-/* How Co-Simulation integrates; the values of the variable `integrator`. */
+/* Methods of Co-Simulation; values of the variable `integrator`. */
 typedef enum { EXPLICIT_EULER = 1, SEMI_IMPLICIT_EULER, HEUN, RUNGE_KUTTA } Integrator;
 
 #include "variable.h"
@@ -65,16 +67,16 @@ typedef struct {
     double internal_step;
     int integrator; /* an Integrator */
     double start_time, stop_time;
-    double phi[ROOM(NC)], k[ROOM(NC)], lam[ROOM(NL)], a[NQ]; /* belong to the values above while `evaluated` */
-    int modes[ROOM(NL)];  /* contacts: closed or not; frictions: see friction_modes.h */
-    int frozen;           /* modes change in event mode only; otherwise they follow the true law */
+    double phi[ROOM(NC)], k[ROOM(NC)], lam[ROOM(NL)], a[NQ]; /* valid while `evaluated` */
+    int modes[ROOM(NL)]; /* contacts: closed or not; frictions: friction_modes.h */
+    int frozen; /* modes change in event mode only, else by the true law */
     int evaluated;
     int stop_defined;
-    int phase; /* of the FMI state machine; here because it belongs to what is saved and restored */
+    int phase; /* of the FMI state machine; part of the saved state */
 } Model;
 
-/* A direction in the space of everything the model depends on, and what follows from it. As an adjoint: the derivatives of
- * one number with respect to all of these. */
+/* A direction in the space of all arguments of the model, and its results. As an adjoint: the
+ * derivatives of one number by all of these. */
 typedef struct {
     double q[NQ], v[NQ], u[ROOM(NU)], p[ROOM(NP)];
     double phi[ROOM(NC)], k[ROOM(NC)], lam[ROOM(NL)], a[NQ];
@@ -100,13 +102,13 @@ static inline int is_setting(VariableKind kind)
     return kind == KIND_INTERNAL_STEP || kind == KIND_INTEGRATOR;
 }
 
-/* Whether reading it needs an evaluated Model: here all do, as modes follow from the state. */
+/* Return whether reading needs an evaluated Model: always, because modes follow from the state. */
 static inline int is_calculated(VariableKind kind)
 {
     return (void)kind, 1;
 }
 
-/* A scene needs nothing but its bytes: there is nothing to open, and nothing that belongs to one instance alone. */
+/* A scene has no resources of one instance: nothing to open. */
 static inline const char *model_open(Model *m, const char *resources)
 {
     return (void)m, (void)resources, NULL;
@@ -122,7 +124,7 @@ static inline void model_copy(Model *to, const Model *from)
     memcpy(to, from, sizeof *to);
 }
 
-/* Why an evaluation failed, in the middle of a sentence. */
+/* Return the failed evaluation as a clause. */
 static inline const char *model_trouble(const Model *m)
 {
     return (void)m, "the mass matrix is not positive definite; check the masses and lengths";
@@ -144,21 +146,21 @@ static inline void model_set_states(Model *m, const double *x)
     m->evaluated = 0;
 }
 
-/* Their derivatives, of an evaluated Model. */
+/* Compute the state derivatives of an evaluated Model. */
 static inline void model_rates(const Model *m, double *rates)
 {
     memcpy(rates, m->v, sizeof m->v);
     memcpy(rates + NQ, m->a, sizeof m->a);
 }
 
-/* The direction in which time moves an evaluated Model. */
+/* Compute the direction of time of an evaluated Model. */
 static inline void time_direction(const Model *m, Tangent *tangent)
 {
     memcpy(tangent->q, m->v, sizeof m->v);
     memcpy(tangent->v, m->a, sizeof m->a);
 }
 
-/* All values at their starts; equal bytes for every fresh or reset instance. */
+/* Set all values to their starts, with equal bytes for every fresh or reset instance. */
 static inline void model_start(Model *m)
 {
     memset(m, 0, sizeof *m);

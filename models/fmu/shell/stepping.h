@@ -6,7 +6,8 @@
 
 typedef enum { STEP_OK, STEP_EVENT, STEP_MASS, STEP_NOT_FINITE } StepResult;
 
-/* What the importer may do within a communication step; both functions may be NULL. Offsets are seconds after its beginning. */
+/* Callbacks within a communication step, which may be NULL. Offsets are seconds after its
+ * beginning. */
 typedef struct {
     void *context;
     void (*set_inputs)(void *context, double offset);                    /* may change the Model's u */
@@ -15,10 +16,10 @@ typedef struct {
 
 #include "integrator.h"
 
-/* Two times are the same if they differ by less than this share: importers add up their steps. */
+/* Relative difference of equal times; importers accumulate their steps. */
 #define TIME_TOLERANCE 1e-9
 
-/* More internal steps than this in one communication step would look like a hang. */
+/* More internal steps in one communication step would look like a hang. */
 #define MOST_INTERNAL_STEPS 1e9
 
 static inline double same_time(double t, double dt)
@@ -26,7 +27,7 @@ static inline double same_time(double t, double dt)
     return TIME_TOLERANCE * fmax(fabs(t), dt);
 }
 
-/* Refuse a step that cannot be meant: a sentence is logged. */
+/* Refuse an invalid step with a logged sentence. */
 static inline Status check_step(const Instance *self, const char *function, double t, double dt)
 {
     const Model *m = &self->model;
@@ -41,8 +42,9 @@ static inline Status check_step(const Instance *self, const char *function, doub
     return STATUS_OK;
 }
 
-/* Step from t by *dt. *dt becomes the seconds done: fewer if a contact changes and early return is allowed, or if the observer
- * ended the step. *event: whether a contact waits for event mode. */
+/* Step from t by *dt, which becomes the elapsed seconds: fewer if a contact changes and early
+ * return is allowed, or if the observer ends the step. *event: whether a contact waits for event
+ * mode. */
 static inline Status do_step(Instance *self, const char *function, double t, double *dt, const Observer *observer, int *event)
 {
     *event = 0;
@@ -50,7 +52,7 @@ static inline Status do_step(Instance *self, const char *function, double t, dou
     if (*dt == 0.0) return STATUS_OK;
     Model *m = &self->model;
     const double wanted = *dt;
-    /* Equal steps that divide dt; the share forgives a quotient that rounding lifts above a whole number. */
+    /* Equal steps that divide dt; the tolerance absorbs a quotient rounded above an integer. */
     const double quotient = ceil(wanted / m->internal_step * (1.0 - TIME_TOLERANCE));
     const StepResult result = model_step(m, t, dt, quotient < 1.0 ? 1 : (long)quotient, self->early_return_allowed, observer);
     if (result == STEP_MASS || result == STEP_NOT_FINITE) {
@@ -63,7 +65,7 @@ static inline Status do_step(Instance *self, const char *function, double t, dou
     return STATUS_OK;
 }
 
-/* First time derivatives of inputs, which hold for the next step. */
+/* Set the first time derivatives of inputs for the next step. */
 static inline Status set_input_rates(void *instance, const char *function, References of, const int *orders, const double *values)
 {
     Instance *self = allowed_type(instance, function, PHASES_STARTING | PHASE_STEP_COMPLETE, CO_SIMULATION);

@@ -1,11 +1,12 @@
-/* A row of the variable table, whatever the model. */
+/* A row of the variable table of any model. */
 #ifndef VARIABLE_H
 #define VARIABLE_H
 
-/* Arrays have room for at least one entry, because C has no empty arrays. */
+/* At least one entry, because C has no empty arrays. */
 #define ROOM(n) ((n) > 0 ? (n) : 1)
 
-/* Its position is the value reference. index: place within the variables of its kind, or of the kinds that the model numbers as one. */
+/* The position is the value reference. index: place within the variables of its kind, or of
+ * kinds that the model numbers together. */
 typedef struct {
     const char *name;
     VariableKind kind;

@@ -379,7 +379,7 @@ def test_one_more_solve_where_nobody_said_how(monkeypatch, ends, options, asked,
     results = pyo.SolverFactory("touchstone_ipopt").solve(m, options=options)
     assert seen == asked
     assert str(results.solver.termination_condition) == ended
-    assert ("once more" in results.solver.message) is (len(asked) == 2 and ended == "optimal")
+    assert ("solved again" in results.solver.message) is (len(asked) == 2 and ended == "optimal")
 
 
 def program(sense=pyo.minimize) -> pyo.ConcreteModel:

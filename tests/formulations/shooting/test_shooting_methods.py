@@ -200,7 +200,7 @@ def test_costs_and_stability_of_the_softplus_chain(chain: list[Solution], row: i
     solution = chain[row]
     assert solution.outcome is Outcome.ITERATION_LIMIT
     assert solution.outcome.has_answer
-    assert solution.message.startswith(f"stopped after the {iterations} iterations asked for")
+    assert solution.message.startswith(f"stopped after the {iterations} requested iterations")
     assert solution.iterations == iterations
     assert solution.cost == pytest.approx(cost, abs=1e-3)
     assert solution.cost == pytest.approx(paper, abs=TOLERANCE)

@@ -226,7 +226,7 @@ def broken(plan: np.ndarray, row: int, column: int, value: float) -> np.ndarray:
         ("t,x,v_x,F,lam_stop", broken(foreign_plan(), 3, 0, 0.0), "time must increase"),
         ("t,x,v_x", foreign_plan(), "the column 'F' is missing"),
         ("x,F", foreign_plan(), "the column 't' is missing"),
-        ("t,x,x,F", foreign_plan(), "'x' stands there twice"),
+        ("t,x,x,F", foreign_plan(), "'x' appears twice"),
     ],
 )  # fmt: skip
 def test_a_mistake_in_the_plan_is_one_sentence(

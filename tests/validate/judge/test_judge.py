@@ -217,7 +217,7 @@ def test_feedback_where_it_is_asked_for_changes_no_verdict(held):
     ("change", "arguments", "words"),
     [
         ({"u1": None}, {}, "the column 'u1' is missing"),
-        ({"q3": None}, {}, "the column 'q3' is missing beside 'q1'"),
+        ({"q3": None}, {}, "the column 'q3' is missing, but 'q1' is present"),
         ({"w": np.zeros(STEPS + 1)}, {}, "the column 'w' is unknown"),
         ({}, {"hold": "cubic"}, "hold 'cubic' … zero or linear"),
         ({}, {"scheme": "rk4"}, "the scheme 'rk4' is unknown"),
@@ -294,7 +294,7 @@ def test_a_dataframe_says_no_more_and_no_less_than_its_numbers(held):
     assert as_trajectory(integers, scene).u[:, 0].tolist() == [2.0] * STEPS
     for wrong, words in (
         (frame.drop(columns="u3"), "the column 'u3' is missing"),
-        (pandas.concat([frame, frame[["u1"]]], axis=1), "the column 'u1' stands there twice"),
+        (pandas.concat([frame, frame[["u1"]]], axis=1), "the column 'u1' appears twice"),
         (
             frame.set_axis(pandas.MultiIndex.from_product([["a"], frame.columns]), axis=1),
             "a column is called ('a', 't'), but its name must be text",
