@@ -135,12 +135,10 @@ _scene = scene  # for functions with a parameter of that name
 
 
 def _listed(value: Any) -> tuple[Any, ...]:
-    """Return names as a tuple; a single name counts as one."""
     return tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else (value,)
 
 
 def _text(name: str, value: str | Path, *, empty: bool = False) -> None:
-    """Raise TouchstoneError for a value that is neither text nor a path."""
     from models.errors import TouchstoneError
 
     if not isinstance(value, (str, Path)) or not (empty or str(value)):
@@ -148,7 +146,6 @@ def _text(name: str, value: str | Path, *, empty: bool = False) -> None:
 
 
 def _positive(name: str, value: float, kind: type | tuple[type, ...] = (int, float)) -> None:
-    """Raise TouchstoneError for a value that is no positive number."""
     from models.errors import TouchstoneError
 
     if isinstance(value, bool) or not isinstance(value, kind) or not 0 < value < float("inf"):

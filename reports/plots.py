@@ -594,7 +594,6 @@ def over_time(
 
 
 def _pixel(place: float) -> str:
-    """Return a place to a tenth of a pixel, without a trailing zero."""
     return f"{place:.1f}".removesuffix(".0")
 
 

@@ -370,7 +370,6 @@ def _others(report: Report) -> dict[str, list[Section]]:
 
 
 def _across(report: Report, others: Mapping[str, Sequence[Section]]) -> list[Section]:
-    """Return the sections of report.html."""
     listed = [(name, sections[0]) for name, sections in others.items()]
     return [*_built(_TOP, report), *_built((overview.index,), report, listed)]
 
@@ -447,7 +446,6 @@ def _write_run(templates: Templates, report: Report, one: RunRecord) -> None:
 
 
 def _program() -> int:
-    """Return the time of the last change of our files [ns]."""
     return max(
         path.stat().st_mtime_ns
         for path in _HERE.rglob("*")
@@ -476,7 +474,6 @@ def _is_of(path: Path, key: str) -> bool:
 
 
 def _is_due(report: Report, page: str, runs: Sequence[RunRecord], newest: int) -> bool:
-    """Return whether a page is missing, or older than its runs' records or `newest` [ns]."""
     times = [
         _time(report.folder / "runs" / run.key / name)
         for run in runs
@@ -486,7 +483,6 @@ def _is_due(report: Report, page: str, runs: Sequence[RunRecord], newest: int) -
 
 
 def _written(path: Path) -> int:
-    """Return the time of the last change of a file [ns], 0 if missing."""
     return _time(path) if path.is_file() else 0
 
 
@@ -505,7 +501,6 @@ def _finalized(value: Any) -> Any:
 
 
 def _asset(name: str) -> str:
-    """Return an asset without comments and indents, as embedded and hashed."""
     text = (_HERE / "assets" / name).read_text(encoding="utf-8")
     lines = (line.strip() for line in re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL).splitlines())
     return "\n" + "".join(f"{line}\n" for line in lines if line and not line.startswith("//"))

@@ -95,7 +95,6 @@ def read_trace(path: Path, scene: SceneRecord) -> Trace | None:
 
 
 def _reason(error: Exception) -> str:
-    """Return the first line of an error; HDF5 adds addresses."""
     return (
         "there is no such file"
         if isinstance(error, FileNotFoundError)
@@ -186,7 +185,6 @@ def _thinned(scene: SceneRecord, t: Array, columns: Mapping[str, Array]) -> Trac
 
 
 def _part(columns: Mapping[str, Array], place: str | float, length: int) -> Array | None:
-    """Return a part of a pose over time: a constant, or a column of that length."""
     if not isinstance(place, str):
         return np.full(length, place)
     values = columns.get(place)

@@ -87,7 +87,6 @@ def _style(group: str) -> str:
 
 
 def _known(phase: str) -> tuple[str, str]:
-    """Return words and group of a phase."""
     return PHASES.get(phase, (spaced(phase), _GROUPS[-1]))
 
 
@@ -112,7 +111,6 @@ def _slow(run: RunRecord, link: str, longest: float) -> Slow:
 
 
 def _sentence(runs: list[RunRecord]) -> str:
-    """Return the main phases of all profiled runs, the largest first."""
     spent: defaultdict[str, float] = defaultdict(float)
     for run in runs:
         for phase, took in run.profile.items():

@@ -63,7 +63,6 @@ def build(report: Report) -> Section:
 
 
 def _places(report: Report) -> dict[tuple[str, str], Place]:
-    """Return the cells of the matrix by (pipeline, scene)."""
     least, cells = least_costs(report.stored.runs), {}
     for run in report.stored.runs:
         ratio = cost_ratio(run, least)
@@ -74,7 +73,6 @@ def _places(report: Report) -> dict[tuple[str, str], Place]:
 
 
 def _words(run: RunRecord, ratio: float | None) -> str:
-    """Return the tooltip of a cell: pipeline, scene, verdict and reason."""
     price, cause = run.cost, cause_of(run)
     text = f"{run.pipeline} on {run.scene.name}: {run.verdict}"
     if ratio is not None:
@@ -91,7 +89,6 @@ def _words(run: RunRecord, ratio: float | None) -> str:
 
 
 def _about(campaign: CampaignRecord | None, runs: Sequence[RunRecord]) -> dict[str, str] | None:
-    """Return size, date, machine, time and command of the campaign, None if unknown."""
     if campaign is None and not runs:
         return None
     provenance = campaign.provenance if campaign else runs[0].provenance
@@ -106,7 +103,6 @@ def _about(campaign: CampaignRecord | None, runs: Sequence[RunRecord]) -> dict[s
 
 
 def _ends_leg(row: Row) -> bool:
-    """Return whether this is the last stage of its method in the run."""
     later = row.run.stages[row.stage.index + 1 :]
     return not later or later[0].method != row.stage.method
 
@@ -263,7 +259,6 @@ def _cause_view(
 
 
 def _shared(runs: list[FailedRun]) -> str:
-    """Return the common limit of runs, "" if it differs."""
     limits = {item.limit for item in runs}
     return limits.pop() if len(limits) == 1 else ""
 
@@ -281,7 +276,6 @@ def _decided_by(run: RunRecord) -> tuple[str, str]:
 
 
 def _by_sentence(unreadable: tuple[Unreadable, ...]) -> list[tuple[str, list[str]]]:
-    """Return the files of each reason."""
     by_reason: dict[str, list[str]] = {}
     for item in unreadable:
         by_reason.setdefault(item.sentence, []).append(item.path)
@@ -323,6 +317,5 @@ def notices(report: Report) -> list[str]:
 
 
 def _first_reason(unreadable: tuple[Unreadable, ...]) -> str:
-    """Return the most frequent reason."""
     (why, files), *others = sorted(_by_sentence(unreadable), key=lambda item: -len(item[1]))
     return (f"of {len(files)} of them " if others else "") + why.rstrip(".").replace("; ", ", ")

@@ -134,7 +134,6 @@ def _why_absent(row: Row) -> str:
 
 
 def _error_view(rows: list[Row]) -> tuple[Plot, str] | None:
-    """Return the plot of errors, and a conclusion."""
     points = [
         (max(cpu(row), TICK), value, row) for row in rows if (value := told_error(row)) is not None
     ]
@@ -161,7 +160,6 @@ def told_error(row: Row) -> float | None:
 
 
 def _cost_view(scene: SceneRecord, rows: list[Row]) -> tuple[Plot, str] | None:
-    """Return the plot of costs, and a conclusion."""
     plans = [row for row in rows if row.stage.cost is not None and replay_error(row) is not None]
     points = [
         (max(cpu(row), TICK), price, row)

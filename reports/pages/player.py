@@ -182,7 +182,6 @@ def _faced(
 
 
 def _extent(tracks: list[NDArray[np.float64] | None]) -> float:
-    """Return the longer side of the motion's extent [m], 1 if nothing moves."""
     drawn = [track[:2] for track in tracks if track is not None]
     return float(np.ptp(np.concatenate(drawn, axis=1), axis=1).max()) if drawn else 1.0
 
@@ -235,7 +234,6 @@ def _peaks(
     wanted: NDArray[np.float64],
     half: float,
 ) -> NDArray[np.float64]:
-    """Return the largest value within `half` of each wanted time."""
     length = min(len(times), len(values))
     known, there = times[:length], np.append(values[:length], -np.inf)
     begin, end = (

@@ -96,7 +96,6 @@ def build(report: Report) -> Section | None:
 
 
 def _tried(report: Report, scene: SceneRecord) -> list[Survivor]:
-    """Return the tried plans of a scene, the cheapest first."""
     plans = [
         Survivor(row, row.stage.cost, survey, survey.alone)
         for row in report.rows_of_scene(scene)
@@ -108,7 +107,6 @@ def _tried(report: Report, scene: SceneRecord) -> list[Survivor]:
 
 
 def _compared(pairs: Iterable[tuple[ShareRecord, ShareRecord]]) -> tuple[int, int, int]:
-    """Return the numbers of pairs with first share larger, smaller, or undecided."""
     signs = Counter(
         (one.interval[0] > other.interval[1]) - (one.interval[1] < other.interval[0])
         for one, other in pairs
@@ -191,7 +189,6 @@ def _weakest(groups: Iterable[list[Survivor]]) -> str:
 
 
 def _plot(plans: list[Survivor]) -> Plot:
-    """Return the plot of cost against the share of worlds by the inputs alone."""
     prices = [plan.price for plan in plans]
     x = Axis.fitted("cost", "", prices, log=is_wide(prices), margin=0.06)
     plot = Plot(

@@ -153,7 +153,6 @@ def _beside(stages: Sequence[StageRecord]) -> list[tuple[MetricRecord, list[Metr
 
 
 def _ends(scene: SceneRecord, stage: StageRecord) -> list[tuple[str, str]]:
-    """Return the ends of the replays in words."""
     named_ends = [
         ("inputs alone" if stage.is_followed else "replay", end_of(stage, scene, tracked=False))
     ]

@@ -207,7 +207,6 @@ def _error(scene: SceneRecord, x: Axis, replay: Trace | None) -> Plot | None:
 
 
 def _two_errors(scene: SceneRecord, x: Axis, opened: Trace | None, tracked: Trace) -> Plot | None:
-    """Return the errors with and without feedback on one logarithmic axis."""
     lines = [
         (name, style, trace.t, values)
         for name, style, trace in (("inputs alone", "c3", opened), ("with feedback", "c5", tracked))

@@ -89,7 +89,6 @@ def build(report: Report) -> Section | None:
 
 
 def _groups(runs: Iterable[RunRecord]) -> list[list[RunRecord]]:
-    """Return groups of runs with equal quantities, equations and methods."""
     groups: dict[object, list[RunRecord]] = {}
     for run in runs:
         if run.stages and run.verdict != "not applicable":
@@ -118,7 +117,6 @@ def _kind(scene: SceneRecord) -> tuple[object, ...]:
 
 
 def _words(options: Mapping[str, object]) -> tuple[tuple[str, object], ...]:
-    """Return the options that are not numbers."""
     return tuple(
         (name, str(value)) for name, value in sorted(options.items()) if not _is_number(value)
     )
@@ -129,7 +127,6 @@ def _is_number(value: object) -> bool:
 
 
 def _numbers(run: RunRecord) -> dict[Quantity, float]:
-    """Return all numbers that a campaign can vary: of the scene, options, and each eps."""
     scene = run.scene
     result = {
         Quantity(item.name, item.unit): item.value
@@ -230,7 +227,6 @@ def _name(names: Sequence[str], axis: Quantity) -> str:
 
 
 def _asked(swept: Sequence[SweptRun]) -> list[tuple[str, str, Callable[[RunRecord], float | None]]]:
-    """Return (quantity, unit, value) of the first plots."""
     runs = [item.run for item in swept]
     whole = all(run.integral_cost is None for run in runs)
     price = (
@@ -243,8 +239,6 @@ def _asked(swept: Sequence[SweptRun]) -> list[tuple[str, str, Callable[[RunRecor
 
 
 def _of(name: str) -> Callable[[RunRecord], float | None]:
-    """Return a function for the value of a metric, of the judged replay."""
-
     def value(run: RunRecord) -> float | None:
         metric = run.stages[-1].judged(name)
         return None if metric is None else metric.value
@@ -266,7 +260,6 @@ def _plot(
     unit: str,
     value: Callable[[RunRecord], float | None],
 ) -> Plot | None:
-    """Return the plot of one metric of a sweep."""
     marks = []
     for item in swept:
         metric_value = value(item.run)
@@ -326,7 +319,6 @@ def draw_against(
 
 
 def _conclusion(axis: Quantity, swept: Sequence[SweptRun]) -> str:
-    """Return the values at which plans hold."""
     phrases = []
     for curve in dict.fromkeys(item.curve for item in swept):
         held = dict.fromkeys(
@@ -418,7 +410,6 @@ def _curve(sweep: TighteningCurve) -> str:
 def _against(
     name: str, sweeps: Sequence[TighteningCurve], styles: Mapping[str, tuple[str, str]]
 ) -> Plot | None:
-    """Return the plot of one metric of all relaxations against eps."""
     marks, unit = [], ""
     for sweep in sweeps:
         for row in sweep.rows:

@@ -86,8 +86,6 @@ def _end(row: Row, prefix: str) -> TerminalError:
 
 
 def _units(rows: list[Row]) -> tuple[str, str]:
-    """Return the units of positions and velocities, "" if there are several."""
-
     def one(part: str) -> str:
         found = {
             metric.unit
@@ -148,7 +146,6 @@ def _failed(both: list[Row]) -> list[str]:
 
 
 def _relaxed(rows: list[Row]) -> list[str]:
-    """Compare direct methods with and without a warm start."""
     sentences = []
     for method in dict.fromkeys(row.stage.method for row in rows if row.stage.kind == "direct"):
         mine = [row for row in rows if row.stage.method == method and row.stage.cost is not None]
@@ -182,7 +179,6 @@ def _against(warm: float, cold: float) -> str:
 
 
 def _own_model(rows: list[Row]) -> list[str]:
-    """Return plans that reach the goal only in their own model."""
     ends = [
         (row, row.metric("terminal_error"), row.metric("discrete_terminal_error")) for row in rows
     ]

@@ -123,7 +123,6 @@ class CheckRecord(Model):
 
 
 def _which(data: Any) -> str:
-    """Return `run` for data with a pipeline, else `check`."""
     return (
         "run"
         if isinstance(data, RunRecord) or (isinstance(data, dict) and "pipeline" in data)

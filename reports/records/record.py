@@ -35,7 +35,6 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 def _in_order(numbers: array[float]) -> array[float]:
-    """Swap bytes between the machine's and the stored order."""
     if sys.byteorder == "big":
         numbers.byteswap()
     return numbers

@@ -19,7 +19,6 @@ def _text(value: Any) -> Any:
 
 
 def _known(value: Any) -> Any:
-    """Return None for an infinite share, which JSON lacks."""
     return None if isinstance(value, float) and math.isinf(value) else value
 
 

@@ -139,7 +139,6 @@ class _Judged:
                 self.feedback = design_feedback(load_kernel(scene), scene, self.plan)
 
     def row(self, engine: str) -> EngineVerdict:
-        """Run one engine and score its motion."""
         about = describe_engine(engine)
         if engine == REFERENCE:
             return EngineVerdict(

@@ -312,7 +312,6 @@ def _see_room(folder: Path) -> None:
 def _told(
     folder: Path, ended: Ended, over_time: bool, wall: float, limits: Limits, what: str
 ) -> Isolated:
-    """Return the result of a call whose child has ended."""
     peak = max(ended.space, ended.memory)
     answer, arrays = left_by(folder)
     if not answer:
@@ -517,7 +516,6 @@ def _answered(folder: Path, request: dict[str, Any], first: int) -> None:
 
 
 def _ending(folder: Path, error: Exception) -> tuple[Ending, str]:
-    """Return the ending and the sentence of a raised error."""
     if isinstance(error, ModelFault):
         return error.ending, str(error)
     if isinstance(error, MachineError):

@@ -109,7 +109,6 @@ def child_environment(temporary: Path | None = None) -> dict[str, str]:
 def _start_supervisor(
     channel: socket.socket, environment: Mapping[str, str], modules: Sequence[str] = ()
 ) -> subprocess.Popen[bytes]:
-    """Start the process at the other end of a channel. Raises MachineError."""
     # -P: do not search the current folder for modules.
     command = [
         sys.executable,

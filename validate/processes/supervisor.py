@@ -50,7 +50,6 @@ _PAUSE = 0.01
 
 
 def _process_control(option: int, value: int) -> None:
-    """Call prctl, on Linux."""
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(option, value, 0, 0, 0)
 
@@ -135,7 +134,6 @@ def _descendants(parent: int) -> list[int]:
 
 
 def _address_space(process: int) -> int:
-    """Return the largest address space so far [bytes], 0 if unknown."""
     with (
         contextlib.suppress(OSError),
         open(f"/proc/{process}/status", encoding="utf-8", errors="replace") as file,

@@ -104,7 +104,6 @@ class Store:
                     aside.unlink()
 
     def _put_back(self, old: Path) -> None:
-        """Restore a run whose replacement was interrupted."""
         with contextlib.suppress(
             OSError, ValueError, KeyError, TypeError, RecursionError
         ):  # damaged, or already replaced
@@ -171,7 +170,6 @@ class Store:
 
 
 def _sizes(folder: Path) -> dict[str, int]:
-    """Return the bytes of each NetCDF file in a folder."""
     return {
         path.name: path.stat().st_size for path in sorted(folder.glob("*.nc")) if path.is_file()
     }

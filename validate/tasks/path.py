@@ -167,7 +167,6 @@ def unfinished_run(
 def _stages_in(
     folder: Path, task: RunTask, found: Sequence[LegRecord], stages: int
 ) -> list[StageRecord]:
-    """Return the stages of these legs as those of a run, with their files linked."""
     number = 0
     for place, leg in enumerate(found, 1):
         for own in range(1, len(leg.stages) + 1):
@@ -316,7 +315,6 @@ class _Path:
         return [solution_of(stage.record, stage.plan) for stage in results] or None
 
     def go(self) -> list[Unfinished]:
-        """Run all legs in order; return the stages that did not run."""
         for number, leg in enumerate(self._task.legs, 1):
             rest = self._leg(number, leg)
             if rest:

@@ -326,7 +326,6 @@ def _metric(metric: Metric) -> MetricRecord:
 
 
 def _of_score(judged: Judged) -> dict[str, Any]:
-    """Return a stage's fields by its judge, without the verdict."""
     fields: dict[str, Any] = (
         {} if judged.replay is None else {"replay": _replay(judged.replay, judged.score)}
     )
@@ -360,7 +359,6 @@ def _plain(value: object) -> Any:
 
 
 def _history(history: Mapping[str, Sequence[float]]) -> dict[str, tuple[float, ...]]:
-    """Return columns thinned for a plot, without rows that are not finite."""
     rows = [row for row in zip(*history.values(), strict=False) if all(map(math.isfinite, row))]
     kept = [rows[place] for place in thin(len(rows), LONGEST_HISTORY)]
     return {name: tuple(float(row[column]) for row in kept) for column, name in enumerate(history)}

@@ -118,7 +118,6 @@ class Worker:
         return self._without_record(ended, problem, over_time=over_time)
 
     def _machine(self) -> MachineError:
-        """Return the child's reason why this machine cannot run the task."""
         text = tail(self._folder / MACHINE, _LONGEST_WORDS)
         whole = text.endswith("\n") and text.strip()
         return (

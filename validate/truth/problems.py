@@ -131,7 +131,6 @@ def problems() -> tuple[TruthProblem, ...]:
 
 
 def _started(name: str, start: tuple[float, ...] | None = None, **parameters: float) -> Scene:
-    """Return a scene of the bank with another start and parameters, without its answers."""
     changed = replace(load_scene(name), answers=(), limits=()).with_parameters(**parameters)
     return changed if start is None else changed.with_task(start=start)
 

@@ -262,7 +262,6 @@ class _Slides:
         return touch, (joint, -rub.pressed, -rub.pressed / stiffness)
 
     def text(self) -> str:
-        """Return the MJCF."""
         bodies = ""
         for first in dict.fromkeys(self.owner):
             axes = [place for place, item in enumerate(self.owner) if item == first]
@@ -338,7 +337,6 @@ def _centres(
 
 
 def _slip(scene: Scene, friction: Friction) -> np.ndarray:
-    """Return its direction (nq,) [-]."""
     v = [item.velocity for item in scene.coordinates]
     otherwise = f"the direction of friction {friction.name} depends on the positions"
     return _affine(friction.slip.subs(scene.parameter_values), v, otherwise)[0]
@@ -395,7 +393,6 @@ def _numbers(scene: Scene) -> dict[str, float]:
 
 
 def _body(name: str, inside: str, *, at: str = "0 0 0", joints: str | None = None) -> str:
-    """Return a body on a hinge about y, or on these joints."""
     turning = f'<joint name="{name}" type="hinge" axis="0 1 0"/>' if joints is None else joints
     return f'<body name="{name}" pos="{at}">{turning}{inside}</body>'
 

@@ -159,7 +159,6 @@ def _rubs(mechanism: Mechanism) -> list[tuple[str, np.ndarray, float]]:
 
 
 def _add_pair(spec: Any, touch: Touch, pads: tuple[Pad, Pad]) -> None:
-    """Add a ball and a plane, or two balls, that touch only each other."""
     names = [f"{touch.name}_{place}" for place in range(2)]
     for name, pad in zip(names, pads, strict=True):
         body = spec.body(pad.body) if pad.body else spec.worldbody

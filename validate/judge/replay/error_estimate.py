@@ -113,7 +113,6 @@ def with_max_step(job: Job, longest: float) -> Job | None:
 
 
 def _finer(job: Job, factor: float) -> Job:
-    """Return the job with `factor` times the internal steps, rounded up."""
     return replace(
         job, fineness=tuple(max(1, math.ceil(factor)) * fineness for fineness in job.fineness)
     )

@@ -238,7 +238,6 @@ def _sentence(problem: Any) -> str:
 
 
 def _model_at(place: tuple[str | int, ...]) -> type[BaseModel]:
-    """Return the model whose key the last part of this place would be."""
     if len(place) == 1:
         return MapFile
     section: Any = MapFile.model_fields[str(place[0])].annotation
@@ -303,7 +302,6 @@ def may_be_rate(position: str, velocity: str) -> bool:
 
 
 def _ours(unit: str) -> dict[str, int] | None:
-    """Return exponents of kg, m and s, None for an unknown unit."""
     try:
         return {base: power for base, power in base_exponents(unit).items() if base in _MECHANICAL}
     except ValueError:

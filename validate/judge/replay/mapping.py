@@ -109,7 +109,6 @@ class _Wiring:
         return int(self._variable(path, name).valueReference)
 
     def _place(self, name: str) -> int:
-        """Return the reference of a variable that was checked."""
         return int(self._by_name[name].valueReference)
 
     def _parameter(self, path: str, name: str, value: float | None = None) -> int:
@@ -237,7 +236,6 @@ class _Wiring:
         read[reference] = path
 
     def _check_rate(self, name: str) -> None:
-        """Check that a velocity has its position's unit per second, if both are known."""
         position, velocity = (
             self._unit(name, self.map.positions[name]),
             self._unit(self._velocity_column(name), self.map.velocities[name]),
@@ -264,7 +262,6 @@ class _Wiring:
         self._check_scale(path, signal)
 
     def _check_limits(self) -> None:
-        """Check that a goal has a limit of its positions and of its velocities."""
         given = self.map
         for part, columns in (
             ("position", given.positions),
@@ -321,7 +318,6 @@ class _Wiring:
             table.check_unit(self._force_column(name), *CONTACT_UNITS["force"])
 
     def _check_roles(self) -> None:
-        """Check that each column is mapped once."""
         given, roles = self.map, {self._time: "the time (plan.time)"}
         claims = [
             (name, f"inputs.{name}", "call one of the two otherwise") for name in given.inputs
@@ -403,7 +399,6 @@ class _Wiring:
         )
 
     def _settings(self) -> list[tuple[int, float]]:
-        """Return the references and values of the map's [start]."""
         given, values = self.map, {}
         taken: dict[int, str] = {}
         for name in given.parameters:
@@ -425,7 +420,6 @@ class _Wiring:
         return list(values.items())
 
     def _first(self, path: str, name: str, column: str) -> float:
-        """Return the first value of a plan's column, in the FMU's unit."""
         first = float(self._table.column(column, False)[0])
         for _, own_column, signal in self._positions + self._velocities:
             if own_column == column and signal.variable == name:
@@ -589,7 +583,6 @@ class _Wiring:
         )
 
     def _not_asked(self) -> tuple[str, ...]:
-        """Return the metrics that the map or the FMU leaves out, with reasons."""
         given, reasons = self.map, []
         if given.task.duration is None:
             reasons.append("duration_error: the map gives no [task] duration")

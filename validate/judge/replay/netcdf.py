@@ -37,7 +37,6 @@ _SERIES = {
 
 
 def _groups(scene: Subject) -> dict[str, list[tuple[str, str, str]]]:
-    """Return (name, unit, description) of the columns of every array over time."""
     return {
         "q": [(item.name, item.unit, item.description) for item in scene.coordinates],
         "v": [

@@ -274,11 +274,9 @@ class _Integration:
             self._over_points(stop)
 
     def close(self) -> None:
-        """Free CVODE's memory."""
         self._solver.close()
 
     def _jump(self, time: float, is_event: bool) -> None:
-        """Restart from `time` with the inputs of the current step."""
         self._loop.time = time
         self._set_inputs()
         self._check(
@@ -314,7 +312,6 @@ class _Integration:
                 self._check(reason)
 
     def _take(self, first: int, last: int) -> None:
-        """Record the points of the current step that the loop reached."""
         run, step = self.run, self.step
         run.t.extend(self.targets[step, first:last].tolist())
         run.outputs.extend(self._outputs[step, first:last])
@@ -375,7 +372,6 @@ class _Integration:
         self.run.accumulated.append(self.y[self.model.states :].copy())
 
     def _renew(self, time: float) -> None:
-        """Restart the solver after an event."""
         self._loop.time, self._loop.next_event = time, self.model.instance.next_event
         self._set_inputs()
         self._solver.renew(time)
@@ -389,7 +385,6 @@ class _Integration:
         )
 
     def _within_bounds(self, time: float) -> None:
-        """Raise Stop if a state is out of bounds, or not finite."""
         if not (np.abs(self.y[: self.model.states]) < self._bound).all():
             raise Stop(ReplayOutcome.DIVERGED, f"A state left every bound at t = {time:.6g} s.")
         if not np.isfinite(self.y).all():
@@ -399,7 +394,6 @@ class _Integration:
             )
 
     def _check(self, number: int) -> None:
-        """Raise the error that the loop returned, if any."""
         reason, time = Reason(number), float(self._loop.time)
         if reason is Reason.DONE:
             return

@@ -126,7 +126,6 @@ def _with_tracked(
     run: Callable[[Feedback], tuple[Replay, np.ndarray]],
     plan: Trajectory,
 ) -> Replay:
-    """Return the open replay, with a tracked one if `track` requires feedback."""
     followed = track(opened) if callable(track) else plan if track else None
     if followed is None:
         return opened
@@ -172,7 +171,6 @@ def _seeing_all(
 
 
 def _applied(simulated: Simulated, plan: Trajectory) -> np.ndarray:
-    """Return the inputs (steps made, nu) of the judged run, in the FMU's units."""
     return np.array(simulated.judged.applied).reshape(
         len(simulated.judged.applied), plan.u.shape[1]
     )
@@ -458,7 +456,6 @@ def _notes(
     is_known: bool,
     own_step: bool = False,
 ) -> list[str]:
-    """Return the notes of a replay; is_known: the everyday step error is known."""
     reference, everyday, refusal, judged = (
         simulated.reference,
         simulated.everyday,

@@ -281,7 +281,6 @@ def largest_growth(steps: np.ndarray, t: np.ndarray, scale: np.ndarray) -> Growt
 
 
 def _edges(steps: int) -> np.ndarray:
-    """Return the steps (blocks + 1,) at which blocks begin, and the end."""
     return np.linspace(0, steps, min(steps, _BLOCKS) + 1).round().astype(int)
 
 

@@ -297,7 +297,6 @@ class WorldInputs(HeldInputs):
 
 
 def _to_nearest(points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Return the distance (n,) [s] of each point from the nearest node."""
     after = np.clip(np.searchsorted(nodes, points), 1, len(nodes) - 1)
     return np.minimum(np.abs(points - nodes[after]), np.abs(points - nodes[after - 1]))
 

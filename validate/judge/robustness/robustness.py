@@ -316,7 +316,6 @@ def check_by_reference(
 
 
 def _at(arena: Arena, cause: Perturbation, size: float) -> WorldTrial:
-    """Run the plan in the model's own world with one perturbation, driven as it holds."""
     return arena.trial(moved(arena.nominal, [cause], np.array([size])), feedback=arena.followed)
 
 
@@ -344,7 +343,6 @@ def _along(
 
 
 def _failures(arena: Arena, cause: Perturbation) -> Iterable[FirstFailure]:
-    """Yield the first failures of one perturbation, in both directions."""
     for direction in (1,) if cause.below == 0.0 else (-1, 1):
         tried = min(FARTHEST, cause.above if direction > 0 else cause.below)
         sizes, failed = _along(arena, cause, direction, tried) or (None, None)

@@ -304,7 +304,6 @@ class Arena(ABC):
         return WorldTrial(states=ran.states, gaps=ran.gaps, shares=shares, outcome=ran.outcome)
 
     def _shares(self, ran: _Ran) -> dict[str, float]:
-        """Return the shares of a finished run."""
         q, v = np.hsplit(ran.states, 2)
         cost = self._cost(self.plan.t, q, v, ran.commands) if _COST in self.asked.limits else 0.0
         shares = self.asked.shares(ran.states, ran.gaps, cost)
@@ -517,7 +516,6 @@ class SceneArena(Arena):
         return lowest, pieces, np.where(known, math.inf, np.minimum(ends, first + begins * late))
 
     def _again(self, motion: _Motion, piece: int, parts: int) -> _Motion:
-        """Return the motion between two rows, with this many parts."""
         (begin, end), inputs, nx = motion.t[piece : piece + 2], motion.inputs, 2 * self.scene.nq
         t, step = (
             np.linspace(begin, end, parts + 1),
@@ -548,7 +546,6 @@ class SceneArena(Arena):
         return run
 
     def _fresh(self) -> Instance:
-        """Return a fresh or reset instance."""
         if self._instance is None:
             self._instance = load_instance(self._package, "CS")
         else:
@@ -683,7 +680,6 @@ class FmuArena(Arena):
         )
 
     def _moved(self, world: World) -> Job:
-        """Return the job in a world, in the FMU's units; unchanged values are not set."""
         foreign, nominal = self._foreign, self.nominal
         (scale, offset), (times, plus) = foreign.units
         parameters, start = (

@@ -167,7 +167,6 @@ def _scored(
     *,
     followed: bool,
 ) -> tuple[ScoredPlan, Literal["open", "feedback"]]:
-    """Return the plan with the metrics of these rows, and the replay that answers are for."""
     case = Evidence(scene, plan, replay)
     metrics = {entry.name: _metric(entry, case) for entry in rows}
     verdict, answers, judged = decide(tuple(metrics.values()), followed)
@@ -237,7 +236,6 @@ def _why_not_asked(entry: MetricEntry, case: Evidence) -> str:
 def _not_asked(
     scene: Subject, rows: list[MetricEntry], metrics: tuple[Metric, ...]
 ) -> tuple[str, ...]:
-    """Return a sentence for each group of metrics without data."""
     by_reason: dict[str, list[str]] = {}
     for entry, metric in zip(rows, metrics, strict=True):
         if (

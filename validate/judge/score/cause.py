@@ -158,7 +158,6 @@ def _has_order(scored: ScoredPlan) -> bool:
 
 
 def _above(scored: ScoredPlan) -> list[Metric]:
-    """Return the failing metrics of the plan and its open replay, in the order of questions."""
     return [metric for metric in _judged(scored, False) if metric.question is not Question.JUDGE]
 
 
@@ -171,7 +170,6 @@ def _unwell(scored: ScoredPlan) -> list[Metric]:
 
 
 def _judged(scored: ScoredPlan, ok: bool | None) -> list[Metric]:
-    """Return judged metrics without feedback with this `ok`, in the order of questions."""
     metrics = [
         metric
         for metric in scored.metrics.values()
@@ -181,7 +179,6 @@ def _judged(scored: ScoredPlan, ok: bool | None) -> list[Metric]:
 
 
 def _of_feedback(scored: ScoredPlan, ok: bool | None) -> list[Metric]:
-    """Return judged metrics with feedback with this `ok`."""
     return [
         metric
         for metric in scored.metrics.values()
@@ -328,7 +325,6 @@ _ENDS = tuple(
 
 
 def _cause(first: Metric, scored: ScoredPlan) -> str:
-    """Return the cause of the first failing metric, and advice."""
     if (
         first.name == "start_error"
         or first.question in (Question.GOAL, Question.FORCES, Question.MOTION)
@@ -390,7 +386,6 @@ def _jumps_by_turns(scored: ScoredPlan) -> bool:
 
 
 def _of_forces(scored: ScoredPlan) -> str:
-    """Return why the planned forces are not those of contact."""
     if multiple := _multiple_of_the_law(scored):
         return multiple
     if scored.is_relaxed():
@@ -400,7 +395,6 @@ def _of_forces(scored: ScoredPlan) -> str:
 
 
 def _departure(scored: ScoredPlan) -> str:
-    """Return when and where the replay leaves the plan."""
     plan, replay, scene = scored.trajectory, scored.replay, scored.scene
     metric = scored.metrics.get("replay_error")
     if replay is None or not replay.ok or metric is None or metric.limit is None or metric.ok:
@@ -459,7 +453,6 @@ def _held_the_other_way(scored: ScoredPlan) -> str:
 
 
 def _of_motion(first: Metric, scored: ScoredPlan) -> str:
-    """Return why the inputs do not give the motion."""
     plan = scored.trajectory
     if scored.other_hold:
         return f"; {_held_the_other_way(scored)}"
@@ -506,7 +499,6 @@ def _unstable(scored: ScoredPlan) -> str:
 
 
 def _finer(first: Metric, grid: float, scored: ScoredPlan) -> str:
-    """Return the step predicted to suffice for these inputs."""
     plan = scored.trajectory
     if first.limit is None or first.limit <= 0.0 or plan.scheme is None or grid <= 0.0:
         return ""

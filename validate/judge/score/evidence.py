@@ -81,7 +81,6 @@ class Evidence:
         return self.trajectory.q
 
     def _must_say(self, group: str, words: str, columns: Sequence[str]) -> None:
-        """Raise Unmeasured if the plan lacks these columns."""
         if group in self.trajectory.missing:
             raise Unmeasured(f"the plan does not say its {words} ({', '.join(columns)}).")
 
@@ -241,7 +240,6 @@ class Evidence:
 
     @property
     def _replayed_means(self) -> np.ndarray | None:
-        """Return the replay's mean contact forces (steps, nc) [N], None if unknown."""
         if self._replay is None or not self._replay.ok or self._replay.contact_impulse is None:
             return None
         impulses = np.diff(self._replay.contact_impulse[self._replay.knots], axis=0)

@@ -602,7 +602,6 @@ def friction_impulse_error(case: Evidence) -> Measured:
 
 
 def _first_contact(case: Evidence) -> tuple[Event, Event]:
-    """Return the events at which the first contact closes and opens."""
     events = case.replay.events
     closing = next((event for event in events if event.closes), None)
     if closing is None:
@@ -621,7 +620,6 @@ def _first_contact(case: Evidence) -> tuple[Event, Event]:
 
 
 def _gap_rate(case: Evidence, event: Event) -> float:
-    """Return the rate of the gap at an event [m/s]."""
     row = int(np.argmin(np.abs(case.replay.t - event.time)))
     return _rate(case, row, [contact.name for contact in case.scene.contacts].index(event.contact))
 

@@ -32,7 +32,6 @@ _WEIGHTS = (1.0, 2.0, 3.0)
 
 
 def _squeeze(steps: int) -> np.ndarray:
-    """Return inputs (steps, 2) [N] of both carts pressing, with noise."""
     return np.tile([3.0, -3.0], (steps, 1)) + np.random.default_rng(8).normal(
         scale=0.3, size=(steps, 2)
     )
@@ -66,7 +65,6 @@ def _measured(make: Callable[[], Any], repeats: int) -> tuple[float, float]:
 
 
 def _exponent(lengths: tuple[int, ...], values: list[float]) -> float:
-    """Return the slope of log value over log length, from first to last."""
     return math.log(values[-1] / values[0]) / math.log(lengths[-1] / lengths[0])
 
 

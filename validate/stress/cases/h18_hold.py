@@ -33,7 +33,6 @@ FINE = 640
 
 
 def _smooth(t: np.ndarray) -> np.ndarray:
-    """Return inputs (n, 2) [N] that press the carts together."""
     return np.column_stack([6.0 + 3.0 * np.sin(4.0 * t), -6.0 + 2.0 * np.cos(5.0 * t)])
 
 
