@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from reports.wording import number, power, unit
 
-# Steps of a linear axis.
 _NICE = (1.0, 2.0, 2.5, 5.0, 10.0)
 # Smallest ratio of values on a logarithmic axis.
 _WIDE = 20.0
@@ -186,9 +185,8 @@ def packed(series: Sequence[tuple[Array, Array]], x: Axis, y: Axis) -> str:
     """Return the series of a plot as base64 text.
 
     A zlib stream of 64 bit integers, first all lowest bytes, then the next ones: the number of
-    series,
-    count and grain's exponent of each x (count 0: as before) and y, second differences of all
-    columns.
+    series, count and grain's exponent of each x (count 0: as before) and y, second differences of
+    all columns.
 
     Parameters
     ----------
@@ -298,7 +296,6 @@ _DIGITS = 7
 _CHARACTER = 6.6
 # Width of a bold character [pixel].
 _BOLD = 7.8
-# Height of a line [pixel].
 _LINE = 14.0
 # Positions of a name relative to its point [pixel], and its anchor.
 _BESIDE = (

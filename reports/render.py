@@ -6,8 +6,7 @@
 
 Pages depend only on the stored folder. A strict Content-Security-Policy allows only the style and
 script in or beside the page. Pages of runs are written only if missing or older than their record
-or
-this program (`is_current`).
+or this program (`is_current`).
 """
 
 from __future__ import annotations
@@ -55,9 +54,7 @@ from reports.records.robustness_record import RobustnessRecord
 
 SINGLE = "single.html"
 _HERE = Path(__file__).parent
-# Sections of report.html before the index.
 _TOP = (overview.build, table1.build, overview.what_failed)
-# Sections of a scene's page.
 _OF_SCENE = (
     scene.build,
     pareto.build,
@@ -93,8 +90,7 @@ _WORTH = 8
 class Templates:
     """The compiled templates; all have the macros of macros.html.
 
-    templates.render("run.html", view=view, anchor="run"); templates.render("scene.html#model",
-    ..)
+    templates.render("run.html", view=view, anchor="run"); templates.render("scene.html#model", ..)
     """
 
     def __init__(self) -> None:
@@ -291,8 +287,7 @@ def page(
     """Return a page of sections, with contents, style and script.
 
     again: command that writes the page; back: (address, words) of other pages; shared: link style
-    and
-    script files; key: of the page's run.
+    and script files; key: of the page's run.
     """
     style, script = _style(), _script()
     # Some browsers treat local files as different origins.
@@ -396,8 +391,7 @@ def _write_runs(templates: Templates, report: Report, jobs: int) -> None:
     """Write missing and outdated pages of runs.
 
     Child processes report nothing: pages that fail there are written again here. With threads no
-    child
-    is forked.
+    child is forked.
     """
     due = _due(report)
     jobs = min(jobs, len(due) // _WORTH)

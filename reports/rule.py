@@ -1,7 +1,7 @@
 """Rule of failure of a campaign, as text and as functions of its records.
 
-failures(runs, checks)     # sentences; none: exit code 0
-findings(runs)             # plans that fail only by their grid
+failures(runs, checks)     # sentences; none: exit code 0 findings(runs)             # plans that
+fail only by their grid
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ RULE = (
     "on a scene without inputs the replay misses a closed form, or fails its own checks",
     "a check (of one of our own FMUs, a stress case) finds a fault, or ends without an answer",
 )
-# Results that fail nothing.
 RESULTS = (
     "A method that says itself that it stopped at a limit, stalled, diverged, found no plan or does not apply to the scene has given a result, "
     "which fails nothing.",

@@ -30,8 +30,7 @@ class Trace:
     """One motion at times t (n,) [s].
 
     columns: coordinates and inputs, `lam_<contact>` [N], `gap_<contact>` [m], friction forces [N],
-    and
-    of a replay `position_error`. poses: (n, 3) x, y [m] and angle [rad] of each shape.
+    and of a replay `position_error`. poses: (n, 3) x, y [m] and angle [rad] of each shape.
     """
 
     t: Array

@@ -15,6 +15,7 @@ _THIN = "\u202f"
 ROUNDING = 1e-15
 # Smallest cost with a power of ten; a diverged plan may cost 1e200.
 _LARGE = 1e9
+
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # Terminal escapes, control characters and direction marks, which must not reach a page.
 _TERMINAL = re.compile(r"\x1b(\[[0-9;?]*[ -/]*[@-~]|[@-Z\\-_])")

@@ -49,8 +49,7 @@ class Slow(NamedTuple):
     """One run.
 
     groups: wall seconds by group; phases: (words, seconds), the longest first; bar: (x, width,
-    style,
-    words) of its pieces, relative to the slowest run.
+    style, words) of its pieces, relative to the slowest run.
     """
 
     run: RunRecord

@@ -93,7 +93,6 @@ def _sentence(views: list[FmuView]) -> str:
     return f"{count(len(views), 'FMU')}{of_scenes} in FMI {versions}: {result}. Checks: {counts}; {cost:.0f} CPU seconds."
 
 
-# Kind of stress cases in records.
 STRESS_CASE = "stress case"
 PASS = Sign("pass", "✓", "holds", "every metric is within its limit")
 FAIL = Sign("fail", "✗", "violates", "a metric is beyond its limit")

@@ -2,8 +2,7 @@
 
 Costs are compared only among plans whose judged replay ends within the scene's limits; the front is
 drawn through those that hold. A plan that ends farther away has traded the miss for its cost, and
-no
-exchange rate is assumed.
+no exchange rate is assumed.
 """
 
 from __future__ import annotations
@@ -34,7 +33,6 @@ _OF_PAPER = {
     "relu_gd": "gradient",
     "strict_lcp": "exact",
 }
-# Metric, title and quantity of the plots of cost against terminal error.
 _ENDS = (
     (
         "replay_terminal_position_error",
@@ -64,8 +62,7 @@ def build(report: Report, scene: SceneRecord) -> Section | None:
     """Return the section of one scene, None without stages.
 
     failed: (row, reason) of methods without a comparable plan; refused: pipelines that do not
-    apply;
-    nothing: reason for missing plots.
+    apply; nothing: reason for missing plots.
     """
     rows = report.rows_of_scene(scene)
     ran = [row for row in rows if row.stage.outcome != "refused"]

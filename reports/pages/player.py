@@ -247,11 +247,10 @@ def _peaks(
 
 # Moments of a film strip.
 _MOMENTS = 6
-# Size of a frame [px].
-_WIDTH = 150.0
-_HEIGHT = 84.0
-_GAP = 8.0
-_FOOT = 26.0
+_WIDTH = 150.0  # of a frame [px]
+_HEIGHT = 84.0  # of a frame [px]
+_GAP = 8.0  # between frames [px]
+_FOOT = 26.0  # for times [px]
 
 
 def strip(scene: SceneRecord, plan: Trace | None) -> Film | None:

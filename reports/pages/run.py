@@ -165,8 +165,7 @@ class Listed(NamedTuple):
     """A run as a row.
 
     errors: of the judged replay's final position and velocity, and from the plan; anchor, view: of
-    a
-    single file.
+    a single file.
     """
 
     run: RunRecord

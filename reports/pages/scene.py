@@ -150,6 +150,7 @@ _ATTRIBUTES = frozenset(
 # fmt: on
 # Depth beyond any equation, within the stack.
 _DEEPEST = 60
+# Length beyond any equation.
 _LONGEST = 200_000
 # True minus signs, and a d that more fonts have.
 _SIGNS = {"-": "−", "ⅆ": "d", "&dd;": "d"}

@@ -17,9 +17,7 @@ from reports.records.record import RunRecord, SceneRecord, StageRecord
 from reports.rows import Row, rows_of
 from reports.traces import Motion, Trace, read_motion, read_plan
 
-# Page of the campaign.
 REPORT = "report.html"
-# Folder of all other pages.
 PAGES = "pages"
 # Length of a key's digest in the names of pages.
 _SHORT = 8

@@ -1,5 +1,4 @@
 """Plots of one stage: plan and replay, contact phases, errors, iteration history."""
-# Largest number of histories.
 
 from __future__ import annotations
 
@@ -18,8 +17,9 @@ _KEYS = [
     Key("touch", "replay in contact", "swatch"),
     Key("planned-touch", "plan in contact", "swatch"),
 ]
-# More panels of history than this tell nothing more.
+# Largest number of histories.
 _MOST_HISTORY = 8
+# Number of colours of curves.
 _MOST_COLOURS = 6
 # Descriptions of Ipopt's column names.
 _HISTORY_WORDS = {

@@ -29,6 +29,7 @@ Style = tuple[str, str]
 _COLOURS = 6
 # Largest number of varied quantities of a sweep.
 _MOST = 3
+
 _PAIR = 2
 
 

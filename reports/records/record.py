@@ -60,7 +60,6 @@ Floats = Annotated[tuple[FiniteFloat, ...], BeforeValidator(_floats), _written]
 LONGEST = 1500
 # Width of the plot of an iteration history [pixel].
 LONGEST_HISTORY = 340
-# Contents of a stage's files.
 _FILES = ("trajectory", "replay", "tracked")
 
 
@@ -92,7 +91,6 @@ Verdict = Literal[
     "not applicable",
     "consistent",
 ]
-# Verdicts of plans that hold.
 HOLD = ("holds", "holds with feedback")
 # Prefix of metrics with feedback, as in validate.judge.score.
 TRACKED = "tracked_"
@@ -125,10 +123,8 @@ class ShapeRecord(Model):
     """A drawn body.
 
     place: x, y [m] and angle [rad] of its pose, each a constant, the name of a coordinate, or None:
-    a
-    column of the NetCDF files. goal: pose at the goal, angle None if free; None if the place is
-    free,
-    or the body is fixed.
+    a column of the NetCDF files. goal: pose at the goal, angle None if free; None if the place is
+    free, or the body is fixed.
     """
 
     name: str
@@ -200,10 +196,8 @@ class MetricRecord(Model):
     """One metric of the score, or one figure of a check.
 
     value: None if not measured, with `reason`; question: 1 to 6, None for the judge's and shown
-    ones;
-    error: by the replay's error, None: unknown; ok: None without a limit, or undecided; default:
-    the
-    limit is the metric's own; at_least: a lower limit.
+    ones; error: by the replay's error, None: unknown; ok: None without a limit, or undecided;
+    default: the limit is the metric's own; at_least: a lower limit.
     """
 
     name: str
@@ -223,10 +217,8 @@ class TrackedRecord(Model):
     """Facts about the replay with feedback.
 
     rms, peak: corrections of each input, in its unit; rms_share, peak_share: largest over the
-    inputs,
-    of half their range; plan_share: of the plan's inputs (None: those are 0); saturated: share of
-    steps
-    at a bound; the rest as in ReplayRecord.
+    inputs, of half their range; plan_share: of the plan's inputs (None: those are 0); saturated:
+    share of steps at a bound; the rest as in ReplayRecord.
     """
 
     error_estimate: Finite | None
@@ -278,9 +270,8 @@ class CertificateRecord(Model):
 
     primal: largest violation [units of the scene], of constraint `worst`; complementarity: largest
     min(lam, lam - k phi) [N]; dual: remaining gradient (relative; None: unknown); biactive: of
-    `pairs`;
-    strong: S-stationary, else `obstacle`; b_stationary: no first-order descent, None: unknown. All
-    unscaled.
+    `pairs`; strong: S-stationary, else `obstacle`; b_stationary: no first-order descent, None:
+    unknown. All unscaled.
     """
 
     holds: bool
@@ -334,8 +325,7 @@ class SurveyRecord(Model):
 
     checked, differ: worlds repeated by the reference, and those that differ; weakest: perturbation
     tolerated least, its amount [unit] and failing metric; message: why not tried; sources: digest
-    of
-    the code.
+    of the code.
     """
 
     alone: ShareRecord | None = None
@@ -422,8 +412,7 @@ class LegRecord(Model):
     """Result of a leg (validate.tasks.leg).
 
     pipeline: of the run that made it; stages: as if alone; files: SHA-256 by name; limit [s]: of
-    the
-    run, if it timed out; profile [s]: of that run so far.
+    the run, if it timed out; profile [s]: of that run so far.
     """
 
     key: str

@@ -14,8 +14,9 @@ import numpy as np
 
 # Largest rounding, as a fraction of the nominal; shorter numbers are taken as exact.
 _MOST = 5e-4
-# A column with this many decimals and digits is not rounded.
+# Decimals of an unrounded column.
 _ALL_DECIMALS = 13
+# Digits of an unrounded column.
 _ALL_DIGITS = 15
 
 

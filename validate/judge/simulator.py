@@ -247,8 +247,8 @@ def stepped(
 ) -> SimulatedMotion:
     """Return the motion of a drive by an engine that keeps its own state; NaN once diverged.
 
-    advance: takes inputs (nu,) [N, N m], their slopes (nu,) [N/s, N m/s], a number of steps and
-    the step [s]; returns positions and velocities (nq,) [m, rad, m/s, rad/s]. Raises errors of
+    advance: takes inputs (nu,) [N, N m], their slopes (nu,) [N/s, N m/s], a number of steps and the
+    step [s]; returns positions and velocities (nq,) [m, rad, m/s, rad/s]. Raises errors of
     `advance`.
     """
     nq, inputs, count = (

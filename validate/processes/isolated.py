@@ -71,7 +71,6 @@ GIVEN = "given.npz"
 TAKEN = "answer.npz"
 REFUSED = "memory-refused"
 FOLDER_PREFIX = ".partial-isolated-"
-# Pipe of calls, and pipe of answers.
 _ASKED = "ask"
 _ANSWERED = "answers"
 # Interval between looks whether the child lives [s].
@@ -80,6 +79,7 @@ _LOOK = 0.05
 _MOST_CALLS = 500
 # File that tests for free space.
 _ROOM = "room"
+# Its size [bytes].
 _ROOM_BYTES = 2**16
 # Share of the memory limit from which a crash counts as caused by it.
 _NEAR = 0.8

@@ -71,6 +71,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TEMPORARY = "tmp"
 # One thread per library: comparable times, one order of sums, and N cores for -j N.
 THREADS = 1
+
 _THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
@@ -174,10 +175,8 @@ class Ended:
     """How a child ended.
 
     code: exit code, negative for a signal; strays: remaining processes, ended; cpu [s]: of the
-    child
-    and its waited-for children; memory, space: largest resident size and address space [bytes], 0
-    if
-    unknown.
+    child and its waited-for children; memory, space: largest resident size and address space
+    [bytes], 0 if unknown.
     """
 
     code: int

@@ -1,8 +1,7 @@
 """Supervisor of a child: starts it, ends all its processes, and reports how it ended.
 
     python -P -m validate.processes.supervisor 5            # 5: socket of the order
-    python -P -m validate.processes.supervisor 5 numpy ..   # import, then fork a supervisor per
-    socket
+    python -P -m validate.processes.supervisor 5 numpy ..   # import, then fork supervisors
 
 On Linux orphans of the child become the supervisor's children, so that none escapes. When the
 socket closes, our process has ended: the supervisor kills the rest and removes the child's
@@ -38,9 +37,8 @@ LENGTH = struct.Struct("=i")
 ENDED = struct.Struct("=iidqq")
 # Message of a preloaded process after its imports.
 READY = b"r"
-# Options of prctl.
-_PARENT_DEATH_SIGNAL = 1
-_CHILD_SUBREAPER = 36
+_PARENT_DEATH_SIGNAL = 1  # option of prctl
+_CHILD_SUBREAPER = 36  # option of prctl
 # Interval between looks at a child's memory [s].
 _LOOK = 0.02
 # Rounds of killing descendants; a new fork is killed in the next round. In all 10 s.
@@ -155,8 +153,7 @@ def be_child(order: Mapping[str, Any], bind: Callable[[], object]) -> NoReturn:
     """Run the ordered function in its own session, folder, output and environment.
 
     bind: ties this process to the caller's life. No exit handlers run, so that a library that
-    crashes
-    while unloading spoils nothing.
+    crashes while unloading spoils nothing.
     """
     try:
         os.setsid()

@@ -59,6 +59,7 @@ _OF_SURVEYS = "validate/judge/robustness/"
 _RECORDS = ("records/record", "records/check_record", "paper")
 # A task depends on its own files of these folders only.
 _ONE_BY_ONE = ("models/scenes", "formulations/methods")
+
 _SOURCE_SUFFIXES = frozenset({".py", ".c", ".h", ".template", ".jinja", ".j2", ".xml"})
 
 

@@ -44,6 +44,7 @@ MACHINE = "machine.txt"
 FILES = "files.json"
 # Largest part of a log that is read, from its end [bytes].
 _LOG_BYTES = 1_000_000
+
 _OLD = "-old"
 # Length of the token in the name of an unfinished folder.
 _TOKEN = 32

@@ -6,8 +6,7 @@
         return finding("...", at_most("...", 1e-9, 1e-6, reason="..."), charts=(chart("...", ...),))
 
 A case passes if it has figures with limits, and all are finite and within. Figures may count
-correct
-refusals.
+correct refusals.
 """
 
 from __future__ import annotations
@@ -159,8 +158,7 @@ def chart(
     """Return the data of one plot.
 
     x, y: (quantity, unit); series: (x, y) by name, only finite values are kept; log: logarithmic
-    axes,
-    of "xy"; level: a horizontal line (value, words).
+    axes, of "xy"; level: a horizontal line (value, words).
     """
     value, level_words = level or (None, "")
     return ChartRecord(

@@ -5,9 +5,8 @@
               arguments={"scene": "three_cart", "version": "2.0"}, ...)
 
 A function `checks(scenes)` lists the checks of a room (validate.tasks.plugins, CHECKS). The
-campaign
-selects, keys, runs, stores, resumes and reports them like runs; function(arguments, course) returns
-a Found.
+campaign selects, keys, runs, stores, resumes and reports them like runs; function(arguments,
+course) returns a Found.
 """
 
 from __future__ import annotations

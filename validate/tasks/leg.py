@@ -36,6 +36,7 @@ from validate.tasks.task import PlannedLeg
 CONTENT = "leg.json.gz"
 # Level of gzip; higher levels save less than 5 %.
 _LEVEL = 4
+
 _FILES = ("trajectory", "replay", "tracked")
 # Outcomes that may differ in another run.
 _BY_CHANCE = frozenset({"time_limit", "crashed", "interrupted"})
@@ -247,8 +248,7 @@ def take(
     """Return a stored leg of this many stages and its plan, with files linked into `into`.
 
     None if not stored. limit [s]: also accept a leg that a run of this limit ended. A damaged leg
-    is
-    moved into the run's folder.
+    is moved into the run's folder.
     """
     for name in (key,) if limit is None else (key, timeout_key(key, limit)):
         source = stored / name

@@ -5,9 +5,8 @@
 
 Softplus: lam of the compiled law, maximised numerically, beside the closed form (k ln2 / ln eps)^2
 at phi = 0. Relaxed LCP: the maximum over lam >= 0, lam - k*phi >= 0, lam*(lam - k*phi) <= eps,
-which
-is eps. Rows of a warm starter (`reports.paper`) belong to both pipelines that begin with it; ours
-have none.
+which is eps. Rows of a warm starter (`reports.paper`) belong to both pipelines that begin with it;
+ours have none.
 """
 
 from __future__ import annotations
@@ -57,6 +56,7 @@ TOLERANCE = 1e-6
 _WIDTHS = 40.0
 # An even number, so that phi = 0 is no grid point.
 _GRID = 2000
+
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 

@@ -2,13 +2,11 @@
 
     record = run_path(task, provenance, folder, profile)        # in a child: validate.tasks.child
     record = survey_run(task, folder, profile)                  # later, if its plan is the cheapest
-    record = unfinished_run(task, loaded, provenance, child, folder)    # if the child left no
-    record
+    record = unfinished_run(task, loaded, provenance, child, folder)    # if that is missing
 
 Judged legs are kept in the run's folder, even if the run fails. Beside the record are
 `trajectory.nc` and `replay.nc` of the last stage, `trajectory_<n>.nc` and `replay_<n>.nc` of stage
-n
-(from 1), `tracked.nc` and `tracked_<n>.nc` of tracked replays, and gains with the trajectory.
+n (from 1), `tracked.nc` and `tracked_<n>.nc` of tracked replays, and gains with the trajectory.
 """
 
 from __future__ import annotations
@@ -49,9 +47,9 @@ if TYPE_CHECKING:
     from reports.records.record import ProvenanceRecord, StageRecord
     from validate.tasks.task import ChildExit, PlannedLeg, RunTask
 
-# Share of a run's time limit reserved for certificates and replays, and its maximum below [s]; the
-# paper's scene needs 2 s, the certificate of two fingers 3 CPU s.
+# Share of a run's time limit reserved for certificates and replays.
 _JUDGING_SHARE = 0.25
+# Largest such time [s]; the paper's scene needs 2 s, a certificate of two fingers 3 CPU s.
 _JUDGING_MOST = 60.0
 
 # A stage without an answer, outcome, and reason.

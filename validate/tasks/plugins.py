@@ -4,9 +4,8 @@
     python -m validate all --plugin my_package.my_module:PLUGIN
 
 `METHOD` adds a method, and runs its pipeline before ours. A `Plugin` replaces more; its defaults
-are
-ours. Child processes import the module too (installed, or on PYTHONPATH). Functions of children are
-imported on their first call, because the campaign's process needs neither Pyomo nor FMPy.
+are ours. Child processes import the module too (installed, or on PYTHONPATH). Functions of children
+are imported on their first call, because the campaign's process needs neither Pyomo nor FMPy.
 """
 
 from __future__ import annotations

@@ -130,8 +130,7 @@ class OpenLeg:
         """Run a stage.
 
         Raises the method's errors, TypeError for no Solution, TrajectoryError for a plan of another
-        scene
-        or duration.
+        scene or duration.
         """
         wall, cpu = time.perf_counter() - self._opening[0], time.process_time() - self._opening[1]
         self._opening = (0.0, 0.0)

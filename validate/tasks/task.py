@@ -1,12 +1,10 @@
 """Tasks of a campaign as plain data with keys: a run, scene by pipeline, or a check.
 
     task = task_from_json(task_to_json(task))          # for a child
-    varied(load_scene("three_cart"), Variant(name="three_cart_k_300", parameters={"k": 300.0},
-    goal={"q1": 2.6, "v1": None}))
+    varied(load_scene("three_cart"), Variant(name="three_cart_k_300", parameters={"k": 300.0}))
 
 A campaign file may vary a scene's numbers; the variant is a scene with its own name and key. Work
-of
-runs: validate.tasks.path; of checks: validate.tasks.check.
+of runs: validate.tasks.path; of checks: validate.tasks.check.
 """
 
 from __future__ import annotations
@@ -134,8 +132,7 @@ class RunTask:
     """A scene by a pipeline.
 
     scene: name, or absolute path of a file; plugin: dotted name; legs: its path; uses: keys of
-    other
-    runs' legs that it may read; worlds: stages to survey (of a stored run).
+    other runs' legs that it may read; worlds: stages to survey (of a stored run).
     """
 
     key: str
@@ -166,10 +163,8 @@ class CheckTask:
 
     function: `module:name`; arguments: JSON data; content: text that decides the result, such as a
     scene's; sources: path prefixes of relevant sources, () for all; methods: used ones; quick: run
-    by
-    `--quick`; words: further names for `-k`; group: collective name; key, time_limit [s]: set by
-    the
-    campaign.
+    by `--quick`; words: further names for `-k`; group: collective name; key, time_limit [s]: set by
+    the campaign.
     """
 
     kind: str

@@ -34,7 +34,6 @@ from validate.tasks.task import CheckTask, ChildExit, RunTask, Task, TaskRecord,
 _LONGEST_WORDS = 10_000
 # Interval between looks whether a task is wanted and has time [s]; its end is noticed at once.
 _LOOK = 0.05
-# Function of a child.
 _FUNCTION = "validate.tasks.child:main"
 
 

@@ -101,10 +101,8 @@ class Equations:
         """Return the functions of the state x (2*nq,) [m, rad, m/s, rad/s], by name.
 
         mass, jacobian, direction: M, J and S; phi (nc,) [m]; push (nc,) of closed contacts [N];
-        slip
-        (nf,) [m/s]; slip_rate (nf,) [m/s^2]; share: push of each closed damped contact over a
-        typical
-        push [-]. Raises nothing.
+        slip (nf,) [m/s]; slip_rate (nf,) [m/s^2]; share: push of each closed damped contact over a
+        typical push [-]. Raises nothing.
         """
         key = x.tobytes()
         if key != self._last[0]:
@@ -151,8 +149,8 @@ class Equations:
         """Return which contacts (nc,) are closed.
 
         On the boundary the direction of motion decides, at rest that of the acceleration. x:
-        (2*nq,)
-        [m, rad, m/s, rad/s]; u: (nu,) [N, N m]. Raises LinAlgError for a singular mass matrix.
+        (2*nq,) [m, rad, m/s, rad/s]; u: (nu,) [N, N m]. Raises LinAlgError for a singular mass
+        matrix.
         """
         phi = self.at(x)["phi"]
         jacobian, at_boundary = self.at(x)["jacobian"], np.abs(phi) <= self._band
@@ -201,8 +199,7 @@ class Equations:
         """Return accelerations (nq,) [m/s^2, rad/s^2] and friction forces (nf,) [N].
 
         M a - S' f = forces, and S a = -dS/dt v while sticking. x: (2*nq,) [m, rad, m/s, rad/s]; u:
-        (nu,)
-        [N, N m]. Raises LinAlgError for a singular mass matrix.
+        (nu,) [N, N m]. Raises LinAlgError for a singular mass matrix.
         """
         now, n = self.at(x), self.n
         lam = self.contact_force(x, modes.pushes)
@@ -231,8 +228,7 @@ class Equations:
         """Return the reserve of a friction's mode: slip [m/s], or force [N] if sticking.
 
         x: (2*nq,) [m, rad, m/s, rad/s]; u: (nu,) [N, N m]; index: of the friction. Raises
-        LinAlgError for
-        a singular mass matrix.
+        LinAlgError for a singular mass matrix.
         """
         if modes.slips[index]:
             return float(modes.slips[index] * self.at(x)["slip"][index])

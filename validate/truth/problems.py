@@ -101,8 +101,7 @@ class TruthProblem:
         """Return the errors of a motion, as shares of the problem's scales [-].
 
         t, q, v: (nodes,) [s], (nodes, nq) [m, m/s]; end: (2 nq,) of `end()`. Empty if only energy
-        is
-        compared. Raises ValueError if the shapes do not fit.
+        is compared. Raises ValueError if the shapes do not fit.
         """
         result = {}
         for kind, reached, true, scale in zip(

@@ -20,6 +20,7 @@ drake: Any = importlib.import_module("pydrake.all")  # dynamic: pyright may lack
 
 # Slip of full regularised friction [m/s]; Drake's default is 1e-3.
 STICTION = 1e-4
+# Inertia of massless bodies.
 _TINY = 1e-12
 _SYMBOLIC = {name: getattr(drake, name) for name in ("sin", "cos", "sqrt", "exp", "log")} | {
     "Max": drake.max

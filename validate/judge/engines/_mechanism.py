@@ -48,8 +48,8 @@ class Touch:
     """A contact: gap = normal @ q - offset, or distance of centres - offset, or that of pads.
 
     normal (nq,); offset, stiffness, damping in the scene's units; slip (nq,): its direction if
-    constant; centres: the coordinates (x, y) of each body. steepness: gap per distance of the
-    pads; without pads `why` has the reason.
+    constant; centres: the coordinates (x, y) of each body. steepness: gap per distance of the pads;
+    without pads `why` has the reason.
     """
 
     name: str

@@ -31,6 +31,7 @@ ENGINE = Simulator(
 _SOFT = 1e-4
 # MuJoCo's largest impedance.
 _HARD = 0.9999
+
 _IMPEDANCE = [_SOFT, _SOFT, 0.001, 0.5, 1.0]
 # Friction's constraint force over the normal's at equal violation: 1e8 leaves 1e-4 of the inverse
 # mass as compliance, as _HARD does.
@@ -39,9 +40,9 @@ _RATIO = 1e8
 _DECAY = 0.5
 # Largest decay rate of slip on pads [1/s]; faster decay separates sliding bodies.
 _RATE = 1e3
-# Half the size of the block that stands for a plane, larger than any motion [m]; MuJoCo's planes
-# cannot move.
+# Half the size of the block for a plane, beyond any motion [m]; MuJoCo's planes cannot move.
 _BLOCK = 100.0
+# Half the depth of that block [m].
 _DEPTH = 1.0
 _FAR = 1e6
 _TINY = 1e-12

@@ -39,6 +39,7 @@ from validate.judge.replay.wiring import Feedback, Variables
 _WITHIN = 8
 # Largest number of integrator steps of a repeated replay.
 _MOST = 1_000_000
+# Largest number of recorded points per plan step.
 _MOST_PARTS = 3000
 
 

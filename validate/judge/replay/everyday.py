@@ -21,6 +21,7 @@ from validate.judge.replay.wiring import HeldInputs, Variables
 
 # Fineness per call of doStep, for an FMU without a parameter for its internal step.
 FINENESS_OF_A_CALL = 50
+# Smallest unit of the internal step, over the mean step.
 _SHORTEST = 0.1
 
 

@@ -42,7 +42,6 @@ from validate.processes.isolated import (
     unpacked_from,
 )
 
-# Arrays of a run.
 _RECORDED = ("t", "outputs", "accumulated", "knots", "applied")
 # Outcomes by the child's ending; other endings are errors of the user, the machine or ours.
 _ENDED = {
@@ -85,8 +84,8 @@ def simulate(
     """Run all simulations of a job in a child process.
 
     request: path of the FMU; loops, the compiled library; kept, whether this child is reused and
-    keeps the FMU unpacked. arrays: Simulations and feedback, packed (n,) [-]. Returns JSON data
-    of the runs, and their arrays. Raises FmuError if the FMU cannot be opened, or misbehaves.
+    keeps the FMU unpacked. arrays: Simulations and feedback, packed (n,) [-]. Returns JSON data of
+    the runs, and their arrays. Raises FmuError if the FMU cannot be opened, or misbehaves.
     """
     before = None if request["kept"] else surroundings()
     package = _kept(request["path"]) if request["kept"] else read_package(Path(request["path"]))
@@ -208,8 +207,7 @@ class Job(Simulations):
         """Run all simulations; a crash of the child is an outcome.
 
         feedback: in the FMU's units. Raises FmuError if the FMU cannot be opened, or misbehaves,
-        and
-        MachineError if this machine cannot run it.
+        and MachineError if this machine cannot run it.
         """
         package, jobs = self.package, [self]
         if self.limits is None:

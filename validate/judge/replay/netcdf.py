@@ -67,7 +67,6 @@ def _groups(scene: Subject) -> dict[str, list[tuple[str, str, str]]]:
     }
 
 
-# Groups that a report draws.
 _DRAWN = ("q", "lam", "gap", "friction")
 
 

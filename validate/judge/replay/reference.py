@@ -1,7 +1,6 @@
 """Reference integrator: CVODE over a Model Exchange FMU, stopped at gap events and input jumps.
 
-    run = integrate(ExchangeModel(package, variables), start, inputs, rtol=1e-13,
-    event_budget=10_000)
+    run = integrate(ExchangeModel(..), start, inputs, rtol=1e-13, event_budget=10_000)
 
 Between stops the right-hand side is smooth, so order and error control hold. Adams' method (orders
 1 to 12) needs half the evaluations of BDF, because contacts are nearly undamped springs. The loop
@@ -33,6 +32,7 @@ STEP_LIMIT = 100_000
 ABSOLUTE_FRACTION = 0.1
 # Relative rounding of a time.
 _ROUNDING = 1e-14
+
 _CALLED = (
     "GetReal", "SetReal", "SetTime", "SetContinuousStates", "GetContinuousStates", "GetDerivatives",
     "GetEventIndicators",
@@ -96,8 +96,7 @@ class ExchangeModel:
         """Run event mode at a time [s] and y (states + accumulated,); return y afterwards.
 
         u: (nu,) new inputs [unit of each input], None keeps the old ones. Raises FMICallException
-        or
-        Fault if the FMU refuses a call, does not settle, or ends.
+        or Fault if the FMU refuses a call, does not settle, or ends.
         """
         fmu = self.instance
         self.move(time, y)

@@ -94,10 +94,9 @@ class ReplayError:
     lag: difference from the motion at twice the relaxation time, the first-order error.
 
     With a reference the estimate is `tolerance`, or `everyday` if `step` and `stated` do not
-    explain
-    the difference of the methods; without the looser reference the larger of `everyday` and `step`.
-    Without a reference it is `step`, at least `stated`, else the FMU's declared tolerance; `stated`
-    alone if the steps do not converge. `lag` is added.
+    explain the difference of the methods; without the looser reference the larger of `everyday` and
+    `step`. Without a reference it is `step`, at least `stated`, else the FMU's declared tolerance;
+    `stated` alone if the steps do not converge. `lag` is added.
     """
 
     estimate: Difference | None

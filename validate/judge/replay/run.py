@@ -37,9 +37,9 @@ from validate.judge.replay.tracking import (
 from validate.judge.replay.wiring import Feedback, HeldInputs, measure_effort, with_times_between
 from validate.processes.isolated import Limits
 
-# Relative tolerances of the reference. On three_cart they are 1.4e-9 m and 1e-11 m from the truth;
-# the tighter takes 1.1 times the time.
+# Looser relative tolerance of the reference, 1.4e-9 m from the truth on three_cart.
 LOOSE = 1e-11
+# Tighter tolerance, 1e-11 m from the truth at 1.1 times the time.
 TIGHT = 1e-13
 # Internal steps per plan step of the everyday replay that confirms a reference.
 FINENESS = (100, 200)
@@ -80,11 +80,11 @@ def replay(
 ) -> Replay:
     """Apply the plan's inputs, from the task's start, to the scene's FMU.
 
-    fineness: internal steps per plan step of the everyday replay; None: as its error needs.
-    limits: run the FMU in a child process; None: in this process, for our own FMU in a child.
-    track: replay with feedback too, or a function from the open replay to the plan to track.
-    Raises ArchiveError, FmuError, TrajectoryError for a plan that does not fit, TrackingError if
-    track is True and tracking fails. A failed simulation is `Replay.outcome`.
+    fineness: internal steps per plan step of the everyday replay; None: as its error needs. limits:
+    run the FMU in a child process; None: in this process, for our own FMU in a child. track: replay
+    with feedback too, or a function from the open replay to the plan to track. Raises ArchiveError,
+    FmuError, TrajectoryError for a plan that does not fit, TrackingError if track is True and
+    tracking fails. A failed simulation is `Replay.outcome`.
     """
     trajectory.check_fits(scene)
     scene = scene.continuous()
@@ -188,13 +188,11 @@ def replay_foreign(
 ) -> Replay:
     """Replay a plan on an external FMU, always in a child process.
 
-    track: feedback by the FMU's own directional derivatives.
-    decides: whether a replay is accurate enough; without Model Exchange steps are refined until
-    then, or up to a number of calls.
+    track: feedback by the FMU's own directional derivatives. decides: whether a replay is accurate
+    enough; without Model Exchange steps are refined until then, or up to a number of calls.
     own_step: judge Co-Simulation with one doStep per plan step (not for linear inputs); four such
-    runs give the error.
-    Raises TrackingError if track is True and tracking fails, FmuError for own_step without
-    Co-Simulation.
+    runs give the error. Raises TrackingError if track is True and tracking fails, FmuError for
+    own_step without Co-Simulation.
     """
     job = foreign_job(foreign, package, trajectory, limits, own_step)
     plan = (

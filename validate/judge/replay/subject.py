@@ -86,8 +86,8 @@ class ForeignTask:
     """Task of a plan on an external FMU.
 
     goal: (2*nq,) positions, then velocities, None if free. step [s]: a five-hundredth of the task,
-    which sets the tolerance of the duration and the resolution of the motion. horizon [s]: None
-    if the map has no duration.
+    which sets the tolerance of the duration and the resolution of the motion. horizon [s]: None if
+    the map has no duration.
     """
 
     goal: tuple[float | None, ...]

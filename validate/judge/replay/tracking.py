@@ -88,9 +88,9 @@ def linearised(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Linearise an FMU along a plan: A (steps, nx, nx), B (steps, nx, nu) of x' = A x + B u.
 
-    In the FMU's units, states ordered as variables.q + variables.v. One step is
-    exp(h (F_t + F_{t+1})/2), F the Jacobian of the rates by states and held inputs: of second order
-    in h, with half a contact if it closes within the step.
+    In the FMU's units, states ordered as variables.q + variables.v. One step is exp(h (F_t +
+    F_{t+1})/2), F the Jacobian of the rates by states and held inputs: of second order in h, with
+    half a contact if it closes within the step.
 
     Parameters
     ----------
@@ -177,6 +177,7 @@ _BLOCKS = 50
 
 # Refinement of the plan's step, until the growth agrees twice in a row.
 _FINER = 8
+# Largest ratio of growths that agree.
 _AGREE = 1.2
 # Largest number of steps, a CPU second.
 _MOST = 4_000_000

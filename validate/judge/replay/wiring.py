@@ -88,8 +88,8 @@ class Feedback:
         """Return the law in an FMU's units.
 
         output: scale, offset (nx,), plan [unit of the column] = scale * FMU + offset; inputs:
-        scale,
-        offset (nu,), FMU = scale * plan + offset. Raises ValueError if the shapes do not fit.
+        scale, offset (nu,), FMU = scale * plan + offset. Raises ValueError if the shapes do not
+        fit.
         """
         (a, b), (c, d) = output, inputs
         bounds = np.sort([c * self.lower + d, c * self.upper + d], axis=0)

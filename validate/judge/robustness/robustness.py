@@ -46,14 +46,19 @@ from validate.judge.score.verdict import Verdict
 
 SAMPLES = 1000
 MOST = 1_000_000
-# One of this many worlds is repeated by the reference, within the bounds below.
+# One of this many worlds is repeated by the reference.
 _EVERY = 50
+# Smallest number of repeated worlds.
 _FEWEST = 10
+# Largest number of repeated worlds.
 _MOST_CHECKED = 200
-# Sizes of one perturbation: multiplied by a factor from first to last, then bisected to 1 %.
+# First size of one perturbation.
 _FIRST = 1 / 32
+# Factor between sizes.
 _FACTOR = math.sqrt(2.0)
+# Largest size.
 FARTHEST = 64.0
+# Relative width of the bisected interval.
 _WITHIN = 0.01
 _Z95 = 1.959963984540054
 # Fewest worlds.
@@ -387,9 +392,11 @@ def first_failure(ratio: Callable[[float], float], largest: float) -> float | No
 
 # Worlds of a campaign's plan, for shares to 6 %.
 SURVEYED = 256
+# Smallest number of such worlds.
 FEWEST = 32
 # Largest number of internal steps; beyond it worlds are halved, down to FEWEST.
 MOST_STEPS = 2**19
+
 SEED = 0
 
 

@@ -68,6 +68,7 @@ _TOLD = 0.01
 _ROUGHLY = 10.0
 # Depths below this share of the limit are not resolved.
 _SHALLOW = 1e-3
+
 _POSITION = "replay_terminal_position_error"
 _VELOCITY = "replay_terminal_velocity_error"
 _COST = "replay_cost"
@@ -100,8 +101,7 @@ class Asked:
         """Return the conditions of the judge's limits, by metric.
 
         On an FMU without a goal the plan's own motion is the goal. Raises TrajectoryError if
-        neither
-        end, cost nor motion is limited.
+        neither end, cost nor motion is limited.
         """
         known_limits = {
             name: limits[name] for name in (_POSITION, _VELOCITY, _COST, _SPEED) if name in limits
@@ -141,8 +141,7 @@ class Asked:
         """Return each condition as a share of its limit.
 
         states: (rows, 2*nq), the last row the end [m or rad, then per second]; gaps: (rows, nc)
-        [m].
-        Raises ValueError if the shapes do not fit.
+        [m]. Raises ValueError if the shapes do not fit.
         """
         half, end = len(self.goal) // 2, states[-1]
         values = {
@@ -237,14 +236,12 @@ class Arena(ABC):
     model's own world; fineness: internal steps per plan step.
     """
 
-    # Name of the check, for messages.
     by = "by the reference"
     # Tolerance of a fineness in the model's own world, as a share of the limits.
     near = 1e-3
     levels: Sequence[int] = FINENESS
     # CPU time in other processes [s].
     seconds = 0.0
-    # Number of trials.
     trials = 0
 
     def __init__(

@@ -60,7 +60,6 @@ _NEEDS = {
     "no scheme": "the plan declares a scheme, whose own equations are asked instead",
 }
 
-# Names of all metrics, with feedback too.
 _NAMES = tuple(entry.name for entry in (*TABLE, *GROWTH, *FOLLOWED))
 
 # Advice for a limit on a metric that is only shown.

@@ -1,8 +1,7 @@
 """The sentence of a verdict: its deciding metric, the cause, and advice.
 
 Causes follow from metrics, never from a method's name: defect, bounds, relaxed contact, coarse
-grid,
-unstable motion, penetration, inexact replay.
+grid, unstable motion, penetration, inexact replay.
 """
 
 from __future__ import annotations
@@ -37,14 +36,13 @@ from validate.judge.score.verdict import (
 _ENTRIES = {entry.name: entry for entry in (*TABLE, *FEEDBACK)}
 # Growth of an error from which instability is named as a cause; a good plan's step errs by 1e-3.
 _UNSTABLE = 100.0
-# Safety factor of a predicted step.
 _SAFETY = 0.8
 # Most additional digits to print a value apart from its limit.
 _MORE_DIGITS = 7
 # Largest deviation of a jump from whole turns [rad].
 _NEAR_A_TURN = 0.1
+
 _ADVICE_EXACT = "tighten eps, or go on from it with exact contact (`strict`, `mpcc`)"
-# Advice by the metric that fails first.
 _CAUSES = {
     "defect": "; if another integrator made it, leave the declaration of the scheme out",
 }

@@ -12,9 +12,7 @@ from models import collocation
 from models.scene import Scene
 from validate.judge.score.evidence import Evidence
 
-# Smallest number of small steps per piece.
 _FEWEST = 250
-# Largest number of small steps per piece.
 _MOST = 512_000
 # Relative change of a depth, on doubling the steps, that ends the refinement.
 _DEEP = 1e-6
@@ -73,8 +71,8 @@ def penetrations_within(case: Evidence, piece: int, parts: int) -> np.ndarray:
 def _depth_bounds(h: np.ndarray, depth: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """Return upper bounds (n-1, nc) [m] of the penetrations between rows, by their tangents.
 
-    Other forces press by at most twice their largest mean. h: (n-1,) [s]; depth, rate: (n, nc)
-    [m], [m/s]. Raises ValueError if the shapes do not fit.
+    Other forces press by at most twice their largest mean. h: (n-1,) [s]; depth, rate: (n, nc) [m],
+    [m/s]. Raises ValueError if the shapes do not fit.
     """
     h, gains = h[:, None], np.diff(rate, axis=0)
     pressed = (gains / np.maximum(h, 1e-3 * h.max())).max(

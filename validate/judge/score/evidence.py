@@ -100,8 +100,7 @@ class Evidence:
         """Return the task's cost of a motion: running cost per step of the task, and final cost.
 
         Between rows positions are cubics, without inertia lines. t: (n,) [s]; q, v: (n, nq) [m or
-        rad,
-        m/s or rad/s]; u: (steps, nu) [N or N m]. Raises Unmeasured for an external FMU.
+        rad, m/s or rad/s]; u: (steps, nu) [N or N m]. Raises Unmeasured for an external FMU.
         """
         h, nodes, held = np.diff(t)[:, None], self.trajectory.t, self.held_inputs
         step = np.clip(np.searchsorted(nodes, t[:-1], side="right") - 1, 0, len(u) - 1)

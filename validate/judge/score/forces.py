@@ -1,8 +1,8 @@
 """Forces of a plan against the contact law, by one convention for the whole plan.
 
 A planned force belongs to the start, middle or end of its step, or is a mean. Within a step the
-plan
-is a cubic through both states; means may also be the replay's, which resolves shorter contacts.
+plan is a cubic through both states; means may also be the replay's, which resolves shorter
+contacts.
 """
 
 from __future__ import annotations
@@ -53,8 +53,7 @@ def force_window(
 
     A planned force has any convention, and a contact may be a step early or late. lam: (n, nc) [N];
     step_of: (n-1,) the plan's step of each piece; mean: (steps, nc), if known. Raises ValueError if
-    a
-    step has no row, or the shapes do not fit.
+    a step has no row, or the shapes do not fit.
     """
     first = np.searchsorted(step_of, np.arange(steps))
     last = np.searchsorted(step_of, np.arange(steps), side="right")

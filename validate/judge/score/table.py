@@ -123,7 +123,6 @@ def _has_goal_velocity(scene: Subject) -> bool:
     return any(value is not None for value in scene.task.goal[scene.nq :])
 
 
-# Limit of impulse differences.
 _OF_IMPULSE = (
     IMPULSE,
     "1 % of the contact impulse that plan and replay have in common, or of a typical force for a fiftieth of the plan",
@@ -622,7 +621,6 @@ FEEDBACK = (
         meaning="share of the steps in which the feedback stood at a bound",
     ),
 )
-# Metrics of the replay with feedback.
 FOLLOWED = (*(_twin(entry) for entry in TABLE if entry.of_replay), *FEEDBACK)
 GROWTH = (
     MetricEntry(

@@ -78,8 +78,7 @@ class Metric:
 
     value: None if not measured, with `reason`; error: by the replay's error; limit: of the scene or
     the metric, with `reason`, None if not judged; ok: None if undecided or without a limit;
-    default:
-    the limit is the metric's own.
+    default: the limit is the metric's own.
     """
 
     name: str
@@ -118,12 +117,10 @@ class Score:
     """All metrics of one plan, and the verdict.
 
     why: deciding sentence with cause and advice; cause: one word, "" if nothing is wrong: the
-    failing
-    or undecided metric, or `defect`, `relaxed contact`, `unstable`, `coarse grid`, `motion`.
-    metrics: tracked_<name> and feedback_<..> are those with feedback. judged: replay of the
-    verdict,
-    "open" or "feedback". waived, not_asked: with reasons. names: all metrics, even if they do not
-    apply; may be empty.
+    failing or undecided metric, or `defect`, `relaxed contact`, `unstable`, `coarse grid`,
+    `motion`. metrics: tracked_<name> and feedback_<..> are those with feedback. judged: replay of
+    the verdict, "open" or "feedback". waived, not_asked: with reasons. names: all metrics, even if
+    they do not apply; may be empty.
     """
 
     metrics: tuple[Metric, ...]
@@ -162,10 +159,8 @@ class Score:
 
 
 MARGIN = 10.0
-# Metrics of the feedback's effort.
 EFFORT = "feedback_effort"
 SHARE = "feedback_share"
-# Prefix of metrics of the replay with feedback.
 TRACKED = "tracked_"
 # Questions about the replay, which need a judge that is well.
 _OF_REPLAY = (Question.MOTION, Question.POSSIBLE)

@@ -30,6 +30,7 @@ from validate.truth.problems import contact_rate, stiff
 STIFFNESSES = tuple(10.0**power for power in range(9))
 # Points of the plot around the limit.
 SWEPT = 7
+
 STEP = 0.01
 DAMPING = 2.0
 LIMIT = (4.0 - 2.0 * STEP * DAMPING) / (3.0 * STEP**2)

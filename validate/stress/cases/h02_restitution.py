@@ -2,8 +2,8 @@
 
 Two masses on a linear spring have restitution 1, semi-implicit Euler only on average. In contact it
 keeps I = v^2 - h w^2 x v + w^2 x^2; a touch a fraction p of a step before the first node inside has
-I = s^2 (1 - (h w)^2 p (1 - p)), and so has the parting. Restitution is therefore between
-sqrt(1 - (h w)^2/4) and its inverse.
+I = s^2 (1 - (h w)^2 p (1 - p)), and so has the parting. Restitution is therefore between sqrt(1 -
+(h w)^2/4) and its inverse.
 """
 
 from __future__ import annotations

@@ -29,6 +29,7 @@ from validate.truth.problems import mass_ratio
 RATIOS = tuple(10.0**power for power in range(-4, 5))
 # Ratios of the middle cart to the others.
 PLANNED = (1e-4, 1e-3, 1e-2, 3e-2, 1e-1, 1.0, 1e1, 3e1, 1e3)
+
 STEP = 0.02
 STEPS = 250
 _CHAIN = (("softplus_dc", SOFTPLUS_EPS), ("strict_lcp", (None,)))

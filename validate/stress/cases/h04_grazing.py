@@ -1,9 +1,8 @@
 """Grazing: a disc passes another at a depth of 1e-9 m, or misses by as much.
 
 On a straight line the depth is d - (v t)^2/(4 r), with an impulse of (4/3) k d T, T = sqrt(4 r
-d)/v:
-2e-10 N s. A plan has at most one node inside, h k d. The gradient of the end must be finite on both
-sides and agree with differences.
+d)/v: 2e-10 N s. A plan has at most one node inside, h k d. The gradient of the end must be finite
+on both sides and agree with differences.
 """
 
 from __future__ import annotations

@@ -25,6 +25,7 @@ EXPONENT = 1.15
 # Largest exponent of CPU time over steps: between linear and quadratic. Load and cache sizes cause
 # up to 1.2.
 TIME_EXPONENT = 1.5
+
 _REPEATS = 20
 _MODEL_REPEATS = 2
 _DIFFERENCE = 1e-4

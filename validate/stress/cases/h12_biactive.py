@@ -1,8 +1,7 @@
 """Biactive pairs, force and gap both zero: the certificate must report stationarity.
 
 Three touching carts at rest are all biactive. The origin of min (x - 1)^2 + (y - 1)^2 on two axes
-is
-feasible, but not stationary.
+is feasible, but not stationary.
 """
 
 from __future__ import annotations

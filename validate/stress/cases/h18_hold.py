@@ -1,8 +1,7 @@
 """Hold of inputs, and uneven grids.
 
 Sampled smooth inputs converge with order 1 if held, with order 2 if linear. A plan with a short
-step
-moves as on an even grid. A warm start on another grid is refused.
+step moves as on an even grid. A warm start on another grid is refused.
 """
 
 from __future__ import annotations
