@@ -163,7 +163,7 @@ def _row(record: CheckRecord) -> CaseRow:
         sign=sign,
         happened=record.found
         or record.message
-        or f"It ended as {spaced(record.outcome)}, without a word.",
+        or f"It ended as {spaced(record.outcome)}, without a message.",
         decisive=tuple(sorted(judged, key=lambda figure: figure.ok is not False)[:_IN_TABLE]),
         plots=tuple(
             plot_of(chart) for chart in record.charts if any(series.x for series in chart.series)
@@ -213,7 +213,7 @@ def plot_of(chart: ChartRecord) -> Plot:
         for series in chart.series
         for x, y in zip(series.x, series.y, strict=True)
     ):
-        plot.words += " Zeros have no place on a logarithmic axis: their points stand at its lower end, off the line."
+        plot.words += " Zeros cannot be drawn on a logarithmic axis: their points are at its lower end, off the line."
     return plot
 
 

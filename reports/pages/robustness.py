@@ -119,7 +119,7 @@ def _answer(more: int, fewer: int, words: tuple[str, str]) -> str:
     if more + fewer < _ENOUGH:
         return "That cannot be told yet"
     return (
-        words[0] if more > 2 * fewer else words[1] if fewer > 2 * more else "Now one, now the other"
+        words[0] if more > 2 * fewer else words[1] if fewer > 2 * more else "Both occur"
     )
 
 
@@ -172,7 +172,7 @@ def _feedback(groups: Iterable[list[Survivor]]) -> str:
         100 * median(share.share for share in shares) for shares in zip(*pairs, strict=True)
     )
     return (
-        f"What does feedback buy? Of {count(len(pairs), 'plan')} it surely raises the share in {more} and lowers it in {fewer}; the median goes from "
+        f"What does feedback gain? Of {count(len(pairs), 'plan')} it surely raises the share in {more} and lowers it in {fewer}; the median goes from "
         f"{before:.0f} % of the worlds to {after:.0f} %."
     )
 
@@ -185,7 +185,7 @@ def _weakest(groups: Iterable[list[Survivor]]) -> str:
         if plan.survey.weakest
     ]
     first = [f"{name} in {times}" for name, times in Counter(names).most_common(3)]
-    return f"Plans take least of {listing(first)} of {count(len(names), 'plan')}." if first else ""
+    return f"Plans are weakest against {listing(first)} of {count(len(names), 'plan')}." if first else ""
 
 
 def _plot(plans: list[Survivor]) -> Plot:

@@ -13,7 +13,7 @@ from reports.records.engines_record import TruthRecord, TruthRow
 def of_plan(rows: Sequence[Mapping[str, Any]]) -> list[Section]:
     """Return the section of one plan, none without engines."""
     return (
-        [Section("engines", "What other simulators say", "simulators.html#plan", {"rows": rows})]
+        [Section("engines", "Verdicts of other simulators", "simulators.html#plan", {"rows": rows})]
         if rows
         else []
     )
@@ -23,13 +23,13 @@ def truth(record: TruthRecord) -> Section:
     """Return the section of the truth suite."""
     plots = [plot_of(chart) for chart in record.charts]
     values = {"record": record, "problems": record.problems, "plots": plots}
-    return Section("truth", "What is true, and what engines make of it", "truth.html", values)
+    return Section("truth", "Exact answers, and results of engines", "truth.html", values)
 
 
 def as_markdown(record: TruthRecord, command: str) -> str:
     """Return the truth suite as a page of the docs, without times, so that it is reproducible."""
     head = ["problem", *record.engines, "exact answer"]
-    made = f"Made by `{command}`; [engines.md](engines.md) says what each engine is told."
+    made = f"Made by `{command}`; [engines.md](engines.md) describes the input of each engine."
     shares = "Errors at the finest of four steps, as shares of the problem's scale; in brackets the order at which they fall with the step."
     lines = ["# The contact truth suite", "", made, "", record.summary, ""]
     lines += [
