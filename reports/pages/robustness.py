@@ -118,9 +118,7 @@ def _answer(more: int, fewer: int, words: tuple[str, str]) -> str:
     """Return a conclusion from these numbers; words: if the first or the second dominates."""
     if more + fewer < _ENOUGH:
         return "That cannot be told yet"
-    return (
-        words[0] if more > 2 * fewer else words[1] if fewer > 2 * more else "Both occur"
-    )
+    return words[0] if more > 2 * fewer else words[1] if fewer > 2 * more else "Both occur"
 
 
 def _cheaper(groups: Iterable[list[Survivor]]) -> str:
@@ -185,7 +183,11 @@ def _weakest(groups: Iterable[list[Survivor]]) -> str:
         if plan.survey.weakest
     ]
     first = [f"{name} in {times}" for name, times in Counter(names).most_common(3)]
-    return f"Plans are weakest against {listing(first)} of {count(len(names), 'plan')}." if first else ""
+    return (
+        f"Plans are weakest against {listing(first)} of {count(len(names), 'plan')}."
+        if first
+        else ""
+    )
 
 
 def _plot(plans: list[Survivor]) -> Plot:
