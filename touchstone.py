@@ -205,7 +205,7 @@ def solve(
     Returns
     -------
     Solution
-        Of the last stage: outcome, trajectory or None, cost, certificate; `plot()`,
+        Outcome, trajectory or None, cost and certificate of the last stage; `plot()`,
         `to_dataframe()`.
 
     Raises

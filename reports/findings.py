@@ -1,7 +1,7 @@
 """The three findings of a campaign, as sentences for the report and the terminal.
 
 three_findings(runs) -> ("0 of 54 relaxed plans hold; ..", "29 of 43 runs that end with exact
-contact hold.", "Try first softplus_dc+strict, ..")
+                         contact hold.", "Try first softplus_dc+strict, ..")
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@
     plot.line("plan", "p", t, force);  plot.markup()
 
 Colours are CSS classes, so that the page's light, dark and print styles apply. `packed` stores all
-numbers for reading, zooming and saving: integers in decimal grains, second differences, bytes by
-significance, zlib. 105,000 numbers take 44 kB instead of 311 kB of compressed JSON.
+numbers for reading, zooming and saving. 105,000 numbers take 44 kB instead of 311 kB of compressed
+JSON.
 """
 
 from __future__ import annotations
@@ -184,9 +184,11 @@ Array = NDArray[np.float64]
 def packed(series: Sequence[tuple[Array, Array]], x: Axis, y: Axis) -> str:
     """Return the series of a plot as base64 text.
 
-    A zlib stream of 64 bit integers, first all lowest bytes, then the next ones: the number of
-    series, count and grain's exponent of each x (count 0: as before) and y, second differences of
-    all columns.
+    The text is a zlib stream of 64 bit integers, first all lowest bytes, then the next ones:
+
+    - the number of series.
+    - count and grain's exponent of each x (count 0: as before) and y.
+    - second differences of all columns.
 
     Parameters
     ----------
@@ -296,9 +298,10 @@ _DIGITS = 7
 _CHARACTER = 6.6
 # Width of a bold character [pixel].
 _BOLD = 7.8
+# Distance of lines [pixel].
 _LINE = 14.0
 # Positions of a name relative to its point [pixel], and its anchor.
-_BESIDE = (
+_PLACES = (
     (7, -6, "start"),
     (9, 4, "start"),
     (0, -10, "middle"),
@@ -477,7 +480,7 @@ class Plot:
                 near.append(name)
         for left, top, names in groups:
             words = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
-            for dx, dy, anchor in _BESIDE:
+            for dx, dy, anchor in _PLACES:
                 if self.label(
                     left + dx, top + dy, words, "strong", anchor=anchor, pixels=True, shifts=(0,)
                 ):

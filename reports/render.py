@@ -286,8 +286,10 @@ def page(
 ) -> str:
     """Return a page of sections, with contents, style and script.
 
-    again: command that writes the page; back: (address, words) of other pages; shared: link style
-    and script files; key: of the page's run.
+    - again: command that writes the page.
+    - back: (address, words) of other pages.
+    - shared: link style and script files.
+    - key: of the page's run.
     """
     style, script = _style(), _script()
     # Some browsers treat local files as different origins.

@@ -1,7 +1,7 @@
 """Rule of failure of a campaign, as text and as functions of its records.
 
-failures(runs, checks)     # sentences; none: exit code 0 findings(runs)             # plans that
-fail only by their grid
+failures(runs, checks)  # sentences; none: exit code 0
+findings(runs)          # plans that fail only by their grid
 """
 
 from __future__ import annotations

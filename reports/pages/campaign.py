@@ -42,14 +42,15 @@ _GROUPS: tuple[str, ...] = (
 # Width of the longest bar.
 _WIDTH = 200.0
 # Smallest share that the sentence mentions.
-_TOLD = 0.1
+_MENTIONED = 0.1
 
 
 class Slow(NamedTuple):
     """One run.
 
-    groups: wall seconds by group; phases: (words, seconds), the longest first; bar: (x, width,
-    style, words) of its pieces, relative to the slowest run.
+    - groups: wall seconds by group.
+    - phases: (words, seconds), the longest first.
+    - bar: (x, width, style, words) of its pieces, relative to the slowest run.
     """
 
     run: RunRecord
@@ -119,7 +120,9 @@ def _sentence(runs: list[RunRecord]) -> str:
         return ""
     longest = sorted(spent.items(), key=lambda item: -item[1])
     phrases = [
-        f"{name} ({100 * took / whole:.0f} %)" for name, took in longest if took >= _TOLD * whole
+        f"{name} ({100 * took / whole:.0f} %)"
+        for name, took in longest
+        if took >= _MENTIONED * whole
     ]
     return (
         f"Of the {seconds(whole)} s of {count(len(runs), 'run')}, most went to {listing(phrases)}."

@@ -61,8 +61,9 @@ Point = tuple[float, float, Row]
 def build(report: Report, scene: SceneRecord) -> Section | None:
     """Return the section of one scene, None without stages.
 
-    failed: (row, reason) of methods without a comparable plan; refused: pipelines that do not
-    apply; nothing: reason for missing plots.
+    - failed: (row, reason) of methods without a comparable plan.
+    - refused: pipelines that do not apply.
+    - nothing: reason for missing plots.
     """
     rows = report.rows_of_scene(scene)
     ran = [row for row in rows if row.stage.outcome != "refused"]

@@ -142,7 +142,7 @@ def scene_page(scene: SceneRecord) -> str:
 class Section:
     """A section: `template` (file.html, or file.html#block) with `values` and the section itself.
 
-    entries: lines of the table of contents; said: main result for the index of report.html.
+    entries: lines of the table of contents. `said`: main result for the index of report.html.
     """
 
     anchor: str

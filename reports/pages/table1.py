@@ -23,8 +23,9 @@ _WHERE = {"plan": "", "grid": "discrete_", "replay": "replay_"}
 class TerminalError(NamedTuple):
     """A cell with terminal errors of the judged replay.
 
-    norm: of position and velocity, if only that is known; alone: position by the inputs alone, if
-    the stage holds with feedback; reason: of a missing error.
+    - norm: of position and velocity, if only that is known.
+    - alone: position by the inputs alone, if the stage holds with feedback.
+    - reason: of a missing error.
     """
 
     position: float | None

@@ -1,7 +1,7 @@
 """CheckRecord: an expected result and a finding; ChartRecord: data of one plot of a check.
 
-record = record_of(path.read_bytes())      # a RunRecord or a CheckRecord runs, checks =
-divided(records)
+record = record_of(path.read_bytes())  # a RunRecord or a CheckRecord
+runs, checks = divided(records)
 """
 
 from __future__ import annotations
@@ -53,8 +53,9 @@ class ChartRecord(Model):
 class CheckRow(Model):
     """One check of an FMU: its claim and the finding.
 
-    type: "ME", "CS", or "" for the file; clause: section of the standard; severity: of a failure,
-    "" if unknown.
+    - type: "ME", "CS", or "" for the file.
+    - clause: section of the standard.
+    - severity: of a failure, "" if unknown.
     """
 
     name: str
@@ -91,9 +92,11 @@ class FmuRecord(Model):
 class CheckRecord(Model):
     """One check; kind and name are unique in a campaign, and a kind has its page.
 
-    outcome: `answered`, or how it ended: `failed` with a reason, `crashed`, `time_limit`; passed:
-    the finding is as expected; found, message: sentences of the finding, and of a missing answer;
-    fmu: details of kind `FMU`; charts: data of plots.
+    - outcome: `answered`, or how it ended: `failed` with a reason, `crashed`, `time_limit`.
+    - passed: the finding is as expected.
+    - found, message: sentences of the finding, and of a missing answer.
+    - fmu: details of kind `FMU`.
+    - charts: data of plots.
     """
 
     schema_version: Literal[8] = SCHEMA_VERSION

@@ -20,8 +20,11 @@ class LevelRecord(Model):
 class TruthRow(Model):
     """Result of an engine on a problem.
 
-    came: done, cannot express it, not installed, failed; why: reason; source: of the exact answer;
-    worst: quantity with the largest error; order: of the error in the step, if known.
+    - came: done, cannot express it, not installed, failed.
+    - why: reason.
+    - source: of the exact answer.
+    - worst: quantity with the largest error.
+    - order: of the error in the step, if known.
     """
 
     phenomenon: str

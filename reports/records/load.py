@@ -1,6 +1,7 @@
 """Read the records of a campaign's folder; unreadable ones are listed with reasons.
 
-stored = load(Path("runs/all"));  stored.campaign, stored.runs, stored.unreadable, stored.missing
+stored = load(Path("runs/all"))
+stored.campaign, stored.runs, stored.unreadable, stored.missing
 """
 
 from __future__ import annotations

@@ -122,9 +122,9 @@ class ContactRecord(QuantityRecord):
 class ShapeRecord(Model):
     """A drawn body.
 
-    place: x, y [m] and angle [rad] of its pose, each a constant, the name of a coordinate, or None:
-    a column of the NetCDF files. goal: pose at the goal, angle None if free; None if the place is
-    free, or the body is fixed.
+    - place: x, y [m] and angle [rad] of its pose, each a constant, the name of a coordinate, or
+      None: a column of the NetCDF files.
+    - goal: pose at the goal, angle None if free; None if the place is free, or the body is fixed.
     """
 
     name: str
@@ -195,9 +195,12 @@ class SceneRecord(Model):
 class MetricRecord(Model):
     """One metric of the score, or one figure of a check.
 
-    value: None if not measured, with `reason`; question: 1 to 6, None for the judge's and shown
-    ones; error: by the replay's error, None: unknown; ok: None without a limit, or undecided;
-    default: the limit is the metric's own; at_least: a lower limit.
+    - value: None if not measured, with `reason`.
+    - question: 1 to 6, None for the judge's and shown ones.
+    - error: by the replay's error, None: unknown.
+    - ok: None without a limit, or undecided.
+    - default: the limit is the metric's own.
+    - at_least: a lower limit.
     """
 
     name: str
@@ -216,9 +219,11 @@ class MetricRecord(Model):
 class TrackedRecord(Model):
     """Facts about the replay with feedback.
 
-    rms, peak: corrections of each input, in its unit; rms_share, peak_share: largest over the
-    inputs, of half their range; plan_share: of the plan's inputs (None: those are 0); saturated:
-    share of steps at a bound; the rest as in ReplayRecord.
+    - rms, peak: corrections of each input, in its unit.
+    - rms_share, peak_share: largest over the inputs, of half their range.
+    - plan_share: of the plan's inputs (None: those are 0).
+    - saturated: share of steps at a bound.
+    - Further fields: as in ReplayRecord.
     """
 
     error_estimate: Finite | None
@@ -268,10 +273,14 @@ class SecondsRecord(Model):
 class CertificateRecord(Model):
     """A plan judged in the strict Pyomo model of its scene, without its method's multipliers.
 
-    primal: largest violation [units of the scene], of constraint `worst`; complementarity: largest
-    min(lam, lam - k phi) [N]; dual: remaining gradient (relative; None: unknown); biactive: of
-    `pairs`; strong: S-stationary, else `obstacle`; b_stationary: no first-order descent, None:
-    unknown. All unscaled.
+    - primal: largest violation [units of the scene], of constraint `worst`.
+    - complementarity: largest min(lam, lam - k phi) [N].
+    - dual: remaining gradient (relative; None: unknown).
+    - biactive: of `pairs`.
+    - strong: S-stationary, else `obstacle`.
+    - b_stationary: no first-order descent, None: unknown.
+
+    All values are unscaled.
     """
 
     holds: bool
@@ -323,9 +332,10 @@ class ShareRecord(FoundRecord):
 class SurveyRecord(Model):
     """Robustness of a plan that holds (validate.judge.robustness.robustness.survey).
 
-    checked, differ: worlds repeated by the reference, and those that differ; weakest: perturbation
-    tolerated least, its amount [unit] and failing metric; message: why not tried; sources: digest
-    of the code.
+    - checked, differ: worlds repeated by the reference, and those that differ.
+    - weakest: perturbation tolerated least, its amount [unit] and failing metric.
+    - message: why not tried.
+    - sources: digest of the code.
     """
 
     alone: ShareRecord | None = None
@@ -411,8 +421,11 @@ class StageRecord(Model):
 class LegRecord(Model):
     """Result of a leg (validate.tasks.leg).
 
-    pipeline: of the run that made it; stages: as if alone; files: SHA-256 by name; limit [s]: of
-    the run, if it timed out; profile [s]: of that run so far.
+    - pipeline: of the run that made it.
+    - stages: as if alone.
+    - files: SHA-256 by name.
+    - limit [s]: of the run, if it timed out.
+    - profile [s]: of that run so far.
     """
 
     key: str
@@ -507,8 +520,11 @@ class ViolationPoint(Model):
 class TimeStepRecord(Model):
     """Stability of a scene's time step with closed contacts.
 
-    radius: spectral radius of the step's Jacobian; growth [1/s]: of the motion itself; largest_step
-    [s]: stable below with any contacts (None: always); warning: "" if stable; digest: of the scene.
+    - radius: spectral radius of the step's Jacobian.
+    - growth [1/s]: of the motion itself.
+    - largest_step [s]: stable below with any contacts (None: always).
+    - warning: "" if stable.
+    - digest: of the scene.
     """
 
     scene: str

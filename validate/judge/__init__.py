@@ -1,6 +1,7 @@
 """Judge a plan by the rule of docs/verdict.md.
 
-from validate.judge import judge print(judge("three_cart", "plan.csv"))
+from validate.judge import judge
+print(judge("three_cart", "plan.csv"))
 """
 
 from typing import TYPE_CHECKING

@@ -137,7 +137,7 @@ def _judged(
     track: Track,
     scored: Sequence[tuple[Replay, Score]] = (),
 ) -> Judgement:
-    """Judge a plan by replays of `run`, with feedback as `track` says and with the other hold.
+    """Judge a plan by replays of `run`: as `track` requires, and with the other hold.
 
     scored: replays with known scores.
     """

@@ -45,8 +45,10 @@ class CannotExpressError(TouchstoneError):
 class Simulator:
     """Description of an engine, in literals.
 
-    package: imported package, empty for ours; extra: dependency group that installs the package;
-    tolerances: four, the loosest first, of an engine that takes no step; law: contact law.
+    - package: imported package, empty for ours.
+    - extra: dependency group that installs the package.
+    - tolerances: four, the loosest first, of an engine that takes no step.
+    - law: contact law.
     """
 
     title: str
@@ -65,9 +67,11 @@ class Simulator:
 class Drive:
     """A scene to step under a plan's times (nodes,) [s], inputs (steps, nu) [N, N m] and hold.
 
-    start: (2 nq,) positions, then velocities [m, rad, m/s, rad/s]. parts: engine steps between
-    nodes; rows: number of them to return, evenly spaced. tolerance: relative, of an adaptive
-    engine. feedback: correction of the inputs at each node.
+    - start: (2 nq,) positions, then velocities [m, rad, m/s, rad/s].
+    - parts: engine steps between nodes.
+    - rows: number of them to return, evenly spaced.
+    - tolerance: relative, of an adaptive engine.
+    - feedback: correction of the inputs at each node.
     """
 
     scene: Scene

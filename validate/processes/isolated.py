@@ -93,8 +93,10 @@ _LAST_WORDS = 4000
 class Limits:
     """Limits of a call.
 
-    seconds: wall time [s]; twice that of CPU time; memory: address space [bytes], with Python's 0.3
-    GB; file: any written file [bytes]; output: recorded end of the output [bytes].
+    - seconds: wall time [s]; CPU time may be twice that.
+    - memory: address space [bytes], with Python's 0.3 GB.
+    - file: any written file [bytes].
+    - output: recorded end of the output [bytes].
     """
 
     seconds: float = 300.0

@@ -6,8 +6,8 @@
     child.close()                       # removes the folder
 
 A child has one thread per library, no hash randomisation and its own temporary files. Our own code
-may run in a `Fork` of this process, which saves imports, a third of a replay; a fork has no
-supervisor, and removes its folder and ends if this process is killed.
+may run in a `Fork` of this process, which saves imports, a third of a replay. A fork has no
+supervisor; it removes its folder and ends if this process is killed.
 """
 
 from __future__ import annotations
@@ -174,9 +174,10 @@ class Preloaded:
 class Ended:
     """How a child ended.
 
-    code: exit code, negative for a signal; strays: remaining processes, ended; cpu [s]: of the
-    child and its waited-for children; memory, space: largest resident size and address space
-    [bytes], 0 if unknown.
+    - code: exit code, negative for a signal.
+    - strays: remaining processes, ended.
+    - cpu [s]: of the child and its waited-for children.
+    - memory, space: largest resident size and address space [bytes], 0 if unknown.
     """
 
     code: int
@@ -225,8 +226,9 @@ class KeptFolder:
 class Child(KeptFolder):
     """A function of ours in its own process. Raises MachineError.
 
-    function: `module:name`, called with folder, which has TEMPORARY; output: file for its output;
-    preloaded: process to fork the supervisor from.
+    - function: `module:name`, called with folder, which has TEMPORARY.
+    - output: file for its output.
+    - preloaded: process to fork the supervisor from.
     """
 
     _ended: Ended | None = None

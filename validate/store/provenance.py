@@ -141,8 +141,10 @@ def function_key(
 ) -> str:
     """Return the key of a function's result.
 
-    asked: JSON data; content: text that decides the result; methods: names; sources: prefixes of
-    relevant source paths, () for all.
+    - asked: JSON data.
+    - content: text that decides the result.
+    - methods: names.
+    - sources: prefixes of relevant source paths, () for all.
     """
     digests = _digests_with(methods)
     return _hash(

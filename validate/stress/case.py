@@ -157,8 +157,10 @@ def chart(
 ) -> ChartRecord:
     """Return the data of one plot.
 
-    x, y: (quantity, unit); series: (x, y) by name, only finite values are kept; log: logarithmic
-    axes, of "xy"; level: a horizontal line (value, words).
+    - x, y: (quantity, unit).
+    - series: (x, y) by name, only finite values are kept.
+    - log: logarithmic axes, of "xy".
+    - level: a horizontal line (value, words).
     """
     value, level_words = level or (None, "")
     return ChartRecord(

@@ -1,9 +1,9 @@
 """Plans and replays for stress cases.
 
 plan = rolled(scene, start=..., u=..., step=..., steps=...)  # Trajectory by the compiled step
-motion = replayed(scene, plan)                               # Replay by the scene's FMU plan,
-motion = of_truth(problem)                             # of a problem of the truth suite solution =
-solved(scene, "mpcc", seconds=20.0)               # Solution by a method
+motion = replayed(scene, plan)                               # Replay by the scene's FMU
+plan, motion = of_truth(problem)                             # of a problem of the truth suite
+solution = solved(scene, "mpcc", seconds=20.0)               # Solution by a method
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Profile of a task: laps whose sum is the time since the start of the process.
 
-profile = Profile.since_process_start() profile.lap("imports")          # time since the last lap
-profile.split({"build": 0.3, "evaluate": 0.1}, rest="solve_rest") profile.seconds                 #
-{"start": .., "imports": .., "build": .., ..}, in order
+profile = Profile.since_process_start()
+profile.lap("imports")  # time since the last lap
+profile.split({"build": 0.3, "evaluate": 0.1}, rest="solve_rest")
+profile.seconds         # {"start": .., "imports": .., "build": .., ..}, in order
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Stage of a run: solved in its leg's session, replayed and scored, certified.
 
-prepare(plugin, scene, plan, folder, profile)            # once, outside the stages' times
+prepare(plugin, scene, plan, folder, profile)  # once, outside the stages' times
 with closing(OpenLeg(scene, planned)) as leg:
     solved = leg.run(planned, start, time_limit)
 record = judge.record(solved, folder, index, before)

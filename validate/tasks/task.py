@@ -131,8 +131,11 @@ class PlannedLeg:
 class RunTask:
     """A scene by a pipeline.
 
-    scene: name, or absolute path of a file; plugin: dotted name; legs: its path; uses: keys of
-    other runs' legs that it may read; worlds: stages to survey (of a stored run).
+    - scene: name, or absolute path of a file.
+    - plugin: dotted name.
+    - legs: its path.
+    - uses: keys of other runs' legs that it may read.
+    - worlds: stages to survey (of a stored run).
     """
 
     key: str
@@ -161,10 +164,15 @@ class RunTask:
 class CheckTask:
     """A function called in a child, with an expected result.
 
-    function: `module:name`; arguments: JSON data; content: text that decides the result, such as a
-    scene's; sources: path prefixes of relevant sources, () for all; methods: used ones; quick: run
-    by `--quick`; words: further names for `-k`; group: collective name; key, time_limit [s]: set by
-    the campaign.
+    - function: `module:name`.
+    - arguments: JSON data.
+    - content: text that decides the result, such as a scene's.
+    - sources: path prefixes of relevant sources, () for all.
+    - methods: used ones.
+    - quick: run by `--quick`.
+    - words: further names for `-k`.
+    - group: collective name.
+    - key, time_limit [s]: set by the campaign.
     """
 
     kind: str

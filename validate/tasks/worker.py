@@ -40,9 +40,11 @@ _FUNCTION = "validate.tasks.child:main"
 class Worker:
     """One running task.
 
-    loaded: the run, if loaded; preloaded: process to fork the child from; token_begins: at most 16
-    letters and digits of the campaign. Raises MachineError if the folder cannot be written, or no
-    process started.
+    - loaded: the run, if loaded.
+    - preloaded: process to fork the child from.
+    - token_begins: at most 16 letters and digits of the campaign.
+
+    Raises MachineError if the folder cannot be written, or no process started.
     """
 
     def __init__(

@@ -100,9 +100,13 @@ class Equations:
     def at(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """Return the functions of the state x (2*nq,) [m, rad, m/s, rad/s], by name.
 
-        mass, jacobian, direction: M, J and S; phi (nc,) [m]; push (nc,) of closed contacts [N];
-        slip (nf,) [m/s]; slip_rate (nf,) [m/s^2]; share: push of each closed damped contact over a
-        typical push [-]. Raises nothing.
+        - mass, jacobian, direction: M, J and S.
+        - phi (nc,) [m].
+        - push (nc,): of closed contacts [N].
+        - slip (nf,) [m/s]; slip_rate (nf,) [m/s^2].
+        - share: push of each closed damped contact over a typical push [-].
+
+        Raises nothing.
         """
         key = x.tobytes()
         if key != self._last[0]:

@@ -52,10 +52,13 @@ class Ask:
 class TruthProblem:
     """One problem.
 
-    nodes: intervals whose ends are compared; parts: engine steps in each, the coarsest first; u
-    (nu,): constant input [N]. exact (2 nq,): true end, NaN if not compared, None: integrated.
-    position, velocity: scales of errors [m, m/s]. energy_kept: the energy is constant. source: of
-    the answer.
+    - nodes: intervals whose ends are compared.
+    - parts: engine steps in each, the coarsest first.
+    - u (nu,): constant input [N].
+    - exact (2 nq,): true end, NaN if not compared, None: integrated.
+    - position, velocity: scales of errors [m, m/s].
+    - energy_kept: the energy is constant.
+    - source: of the answer.
     """
 
     phenomenon: str

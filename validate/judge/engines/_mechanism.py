@@ -47,9 +47,10 @@ class Pad:
 class Touch:
     """A contact: gap = normal @ q - offset, or distance of centres - offset, or that of pads.
 
-    normal (nq,); offset, stiffness, damping in the scene's units; slip (nq,): its direction if
-    constant; centres: the coordinates (x, y) of each body. steepness: gap per distance of the pads;
-    without pads `why` has the reason.
+    - offset, stiffness, damping: in the scene's units.
+    - normal (nq,), slip (nq,): direction of slip, if constant.
+    - centres: the coordinates (x, y) of each body.
+    - steepness: gap per distance of the pads; without pads `why` has the reason.
     """
 
     name: str
@@ -85,9 +86,10 @@ class Rub:
 class Mechanism:
     """Bodies, forces, contacts and friction of a scene.
 
-    bodies: MJCF; gravity [m/s^2], downwards; joints (nq, nq): q of joints = joints @ q of scene;
-    forces: smooth ones per coordinate in the symbols q, v, u; weights: joint, force [N] and start
-    [m] of each rub with a pressed body.
+    - bodies: MJCF; gravity [m/s^2], downwards.
+    - joints (nq, nq): q of joints = joints @ q of scene.
+    - forces: smooth ones per coordinate in the symbols q, v, u.
+    - weights: joint, force [N] and start [m] of each rub with a pressed body.
     """
 
     bodies: str

@@ -4,7 +4,7 @@
   a tendon along the slip; the friction loss follows the contact force at each stage.
 - Damped contact: a tendon with a limit, or else a pair of geoms. Both are constraints in units of
   acceleration, scaled by MuJoCo's inverse mass. At the smallest impedance, d = 1e-4, the force is
-  max(k phi + c phi', 0) except for 1e-4 of the other forces; at the default 0.9 depths are 3 to
+  max(k phi + c phi', 0) except for 1e-4 of the other forces. At the default 0.9 depths are 3 to
   51 % wrong.
 - Friction is always regularised, so it creeps. Smooth forces act on the joints at each stage.
 """
@@ -44,7 +44,9 @@ _RATE = 1e3
 _BLOCK = 100.0
 # Half the depth of that block [m].
 _DEPTH = 1.0
+# Upper end of a one-sided range.
 _FAR = 1e6
+# Stiffness of a constraint that only damps; MuJoCo wants a negative number.
 _TINY = 1e-12
 
 

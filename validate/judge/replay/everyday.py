@@ -52,8 +52,9 @@ def everyday_refusal(package: Package, inputs: HeldInputs) -> str | None:
 class Stepping:
     """An initialised FMU and its task.
 
-    parts: doSteps per plan step; slopes: pass input derivatives; states: number of leading outputs
-    that are positions and velocities.
+    - parts: doSteps per plan step.
+    - slopes: pass input derivatives.
+    - states: number of leading outputs that are positions and velocities.
     """
 
     fmu: Instance

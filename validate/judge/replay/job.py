@@ -174,9 +174,11 @@ def _kept(path: str) -> Package:
 class Simulations:
     """Settings of the simulations of an FMU.
 
-    start: (n,) [unit of each variable], ordered as Variables.start; tolerances: relative, the
-    looser first; fineness: internal steps per plan step, the coarser first; parts, max_step: of
-    `integrate`; world: a perturbed one in the FMU's units.
+    - start: (n,) [unit of each variable], ordered as Variables.start.
+    - tolerances: relative, the looser first.
+    - fineness: internal steps per plan step, the coarser first.
+    - parts, max_step: of `integrate`.
+    - world: a perturbed one in the FMU's units.
     """
 
     variables: Variables
@@ -194,8 +196,9 @@ class Simulations:
 class Job(Simulations):
     """The simulations of one FMU, and where they run.
 
-    limits: of the child, None: in this process; ours: an FMU built by us; child: shared by many
-    jobs, None: one per job.
+    - limits: of the child, None: in this process.
+    - ours: an FMU built by us.
+    - child: shared by many jobs, None: one per job.
     """
 
     package: Package

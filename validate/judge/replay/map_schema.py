@@ -80,8 +80,9 @@ class InputSignal(Signal):
 class ContactEntry(_Strict):
     """A contact: force (positive if pushing) and gap (negative in contact).
 
-    column: of the planned force, default lam_<name>; depth: largest penetration that the FMU's
-    contact model allows, in the gap's unit; nominal_force: a typical force [N].
+    - column: of the planned force, default lam_<name>.
+    - depth: largest penetration that the FMU's contact model allows, in the gap's unit.
+    - nominal_force: a typical force [N].
     """
 
     force: Signal | None = None

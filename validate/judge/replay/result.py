@@ -59,8 +59,11 @@ class Growth:
 class Event:
     """A contact that closed or opened at `time` [s].
 
-    contact: its name; the force's name if friction began to stick or slip; the push's name if a
-    damped contact was released (closes) or pressed again; `indicator_<n>` in an external FMU.
+    contact: its name, or
+
+    - the force's name if friction began to stick or slip.
+    - the push's name if a damped contact was released (closes) or pressed again.
+    - `indicator_<n>` in an external FMU.
     """
 
     time: float
@@ -72,8 +75,9 @@ class Event:
 class Difference:
     """Largest difference of two simulations over the plan's nodes.
 
-    position: of one coordinate [m or rad]; state: Euclidean norm of positions and velocities; gap:
-    of one gap [m].
+    - position: of one coordinate [m or rad].
+    - state: Euclidean norm of positions and velocities.
+    - gap: of one gap [m].
     """
 
     position: float
@@ -85,18 +89,18 @@ class Difference:
 class ReplayError:
     """Error of the judged trajectory and its parts; None: not measured.
 
-    estimate: the error that verdicts use.
-    tolerance: difference of the reference at two tolerances; overstates the tighter run's error.
-    step: difference of everyday runs. With a reference of the two finest; without one the largest
-        of the four finest, if the three finer differ less than the three coarser.
-    everyday: difference of everyday replay and reference.
-    stated: errors that the map states ([accuracy]); infinite if not stated.
-    lag: difference from the motion at twice the relaxation time, the first-order error.
+    - estimate: the error that verdicts use.
+    - tolerance: difference of the reference at two tolerances; overstates the tighter run's error.
+    - step: difference of everyday runs. With a reference of the two finest; without one the largest
+      of the four finest, if the three finer differ less than the three coarser.
+    - everyday: difference of everyday replay and reference.
+    - stated: errors that the map states ([accuracy]); infinite if not stated.
+    - lag: difference from the motion at twice the relaxation time, the first-order error.
 
     With a reference the estimate is `tolerance`, or `everyday` if `step` and `stated` do not
-    explain the difference of the methods; without the looser reference the larger of `everyday` and
-    `step`. Without a reference it is `step`, at least `stated`, else the FMU's declared tolerance;
-    `stated` alone if the steps do not converge. `lag` is added.
+    explain the difference of the methods. Without the looser reference it is the larger of
+    `everyday` and `step`. Without a reference it is `step`, at least `stated`, else the FMU's
+    declared tolerance; `stated` alone if the steps do not converge. `lag` is added.
     """
 
     estimate: Difference | None
@@ -179,9 +183,10 @@ class Replay(Recorded):
     t (n,) [s]: nodes of the plan, points between, events; knots (nodes,): rows of the nodes. All
     numbers are finite; a failed replay holds the rows before (`outcome`, `message`).
 
-    growth: of an error without feedback. tracked: replay with feedback, which has feedback (in the
-    plan's units), applied (steps, nu) at the start of each step, and effort. lagging: motion at
-    twice the relaxation time.
+    - growth: of an error without feedback.
+    - tracked: replay with feedback, which has feedback (in the plan's units), applied (steps, nu)
+      at the start of each step, and effort.
+    - lagging: motion at twice the relaxation time.
     """
 
     scene: str

@@ -59,9 +59,9 @@ _MOST_CALLS = 200_000
 _SAME_STEP = 1e-6
 # Largest number of repetitions of a replay that overlooks a contact.
 _CLOSER_LOOKS = 6
-# Whether to track the plan too, or a function from the open replay to the plan to track.
+# True to track the plan too, or a function from the open replay to the plan to track.
 Track = bool | Callable[[Replay], Trajectory | None]
-# Whether a replay is accurate enough for a verdict.
+# Returns True if a replay is accurate enough for a verdict.
 Decides = Callable[[Trajectory, Replay], bool]
 # Largest number of contact events, beyond which a contact chatters; plans of scenes have 2 to 40.
 EVENT_BUDGET = 10_000
@@ -80,11 +80,12 @@ def replay(
 ) -> Replay:
     """Apply the plan's inputs, from the task's start, to the scene's FMU.
 
-    fineness: internal steps per plan step of the everyday replay; None: as its error needs. limits:
-    run the FMU in a child process; None: in this process, for our own FMU in a child. track: replay
-    with feedback too, or a function from the open replay to the plan to track. Raises ArchiveError,
-    FmuError, TrajectoryError for a plan that does not fit, TrackingError if track is True and
-    tracking fails. A failed simulation is `Replay.outcome`.
+    - fineness: internal steps per plan step of the everyday replay; None: as its error needs.
+    - limits: run the FMU in a child process; None: in this process, for our own FMU in a child.
+    - track: replay with feedback too, or a function from the open replay to the plan to track.
+
+    Raises ArchiveError, FmuError, TrajectoryError for a plan that does not fit, TrackingError if
+    track is True and tracking fails. A failed simulation is `Replay.outcome`.
     """
     trajectory.check_fits(scene)
     scene = scene.continuous()
@@ -188,11 +189,14 @@ def replay_foreign(
 ) -> Replay:
     """Replay a plan on an external FMU, always in a child process.
 
-    track: feedback by the FMU's own directional derivatives. decides: whether a replay is accurate
-    enough; without Model Exchange steps are refined until then, or up to a number of calls.
-    own_step: judge Co-Simulation with one doStep per plan step (not for linear inputs); four such
-    runs give the error. Raises TrackingError if track is True and tracking fails, FmuError for
-    own_step without Co-Simulation.
+    - track: feedback by the FMU's own directional derivatives.
+    - decides: whether a replay is accurate enough; without Model Exchange steps are refined until
+      then, or up to a number of calls.
+    - own_step: judge Co-Simulation with one doStep per plan step (not for linear inputs); four such
+      runs give the error.
+
+    Raises TrackingError if track is True and tracking fails, FmuError for own_step without
+    Co-Simulation.
     """
     job = foreign_job(foreign, package, trajectory, limits, own_step)
     plan = (

@@ -85,9 +85,10 @@ class ForeignParameter:
 class ForeignTask:
     """Task of a plan on an external FMU.
 
-    goal: (2*nq,) positions, then velocities, None if free. step [s]: a five-hundredth of the task,
-    which sets the tolerance of the duration and the resolution of the motion. horizon [s]: None if
-    the map has no duration.
+    - goal: (2*nq,) positions, then velocities, None if free.
+    - step [s]: a five-hundredth of the task, which sets the tolerance of the duration and the
+      resolution of the motion.
+    - horizon [s]: None if the map has no duration.
     """
 
     goal: tuple[float | None, ...]
@@ -104,9 +105,12 @@ class ForeignTask:
 class ForeignModel(Counted):
     """A model known by its FMU only, with the attributes of a scene.
 
-    lacks: missing groups of q, v, lam, gap with reasons. accuracy: stated errors of Co-Simulation,
-    infinite if not stated. not_asked: metrics without data, and how to provide it. notes: for the
-    report. begin (2*nq,): start in the plan's units, 0 if unknown; startable: settable places.
+    - lacks: missing groups of q, v, lam, gap with reasons.
+    - accuracy: stated errors of Co-Simulation, infinite if not stated.
+    - not_asked: metrics without data, and how to provide it.
+    - notes: for the report.
+    - begin (2*nq,): start in the plan's units, 0 if unknown.
+    - startable: settable places.
     """
 
     name: str
@@ -136,9 +140,10 @@ class ForeignModel(Counted):
 class Foreign:
     """An external FMU, wired: model, references, and conversion to the plan's units.
 
-    scale, offset (outputs,): plan = scale * FMU + offset, ordered as Variables.outputs;
-    input_scale, input_offset (nu,): FMU = scale * plan + offset; start: in the FMU's units, ordered
-    as Variables.start; parameters: references.
+    - scale, offset (outputs,): plan = scale * FMU + offset, ordered as Variables.outputs.
+    - input_scale, input_offset (nu,): FMU = scale * plan + offset.
+    - start: in the FMU's units, ordered as Variables.start.
+    - parameters: references.
     """
 
     model: ForeignModel

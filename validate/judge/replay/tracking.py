@@ -89,8 +89,8 @@ def linearised(
     """Linearise an FMU along a plan: A (steps, nx, nx), B (steps, nx, nu) of x' = A x + B u.
 
     In the FMU's units, states ordered as variables.q + variables.v. One step is exp(h (F_t +
-    F_{t+1})/2), F the Jacobian of the rates by states and held inputs: of second order in h, with
-    half a contact if it closes within the step.
+    F_{t+1})/2), F the Jacobian of the rates by states and held inputs. This is of second order in
+    h, with half a contact if it closes within the step.
 
     Parameters
     ----------
@@ -140,10 +140,13 @@ def linearised(
 def jacobians(path: str, arrays: Mapping[str, np.ndarray]) -> tuple[None, dict[str, np.ndarray]]:
     """Return an FMU's directional derivatives at both ends of each step, in a child process.
 
-    At each node events are settled, so that a contact of the plan is closed. arrays: t (nodes,)
-    [s], u (steps, nu), start (n,), states (nodes, nx) [unit of each], packed Variables. Returns
-    first, last (steps, nx, nx + nu) [unit of the state per second and per unit of the known].
-    Raises FmuError, FMICallException.
+    At each node events are settled, so that a contact of the plan is closed.
+
+    - arrays: t (nodes,) [s], u (steps, nu), start (n,), states (nodes, nx) [unit of each], packed
+      Variables.
+
+    Returns first, last (steps, nx, nx + nu) [unit of the state per second and per unit of the
+    known]. Raises FmuError, FMICallException.
     """
     (variables,) = unpacked_from(arrays)
     t, u, states = arrays["t"], arrays["u"], arrays["states"]
@@ -316,9 +319,9 @@ def design_feedback(kernel: Kernel, scene: Scene, plan: Trajectory) -> Feedback:
 def feedback_from(subject: Subject, plan: Trajectory, A: np.ndarray, B: np.ndarray) -> Feedback:
     """Return the feedback of linearised steps A (steps, 2*nq, 2*nq), B (steps, 2*nq, nu) [SI].
 
-    Weights: Q = 1/nominal^2, R = 1/scale^2, so that a nominal error is worth a whole input; at the
-    end T Q, as much as all steps before, but Q where the goal is free. Raises TrackingError if the
-    Riccati recursion fails.
+    Weights: Q = 1/nominal^2, R = 1/scale^2, so that a nominal error is worth a whole input. The
+    last weight is T Q, as much as all steps before, but Q for coordinates with a free goal. Raises
+    TrackingError if the Riccati recursion fails.
     """
     lower = np.array([item.lower for item in subject.inputs])
     upper = np.array([item.upper for item in subject.inputs])

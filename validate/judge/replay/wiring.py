@@ -26,9 +26,11 @@ INTERNAL_STEP = "internal_step"
 class Variables:
     """Value references; lam, gap and friction are empty if the FMU lacks one of them.
 
-    zero: energies and powers that the scene does not have. parameters: (reference, value) set
-    before the start; start: references in the order of the start vector; internal_step: of
-    Co-Simulation; choices: (reference, integer) set before the start.
+    - zero: energies and powers that the scene does not have.
+    - parameters: (reference, value) set before the start.
+    - start: references in the order of the start vector.
+    - internal_step: of Co-Simulation.
+    - choices: (reference, integer) set before the start.
     """
 
     q: tuple[int, ...]
@@ -60,9 +62,10 @@ class Variables:
 class Feedback:
     """u_t = sat(u_plan_t + K_t (x_plan_t - x(t))) at each node.
 
-    gains K (steps, nu, nx); reference x_plan (nodes, nx), positions, then velocities; u (steps,
-    nu); lower, upper (nu,), may be infinite; scale (nu,): unit of effort (half the width of the
-    bounds, or the plan's largest value).
+    - gains: K (steps, nu, nx).
+    - reference: x_plan (nodes, nx), positions, then velocities.
+    - u (steps, nu); lower, upper (nu,), may be infinite.
+    - scale (nu,): unit of effort (half the width of the bounds, or the plan's largest value).
     """
 
     gains: np.ndarray
@@ -104,10 +107,11 @@ class Feedback:
 class Effort:
     """Corrections by feedback.
 
-    rms, peak: of each input over time, in its unit; rms_share, peak_share: largest over the inputs,
-    in their scale; plan_share: rms of corrections over rms of the plan's inputs, averaged over
-    windows (models.trajectory.input_share); saturated: fraction of steps at a bound because of a
-    correction.
+    - rms, peak: of each input over time, in its unit.
+    - rms_share, peak_share: largest over the inputs, in their scale.
+    - plan_share: rms of corrections over rms of the plan's inputs, averaged over windows
+      (models.trajectory.input_share).
+    - saturated: fraction of steps at a bound because of a correction.
     """
 
     rms: tuple[float, ...]
@@ -148,9 +152,10 @@ def measure_effort(plan: Trajectory, applied: np.ndarray, feedback: Feedback) ->
 class HeldInputs:
     """Inputs u(t) of a plan; values, slopes (steps, nu): at each step's start and per second.
 
-    grid: the plan's times [s]. breaks (steps,): the integrator must restart where u or its slope
-    jumps; with feedback at every step, with `values` set by `begin`. stops (steps,): the next node
-    at which an integration must stop.
+    - grid: the plan's times [s].
+    - breaks (steps,): the integrator must restart where u or its slope jumps; with feedback at
+      every step, with `values` set by `begin`.
+    - stops (steps,): the next node at which an integration must stop.
     """
 
     def __init__(self, trajectory: Trajectory, feedback: Feedback | None = None) -> None:
@@ -206,9 +211,10 @@ _SAME = 1e-9
 class World:
     """A perturbed world: parameters (np,) and start (2*nq,) [units of the scene], delay [s].
 
-    gain (nu,) [-]; noise (steps, nu) [unit of each input]. whole: inputs change at nodes only and
-    are means over steps, for FMUs with fixed steps. longest: largest part of a plan step [s],
-    because Co-Simulation has rows only at the ends of steps.
+    - gain (nu,) [-]; noise (steps, nu) [unit of each input].
+    - whole: inputs change at nodes only and are means over steps, for FMUs with fixed steps.
+    - longest: largest part of a plan step [s], because Co-Simulation has rows only at the ends of
+      steps.
     """
 
     parameters: np.ndarray

@@ -60,6 +60,7 @@ _FACTOR = math.sqrt(2.0)
 FARTHEST = 64.0
 # Relative width of the bisected interval.
 _WITHIN = 0.01
+# Two-sided 95 % quantile of the normal distribution.
 _Z95 = 1.959963984540054
 # Fewest worlds.
 _LEAST = 10
@@ -145,8 +146,11 @@ class Way:
 class Robustness:
     """Measurements of a plan, filled as they are made; complete is False if interrupted.
 
-    fineness: internal steps per plan step; ways: inputs alone, then with feedback; trials: replays
-    in all; seconds: CPU time [s]; points (samples, causes): worlds in sizes.
+    - fineness: internal steps per plan step.
+    - ways: inputs alone, then with feedback.
+    - trials: replays in all.
+    - seconds: CPU time [s].
+    - points (samples, causes): worlds in sizes.
     """
 
     judgement: Judgement
@@ -404,9 +408,10 @@ SEED = 0
 class Survey:
     """Robustness of a campaign's plan.
 
-    alone, feedback: shares, feedback None without states; checked, differ: worlds repeated by the
-    reference, and those that differ; weakest: the perturbation tolerated least ("": none fails up
-    to 64 sizes), its amount [unit] and failing metric, with feedback if the plan needs it.
+    - alone, feedback: shares, feedback None without states.
+    - checked, differ: worlds repeated by the reference, and those that differ.
+    - weakest: the perturbation tolerated least ("": none fails up to 64 sizes), its amount [unit]
+      and failing metric, with feedback if the plan needs it.
     """
 
     alone: Share
@@ -431,7 +436,7 @@ def survey(scene: Scene, plan: Trajectory, limits: Mapping[str, float], followed
     limits
         The judge's limits by metric.
     followed
-        Whether the plan holds only with feedback.
+        True if the plan holds only with feedback.
 
     Raises
     ------

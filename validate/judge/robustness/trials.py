@@ -6,8 +6,8 @@
 
 The step is the coarsest whose motion ends near the reference's, in the model's own world and, of a
 scene, in two perturbed ones; otherwise the reference is used. A scene's FMU stays loaded. An
-external FMU runs in a child process (`FmuArena`), whose crash is a failed world: by Co-Simulation,
-checked by Model Exchange or half the smallest step, or by Model Exchange at two tolerances.
+external FMU runs in a child process (`FmuArena`), whose crash is a failed world. Co-Simulation is
+checked by Model Exchange or half the smallest step, Model Exchange by a second tolerance.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ RTOL = 1e-9
 # Parts of a repeated piece between two rows, increased until its depth is known.
 _PARTS = (32, 128, 512, 2048, 8192, 32768)
 # Largest share of a depth between rows for which the cubic is used, right to 1e-4.
-_TOLD = 0.01
+_CUBIC = 0.01
 # Tolerance of gaps over that of shares.
 _ROUGHLY = 10.0
 # Depths below this share of the limit are not resolved.
@@ -81,9 +81,11 @@ _MOTION = "replay_error"
 class Asked:
     """Conditions of arrival, for q [m or rad] and velocities.
 
-    limits: by metric [their units]; goal (2*nq,), NaN if free; depths (nc,): largest penetrations
-    [m]; lower, upper (nq,): bounds of velocities; near (nq,): largest distance from the planned
-    positions (nodes, nq), None if not a condition.
+    - limits: by metric [their units].
+    - goal (2*nq,), NaN if free.
+    - depths (nc,): largest penetrations [m].
+    - lower, upper (nq,): bounds of velocities.
+    - near (nq,): largest distance from the planned positions (nodes, nq), None if not a condition.
     """
 
     limits: Mapping[str, float]
@@ -231,9 +233,11 @@ class _Ran:
 class Arena(ABC):
     """Tries a plan in one world after the other; subclasses define `_run`.
 
-    feedback: around the open motion in the model's own world, or around the plan if that motion
-    does not arrive; None if impossible. followed: the plan holds only with feedback. nominal: the
-    model's own world; fineness: internal steps per plan step.
+    - feedback: around the open motion in the model's own world, or around the plan if that motion
+      does not arrive; None if impossible.
+    - followed: the plan holds only with feedback.
+    - nominal: the model's own world.
+    - fineness: internal steps per plan step.
     """
 
     by = "by the reference"
@@ -484,7 +488,7 @@ class SceneArena(Arena):
         # suffice.
         beyond = ends - np.minimum(first + h * begins / 3.0, last - h * comes / 3.0)
         known = (
-            np.maximum(beyond, np.abs(last - first - h * (begins + comes) / 2.0)) <= _TOLD * floor
+            np.maximum(beyond, np.abs(last - first - h * (begins + comes) / 2.0)) <= _CUBIC * floor
         )
         deep = np.flatnonzero((known & (ends - beyond < np.minimum(lowest, 0.0))).any(axis=1))
         if len(deep):

@@ -4,9 +4,7 @@
     worlds = draw(causes, samples=1000, seed=0)
     worlds.world(0, nominal_world(scene, plan))
 
-Sizes (docs/robustness.md): a parameter's uncertainty, else a twentieth of its value; a hundredth of
-nominal for the start; a fiftieth for gains; noise of a hundredth of the range; up to a step's
-delay.
+Sizes are in docs/robustness.md.
 """
 
 from __future__ import annotations
@@ -46,8 +44,9 @@ class PerturbationKind(Enum):
 class Perturbation:
     """One uncertain number of a world.
 
-    index: place within its kind; nominal, size: value and uncertainty [unit]; below, above: largest
-    moves down and up, in sizes.
+    - index: place within its kind.
+    - nominal, size: value and uncertainty [unit].
+    - below, above: largest moves down and up, in sizes.
     """
 
     kind: PerturbationKind

@@ -36,6 +36,7 @@ from validate.judge.score.verdict import (
 _ENTRIES = {entry.name: entry for entry in (*TABLE, *FEEDBACK)}
 # Growth of an error from which instability is named as a cause; a good plan's step errs by 1e-3.
 _UNSTABLE = 100.0
+# Aimed share of the limit, so that an advised step is a little smaller than predicted.
 _SAFETY = 0.8
 # Most additional digits to print a value apart from its limit.
 _MORE_DIGITS = 7
@@ -52,9 +53,10 @@ _CAUSES = {
 class ScoredPlan:
     """One plan with its metrics and answers.
 
-    other_hold: the plan holds with the other hold; halved: yields grid errors [m or rad] with the
-    step halved repeatedly; times_the_law: (nc,) [-] planned forces over the law's; both raise
-    Unmeasured; is_relaxed: the planned forces follow a relaxed law.
+    - other_hold: the plan holds with the other hold.
+    - halved: yields grid errors [m or rad] with the step halved repeatedly; raises Unmeasured.
+    - times_the_law: (nc,) [-] planned forces over the law's; raises Unmeasured.
+    - is_relaxed: the planned forces follow a relaxed law.
     """
 
     scene: Subject

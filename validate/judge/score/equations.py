@@ -31,8 +31,11 @@ def physics_scaled(
 def defect(q: np.ndarray, v: np.ndarray, acceleration: np.ndarray, h: np.ndarray) -> np.ndarray:
     """Return the largest residuals of semi-implicit Euler, (2*nq,), positions, then velocities.
 
-    abs of q[t+1] - q[t] - h v[t+1] and of v[t+1] - v[t] - h a[t]; q, v: (nodes, nq) [m or rad, m/s
-    or rad/s]; acceleration: (steps, nq), with the plan's lam; h: (steps,) [s]. Raises ValueError.
+    Residuals are abs of q[t+1] - q[t] - h v[t+1] and of v[t+1] - v[t] - h a[t]. Raises ValueError.
+
+    - q, v: (nodes, nq) [m or rad, m/s or rad/s].
+    - acceleration: (steps, nq), with the plan's lam.
+    - h: (steps,) [s].
     """
     positions = q[1:] - (q[:-1] + h[:, None] * v[1:])
     velocities = v[1:] - (v[:-1] + h[:, None] * acceleration)

@@ -51,9 +51,12 @@ def force_window(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return least and largest forces of a replay, (steps, nc) [N], one step before to one after.
 
-    A planned force has any convention, and a contact may be a step early or late. lam: (n, nc) [N];
-    step_of: (n-1,) the plan's step of each piece; mean: (steps, nc), if known. Raises ValueError if
-    a step has no row, or the shapes do not fit.
+    A planned force has any convention, and a contact may be a step early or late. Raises ValueError
+    if a step has no row, or the shapes do not fit.
+
+    - lam: (n, nc) [N].
+    - step_of: (n-1,) the plan's step of each piece.
+    - mean: (steps, nc), if known.
     """
     first = np.searchsorted(step_of, np.arange(steps))
     last = np.searchsorted(step_of, np.arange(steps), side="right")

@@ -41,8 +41,9 @@ _AT_REST = 1e-3
 class Measured:
     """Values (n,) of a metric's components, in the units of its row, or one number.
 
-    error: by the replay's error; scales (n,): of the default limit; allowed (n,): by rounding,
-    added to the limit.
+    - error: by the replay's error.
+    - scales (n,): of the default limit.
+    - allowed (n,): by rounding, added to the limit.
     """
 
     values: np.ndarray | float

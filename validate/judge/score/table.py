@@ -27,10 +27,12 @@ from validate.judge.score.verdict import EFFORT, SHARE, TRACKED, LeavesBounds, Q
 class MetricEntry:
     """One metric; measure raises Unmeasured with a reason.
 
-    units: of each component, or those of a norm. quoted: phrase of the verdict, {} is the value;
-    default `NAME is {}`. default: limit as a factor of the scale, and reason; None: only a scene's
-    limit judges. needs: groups of the plan, of "q", "v", "lam", "friction", "scheme", "no scheme".
-    of_replay: has a twin with feedback. limit_of: metric whose limit is used.
+    - units: of each component, or those of a norm.
+    - quoted: phrase of the verdict, {} is the value; default `NAME is {}`.
+    - default: limit as a factor of the scale, and reason; None: only a scene's limit judges.
+    - needs: groups of the plan, of "q", "v", "lam", "friction", "scheme", "no scheme".
+    - of_replay: has a twin with feedback.
+    - limit_of: metric whose limit is used.
     """
 
     name: str
@@ -576,8 +578,7 @@ def _growth(case: Evidence) -> Growth:
 
 
 # Feedback for exact plans on coarse grids (h w = 0.9) needs up to 0.23 through an impact, for
-# others
-# some hundredths; plans with force at a distance need 0.65 to 1.1.
+# other plans some hundredths. Plans with force at a distance need 0.65 to 1.1.
 FEEDBACK = (
     MetricEntry(
         name=EFFORT,

@@ -33,10 +33,13 @@ class Contradicted(Unmeasured):
 class Verdict(Enum):
     """Verdict on a plan, as the word of tables, files and sentences.
 
-    `holds`: all questions are answered yes for the inputs alone; `holds with feedback`: only with
-    limited feedback; `violates`: one certainly fails; `undecided`: none fails, one is undecided;
-    `no plan`: nothing to judge; `not applicable`: the method does not apply, or neither claims nor
-    goals exist; `consistent`: nothing is wrong, and there is no goal.
+    - `holds`: all questions are answered yes for the inputs alone.
+    - `holds with feedback`: only with limited feedback.
+    - `violates`: one certainly fails.
+    - `undecided`: none fails, one is undecided.
+    - `no plan`: nothing to judge.
+    - `not applicable`: the method does not apply, or neither claims nor goals exist.
+    - `consistent`: nothing is wrong, and there is no goal.
     """
 
     HOLDS = "holds"
@@ -76,9 +79,11 @@ class Question(Enum):
 class Metric:
     """One metric.
 
-    value: None if not measured, with `reason`; error: by the replay's error; limit: of the scene or
-    the metric, with `reason`, None if not judged; ok: None if undecided or without a limit;
-    default: the limit is the metric's own.
+    - value: None if not measured, with `reason`.
+    - error: by the replay's error.
+    - limit: of the scene or the metric, with `reason`, None if not judged.
+    - ok: None if undecided or without a limit.
+    - default: the limit is the metric's own.
     """
 
     name: str
@@ -116,11 +121,13 @@ Answer: TypeAlias = Literal["yes", "no", "undecided", "not asked"]
 class Score:
     """All metrics of one plan, and the verdict.
 
-    why: deciding sentence with cause and advice; cause: one word, "" if nothing is wrong: the
-    failing or undecided metric, or `defect`, `relaxed contact`, `unstable`, `coarse grid`,
-    `motion`. metrics: tracked_<name> and feedback_<..> are those with feedback. judged: replay of
-    the verdict, "open" or "feedback". waived, not_asked: with reasons. names: all metrics, even if
-    they do not apply; may be empty.
+    - why: deciding sentence with cause and advice.
+    - cause: one word, "" if nothing is wrong: the failing or undecided metric, or `defect`,
+      `relaxed contact`, `unstable`, `coarse grid`, `motion`.
+    - metrics: tracked_<name> and feedback_<..> are those with feedback.
+    - judged: replay of the verdict, "open" or "feedback".
+    - waived, not_asked: with reasons.
+    - names: all metrics, even if they do not apply; may be empty.
     """
 
     metrics: tuple[Metric, ...]

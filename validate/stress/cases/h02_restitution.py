@@ -1,7 +1,7 @@
 """Restitution of one collision over h w, in 100 phases: stable steps can create energy.
 
 Two masses on a linear spring have restitution 1, semi-implicit Euler only on average. In contact it
-keeps I = v^2 - h w^2 x v + w^2 x^2; a touch a fraction p of a step before the first node inside has
+keeps I = v^2 - h w^2 x v + w^2 x^2. A touch a fraction p of a step before the first node inside has
 I = s^2 (1 - (h w)^2 p (1 - p)), and so has the parting. Restitution is therefore between sqrt(1 -
 (h w)^2/4) and its inverse.
 """
@@ -22,6 +22,7 @@ PHASES = 100
 # Smallest and largest known restitution by h w, and a unit of their last digit, from 100 other
 # phases; all phases at h w = 1.5 give 0.8 to 1.25.
 EXPECTED = {0.1: (0.999, 1.001, 1e-3), 0.6: (0.98, 1.02, 1e-2), 1.5: (0.80, 1.24, 1e-2)}
+# Values of h w.
 SWEEP = tuple(np.round(np.linspace(0.05, 1.95, 39), 3))
 
 

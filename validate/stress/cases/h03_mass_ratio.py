@@ -2,7 +2,7 @@
 
 Plans move the paper's three carts, the middle one `ratio` times as heavy, by softplus collocation
 and strict complementarity on half as many steps. Below a ratio of 1/38 damping is too fast for a
-step of 0.02 s, which step_stability reports; a ratio of 1000 is out of reach of 10 N in 5 s, which
+step of 0.02 s, which step_stability reports. A ratio of 1000 is out of reach of 10 N in 5 s, which
 the method reports. (At 100 the search takes longer than all others together.)
 """
 

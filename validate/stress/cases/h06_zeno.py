@@ -1,6 +1,6 @@
 """Zeno-like bouncing on a damped floor: bounces shrink by a ratio, and the replay must end.
 
-With restitution e and first speed v the flights last 2 v/g (e + e^2 + ...), so rest begins at t_1 +
+With restitution e and first speed v the flights last 2 v/g (e + e^2 + ...). Rest begins at t_1 +
 (2 v/g) e/(1 - e), plus contact times. The floor is stiff, so that gravity is negligible in contact.
 """
 
