@@ -187,8 +187,8 @@ def _in_sentences(written: Sequence[Passage]) -> Iterator[Finding]:
     """Yield headless openings, listed words and long sentences."""
     for passage in written:
         for sentence in _FULL_STOP.split(passage.text):
-            words = _CODE.sub("code", sentence)
-            if _HEADLESS.match(words.lstrip("-* ")) and not words.rstrip().endswith("?"):
+            words = _LIST_ITEM.sub("", _CODE.sub("code", sentence))
+            if _HEADLESS.match(words) and not words.rstrip().endswith("?"):
                 yield Finding(passage.path, passage.line, HEADLESS_OPENING, sentence)
             if _LISTED.search(words):
                 yield Finding(passage.path, passage.line, LISTED_WORD, sentence)
