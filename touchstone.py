@@ -1,4 +1,4 @@
-"""Does this plan through contact hold? The public face of touchstone.
+"""Does this plan through contact hold? The public API of touchstone.
 
 >>> import touchstone as ts
 >>> scene = ts.scene("three_cart")           # a name, or the path of a scene file
@@ -8,9 +8,8 @@
 >>> verdict
 Judgement(three_cart, softplus_dc+strict: holds, cost 490.8, replay error 0.006839 m)
 
-Importing it costs as much as NumPy. Pyomo solvers: `SolverFactory("touchstone_ipopt")` and
-`SolverFactory("mpec_ipopt")` are registered as soon as Pyomo is imported, before or after this
-module.
+Pyomo's `SolverFactory("touchstone_ipopt")` and `SolverFactory("mpec_ipopt")` are registered once
+both modules are imported.
 """
 
 from __future__ import annotations
@@ -35,8 +34,7 @@ if TYPE_CHECKING:
     from validate.judge.score import Verdict
     from validate.judge.time_step import EnergyTest
 
-# The types that the functions below give and take, and where each is at home: imported when one is
-# asked for.
+# Types of the functions below, imported on first use: importing touchstone costs as much as NumPy.
 _HOME = {
     "CampaignResult": ("validate.campaign.campaign", "CampaignResult"),
     "CheckReport": ("validate.fmu_check", "CheckReport"),
@@ -77,30 +75,30 @@ _PACKAGES = ("models", "formulations", "validate", "reports")
 
 
 def name_clash() -> str | None:
-    """Why touchstone cannot run beside what else is called like one of its packages, and how to go on; None where nothing is."""
+    """Return why another package with one of our names prevents a run, or None."""
     home = Path(__file__).resolve().parent
     for name in _PACKAGES:
-        found = sys.modules.get(name) or find_spec(name)
+        module = sys.modules.get(name) or find_spec(name)
         where = next(
             iter(
-                getattr(found, "__path__", None)
-                or getattr(found, "submodule_search_locations", None)
+                getattr(module, "__path__", None)
+                or getattr(module, "submodule_search_locations", None)
                 or ()
             ),
             None,
         )
-        place = where or getattr(found, "__file__", None) or getattr(found, "origin", None)
+        place = where or getattr(module, "__file__", None) or getattr(module, "origin", None)
         if place is None or Path(place).resolve().parent != home:
-            said = "is missing" if place is None else f"is {place}"
+            state = "is missing" if place is None else f"is {place}"
             return (
-                f"touchstone needs its own package {name!r} in {home}, but here {name!r} {said}; "
+                f"touchstone needs its own package {name!r} in {home}, but here {name!r} {state}; "
                 "use the command `touchstone` instead of `python -m validate`, work in a folder without that name, take it out of PYTHONPATH, or rename yours."
             )
     return None
 
 
 def not_installed(error: Exception) -> str | None:
-    """What to do where a package that touchstone needs is not in this Python: most often it is not that of the environment; None for any other error."""
+    """Return what to do about a missing required package, None for any other error."""
     package = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
     if not package or find_spec(package) is not None:
         return None
@@ -111,7 +109,7 @@ def not_installed(error: Exception) -> str | None:
 
 
 def scenes() -> tuple[str, ...]:
-    """Names of the scenes that come with touchstone, sorted.
+    """Return the names of the scenes that come with touchstone, sorted.
 
     >>> "three_cart" in ts.scenes()
     True
@@ -122,13 +120,12 @@ def scenes() -> tuple[str, ...]:
 
 
 def scene(name: Scene | str | Path) -> Scene:
-    """A scene by its name, or from a scene file of one's own (docs/extending.md).
-
-    A scene itself comes back.
+    """Return a scene by its name, or from a scene file (docs/extending.md).
 
     Raises
     ------
-    SceneError, UnknownNameError : in one sentence.
+    SceneError, UnknownNameError
+        In one sentence.
 
     >>> ts.scene("three_cart").nq
     3
@@ -138,34 +135,31 @@ def scene(name: Scene | str | Path) -> Scene:
     return as_scene(name)
 
 
-_scene = scene  # where a parameter has its name
+_scene = scene  # for functions with a parameter of that name
 
 
-def _listed(given: Any) -> tuple[Any, ...]:
-    """Names: one by itself is one, and not its letters."""
-    return tuple(given) if isinstance(given, Iterable) and not isinstance(given, str) else (given,)
+def _listed(value: Any) -> tuple[Any, ...]:
+    return tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else (value,)
 
 
-def _text(name: str, given: str | Path, *, empty: bool = False) -> None:
-    """Raise TouchstoneError for what is neither text nor a path."""
+def _text(name: str, value: str | Path, *, empty: bool = False) -> None:
     from models.errors import TouchstoneError
 
-    if not isinstance(given, (str, Path)) or not (empty or str(given)):
-        raise TouchstoneError(f"{name}: {given!r} must be a name, as text or Path.")
+    if not isinstance(value, (str, Path)) or not (empty or str(value)):
+        raise TouchstoneError(f"{name}: {value!r} must be a name, as text or Path.")
 
 
-def _positive(name: str, given: float, kind: type | tuple[type, ...] = (int, float)) -> None:
-    """Raise TouchstoneError for what is not a positive number."""
+def _positive(name: str, value: float, kind: type | tuple[type, ...] = (int, float)) -> None:
     from models.errors import TouchstoneError
 
-    if isinstance(given, bool) or not isinstance(given, kind) or not 0 < given < float("inf"):
+    if isinstance(value, bool) or not isinstance(value, kind) or not 0 < value < float("inf"):
         raise TouchstoneError(
-            f"{name}: {given!r} must be a positive {'whole number' if kind is int else 'number of seconds'}."
+            f"{name}: {value!r} must be a positive {'whole number' if kind is int else 'number of seconds'}."
         )
 
 
 def methods() -> tuple[str, ...]:
-    """Names of the methods that find plans, sorted: what `solve` takes, beside `pipelines`.
+    """Return the names of the methods, sorted; `solve` takes these and `pipelines`.
 
     >>> "mpcc" in ts.methods()
     True
@@ -176,7 +170,7 @@ def methods() -> tuple[str, ...]:
 
 
 def pipelines() -> tuple[str, ...]:
-    """Names of the pipelines: methods one after the other, with their eps schedules.
+    """Return the names of the pipelines: chains of methods with their eps schedules.
 
     >>> ts.pipelines()[0]
     'strict'
@@ -199,23 +193,29 @@ def solve(
 
     Parameters
     ----------
-    scene : Scene, or its name, or the path of its file
-    name : a pipeline or a method. A pipeline has its own eps and options; where `eps` or options
-        are given, the method of that name is meant.
-    eps : the relaxation of a method that has one.
-    start : a plan on the scene's grid to start from, in any form that `judge` takes; None for the
-        scene's own first guess.
-    time_limit : of all stages [s].
-    options : of the method, by name (`python -m validate list --json`).
+    scene
+        Scene, its name, or the path of its file.
+    name
+        A pipeline, or a method. With `eps` or options the method of that name is used.
+    eps
+        Relaxation of a method that has one.
+    start
+        Plan on the scene's grid to start from, in any form of `judge`; None: the first guess.
+    time_limit
+        For all stages [s].
+    options
+        Options of the method by name (`python -m validate list --json`).
 
     Returns
     -------
-    Solution of the last stage that ran: outcome (its value is advice), trajectory or None, cost,
-        certificate; `plot()`, `to_dataframe()`.
+    Solution
+        Outcome, trajectory or None, cost and certificate of the last stage; `plot()`,
+        `to_dataframe()`.
 
     Raises
     ------
-    SceneError, UnknownNameError, OptionError, MachineError : in one sentence.
+    SceneError, UnknownNameError, OptionError, MachineError
+        In one sentence.
 
     >>> ts.solve("three_cart", "softplus_dc", eps=1e-3)
     Solution(three_cart by softplus_dc, eps 0.001: solved, cost 197.9, 500 steps)
@@ -225,25 +225,26 @@ def solve(
     from validate.judge.judgement import as_trajectory
 
     _positive("time_limit", time_limit)
-    wanted = _scene(scene)
-    first = None if start is None else as_trajectory(start, wanted)
-    found = solve_scene(
-        wanted, name, eps=eps, warm_start=first, time_limit=time_limit, options=options
+    subject = _scene(scene)
+    first = None if start is None else as_trajectory(start, subject)
+    solution = solve_scene(
+        subject, name, eps=eps, warm_start=first, time_limit=time_limit, options=options
     )
-    return SolvedPlan.of(found, wanted, name, eps)
+    return SolvedPlan.of(solution, subject, name, eps)
 
 
 def read_plan(path: str | Path, scene: Scene | str | Path) -> Trajectory:
-    """A plan of a scene from a CSV of any planner, or a NetCDF file of touchstone. docs/replay.md says what may stand in it.
+    """Return a plan of a scene from a CSV, or a NetCDF file of touchstone (docs/replay.md).
 
     Raises
     ------
-    TrajectoryError : the file, the line and the column.
+    TrajectoryError
+        With file, line and column.
     """
     from validate.judge.judgement import as_trajectory
 
-    wanted = _scene(scene)
-    plan = as_trajectory(path, wanted)
+    subject = _scene(scene)
+    plan = as_trajectory(path, subject)
     assert plan is not None, "a file is a plan"
     return plan
 
@@ -261,24 +262,31 @@ def judge(
 
     Parameters
     ----------
-    scene : Scene, or its name, or the path of its file; or the path of somebody's FMU (it ends in
-        .fmu and runs in a child process)
-    plan : Solution, Trajectory, path of a CSV or NetCDF file; of a scene also a DataFrame or arrays
-        by column name: `t` (nodes,) [s] and the scene's names
-    map : of an FMU: the file that says what of the plan is what of the FMU; equal names without it.
-    hold : "zero" or "linear", the inputs within a step; scheme : the time step that made it. Of
-        columns and CSV alone, where they do not say so.
-    feedback : replay with feedback too, whether or not the verdict needs it.
+    scene
+        Scene, its name, or the path of its file; or the path of an external FMU (.fmu), which runs
+        in
+        a child process.
+    plan
+        Solution, Trajectory, or path of a CSV or NetCDF file; for a scene also a DataFrame or
+        arrays
+        by column name: `t` (nodes,) [s] and names of the scene.
+    map
+        File that maps columns to the FMU's variables; None maps equal names.
+    hold, scheme
+        Hold ("zero" or "linear") and time step of columns and CSV that declare none.
+    feedback
+        Replay with feedback even if the verdict does not need it.
 
     Returns
     -------
-    Judgement : print it for the sentence; `holds`, `verdict`, `score.value(metric)`, `replay`;
-        `plot()`, `to_dataframe()`. In a notebook: the page
-        with player, plots and metrics.
+    Judgement
+        `print` gives the sentence; `holds`, `verdict`, `score.value(metric)`, `replay`; `plot()`,
+        `to_dataframe()`. In a notebook: the page with player, plots and metrics.
 
     Raises
     ------
-    SceneError, TrajectoryError, MapError, FmuError, MachineError : in one sentence.
+    SceneError, TrajectoryError, MapError, FmuError, MachineError
+        In one sentence.
     """
     from validate.campaign.shown import JudgedPlan
     from validate.judge.judgement import judge as judge_scene
@@ -291,7 +299,7 @@ def judge(
 
 
 def _wired(scene: Any, plan: Any, map: str | Path | None, hold: str | None) -> WiredFmu | None:
-    """The FMU that is named and the plan, brought together; None for a scene, which has no map."""
+    """Return the FMU connected with the plan, None for a scene, which has no map."""
     if isinstance(scene, (str, Path)) and Path(scene).suffix.lower() == ".fmu":
         from validate.judge.judgement import wire_fmu
 
@@ -339,24 +347,30 @@ def robustness(
     map: str | Path | None = None,
     hold: str | None = None,
 ) -> Robustness:
-    """Try a plan in perturbed worlds: in what share of them it still arrives, and what it takes least of (docs/robustness.md).
+    """Try a plan in perturbed worlds (docs/robustness.md).
 
     Parameters
     ----------
-    scene, plan, map, hold : as `judge` takes them.
-    samples : worlds, from 10 to 10^6; a quarter of them with feedback too.
-    seed : of the worlds; the same numbers, to the bit, for the same seed.
-    kinds : what is perturbed, or single ones by their names.
-    anyway : measure a plan too that does not hold to begin with.
+    scene, plan, map, hold
+        As for `judge`.
+    samples
+        Number of worlds, from 10 to 10^6; a quarter of them with feedback too.
+    seed
+        The same seed gives bitwise the same numbers.
+    kinds
+        Kinds of perturbations, or names of single ones.
+    anyway
+        Measure a plan that does not hold, too.
 
     Returns
     -------
-    Robustness : `alone` and `feedback` with their `share` and `checked`; `failures`,
-        `weakest`.
+    Robustness
+        `alone` and `feedback` with their `share` and `checked`; `failures`, `weakest`.
 
     Raises
     ------
-    SceneError, TrajectoryError, MachineError : in one sentence.
+    SceneError, TrajectoryError, MachineError
+        In one sentence.
     """
     from validate.judge.robustness import robustness as measured
 
@@ -370,15 +384,19 @@ def robustness(
 def check(
     fmu: str | Path, *, only: Sequence[str] | None = None, seconds: float = 60.0
 ) -> CheckReport:
-    """Check whether an FMU does what its files say.
+    """Check an FMU's files, and in child processes its behaviour (docs/fmu_check.md).
 
-    Its files, and how its code behaves, in child processes (docs/fmu_check.md).
-
-    only : names of checks; None for all. seconds : for each check [s].
+    Parameters
+    ----------
+    only
+        Names of checks; None for all.
+    seconds
+        For each check [s].
 
     Raises
     ------
-    FmuError : no FMU of version 2.0 or 3.0.
+    FmuError
+        For no FMU of version 2.0 or 3.0.
     """
     from validate.fmu_check import check_fmu
 
@@ -388,11 +406,14 @@ def check(
 
 
 def export_fmu(scene: Scene | str | Path, path: str | Path, *, version: str = "2.0") -> Path:
-    """Write a scene as an FMU, Model Exchange and Co-Simulation in one file, and give its path. version : "2.0" or "3.0".
+    """Write a scene as an FMU 2.0 or 3.0, Model Exchange and Co-Simulation; return its path.
 
     Raises
     ------
-    SceneError : no FMU can carry it; MachineError : no compiler, or the file cannot be written.
+    SceneError
+        If no FMU can express the scene.
+    MachineError
+        Without a compiler, or if the file cannot be written.
     """
     import shutil
 
@@ -416,24 +437,32 @@ def campaign(
     time_limit: float = 240.0,
     file: str | Path | None = None,
 ) -> CampaignResult:
-    """Every scene by every pipeline, replayed, scored and reported: `python -m validate all`.
+    """Replay, score and report every scene by every pipeline, like `python -m validate all`.
 
-    What is stored in the folder is not run again.
+    Results stored in the folder are reused.
 
     Parameters
     ----------
-    out : the folder for runs, tables and report.html.
-    scenes : names or files; empty for all that come with touchstone.
-    select : words in the names of scenes and pipelines, with `and`, `or`, `not` (as -k).
-    quick : a small choice of pipelines and scenes.
-    jobs : runs at a time; None for the number of cores.
-    time_limit : of a run [s].
-    file : a campaign file, such as one with plans of other planners (docs/campaigns.md):
+    out
+        Folder for runs, tables and report.html.
+    scenes
+        Names or files; empty for all that come with touchstone.
+    select
+        Words in the names of scenes and pipelines, with `and`, `or`, `not` (as -k).
+    quick
+        Run a small selection.
+    jobs
+        Runs at a time; None for the number of cores.
+    time_limit
+        For a run [s].
+    file
+        A campaign file, such as one with plans of other planners (docs/campaigns.md):
         `python -m validate run`. The file names scenes and time limit.
 
     Raises
     ------
-    TouchstoneError : for what the caller can mend, in one sentence.
+    TouchstoneError
+        For errors of the caller, in one sentence.
     """
     from validate.campaign.campaign import run_campaign
     from validate.campaign.read import read_campaign
@@ -479,6 +508,4 @@ def __dir__() -> list[str]:
 _clash = name_clash()
 if _clash is not None:
     raise ImportError(_clash)
-importlib.import_module(
-    "formulations"
-)  # registers the Pyomo solvers; not above, where a clash is not yet told
+importlib.import_module("formulations")  # registers the Pyomo solvers, after the check for a clash

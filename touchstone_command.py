@@ -1,4 +1,4 @@
-"""The installed commands `touchstone` and `touchstone-mpec` begin here, under a name that no other package has, so that a clash of names is told in a sentence."""
+"""Entry point of the installed commands; its unique name allows reporting a clash of names."""
 
 from __future__ import annotations
 
@@ -7,12 +7,9 @@ import sys
 
 
 def main(module: str = "validate.__main__") -> int | None:
-    """Run the command whose `main` is in a module.
-
-    Exit code 2 where another package is called like one of ours.
-    """
+    """Run `main` of a module; return 2 if another package has one of our names."""
     try:
-        import touchstone  # noqa: F401 - says what is called so
+        import touchstone  # noqa: F401 - raises the error of a clash
     except ImportError as clash:
         print(clash, file=sys.stderr)
         return 2
@@ -20,5 +17,5 @@ def main(module: str = "validate.__main__") -> int | None:
 
 
 def mpec() -> int | None:
-    """`touchstone-mpec`: the MPEC solver as AMPL calls its solvers."""
+    """Run `touchstone-mpec`, the MPEC solver with AMPL's interface."""
     return main("formulations.ampl.command")

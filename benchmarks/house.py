@@ -23,6 +23,7 @@ import click
 import networkx as nx
 
 from benchmarks import ROOT
+from benchmarks.english import dialect, docstrings, headless, prose
 from validate.cli.table import table
 
 ROOMS = ("models", "formulations", "validate", "reports")
@@ -63,12 +64,6 @@ _C_COMMENT = re.compile(r"/\*.*?\*/|(?<!:)//[^\n]*|<!--.*?-->|\{#.*?#\}", re.DOT
 _SHAPE = re.compile(r"\([\w*+ -]+(, ?[\w*+ -]+)*,?\)")
 _UNIT = re.compile(r"\[[\w^/ .,-]+\]")
 _ERRORS = re.compile(r"[Rr]aises")
-_SENTENCE = re.compile(r"(?:^|(?<=[.!?:;])\s+|\n\s*\n\s*)(?=\w)")
-_HEADLESS = re.compile(r"(What|Of|So many|Where|That|Which|Who|Whatever|Whoever)\b")
-_DIALECT = re.compile(
-    r"\b(tells?|told|says?|said|asks?|asked|somebody|anybody|nobody|whoever|others)\b",
-    re.IGNORECASE,
-)
 
 
 @dataclass(frozen=True)
@@ -104,22 +99,11 @@ def read(root: Path) -> Tree:
     return Tree(texts, modules)
 
 
-def _docstrings(tree: ast.AST) -> Iterator[ast.Expr]:
-    for node in ast.walk(tree):
-        if (
-            isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
-            and ast.get_docstring(node) is not None
-        ):
-            statement = node.body[0]
-            assert isinstance(statement, ast.Expr)
-            yield statement
-
-
 def code_lines(text: str) -> int:
     """Return the number of Python lines with code: no blank lines, comments or docstrings."""
-    docstrings = {
+    documented = {
         line
-        for node in _docstrings(ast.parse(text))
+        for node in docstrings(ast.parse(text))
         for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
     }
     lines = {
@@ -128,7 +112,7 @@ def code_lines(text: str) -> int:
         if token.type not in _NO_CODE
         for line in range(token.start[0], token.end[0] + 1)
     }
-    return len(lines - docstrings)
+    return len(lines - documented)
 
 
 def _other_lines(texts: Iterable[str]) -> int:
@@ -163,36 +147,12 @@ def unusual(tree: ast.AST) -> int:
     )
 
 
-def prose(text: str) -> list[str]:
-    """Return the docstrings of a module and its blocks of comments."""
-    found = []
-    for node in _docstrings(ast.parse(text)):
-        assert isinstance(node.value, ast.Constant)
-        found.append(str(node.value.value))
-    block: list[str] = []
-    last = 0
-    for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        if token.type != tokenize.COMMENT:
-            continue
-        if block and token.start[0] != last + 1:
-            found.append(" ".join(block))
-            block = []
-        block.append(token.string.lstrip("# "))
-        last = token.start[0]
-    return [*found, " ".join(block)] if block else found
-
-
 def _prose_figures(texts: list[str]) -> dict[str, int]:
     blocks = [block for text in texts for block in prose(text)]
-    sentences = [part for block in blocks for part in _SENTENCE.split(block.strip()) if part]
     return {
         "words of docstrings and comments": sum(len(block.split()) for block in blocks),
-        "sentences with a headless opening": sum(
-            _HEADLESS.match(part) is not None for part in sentences
-        ),
-        "tell, say, ask, somebody and the like": sum(
-            len(_DIALECT.findall(block)) for block in blocks
-        ),
+        "sentences with a headless opening": sum(map(headless, blocks)),
+        "tell, say, ask, somebody and the like": sum(map(dialect, blocks)),
     }
 
 

@@ -1,4 +1,1 @@
-"""How it is told: HTML from stored records alone.
-
-No solver, no scene, nothing of the other rooms is imported.
-"""
+"""HTML reports from stored records alone, without solvers, scenes or other rooms."""

@@ -1,4 +1,7 @@
-"""`python -m reports DIR` writes DIR/report.html and its pages from the records, on a machine with no solver; with `--single-file` all of it into one file."""
+"""Write DIR/report.html and its pages from records, or with `--single-file` one file.
+
+python -m reports DIR
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from reports.render import write_report, write_single
 
 
 def main(arguments: list[str]) -> int:
-    """0 written; 2 no such folder, or it cannot be written."""
+    """Return 0 if written, 2 if the folder is missing or cannot be written."""
     folders = [word for word in arguments if word != "--single-file"]
     if len(folders) != 1 or folders[0].startswith("-"):
         print(

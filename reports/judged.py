@@ -1,16 +1,10 @@
-"""A stage as it was judged: its metrics by question, of the inputs alone and with feedback.
+"""Views of a judged stage: metrics by question, its ends, and the cause of its verdict.
 
-Where its motions end; why a plan has its verdict.
+    questions_of(stage)[3].metrics[0].name, .alone.value, .followed.value  # "replay_error", 0.6, ..
+    deciding(stage).name, cause_of(run).advice
+    by_cause(runs)           # each cause once, with its runs, the most frequent first
 
-questions_of(stage)[3].metrics[0].name, .alone.value, .followed.value  ->
-    "replay_error", 0.6, 0.004
-deciding(stage).name, cause_of(run).advice   ->  "replay_terminal_position_error", "Take a smaller
-                                             time step."
-by_cause(runs)                               ->  each cause once, with its runs, the most frequent
-                                             first
-
-The judge tells causes apart (`StageRecord.cause`); here they have their words. A record's own
-sentence (`StageRecord.why`) has the numbers.
+The judge determines causes (`StageRecord.cause`); this module has their texts.
 """
 
 from __future__ import annotations
@@ -37,10 +31,7 @@ SHOWN = "Shown, not judged"
 
 @dataclass(frozen=True)
 class MetricView:
-    """One metric as the pages show it. alone: for the inputs alone, followed: with feedback.
-
-    None where there is no such value.
-    """
+    """One metric for the pages, without and with feedback; None if there is no value."""
 
     name: str
     alone: MetricRecord | None
@@ -48,14 +39,14 @@ class MetricView:
 
     @property
     def metric(self) -> MetricRecord:
-        """Of which unit, limit and meaning are told."""
+        """Return the metric with unit, limit and meaning."""
         found = self.alone or self.followed
-        assert found is not None  # one of them is there
+        assert found is not None  # one of them exists
         return found
 
     @property
     def is_judged(self) -> bool:
-        """Whether either replay has a limit for it."""
+        """Return whether either replay has a limit."""
         return any(
             metric is not None and metric.limit is not None
             for metric in (self.alone, self.followed)
@@ -63,10 +54,7 @@ class MetricView:
 
     @property
     def waived(self) -> str:
-        """The scene's reason why this is not judged.
-
-        Empty where it is, or where there is nothing to waive.
-        """
+        """Return the scene's reason for waiving the limit, or ""."""
         metric = self.metric
         return (
             ""
@@ -77,7 +65,7 @@ class MetricView:
 
 @dataclass(frozen=True)
 class QuestionView:
-    """One question, its answer for the replay that the verdict is of, and the metrics it was asked by."""
+    """One question, its answer by the judged replay, and its metrics."""
 
     number: int | None
     text: str
@@ -86,22 +74,19 @@ class QuestionView:
 
 
 def questions_of(stage: StageRecord) -> list[QuestionView]:
-    """The questions in order, then what was measured of the judge, and what is only shown.
-
-    A metric that was not asked is in `stage.not_asked`.
-    """
+    """Return the questions in order, then metrics of the judge, and those only shown."""
     views = _views(stage)
-    found = []
+    result = []
     for question in stage.questions:
         mine = tuple(view for view in views if _belongs(view, question.number))
-        found.append(QuestionView(question.number, question.text, question.answer, mine))
-    told = {id(view) for question in found for view in question.metrics}
+        result.append(QuestionView(question.number, question.text, question.answer, mine))
+    used = {id(view) for question in result for view in question.metrics}
     rest = tuple(
         view
         for view in views
-        if id(view) not in told and (view.metric.question is None or not stage.questions)
+        if id(view) not in used and (view.metric.question is None or not stage.questions)
     )
-    return [*found, QuestionView(None, SHOWN, "", rest)] if rest else found
+    return [*result, QuestionView(None, SHOWN, "", rest)] if rest else result
 
 
 def _belongs(view: MetricView, number: int | None) -> bool:
@@ -124,19 +109,22 @@ def _views(stage: StageRecord) -> list[MetricView]:
 
 
 def end_of(stage: StageRecord, scene: SceneRecord, *, tracked: bool | None = None) -> str:
-    """Where a replay ends: `position 0.11 m, velocity 0.10 m/s`, `free end`, or empty where it was not replayed. tracked: None takes the judged one."""
+    """Return the end of a replay: `position 0.11 m, velocity 0.10 m/s`, `free end`, or "".
+
+    tracked: None takes the judged replay.
+    """
     prefix = TRACKED if (stage.is_tracked if tracked is None else tracked) else ""
-    found = distance_of(stage, f"{prefix}replay_")
-    if found or stage.replay is None:
-        return found
+    distance = distance_of(stage, f"{prefix}replay_")
+    if distance or stage.replay is None:
+        return distance
     return "free end" if all(goal is None for goal in scene.goal) else ""
 
 
 def distance_of(stage: StageRecord, prefix: str) -> str:
-    """How far from the goal a motion ends, positions and velocities apart: `position 0.11 m, velocity 0.10 m/s`; empty where it was not measured.
+    """Return the distance of a motion's end from the goal, or "" if not measured.
 
-    prefix: of the metrics; nothing for the plan itself, `discrete_` for exact contact on its own
-        grid, `replay_`, `tracked_replay_`.
+    prefix: of the metrics: "" of the plan, `discrete_` of exact contact on its grid, `replay_`,
+    `tracked_replay_`.
     """
     parts = []
     for part in ("position", "velocity"):
@@ -156,7 +144,7 @@ _ELSEWHERE = "A local optimum: start from another guess or a relaxed plan, or pl
 _LOOK = "Look at the error over time on the page of the run."
 _AWAY = "The plan itself does not reach the goal"
 _DEAR = "The plan costs more than the scene allows"
-# Cause of a record -> (sentence, advice); what is not here is a metric, named as such.
+# (sentence, advice) by cause; other causes are metrics, named as such.
 _CAUSES = {
     "start_error": ("The plan does not start where the task starts", "Plan from the task's start."),
     "duration_error": ("The plan does not last as long as the task", "Plan over the whole task."),
@@ -212,8 +200,7 @@ _CAUSES = {
     ),
     "motion": ("The inputs do not give the planned motion", _LOOK),
 }
-# The same for a plan of somebody else's, which has no eps of ours and does not go on by a method of
-# ours.
+# Advice for external plans, which have neither eps nor methods of ours.
 _OF_OTHERS = {
     _EXACT: "Plan with exact contact; forces are pushes of at least 0, in the columns lam_..: without these columns the motion alone is judged.",
     _FINER: "Plan on a finer grid, or have the plan followed with feedback.",
@@ -227,7 +214,7 @@ _AGAIN = "Read the end of the log on the page of the run, and run it again by th
 
 @dataclass(frozen=True)
 class Cause:
-    """What went wrong, and what to do; each a sentence."""
+    """A cause and an advice, each a sentence."""
 
     sentence: str
     advice: str
@@ -241,9 +228,9 @@ _NO_MOTION = Cause(
 
 
 def deciding(stage: StageRecord) -> MetricRecord | None:
-    """The metric that decided a verdict: the first one, by questions, that is beyond its limit or open; of a plan that holds the one nearest to its limit.
+    """Return the metric that decided a verdict: the first failing or undecided one.
 
-    None where nothing was judged.
+    For a plan that holds the metric nearest to its limit; None without judged metrics.
     """
     judged = sorted(
         (metric for metric in stage.metrics if metric.limit is not None),
@@ -279,12 +266,11 @@ def deciding(stage: StageRecord) -> MetricRecord | None:
 
 
 def _share(metric: MetricRecord) -> float:
-    """Of its limit."""
     return abs(metric.value or 0.0) / metric.limit if metric.limit else 0.0
 
 
 def cause_of(run: RunRecord) -> Cause | None:
-    """Why a run does not hold; None where it does, or where nothing was asked of it."""
+    """Return why a run does not hold, None if it holds or has no goal."""
     stage = run.last
     if run.verdict in _NO_CAUSE:
         return None
@@ -325,9 +311,7 @@ def cause_of_stage(stage: StageRecord) -> Cause | None:
     is_best = stage.method == "best_exact" and advice in (_FINER, _ELSEWHERE)
     if stage.kind == "given" or is_best:
         advice = _OF_OTHERS.get(advice, advice)
-    elif (
-        stage.kind == "direct" and advice is _EXACT
-    ):  # its contact is exact as soon as it is solved
+    elif stage.kind == "direct" and advice is _EXACT:  # exact once solved
         advice = (
             "Tighten the solver's tolerance, or take a smaller time step."
             if stage.outcome == "solved"
@@ -337,23 +321,22 @@ def cause_of_stage(stage: StageRecord) -> Cause | None:
 
 
 def by_cause(runs: Iterable[RunRecord]) -> list[tuple[Cause, list[RunRecord]]]:
-    """Each cause once, with the runs that fail by it in their order; the most frequent first."""
-    found: dict[Cause, list[RunRecord]] = {}
+    """Return each cause with its failing runs, the most frequent first."""
+    groups: dict[Cause, list[RunRecord]] = {}
     for run in runs:
         cause = cause_of(run)
         if cause is not None:
-            found.setdefault(cause, []).append(run)
-    return sorted(found.items(), key=lambda item: -len(item[1]))
+            groups.setdefault(cause, []).append(run)
+    return sorted(groups.items(), key=lambda item: -len(item[1]))
 
 
-# Options of a campaign that say where its scenes and methods come from and how long they have; and
-# others that take a word.
+# Options that select a campaign's scenes, methods and time, and options with an argument.
 _KEPT = ("--scene", "--plugin", "--time-limit")
 _WITH_A_WORD = (*_KEPT, "-k", "-j", "--jobs", "--out", "--retry", "--engine")
 
 
 def again(record: RunRecord | CheckRecord) -> str:
-    """Into a folder of its own, because a campaign of one run would take the place of the whole one; the recorded command, if it is no campaign's."""
+    """Return a command that repeats a run in its own folder, or the recorded command."""
     try:
         words = shlex.split(record.provenance.command)
     except ValueError:
@@ -372,16 +355,16 @@ def again(record: RunRecord | CheckRecord) -> str:
 
 
 def _kept(words: list[str]) -> list[str]:
-    """Of the words of a campaign's command those that say which runs there are: the options above and the campaign's file."""
+    """Return the words of a campaign's command that select its runs."""
     kept: list[str] = []
     rest = iter(words)
     for word in rest:
-        taken = [word, *islice(rest, 1 if word in _WITH_A_WORD else 0)]
-        # What belongs to no option is the campaign's file, whatever it is called.
+        words_of_option = [word, *islice(rest, 1 if word in _WITH_A_WORD else 0)]
+        # A word without an option is the campaign's file.
         if (
             word in _KEPT
             or word.startswith(tuple(f"{option}=" for option in _KEPT))
             or not word.startswith("-")
         ):
-            kept += taken
+            kept += words_of_option
     return kept

@@ -1,11 +1,8 @@
-"""The rows of the paper's Table I, so that a row we lack can be shown as lacking.
+"""Rows of the paper's Table I, to show rows that we lack; records have the same numbers.
 
-Records carry the same numbers for the rows we have.
-
-Source: H.J. Terry Suh, Yanwei Wang, "Comparing Effectiveness of Relaxation Methods for Warm
-    Starting Trajectory Optimization
-through Soft Contact", Table I. Cost = sum of u^2, stability = |x_T - x_f|, physics = (10); seconds
-    of that stage alone.
+H.J. Terry Suh, Yanwei Wang, "Comparing Effectiveness of Relaxation Methods for Warm Starting
+Trajectory Optimization through Soft Contact", Table I. Cost = sum of u^2, stability = |x_T - x_f|,
+physics = (10); seconds of that stage alone.
 """
 
 from __future__ import annotations
@@ -17,7 +14,7 @@ SCENE = "three_cart"
 
 @dataclass(frozen=True)
 class PaperRow:
-    """One row: the methods that lead to it, the last of them at eps (None for a direct method)."""
+    """One row: the chain of methods, with eps of the last (None for a direct method)."""
 
     methods: tuple[str, ...]
     eps: float | None
@@ -28,7 +25,7 @@ class PaperRow:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """The paper's numbers by their names in a record."""
+        """Return the paper's numbers by their names in a record."""
         return {
             "cost": self.cost,
             "stability": self.stability,
@@ -56,5 +53,5 @@ TABLE_1 = (
     PaperRow(("softplus_gd", "strict_lcp"), None, 3748.30, 0.00, 0.00, 151.54),
     PaperRow(("softplus_gd", "relu_gd"), None, 309.42, 0.05, 0.21, 2.38),
 )
-# Where the paper shows trajectories while eps is tightened.
+# Figures of the paper with trajectories at decreasing eps.
 TIGHTENING_FIGURES = {"softplus_dc": "Fig. 4", "softplus_gd": "Fig. 5", "relaxed_lcp": "Fig. 6"}

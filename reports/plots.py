@@ -1,15 +1,11 @@
-"""Plots as SVG text made here, from numbers alone: no script is needed to see them.
+"""Plots as SVG text, readable without scripts.
 
     plot = Plot("Contact force", Axis.fitted("time", "s", t), Axis.fitted("force", "N", force))
     plot.line("plan", "p", t, force);  plot.markup()
 
-Colours are CSS classes, never attributes, so that the page's light, dark and print styles decide.
-
-Beside what is drawn stand the numbers of every series (`packed`), for reading values, zooming and
-saving. A column is whole numbers of a decimal grain, so that 0.01 s stays 0.01 s; of those, second
-differences, which are small for smooth motions; of those, the first bytes of all, then the second
-ones, .., which zlib makes short: 105,000 numbers of the longest page of a run are 44 kB (as JSON of
-five digits, compressed: 311 kB). The script's `unpacked` reads it.
+Colours are CSS classes, so that the page's light, dark and print styles apply. `packed` stores all
+numbers for reading, zooming and saving. 105,000 numbers take 44 kB instead of 311 kB of compressed
+JSON.
 """
 
 from __future__ import annotations
@@ -29,23 +25,21 @@ from numpy.typing import NDArray
 
 from reports.wording import number, power, unit
 
-# Steps of a linear axis that a reader can add up in the head.
 _NICE = (1.0, 2.0, 2.5, 5.0, 10.0)
-# Values that span more than this are drawn on a logarithmic axis, where they may be.
+# Smallest ratio of values on a logarithmic axis.
 _WIDE = 20.0
-# Values beyond this (and its inverse, on a logarithmic axis) are drawn at the edge: room for
-# margins before a float overflows.
+# Largest drawn value (and inverse of the smallest), with room for margins before overflow.
 _LARGEST = 1e200
 
 
 def is_wide(values: Sequence[float]) -> bool:
-    """Whether values are drawn on a logarithmic axis: all are positive, and they span more than a factor of 20."""
+    """Return whether values are positive and span more than a factor of 20."""
     return min(values) > 0 and max(values) / min(values) > _WIDE
 
 
 @dataclass(frozen=True)
 class Axis:
-    """`exponent`: labels are divided by 10**exponent, and the axis says so."""
+    """An axis; labels are divided by 10**exponent, which the title states."""
 
     quantity: str
     unit: str
@@ -64,19 +58,9 @@ class Axis:
         margin: float = 0.05,
         zero: bool = False,
     ) -> Axis:
-        """An axis that holds all values.
+        """Return an axis that holds all finite values (n,) [unit of the axis]. Raises nothing.
 
-        Parameters
-        ----------
-        quantity, unit : what it shows, in which unit
-        values : (n,), in that unit; what is not finite counts for nothing
-        log : whether it is logarithmic
-        margin : room at both ends, as a share of the range [-]
-        zero : a linear axis then begins (or ends) at zero
-
-        Returns
-        -------
-        axis : Axis
+        margin: room at both ends, as a share of the range [-]; zero: a linear axis includes zero.
         """
         smallest = 1 / _LARGEST if log else -_LARGEST
         array = np.fromiter(values, np.float64)
@@ -94,7 +78,7 @@ class Axis:
         if zero and low == high == 0:
             high = 1.0
         if high - low <= max(1e-12 * max(abs(low), abs(high)), 1 / _LARGEST):
-            # A constant: show it in the middle of a range of its own size.
+            # A constant is centred in a range of its own size.
             half = abs(high) / 2 if abs(high) > 1 / _LARGEST else 0.5
             low, high = low - half, high + half
         room = margin * (high - low)
@@ -108,24 +92,16 @@ class Axis:
 
     @property
     def title(self) -> str:
-        """The quantity with its unit, and the power of ten that its labels are divided by."""
+        """Return the quantity with its unit, and the power of ten of its labels."""
         words = unit(self.unit)
         if self.exponent:
             words = f"{power(self.exponent)} {words}".strip()
         return f"{self.quantity} [{words}]" if words else self.quantity
 
     def fraction(self, values: float | Sequence[float] | NDArray[np.float64]) -> Any:
-        """Where values lie, 0 at the low end and 1 at the high end.
+        """Return positions of values, one or (n,) [unit of the axis], from 0 (low) to 1 (high) [-].
 
-        Values outside are moved to just outside.
-
-        Parameters
-        ----------
-        values : one or (n,), in the unit of the axis
-
-        Returns
-        -------
-        fractions : one or (n,) [-]
+        Outside values are clipped to just outside. Raises nothing.
         """
         array = np.asarray(values, np.float64)
         if self.log:
@@ -134,12 +110,12 @@ class Axis:
                 math.log10(self.high) - begin
             )
         else:
-            with np.errstate(over="ignore"):  # what is too far off to be told is at the edge
+            with np.errstate(over="ignore"):  # overflow is clipped
                 position = (array - self.low) / (self.high - self.low)
         return np.clip(position, -0.5, 1.5)
 
     def ticks(self, most: int = 6) -> list[tuple[float, str]]:
-        """At most about so many (value, label)."""
+        """Return about `most` pairs (value, label)."""
         return self._decades(most) if self.log else self._linear(most)
 
     def _decades(self, most: int) -> list[tuple[float, str]]:
@@ -151,12 +127,12 @@ class Axis:
             stride = max(1, math.ceil((last - first + 1) / most))
             plain = first >= -3 and last <= 3
             exponents = range(first, last + 1, stride)
-            said = [
+            labels = [
                 number(10.0**exponent, 1) if plain or 0 <= exponent <= 1 else power(exponent)
                 for exponent in exponents
             ]
             return [
-                (10.0**exponent, words) for exponent, words in zip(exponents, said, strict=True)
+                (10.0**exponent, words) for exponent, words in zip(exponents, labels, strict=True)
             ]
         values = [
             mantissa * 10.0**exponent
@@ -165,7 +141,7 @@ class Axis:
         ]
         inside = [value for value in values if self.low <= value <= self.high]
         if len(inside) < 2:
-            # Less than between two of these: as good as linear.
+            # Fewer than two of these: as good as linear.
             return self._linear(most)
         return [
             (value, number(value, 2))
@@ -180,43 +156,51 @@ class Axis:
         step = next(nice * magnitude for nice in _NICE if nice * magnitude >= raw * 0.999)
         first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
         scale = 10.0**self.exponent
-        # So many digits that two neighbours differ, and four where fewer do.
+        # At least four digits, and enough to distinguish neighbours.
         digits = max(4, math.ceil(math.log10(max(abs(first), abs(last), 1))) + 1)
         return [
             (place * step, number(place * step / scale, digits)) for place in range(first, last + 1)
         ]
 
 
-# Grains are powers of ten, of a linear axis at most such a share. Of y a finer one takes half as
-# much room again; of x, mostly equal steps, it does not, and neighbours of 1,500 times must be told
-# apart. Of a decade of a logarithmic axis: five digits.
+# Grain of x over its range, as a power of ten; must distinguish 1,500 times.
 _OF_X = -6
+# Grain of y; a finer one adds half as much.
 _OF_Y = -4
+# Grain of a decade of a logarithmic axis: five digits.
 _OF_DECADE = -5
-# Whole numbers up to ten to this are exact in the script, and so are their second differences.
+# Integers up to 10^14, and their second differences, are exact in the script.
 _EXACT = 14
-# The logarithm of what is no positive number: a value that no plot shows.
+# Logarithmic value of numbers that are not positive, never shown.
 _SMALLEST = 1e-200
-# Stretches of so many points are looked at all at once; of the tolerance, this share is theirs.
+# Points per stretch tested for straightness.
 _STRETCH = 8
+# Share of the tolerance for stretches.
 _STRAIGHT = 0.1
 
 Array = NDArray[np.float64]
 
 
 def packed(series: Sequence[tuple[Array, Array]], x: Axis, y: Axis) -> str:
-    """The series of a plot.
+    """Return the series of a plot as base64 text.
+
+    The text is a zlib stream of 64 bit integers, first all lowest bytes, then the next ones:
+
+    - the number of series.
+    - count and grain's exponent of each x (count 0: as before) and y.
+    - second differences of all columns.
 
     Parameters
     ----------
-    series : of each, (n,) values in the unit of x and (n,) in that of y, all finite
-    x, y : the axes it is drawn on
+    series
+        Pairs of x and y (n,) [units of the axes], all finite.
+    x, y
+        The axes.
 
-    Returns
-    -------
-    text : base64 of a zlib stream of 64 bit integers, a byte of each after the other. First the
-        number of series, then of each the count and the
-        exponent of x (count 0: those of the series before) and the same of y, then the second differences of all columns.
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit.
     """
     heads, steps = [len(series)], []
     before = np.zeros(0)
@@ -237,7 +221,7 @@ def packed(series: Sequence[tuple[Array, Array]], x: Axis, y: Axis) -> str:
 
 
 def _grains(values: Array, axis: Axis, fine: int) -> tuple[int, NDArray[np.int64]]:
-    """The power of ten of a column's grain, and the column in grains: of its decimal logarithm where the axis is logarithmic."""
+    """Return the exponent of a column's grain, and the column in grains (of its log10 if log)."""
     if axis.log:
         return _OF_DECADE, np.rint(
             np.log10(np.maximum(values, _SMALLEST)) / 10.0**_OF_DECADE
@@ -250,20 +234,10 @@ def _grains(values: Array, axis: Axis, fine: int) -> tuple[int, NDArray[np.int64
 
 
 def seen(xs: NDArray[np.float64], ys: NDArray[np.float64], tolerance: float) -> list[int]:
-    """The points that are kept: every other lies at most `tolerance` above or below what is drawn.
+    """Return indices (k,) [-] of points so that all others are within the tolerance of the line.
 
-    A cone of slopes from the last kept point narrows with each point; the point before it closes is
-    kept.
-
-    Parameters
-    ----------
-    xs : (n,) [pixel], not decreasing
-    ys : (n,) [pixel]
-    tolerance : [pixel]
-
-    Returns
-    -------
-    indices : (k,) [-], with the first and the last
+    xs: (n,) [pixel], not decreasing; ys: (n,) [pixel]; tolerance [pixel]. A cone of slopes from the
+    last kept point narrows until it closes. Raises ValueError if the shapes do not fit.
     """
     if len(xs) < 3:
         return list(range(len(xs)))
@@ -305,7 +279,7 @@ def seen(xs: NDArray[np.float64], ys: NDArray[np.float64], tolerance: float) -> 
 
 
 def _bent(xs: NDArray[np.float64], ys: NDArray[np.float64], tolerance: float) -> NDArray[np.int64]:
-    """Numbers of the points without those inside stretches that are straight to `tolerance`: most of what is drawn is smooth, or level."""
+    """Return indices without inner points of stretches that are straight within the tolerance."""
     ends = np.arange(0, len(xs) - _STRETCH, _STRETCH)
     run, rise = xs[ends + _STRETCH] - xs[ends], ys[ends + _STRETCH] - ys[ends]
     slope = rise / np.where(run > 0, run, 1.0)
@@ -316,18 +290,18 @@ def _bent(xs: NDArray[np.float64], ys: NDArray[np.float64], tolerance: float) ->
     return np.flatnonzero(bent)
 
 
-# Less than half a pixel: no point that is left out lies farther from the line that is drawn, and
-# peaks and jumps are points that stay.
+# Largest distance of an omitted point from the line [pixel].
 _TOLERANCE = 0.4
-# Digits of the axes' ends, by which the script finds the pixels of values.
+# Digits of the axes' ends, from which the script computes pixels.
 _DIGITS = 7
-# Width of a character of the 12 px font, plain and bold, for keeping labels apart; a little too
-# wide rather than too narrow.
+# Width of a plain character of the 12 px font, an upper estimate [pixel].
 _CHARACTER = 6.6
+# Width of a bold character [pixel].
 _BOLD = 7.8
+# Distance of lines [pixel].
 _LINE = 14.0
-# Where a name may stand beside its point [pixel], and by which end it hangs there.
-_BESIDE = (
+# Positions of a name relative to its point [pixel], and its anchor.
+_PLACES = (
     (7, -6, "start"),
     (9, 4, "start"),
     (0, -10, "middle"),
@@ -349,7 +323,7 @@ class Key:
 
 @dataclass
 class Plot:
-    """`words`: what the plot shows, as a sentence for those who do not see it."""
+    """A plot; words: its content in a sentence, for readers without sight."""
 
     title: str
     x: Axis
@@ -372,11 +346,11 @@ class Plot:
     _BOTTOM = 38
 
     def px(self, values: float | NDArray[np.float64]) -> Any:
-        """The pixels of values of x (one or (n,), in its unit), from the left [pixel]."""
+        """Return pixels from the left of x, one or (n,) [unit of x]. Raises nothing."""
         return self._LEFT + self.x.fraction(values) * (self.width - self._LEFT - self._RIGHT)
 
     def py(self, values: float | NDArray[np.float64]) -> Any:
-        """The pixels of values of y (one or (n,), in its unit), from the top [pixel]."""
+        """Return pixels from the top of y, one or (n,) [unit of y]. Raises nothing."""
         return (
             self.height
             - self._BOTTOM
@@ -390,13 +364,9 @@ class Plot:
         xs: Sequence[float] | NDArray[np.float64],
         ys: Sequence[float] | NDArray[np.float64],
     ) -> None:
-        """Draw a line.
+        """Draw a line through xs, ys (n,) [units of the axes]; a longer one is cut. Raises nothing.
 
-        Parameters
-        ----------
-        name, style : words for reading values back, CSS class
-        xs, ys : (n,), in the units of the axes; the shorter decides, as quantities of steps are one
-            shorter than those of nodes
+        name: for reading values; style: CSS class.
         """
         length = min(len(xs), len(ys))
         along, up = np.asarray(xs[:length], np.float64), np.asarray(ys[:length], np.float64)
@@ -412,11 +382,11 @@ class Plot:
         )
 
     def band(self, low: float, high: float, style: str) -> None:
-        """An interval of x, shaded over the whole height."""
+        """Shade an interval of x over the whole height."""
         self._bar(low, high, style, self._TOP, self.height - self._TOP - self._BOTTOM, 0.5)
 
     def strip(self, low: float, high: float, style: str) -> None:
-        """An interval of x as a thin bar above the plot."""
+        """Mark an interval of x by a thin bar above the plot."""
         self._bar(low, high, style, self._TOP - 6, 4, 1.0)
 
     def _bar(
@@ -428,7 +398,7 @@ class Plot:
         )
 
     def level(self, value: float, words: str) -> None:
-        """A horizontal line with its label."""
+        """Draw a horizontal line with its label."""
         y = self.py(value)
         ends = np.array([self.x.low, self.x.high])
         self._series.append((ends, np.full(2, value)))
@@ -448,7 +418,10 @@ class Plot:
         radius: float = 5.0,
         keeps_free: bool = True,
     ) -> None:
-        """A marker that can be focused: `tip` is its name and is read out on hover and focus. radius: of a circle; keeps_free: no label may lie on it."""
+        """Draw a marker with focus; `tip` is read on hover and focus.
+
+        radius: of a circle; keeps_free: no label may overlap.
+        """
         left, top = self.px(x), self.py(y)
         shape = {
             "square": f'<rect x="{left - 4.5:.1f}" y="{top - 4.5:.1f}" width="9" height="9"/>',
@@ -476,10 +449,7 @@ class Plot:
         pixels: bool = False,
         shifts: Sequence[float] = _SHIFTS,
     ) -> bool:
-        """Words at a point of the plot, moved up or down past other labels.
-
-        Left out (False) if there is no room.
-        """
+        """Write words at a point, moved vertically past other labels; return False without room."""
         left, top = (x, y) if pixels else (self.px(x), self.py(y) - 5)
         wide = len(words) * (_BOLD if style == "strong" else _CHARACTER)
         start = left - {"start": 0.0, "middle": wide / 2, "end": wide}[anchor]
@@ -496,10 +466,7 @@ class Plot:
         return False
 
     def name_points(self, named: list[tuple[float, float, str]]) -> None:
-        """Names beside points.
-
-        Of points closer than their markers the first is named, and how many more there are.
-        """
+        """Name points; of overlapping markers the first, and the number of others."""
         groups: list[tuple[float, float, list[str]]] = []
         for x, y, name in named:
             left, top = self.px(x), self.py(y)
@@ -513,7 +480,7 @@ class Plot:
                 near.append(name)
         for left, top, names in groups:
             words = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
-            for dx, dy, anchor in _BESIDE:
+            for dx, dy, anchor in _PLACES:
                 if self.label(
                     left + dx, top + dy, words, "strong", anchor=anchor, pixels=True, shifts=(0,)
                 ):
@@ -522,11 +489,7 @@ class Plot:
                 self.label(left + 9, top + 4, words, "strong", pixels=True)
 
     def markup(self, hidden: bool = True) -> Markup:
-        """The SVG.
-
-        Hidden from assistive technology unless it holds links, because the figure around it says
-        everything in words.
-        """
+        """Return the SVG; without links it is hidden from assistive technology."""
         axes = {
             "x": [
                 _short(self.x.low),
@@ -544,8 +507,7 @@ class Plot:
             ],
             "q": [self.x.quantity, unit(self.x.unit), self.y.quantity, unit(self.y.unit)],
         }
-        # Last, so that they keep clear of points and names: words of levels, at whichever end has
-        # room.
+        # Labels of levels come last, to avoid points and names, at the end that has room.
         for y, words in self._levels:
             for left, anchor in (
                 (self.width - self._RIGHT - 2, "end"),
@@ -559,8 +521,8 @@ class Plot:
         self._levels.clear()
         quiet = ' aria-hidden="true"' if hidden else ""
         inside = "".join([*self._under, *self._grid(), *self._lines, *self._over])
-        # In single quotes, since JSON is full of double ones.
-        told = (
+        # In single quotes, because JSON contains double ones.
+        axes_json = (
             json.dumps(axes, separators=(",", ":"), ensure_ascii=False)
             .replace("&", "&amp;")
             .replace("<", "&lt;")
@@ -568,26 +530,26 @@ class Plot:
         )
         points = [tuple(np.array(self._points).T)] if self._points else []
         return Markup(
-            f'<svg class="plot" viewBox="0 0 {self.width} {self.height}" data-axes=\'{told}\' '
+            f'<svg class="plot" viewBox="0 0 {self.width} {self.height}" data-axes=\'{axes_json}\' '
             f'data-v="{packed([*self._series, *points], self.x, self.y)}"{quiet}>{inside}</svg>'
         )
 
     def _grid(self) -> list[str]:
         bottom, right = self.height - self._BOTTOM, self.width - self._RIGHT
         across, up, below, left = [], [], [], []
-        for value, said in self.x.ticks(max(3, int((right - self._LEFT) / 62))):
+        for value, label in self.x.ticks(max(3, int((right - self._LEFT) / 62))):
             x = _pixel(self.px(value))
             up.append(f"M{x},{self._TOP}V{bottom}")
-            below.append(f'<text x="{x}" y="{bottom + 15}">{escape(said)}</text>')
+            below.append(f'<text x="{x}" y="{bottom + 15}">{escape(label)}</text>')
         zero = ""
-        for value, said in self.y.ticks(max(3, int((bottom - self._TOP) / 32))):
+        for value, label in self.y.ticks(max(3, int((bottom - self._TOP) / 32))):
             y = self.py(value)
             line = f"M{self._LEFT},{_pixel(y)}H{right}"
             if value == 0:
                 zero = f'<path class="grid zero" d="{line}"/>'
             else:
                 across.append(line)
-            left.append(f'<text x="{self._LEFT - 6}" y="{_pixel(y + 4)}">{escape(said)}</text>')
+            left.append(f'<text x="{self._LEFT - 6}" y="{_pixel(y + 4)}">{escape(label)}</text>')
         return [
             f'<path class="grid x" d="{"".join(up)}"/><path class="grid" d="{"".join(across)}"/>{zero}',
             f'<g class="tick x">{"".join(below)}</g><g class="tick">{"".join(left)}</g>',
@@ -597,7 +559,7 @@ class Plot:
         ]
 
 
-# A line: its name, its CSS class, times [s] and values, which may be one shorter.
+# A line: name, CSS class, times [s] and values, which may be one shorter.
 Line = tuple[str, str, NDArray[np.float64], NDArray[np.float64]]
 
 
@@ -611,10 +573,9 @@ def over_time(
     height: int = 240,
     **axis: Any,
 ) -> Plot | None:
-    """Lines over time on one axis.
+    """Return lines over time on one axis, None without lines.
 
-    None where there are none. x: of the time (what the lines cover); axis: words of `Axis.fitted`
-    for the values.
+    x: axis of time, default all lines; axis: arguments of `Axis.fitted` for the values.
     """
     if not lines:
         return None
@@ -633,15 +594,11 @@ def over_time(
 
 
 def _pixel(place: float) -> str:
-    """A place to a tenth of a pixel, without a needless zero."""
     return f"{place:.1f}".removesuffix(".0")
 
 
 def _path(across: NDArray[np.float64], down: NDArray[np.float64]) -> str:
-    """A line through points, each relative to the one before.
-
-    To a fifth of a pixel, which is finer than what was left out. A sign parts numbers by itself.
-    """
+    """Return a path through points, relative, to a fifth of a pixel; signs separate numbers."""
     places = np.rint(5 * np.column_stack([across, down])).astype(int)
     steps = " ".join(_fifth(step) for step in np.diff(places, axis=0).ravel().tolist())
     return f"M{_fifth(int(places[0, 0]))},{_fifth(int(places[0, 1]))}l{steps.replace(' -', '-') or '0,0'}"

@@ -1,15 +1,12 @@
-"""Writes the report of a campaign: pages that ask nothing of any network, and lead to each other by relative links.
+"""Write the report of a campaign: pages without network access, connected by relative links.
 
-    write_report(Path("runs/all"))  ->  runs/all/report.html, and in runs/all/pages a page for each
-                                    scene, each run and each thing that is worth one, and the
-                                    style and script that these share
-    write_single(Path("runs/all"))  ->  runs/all/single.html, which holds all of it
+    write_report(Path("runs/all"))  ->  runs/all/report.html, runs/all/pages with a page per scene,
+                                    run and topic, and their style and script
+    write_single(Path("runs/all"))  ->  runs/all/single.html with everything
 
-Pages are pure functions of what is stored in the folder: no clock, no machine, no solver. A strict
-Content-Security-Policy allows exactly the style and the script that are inside a page, by their
-hashes, or the files beside it. What goes across runs is drawn from the numbers of the records each time; a run's page,
-which costs far more, only if there is none that is younger than its record and this program.
-`is_current` says whether anything would change.
+Pages depend only on the stored folder. A strict Content-Security-Policy allows only the style and
+script in or beside the page. Pages of runs are written only if missing or older than their record
+or this program (`is_current`).
 """
 
 from __future__ import annotations
@@ -58,9 +55,7 @@ from reports.records.robustness_record import RobustnessRecord
 
 SINGLE = "single.html"
 _HERE = Path(__file__).parent
-# What report.html shows before its index of the other pages.
 _TOP = (overview.build, table1.build, overview.what_failed)
-# What the page of a scene shows.
 _OF_SCENE = (
     scene.build,
     pareto.build,
@@ -70,7 +65,7 @@ _OF_SCENE = (
     violation.build,
     scene.model,
 )
-# The other pages by the names of their files, which the first section of each has for its anchor.
+# Sections of other pages by file name, which is the anchor of their first section.
 _OTHERS = {
     "plans": (plans.build,),
     "runs": (run.all_runs,),
@@ -81,24 +76,23 @@ _OTHERS = {
     "time-spent": (campaign.time_spent,),
     "provenance": (campaign.provenance,),
 }
-# Style and script of all pages of a campaign but its report.html, beside them.
+# Shared style and script of all pages except report.html.
 _STYLE = "report.css"
 _SCRIPT = "report.js"
 _SCRIPTS = ("common.js", "figures.js", "tables.js", "player.js")
 _LEAD = "Does this plan through contact hold? Every plan below was replayed with exact contact, in continuous time, and scored."
 _AGAIN = "python -m reports DIR"
 _BACK = [(f"../{REPORT}", "The whole report")]
-# Bytes at the start of a page that hold the key of its run.
+# Bytes at the start of a page that include its run's key.
 _HEAD = 2_000
-# Fewer pages than this a process are written sooner without it.
+# Fewest pages for which another process is faster.
 _WORTH = 8
 
 
 class Templates:
-    """The templates of this room, each compiled once; all know the macros of macros.html.
+    """The compiled templates; all have the macros of macros.html.
 
-    templates = Templates(); templates.render("run.html", view=view, anchor="run");
-    templates.render("scene.html#model", ...)
+    templates.render("run.html", view=view, anchor="run"); templates.render("scene.html#model", ..)
     """
 
     def __init__(self) -> None:
@@ -110,9 +104,11 @@ class Templates:
             lstrip_blocks=True,
             finalize=_finalized,
         )
-        said = inspect.getmembers(wording, inspect.isfunction)
+        functions = inspect.getmembers(wording, inspect.isfunction)
         self._environment.filters |= {
-            name: function for name, function in said if function.__module__ == wording.__name__
+            name: function
+            for name, function in functions
+            if function.__module__ == wording.__name__
         }
         self._environment.globals["dash"] = wording.DASH
         macros = self._environment.get_template("macros.html").module
@@ -121,7 +117,7 @@ class Templates:
         }
 
     def render(self, name: str, **values: Any) -> str:
-        """The text of one template, or of one block of it: file.html#block."""
+        """Return the text of a template, or of one block: file.html#block."""
         file, _, block = name.partition("#")
         template = self._environment.get_template(file)
         return (
@@ -132,9 +128,9 @@ class Templates:
 
 
 def write_report(folder: Path, jobs: int | None = None) -> Path:
-    """Write report.html and all other pages, those of scenes and runs only if they are out of date.
+    """Write report.html and all outdated pages, by `jobs` processes (default: all cores).
 
-    On so many processes (all cores). Raises ReportError.
+    Raises ReportError.
     """
     templates = Templates()
     report = Report(load(folder), folder)
@@ -175,16 +171,13 @@ def write_report(folder: Path, jobs: int | None = None) -> Path:
         )
         write_page(folder / PAGES / scene_page(one), text, folder)
     _write_runs(templates, beside, len(os.sched_getaffinity(0)) if jobs is None else jobs)
-    # Last: a report that is younger than the folder of its pages has all of them.
+    # Last, so that a report younger than its pages' folder is complete.
     write_page(folder / REPORT, _campaign_page(templates, report, _across(report, others)), folder)
     return folder / REPORT
 
 
 def is_current(folder: Path) -> bool:
-    """Whether report.html is younger than all it is made of and leads to.
-
-    Of a campaign whose runs are all stored, it says then what it would say anew.
-    """
+    """Return whether report.html is younger than all its sources."""
     written = _written(folder / REPORT)
     if not (folder / PAGES).is_dir() or written <= max(
         _program(), _time(folder / "campaign.json"), _time(folder / PAGES)
@@ -196,34 +189,33 @@ def is_current(folder: Path) -> bool:
             for record in record_files(folder)
             for path in (record.parent, *record.parent.iterdir())
         )
-    except OSError:  # another campaign is at work there
+    except OSError:  # another campaign is writing there
         return False
 
 
 def write_single(folder: Path) -> Path:
-    """Write all that `write_report` writes into one file. Raises ReportError."""
+    """Write the whole report into one file. Raises ReportError."""
     report = Report(load(folder), folder, single=True)
     others = _others(report)
     sections = [
         *_across(report, others),
         *(section for one in report.scenes for section in _built(_OF_SCENE, report, one)),
     ]
-    sections += [section for found in others.values() for section in found]
+    sections += [section for sections_of_page in others.values() for section in sections_of_page]
     write_page(folder / SINGLE, _campaign_page(Templates(), report, sections), folder)
     return folder / SINGLE
 
 
 def render(folder: Path) -> str:
-    """The text of report.html. Raises ReportError if there is no such folder."""
+    """Return the text of report.html. Raises ReportError without a folder."""
     report = Report(load(folder), folder)
     return _campaign_page(Templates(), report, _across(report, _others(report)))
 
 
 def render_run(record: RunRecord, folder: Path, engines: Sequence[Mapping[str, Any]] = ()) -> str:
-    """The text of the page of a run that belongs to no campaign.
+    """Return the page of a run without a campaign.
 
-    folder: where its motions are, as in a campaign's: runs/<key>/trajectory.nc and so on; engines:
-        what other simulators say of it, as JSON holds that.
+    folder: with runs/<key>/trajectory.nc etc.; engines: results of other simulators as JSON data.
     """
     report = Report(Stored(None, (record,)), folder, at="")
     title = f"{record.pipeline} on {record.scene.name}"
@@ -238,10 +230,7 @@ def render_run(record: RunRecord, folder: Path, engines: Sequence[Mapping[str, A
 
 
 def render_players(folder: Path) -> dict[str, str]:
-    """Scene -> the text of a page with its best plan in motion, and nothing else, for a gallery.
-
-    Raises ReportError.
-    """
+    """Return pages with only the best plan's motion by scene, for a gallery. Raises ReportError."""
     report, templates = Report(load(folder), folder, at=""), Templates()
     moving = [
         (one, section)
@@ -255,7 +244,7 @@ def render_players(folder: Path) -> dict[str, str]:
 
 
 def render_checks(records: Sequence[CheckRecord]) -> str:
-    """The text of the page of FMUs that were checked outside of any campaign; at least one."""
+    """Return the page of FMUs checked without a campaign."""
     names = ", ".join(record.name for record in records)
     return page(
         Templates(), [checks.fmus_of(records)], title="FMUs under the check", lead=names, again=""
@@ -263,7 +252,7 @@ def render_checks(records: Sequence[CheckRecord]) -> str:
 
 
 def render_robustness(record: RobustnessRecord, plan: str) -> str:
-    """The text of the page of how much a plan can take. plan: what it is called."""
+    """Return the page of a plan's robustness; plan: its name."""
     title = f"How much {plan} can take on {record.scene}"
     return page(
         Templates(),
@@ -275,7 +264,7 @@ def render_robustness(record: RobustnessRecord, plan: str) -> str:
 
 
 def render_truth(record: TruthRecord, again: str) -> str:
-    """The text of the page of the truth suite. again: the command that makes it anew."""
+    """Return the page of the truth suite; again: its command."""
     return page(
         Templates(),
         [simulators.truth(record)],
@@ -297,13 +286,15 @@ def page(
     shared: bool = False,
     key: str = "",
 ) -> str:
-    """Return a page of these sections, with its contents, style and script.
+    """Return a page of sections, with contents, style and script.
 
-    again: the command that writes it again; back: (address, words) of other pages; shared: style
-    and script are the files beside it; key: of the run that the page is of.
+    - again: command that writes the page.
+    - back: (address, words) of other pages.
+    - shared: link style and script files.
+    - key: of the page's run.
     """
     style, script = _style(), _script()
-    # Some browsers take a local file for another origin than the file beside it.
+    # Some browsers treat local files as different origins.
     allowed = ["'self' file:"] * 2 if shared else [f"'{_hash(style)}'", f"'{_hash(script)}'"]
     return templates.render(
         "page.html",
@@ -324,8 +315,7 @@ def page(
     )
 
 
-# What a frame holds: the page, a third as long as its text, and what unpacks it. A notebook keeps
-# one for every plan that is looked at.
+# Content of a frame: the compressed page, a third of its length, and code to unpack it.
 _UNPACK = """<!doctype html><meta charset="utf-8"><noscript>This page needs JavaScript.</noscript><script type="module">
 const packed = Uint8Array.from(atob("PACKED"), (letter) => letter.charCodeAt(0));
 const page = await new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"))).text();
@@ -336,7 +326,7 @@ document.close();
 
 
 def framed(page: str) -> str:
-    """A page in a frame of its own, as a notebook shows it: its style and script meet nobody else's."""
+    """Return a page in its own frame, isolated from a notebook's style and scripts."""
     inside = _UNPACK.replace("PACKED", base64.b64encode(zlib.compress(page.encode(), 9)).decode())
     return (
         f"<iframe srcdoc='{inside}' sandbox='allow-scripts allow-downloads' title='touchstone' "
@@ -345,12 +335,9 @@ def framed(page: str) -> str:
 
 
 def write_page(target: Path, text: str, aside: Path | None = None) -> None:
-    """Write a page, whole or not at all.
+    """Write a page atomically; aside: folder while writing. Raises ReportError.
 
-    aside: where it stands while it is written (beside its place). Raises ReportError.
-
-    What is not finished says whose it is, as in all of a campaign's folder, so that it is removed
-    there if we are killed.
+    The temporary name has its owner, so that a campaign can remove it.
     """
     part = (
         aside or target.parent
@@ -375,17 +362,13 @@ def _built(makers: Sequence[Callable[..., Section | None]], *words: object) -> l
 
 
 def _others(report: Report) -> dict[str, list[Section]]:
-    """The sections of the other pages, by the names of their files.
-
-    Without those that have none.
-    """
+    """Return the non-empty sections of other pages by file name."""
     return {
         name: sections for name, makers in _OTHERS.items() if (sections := _built(makers, report))
     }
 
 
 def _across(report: Report, others: Mapping[str, Sequence[Section]]) -> list[Section]:
-    """The sections of report.html."""
     listed = [(name, sections[0]) for name, sections in others.items()]
     return [*_built(_TOP, report), *_built((overview.index,), report, listed)]
 
@@ -409,11 +392,10 @@ def _campaign_page(templates: Templates, report: Report, sections: Sequence[Sect
 
 
 def _write_runs(templates: Templates, report: Report, jobs: int) -> None:
-    """Write the pages of runs that are missing, or older than their record or this program.
+    """Write missing and outdated pages of runs.
 
-    By processes that nobody needs to hear from: what one of them leaves undone, whatever the
-    reason, is done, or said, here. Where there are threads, which do not survive a fork, all of it
-    is.
+    Child processes report nothing: pages that fail there are written again here. With threads no
+    child is forked.
     """
     due = _due(report)
     jobs = min(jobs, len(due) // _WORTH)
@@ -435,8 +417,8 @@ def _write_runs(templates: Templates, report: Report, jobs: int) -> None:
 
 
 def _write_some(templates: Templates, report: Report, some: Sequence[RunRecord]) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # our parent, which is interrupted too, ends us
-    with contextlib.suppress(Exception):  # whatever it is, it comes again where it is said
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the interrupted parent ends this child
+    with contextlib.suppress(Exception):  # the parent repeats and reports it
         for one in some:
             _write_run(templates, report, one)
 
@@ -462,7 +444,6 @@ def _write_run(templates: Templates, report: Report, one: RunRecord) -> None:
 
 
 def _program() -> int:
-    """When the last of our own files was written [ns]."""
     return max(
         path.stat().st_mtime_ns
         for path in _HERE.rglob("*")
@@ -484,14 +465,13 @@ def _due(report: Report) -> list[RunRecord]:
 
 
 def _is_of(path: Path, key: str) -> bool:
-    """Return whether a page is of the run of this key; one of its name may be of an earlier run."""
+    """Return whether a page is of this run, as an earlier run may have had its name."""
     with contextlib.suppress(OSError), path.open("rb") as file:
         return f'name="run" content="{key}"'.encode() in file.read(_HEAD)
     return False
 
 
 def _is_due(report: Report, page: str, runs: Sequence[RunRecord], newest: int) -> bool:
-    """Return whether a page is missing or older than a record of its runs or than `newest` [ns]."""
     times = [
         _time(report.folder / "runs" / run.key / name)
         for run in runs
@@ -501,7 +481,6 @@ def _is_due(report: Report, page: str, runs: Sequence[RunRecord], newest: int) -
 
 
 def _written(path: Path) -> int:
-    """When a file was last written [ns]; 0 where there is none."""
     return _time(path) if path.is_file() else 0
 
 
@@ -513,17 +492,13 @@ def _time(path: Path) -> int:
 
 
 def _finalized(value: Any) -> Any:
-    """Every string that reaches the page without being markup loses its control characters.
-
-    Escaping comes after.
-    """
+    """Remove control characters from strings that are not markup; escaping follows."""
     return (
         wording.clean(value) if isinstance(value, str) and not isinstance(value, Markup) else value
     )
 
 
 def _asset(name: str) -> str:
-    """One of our own files, as it stands between the tags, without comments and indents: a campaign has hundreds of pages with it. Hashes are over this text."""
     text = (_HERE / "assets" / name).read_text(encoding="utf-8")
     lines = (line.strip() for line in re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL).splitlines())
     return "\n" + "".join(f"{line}\n" for line in lines if line and not line.startswith("//"))

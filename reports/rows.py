@@ -1,7 +1,6 @@
-"""Rows of the tables: each stage once, although several pipelines begin with the same stages.
+"""Rows of the tables: each stage once, although pipelines share their first stages.
 
-softplus_dc+strict and softplus_dc+relu_gd share softplus_dc at 1e-3, 1e-5, 1e-7: five rows, not
-eight.
+softplus_dc+strict and softplus_dc+relu_gd share softplus_dc at 1e-3, 1e-5, 1e-7: five rows.
 """
 
 from __future__ import annotations
@@ -19,19 +18,18 @@ from reports.wording import small
 
 @dataclass(frozen=True)
 class Row:
-    """A stage and the stages it starts from; `link` leads to its run."""
+    """A stage and the stages before it, with a link to its run."""
 
     run: RunRecord
     stage: StageRecord
     chain: tuple[StageRecord, ...]
     link: str
-    # another row has the same methods and eps, but other options: only the pipeline tells them
-    # apart
+    # Another row has the same methods and eps, but other options: only the pipeline differs.
     twin: bool = False
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """The methods of the chain, each once in a row."""
+        """Return the methods of the chain, without repetitions."""
         names = [stage.method for stage in self.chain]
         return tuple(
             name for place, name in enumerate(names) if place == 0 or names[place - 1] != name
@@ -39,12 +37,12 @@ class Row:
 
     @property
     def name(self) -> str:
-        """The method and its eps: softplus_dc ε = 10⁻⁵."""
+        """Return the method and its eps: softplus_dc ε = 10⁻⁵."""
         return self.stage.method + (f" ε = {small(self.stage.eps)}" if self.stage.eps else "")
 
     @property
     def label(self) -> str:
-        """The name, and what the stage starts from: strict_lcp after softplus_dc."""
+        """Return the name with the stages before: strict_lcp after softplus_dc."""
         before = self.methods[:-1]
         after = f" after {', '.join(before)}" if before else ""
         return f"{self.name}{after}" + (
@@ -55,7 +53,7 @@ class Row:
 
     @property
     def paper_total(self) -> float | None:
-        """The paper's seconds with the stages before, which it leaves out."""
+        """Return the paper's seconds including the stages before."""
         times = [stage.paper.get("time") for stage in self.chain]
         return (
             None
@@ -64,39 +62,36 @@ class Row:
         )
 
     def metric(self, name: str) -> float | None:
-        """Its value; of a replay, that of the replay that is judged."""
+        """Return a metric's value, of the judged replay."""
         metric = self.stage.judged(name)
         return metric.value if metric is not None else None
 
     @property
     def ends(self) -> str:
-        """How far from the goal its judged replay ends, in words.
-
-        Empty where it was not replayed.
-        """
+        """Return the distance of the judged replay's end from the goal, or ""."""
         return end_of(self.stage, self.run.scene)
 
     @property
     def holds(self) -> bool:
-        """Whether the plan holds, with feedback or without."""
+        """Return whether the plan holds, with or without feedback."""
         return self.stage.verdict in HOLD
 
     @property
     def named(self) -> str:
-        """The label, and that it holds with feedback where it does not hold without."""
+        """Return the label, with a note if the plan holds only with feedback."""
         return self.label + (
             ", which holds with feedback" if self.stage.verdict == "holds with feedback" else ""
         )
 
     @property
     def cost_difference(self) -> float | None:
-        """Relative difference of our cost to the paper's."""
+        """Return the relative difference of our cost from the paper's."""
         theirs = self.stage.paper.get("cost")
         return None if self.stage.cost is None or not theirs else self.stage.cost / theirs - 1
 
 
 def known_cost(scene: SceneRecord) -> tuple[str, float] | None:
-    """Name and value of the known answer that is a cost; None where there is none."""
+    """Return name and value of the known cost, or None."""
     return next(
         (
             (item.name, item.value)
@@ -108,7 +103,7 @@ def known_cost(scene: SceneRecord) -> tuple[str, float] | None:
 
 
 def rows_of(runs: tuple[RunRecord, ...], link: Callable[[RunRecord], str]) -> list[Row]:
-    """All rows in the order of the paper's table: a chain's common stages first, then what is tried after them. link: what leads to a run."""
+    """Return all rows in the order of the paper's table; link: from a run to its page."""
     heads = {head: place for place, head in enumerate(dict.fromkeys(_head(run) for run in runs))}
     rows: dict[str, Row] = {}
     for run in sorted(runs, key=lambda run: heads[_head(run)]):
@@ -131,6 +126,6 @@ def _head(run: RunRecord) -> tuple[str, str]:
 
 
 def lacking(rows: list[Row]) -> list[PaperRow]:
-    """Rows of the paper's table of which we have no stage; none where we have no stage of any."""
+    """Return rows of the paper's table without a stage of ours, if we have any of them."""
     ours = {(row.methods, row.stage.eps) for row in rows if row.stage.paper}
     return [row for row in TABLE_1 if ours and (row.methods, row.eps) not in ours]

@@ -1,9 +1,7 @@
-"""What makes a campaign fail: in words, and as a function of its records.
+"""Rule of failure of a campaign, as text and as functions of its records.
 
-`validate all` and the report say and do the same.
-
-failures(runs, checks)           # one sentence each; none: exit code 0
-findings(runs)                         # what the replay found of plans that are no failure
+failures(runs, checks)  # sentences; none: exit code 0
+findings(runs)          # plans that fail only by their grid
 """
 
 from __future__ import annotations
@@ -13,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from reports.records.check_record import CheckRecord, divided
 from reports.records.record import HOLD, RunRecord, StageRecord
 
-# What fails a campaign, each ending a sentence that begins "A campaign fails if".
+# Causes of failure, each completing "A campaign fails if".
 RULE = (
     "a run crashed, or failed in a way that its method does not explain, whatever the method",
     "a direct method reports success, and its plan does not hold - or holds only with feedback on a scene that does not say, with a reason, that it is unstable",
@@ -22,7 +20,6 @@ RULE = (
     "on a scene without inputs the replay misses a closed form, or fails its own checks",
     "a check (of one of our own FMUs, a stress case) finds a fault, or ends without an answer",
 )
-# What does not.
 RESULTS = (
     "A method that says itself that it stopped at a limit, stalled, diverged, found no plan or does not apply to the scene has given a result, "
     "which fails nothing.",
@@ -34,30 +31,28 @@ RESULTS = (
 )
 
 
-# From this observed order on a misfit is said to shrink with the step: a scheme of order one shows
-# 0.8 to 1.2 on grids that are fine enough.
+# Smallest order at which an error counts as shrinking; fine grids of order one show 0.8 to 1.2.
 _SHRINKS = 0.5
 
 
 def failures(
     runs: Sequence[RunRecord], checks: Sequence[CheckRecord] = (), among: Sequence[RunRecord] = ()
 ) -> tuple[str, ...]:
-    """Why the campaign of these records fails, by its rule.
+    """Return a sentence per failing run or scene; among: all runs of the folder.
 
-    A sentence for each run or scene. among: all runs of their folder, any of which solves a scene.
+    Any run of `among` may solve a scene.
     """
-    found = [sentence for run in runs if (sentence := _run_failure(run))]
+    sentences = [sentence for run in runs if (sentence := _run_failure(run))]
     for scene in dict.fromkeys(run.scene.name for run in runs):
-        found += _scene_failure(scene, [run for run in (among or runs) if run.scene.name == scene])
-    found += [_checked(record) for record in checks if not record.passed]
-    return tuple(found)
+        sentences += _scene_failure(
+            scene, [run for run in (among or runs) if run.scene.name == scene]
+        )
+    sentences += [_checked(record) for record in checks if not record.passed]
+    return tuple(sentences)
 
 
 def findings(runs: Iterable[RunRecord]) -> tuple[str, ...]:
-    """Plans that are solutions of their discrete problem, but do not survive the replay.
-
-    A sentence each.
-    """
+    """Return a sentence per plan that solves its discrete problem, but fails the replay."""
     return tuple(
         f"{run.scene.name} x {run.pipeline}: {run.stages[-1].why}"
         for run in runs
@@ -66,9 +61,9 @@ def findings(runs: Iterable[RunRecord]) -> tuple[str, ...]:
 
 
 def _is_finding(run: RunRecord) -> bool:
-    asked = run.must_hold and run.outcome == "solved" and run.last is not None
+    claims = run.must_hold and run.outcome == "solved" and run.last is not None
     return (
-        asked
+        claims
         and not _is_as_it_must_be(run)
         and not run.stages[-1].paper
         and _is_of_the_time_step(run.stages[-1])
@@ -76,7 +71,7 @@ def _is_finding(run: RunRecord) -> bool:
 
 
 def _is_of_the_time_step(stage: StageRecord) -> bool:
-    """Whether a plan fails by its time step alone: questions 1 to 3 and 6 pass, 4 or 5 fails for the inputs alone, and the misfit shrinks under refinement."""
+    """Return whether only the grid fails: 1 to 3 and 6 pass, 4 or 5 fails, refinement helps."""
     answers = {question.number: question.answer for question in stage.questions}
     if not stage.questions or any(
         answers.get(number) not in ("yes", "not asked") for number in (1, 2, 3, 6)
@@ -88,15 +83,12 @@ def _is_of_the_time_step(stage: StageRecord) -> bool:
 
 
 def fails(record: RunRecord | CheckRecord) -> bool:
-    """Whether a campaign fails because of this run alone."""
+    """Return whether this record alone makes a campaign fail."""
     return not record.passed if isinstance(record, CheckRecord) else bool(_run_failure(record))
 
 
 def failed_keys(records: Iterable[RunRecord | CheckRecord]) -> frozenset[str]:
-    """Keys of the runs because of which a campaign of these records fails.
-
-    Of a scene on which nothing holds, all by direct methods.
-    """
+    """Return the keys of failing runs; on a scene where nothing holds, all by direct methods."""
     runs, checks = divided(records)
     failed = {record.key for record in (*runs, *checks) if fails(record)}
     for scene in dict.fromkeys(run.scene.name for run in runs):
@@ -126,7 +118,7 @@ def _run_failure(run: RunRecord) -> str:
 
 
 def _is_as_it_must_be(run: RunRecord) -> bool:
-    """Whether the plan of a direct method holds as the scene asks."""
+    """Return whether a direct method's plan holds as the scene requires."""
     if run.verdict == "holds with feedback":
         return bool(run.scene.unstable)
     return run.verdict in ("holds", "consistent", "not applicable")

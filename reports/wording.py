@@ -1,4 +1,4 @@
-"""How values are said: numbers with the digits a reader needs, a word and a symbol for each verdict, a dash with a reason for what is missing.
+"""Texts of values: numbers with useful digits, a word and a symbol per verdict, a dash for none.
 
 number(0.00024419)  ->  "2.442×10⁻⁴"   cost(46415.2)  ->  "46 415.20"   number(None)  ->  "–"
 """
@@ -11,26 +11,25 @@ from dataclasses import dataclass
 
 DASH = "–"
 _THIN = "\u202f"
-# Sums of numbers near 1 are not better than this in double precision: what is smaller is zero, give
-# or take rounding.
+# Double-precision rounding of sums near 1.
 ROUNDING = 1e-15
-# From here on decimals would fill the page: a diverged plan may cost 1e200.
+# Smallest cost with a power of ten; a diverged plan may cost 1e200.
 _LARGE = 1e9
+
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-# Escape sequences of terminals, control characters, and the marks that turn the direction of text:
-# none of them belongs on a page.
+# Terminal escapes, control characters and direction marks, which must not reach a page.
 _TERMINAL = re.compile(r"\x1b(\[[0-9;?]*[ -/]*[@-~]|[@-Z\\-_])")
 _CONTROL = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
 )
-# Numbers in sentences as programs write them: 1.2e-02, 1e+08, and a nought with a sign.
+# Numbers as programs print them: 1.2e-02, 1e+08, and a signed zero.
 _PROGRAM = re.compile(r"(?<![\w.])([-+]?)(\d+(?:\.\d+)?)[eE]([-+]?\d+)(?![\w.]*\w)")
 _SIGNED_NOUGHT = re.compile(r"(?<![\w.,)\]-])-0(?:\.0+)?(?![\d.]*\d|\w)")
 
 
 @dataclass(frozen=True)
 class Sign:
-    """A word, a symbol and a CSS class: never colour alone."""
+    """A word, a symbol and a CSS class, so that colour is never alone."""
 
     word: str
     symbol: str
@@ -75,22 +74,22 @@ ANSWERS = _by_word(
 
 
 def verdict(name: str) -> Sign:
-    """How a verdict is shown."""
+    """Return the sign of a verdict."""
     return VERDICTS.get(name, Sign(name, "?", "undecided", "a verdict this page does not know"))
 
 
 def answer(name: str) -> Sign:
-    """How the answer to a question is shown."""
+    """Return the sign of an answer."""
     return ANSWERS.get(name, Sign(name, "?", "undecided", "an answer this page does not know"))
 
 
 def power(exponent: int) -> str:
-    """A power of ten: 10⁻³."""
+    """Return a power of ten: 10⁻³."""
     return "10" + str(exponent).translate(_SUPERSCRIPT)
 
 
 def _grouped(text: str) -> str:
-    """Thousands apart by a thin space that does not break; a true minus sign."""
+    """Return digits with thin spaces between thousands, and a true minus sign."""
     sign, digits = ("−", text[1:]) if text.startswith("-") else ("", text)
     whole, _, fraction = digits.partition(".")
     if len(whole) > 4:
@@ -99,7 +98,7 @@ def _grouped(text: str) -> str:
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """A number with `digits` significant digits; powers of ten outside 1e-3 .. 1e6."""
+    """Return a number with `digits` significant digits; powers of ten outside 1e-3 .. 1e6."""
     if value is None or not math.isfinite(value):
         return DASH
     if value == 0:
@@ -119,17 +118,14 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def cost(value: float | None) -> str:
-    """Costs with two decimals, as the paper prints them.
-
-    Of those that no table has room for, a power of ten.
-    """
+    """Return a cost with two decimals, as in the paper; large ones with a power of ten."""
     if value is None or not math.isfinite(value):
         return DASH
     return number(value) if abs(value) >= _LARGE else _grouped(f"{value:z.2f}")
 
 
 def error(value: float | None) -> str:
-    """Errors and residuals: two digits tell all, and both are written (0.040, 2.0×10⁻⁸), so that columns read evenly."""
+    """Return an error with two digits, both written: 0.040, 2.0×10⁻⁸."""
     if value is None or value == 0 or not math.isfinite(value):
         return number(value)
     if abs(value) < ROUNDING:
@@ -141,12 +137,12 @@ def error(value: float | None) -> str:
 
 
 def prose(text: str) -> str:
-    """A sentence of a record with its numbers as a person would write them, digit by digit the same: 0.012, 9×10²²⁸ and 0 for 1.2e-02, 9e+228 and -0."""
+    """Return a sentence with 0.012, 9×10²²⁸ and 0 for 1.2e-02, 9e+228 and -0."""
     return _SIGNED_NOUGHT.sub("0", _PROGRAM.sub(_as_written, text))
 
 
-def _as_written(found: re.Match[str]) -> str:
-    sign, mantissa, exponent = ("−" if found[1] == "-" else found[1]), found[2], int(found[3])
+def _as_written(match: re.Match[str]) -> str:
+    sign, mantissa, exponent = ("−" if match[1] == "-" else match[1]), match[2], int(match[3])
     if not mantissa.strip("0."):
         return "0"
     whole, _, fraction = mantissa.partition(".")
@@ -154,18 +150,18 @@ def _as_written(found: re.Match[str]) -> str:
         places = max(0, len(fraction) - exponent)
         if (
             exponent <= len(fraction) or not fraction
-        ):  # else digits would be made up, but for those of a round number
+        ):  # more digits would be invented, except for round numbers
             return sign + _grouped(f"{float(f'{mantissa}e{exponent}'):.{places}f}")
     return f"{sign}{power(exponent)}" if mantissa == "1" else f"{sign}{mantissa}×{power(exponent)}"
 
 
 def product(value: float | None) -> str:
-    """Sums of complementarity products: two decimals as the paper prints them, two digits where that would be nothing."""
+    """Return a sum of products with two decimals, as in the paper, or two digits below 1."""
     return cost(value) if value is not None and abs(value) >= 1 else error(value)
 
 
 def small(value: float | None) -> str:
-    """A relaxation eps: a power of ten where it is one."""
+    """Return an eps as a power of ten, if it is one."""
     if value is not None and 0 < value < 1:
         exponent = round(math.log10(value))
         if abs(value / 10.0**exponent - 1) < 1e-9:
@@ -174,7 +170,7 @@ def small(value: float | None) -> str:
 
 
 def unit(text: str) -> str:
-    """N^2 -> N²; nothing for what has no unit."""
+    """Return N² for N^2, "" without a unit."""
     return (
         ""
         if text in ("", "1")
@@ -183,26 +179,23 @@ def unit(text: str) -> str:
 
 
 def measured(value: float | None, of: str) -> str:
-    """A value with its unit.
-
-    Of a norm over several units they stand in brackets: 0.11 m, 0.037 (m, rad).
-    """
+    """Return a value with its unit; several units of a norm in brackets: 0.037 (m, rad)."""
     return with_unit(error(value), of)
 
 
 def with_unit(text: str, of: str) -> str:
-    """A number in words with its unit, as `measured`."""
-    told = unit(of)
-    return f"{text} ({told})" if "," in told else f"{text} {told}".strip()
+    """Return a number's text with its unit, as `measured`."""
+    symbol = unit(of)
+    return f"{text} ({symbol})" if "," in symbol else f"{text} {symbol}".strip()
 
 
 def capital(text: str) -> str:
-    """A sentence that begins with a capital letter."""
+    """Return a sentence with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 
 def seconds(value: float | None) -> str:
-    """Seconds with two digits after the point, fewer of what is long, two significant ones of what is short."""
+    """Return seconds with two decimals, fewer if long, two significant digits if short."""
     if value is None:
         return DASH
     return (
@@ -213,7 +206,7 @@ def seconds(value: float | None) -> str:
 
 
 def percent(value: float | None) -> str:
-    """A relative difference, with its sign."""
+    """Return a relative difference, with its sign."""
     if value is None or not math.isfinite(value):
         return DASH
     if abs(value) < 5e-5:
@@ -223,12 +216,12 @@ def percent(value: float | None) -> str:
 
 
 def times(ratio: float) -> str:
-    """A factor: 34 times, 1.5 times."""
+    """Return a factor: 34 times, 1.5 times."""
     return f"{ratio:.0f} times" if ratio >= 9.5 else f"{ratio:.1f} times"
 
 
 def ratio(value: float) -> str:
-    """A cost over the best, in four characters: 1, 1.03, 2.4, 56."""
+    """Return a ratio of costs in four characters: 1, 1.03, 2.4, 56."""
     return (
         "1"
         if value < 1.0005
@@ -241,15 +234,12 @@ def ratio(value: float) -> str:
 
 
 def exact(value: float) -> str:
-    """A number for a program that reads the page: ten digits.
-
-    All of them are in results.csv and the records.
-    """
+    """Return a number with ten digits, for programs; files have all digits."""
     return f"{value:.10g}"
 
 
 def plain(value: object) -> str:
-    """An option's value."""
+    """Return an option's value."""
     if value is None:
         return "none"
     if isinstance(value, bool):
@@ -264,19 +254,19 @@ def plain(value: object) -> str:
 
 
 def spaced(name: str) -> str:
-    """time_limit -> time limit."""
+    """Return time limit for time_limit."""
     return clean(name).replace("_", " ")
 
 
 def clean(text: str) -> str:
-    """Text of a record without terminal codes and control characters (the template escapes it afterwards)."""
-    if text.isprintable():  # Python counts none of these as such, and knows at once
+    """Return text without terminal codes and control characters, before escaping."""
+    if text.isprintable():  # fast, and false for all of them
         return text
     return _CONTROL.sub("", _TERMINAL.sub("", text.replace("\r\n", "\n").replace("\r", "\n")))
 
 
 def tail(text: str, limit: int = 8000) -> str:
-    """The end of a log, cut at a line."""
+    """Return the end of a log, cut at a line."""
     text = clean(text).rstrip()
     if len(text) <= limit:
         return text
@@ -285,12 +275,12 @@ def tail(text: str, limit: int = 8000) -> str:
 
 
 def count(amount: int, one: str, many: str | None = None) -> str:
-    """An amount with its noun: 1 run, 2 runs."""
+    """Return an amount with its noun: 1 run, 2 runs."""
     return f"{amount} {one if amount == 1 else many or one + 's'}"
 
 
 def listing(words: list[str]) -> str:
-    """a, b and c."""
+    """Return a, b and c."""
     return (
         words[0]
         if len(words) == 1

@@ -137,7 +137,9 @@ def resting() -> Trajectory:
 def test_a_plan_whose_times_are_in_another_unit_is_refused_before_it_is_replayed(ask):
     with pytest.raises(TouchstoneError) as caught:
         ask("three_cart", columns(1e-9))
-    assert not unsaid(str(caught.value), "plan", "5e+09 s", "three_cart 5 s", "give its t in s")
+    assert not unsaid(
+        str(caught.value), "plan", "5e+09 s", "three_cart lasts 5 s", "Give t in seconds"
+    )
 
 
 def test_a_scene_is_itself():

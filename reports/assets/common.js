@@ -1,12 +1,12 @@
 "use strict";
-// What the other scripts share: elements, names of files, and saving them. Everything on a page can be read without any of them.
+// Shared functions: elements, names of files, saving. Pages are readable without scripts.
 const touchstone = (() => {
   const make = (name, settings = {}, ...inside) => {
     const element = Object.assign(document.createElement(name), settings);
     element.append(...inside);
     return element;
   };
-  // Text as a reader sees it, without what is only there to be pressed or to break lines.
+  // Visible text, without buttons and soft line breaks.
   const words = (element, without = "button, .tools, .sign") => {
     if (!element) return "";
     const copy = element.cloneNode(true);
@@ -14,13 +14,13 @@ const touchstone = (() => {
     return plain(copy.textContent);
   };
   const plain = (text) => text.replaceAll("\u00ad", "").replace(/(\d)\u202f(?=\d)/g, "$1").replace(/\s+/g, " ").trim();
-  // Whose table or figure it is: the run and its stage.
+  // Run and stage of a table or figure.
   const whose = (element) => {
     const [run, stage] = ["article.run[data-words]", "details.stage"].map((place) => element.closest(place));
     const headings = [run && run.querySelector("h3"), stage && stage.querySelector("h4")];
     return headings.filter(Boolean).map((heading) => words(heading).split(/ of \d+:/)[0]);
   };
-  // Whole words, as many as each part of a file's name has room for.
+  // Longest part of a file's name, in whole words.
   const LONGEST = 60;
   const slug = (text) => {
     const all = text.toLowerCase().replace(/[^\p{L}\p{N}_]+/gu, "-").replace(/^-|-$/g, "");
@@ -32,7 +32,7 @@ const touchstone = (() => {
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   };
-  // A text that a spreadsheet would run stands behind a quotation mark.
+  // Quote texts that a spreadsheet would execute.
   const field = (value) => {
     const text = typeof value === "string" && /^[=+\-@−\t\r]./.test(value) && !/^-?[\d.]+(e-?\d+)?$/.test(value) ? `'${value}` : String(value);
     return /[",\n\r]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
@@ -42,18 +42,17 @@ const touchstone = (() => {
   };
   return { make, named, plain, save, saveCsv, slug, whose, words };
 })();
-// Opening and filtering: all stages at once, what a link leads to, all for print, and the list of runs.
+// Open stages, link targets and print content; filter the list of runs.
 (() => {
   const open = (wanted) => document.querySelectorAll("article.run:not([hidden]) details:is(.whole, .stage)").forEach((item) => { item.open = wanted; });
   document.querySelectorAll("[data-all]").forEach((button) => button.addEventListener("click", () => open(button.dataset.all === "open")));
-  // Paper has no disclosure triangles: all is opened for print and put back afterwards, but for runs that are closed: hundreds would be a thousand pages.
+  // Open details for print, and restore them; closed runs stay closed, as hundreds would be a thousand pages.
   let closed = [];
   addEventListener("beforeprint", () => {
     closed = [...document.querySelectorAll("main details:not([open])")].filter((item) => !item.closest("details.whole:not([open])"));
     closed.forEach((item) => { item.open = true; });
   });
   addEventListener("afterprint", () => closed.forEach((item) => { item.open = false; }));
-  // What a link leads to is opened.
   const reveal = () => {
     const target = /^#[\w-]+$/.test(location.hash) ? document.getElementById(location.hash.slice(1)) : null;
     if (!target || !target.closest("details:not([open])")) return;
@@ -83,10 +82,10 @@ const touchstone = (() => {
   };
   filter.addEventListener("input", () => {
     apply();
-    // Some browsers forbid it for files, and half a letter has no address: the filter works without.
+    // Some browsers forbid this for files, and it fails for half a surrogate pair; the filter works without.
     try { history.replaceState(null, "", filter.value ? `#runs?${encodeURIComponent(filter.value)}` : "#runs"); } catch { /* as it is */ }
   });
-  // A link into a run that the filter hides shows it again.
+  // A link into a hidden run clears the filter.
   const follow = () => {
     const hash = location.hash;
     if (/^#runs(\?|$)/.test(hash)) {

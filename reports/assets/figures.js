@@ -1,4 +1,4 @@
-// Figures: values beside the pointer, a span of time enlarged, and each saved as SVG, PNG or CSV.
+// Figures: values at the pointer, zoom, and saving as SVG, PNG or CSV.
 (() => {
   const { make, named, save, saveCsv, whose, words } = touchstone;
   const NAMESPACE = "http://www.w3.org/2000/svg";
@@ -15,7 +15,7 @@
   };
   const withUnit = (text, unit) => (unit && unit !== "1" ? `${text} ${unit}` : text);
 
-  // The numbers of a plot, as reports/plots.py writes them: [xs, ys] of each series.
+  // The numbers of a plot, packed by reports/plots.py: [xs, ys] of each series.
   const unpacked = async (svg, { x, y }) => {
     const bytes = Uint8Array.from(atob(svg.dataset.v), (sign) => sign.charCodeAt(0));
     const planes = new Uint8Array(await new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"))).arrayBuffer());
@@ -43,13 +43,13 @@
       return [xs, column(head[1], y[4])];
     });
   };
-  // Where a value stands on an axis [pixel], and the value that stands at a pixel.
+  // Pixel of a value on an axis, and value of a pixel.
   const onto = ([low, high, start, end, log], value) => start + (log ? Math.log(Math.max(value, 1e-200) / low) / Math.log(high / low) : (value - low) / (high - low)) * (end - start);
   const back = ([low, high, start, end, log], pixel) => {
     const part = (pixel - start) / (end - start);
     return log ? low * (high / low) ** part : low + part * (high - low);
   };
-  // The value of a line at x, straight between its points; null beyond its ends.
+  // Linear interpolation of a line at x; null outside.
   const between = ([xs, ys], x, reach) => {
     const last = xs.length - 1;
     if (x < xs[0] - reach || x > xs[last] + reach) return null;
@@ -61,7 +61,7 @@
     const part = xs[high] > xs[low] ? Math.min(Math.max((x - xs[low]) / (xs[high] - xs[low]), 0), 1) : 0;
     return ys[low] + part * (ys[high] - ys[low]);
   };
-  // Round numbers that divide a span into about so many parts, with the digits that tell them apart.
+  // Round numbers that divide a span into about this many parts, with enough digits to differ.
   const ticks = (low, high, parts) => {
     const raw = (high - low) / parts;
     const power = 10 ** Math.floor(Math.log10(raw));
@@ -81,7 +81,7 @@
     const lines = [...svg.querySelectorAll("path[data-n]")];
     let waiting = null;
     const series = () => (waiting ||= unpacked(svg, axes));
-    // The axis as it is shown, and as it was written.
+    // The axis as shown, and the original.
     let shown = axes && axes.x;
 
     const tell = (told, left, top) => {
@@ -127,7 +127,7 @@
       return [(event.clientX - box.left) * scale, (event.clientY - box.top) * scale];
     };
 
-    // What was written is kept, so that a double click brings it back.
+    // The original is kept; a double click restores it.
     const written = [];
     const restore = () => {
       written.splice(0).forEach((undo) => undo());
@@ -184,7 +184,7 @@
       const released = (event) => {
         if (span) span.remove();
         const [begin, until] = [from, place(event)[0]].map((pixel) => Math.min(Math.max(pixel, axes.x[2]), axes.x[3])).sort((one, other) => one - other);
-        // Less than that is a click.
+        // Shorter moves are clicks.
         if (span && until - begin > 5 && !axes.x[4]) enlarge(back(shown, begin), back(shown, until)).then(clear);
         [from, span] = [null, null];
       };
@@ -202,7 +202,7 @@
         read(target);
       });
     }
-    // Points tell their names; the browser's own tip would stand on top of ours.
+    // Points have our tip; the browser's would cover it.
     for (const point of svg.querySelectorAll(".pt")) {
       const name = point.querySelector("title");
       point.dataset.tip = name.textContent;
@@ -238,7 +238,7 @@
     };
   };
 
-  // What a drawing takes from the page's style, as attributes of its own.
+  // Copy the page's style to attributes of a drawing.
   const TAKEN = ["fill", "fill-opacity", "stroke", "stroke-width", "stroke-dasharray", "stroke-linejoin", "paint-order", "font-family", "font-size", "font-weight", "text-anchor", "visibility"];
   const styled = (original, copy, above) => {
     const style = getComputedStyle(original);
@@ -247,7 +247,7 @@
     [...original.children].forEach((child, place) => styled(child, copy.children[place], own));
     ["class", "focusable", "aria-hidden", "data-axes", "data-v", "tabindex"].forEach((gone) => copy.removeAttribute(gone));
   };
-  // The keys of the nearest legend that this plot has lines, points or bands of.
+  // Keys of the nearest legend that occur in this plot.
   const keys = (svg, frame) => {
     const within = frame.closest(".stage-body, section") || document.body;
     const lists = [...within.querySelectorAll("ul.legend")].filter((list) => list.querySelector(".swatch"));
@@ -261,7 +261,7 @@
     };
     return [...legend.querySelectorAll("li")].filter((item) => item.querySelector(".swatch > *") && has(item));
   };
-  // A drawing that stands alone: title above, keys below, in light colours on white.
+  // A standalone drawing: title above, keys below, light colours on white.
   const standing = (svg, frame, title) => {
     const { width, height } = svg.viewBox.baseVal;
     document.documentElement.classList.add("light");
@@ -294,7 +294,7 @@
     root.append(drawn("title", {}, title), drawn("rect", { width: "100%", height: "100%", fill: "#fff" }), drawn("text", { x: 2, y: 16, "font-size": "13px", "font-weight": "600" }, title), copy, ...below);
     return { text: new XMLSerializer().serializeToString(root), width, height: tall };
   };
-  // Twice as fine as the drawing, for paper and sharp screens.
+  // Twice the resolution, for print and sharp screens.
   const FINE = 2;
   const picture = async ({ text, width, height }) => {
     const image = new Image();
@@ -306,7 +306,7 @@
     return new Promise((done) => { canvas.toBlob(done, "image/png"); });
   };
 
-  // A figure gets its listeners when it is first touched, focused or saved: a long page stays quick.
+  // Listeners are added on first use, which keeps long pages fast.
   const ready = new WeakMap();
   const awake = (svg) => {
     if (!ready.has(svg)) ready.set(svg, figure(svg));

@@ -1,8 +1,8 @@
-// The scene player: plan as dashed outline, replay filled, goal dotted, contact forces as arrows and bars; the data stand in a JSON element beside it.
+// The scene player: plan dashed, replay filled, goal dotted, contact forces as arrows and bars; data in a JSON element.
 (() => {
-  // Longest arrow, in pixels, and the shortest that is drawn.
+  // Longest and shortest drawn arrow [pixel].
   const [ARROW, SEEN] = [64, 1.5];
-  // A first value and then changes, in grains; one number alone stands for all frames.
+  // A first value, then changes, in grains; a single number is constant.
   const sums = (steps, grain, frames) => {
     let at = 0;
     return Array.from({ length: frames }, (_, frame) => (at += steps[frame] || 0) * grain);
@@ -21,7 +21,7 @@
     };
   };
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-  // A box reaches little more than half its longer side, a line or a wall of one length half of that, a disc its radius.
+  // Largest extent: of a box about 0.75 of its longer side, of a line or wall half its length, of a disc its radius.
   const isLine = (shape) => shape.size.length === 1 && (shape.kind === "line" || shape.kind === "wall");
   const reach = (shape) => Math.max(...shape.size) * (shape.kind === "box" ? 0.75 : isLine(shape) ? 0.5 : 1);
 
@@ -37,7 +37,7 @@
     const last = data.t.length - 1;
     const goals = data.shapes.map((shape) => shape.goal && [shape.goal]);
     const tracks = [data.plan, data.replay, goals].filter(Boolean);
-    // What there is nothing of to show is not asked.
+    // Options without content are hidden.
     for (const [name, there] of [["plan", data.plan], ["replay", data.replay], ["goal", goals.some(Boolean)], ["forces", data.contacts.length]]) {
       choice[name].parentElement.hidden = !there;
     }
@@ -59,7 +59,7 @@
     const room = { width: 880, height: 0, top: 12 };
     const sharp = Math.min(2, window.devicePixelRatio || 1);
     let scale = 1;
-    // The time that is shown, in frames: between two of them all is drawn between both, so that slow motion is smooth.
+    // Shown time in frames, interpolated for smooth slow motion.
     let frame = 0;
     const at = (values) => {
       const low = Math.floor(frame);
@@ -69,9 +69,9 @@
     const now = () => at(data.t);
     const measure = () => {
       room.width = Math.min(880, Math.max(300, canvas.clientWidth));
-      // A tall scene gets more height than a wide one.
+      // Tall scenes get more height.
       scale = Math.min((room.width - 24) / (right - left), (high - low > right - left ? 400 : 300) / (high - low));
-      // A flat scene gets room above and below for the names of its bodies.
+      // Flat scenes get room for the names of bodies.
       const area = Math.max((high - low) * scale + 24, 17 * Math.min(data.shapes.length + 2, 9));
       room.top = (area - (high - low) * scale) / 2;
       room.height = Math.ceil(area + bars);
@@ -95,7 +95,7 @@
         pen.rect(-wide / 2, -tall / 2, wide, tall);
       } else {
         pen.arc(0, 0, shape.size[0] * scale, 0, 2 * Math.PI);
-        // A goal that leaves the angle open has none.
+        // A free angle of a goal is not drawn.
         if (angle !== null) pen.moveTo(0, 0);
         if (angle !== null) pen.lineTo(shape.size[0] * scale, 0);
       }
@@ -114,7 +114,7 @@
       pen.stroke();
       pen.restore();
     };
-    // How wide and how tall a shape is through its centre, in pixels.
+    // Width and height of a shape through its centre [pixel].
     const chords = (shape, angle) => {
       if (isLine(shape)) return [0, 0];
       const [wide, tall] = shape.kind === "box" ? [shape.size[0], shape.size[1] || shape.size[0]] : [2 * shape.size[0], 2 * shape.size[0]];
@@ -122,7 +122,7 @@
       const [along, across] = [Math.max(Math.abs(Math.cos(angle)), 1e-9), Math.max(Math.abs(Math.sin(angle)), 1e-9)];
       return [Math.min(wide / along, tall / across) * scale, Math.min(tall / along, wide / across) * scale];
     };
-    // Names stand in a body that has room for them, else beside it, where no other name stands; the larger body chooses first.
+    // Names are inside a body with room, else beside it without overlap; larger bodies first.
     const names = () => {
       const tall = room.width < 500 ? 14 : 17;
       const taken = [];
@@ -134,7 +134,7 @@
         const [aside, away] = [wide / 2 + long / 2 + 6, high / 2 + tall / 2 + 2];
         const spots = wide > long + 6 && high > tall ? [[0, 0]] : [];
         if (isLine(shape)) {
-          // Beside the line, at right angles to it.
+          // Beside the line, perpendicular.
           const [right, up] = [-Math.sin(where[2]), Math.cos(where[2])];
           const far = Math.abs(right) * (long / 2) + Math.abs(up) * (tall / 2) + 4;
           spots.push([right * far, -up * far], [-right * far, up * far]);
@@ -156,12 +156,12 @@
         pen.fillText(shape.name, px + spot[0], py + spot[1] + tall * 0.3);
       }
     };
-    // The point of a shape in metres: its centre or the end of a line.
+    // A shape's point [m]: its centre or the end of a line.
     const point = (which, end, [x, y, angle]) => {
       const long = end * data.shapes[which].size[0];
       return [x + long * Math.cos(angle), y + long * Math.sin(angle)];
     };
-    // How far the surface is from that point towards the other body: a radius, or half a side.
+    // Distance of the surface from that point: a radius, or half a side.
     const surface = (which, end, angle, [dx, dy]) => {
       const { kind, size } = data.shapes[which];
       if (end || kind === "line" || kind === "wall") return 0;
@@ -187,7 +187,7 @@
       pen.lineTo(tx - dx * head + dy * head * 0.55, ty + dy * head + dx * head * 0.55);
       pen.fill();
     };
-    // The pair of arrows of a contact: each body is pushed away from the other.
+    // The two arrows of a contact, pushing the bodies apart.
     const push = (which, track, forces, name, wide) => {
       const touch = data.touches[which];
       const values = forces && forces[which];
@@ -237,7 +237,7 @@
       }
       data.shapes.forEach((shape) => { if (shows("goal") && shape.goal) body(shape, shape.goal, "goal"); });
       data.contacts.forEach((_, which) => {
-        // The plan's arrow is the broad one below: where both agree it shows as a rim.
+        // The plan's arrow is broad and below, a rim if both agree.
         if (shows("forces") && shows("plan")) push(which, data.plan, data.plan_force, "--plan", 6);
         if (shows("forces") && shows("replay")) push(which, data.replay, data.replay_force, "--push", 2.5);
         bar(which);
@@ -247,7 +247,7 @@
       slider.value = Math.round(frame);
       slider.setAttribute("aria-valuetext", `${now().toFixed(2)} seconds`);
     };
-    // Who wants little motion gets two pictures a second.
+    // With reduced motion two frames per second.
     const calm = matchMedia("(prefers-reduced-motion: reduce)");
     const CALM = 500;
     let before = null;
@@ -277,7 +277,7 @@
     };
     slider.max = last;
     slider.addEventListener("input", () => { stop(); frame = Number(slider.value); draw(); });
-    // The same keys wherever the focus is, but on what has a use for them.
+    // Keys work everywhere except on controls that use them.
     player.addEventListener("keydown", (event) => {
       if (event.altKey || event.ctrlKey || event.metaKey || event.target.matches("select, [type=checkbox]")) return;
       if (event.key === " " && event.target !== button) { event.preventDefault(); play(); }
@@ -300,7 +300,7 @@
   const near = new IntersectionObserver((entries) => {
     entries.filter((entry) => entry.isIntersecting).forEach((entry) => { near.unobserve(entry.target); start(entry.target); });
   });
-  // What stands in something closed waits until it is seen: a page may have hundreds.
+  // Players in closed elements start when visible; a page may have hundreds.
   document.querySelectorAll("[data-player][hidden]").forEach((player) => {
     player.hidden = false;
     if (player.closest("details:not([open])")) near.observe(player); else start(player);

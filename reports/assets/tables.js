@@ -1,19 +1,19 @@
-// Tables: sorted by the head of a column, filtered as you type, and saved as CSV: numbers with the digits that the page holds, one row of heads.
+// Tables: sort by column, filter while typing, save as CSV with the page's digits and one header row.
 (() => {
   const { make, named, plain, saveCsv, whose, words } = touchstone;
-  // Fewer rows than this are seen at once.
+  // Fewest rows that get a filter.
   const MANY = 8;
   const DASH = "–";
   const SUPER = "⁻⁰¹²³⁴⁵⁶⁷⁸⁹";
   const lowered = (text) => [...text].map((sign) => "-0123456789"[SUPER.indexOf(sign)]).join("");
-  // 1.5×10⁻³, 10⁻⁷, 16 619.35, −4: as a program reads them.
+  // Parse 1.5×10⁻³, 10⁻⁷, 16 619.35, −4.
   const number = (text) => {
     const found = /^([−-]?)(?:([\d\u202f]+(?:\.\d+)?)(?:×10([⁻⁰-⁹¹²³]+))?|10([⁻⁰-⁹¹²³]+))$/.exec(text);
     if (!found) return null;
     const [, sign, digits, power, alone] = found;
     return `${sign ? "-" : ""}${digits ? digits.replaceAll("\u202f", "") : "1"}${power || alone ? `e${lowered(power || alone)}` : ""}`;
   };
-  // What stands apart in a cell, a unit or a second number, gets a column of its own; why a value is not there stands at the end of the row.
+  // Units and second numbers of a cell get their own columns; reasons of missing values end the row.
   const reasoned = (cell) => [...cell.querySelectorAll(".none > .sr")].map((part) => plain(part.textContent)).join(" ");
   const said = (cell) => {
     const data = cell.querySelectorAll("data");
@@ -28,7 +28,7 @@
     return text === DASH || (reason && text === `${DASH} ${reason}`) ? "" : number(text) ?? text;
   };
   const reasons = (cells) => [...new Set(cells.filter((cell) => cell && !said(cell)).map(reasoned))].filter(Boolean).join("; ");
-  // Of each column the cells of the head above it, from the top: those that span rows or columns stand above all that they span.
+  // Header cells above each column, from the top, including spanning ones.
   const heads = (table) => {
     const grid = [];
     [...(table.tHead ? table.tHead.rows : [])].forEach((row, down) => {
@@ -45,7 +45,7 @@
     return grid.map((cells) => cells.filter(Boolean));
   };
   const title = (table) => table.dataset.name || words(table.caption).split(/[.:;,(]/)[0].trim() || "table";
-  // The cells of a row, with nothing below what spans columns.
+  // The cells of a row; spanned columns are empty.
   const placed = (row) => [...row.cells].flatMap((cell) => [cell, ...Array(cell.colSpan - 1).fill(null)]);
   const bodyRows = (table) => [...table.tBodies].flatMap((body) => [...body.rows]);
 
@@ -66,7 +66,7 @@
     saveCsv(named([...(table.dataset.name ? [] : whose(table)), title(table)], "csv"), [[...head, ...(why.some(Boolean) ? [lacks] : [])], ...lines]);
   };
 
-  // By the words before the first number of a cell, then by that number; what is empty comes last, whichever way.
+  // Sort by the words before a cell's first number, then by the number; empty cells come last.
   const key = (cell) => {
     const text = cell ? said(cell) : "";
     const found = /^([^\d]*?)(-?\d[\d.]*(?:e-?\d+)?)?(?=\D|$)/.exec(text);
@@ -86,12 +86,12 @@
       button.append(...cell.childNodes);
       cell.append(button);
       button.addEventListener("click", () => {
-        // First up, then down, then as it was.
+        // Ascending, descending, original order.
         const next = { ascending: "descending", descending: null }[cell.ariaSort] ?? (cell.ariaSort ? null : "ascending");
         lowest.forEach((other) => other.removeAttribute("aria-sort"));
         if (next) cell.setAttribute("aria-sort", next);
         for (const [body, rows] of first) {
-          // A row that heads its group stays above it.
+          // A group's header row stays above the group.
           const [above, below] = [rows.filter((row) => row.querySelector("[scope=rowgroup]")), rows.filter((row) => !row.querySelector("[scope=rowgroup]"))];
           const sorted = below.map((row) => [key(placed(row)[place]), row]).sort(order(next === "descending"));
           body.append(...(next ? [...above, ...sorted.map(([, row]) => row)] : rows));

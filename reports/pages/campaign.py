@@ -1,7 +1,4 @@
-"""Where a campaign's seconds go: the slowest runs by phases.
-
-And where its numbers come from: commits, machine, versions, command, keys.
-"""
+"""Time spent by phases, and provenance of a campaign."""
 
 from __future__ import annotations
 
@@ -13,8 +10,7 @@ from reports.records.record import ProvenanceRecord, RunRecord
 from reports.wording import count, listing, seconds, spaced
 
 _SLOWEST = 10
-# Phase -> (what it is in words, the group it belongs to). What is not named here is shown by its
-# own name, in the last group.
+# (words, group) by phase; other phases are shown by name in the last group.
 PHASES = {
     "start": ("interpreter", "starting"),
     "imports": ("imports", "starting"),
@@ -43,18 +39,18 @@ _GROUPS: tuple[str, ...] = (
     "judging",
     "other",
 )
-# Sections of a bar are this many units wide in all.
+# Width of the longest bar.
 _WIDTH = 200.0
-# A share below this is told in no sentence.
-_TOLD = 0.1
+# Smallest share that the sentence mentions.
+_MENTIONED = 0.1
 
 
 class Slow(NamedTuple):
     """One run.
 
-    groups: wall seconds of each group; phases: (words, seconds) by length; bar: (x, width, style,
-        words) of its pieces, in all as wide as its share of the
-    slowest run.
+    - groups: wall seconds by group.
+    - phases: (words, seconds), the longest first.
+    - bar: (x, width, style, words) of its pieces, relative to the slowest run.
     """
 
     run: RunRecord
@@ -65,7 +61,7 @@ class Slow(NamedTuple):
 
 
 def time_spent(report: Report) -> Section | None:
-    """The section, or None where no run left a profile."""
+    """Return the section, None without profiles."""
     profiled = sorted(
         (run for run in report.stored.runs if run.profile),
         key=lambda run: (-run.wall_seconds, run.key),
@@ -91,7 +87,6 @@ def _style(group: str) -> str:
 
 
 def _known(phase: str) -> tuple[str, str]:
-    """In words, and the group."""
     return PHASES.get(phase, (spaced(phase), _GROUPS[-1]))
 
 
@@ -116,7 +111,6 @@ def _slow(run: RunRecord, link: str, longest: float) -> Slow:
 
 
 def _sentence(runs: list[RunRecord]) -> str:
-    """What the wall time of all profiled runs was spent on, largest first."""
     spent: defaultdict[str, float] = defaultdict(float)
     for run in runs:
         for phase, took in run.profile.items():
@@ -125,12 +119,14 @@ def _sentence(runs: list[RunRecord]) -> str:
     if whole <= 0.0:
         return ""
     longest = sorted(spent.items(), key=lambda item: -item[1])
-    told = [
-        f"{name} ({100 * took / whole:.0f} %)" for name, took in longest if took >= _TOLD * whole
+    phrases = [
+        f"{name} ({100 * took / whole:.0f} %)"
+        for name, took in longest
+        if took >= _MENTIONED * whole
     ]
     return (
-        f"Of the {seconds(whole)} s of {count(len(runs), 'run')}, most went to {listing(told)}."
-        if told
+        f"Of the {seconds(whole)} s of {count(len(runs), 'run')}, most went to {listing(phrases)}."
+        if phrases
         else ""
     )
 
@@ -139,7 +135,7 @@ _SAME = ("touchstone", "commit", "python", "platform", "cpu", "compiler")
 
 
 def provenance(report: Report) -> Section | None:
-    """The section, or None where nothing is stored that has an origin."""
+    """Return the section, None without provenance."""
     stored = report.stored
     first = (
         stored.campaign.provenance
@@ -150,22 +146,22 @@ def provenance(report: Report) -> Section | None:
         return None
     runs = [(run, report.link(run), differences(first, run.provenance)) for run in stored.runs]
     others = sum(bool(differs) for _, _, differs in runs)
-    said = f"Commit, machine, versions and key of each run; {others or 'none'} of {count(len(runs), 'run')} come from elsewhere than the campaign."
+    sentence = f"Commit, machine, versions and key of each run; {others or 'none'} of {count(len(runs), 'run')} come from elsewhere than the campaign."
     values = {"first": first, "runs": runs, "campaign": stored.campaign}
-    return Section("provenance", "Provenance", "campaign.html#provenance", values, said=said)
+    return Section("provenance", "Provenance", "campaign.html#provenance", values, said=sentence)
 
 
 def differences(first: ProvenanceRecord, other: ProvenanceRecord) -> list[str]:
-    """What a run's origin has other than the campaign's, in words."""
-    told = [
+    """Return the differences of a run's provenance from the campaign's."""
+    result = [
         f"{name} {getattr(other, name)}"
         for name in _SAME
         if getattr(first, name) != getattr(other, name)
     ]
     names = sorted(set(first.packages) | set(other.packages))
-    told += [
+    result += [
         f"{name} {other.packages.get(name, 'absent')}"
         for name in names
         if first.packages.get(name) != other.packages.get(name)
     ]
-    return told
+    return result

@@ -1,8 +1,4 @@
-"""What a campaign checks beside its runs: FMUs, a row a scene and version of FMI, or anybody's, with every check of each; and the stress cases.
-
-A stress case is a row: what a correct system does, what happened, the metrics, and whether that
-passes; below them their plots.
-"""
+"""Checks of a campaign: FMUs with all their checks, and stress cases with metrics and plots."""
 
 from __future__ import annotations
 
@@ -21,12 +17,12 @@ from reports.wording import Sign, capital, count, listing, number, spaced
 
 FMU = "FMU"
 STATUSES = ("passed", "failed", "not offered")
-# Told where there are some.
+# Statuses shown only if they occur.
 RARE = ("advice", "waived")
 
 
 class FmuView(NamedTuple):
-    """One check. ended: the word for how it ended, if it did not pass."""
+    """One check; ended: how it ended if it did not pass."""
 
     record: CheckRecord
     name: str
@@ -36,20 +32,17 @@ class FmuView(NamedTuple):
 
 
 def fmus(report: Report) -> Section | None:
-    """The section, or None where no FMU was checked."""
+    """Return the section, None without FMUs."""
     records = [record for record in report.stored.checks if record.kind == FMU]
     return fmus_of(records) if records else None
 
 
 def fmus_of(records: Sequence[CheckRecord]) -> Section:
-    """The section of these checks of FMUs.
-
-    Of anybody's, which are of no scene, it says how they were made.
-    """
+    """Return the section of checks of FMUs; external ones include how they were made."""
     views = [_view(record, place) for place, record in enumerate(records)]
     sentence = _sentence(views)
     ours = any(record.scene for record in records)
-    # Of several FMUs each claim stands once: in their tables it would be most of the page.
+    # With several FMUs claims are listed once, instead of in every table.
     rows = [row for record in records if record.fmu is not None for row in record.fmu.rows]
     claims = list(dict.fromkeys((row.name, row.claim) for row in rows)) if len(views) > 1 else []
     statuses = (
@@ -95,12 +88,11 @@ def _sentence(views: list[FmuView]) -> str:
         f"{number} {status}" for status, number in numbers.items() if number or status in STATUSES
     )
     bad = sum(not view.record.passed for view in views)
-    told = f"{bad} of them {'does' if bad == 1 else 'do'} not pass" if bad else "every one passes"
+    result = f"{bad} of them {'does' if bad == 1 else 'do'} not pass" if bad else "every one passes"
     cost = sum(view.record.cpu_seconds for view in views)
-    return f"{count(len(views), 'FMU')}{of_scenes} in FMI {versions}: {told}. Checks: {counts}; {cost:.0f} CPU seconds."
+    return f"{count(len(views), 'FMU')}{of_scenes} in FMI {versions}: {result}. Checks: {counts}; {cost:.0f} CPU seconds."
 
 
-# What records call it.
 STRESS_CASE = "stress case"
 PASS = Sign("pass", "✓", "holds", "every metric is within its limit")
 FAIL = Sign("fail", "✗", "violates", "a metric is beyond its limit")
@@ -113,19 +105,16 @@ _STYLES = (
     ("c4", "circle"),
     ("c5", "square"),
 )
-# Figures of a case in the table: those that fail, then the first ones.
+# Figures of a case in the table, failing ones first.
 _IN_TABLE = 2
-# Curves of more points than this are drawn without markers.
+# Largest number of points drawn with markers.
 _MARKED = 60
-# Of the decades of a logarithmic axis, the share that is left free below them for zeros.
+# Share of a logarithmic axis left free below for zeros.
 _BELOW = 0.08
 
 
 class CaseRow(NamedTuple):
-    """One case. number and title are parts of its name.
-
-    decisive: the metrics that the table shows.
-    """
+    """One case, with number and title from its name; decisive: metrics for the table."""
 
     anchor: str
     number: str
@@ -138,7 +127,7 @@ class CaseRow(NamedTuple):
 
 
 def stress_cases(report: Report) -> Section | None:
-    """The section, or None where no stress case ran."""
+    """Return the section, None without stress cases."""
     records = sorted(
         (item for item in report.stored.checks if item.kind == STRESS_CASE),
         key=lambda item: item.name,
@@ -156,8 +145,10 @@ def stress_cases(report: Report) -> Section | None:
         "marks": {True: PASS, False: FAIL},
         "seconds": spent,
     }
-    said = f"{passed}: stiff, grazing, simultaneous and other contact on which solvers go wrong, each with its metrics and plots."
-    return Section("stress-cases", "Stress cases", "checks.html#stress_cases", values, said=said)
+    sentence = f"{passed}: stiff, grazing, simultaneous and other contact on which solvers go wrong, each with its metrics and plots."
+    return Section(
+        "stress-cases", "Stress cases", "checks.html#stress_cases", values, said=sentence
+    )
 
 
 def _row(record: CheckRecord) -> CaseRow:
@@ -172,7 +163,7 @@ def _row(record: CheckRecord) -> CaseRow:
         sign=sign,
         happened=record.found
         or record.message
-        or f"It ended as {spaced(record.outcome)}, without a word.",
+        or f"It ended as {spaced(record.outcome)}, without a message.",
         decisive=tuple(sorted(judged, key=lambda figure: figure.ok is not False)[:_IN_TABLE]),
         plots=tuple(
             plot_of(chart) for chart in record.charts if any(series.x for series in chart.series)
@@ -181,7 +172,7 @@ def _row(record: CheckRecord) -> CaseRow:
 
 
 def plot_of(chart: ChartRecord) -> Plot:
-    """A chart as it is drawn."""
+    """Return the plot of a chart."""
     across = _axis(chart.x, [x for series in chart.series for x in series.x])
     up = _axis(
         chart.y,
@@ -222,7 +213,7 @@ def plot_of(chart: ChartRecord) -> Plot:
         for series in chart.series
         for x, y in zip(series.x, series.y, strict=True)
     ):
-        plot.words += " Zeros have no place on a logarithmic axis: their points stand at its lower end, off the line."
+        plot.words += " Zeros cannot be drawn on a logarithmic axis: their points are at its lower end, off the line."
     return plot
 
 
@@ -233,12 +224,12 @@ def _low(value: float, axis: Axis) -> bool:
 def _axis(axis: AxisRecord, values: list[float]) -> Axis:
     positive = [value for value in values if value > 0]
     if axis.log and positive:
-        if len(positive) < len(values):  # room below, so that zeros lie under everything else
+        if len(positive) < len(values):  # room for zeros below
             positive.append(min(positive) * (max(positive) / min(positive)) ** -_BELOW / 2)
         return Axis.fitted(axis.quantity, axis.unit, positive, log=True)
     return Axis.fitted(axis.quantity, axis.unit, values)
 
 
 def _drawn(values: tuple[float, ...], axis: Axis) -> list[float]:
-    """Zero and less are drawn at the low end of a logarithmic axis, where room was made for them."""
+    """Return values, with zeros at the low end of a logarithmic axis."""
     return [max(value, axis.low) if axis.log else value for value in values]

@@ -1,7 +1,6 @@
-"""What a reader sees first: three findings, speed against error, every scene by every pipeline, a film strip; what failed; and what leads to the other pages.
+"""First screen of a report: findings, speed against error, matrix, film strip; failures; index.
 
-What failed is grouped by cause: each cause once, with its advice and its runs; with it what makes
-the campaign fail, and what could not be read.
+Failures are grouped by cause, with causes of the campaign's failure and unreadable files.
 """
 
 from __future__ import annotations
@@ -37,11 +36,7 @@ from reports.wording import (
 
 
 class Place(NamedTuple):
-    """A run as the matrix shows it.
-
-    ratio: its cost over that of the cheapest run on its scene that holds, None where it does not
-    hold or costs nothing.
-    """
+    """A cell of the matrix; ratio: cost over the scene's cheapest, None if it does not hold."""
 
     run: RunRecord
     link: str
@@ -50,7 +45,7 @@ class Place(NamedTuple):
 
 
 def build(report: Report) -> Section:
-    """The first section of report.html; of a folder without runs it says that."""
+    """Return the first section of report.html."""
     runs = report.stored.runs
     values = {
         "notices": notices(report),
@@ -68,38 +63,32 @@ def build(report: Report) -> Section:
 
 
 def _places(report: Report) -> dict[tuple[str, str], Place]:
-    """(pipeline, scene) -> what the matrix shows."""
-    least, found = least_costs(report.stored.runs), {}
+    least, cells = least_costs(report.stored.runs), {}
     for run in report.stored.runs:
         ratio = cost_ratio(run, least)
-        found[run.pipeline, run.scene.name] = Place(
+        cells[run.pipeline, run.scene.name] = Place(
             run, report.link(run), ratio, _words(run, ratio)
         )
-    return found
+    return cells
 
 
 def _words(run: RunRecord, ratio: float | None) -> str:
-    """What a cell says on hover: the pipeline, the scene, the verdict and why."""
     price, cause = run.cost, cause_of(run)
-    said = f"{run.pipeline} on {run.scene.name}: {run.verdict}"
+    text = f"{run.pipeline} on {run.scene.name}: {run.verdict}"
     if ratio is not None:
-        return f"{said}, cost {cost(price)}" + (
+        return f"{text}, cost {cost(price)}" + (
             f", {number(ratio, 3)} times the cheapest" if ratio > 1 else ", the cheapest"
         )
     if cause is None:
         reason = not_applicable(run)
-        return f"{said}. {reason}" if reason else said
+        return f"{text}. {reason}" if reason else text
     metric = deciding(run.stages[-1]) if run.stages else None
     if metric is None or metric.value is None:
-        return f"{said}. {cause.sentence}"
-    return f"{said}. {cause.sentence} ({number(metric.value, 3)} {unit(metric.unit)}, limit {number(metric.limit, 3)})"
+        return f"{text}. {cause.sentence}"
+    return f"{text}. {cause.sentence} ({number(metric.value, 3)} {unit(metric.unit)}, limit {number(metric.limit, 3)})"
 
 
 def _about(campaign: CampaignRecord | None, runs: Sequence[RunRecord]) -> dict[str, str] | None:
-    """What was run, when, where, in how much time, and the command that repeats it.
-
-    None where nothing is stored that says so.
-    """
     if campaign is None and not runs:
         return None
     provenance = campaign.provenance if campaign else runs[0].provenance
@@ -114,13 +103,12 @@ def _about(campaign: CampaignRecord | None, runs: Sequence[RunRecord]) -> dict[s
 
 
 def _ends_leg(row: Row) -> bool:
-    """Whether it is the last stage of its method in the run: what the method came to, at its tightest eps."""
     later = row.run.stages[row.stage.index + 1 :]
     return not later or later[0].method != row.stage.method
 
 
 def _speed(report: Report) -> Plot | None:
-    """CPU seconds against replay error: a mark for what each method came to, and the names of the pipelines whose medians over their scenes no other beats."""
+    """Return the plot of CPU seconds against replay error, naming the unbeaten pipelines."""
     points = []
     for row in report.rows:
         missed = told_error(row)
@@ -162,7 +150,7 @@ def _speed(report: Report) -> Plot | None:
 
 
 def _strip(report: Report) -> tuple[Film, str, RunRecord] | None:
-    """Of the paper's scene, else of the first that has one: its cheapest plan that holds."""
+    """Return the film strip of the cheapest plan that holds, preferably on the paper's scene."""
     for name in dict.fromkeys((PAPER_SCENE, *(scene.name for scene in report.scenes))):
         for run, _ in report.stored.cheapest(name):
             drawn = strip(run.scene, report.plan(run, run.stages[-1]))
@@ -172,7 +160,7 @@ def _strip(report: Report) -> tuple[Film, str, RunRecord] | None:
 
 
 def index(report: Report, others: Sequence[tuple[str, Section]]) -> Section | None:
-    """The last section of report.html. others: (file name, first section) of each page that is neither a scene's nor a run's."""
+    """Return the index; others: (file name, first section) of each further page."""
     pages = [
         (
             report.page_link(name, section.anchor if report.single else ""),
@@ -183,7 +171,7 @@ def index(report: Report, others: Sequence[tuple[str, Section]]) -> Section | No
     ]
     scenes = []
     for scene in report.scenes:
-        asked = [
+        judged = [
             run
             for run in report.stored.runs
             if run.scene.name == scene.name and run.verdict not in NOT_ASKED
@@ -199,8 +187,8 @@ def index(report: Report, others: Sequence[tuple[str, Section]]) -> Section | No
             (
                 scene,
                 report.scene_link(scene),
-                sum(run.verdict in HOLD for run in asked),
-                len(asked),
+                sum(run.verdict in HOLD for run in judged),
+                len(judged),
                 best,
             )
         )
@@ -211,12 +199,12 @@ def index(report: Report, others: Sequence[tuple[str, Section]]) -> Section | No
     )
 
 
-# So many sentences or files are told one below the other; more are folded.
+# Largest number of sentences or files that are not folded.
 _FEW = 12
 
 
 class FailedRun(NamedTuple):
-    """A run that fails by a cause. by, limit: the value of the metric that decided it, and its limit, or nothing; must: the campaign fails by it."""
+    """A failing run; by, limit: deciding metric and limit; must: the campaign fails by it."""
 
     run: RunRecord
     link: str
@@ -226,7 +214,7 @@ class FailedRun(NamedTuple):
 
 
 class CauseView(NamedTuple):
-    """A cause and its runs, by scene: (name, link, the limit that they share, or nothing, runs)."""
+    """A cause and its runs by scene: (name, link, common limit, runs)."""
 
     cause: Cause
     amount: int
@@ -234,7 +222,7 @@ class CauseView(NamedTuple):
 
 
 def what_failed(report: Report) -> Section:
-    """The section; it says so where nothing failed."""
+    """Return the section of failures."""
     stored = report.stored
     must = failed_keys([*stored.runs, *stored.checks])
     groups = [_cause_view(report, cause, runs, must) for cause, runs in by_cause(stored.runs)]
@@ -271,13 +259,12 @@ def _cause_view(
 
 
 def _shared(runs: list[FailedRun]) -> str:
-    """The limit of all of them; empty where they have several."""
     limits = {item.limit for item in runs}
     return limits.pop() if len(limits) == 1 else ""
 
 
 def _decided_by(run: RunRecord) -> tuple[str, str]:
-    """`0.43 m` and `0.050 m`: what decided, and its limit."""
+    """Return the deciding value and its limit, as `0.43 m` and `0.050 m`."""
     metric = (
         deciding(run.stages[-1])
         if run.stages and run.verdict in ("violates", "undecided")
@@ -289,29 +276,28 @@ def _decided_by(run: RunRecord) -> tuple[str, str]:
 
 
 def _by_sentence(unreadable: tuple[Unreadable, ...]) -> list[tuple[str, list[str]]]:
-    """(why, the files of which it is true)."""
-    found: dict[str, list[str]] = {}
+    by_reason: dict[str, list[str]] = {}
     for item in unreadable:
-        found.setdefault(item.sentence, []).append(item.path)
-    return list(found.items())
+        by_reason.setdefault(item.sentence, []).append(item.path)
+    return list(by_reason.items())
 
 
 def notices(report: Report) -> list[str]:
-    """What a reader must know before anything else: what is missing, cannot be read, was left out, or was known to be unstable."""
-    stored, said = report.stored, []
+    """Return notices about missing, unreadable, omitted or unstable parts."""
+    stored, sentences = report.stored, []
     if stored.campaign is None:
-        said.append(
+        sentences.append(
             "The campaign's own record is missing or unreadable: this page shows every run it finds, in the order of their names."
         )
     if not stored.runs and not stored.checks:
-        said.append("No run is stored here yet; there is nothing to judge.")
+        sentences.append("No run is stored here yet; there is nothing to judge.")
     if stored.missing:
         has = "has" if len(stored.missing) == 1 else "have"
-        said.append(
+        sentences.append(
             f"{count(len(stored.missing), 'run')} of the campaign {has} no stored record yet; the same command runs them."
         )
     if stored.unreadable:
-        said.append(
+        sentences.append(
             f"{count(len(stored.unreadable), 'file')} could not be read: {_first_reason(stored.unreadable)}."
         )
     if stored.foreign:
@@ -320,15 +306,16 @@ def notices(report: Report) -> list[str]:
             if stored.foreign == 1
             else "belong to another campaign and are"
         )
-        said.append(f"{count(stored.foreign, 'stored run')} in this folder {belongs} left out.")
+        sentences.append(
+            f"{count(stored.foreign, 'stored run')} in this folder {belongs} left out."
+        )
     if stored.campaign is not None:
         if stored.campaign.quick:
-            said.append("This was a quick campaign; what it left out is listed below.")
-        said += [capital(item.warning) for item in stored.campaign.time_steps if item.warning]
-    return said
+            sentences.append("This was a quick campaign; what it left out is listed below.")
+        sentences += [capital(item.warning) for item in stored.campaign.time_steps if item.warning]
+    return sentences
 
 
 def _first_reason(unreadable: tuple[Unreadable, ...]) -> str:
-    """Why most of them could not."""
     (why, files), *others = sorted(_by_sentence(unreadable), key=lambda item: -len(item[1]))
     return (f"of {len(files)} of them " if others else "") + why.rstrip(".").replace("; ", ", ")

@@ -1,10 +1,8 @@
-"""All methods on a scene as scatters: CPU time against replay error and against cost at equal terminal error; cost against where the replay ends.
+"""Scatters of all methods on a scene: CPU time against error and cost, cost against terminal error.
 
-Equal means: within what the scene itself allows. A cost is compared only among plans whose judged
-replay ends within the scene's limits on the terminal error (the scene of a free end has none: there
-the last state is in the cost), and the front is drawn through those that hold, with feedback or
-without. A plan that ends farther away has bought its lower cost with the miss; no price of a metre
-would make the two comparable, so none is invented.
+Costs are compared only among plans whose judged replay ends within the scene's limits; the front is
+drawn through those that hold. A plan that ends farther away has traded the miss for its cost, and
+no exchange rate is assumed.
 """
 
 from __future__ import annotations
@@ -17,12 +15,11 @@ from reports.records.record import TRACKED, MetricRecord, SceneRecord
 from reports.rows import Row, known_cost
 from reports.wording import cost, count, error, listing, seconds, spaced, times
 
-# Below this an error is a rounding error, and below this a clock's tick: drawn at the edge, so that
-# they do not squeeze the rest.
+# Smallest drawn error: rounding.
 SMALLEST = 1e-12
+# Smallest drawn CPU time, a clock's tick [s].
 TICK = 1e-3
-# Families of the methods that end a leg: the paper's three, and ours. Style of their marks, and
-# words.
+# Style and words by family of the last method: the paper's three, and ours.
 FAMILIES = {
     "relaxed": ("c1", "relaxed contact"),
     "gradient": ("c3", "gradient descent"),
@@ -36,7 +33,6 @@ _OF_PAPER = {
     "relu_gd": "gradient",
     "strict_lcp": "exact",
 }
-# Metric, title and quantity of the plots of cost against where the replay ends.
 _ENDS = (
     (
         "replay_terminal_position_error",
@@ -49,11 +45,11 @@ _ENDS = (
         "terminal velocity error",
     ),
 )
-# What is better by less than this, relatively, is not worth a sentence: plans on one grid share its
-# error, and two solves of one problem their cost.
+# Relative difference of equal errors: plans on one grid share its error.
 _SAME_ERROR = 0.05
+# Relative difference of equal costs: two solves of one problem.
 _SAME_COST = 1e-3
-# Beyond this a ratio of errors says no more than that one of them is nearly none.
+# Largest quoted ratio of errors.
 _MANY = 1000.0
 
 _FREE = "This scene has no inputs: nothing is planned, so there are no methods to compare. Its free motion is replayed and judged all the same."
@@ -63,11 +59,11 @@ Point = tuple[float, float, Row]
 
 
 def build(report: Report, scene: SceneRecord) -> Section | None:
-    """The section of one scene, or None where no stage on it is stored.
+    """Return the section of one scene, None without stages.
 
-    failed: (row, why it has no point) of methods that gave no plan to compare; refused: pipelines
-        that do not apply; nothing: why there is no plot, where
-    there is none.
+    - failed: (row, reason) of methods without a comparable plan.
+    - refused: pipelines that do not apply.
+    - nothing: reason for missing plots.
     """
     rows = report.rows_of_scene(scene)
     ran = [row for row in rows if row.stage.outcome != "refused"]
@@ -97,28 +93,22 @@ def build(report: Report, scene: SceneRecord) -> Section | None:
 
 
 def cpu(row: Row) -> float:
-    """CPU seconds of a stage and of those it starts from."""
+    """Return the CPU seconds of a stage, including the stages before."""
     return sum(stage.seconds.stage_cpu for stage in row.chain)
 
 
 def replay_error(row: Row) -> MetricRecord | None:
-    """Of the replay that is judged."""
+    """Return the metric of the judged replay."""
     return row.stage.judged("replay_error")
 
 
 def arrives(row: Row) -> bool:
-    """Whether its replay ends within the scene's limits on the terminal error.
-
-    True where there is none.
-    """
+    """Return whether the replay meets the scene's limits on the terminal error, if any."""
     return all(metric.ok is True for metric in _terminal(row))
 
 
 def _terminal(row: Row) -> list[MetricRecord]:
-    """The limited terminal errors of the judged replay.
-
-    Where the scene limits none of a replay, those on the plan's own grid.
-    """
+    """Return the limited terminal errors of the judged replay, else of the plan's own grid."""
     limited = [
         metric
         for metric in row.stage.metrics
@@ -142,7 +132,6 @@ def _why_absent(row: Row) -> str:
 
 
 def _error_view(rows: list[Row]) -> tuple[Plot, str] | None:
-    """A plot and the sentence that concludes from its numbers."""
     points = [
         (max(cpu(row), TICK), value, row) for row in rows if (value := told_error(row)) is not None
     ]
@@ -151,17 +140,17 @@ def _error_view(rows: list[Row]) -> tuple[Plot, str] | None:
     unit = next(metric.unit for _, _, row in points if (metric := replay_error(row)))
     axis = Axis.fitted("replay error", unit, [y for _, y, _ in points], log=True, margin=0.06)
     plot = _against_time("CPU time against replay error", axis, points, unbeaten(points), error)
-    said = _concluded(
+    conclusion = _concluded(
         unbeaten([point for point in points if point[2].holds]),
         lambda y: f"replay error {error(y)}{' ' + unit if unit in ('m', 'rad') else ''}",
         lambda before, after: f"{_nearer(before / after)} nearer to its replay",
         _SAME_ERROR,
     )
-    return plot, said or _nothing_holds(len(points))
+    return plot, conclusion or _nothing_holds(len(points))
 
 
 def told_error(row: Row) -> float | None:
-    """The replay error, or the replay's own error where that is larger: less cannot be told apart."""
+    """Return the larger of the replay error and the replay's own error."""
     metric, replay = replay_error(row), row.stage.replay
     if metric is None or metric.value is None:
         return None
@@ -169,7 +158,6 @@ def told_error(row: Row) -> float | None:
 
 
 def _cost_view(scene: SceneRecord, rows: list[Row]) -> tuple[Plot, str] | None:
-    """The same of costs."""
     plans = [row for row in rows if row.stage.cost is not None and replay_error(row) is not None]
     points = [
         (max(cpu(row), TICK), price, row)
@@ -191,13 +179,13 @@ def _cost_view(scene: SceneRecord, rows: list[Row]) -> tuple[Plot, str] | None:
     def cheaper(before: float, after: float) -> str:
         return f"{100 * (1 - after / before):.2g} % cheaper" if before > 0 else "cheaper"
 
-    said = _concluded(lasting, lambda y: f"cost {cost(y)}", cheaper, _SAME_COST)
-    left = (
+    conclusion = _concluded(lasting, lambda y: f"cost {cost(y)}", cheaper, _SAME_COST)
+    excluded = (
         f" Not compared, because the replay ends farther from the goal than the scene allows: {count(off, 'plan')}."
         if off
         else ""
     )
-    return plot, (said or _nothing_holds(len(points))) + left
+    return plot, (conclusion or _nothing_holds(len(points))) + excluded
 
 
 def _nothing_holds(plans: int) -> str:
@@ -210,7 +198,7 @@ def _concluded(
     gain: Callable[[float, float], str],
     same: float,
 ) -> str:
-    """From the plans that hold and that no other such plan beats, cheapest first: what the first costs, and what each better one costs more."""
+    """Return a conclusion from a front, the cheapest first: costs of the first and better plans."""
     if not front:
         return ""
     steps = [front[0]]
@@ -219,17 +207,17 @@ def _concluded(
             steps.append(point)
     (first, least, row), rest = steps[0], steps[1:]
     by = f" by more than {100 * same:g} %" if len(steps) < len(front) else ""
-    said = f"The least CPU time for a plan that holds is {seconds(first)} s ({row.named}), {value(least)}."
+    text = f"The least CPU time for a plan that holds is {seconds(first)} s ({row.named}), {value(least)}."
     if not rest:
-        return f"{said} No other plan that holds is better{by}, whatever time it takes."
+        return f"{text} No other plan that holds is better{by}, whatever time it takes."
     after, better, second = rest[0]
-    told = f"{seconds(after)} s ({second.named}): {value(better)}, {gain(least, better)}"
-    said += f" The next one that is better{by} takes {_longer(after / first)}, {told}."
+    detail = f"{seconds(after)} s ({second.named}): {value(better)}, {gain(least, better)}"
+    text += f" The next one that is better{by} takes {_longer(after / first)}, {detail}."
     if len(rest) == 1:
-        return f"{said} More time buys nothing further."
+        return f"{text} More time buys nothing further."
     last, best, third = rest[-1]
-    told = f"{seconds(last)} s ({third.named}): {value(best)}, {gain(least, best)}"
-    return f"{said} The best takes {_longer(last / first)} as the first, {told}."
+    detail = f"{seconds(last)} s ({third.named}): {value(best)}, {gain(least, best)}"
+    return f"{text} The best takes {_longer(last / first)} as the first, {detail}."
 
 
 def _nearer(ratio: float) -> str:
@@ -241,10 +229,7 @@ def _longer(ratio: float) -> str:
 
 
 def ends(report: Report, scene: SceneRecord) -> Section | None:
-    """Cost against terminal error after the replay, positions and velocities apart.
-
-    None where no stage on the scene has a cost and an error.
-    """
+    """Return plots of cost against final positions and velocities, None without values."""
     rows = report.rows_of_scene(scene)
     plots, best = [], []
     for name, title, quantity in _ENDS:
@@ -271,7 +256,7 @@ def ends(report: Report, scene: SceneRecord) -> Section | None:
 
 
 def unbeaten(points: list[Point]) -> list[Point]:
-    """The lower-left front of (x, y, row): each point is lower than all that lie farther left."""
+    """Return the lower-left front of (x, y, row), from the left."""
     front: list[Point] = []
     for point in sorted(points, key=lambda point: point[:2]):
         if not front or point[1] < front[-1][1]:
@@ -280,7 +265,7 @@ def unbeaten(points: list[Point]) -> list[Point]:
 
 
 def draw_front(plot: Plot, corners: list[tuple[float, float]]) -> None:
-    """The staircase through the points of a front, from the left; nothing where there is none."""
+    """Draw the staircase through the points of a front, from the left."""
     path: list[tuple[float, float]] = []
     for x, y in corners:
         path += [(x, path[-1][1] if path else plot.y.high), (x, y)]
@@ -290,13 +275,13 @@ def draw_front(plot: Plot, corners: list[tuple[float, float]]) -> None:
 
 
 def keys(front: str) -> list[Key]:
-    """The legend of a scatter of stages. front: what its line is."""
+    """Return the legend of a scatter; front: meaning of its line."""
     families = [Key(style, words, "circle") for style, words in FAMILIES.values()]
     return [*families, Key("c2 full", "filled: holds", "circle"), Key("front", front)]
 
 
 def style_of(row: Row) -> str:
-    """CSS class of a stage's mark: its family, filled where its plan holds."""
+    """Return the CSS class of a stage: its family, filled if the plan holds."""
     return FAMILIES[_OF_PAPER.get(row.stage.method, "ours")][0] + (" full" if row.holds else "")
 
 
@@ -309,7 +294,7 @@ def _scatter(
     line: str,
     tip: Callable[[Point], str],
 ) -> Plot:
-    """Points that lead to their runs, the staircase through those of the front, which have their names beside them. line: what the front is."""
+    """Return a scatter with links to runs, and its front with names; line: meaning of the front."""
     plot = Plot(title, x, y, width=720, height=400, keys=keys(line))
     draw_front(plot, [point[:2] for point in front])
     for point in points:

@@ -1,4 +1,4 @@
-"""Data of the scene player: shapes, poses of plan and replay, forces, on a common grid of frames."""
+"""Data of the scene player: shapes, poses of plan and replay, forces, on common frames."""
 
 from __future__ import annotations
 
@@ -15,32 +15,29 @@ from reports.records.record import ContactRecord, RunRecord, SceneRecord, ShapeR
 from reports.traces import Motion, Trace, at_all
 from reports.wording import number
 
-# Frames of a film: smooth at the speed of the clock for a few seconds of motion.
+# Frames of a film, smooth for a few seconds of motion.
 _FRAMES = 151
-# Grains of a position over the extent of the whole motion: a quarter of a pixel at the player's
-# full width. Levels of a force: a third of its bar's.
+# Grains of positions over the extent of the motion: a quarter of a pixel at full width.
 _GRAINS = 3600
+# Levels of a force: a third of a pixel of its bar.
 _LEVELS = 1000
-# Grain of an angle [rad]: a bar of 500 pixels ends a quarter of one off.
+# Grain of an angle [rad]: a quarter of a pixel at the end of a bar of 500.
 _ANGLE = 5e-4
-# Which of two shapes has the side that the other meets: the flatter. A disc has none.
+# Rank of shapes by flatness: the flatter of two has the touched side.
 _SIDES = {"line": 1, "box": 2, "wall": 3}
-# How much of its range a gap may differ from the distance to that side.
+# Largest deviation of a gap from the distance to that side, over the gap's range.
 _FLAT = 1e-3
 
 
 class Film(NamedTuple):
-    """What moves: JSON for the script, safe inside a script element, or the SVG of a strip.
-
-    And what it shows in words.
-    """
+    """A film: JSON for the script, or the SVG of a strip, and its content in words."""
 
     markup: Markup
     words: str
 
 
 def film(run: RunRecord, motions: Sequence[Motion]) -> Film | None:
-    """The film of the last stage with poses, or None. motions: of each stage."""
+    """Return the film of the last stage with poses, or None; motions: by stage."""
     shapes = [shape for shape in run.scene.shapes if shape.size]
     pairs = zip(reversed(run.stages), reversed(motions), strict=True)
     stages = ((stage, motion.plan, motion.judged(stage)) for stage, motion in pairs)
@@ -96,10 +93,7 @@ def film(run: RunRecord, motions: Sequence[Motion]) -> Film | None:
 
 
 def script_json(data: object) -> Markup:
-    """JSON that cannot end the script element it stands in.
-
-    NaN is refused, because JSON has none.
-    """
+    """Return JSON that cannot end its script element; NaN is refused."""
     return Markup(
         json.dumps(data, allow_nan=False, separators=(",", ":"))
         .replace("<", "\\u003c")
@@ -108,7 +102,7 @@ def script_json(data: object) -> Markup:
 
 
 def _goal(shape: ShapeRecord) -> tuple[float, float, float | None] | None:
-    """Where the goal puts the shape, if that can be drawn: all but a disc need their angle."""
+    """Return a shape's goal if it can be drawn: all but discs need an angle."""
     return (
         shape.goal
         if shape.goal is not None and (shape.goal[2] is not None or shape.kind == "disc")
@@ -119,7 +113,7 @@ def _goal(shape: ShapeRecord) -> tuple[float, float, float | None] | None:
 def _track(
     trace: Trace, names: list[str], times: NDArray[np.float64]
 ) -> list[NDArray[np.float64] | None]:
-    """Of each shape x, y and angle at the times (3, frames); None where none is stored."""
+    """Return x, y and angle (3, frames) of each shape, None if not stored."""
     stored = [trace.poses.get(name) for name in names]
     return [
         None if poses is None else np.array([at_all(trace.t, axis, times) for axis in poses.T])
@@ -130,7 +124,7 @@ def _track(
 def _touch(
     shapes: list[ShapeRecord], traces: Sequence[Trace | None], contact: ContactRecord
 ) -> dict[str, object] | None:
-    """Where the contact's arrows are drawn: on the two shapes it acts between, along the way in which its gap opens, from whichever trace shows it."""
+    """Return where a contact's arrows are drawn: two shapes, and the direction of the gap."""
     drawn = [shape.name for shape in shapes]
     if not set(contact.bodies) <= set(drawn):
         return None
@@ -155,10 +149,10 @@ def _touch(
 def _faced(
     trace: Trace | None, body: ShapeRecord, other: ShapeRecord, contact: str
 ) -> tuple[float, float] | None:
-    """The point of the body that a side of the other meets, and the turn of that side's normal against the other's direction [rad].
+    """Return the touching point of a body, and the turn of the other's normal [rad], or None.
 
-    The point: 0 centre, -0.5 and 0.5 the ends of a line. The gap is the distance along that normal,
-    but for a constant; None where no side is such.
+    The point: 0 centre, -0.5 and 0.5 ends of a line. The gap must be the distance along the normal,
+    up to a constant.
     """
     gaps = trace and trace.gap(contact)
     if (
@@ -188,16 +182,14 @@ def _faced(
 
 
 def _extent(tracks: list[NDArray[np.float64] | None]) -> float:
-    """The longer side of what the centres cover [m]; 1 if they stand still."""
     drawn = [track[:2] for track in tracks if track is not None]
     return float(np.ptp(np.concatenate(drawn, axis=1), axis=1).max()) if drawn else 1.0
 
 
 def steps(values: Sequence[float] | NDArray[np.float64], grain: float) -> list[int]:
-    """The first value and then the changes, in grains.
+    """Return the first value (n,) [any unit] and its changes in grains, one number if constant.
 
-    The changes of a sum that is rounded, so that errors do not add up. One number if nothing
-    changes.
+    Changes of rounded sums, so that errors do not accumulate. Raises IndexError without values.
     """
     rounded = np.rint(np.divide(values, grain)).astype(int)
     changes = np.diff(rounded)
@@ -230,7 +222,7 @@ def _stepped(
 def _forces(
     trace: Trace, contacts: list[str], times: NDArray[np.float64]
 ) -> list[NDArray[np.float64] | None]:
-    """Of each contact the largest force within half a frame of each time: a blow shorter than a frame is seen, not stepped over."""
+    """Return each contact's largest force within half a frame, so that short blows are visible."""
     columns = [trace.force(name) for name in contacts]
     half = (times[1] - times[0]) / 2
     return [None if values is None else _peaks(trace.t, values, times, half) for values in columns]
@@ -242,29 +234,27 @@ def _peaks(
     wanted: NDArray[np.float64],
     half: float,
 ) -> NDArray[np.float64]:
-    """The largest value within `half` of each wanted time."""
     length = min(len(times), len(values))
     known, there = times[:length], np.append(values[:length], -np.inf)
     begin, end = (
         np.searchsorted(known, wanted - half, "left"),
         np.searchsorted(known, wanted + half, "right"),
     )
-    # Every second of these is from a beginning to its end; where there is nothing between them,
-    # reduceat gives what lies at the beginning.
+    # reduceat returns the value at an empty interval's start; every second result is an interval.
     inside = np.maximum.reduceat(there, np.column_stack([begin, end]).ravel())[::2]
     return np.maximum(at_all(times, values, wanted), np.where(begin < end, inside, -np.inf))
 
 
-# Moments of a film strip, and sizes of their frames [px].
+# Moments of a film strip.
 _MOMENTS = 6
-_WIDTH = 150.0
-_HEIGHT = 84.0
-_GAP = 8.0
-_FOOT = 26.0
+_WIDTH = 150.0  # of a frame [px]
+_HEIGHT = 84.0  # of a frame [px]
+_GAP = 8.0  # between frames [px]
+_FOOT = 26.0  # for times [px]
 
 
 def strip(scene: SceneRecord, plan: Trace | None) -> Film | None:
-    """Six moments of a plan, first and last among them; None where no shape has poses."""
+    """Return even moments of a plan, None without poses."""
     shapes = [
         shape
         for shape in scene.shapes
@@ -309,7 +299,7 @@ def strip(scene: SceneRecord, plan: Trace | None) -> Film | None:
 def placed(
     shape: ShapeRecord, pose: np.ndarray, middle: np.ndarray, scale: float, colour: int
 ) -> str:
-    """One shape at a pose x, y [m], angle [rad]; up is up."""
+    """Return one shape at a pose (3,): x, y [m], angle [rad]; middle: (2,) [m]. Raises nothing."""
     x, y, angle = (float(value) for value in pose)
     across, up = scale * (x - middle[0]), -scale * (y - middle[1])
     turn = f'transform="translate({across:.1f} {up:.1f}) rotate({-math.degrees(angle):.1f})"'

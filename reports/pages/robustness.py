@@ -1,7 +1,6 @@
-"""How much plans can take: the page of one plan (`validate robust`), and what a campaign's plans that hold survive, scene by scene.
+"""Robustness of one plan (`validate robust`), and of a campaign's plans by scene.
 
-A conclusion counts pairs of plans of one scene whose shares differ by more than chance: their
-intervals of 95 % have nothing in common.
+Conclusions count pairs of plans of a scene with disjoint 95 % intervals.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ from reports.rows import Row
 from reports.wording import cost, count, listing, number
 
 _SHARES = Axis.fitted("share", "", [0.0, 1.0], zero=True)
-# Costs that differ by less, relatively, are the same.
+# Relative difference of equal costs.
 _SAME_COST = 1e-3
-# Fewer pairs that differ by more than chance say nothing.
+# Smallest number of significant pairs for a conclusion.
 _ENOUGH = 5
 
 
 def of_plan(record: RobustnessRecord) -> Section:
-    """The page of one plan."""
+    """Return the section of one plan."""
     values = {
         "record": record,
         "failures": sorted(record.failures, key=lambda item: (item.sizes is None, item.sizes)),
@@ -37,7 +36,7 @@ def of_plan(record: RobustnessRecord) -> Section:
 
 
 class Survivor(NamedTuple):
-    """A plan that was tried: its row, what it costs, and how it fares."""
+    """A tried plan: row, cost, and results."""
 
     row: Row
     price: float
@@ -46,19 +45,18 @@ class Survivor(NamedTuple):
 
     @property
     def weakest(self) -> str:
-        """Such as `c by -0.0833 N s/m, 0.83 of its size`.
-
-        Empty where it takes all that was tried.
-        """
-        found = self.survey
-        if found.sizes is None or found.amount is None:
+        """Return text such as `c by -0.0833 N s/m, 0.83 of its size`, "" without a failure."""
+        survey = self.survey
+        if survey.sizes is None or survey.amount is None:
             return ""
-        of = "" if found.unit == "1" else f" {found.unit}"
-        return f"{found.weakest} by {found.amount:+.3g}{of}, {number(found.sizes, 2)} of its size"
+        of = "" if survey.unit == "1" else f" {survey.unit}"
+        return (
+            f"{survey.weakest} by {survey.amount:+.3g}{of}, {number(survey.sizes, 2)} of its size"
+        )
 
 
 def build(report: Report) -> Section | None:
-    """The section of a campaign: cost against the share of perturbed worlds in which a plan arrives; None where no plan was tried."""
+    """Return the section of a campaign, None if no plan was tried."""
     scenes = [
         (scene, report.scene_link(scene), plans)
         for scene in report.scenes
@@ -69,7 +67,7 @@ def build(report: Report) -> Section | None:
     ]
     if not scenes and not untried:
         return None
-    # Without plans that another way found too: what costs the same and fares the same.
+    # Without duplicates of equal cost and result.
     groups = [
         list(
             {
@@ -78,13 +76,13 @@ def build(report: Report) -> Section | None:
         )
         for *_, plans in scenes
     ]
-    said = [
+    sentences = [
         sentence
         for sentence in (_cheaper(groups), _warm(groups), _feedback(groups), _weakest(groups))
         if sentence
     ]
     values = {
-        "said": said,
+        "said": sentences,
         "scenes": [(scene, link, _plot(plans), plans) for scene, link, plans in scenes],
         "untried": untried,
     }
@@ -93,24 +91,22 @@ def build(report: Report) -> Section | None:
         "What plans survive",
         "robustness.html#campaign",
         values,
-        said=said[0] if said else "",
+        said=sentences[0] if sentences else "",
     )
 
 
 def _tried(report: Report, scene: SceneRecord) -> list[Survivor]:
-    """The plans of a scene that were tried, the cheapest first."""
-    found = [
+    plans = [
         Survivor(row, row.stage.cost, survey, survey.alone)
         for row in report.rows_of_scene(scene)
         if (survey := row.stage.survey) is not None
         and survey.alone is not None
         and row.stage.cost is not None
     ]
-    return sorted(found, key=lambda plan: plan.price)
+    return sorted(plans, key=lambda plan: plan.price)
 
 
 def _compared(pairs: Iterable[tuple[ShareRecord, ShareRecord]]) -> tuple[int, int, int]:
-    """In how many pairs the first share is surely larger, is surely smaller, and may differ by chance."""
     signs = Counter(
         (one.interval[0] > other.interval[1]) - (one.interval[1] < other.interval[0])
         for one, other in pairs
@@ -119,20 +115,18 @@ def _compared(pairs: Iterable[tuple[ShareRecord, ShareRecord]]) -> tuple[int, in
 
 
 def _answer(more: int, fewer: int, words: tuple[str, str]) -> str:
-    """What the pairs say in which one arrives in more worlds, and in fewer. words: where nearly all say the first, the second."""
+    """Return a conclusion from these numbers; words: if the first or the second dominates."""
     if more + fewer < _ENOUGH:
         return "That cannot be told yet"
-    return (
-        words[0] if more > 2 * fewer else words[1] if fewer > 2 * more else "Now one, now the other"
-    )
+    return words[0] if more > 2 * fewer else words[1] if fewer > 2 * more else "Both occur"
 
 
 def _cheaper(groups: Iterable[list[Survivor]]) -> str:
     both = [pair for plans in groups for pair in combinations(plans, 2)]
     pairs = [
-        (dear.alone, cheap.alone)
-        for cheap, dear in both
-        if dear.price - cheap.price > _SAME_COST * abs(dear.price)
+        (expensive.alone, cheap.alone)
+        for cheap, expensive in both
+        if expensive.price - cheap.price > _SAME_COST * abs(expensive.price)
     ]
     if not pairs:
         return ""
@@ -176,7 +170,7 @@ def _feedback(groups: Iterable[list[Survivor]]) -> str:
         100 * median(share.share for share in shares) for shares in zip(*pairs, strict=True)
     )
     return (
-        f"What does feedback buy? Of {count(len(pairs), 'plan')} it surely raises the share in {more} and lowers it in {fewer}; the median goes from "
+        f"What does feedback gain? Of {count(len(pairs), 'plan')} it surely raises the share in {more} and lowers it in {fewer}; the median goes from "
         f"{before:.0f} % of the worlds to {after:.0f} %."
     )
 
@@ -189,11 +183,14 @@ def _weakest(groups: Iterable[list[Survivor]]) -> str:
         if plan.survey.weakest
     ]
     first = [f"{name} in {times}" for name, times in Counter(names).most_common(3)]
-    return f"Plans take least of {listing(first)} of {count(len(names), 'plan')}." if first else ""
+    return (
+        f"Plans are weakest against {listing(first)} of {count(len(names), 'plan')}."
+        if first
+        else ""
+    )
 
 
 def _plot(plans: list[Survivor]) -> Plot:
-    """Cost against the share of worlds, inputs alone, with its interval."""
     prices = [plan.price for plan in plans]
     x = Axis.fitted("cost", "", prices, log=is_wide(prices), margin=0.06)
     plot = Plot(

@@ -1,7 +1,6 @@
-"""The page of one run: the verdict with what decided it, then motion, stages with questions and metrics, plots, where it comes from and how to repeat it.
+"""Page of one run: verdict, motion, stages, metrics, plots and provenance; and a table of all runs.
 
-And all runs as one table, in the campaign's order: verdict, cost, errors apart, seconds, and why;
-in a single file with all that is told of each below it.
+In a single file the table includes the pages.
 """
 
 from __future__ import annotations
@@ -28,10 +27,9 @@ from reports.wording import capital, count, small, tail
 
 
 class StageView(NamedTuple):
-    """A stage and what is drawn of it.
+    """A stage and its plots.
 
-    questions: what was asked and measured, of the last stage; ends: (which replay, where it ends);
-        idle: no method of ours ran.
+    questions: of the last stage; ends: (replay, its end in words); idle: no method of ours ran.
     """
 
     stage: StageRecord
@@ -42,11 +40,7 @@ class StageView(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """Why a run has its verdict.
-
-    question, metric: that decided it, or came nearest to its limit; cause, advice: empty where
-        there is nothing to mend; ends: where its replay ends, in words.
-    """
+    """Why a run has its verdict: deciding question and metric, cause, advice and end."""
 
     question: QuestionRecord | None
     metric: MetricRecord | None
@@ -56,10 +50,7 @@ class Decision(NamedTuple):
 
 
 class RunView(NamedTuple):
-    """A run and its stages; the film shows the last stage that has something to show.
-
-    beside: what `_beside` says.
-    """
+    """A run and its stages; the film shows the last stage with motion; beside: see `_beside`."""
 
     run: RunRecord
     decision: Decision
@@ -71,7 +62,7 @@ class RunView(NamedTuple):
 
 
 def build(report: Report, run: RunRecord) -> Section:
-    """The section of a page that has this run alone."""
+    """Return the section of a page of this run."""
     named = [
         stage.method + (f", ε = {small(stage.eps)}" if stage.eps else "") for stage in run.stages
     ]
@@ -86,7 +77,7 @@ def build(report: Report, run: RunRecord) -> Section:
 
 
 def view_of(report: Report, run: RunRecord) -> RunView:
-    """What is told of a run, from its record and the motions beside it alone."""
+    """Return the view of a run, from its record and motions."""
     motions = [report.motion(run, stage) for stage in run.stages]
     stages = [
         _stage(run.scene, stage, motion, last=stage is run.last)
@@ -104,7 +95,7 @@ def view_of(report: Report, run: RunRecord) -> RunView:
 
 
 def decision_of(run: RunRecord) -> Decision:
-    """What decided the verdict of a run, from its record alone."""
+    """Return what decided the verdict of a run, from its record."""
     last, cause = run.last, cause_of(run)
     metric = deciding(last) if last is not None else None
     number = metric.question if metric is not None else None
@@ -128,12 +119,12 @@ def decision_of(run: RunRecord) -> Decision:
 
 
 def not_applicable(run: RunRecord) -> str:
-    """Why a run does not apply, without the name of its method: `The scene has no inputs, so there is nothing to plan.`; empty where it does."""
+    """Return why a run does not apply, without its method's name, or ""."""
     if run.verdict != "not applicable":
         return ""
     head, colon, reason = run.message.partition(": ")
-    said = (reason if colon and " " not in head else run.message).partition("; ")[0]
-    return capital(said.replace(f"scene {run.scene.name} ", "the scene ", 1))
+    reason_text = (reason if colon and " " not in head else run.message).partition("; ")[0]
+    return capital(reason_text.replace(f"scene {run.scene.name} ", "the scene ", 1))
 
 
 def _stage(scene: SceneRecord, stage: StageRecord, motion: Motion, *, last: bool) -> StageView:
@@ -148,7 +139,7 @@ def _stage(scene: SceneRecord, stage: StageRecord, motion: Motion, *, last: bool
 
 
 def _beside(stages: Sequence[StageRecord]) -> list[tuple[MetricRecord, list[MetricRecord | None]]]:
-    """Judged metrics by questions, with that of each stage, of the replay which is judged, None where it was not measured; empty of one stage alone."""
+    """Return judged metrics of all stages by question, empty for a single stage."""
     rows: dict[str, list[MetricRecord | None]] = {}
     for metric in (metric for stage in stages for metric in stage.metrics if len(stages) > 1):
         if (
@@ -157,27 +148,24 @@ def _beside(stages: Sequence[StageRecord]) -> list[tuple[MetricRecord, list[Metr
             and metric.name not in rows
         ):
             rows[metric.name] = [stage.judged(metric.name) for stage in stages]
-    found = [(next(filter(None, reversed(same))), same) for same in rows.values() if any(same)]
-    return sorted(found, key=lambda row: row[0].question or 7)
+    pairs = [(next(filter(None, reversed(same))), same) for same in rows.values() if any(same)]
+    return sorted(pairs, key=lambda row: row[0].question or 7)
 
 
 def _ends(scene: SceneRecord, stage: StageRecord) -> list[tuple[str, str]]:
-    """Where the replays end, in words: that of the inputs alone, and that with feedback where there is one."""
-    found = [
+    named_ends = [
         ("inputs alone" if stage.is_followed else "replay", end_of(stage, scene, tracked=False))
     ]
     if stage.is_followed:
-        found.append(("with feedback", end_of(stage, scene, tracked=True)))
-    return [(words, end) for words, end in found if end]
+        named_ends.append(("with feedback", end_of(stage, scene, tracked=True)))
+    return [(words, end) for words, end in named_ends if end]
 
 
 class Listed(NamedTuple):
-    """A run as a row. link: of its page.
+    """A run as a row.
 
-    errors: of its judged replay, position and velocity at the end, and from the plan; why: in a few
-    words.
-
-    anchor, view: where it stands and all that is told of it, where that is here.
+    errors: of the judged replay's final position and velocity, and from the plan; anchor, view: of
+    a single file.
     """
 
     run: RunRecord
@@ -190,18 +178,17 @@ class Listed(NamedTuple):
 
 
 def all_runs(report: Report) -> Section | None:
-    """The section, or None where no run is stored."""
+    """Return the section, None without runs."""
     runs = report.stored.runs
     if not runs:
         return None
     listed = [_listed(report, run) for run in runs]
     holding = sum(run.verdict in HOLD for run in runs)
-    said = f"{count(len(runs), 'run')} in one table, {holding} of which {'holds' if holding == 1 else 'hold'}: verdict, cost, errors, seconds and why."
-    # In a single file the contents lead to the first run of each scene: hundreds of lines would be
-    # none.
+    sentence = f"{count(len(runs), 'run')} in one table, {holding} of which {'holds' if holding == 1 else 'hold'}: verdict, cost, errors, seconds and why."
+    # In a single file contents link the first run of each scene only.
     first = {run.scene.name: report.anchor(run) for run in reversed(runs)} if report.single else {}
     entries = tuple((first[scene.name], scene.name) for scene in report.scenes if first)
-    return Section("runs", "All runs", "run.html", {"listed": listed}, entries, said)
+    return Section("runs", "All runs", "run.html", {"listed": listed}, entries, sentence)
 
 
 def _listed(report: Report, run: RunRecord) -> Listed:

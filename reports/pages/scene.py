@@ -1,4 +1,4 @@
-"""A scene itself: what it is, its best plan in motion with contact forces, equations, what it does not need, quantities with units, known answers."""
+"""A scene: its best plan in motion, contact forces, equations, quantities and known answers."""
 
 from __future__ import annotations
 
@@ -16,10 +16,7 @@ from reports.wording import clean, cost, listing, number
 
 
 def time_step(report: Report, scene: str) -> str:
-    """What was known of the scene's time step before anything ran, in a sentence.
-
-    Empty where the campaign does not say.
-    """
+    """Return a sentence on the stability of the scene's time step, "" if unknown."""
     campaign = report.stored.campaign
     known = (
         next((item for item in campaign.time_steps if item.scene == scene), None)
@@ -42,10 +39,7 @@ def time_step(report: Report, scene: str) -> str:
 
 
 class Shown(NamedTuple):
-    """The motion that stands for a scene. said: which of its plans that is.
-
-    film: None where the scene has no shapes.
-    """
+    """The motion shown for a scene, and its plan in words; film: None without shapes."""
 
     run: RunRecord
     link: str
@@ -55,7 +49,7 @@ class Shown(NamedTuple):
 
 
 def build(report: Report, scene: SceneRecord) -> Section:
-    """What the scene is, and its best plan: in motion beside its replay and the goal, with positions and contact forces over time."""
+    """Return the section of a scene, with its best plan's motion, positions and contact forces."""
     values = {
         "scene": scene,
         "shown": _shown(report, scene),
@@ -67,10 +61,7 @@ def build(report: Report, scene: SceneRecord) -> Section:
 
 
 def motion(report: Report, scene: SceneRecord) -> Section | None:
-    """Its best plan in motion, and nothing else.
-
-    None where none is stored, or nothing of the scene has a shape.
-    """
+    """Return a section with the best plan's motion only, None without motion or shapes."""
     shown = _shown(report, scene)
     return (
         Section("motion", scene.title, "scene.html#motion", {"shown": shown})
@@ -80,12 +71,9 @@ def motion(report: Report, scene: SceneRecord) -> Section | None:
 
 
 def _shown(report: Report, scene: SceneRecord) -> Shown | None:
-    """The cheapest plan that holds; else the one whose replay stays nearest to it.
-
-    None where no motion is stored.
-    """
+    """Return the cheapest plan that holds, else the one nearest to its replay, None if none."""
     holding = report.stored.cheapest(scene.name)
-    found = [
+    candidates = [
         (run, f"The cheapest plan that holds: {run.pipeline}, cost {cost(price)}")
         for run, price in holding
     ]
@@ -95,13 +83,13 @@ def _shown(report: Report, scene: SceneRecord) -> Shown | None:
         if row.stage is row.run.stages[-1] and row.metric("replay_error") is not None
     ]
     for row in sorted(others, key=lambda row: row.metric("replay_error") or 0.0):
-        said = (
+        phrase = (
             "No plan holds; nearest to its replay stays"
             if scene.inputs
             else "Its free motion and the replay of it:"
         )
-        found.append((row.run, f"{said} {row.run.pipeline}"))
-    for run, said in found:
+        candidates.append((row.run, f"{phrase} {row.run.pipeline}"))
+    for run, phrase in candidates:
         stage = run.stages[-1]
         motion = report.motion(run, stage)
         plots = stage_plots(scene, stage, motion, whole=False)
@@ -109,7 +97,7 @@ def _shown(report: Report, scene: SceneRecord) -> Shown | None:
             return Shown(
                 run,
                 report.link(run),
-                said,
+                phrase,
                 film(run, [*[Motion()] * (len(run.stages) - 1), motion]),
                 plots,
             )
@@ -117,7 +105,7 @@ def _shown(report: Report, scene: SceneRecord) -> Shown | None:
 
 
 def model(report: Report, scene: SceneRecord) -> Section:
-    """Its equations, quantities and known answers."""
+    """Return the section of equations, quantities and known answers."""
     equations = [
         (equation.caption, safe_mathml(equation.mathml), equation.mathml)
         for equation in scene.equations
@@ -125,7 +113,7 @@ def model(report: Report, scene: SceneRecord) -> Section:
     stages = (
         stage for run in report.stored.runs if run.scene.name == scene.name for stage in run.stages
     )
-    # A size that differs between runs has a row of its own.
+    # A size that differs between runs has its own row.
     sizes = list(
         dict.fromkeys((stage.method, stage.size) for stage in stages if stage.size is not None)
     )
@@ -160,15 +148,16 @@ _ATTRIBUTES = frozenset(
     }
 )
 # fmt: on
-# Deeper than any equation, shallower than what would exhaust the stack.
+# Depth beyond any equation, within the stack.
 _DEEPEST = 60
+# Length beyond any equation.
 _LONGEST = 200_000
-# A hyphen is no minus sign, and the double-struck d of derivatives is in few fonts.
+# True minus signs, and a d that more fonts have.
 _SIGNS = {"-": "−", "ⅆ": "d", "&dd;": "d"}
 
 
 def safe_mathml(text: str) -> Markup | None:
-    """The equation as markup, or None if it is not MathML that this page can trust (show it as text then)."""
+    """Return the equation as markup, None if it is no safe MathML (show text then)."""
     if len(text) > _LONGEST or "<!" in text or "<?" in text:
         return None
     try:

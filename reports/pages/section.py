@@ -1,4 +1,4 @@
-"""What a section is made from, and what it is."""
+"""Sections of pages, and the report they are built from."""
 
 from __future__ import annotations
 
@@ -17,26 +17,23 @@ from reports.records.record import RunRecord, SceneRecord, StageRecord
 from reports.rows import Row, rows_of
 from reports.traces import Motion, Trace, read_motion, read_plan
 
-# The campaign's page, and the folder of all others beside it.
 REPORT = "report.html"
 PAGES = "pages"
-# Length of the digest of a key that tells runs of one name apart.
+# Length of a key's digest in the names of pages.
 _SHORT = 8
-# Characters of a name that the name of a file keeps.
+# Characters removed from the names of files.
 _KEPT = re.compile(r"[^\w.-]+", re.ASCII)
-# Longest part of a page's name that stands for a scene or a pipeline.
+# Largest length of a scene or pipeline in a page's name.
 _LONGEST = 80
-# Names of scenes that are names of files as they are.
+# Names of scenes that are valid names of files.
 _PLAIN = re.compile(r"[\w-]{1,80}", re.ASCII)
 
 
 @dataclass(frozen=True)
 class Report:
-    """The stored records of a campaign, and the rows and scenes in them.
+    """The stored records of a campaign, with their rows and scenes.
 
-    folder: the campaign's, where motions are read from; at: what links to other pages begin with;
-        single: everything stands in one file, so that links
-    lead to anchors in it.
+    folder: with motions; at: prefix of links to other pages; single: one file with anchors.
     """
 
     stored: Stored
@@ -46,30 +43,27 @@ class Report:
 
     @cached_property
     def rows(self) -> list[Row]:
-        """Every stage once, in the order of the paper's table."""
+        """Return every stage once, in the order of the paper's table."""
         return rows_of(self.stored.runs, self.link)
 
     @cached_property
     def scenes(self) -> list[SceneRecord]:
-        """Every scene once, in the order of the campaign."""
-        found: dict[str, SceneRecord] = {}
+        """Return every scene once, in the order of the campaign."""
+        by_name: dict[str, SceneRecord] = {}
         for run in self.stored.runs:
-            found.setdefault(run.scene.name, run.scene)
-        return list(found.values())
+            by_name.setdefault(run.scene.name, run.scene)
+        return list(by_name.values())
 
     def rows_of_scene(self, scene: SceneRecord) -> list[Row]:
-        """The rows of one scene."""
+        """Return the rows of one scene."""
         return [row for row in self.rows if row.run.scene.name == scene.name]
 
     def is_papers(self, scene: SceneRecord) -> bool:
-        """Whether the paper's numbers stand beside ours.
-
-        A scene of its scene's name may be anybody's.
-        """
+        """Return whether the scene has the paper's numbers; an equal name is not enough."""
         return any(row.stage.paper for row in self.rows_of_scene(scene))
 
     def anchor(self, run: RunRecord) -> str:
-        """Where the run stands on a page that has all of them."""
+        """Return the anchor of a run on a page of all runs."""
         return self._anchors[id(run)]
 
     @cached_property
@@ -78,29 +72,26 @@ class Report:
 
     @cached_property
     def pages(self) -> dict[str, str]:
-        """The names of the pages of runs, by their keys."""
+        """Return the names of runs' pages by key."""
         return run_pages(self.stored.runs)
 
     def link(self, run: RunRecord) -> str:
-        """Return the target of links to the run: its page, or its row among all runs if it has none."""
+        """Return a link to the run's page, or to its row among all runs."""
         if self.single:
             return f"#{self.anchor(run)}"
         page = self.pages.get(run.key)
         return self.at + (quote(page) if page else f"runs.html#{self.anchor(run)}")
 
     def scene_anchor(self, scene: SceneRecord) -> str:
-        """Where the scene stands on a page that has all of them."""
+        """Return the anchor of a scene on a page of all scenes."""
         return f"scene-{self.scenes.index(scene) + 1}"
 
     def scene_link(self, scene: SceneRecord) -> str:
-        """What a link to the scene leads to."""
+        """Return a link to a scene."""
         return f"#{self.scene_anchor(scene)}" if self.single else self.at + quote(scene_page(scene))
 
     def page_link(self, page: str, anchor: str = "") -> str:
-        """What a link to one of the other pages leads to.
-
-        Its first section has its name. anchor: of something else on it.
-        """
+        """Return a link to another page, or to an anchor on it."""
         return (
             f"#{anchor or page}"
             if self.single
@@ -108,19 +99,18 @@ class Report:
         )
 
     def motion(self, run: RunRecord, stage: StageRecord) -> Motion:
-        """Plan and replays of a stage of the run."""
+        """Return plan and replays of a stage."""
         return read_motion(self.folder / "runs" / run.key, run, stage)
 
     def plan(self, run: RunRecord, stage: StageRecord) -> Trace | None:
-        """The plan of a stage of the run."""
+        """Return the plan of a stage."""
         return read_plan(self.folder / "runs" / run.key, run, stage)
 
 
 def run_pages(runs: Sequence[RunRecord]) -> dict[str, str]:
-    """Return the names of the pages of runs, by their keys.
+    """Return the names of runs' pages by key: `SCENE--PIPELINE.html`, with a digest if shared.
 
-    A name is `SCENE--PIPELINE.html`, with part of a digest of the key if runs would share it. A run
-    that does not apply to its scene has no page.
+    Runs that do not apply to their scene have no page.
     """
     names = {
         run.key: f"{_plain(run.scene.name)}--{_plain(run.pipeline)}"
@@ -143,16 +133,16 @@ def _digest(text: str) -> str:
 
 
 def scene_page(scene: SceneRecord) -> str:
-    """The name of the scene's page; of a name that is none of a file, a digest."""
+    """Return the name of a scene's page, with a digest for an invalid file name."""
     name = scene.name if _PLAIN.fullmatch(scene.name) else _digest(scene.name)[:16]
     return f"scene-{name}.html"
 
 
 @dataclass(frozen=True)
 class Section:
-    """`template` in reports/templates (file.html, or file.html#block) gets `values` and the `section` itself; `entries` are lines of the table of contents below it.
+    """A section: `template` (file.html, or file.html#block) with `values` and the section itself.
 
-    said: a sentence with its main figure, for the index of report.html.
+    entries: lines of the table of contents. `said`: main result for the index of report.html.
     """
 
     anchor: str

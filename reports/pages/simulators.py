@@ -1,7 +1,4 @@
-"""What engines say: of one plan (`replay --engine`), and of the truth suite (`truth`).
-
-Of the suite: a table of problems by engines, and error against CPU time.
-"""
+"""Results of engines: on one plan (`replay --engine`), and on the truth suite (`truth`)."""
 
 from __future__ import annotations
 
@@ -14,25 +11,25 @@ from reports.records.engines_record import TruthRecord, TruthRow
 
 
 def of_plan(rows: Sequence[Mapping[str, Any]]) -> list[Section]:
-    """The section of one plan; none where no engine was asked."""
+    """Return the section of one plan, none without engines."""
     return (
-        [Section("engines", "What other simulators say", "simulators.html#plan", {"rows": rows})]
+        [Section("engines", "Verdicts of other simulators", "simulators.html#plan", {"rows": rows})]
         if rows
         else []
     )
 
 
 def truth(record: TruthRecord) -> Section:
-    """The section of the page."""
+    """Return the section of the truth suite."""
     plots = [plot_of(chart) for chart in record.charts]
     values = {"record": record, "problems": record.problems, "plots": plots}
-    return Section("truth", "What is true, and what engines make of it", "truth.html", values)
+    return Section("truth", "Exact answers, and results of engines", "truth.html", values)
 
 
 def as_markdown(record: TruthRecord, command: str) -> str:
-    """The same as a page of the docs, without times: it is equal whenever it is made."""
+    """Return the truth suite as a page of the docs, without times, so that it is reproducible."""
     head = ["problem", *record.engines, "exact answer"]
-    made = f"Made by `{command}`; [engines.md](engines.md) says what each engine is told."
+    made = f"Made by `{command}`; [engines.md](engines.md) describes the input of each engine."
     shares = "Errors at the finest of four steps, as shares of the problem's scale; in brackets the order at which they fall with the step."
     lines = ["# The contact truth suite", "", made, "", record.summary, ""]
     lines += [
@@ -49,7 +46,7 @@ def as_markdown(record: TruthRecord, command: str) -> str:
 
 
 def cell(row: TruthRow) -> str:
-    """The error at the finest level and its order, or what came of asking."""
+    """Return the error at the finest level and its order, or the status."""
     if row.came != "done":
         return row.came
     return (

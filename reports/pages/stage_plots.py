@@ -1,4 +1,4 @@
-"""The plots of one stage: planned against replayed, phases of contact, error over time, iteration history."""
+"""Plots of one stage: plan and replay, contact phases, errors, iteration history."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ _KEYS = [
     Key("touch", "replay in contact", "swatch"),
     Key("planned-touch", "plan in contact", "swatch"),
 ]
-# More panels of history than this tell nothing more.
+# Largest number of histories.
 _MOST_HISTORY = 8
+# Number of colours of curves.
 _MOST_COLOURS = 6
-# Ipopt's own column names say little to those who do not know them.
+# Descriptions of Ipopt's column names.
 _HISTORY_WORDS = {
     "inf_pr": "primal infeasibility",
     "inf_du": "dual infeasibility",
@@ -33,7 +34,7 @@ _HISTORY_WORDS = {
 
 
 class StagePlots(NamedTuple):
-    """`absent`: for each thing that cannot be drawn, the reason."""
+    """The plots of a stage, and reasons for absent ones."""
 
     keys: list[Key]
     motion: list[Plot]
@@ -44,10 +45,7 @@ class StagePlots(NamedTuple):
 def stage_plots(
     scene: SceneRecord, stage: StageRecord, motion: Motion, *, whole: bool = True
 ) -> StagePlots:
-    """The plots of a stage; motion: of that stage.
-
-    whole: else positions, contact forces and error alone, as of a stage that another goes on from.
-    """
+    """Return the plots of a stage; whole: include friction, gaps, inputs and history."""
     plan, replay = motion.plan, motion.judged(stage)
     absent = list(motion.problems)
     if stage.is_empty:
@@ -55,11 +53,11 @@ def stage_plots(
     elif plan is None:
         absent.append("No planned trajectory is stored.")
     if replay is None and not stage.is_empty:
-        said = stage.replay.message if stage.replay is not None and stage.replay.message else ""
+        message = stage.replay.message if stage.replay is not None and stage.replay.message else ""
         absent.append(
             "No replay is stored: "
             + (
-                said
+                message
                 or ("there is no plan to replay." if plan is None else "the plan was not replayed.")
             )
         )
@@ -140,7 +138,7 @@ def _positions(
         last = float(line[3][-1])
         ends[name].append(
             f"{item.name} {number(0.0 if abs(last) < ROUNDING else last, 5)}"
-        )  # what is rounding is nought
+        )  # rounding is shown as 0
     plot.words = " ".join(
         f"The {name} ends at {with_unit(', '.join(words), unit)}."
         for name, words in ends.items()
@@ -177,7 +175,7 @@ def _contact(
     size = (
         (lambda values: np.abs(values).max()) if rubs else np.max
     )  # friction acts in two directions
-    told = [
+    sentences = [
         f"Largest{' size' if rubs else ''} in the {name}: {number(size(values), 3)} {unit}."
         for name, *_, values in lines
     ]
@@ -186,10 +184,10 @@ def _contact(
             ", ".join(f"{number(low, 3)} to {number(high, 3)} s" for low, high in phases[:4])
             or "never"
         )
-        told.append(
+        sentences.append(
             f"{'Friction acts' if rubs else 'In contact'} in the replay: {windows}{' and more' if len(phases) > 4 else ''}."
         )
-    plot.words = " ".join(told)
+    plot.words = " ".join(sentences)
     return plot
 
 
@@ -209,7 +207,6 @@ def _error(scene: SceneRecord, x: Axis, replay: Trace | None) -> Plot | None:
 
 
 def _two_errors(scene: SceneRecord, x: Axis, opened: Trace | None, tracked: Trace) -> Plot | None:
-    """Inputs alone and with feedback on one logarithmic axis: what grows, and what feedback leaves of it."""
     lines = [
         (name, style, trace.t, values)
         for name, style, trace in (("inputs alone", "c3", opened), ("with feedback", "c5", tracked))
@@ -221,7 +218,7 @@ def _two_errors(scene: SceneRecord, x: Axis, opened: Trace | None, tracked: Trac
     if not len(positive):
         return None
     unit = "/".join(dict.fromkeys(item.unit for item in scene.coordinates))
-    # The start is exact: below a millionth of the largest nothing needs to be read.
+    # The start is exact: values below a millionth of the largest are clipped.
     floor = max(positive.min(), 1e-6 * positive.max())
     shown = [
         (name, style, times, np.maximum(values, floor)) for name, style, times, values in lines
@@ -236,13 +233,13 @@ def _two_errors(scene: SceneRecord, x: Axis, opened: Trace | None, tracked: Trac
     )
     assert plot is not None
     for name, style, times, values in shown:
-        place = 3 * len(times) // 4  # far from the start, which they share, and from the edge
+        place = 3 * len(times) // 4  # far from the common start, and from the edge
         plot.label(times[place], values[place], name, f"strong {style}")
-    told = [
+    sentences = [
         f"{name.capitalize()}: at most {error(values.max())} {unit}, at the end {error(values[-1])} {unit}."
         for name, *_, values in lines
     ]
-    plot.words = " ".join(told)
+    plot.words = " ".join(sentences)
     return plot
 
 
@@ -291,10 +288,7 @@ def _inputs(scene: SceneRecord, x: Axis, plan: Trace | None, tracked: Trace | No
 
 
 def _history(name: str, values: tuple[float, ...], iterations: int) -> Plot:
-    """One column of the iteration history, over all iterations if it was thinned.
-
-    Logarithmic where it is positive and spans two powers of ten.
-    """
+    """Return a column of the iteration history, logarithmic if it spans two powers of ten."""
     name = _HISTORY_WORDS.get(name, clean(name).replace("_", " "))
     stride = max(1.0, iterations / (len(values) - 1))
     positive = [value for value in values if value > 0]
@@ -303,7 +297,7 @@ def _history(name: str, values: tuple[float, ...], iterations: int) -> Plot:
     plot = Plot(name, x, Axis.fitted(name, "", values, log=log), width=340, height=180)
     shown = [(place, value) for place, value in enumerate(values) if value > 0 or not log]
     plot.line(name, "c0", [place * stride for place, _ in shown], [value for _, value in shown])
-    # With the digits by which they differ, if any.
+    # Enough digits to differ.
     digits = next(
         (digits for digits in (3, 5) if number(values[0], digits) != number(values[-1], digits)), 7
     )

@@ -1,10 +1,7 @@
-"""Numbers that a campaign swept - parameters, starts, goals, grids, options, eps - and how every metric goes with them.
+"""Sweeps of a campaign: metrics against a number that runs differ in, and against eps.
 
-Three carts at k = 30, 60, 120 N/m by one pipeline are three runs that differ in one number: each
-metric is drawn against it.
-
-Of a scene, Figs. 4-6 of the paper: how the plans of a relaxation change while eps is tightened, and
-how the metrics go with eps.
+Three carts at k = 30, 60, 120 N/m by one pipeline are a sweep. For a scene: Figs. 4-6 of the paper,
+plans of a relaxation at decreasing eps.
 """
 
 from __future__ import annotations
@@ -23,27 +20,28 @@ from reports.rows import Row
 from reports.traces import Trace
 from reports.wording import capital, count, error, listing, number, small, spaced, with_unit
 
-# Metrics that are drawn at once; the others are folded.
+# Metrics that are not folded.
 _FIRST = ("replay_error", "replay_terminal_position_error", "replay_terminal_velocity_error")
 _MARKERS = ("circle", "square", "diamond", "triangle")
 # CSS class and marker of a curve.
 Style = tuple[str, str]
-# More curves than colours and markers tell apart are drawn in the order of the campaign.
+# Number of colours of curves.
 _COLOURS = 6
-# Runs that differ in more numbers than this are other runs, not a sweep.
+# Largest number of varied quantities of a sweep.
 _MOST = 3
+
 _PAIR = 2
 
 
 class Quantity(NamedTuple):
-    """A number that differs between runs: `k` [N/m] of the scene, `start q1` [m], `mpcc work`."""
+    """A varied number: `k` [N/m] of the scene, `start q1` [m], `mpcc work`."""
 
     name: str
     unit: str = ""
 
 
 class Mark(NamedTuple):
-    """A value y at x of a curve; tip: in words; holds: whether its plan does."""
+    """A value y at x of a curve; tip: in words; holds: the plan holds."""
 
     curve: str
     x: float
@@ -54,10 +52,7 @@ class Mark(NamedTuple):
 
 
 class SweptRun(NamedTuple):
-    """A run at its values of what was swept. curve: the other values and the pipeline, in words.
-
-    x: of the axis.
-    """
+    """A run of a sweep; curve: other values and the pipeline; x: on the axis."""
 
     run: RunRecord
     link: str
@@ -66,10 +61,7 @@ class SweptRun(NamedTuple):
 
 
 class Sweep(NamedTuple):
-    """One sweep. first: plots of cost, errors and time.
-
-    others: of every other metric that varies.
-    """
+    """One sweep; first: plots of cost, errors and time; others: of further metrics that vary."""
 
     title: str
     anchor: str
@@ -82,36 +74,37 @@ class Sweep(NamedTuple):
 
 
 def build(report: Report) -> Section | None:
-    """The section, or None where no runs differ in a number alone."""
-    found = [
+    """Return the section, None without sweeps."""
+    result = [
         sweep
         for place, group in enumerate(_groups(report.stored.runs), 1)
         if (sweep := _sweep(report, group, f"sweep-{place}"))
     ]
-    if not found:
+    if not result:
         return None
-    said = f"{count(len(found), 'sweep')}: {listing([sweep.title for sweep in found])}; every metric against the swept number."
-    entries = tuple((sweep.anchor, sweep.title) for sweep in found)
-    return Section("sweeps", "Sweeps", "campaign.html#sweeps", {"sweeps": found}, entries, said)
+    sentence = f"{count(len(result), 'sweep')}: {listing([sweep.title for sweep in result])}; every metric against the swept number."
+    entries = tuple((sweep.anchor, sweep.title) for sweep in result)
+    return Section(
+        "sweeps", "Sweeps", "campaign.html#sweeps", {"sweeps": result}, entries, sentence
+    )
 
 
 def _groups(runs: Iterable[RunRecord]) -> list[list[RunRecord]]:
-    """Runs that could differ in numbers alone: of scenes with the same quantities and equations, by the same methods, stage after stage."""
-    found: dict[object, list[RunRecord]] = {}
+    groups: dict[object, list[RunRecord]] = {}
     for run in runs:
         if run.stages and run.verdict != "not applicable":
-            found.setdefault(
+            groups.setdefault(
                 (
                     _kind(run.scene),
                     tuple((stage.method, *_words(stage.options)) for stage in run.stages),
                 ),
                 [],
             ).append(run)
-    return [group for group in found.values() if len(group) > 1]
+    return [group for group in groups.values() if len(group) > 1]
 
 
 def _kind(scene: SceneRecord) -> tuple[object, ...]:
-    """What two scenes have in common that differ in numbers alone."""
+    """Return what scenes of a sweep must have in common."""
     parts = (
         scene.coordinates,
         scene.velocities,
@@ -125,7 +118,6 @@ def _kind(scene: SceneRecord) -> tuple[object, ...]:
 
 
 def _words(options: Mapping[str, object]) -> tuple[tuple[str, object], ...]:
-    """Options that are no numbers."""
     return tuple(
         (name, str(value)) for name, value in sorted(options.items()) if not _is_number(value)
     )
@@ -136,9 +128,8 @@ def _is_number(value: object) -> bool:
 
 
 def _numbers(run: RunRecord) -> dict[Quantity, float]:
-    """All numbers that a campaign can change: of the scene, of the options of each method, and each eps."""
     scene = run.scene
-    found = {
+    result = {
         Quantity(item.name, item.unit): item.value
         for item in scene.parameters
         if item.value is not None
@@ -148,32 +139,31 @@ def _numbers(run: RunRecord) -> dict[Quantity, float]:
         known = [
             (item, value) for item, value in zip(states, values, strict=False) if value is not None
         ]
-        found |= {Quantity(f"{what} {item.name}", item.unit): value for item, value in known}
-    found |= {Quantity("step h", "s"): scene.step, Quantity("steps"): float(scene.steps)}
+        result |= {Quantity(f"{what} {item.name}", item.unit): value for item, value in known}
+    result |= {Quantity("step h", "s"): scene.step, Quantity("steps"): float(scene.steps)}
     for stage in run.stages:
         numbers = {
             name: float(value)
             for name, value in stage.options.items()
             if isinstance(value, (int, float)) and _is_number(value)
         }
-        found |= {
+        result |= {
             Quantity(f"{stage.method} {spaced(name)}"): value for name, value in numbers.items()
         }
         if stage.eps:
-            found[Quantity(f"ε of stage {stage.index + 1}")] = stage.eps
-    return found
+            result[Quantity(f"ε of stage {stage.index + 1}")] = stage.eps
+    return result
 
 
 def _sweep(report: Report, runs: Sequence[RunRecord], anchor: str) -> Sweep | None:
-    """Return the sweep of runs that differ in a few numbers, along the number with most values."""
+    """Return the sweep of runs that differ in few numbers, along the one with most values."""
     values = [_numbers(run) for run in runs]
     common = [quantity for quantity in values[0] if all(quantity in other for other in values)]
     varied = [quantity for quantity in common if len({numbers[quantity] for numbers in values}) > 1]
     if not 0 < len(varied) <= _MOST:
         return None
     axis = max(varied, key=lambda quantity: len({numbers[quantity] for numbers in values}))
-    # What goes with the axis, value for value, is told by it: steps and their length, of one
-    # horizon.
+    # Quantities determined by the axis are not named, such as steps and their length.
     along = {numbers[axis] for numbers in values}
     others = [quantity for quantity in varied if quantity != axis]
     beside = [
@@ -181,18 +171,17 @@ def _sweep(report: Report, runs: Sequence[RunRecord], anchor: str) -> Sweep | No
         for quantity in others
         if len({(numbers[axis], numbers[quantity]) for numbers in values}) > len(along)
     ]
-    # An option of many values is swept by pipelines that are named after it; of two, they are two
-    # pipelines.
+    # An option with many values is a sweep of pipelines named after it, with two values it is not.
     of_method = axis.name.partition(" ")[0] in {stage.method for stage in runs[0].stages}
     option = len(varied) == 1 and of_method and len(along) > _PAIR
     several = len({run.pipeline for run in runs}) > 1 and not option
     swept = []
     for run, numbers in zip(runs, values, strict=True):
-        told = [
+        parts = [
             f"{quantity.name} = {with_unit(number(numbers[quantity]), quantity.unit)}"
             for quantity in beside
         ]
-        curve = ", ".join([run.pipeline, *told] if several else told) or (
+        curve = ", ".join([run.pipeline, *parts] if several else parts) or (
             run.stages[-1].method if option else run.pipeline
         )
         swept.append(SweptRun(run, report.link(run), curve, numbers[axis]))
@@ -201,7 +190,7 @@ def _sweep(report: Report, runs: Sequence[RunRecord], anchor: str) -> Sweep | No
         len({item.x for item in swept if item.curve == curve}) > 1
         for curve in {item.curve for item in swept}
     ):
-        return None  # other pipelines, not one with other numbers
+        return None  # different pipelines, no sweep
     styles = styles_of(item.curve for item in swept)
     first = [_plot(axis, swept, styles, *asked) for asked in _asked(swept)]
     names = dict.fromkeys(
@@ -228,7 +217,7 @@ def _sweep(report: Report, runs: Sequence[RunRecord], anchor: str) -> Sweep | No
 
 
 def _name(names: Sequence[str], axis: Quantity) -> str:
-    """What the names of swept scenes begin with: three_cart of three_cart_k_30 and three_cart_k_60."""
+    """Return the common beginning of swept scenes' names: three_cart of three_cart_k_30."""
     first, last = min(names), max(names)
     shared = next(
         (place for place, pair in enumerate(zip(first, last, strict=False)) if pair[0] != pair[1]),
@@ -239,7 +228,6 @@ def _name(names: Sequence[str], axis: Quantity) -> str:
 
 
 def _asked(swept: Sequence[SweptRun]) -> list[tuple[str, str, Callable[[RunRecord], float | None]]]:
-    """(quantity, unit, value) of the plots that stand first."""
     runs = [item.run for item in swept]
     whole = all(run.integral_cost is None for run in runs)
     price = (
@@ -252,8 +240,6 @@ def _asked(swept: Sequence[SweptRun]) -> list[tuple[str, str, Callable[[RunRecor
 
 
 def _of(name: str) -> Callable[[RunRecord], float | None]:
-    """The value of a metric of a run's last stage, of the replay that is judged."""
-
     def value(run: RunRecord) -> float | None:
         metric = run.stages[-1].judged(name)
         return None if metric is None else metric.value
@@ -275,19 +261,20 @@ def _plot(
     unit: str,
     value: Callable[[RunRecord], float | None],
 ) -> Plot | None:
-    """One metric of the runs of a sweep."""
     marks = []
     for item in swept:
-        found = value(item.run)
-        if found is not None:
+        metric_value = value(item.run)
+        if metric_value is not None:
             where = f"{item.run.pipeline} on {item.run.scene.name}: {axis.name} {with_unit(number(item.x), axis.unit)}"
-            tip = f"{where}, {name} {with_unit(number(found, 4), unit)}, {item.run.verdict}"
-            marks.append(Mark(item.curve, item.x, found, tip, item.link, item.run.verdict in HOLD))
+            tip = f"{where}, {name} {with_unit(number(metric_value, 4), unit)}, {item.run.verdict}"
+            marks.append(
+                Mark(item.curve, item.x, metric_value, tip, item.link, item.run.verdict in HOLD)
+            )
     return draw_against(axis, name, unit, marks, styles)
 
 
 def styles_of(curves: Iterable[str]) -> dict[str, Style]:
-    """Colour and marker of each curve."""
+    """Return colour and marker of each curve."""
     return {
         curve: (f"c{place % _COLOURS}", _MARKERS[place % len(_MARKERS)])
         for place, curve in enumerate(dict.fromkeys(curves))
@@ -295,7 +282,7 @@ def styles_of(curves: Iterable[str]) -> dict[str, Style]:
 
 
 def keys_of(styles: Mapping[str, Style]) -> list[Key]:
-    """A legend; empty of one curve alone, which the sentences name."""
+    """Return the legend, empty for a single curve."""
     return (
         [Key(style, curve, marker) for curve, (style, marker) in styles.items()]
         if len(styles) > 1
@@ -306,12 +293,7 @@ def keys_of(styles: Mapping[str, Style]) -> list[Key]:
 def draw_against(
     axis: Quantity, name: str, unit: str, marks: Sequence[Mark], styles: Mapping[str, Style]
 ) -> Plot | None:
-    """Draw a metric against a swept number, a line for each curve.
-
-    Returns
-    -------
-    plot : Plot, or None if the metric or the swept number is the same for all marks
-    """
+    """Return the plot of a metric against a number, None if either is constant."""
     if len({mark.y for mark in marks}) < 2 or len({mark.x for mark in marks}) < 2:
         return None
     xs, ys = [mark.x for mark in marks], [mark.y for mark in marks]
@@ -321,39 +303,38 @@ def draw_against(
         across,
         Axis.fitted(name, unit, ys, log=is_wide(ys), margin=0.08),
     )
-    said = []
+    phrases = []
     for curve, (style, _) in styles.items():
         mine = sorted((mark.x, mark.y) for mark in marks if mark.curve == curve)
         if mine:
             plot.line(curve, style, [x for x, _ in mine], [y for _, y in mine])
             first, last = mine[0][1], mine[-1][1]
-            said.append(f"{curve}: {number(first, 3)} to {with_unit(number(last, 3), unit)}")
+            phrases.append(f"{curve}: {number(first, 3)} to {with_unit(number(last, 3), unit)}")
     for mark in marks:
         style, marker = styles[mark.curve]
         plot.point(
             mark.x, mark.y, f"{style} full" if mark.holds else style, marker, mark.tip, mark.link
         )
-    plot.words = f"{'; '.join(said)}. Filled: the plan holds."
+    plot.words = f"{'; '.join(phrases)}. Filled: the plan holds."
     return plot
 
 
 def _conclusion(axis: Quantity, swept: Sequence[SweptRun]) -> str:
-    """At which values plans hold."""
-    said = []
+    phrases = []
     for curve in dict.fromkeys(item.curve for item in swept):
         held = dict.fromkeys(
             item.x for item in swept if item.curve == curve and item.run.verdict in HOLD
         )
         values = [with_unit(number(x), axis.unit) for x in held]
-        said.append(
+        phrases.append(
             f"{curve} holds at {axis.name} = {listing(values)}"
             if values
             else f"{curve} holds at no value of {axis.name}"
         )
-    return f"{'; '.join(said)}."
+    return f"{'; '.join(phrases)}."
 
 
-# Metrics that are drawn against eps.
+# Metrics drawn against eps.
 _AGAINST = (
     "replay_terminal_position_error",
     "replay_terminal_velocity_error",
@@ -361,7 +342,7 @@ _AGAINST = (
     "physics_scaled",
     "cost",
 )
-# Classes s0 (loosest) .. s5 (tightest) of the page's sequential colours.
+# Number of sequential colours, CSS classes s0 (loosest) to s5 (tightest).
 _SHADES = 6
 
 
@@ -377,14 +358,13 @@ class TighteningCurve(NamedTuple):
 
 
 def tightening(report: Report, scene: SceneRecord) -> Section | None:
-    """The sweeps of one scene; None where no method on it has more than one eps."""
+    """Return the sweeps over eps of one scene, None if no method has several."""
     rows = [
         row
         for row in report.rows_of_scene(scene)
         if row.stage.kind == "indirect" and row.stage.eps and len(row.methods) == 1
     ]
-    # One sweep a method and pipeline: the same method with other options is another sweep, and not
-    # the paper's figure.
+    # One sweep per method and pipeline: other options are no figure of the paper.
     groups: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         figure = TIGHTENING_FIGURES.get(row.stage.method, "") if row.stage.paper else ""
@@ -431,7 +411,6 @@ def _curve(sweep: TighteningCurve) -> str:
 def _against(
     name: str, sweeps: Sequence[TighteningCurve], styles: Mapping[str, tuple[str, str]]
 ) -> Plot | None:
-    """One metric of all relaxations against eps."""
     marks, unit = [], ""
     for sweep in sweeps:
         for row in sweep.rows:
@@ -472,7 +451,7 @@ def _plots_of_plans(scene: SceneRecord, lines: list[tuple[str, str, Trace]]) -> 
         _positions([item for item in scene.coordinates if item.unit == unit], unit, lines)
         for unit in units
     ]
-    asked = [
+    panels = [
         *(
             (f"lam_{item.name}", f"Contact force, {item.name}", "force", "N")
             for item in scene.contacts
@@ -480,7 +459,7 @@ def _plots_of_plans(scene: SceneRecord, lines: list[tuple[str, str, Trace]]) -> 
         *((f"gap_{item.name}", f"Gap, {item.name}", "gap", "m") for item in scene.contacts),
         *((item.name, f"Input {item.name}", item.name, item.unit) for item in scene.inputs),
     ]
-    for name, title, quantity, unit in asked:
+    for name, title, quantity, unit in panels:
         known = [
             (words, style, plan.t, plan.columns[name])
             for words, style, plan in lines
@@ -520,14 +499,14 @@ def _single(title: str, quantity: str, unit: str, lines: Sequence[Line]) -> Plot
     plot = over_time(title, quantity, unit, lines, zero=True)
     if plot is None:
         return None
-    told = []
+    sentences = []
     for words, style, times, values in lines:
         peak = int(np.abs(values).argmax())
         when = times[min(peak, len(times) - 1)]
-        told.append(
+        sentences.append(
             f"{words}: largest size {with_unit(number(abs(values[peak]), 3), unit)} at {number(when, 3)} s."
         )
         if quantity == "force":
             plot.label(when, values[peak], words, style, anchor="middle")
-    plot.words = " ".join(told)
+    plot.words = " ".join(sentences)
     return plot

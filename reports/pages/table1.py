@@ -1,4 +1,4 @@
-"""The stages on one scene as a table - of the paper's scene beside its Table I - and sentences that say what to conclude, computed from the rows."""
+"""Table of the stages on one scene, the paper's with its Table I, and computed conclusions."""
 
 from __future__ import annotations
 
@@ -11,24 +11,21 @@ from reports.records.record import SceneRecord
 from reports.rows import Row, known_cost, lacking
 from reports.wording import cost, count, error, listing, number, percent, seconds, times, unit
 
-# The paper prints two decimals of costs of some hundreds: what agrees to 1e-4 agrees with the
-# print.
+# Relative agreement of costs with the paper's print: two decimals of some hundreds.
 _SAME_COST = 1e-4
-# A solver that returns twice the cost of another on the same problem has failed, not found another
-# plan.
+# Ratio of costs of one problem beyond which the more expensive solver failed.
 _FAILED_COST = 2.0
 _NOT_TO_BLAME = " Plans at a fraction of the paper's cost hold after the replay, so its solver stopped far from the optimum there; the method is not to blame."
-# Where the terminal error is told: in the plan, with exact contact on its own grid, after the
-# replay.
+# Metric prefixes of terminal errors: of the plan, of exact contact on its grid, of the replay.
 _WHERE = {"plan": "", "grid": "discrete_", "replay": "replay_"}
 
 
 class TerminalError(NamedTuple):
-    """A terminal error as a cell shows it, of the judged replay where it is of one.
+    """A cell with terminal errors of the judged replay.
 
-    position, velocity: apart, each in its unit; norm: of both together, where they are not known
-        apart; alone: the position by the inputs alone, of a stage
-    that holds with feedback; reason: why there is none.
+    - norm: of position and velocity, if only that is known.
+    - alone: position by the inputs alone, if the stage holds with feedback.
+    - reason: of a missing error.
     """
 
     position: float | None
@@ -39,16 +36,13 @@ class TerminalError(NamedTuple):
 
 
 def build(report: Report) -> Section | None:
-    """Table I; None where no stage is stored that the paper has too."""
+    """Return Table I, None without a stage of the paper."""
     scene = next(filter(report.is_papers, report.scenes), None)
     return scene and _section(report, scene, "table1", "Table I: ours beside the paper")
 
 
 def of_scene(report: Report, scene: SceneRecord) -> Section | None:
-    """All stages on one scene.
-
-    None where none is stored, or where Table I stands on the same page.
-    """
+    """Return all stages on one scene, None without stages, or beside Table I."""
     if report.single and report.is_papers(scene):
         return None
     return _section(
@@ -92,8 +86,6 @@ def _end(row: Row, prefix: str) -> TerminalError:
 
 
 def _units(rows: list[Row]) -> tuple[str, str]:
-    """Of positions and of velocities; empty where a scene has several."""
-
     def one(part: str) -> str:
         found = {
             metric.unit
@@ -106,7 +98,7 @@ def _units(rows: list[Row]) -> tuple[str, str]:
 
 
 def conclude(rows: list[Row]) -> list[str]:
-    """Sentences under the table."""
+    """Return the sentences under the table."""
     both = [row for row in rows if row.stage.paper and row.stage.cost is not None]
     return [
         *_reproduced(both),
@@ -133,27 +125,28 @@ def _reproduced(both: list[Row]) -> list[str]:
 
 
 def _failed(both: list[Row]) -> list[str]:
-    """Rows of the same problem whose cost is a multiple of the other's, with our error beside it."""
-    dear, worse = [], []
+    """Return rows whose cost is a multiple of the other's, with our error."""
+    expensive, worse = [], []
     for row in both:
         theirs, ours = row.stage.paper.get("cost"), row.stage.cost
         if theirs is None or ours is None or min(ours, theirs) <= 0:
             continue
         pair = f"ours {cost(ours)}{_replayed(row, ' (replayed, it misses the goal by {})')}, the paper's {cost(theirs)}"
         if theirs / ours >= _FAILED_COST:
-            dear.append((row, f"{row.label}: {pair}, {times(theirs / ours)} as much"))
+            expensive.append((row, f"{row.label}: {pair}, {times(theirs / ours)} as much"))
         elif ours / theirs >= _FAILED_COST:
             worse.append(f"{row.label}: {pair}, so ours is the worse one.")
-    said = []
-    if dear:
-        held = all(row.holds for row, _ in dear)
-        said.append(f"{'; '.join(text for _, text in dear)}.{_NOT_TO_BLAME if held else ''}")
-    return said + worse
+    sentences = []
+    if expensive:
+        held = all(row.holds for row, _ in expensive)
+        sentences.append(
+            f"{'; '.join(text for _, text in expensive)}.{_NOT_TO_BLAME if held else ''}"
+        )
+    return sentences + worse
 
 
 def _relaxed(rows: list[Row]) -> list[str]:
-    """Direct methods, warm against cold: what warm starting gives."""
-    said = []
+    sentences = []
     for method in dict.fromkeys(row.stage.method for row in rows if row.stage.kind == "direct"):
         mine = [row for row in rows if row.stage.method == method and row.stage.cost is not None]
         cold = next((row for row in mine if len(row.methods) == 1), None)
@@ -166,30 +159,26 @@ def _relaxed(rows: list[Row]) -> list[str]:
             for row in warm
         ]
         start = f"{method} cold: cost {cost(cold.stage.cost)}, {_replayed(cold, 'replayed {} off the goal, ')}{seconds(cold.stage.seconds.total)} s"
-        said.append(f"{start}. Warm started after {'; after '.join(parts)}.")
-    return said
+        sentences.append(f"{start}. Warm started after {'; after '.join(parts)}.")
+    return sentences
 
 
 def _replayed(row: Row, words: str) -> str:
-    """How far from the goal its replay ends, by its positions, put into `words`.
-
-    Empty where that is not known, or the end is free.
-    """
+    """Return the distance of the replay's final positions from the goal in `words`, or ""."""
     return words.format(_first_of(row.ends)) if row.ends not in ("", "free end") else ""
 
 
 def _first_of(distance: str) -> str:
-    """Of `position 0.11 m, velocity 0.10 m/s` the first: sentences are read one after the other, the table has both."""
+    """Return the first part of `position 0.11 m, velocity 0.10 m/s`; the table has both."""
     return distance.partition(", velocity ")[0].removeprefix("position ").removeprefix("error ")
 
 
 def _against(warm: float, cold: float) -> str:
-    """A cost beside that of the cold start: in per cent, or as it is where the cold cost is nought and nothing is a part of it."""
+    """Return a cost relative to the cold start's, absolute if that is 0."""
     return f"{percent(warm / cold - 1)} cost" if cold > 0 else f"cost {cost(warm)}"
 
 
 def _own_model(rows: list[Row]) -> list[str]:
-    """Plans that reach the goal only in their own model."""
     ends = [
         (row, row.metric("terminal_error"), row.metric("discrete_terminal_error")) for row in rows
     ]
@@ -227,8 +216,8 @@ def _physics(rows: list[Row]) -> list[str]:
 
 
 def _bought(rows: list[Row]) -> list[str]:
-    """Costs below the best known exact plan are paid for with terminal error."""
-    said = []
+    """Return costs below the best known exact plan, with their terminal errors."""
+    sentences = []
     for scene in {row.run.scene.name: row.run.scene for row in rows}.values():
         _, known = known_cost(scene) or ("", 0.0)
         cheap = [
@@ -242,11 +231,11 @@ def _bought(rows: list[Row]) -> list[str]:
         if not known or not below:
             continue
         parts = [f"{row.label} ({cost(row.stage.cost)} at {_first_of(off)})" for row, off in below]
-        said.append(
+        sentences.append(
             f"The best known cost of an exact plan is {cost(known)}. Plans of direct methods below it buy their cost with terminal error "
             f"on their own grid: {listing(parts)}. A cost means nothing without the error beside it."
         )
-    return said
+    return sentences
 
 
 def _clock(both: list[Row]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Fig. 2 of the paper on its scene's page: the worst-case violation D against eps."""
+"""Fig. 2 of the paper: the worst-case violation D against eps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LAWS = {
 
 
 def build(report: Report, scene: SceneRecord) -> Section | None:
-    """Return the section, or None for another scene and for a campaign that measured no point."""
+    """Return the section, None for another scene, or without measured points."""
     campaign = report.stored.campaign if scene.name == SCENE else None
     points = [point for point in campaign.violation if point.eps > 0] if campaign else []
     if not points:
@@ -60,8 +60,7 @@ def build(report: Report, scene: SceneRecord) -> Section | None:
         f"{name}: D falls from {error(mine[-1].measured)} N² at ε = {small(mine[-1].eps)} to {error(mine[0].measured)} N² at ε = {small(mine[0].eps)}."
         for name, _, mine in laws
     )
-    # The force k L [N] at a penetration of the scene's length, which D of softplus contact goes by:
-    # from its closed form.
+    # The force k L [N] at the scene's length, from the closed form of softplus contact.
     softplus = (point for point in points if point.law == "softplus" and point.eps != 1)
     force = next(
         (

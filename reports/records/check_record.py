@@ -1,10 +1,7 @@
-"""CheckRecord: what is stored of a check, which is no scene x pipeline - a question with an expected answer, and what was found.
+"""CheckRecord: an expected result and a finding; ChartRecord: data of one plot of a check.
 
-record = record_of(path.read_bytes())      # a RunRecord or a CheckRecord
+record = record_of(path.read_bytes())  # a RunRecord or a CheckRecord
 runs, checks = divided(records)
-
-ChartRecord: the data of one plot that a check draws itself - curves on two axes, and how to read
-    them.
 """
 
 from __future__ import annotations
@@ -25,7 +22,7 @@ from reports.records.record import (
 
 
 class AxisRecord(Model):
-    """An axis of a chart; log: whether it is logarithmic."""
+    """An axis of a chart."""
 
     quantity: str
     unit: str = ""
@@ -33,7 +30,7 @@ class AxisRecord(Model):
 
 
 class SeriesRecord(Model):
-    """x, y: of equal length; line: joined, else points alone."""
+    """x, y of equal length; line: joined points."""
 
     name: str
     x: tuple[Finite, ...]
@@ -42,7 +39,7 @@ class SeriesRecord(Model):
 
 
 class ChartRecord(Model):
-    """level: a horizontal line, with its words; words: what the plot shows, as a sentence."""
+    """One plot; level: a horizontal line; words: its content as a sentence."""
 
     title: str
     x: AxisRecord
@@ -54,10 +51,11 @@ class ChartRecord(Model):
 
 
 class CheckRow(Model):
-    """One check of an FMU: what it claims of a sound one, and what was found.
+    """One check of an FMU: its claim and the finding.
 
-    type: "ME", "CS", or nothing for the file; clause: the section of the standard that demands it,
-        or nothing; severity: what a failure of it is, or nothing where that is not known.
+    - type: "ME", "CS", or "" for the file.
+    - clause: section of the standard.
+    - severity: of a failure, "" if unknown.
     """
 
     name: str
@@ -71,10 +69,7 @@ class CheckRow(Model):
 
 
 class FmuRecord(Model):
-    """An FMU that was exported and checked. version: of FMI, as it says itself; types: ME, CS.
-
-    export_seconds: little if it was kept from before.
-    """
+    """An exported and checked FMU; version: of FMI; types: ME, CS; export may be cached."""
 
     version: str
     types: tuple[str, ...]
@@ -85,31 +80,31 @@ class FmuRecord(Model):
     rows: tuple[CheckRow, ...]
 
     def count(self, status: str) -> int:
-        """How many checks of the FMU have this status."""
+        """Return the number of checks with this status."""
         return sum(row.status == status for row in self.rows)
 
     @property
     def failed(self) -> tuple[CheckRow, ...]:
-        """The checks that the FMU failed."""
+        """Return the failed checks."""
         return tuple(row for row in self.rows if row.status == "failed")
 
 
 class CheckRecord(Model):
-    """One check. kind and name together are unique in a campaign; a kind has a page of its own.
+    """One check; kind and name are unique in a campaign, and a kind has its page.
 
-    outcome: `answered`, or how it ended without an answer (`failed`: it says itself why it could
-        not; `crashed`, `time_limit`); passed: what was
-    found is what was expected, never true without an answer; found, message: one sentence each,
-        what was found and why there is no answer;
-    fmu: what kind `FMU` found in detail; charts: data of plots it draws itself.
+    - outcome: `answered`, or how it ended: `failed` with a reason, `crashed`, `time_limit`.
+    - passed: the finding is as expected.
+    - found, message: sentences of the finding, and of a missing answer.
+    - fmu: details of kind `FMU`.
+    - charts: data of plots.
     """
 
     schema_version: Literal[9] = SCHEMA_VERSION
     key: str
     kind: str
     name: str
-    expected: str  # what a sound system does, one sentence
-    scene: str | None = None  # the scene it is about, if it is about one
+    expected: str  # correct behaviour, in one sentence
+    scene: str | None = None  # its scene, if any
     outcome: str
     passed: bool
     found: str = ""
@@ -124,12 +119,11 @@ class CheckRecord(Model):
 
     @property
     def title(self) -> str:
-        """The kind and the name, by which the campaign and `show` know it."""
+        """Return kind and name, as in campaigns and `show`."""
         return f"{self.kind}: {self.name}"
 
 
 def _which(data: Any) -> str:
-    """`run` has a pipeline; anything else is read as a check, which says what it lacks."""
     return (
         "run"
         if isinstance(data, RunRecord) or (isinstance(data, dict) and "pipeline" in data)
@@ -147,14 +141,14 @@ class StoredRecord(RootModel):
 
 
 def record_of(text: bytes) -> RunRecord | CheckRecord:
-    """The record that a record.json holds. Raises pydantic's ValidationError."""
+    """Return the record of a record.json. Raises pydantic's ValidationError."""
     return StoredRecord.model_validate_json(text).root
 
 
 def divided(
     records: Iterable[RunRecord | CheckRecord],
 ) -> tuple[tuple[RunRecord, ...], tuple[CheckRecord, ...]]:
-    """Runs and checks, each in their order."""
+    """Return runs and checks, each in their order."""
     records = tuple(records)
     return (
         tuple(record for record in records if isinstance(record, RunRecord)),

@@ -1,4 +1,4 @@
-"""What engines say of the problems of the truth suite (docs/engines.md): TruthRecord, written by `validate truth`."""
+"""TruthRecord: results of engines on the truth suite (docs/engines.md), by `validate truth`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from reports.records.record import Finite, Model
 
 
 class LevelRecord(Model):
-    """One of the four motions: step [s] or tolerance, error and energy error as shares (None: it diverged, or there is none), microseconds a step, CPU time [s]."""
+    """One of four motions: step [s] or tolerance, relative errors (None: none), CPU times [s]."""
 
     step: Finite | None
     tolerance: Finite | None
@@ -18,11 +18,13 @@ class LevelRecord(Model):
 
 
 class TruthRow(Model):
-    """What an engine made of a problem.
+    """Result of an engine on a problem.
 
-    came: done, cannot express it, not installed, failed; why: it is not done; source: of the exact
-        answer; worst: the quantity that decides its error; order: of
-    the error in the step, None where there is none to tell.
+    - came: done, cannot express it, not installed, failed.
+    - why: reason.
+    - source: of the exact answer.
+    - worst: quantity with the largest error.
+    - order: of the error in the step, if known.
     """
 
     phenomenon: str
@@ -37,14 +39,14 @@ class TruthRow(Model):
 
     @property
     def error(self) -> float | None:
-        """At the finest level; None where there is none."""
+        """Return the error at the finest level, if there is one."""
         return self.levels[-1].error if self.levels else None
 
 
 class TruthRecord(Model):
-    """engines: by name, what each is called, its version and how it makes contact.
+    """engines: title, version and contact law by name; rows by problem, then engine.
 
-    Rows by problem, then by engine; summary: a sentence; charts: error against CPU time.
+    charts: error against CPU time.
     """
 
     engines: dict[str, str]
@@ -54,6 +56,6 @@ class TruthRecord(Model):
 
     @property
     def problems(self) -> list[tuple[TruthRow, ...]]:
-        """Rows of each problem, in the order of the engines."""
+        """Return the rows of each problem, in the order of engines."""
         width = len(self.engines)
         return [self.rows[place : place + width] for place in range(0, len(self.rows), width)]

@@ -1,8 +1,7 @@
-"""Reads the records of a campaign's folder.
+"""Read the records of a campaign's folder; unreadable ones are listed with reasons.
 
-A record that cannot be read is listed with a sentence, and the rest is shown.
-
-stored = load(Path("runs/all"));  stored.campaign, stored.runs, stored.unreadable, stored.missing
+stored = load(Path("runs/all"))
+stored.campaign, stored.runs, stored.unreadable, stored.missing
 """
 
 from __future__ import annotations
@@ -26,17 +25,16 @@ from reports.records.record import (
 from reports.wording import clean
 
 CAMPAIGN = "campaign.json"
-# A record holds numbers: 64 MB is ten times the largest thinkable one, and what is larger is not a
-# record.
+# Ten times the largest conceivable record [bytes].
 LARGEST_BYTES = 64 * 1024 * 1024
 
 
 def record_files(folder: Path) -> list[Path]:
-    """record.json of each run, sorted by key; it need not be there."""
+    """Return the path of record.json of each run, sorted by key; files may be missing."""
     runs = folder / "runs"
     if not runs.is_dir():
         return []
-    # Folders whose name begins with a dot or ends in .tmp are runs that are being written.
+    # Names with a leading dot or .tmp are runs being written.
     folders = sorted(
         path
         for path in runs.iterdir()
@@ -49,12 +47,12 @@ _Record = TypeVar("_Record", bound=BaseModel)
 
 
 class ReportError(Exception):
-    """The report cannot be written; one sentence says why and what to do."""
+    """The report cannot be written; one sentence has the reason and an advice."""
 
 
 @dataclass(frozen=True)
 class Unreadable:
-    """A file that could not be used, relative to the campaign's folder, and the sentence why."""
+    """An unusable file, relative to the campaign's folder, and the reason."""
 
     path: str
     sentence: str
@@ -62,11 +60,9 @@ class Unreadable:
 
 @dataclass(frozen=True)
 class Stored:
-    """All that the report is made of.
+    """Content of a report.
 
-    missing: keys that the campaign lists and of which nothing is stored; foreign: stored records
-        that the campaign does not list;
-    checks: what is no scene x pipeline.
+    missing: listed keys without a record; foreign: number of records that are not listed.
     """
 
     campaign: CampaignRecord | None
@@ -77,7 +73,7 @@ class Stored:
     checks: tuple[CheckRecord, ...] = ()
 
     def cheapest(self, scene: str) -> list[tuple[RunRecord, float]]:
-        """The runs on a scene whose plan holds, each with its cost, the cheapest first."""
+        """Return the runs of a scene that hold, with their costs, the cheapest first."""
         priced = [
             (run, run.cost)
             for run in self.runs
@@ -89,9 +85,9 @@ class Stored:
 
 
 def load(folder: Path) -> Stored:
-    """Everything readable in the folder, in the campaign's order.
+    """Return all readable records, in the campaign's order.
 
-    Raises ReportError if there is no such folder, or another version of touchstone wrote it.
+    Raises ReportError without a folder, or for one of another version of touchstone.
     """
     if not folder.is_dir():
         raise ReportError(
@@ -103,7 +99,7 @@ def load(folder: Path) -> Stored:
     campaign = read_record(
         folder / CAMPAIGN, folder, CampaignRecord.model_validate_json, unreadable
     )
-    found: dict[str, RunRecord | CheckRecord] = {}
+    records: dict[str, RunRecord | CheckRecord] = {}
     for path in record_files(folder):
         run = read_record(path, folder, record_of, unreadable)
         if run is None:
@@ -112,9 +108,9 @@ def load(folder: Path) -> Stored:
             sentence = f"it says that it is the record of {run.key[:40]!r}, but lies in the folder of another; run it again."
             unreadable.append(Unreadable(clean(str(path.relative_to(folder))), clean(sentence)))
             continue
-        found[run.key] = run
+        records[run.key] = run
     if campaign is None:
-        runs, checks = divided(found.values())
+        runs, checks = divided(records.values())
         runs = sorted(runs, key=lambda run: (run.scene.name, run.pipeline, run.key))
         checks = tuple(sorted(checks, key=lambda item: (item.kind, item.name)))
         return Stored(
@@ -124,20 +120,22 @@ def load(folder: Path) -> Stored:
             checks=checks,
         )
     keys = list(dict.fromkeys(campaign.keys))
-    runs, checks = divided(found[key] for key in keys if key in found)
+    runs, checks = divided(records[key] for key in keys if key in records)
     broken = {Path(item.path).parent.name for item in unreadable}
     return Stored(
         campaign=campaign,
         runs=runs,
         unreadable=tuple(unreadable),
-        missing=tuple(clean(key) for key in keys if key not in found and clean(key) not in broken),
-        foreign=len(set(found) - set(keys)),
+        missing=tuple(
+            clean(key) for key in keys if key not in records and clean(key) not in broken
+        ),
+        foreign=len(set(records) - set(keys)),
         checks=checks,
     )
 
 
 def other_version(folder: Path) -> str:
-    """Return why a folder is refused if another version of touchstone recorded its campaign, else nothing."""
+    """Return why a folder of another version of touchstone is refused, or ""."""
     content = None
     with contextlib.suppress(OSError, ValueError, RecursionError, ReportError):
         content = json.loads(_text(folder / CAMPAIGN))
@@ -152,10 +150,7 @@ def other_version(folder: Path) -> str:
 def read_record(
     path: Path, folder: Path, read: Callable[[bytes], _Record], unreadable: list[Unreadable]
 ) -> _Record | None:
-    """What a file holds.
-
-    None where it cannot be used, and the sentence why is added to `unreadable`.
-    """
+    """Return the content of a file, or None with a reason added to `unreadable`."""
     try:
         return read(_text(path))
     except ReportError as problem:

@@ -1,14 +1,10 @@
-"""RunRecord: what is stored of one run (scene x pipeline), and the numbers that the report knows.
+"""RunRecord: the stored result of one run, scene by pipeline.
 
     record = RunRecord.model_validate_json(path.read_text())
 
-Numbers are plain JSON: NaN and infinities are refused when written and when read. Motions do not
-live here but in the NetCDF files beside the record, which `stage_files` names and reports.traces
-reads; of arrays a record has the columns of an iteration history alone, `thin` as plots show them.
-
-Such columns are tuples in memory and in JSON the base64 of their bytes (float64, little-endian):
-read ten times as fast as digits, and a third as long. A list of numbers is read as well. The
-equations of a scene are compressed text there.
+Numbers are plain JSON without NaN and infinities. Motions are in the NetCDF files of `stage_files`,
+read by reports.traces. Columns of iteration histories are base64 of little-endian float64, read ten
+times as fast as digits and a third as long; lists are accepted too. Equations are compressed text.
 """
 
 from __future__ import annotations
@@ -31,7 +27,7 @@ from pydantic import (
     model_validator,
 )
 
-if TYPE_CHECKING:  # a fifth of `show`, which needs no more of it
+if TYPE_CHECKING:  # a fifth of the time of `show`, which does not need them
     import numpy as np
     from numpy.typing import NDArray
 
@@ -39,7 +35,6 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 def _in_order(numbers: array[float]) -> array[float]:
-    """Of a machine with its bytes in the other order, as they are stored, and back."""
     if sys.byteorder == "big":
         numbers.byteswap()
     return numbers
@@ -50,10 +45,7 @@ def _text(values: Sequence[Any]) -> str:
 
 
 def _floats(value: Any) -> Any:
-    """The numbers of a text, which raises ValueError where it holds none.
-
-    Anything else as it is.
-    """
+    """Return the numbers of a text, or the value; raise ValueError for an invalid text."""
     return (
         tuple(_in_order(array("d", base64.b64decode(value, validate=True))))
         if isinstance(value, str)
@@ -64,20 +56,17 @@ def _floats(value: Any) -> Any:
 _written = PlainSerializer(_text, return_type=str, when_used="json")
 Floats = Annotated[tuple[FiniteFloat, ...], BeforeValidator(_floats), _written]
 
-# More points than this no plot can show.
+# Largest number of points that a plot can show.
 LONGEST = 1500
 # Width of the plot of an iteration history [pixel].
 LONGEST_HISTORY = 340
-# What the files of a stage hold.
 _FILES = ("trajectory", "replay", "tracked")
 
 
 def thin(points: int, longest: int = LONGEST) -> NDArray[np.int64]:
-    """Indices of at most `longest` of `points` points, evenly spread, with the first and the last.
+    """Return at most `longest` even indices (k,) [-] of points, first and last included.
 
-    Returns
-    -------
-    indices : (min(points, longest),) [-], increasing
+    Raises nothing.
     """
     import numpy as np
 
@@ -85,10 +74,7 @@ def thin(points: int, longest: int = LONGEST) -> NDArray[np.int64]:
 
 
 def stage_files(index: int, stages: int) -> dict[str, str]:
-    """The files of stage `index` (from 0) of a run of so many stages, by what they hold.
-
-    Those of the last stage have no number.
-    """
+    """Return the files of stage `index` (from 0) by content; the last stage has no number."""
     ending = "" if index == stages - 1 else f"_{index + 1}"
     return {what: f"{what}{ending}.nc" for what in _FILES}
 
@@ -96,7 +82,7 @@ def stage_files(index: int, stages: int) -> dict[str, str]:
 # Residual of a plan from a file: its largest miss of its own time step, over the allowed miss.
 OWN_STEP = "own_time_step"
 
-# Increment it with every change of a stored field: a store of another version is refused.
+# Increment on every change of a stored field; stores of other versions are refused.
 SCHEMA_VERSION = 9
 
 Verdict = Literal[
@@ -108,16 +94,15 @@ Verdict = Literal[
     "not applicable",
     "consistent",
 ]
-# Verdicts of plans that hold.
 HOLD = ("holds", "holds with feedback")
-# How the names begin of metrics of the replay with feedback, and of what the feedback took, as
-# validate.judge.score has them.
+# Prefix of metrics with feedback, as in validate.judge.score.
 TRACKED = "tracked_"
+# Prefix of metrics of the feedback's effort.
 FEEDBACK = "feedback_"
 
 
 class Model(BaseModel):
-    """Stored: without unknown fields, and never changed."""
+    """A stored, immutable record without unknown fields."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -132,22 +117,17 @@ class QuantityRecord(Model):
 
 
 class ContactRecord(QuantityRecord):
-    """A contact.
-
-    The value is its stiffness. bodies: the two it acts between, by the names of their shapes; what
-    has none, as a joint, is not drawn.
-    """
+    """A contact with its stiffness; bodies: names of shapes, "" for undrawn ones, as of a joint."""
 
     bodies: tuple[str, str] = ("", "")
 
 
 class ShapeRecord(Model):
-    """How a body is drawn.
+    """A drawn body.
 
-    place: x, y [m] and angle [rad] of its pose: a number that never changes, the name of a
-        coordinate, or None: a column of the NetCDF files, by the shape's number.
-    goal: x, y [m] and angle [rad] at the goal, the angle None where the goal leaves it open; None
-        where it leaves the place open, or the body never moves.
+    - place: x, y [m] and angle [rad] of its pose, each a constant, the name of a coordinate, or
+      None: a column of the NetCDF files.
+    - goal: pose at the goal, angle None if free; None if the place is free, or the body is fixed.
     """
 
     name: str
@@ -179,19 +159,19 @@ def _unpacked(value: Any) -> Any:
         raise ValueError("the equations are damaged") from error
 
 
-# In JSON the base64 of compressed text: a fifth of the MathML, which would be a third of a record.
+# Base64 of compressed text: a fifth of the MathML, a third of a record otherwise.
 Equations = Annotated[
     tuple[EquationRecord, ...],
     BeforeValidator(_unpacked),
     PlainSerializer(_packed, return_type=str, when_used="json"),
 ]
 
-# Caption of the equation that a scene has whose cost is not of its steps alone.
+# Caption of the final cost, if a scene has one.
 FINAL_COST = "cost of the last state, added to that sum"
 
 
 class SceneRecord(Model):
-    """A scene as it was planned for: its quantities, task, equations and shapes."""
+    """A scene as planned for: quantities, task, equations and shapes."""
 
     name: str
     title: str
@@ -200,32 +180,30 @@ class SceneRecord(Model):
     velocities: tuple[QuantityRecord, ...]
     inputs: tuple[QuantityRecord, ...]
     contacts: tuple[ContactRecord, ...]
-    frictions: tuple[
-        QuantityRecord, ...
-    ] = ()  # by the names of their forces; the value is the coefficient
+    frictions: tuple[QuantityRecord, ...] = ()  # by names of forces; values are coefficients
     parameters: tuple[QuantityRecord, ...]
     start: tuple[Finite, ...]
-    goal: tuple[Finite | None, ...]  # None: this component of the end is free
+    goal: tuple[Finite | None, ...]  # None: free
     step: Finite
     steps: int
     equations: Equations = ()
     absent: tuple[str, ...] = ()
     answers: tuple[QuantityRecord, ...] = ()
     shapes: tuple[ShapeRecord, ...] = ()
-    waived: tuple[str, ...] = ()  # limits that the scene waives, with its reasons
-    unstable: str = ""  # why feedback belongs to this scene
-    operations: dict[str, int] = {}  # of the equations one time step evaluates, by kind
+    waived: tuple[str, ...] = ()  # waived limits with reasons
+    unstable: str = ""  # why the scene needs feedback
+    operations: dict[str, int] = {}  # of the equations of a time step, by kind
 
 
 class MetricRecord(Model):
     """One metric of the score, or one figure of a check.
 
-    `value` is None where it was not asked or not measured (`reason` says why).
-
-    question: 1 to 6, None for what is of the judge or only shown; error: how wrong the value may be
-        by the replay's own error, None: not known;
-    ok: None where there is no limit, or the error leaves it open; default: whether the limit is the
-        metric's own, not the scene's; at_least: the limit is one from below.
+    - value: None if not measured, with `reason`.
+    - question: 1 to 6, None for the judge's and shown ones.
+    - error: by the replay's error, None: unknown.
+    - ok: None without a limit, or undecided.
+    - default: the limit is the metric's own.
+    - at_least: a lower limit.
     """
 
     name: str
@@ -244,11 +222,11 @@ class MetricRecord(Model):
 class TrackedRecord(Model):
     """Facts about the replay with feedback.
 
-    rms, peak: what the feedback added to the plan's inputs, of each input in its unit; rms_share,
-        peak_share: the largest over the inputs as a share of
-    half the input's range; plan_share: of all, as a share of what the plan's own inputs do (None:
-        those are 0); saturated: share of the steps at a bound by the
-    feedback; the rest as in ReplayRecord.
+    - rms, peak: corrections of each input, in its unit.
+    - rms_share, peak_share: largest over the inputs, of half their range.
+    - plan_share: of the plan's inputs (None: those are 0).
+    - saturated: share of steps at a bound.
+    - Further fields: as in ReplayRecord.
     """
 
     error_estimate: Finite | None
@@ -265,27 +243,24 @@ class TrackedRecord(Model):
 
 
 class ReplayRecord(Model):
-    """Facts about the replay of one stage: the error estimate [m or rad] and what it is made of, seconds, FMU hash; judged: or the tracked one."""
+    """Facts about the replay of one stage; errors [m or rad]; fmu: hash; judged: of the verdict."""
 
     error_estimate: Finite | None
     tolerance_difference: Finite | None = None  # reference at two tolerances
     step_difference: Finite | None = None  # everyday replay at two steps
-    everyday_difference: Finite | None = None  # everyday against reference
+    everyday_difference: Finite | None = None  # everyday replay against reference
     events: int = 0
     seconds_reference: Finite = 0.0
     seconds_everyday: Finite = 0.0
     fmu: str = ""
     message: str = ""
     judged: Literal["open", "feedback"] = "open"
-    growth_rate: Finite | None = None  # of an error in the open loop [1/s]
+    growth_rate: Finite | None = None  # of an error without feedback [1/s]
     tracked: TrackedRecord | None = None
 
 
 class SecondsRecord(Model):
-    """Seconds of one stage.
-
-    `total` counts the stages before it, `replay` the replay and scoring.
-    """
+    """Seconds of one stage; `total` includes earlier stages, `replay` is replay and scoring."""
 
     build: Finite = 0.0
     translate: Finite = 0.0
@@ -299,16 +274,16 @@ class SecondsRecord(Model):
 
 
 class CertificateRecord(Model):
-    """A plan judged in the strict Pyomo model of its scene, without the multipliers of its method.
+    """A plan judged in the strict Pyomo model of its scene, without its method's multipliers.
 
-    All residuals unscaled.
+    - primal: largest violation [units of the scene], of constraint `worst`.
+    - complementarity: largest min(lam, lam - k phi) [N].
+    - dual: remaining gradient (relative; None: unknown).
+    - biactive: of `pairs`.
+    - strong: S-stationary, else `obstacle`.
+    - b_stationary: no first-order descent, None: unknown.
 
-    primal: largest violation [units of the scene], worst: of which constraint
-    complementarity: largest min(lam, lam - k phi) [N]
-    dual: part of the gradient that the multipliers leave (relative; None if it is not known)
-    biactive: pairs with both sides zero, of `pairs`
-    strong: whether the plan is S-stationary; if not, `obstacle` is what prevents it
-    b_stationary: whether no direction goes down to first order; None if that is not known
+    All values are unscaled.
     """
 
     holds: bool
@@ -326,7 +301,7 @@ class CertificateRecord(Model):
 
 
 class SizeRecord(Model):
-    """Unknowns and equations of the model a solver was given, and the same counted on paper."""
+    """Unknowns and equations of the solver's model, and of the paper's."""
 
     unknowns: int
     equations: int
@@ -335,13 +310,13 @@ class SizeRecord(Model):
 
 
 class FoundRecord(BaseModel):
-    """Made of what validate.judge.robustness found, of which it takes what it has a field for."""
+    """A record from an object of validate.judge.robustness, by equal-named fields."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, from_attributes=True)
 
 
 class ShareRecord(FoundRecord):
-    """In how many of the perturbed worlds a plan arrives; interval: Wilson's, of 95 %."""
+    """Number of perturbed worlds in which a plan arrives, with Wilson's 95 % interval."""
 
     arrived: int
     samples: int
@@ -350,7 +325,7 @@ class ShareRecord(FoundRecord):
 
     @property
     def words(self) -> str:
-        """71.5 % (68.6 to 74.2 %) of 1,000 worlds."""
+        """Return `71.5 % (68.6 to 74.2 %) of 1,000 worlds`."""
         if not self.samples:
             return "none, as no world was tried"
         low, high = self.interval
@@ -358,12 +333,12 @@ class ShareRecord(FoundRecord):
 
 
 class SurveyRecord(Model):
-    """How a plan that holds fares in perturbed worlds (validate.judge.robustness.robustness.survey).
+    """Robustness of a plan that holds (validate.judge.robustness.robustness.survey).
 
-    alone, feedback: how many worlds it arrives in; checked, differ: worlds that the reference was
-        asked about too, and in how many it says otherwise; weakest:
-    of which perturbation by itself it takes the fewest sizes, how far [unit], and by what it fails
-        there; message: why it was not tried; sources: digest of the code that made it.
+    - checked, differ: worlds repeated by the reference, and those that differ.
+    - weakest: perturbation tolerated least, its amount [unit] and failing metric.
+    - message: why not tried.
+    - sources: digest of the code.
     """
 
     alone: ShareRecord | None = None
@@ -393,70 +368,67 @@ class StageRecord(Model):
     index: int
     method: str
     method_title: str
-    kind: Literal[
-        "indirect", "direct", "given"
-    ]  # given: somebody's plan, which no method of ours found
+    kind: Literal["indirect", "direct", "given"]  # given: an external plan
     eps: Finite | None
     outcome: str  # name of the Outcome, lower case
     advice: str  # its sentence
     message: str = ""
     cost: Finite | None = None
     iterations: int = 0
-    solver: str = ""  # name and version of what ran underneath
+    solver: str = ""  # name and version of the solver
     residuals: dict[str, Finite] = {}
     size: SizeRecord | None = None
     options: dict[str, str | int | bool | Finite | list[Finite] | None] = {}
     history: dict[str, Floats] = {}
     certificate: CertificateRecord | None = None
-    certificate_missing: bool = False  # the run ended while it was made
+    certificate_missing: bool = False  # the run ended before
     seconds: SecondsRecord = SecondsRecord()
     metrics: tuple[MetricRecord, ...] = ()
     verdict: Verdict = "no plan"
     why: str = ""
-    # the same in one word: the metric that failed or is open, or why the inputs do not give the
-    # motion
+    # The same in one word: the failing or undecided metric, or the cause.
     cause: str = ""
     questions: tuple[QuestionRecord, ...] = ()
     not_asked: tuple[str, ...] = ()
     replay: ReplayRecord | None = None
-    survey: SurveyRecord | None = None  # None if the plan was not selected for it
-    has_plan: bool = False  # whether a plan came back: the files of the stage are there
-    paper: dict[
-        str, Finite
-    ] = {}  # the paper's numbers for this row: cost, stability, physics, time
-    # the pipeline in whose run this stage ran, where that was another: its seconds were spent there
+    survey: SurveyRecord | None = None  # None if not selected
+    has_plan: bool = False  # whether the files of a plan exist
+    paper: dict[str, Finite] = {}  # the paper's numbers: cost, stability, physics, time
+    # The pipeline whose run solved this stage, if another.
     shared_from: str = ""
 
     def metric(self, name: str) -> MetricRecord | None:
-        """The metric of this name; None where it was not measured."""
+        """Return the metric of this name, None if not measured."""
         return next((metric for metric in self.metrics if metric.name == name), None)
 
     def judged(self, name: str) -> MetricRecord | None:
-        """A metric; where it is of a replay, that of the replay which is judged."""
+        """Return a metric, of the judged replay if there are two."""
         return (self.metric(f"{TRACKED}{name}") if self.is_tracked else None) or self.metric(name)
 
     @property
     def is_followed(self) -> bool:
-        """Whether there is a replay with feedback."""
+        """Return whether there is a replay with feedback."""
         return self.replay is not None and self.replay.tracked is not None
 
     @property
     def is_tracked(self) -> bool:
-        """Whether the verdict is of the replay with feedback."""
+        """Return whether the verdict is by the replay with feedback."""
         return self.replay is not None and self.replay.judged == "feedback"
 
     @property
     def is_empty(self) -> bool:
-        """Whether it left nothing to draw or to score: the reason stands in its sentence."""
+        """Return whether there is nothing to draw or score."""
         return not (self.metrics or self.replay or self.has_plan)
 
 
 class LegRecord(Model):
-    """What a leg found (validate.tasks.leg).
+    """Result of a leg (validate.tasks.leg).
 
-    pipeline: in whose run it was made; stages: as if there were no other legs; files: SHA-256 of
-        its files by name; limit [s]: of the run whose time it
-    used up, if it did; profile [s]: where the time of that run had gone when this was written.
+    - pipeline: of the run that made it.
+    - stages: as if alone.
+    - files: SHA-256 by name.
+    - limit [s]: of the run, if it timed out.
+    - profile [s]: of that run so far.
     """
 
     key: str
@@ -474,7 +446,7 @@ class LegRecord(Model):
 
 
 class ProvenanceRecord(Model):
-    """Where a record came from."""
+    """Origin of a record."""
 
     touchstone: str
     commit: str
@@ -499,55 +471,52 @@ class RunRecord(Model):
     pipeline: str
     pipeline_title: str
     stages: tuple[StageRecord, ...]
-    outcome: str  # of the run: that of its last stage, or crashed / time_limit / refused
+    outcome: str  # of its last stage, or crashed / time_limit / refused
     message: str = ""
     verdict: Verdict = "no plan"  # of the last stage
     # Of a campaign of foreign plans: the instance, and whether its scene is the physics or the
     # plan's own equations.
     instance: str = ""
     judged_by: Literal["", "scene", "model"] = ""
-    # the last stage is a direct method: where it says `solved`, its plan must hold (reports.rule)
+    # The last stage is direct: if it is `solved`, its plan must hold (reports.rule).
     must_hold: bool
     wall_seconds: Finite
     cpu_seconds: Finite
     profile: dict[
         str, Finite
-    ] = {}  # wall seconds by phase, in order; their sum is wall_seconds; empty where the run left no answer
+    ] = {}  # wall seconds by phase, whose sum is wall_seconds; empty without an answer
     provenance: ProvenanceRecord
     log_tail: str = ""
 
     @property
     def title(self) -> str:
-        """Scene and pipeline, by which the campaign and `show` know it."""
+        """Return scene and pipeline, as in campaigns and `show`."""
         return f"{self.scene.name} x {self.pipeline}"
 
     @property
     def last(self) -> StageRecord | None:
-        """The last stage, by which the run is judged; None where there is none."""
+        """Return the last stage, which decides the run, if there is one."""
         return self.stages[-1] if self.stages else None
 
     @property
     def cost(self) -> float | None:
-        """What the plan costs that the run is judged by; None where there is none."""
+        """Return the cost of the last stage, if there is one."""
         return self.last.cost if self.last else None
 
     @property
     def integral_cost(self) -> float | None:
-        """That cost times the time step, which does not depend on the grid as a sum over steps does; None where the last state is in the cost."""
+        """Return the cost times the time step, independent of the grid; None with a final cost."""
         ends = any(equation.caption == FINAL_COST for equation in self.scene.equations)
         return None if self.cost is None or ends else self.cost * self.scene.step
 
     @property
     def solving_cpu(self) -> float:
-        """CPU seconds [s] of solving, over all stages, wherever they ran."""
+        """Return the CPU seconds [s] of solving all stages, wherever they ran."""
         return sum(stage.seconds.stage_cpu for stage in self.stages)
 
 
 class ViolationPoint(Model):
-    """Worst-case violation D of a relaxation at eps (Fig. 2 of the paper) [N^2].
-
-    D = max over phi of lam*(lam - k*phi).
-    """
+    """Worst violation D = max over phi of lam*(lam - k*phi) at eps (Fig. 2 of the paper) [N^2]."""
 
     law: str  # "softplus" or "relaxed_lcp"
     eps: Finite
@@ -556,12 +525,13 @@ class ViolationPoint(Model):
 
 
 class TimeStepRecord(Model):
-    """Whether the time step of a scene is stable while contacts are closed, found out before anything ran.
+    """Stability of a scene's time step with closed contacts.
 
-    radius: spectral radius of the step's Jacobian with these contacts closed; growth [1/s] of the
-        motion itself there; largest_step [s]: below it the step is stable with every set of
-        contacts (None: always); warning: a sentence, empty where it is stable; digest:
-    of the scene, so that it is looked at once.
+    - radius: spectral radius of the step's Jacobian.
+    - growth [1/s]: of the motion itself.
+    - largest_step [s]: stable below with any contacts (None: always).
+    - warning: "" if stable.
+    - digest: of the scene.
     """
 
     scene: str
@@ -575,15 +545,15 @@ class TimeStepRecord(Model):
 
 
 class CampaignRecord(Model):
-    """What belongs to the campaign as a whole; stored as DIR/campaign.json."""
+    """The campaign as a whole, stored as DIR/campaign.json."""
 
     schema_version: Literal[9] = SCHEMA_VERSION
     title: str
     command: str
     started: str
     quick: bool = False
-    left_out: tuple[str, ...] = ()  # what a quick campaign did not run, in words
+    left_out: tuple[str, ...] = ()  # parts that a quick campaign omits
     keys: tuple[str, ...]  # of the runs, in order
     violation: tuple[ViolationPoint, ...] = ()
-    time_steps: tuple[TimeStepRecord, ...] = ()  # of the scenes planned for
+    time_steps: tuple[TimeStepRecord, ...] = ()  # of the planned scenes
     provenance: ProvenanceRecord

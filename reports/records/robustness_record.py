@@ -1,7 +1,6 @@
-"""RobustnessRecord: how much a plan can take, as `validate robust` writes it (docs/robustness.md).
+"""RobustnessRecord: robustness of a plan, as written by `validate robust` (docs/robustness.md).
 
-# of validate.judge.robustness
-record = RobustnessRecord.model_validate(found, from_attributes=True)
+record = RobustnessRecord.model_validate(result, from_attributes=True)
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ def _text(value: Any) -> Any:
 
 
 def _known(value: Any) -> Any:
-    """None for the share of a motion that did not come to its end: JSON has no infinity."""
     return None if isinstance(value, float) and math.isinf(value) else value
 
 
@@ -31,11 +29,9 @@ _OrEnded = Annotated[Finite | None, BeforeValidator(_known)]
 
 
 class CheckedRecord(FoundRecord):
-    """How many worlds the reference was asked about too.
+    """Repeated worlds; differ: (number, share by the everyday replay, share by the reference).
 
-    differ: (number of the world, its largest share of a limit by the everyday replay, by the
-        reference), None where the motion did not come to its end;
-    by: what the second word is of, such as "by the reference".
+    A share is None if the motion ended early.
     """
 
     count: int
@@ -45,7 +41,7 @@ class CheckedRecord(FoundRecord):
 
 
 class WayRecord(FoundRecord):
-    """Inputs alone, or with feedback; fails_by: metric or end of the motion -> worlds."""
+    """Inputs alone, or with feedback; fails_by: worlds by metric or ending."""
 
     name: str
     share: ShareRecord
@@ -54,16 +50,13 @@ class WayRecord(FoundRecord):
 
     @property
     def fails(self) -> str:
-        """What fails in the worlds in which the plan does not arrive, the most frequent first.
-
-        Empty where it arrives in all.
-        """
+        """Return the failing metrics, the most frequent first, or ""."""
         counts = sorted(self.fails_by.items(), key=lambda item: -item[1])
         return "; ".join(f"{name.replace('_', ' ')} in {count:,}" for name, count in counts)
 
 
 class PerturbationRecord(FoundRecord):
-    """What may be otherwise, and by how much [unit]."""
+    """One perturbation, and its size [unit]."""
 
     kind: _Word
     name: str
@@ -74,10 +67,7 @@ class PerturbationRecord(FoundRecord):
 
 
 class FailureRecord(FoundRecord):
-    """The first failure along one perturbation, one way.
-
-    sizes: in its sizes, None: none up to `tried`; amount [unit].
-    """
+    """The first failure of one perturbation in one direction; sizes None: none up to `tried`."""
 
     cause: PerturbationRecord
     direction: int
@@ -88,16 +78,13 @@ class FailureRecord(FoundRecord):
 
     @property
     def words(self) -> str:
-        """C by -0.0833 N s/m (0.83 of its size)."""
+        """Return `c by -0.0833 N s/m (0.83 of its size)`."""
         of = "" if self.cause.unit == "1" else f" {self.cause.unit}"
         return f"{self.cause.name} by {self.amount:+.3g}{of} ({self.sizes:.2f} of its size)"
 
 
 class RobustnessRecord(FoundRecord):
-    """How much a plan can take; complete: False where the work was interrupted.
-
-    followed: whether failures are those with feedback, because the plan holds only with it.
-    """
+    """Robustness of a plan; complete: False if interrupted; followed: failures with feedback."""
 
     scene: str
     verdict: _Word
@@ -114,7 +101,7 @@ class RobustnessRecord(FoundRecord):
 
     @property
     def summary(self) -> str:
-        """In what share of the worlds the plan arrives, and what it takes least of."""
+        """Return the shares of worlds, and the weakest perturbation."""
         shares = "; ".join(f"{way.name} it arrives in {way.share.words}" for way in self.ways)
         weakest = "" if self.weakest is None else f" It takes least of: {self.weakest.words}."
         return f"{shares[:1].upper()}{shares[1:]}.{weakest}{'' if self.complete else ' The work was interrupted.'}"

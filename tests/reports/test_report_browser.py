@@ -134,7 +134,7 @@ def test_structure_for_those_who_do_not_see_it(desk):
     assert desk.evaluate("[...document.querySelectorAll('th')].filter((h) => !h.scope).length") == 0
     assert (
         desk.evaluate(
-            "[...document.querySelectorAll('.draw')].filter((d) => !(/. (Arrow keys read values|Tab leads from point to point)\\.$/.test(d.getAttribute('aria-label')) && d.tabIndex === 0)).length"
+            "[...document.querySelectorAll('.draw')].filter((d) => !(/. (Arrow keys read values|Tab moves from point to point)\\.$/.test(d.getAttribute('aria-label')) && d.tabIndex === 0)).length"
         )
         == 0
     )

@@ -1,11 +1,10 @@
-"""The verdicts of other simulators on one plan.
+"""Verdicts of other simulators on one plan.
 
     rows = elsewhere(judgement, ("fmu_everyday", "mujoco"))
     rows[1].verdict, rows[1].distance
 
-Each engine steps the scene under the plan's inputs, at two steps or tolerances. The motion at the
-finer one is scored as our own replay is. Half the difference of the two motions is its error. If
-the score requires feedback, the engine follows the plan under the gains of our replay too.
+Each engine steps the scene at two steps or tolerances, with the feedback of our replay if the
+score requires feedback. The finer motion is scored; half the difference is its error.
 """
 
 from __future__ import annotations
@@ -41,9 +40,9 @@ from validate.judge.simulator import (
 )
 from validate.processes.isolated import Limits
 
-# Rows of an engine's motion in each step of the plan.
+# Rows of an engine's motion per step of the plan.
 ROWS = 4
-# Steps of an engine in each step of the plan, the coarser motion first.
+# Engine steps per step of the plan, the coarser motion first.
 PARTS = (16, 64)
 _OF_THE_JUDGE = (
     "of the judge's own health; what an engine loses or gains is what its motion is judged by"
@@ -52,11 +51,10 @@ _OF_THE_JUDGE = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EngineVerdict:
-    """The answer of one engine.
+    """The result of one engine; score and agrees (with our verdict) are None without a motion.
 
-    step: [s] or tolerance of the scored motion; distance: the largest from our motion at the
-        plan's nodes, in nominal sizes [-], infinite where it diverged; score, agrees (whether the
-        verdict is ours): None without a motion; why: of the verdict, or of the missing motion.
+    step: [s] or tolerance. distance: largest distance from our motion at the plan's nodes, in
+    nominals [-], infinite if diverged.
     """
 
     engine: str
@@ -69,7 +67,7 @@ class EngineVerdict:
 
     @property
     def verdict(self) -> str:
-        """The verdict in a word, or what came of asking."""
+        """Return the verdict, or the engine's status without a score."""
         return self.came.value if self.score is None else self.score.verdict.value
 
     def as_json(self) -> dict[str, Any]:
@@ -93,23 +91,23 @@ def elsewhere(
     jobs: int = 1,
     tell: Callable[[str], None] = lambda text: None,
 ) -> list[EngineVerdict]:
-    """Return a row for each engine.
+    """Return one row per engine.
 
-    Raises SceneError for a plan without a scene or a replay, UnknownNameError, MachineError.
+    Raises SceneError without a scene or a finished replay, UnknownNameError, MachineError.
     """
     judged = _Judged(judgement, limits)
 
     def row(engine: str) -> EngineVerdict:
-        found = judged.row(engine)
-        tell(f"{engine}: {found.verdict}")
-        return found
+        verdict = judged.row(engine)
+        tell(f"{engine}: {verdict.verdict}")
+        return verdict
 
     with ThreadPoolExecutor(max_workers=jobs) as pool:
         return list(pool.map(row, engines))
 
 
 class _Judged:
-    """Our judgement of the plan, and what all engines are given."""
+    """Our judgement of the plan, and the inputs shared by all engines."""
 
     def __init__(self, judgement: Judgement, limits: Limits) -> None:
         scene = judgement.scene
@@ -120,7 +118,7 @@ class _Judged:
             or not judgement.replay.ok
         ):
             raise SceneError(
-                "engines: they step scenes, by a plan whose own replay came to its end; this is not one."
+                "engines: they need a scene and a plan whose own replay finished. Replay this plan on a scene first."
             )
         self.ours, self.plan, self.limits = judgement, judgement.plan, limits
         waived = tuple(
@@ -141,7 +139,6 @@ class _Judged:
                 self.feedback = design_feedback(load_kernel(scene), scene, self.plan)
 
     def row(self, engine: str) -> EngineVerdict:
-        """Ask one engine. Raises UnknownNameError, MachineError."""
         about = describe_engine(engine)
         if engine == REFERENCE:
             return EngineVerdict(
@@ -164,45 +161,46 @@ class _Judged:
             replace(base, parts=parts, tolerance=tolerance)
             for parts, tolerance in zip(PARTS, tolerances, strict=True)
         ]
-        answer, found = self._scored(engine, drives)
-        if found is None:
+        answer, result = self._scored(engine, drives)
+        if result is None:
             return EngineVerdict(engine=engine, came=answer.came, why=answer.why.rstrip("."))
         return EngineVerdict(
             engine=engine,
             came=Came.DONE,
-            score=found,
-            agrees=found.verdict is self.ours.verdict,
+            score=result,
+            agrees=result.verdict is self.ours.verdict,
             step=drives[-1].tolerance if about.adaptive else drives[-1].step,
             distance=self._distance(answer.motions[-1].q),
-            why=found.why,
+            why=result.why,
         )
 
     def _scored(self, engine: str, drives: Sequence[Drive]) -> tuple[EngineAnswer, Score | None]:
-        """The motions of these drives and the score of the last, with feedback if that score asks for it; no score without motions."""
+        """Return the motions and the score of the last one, tracked if it wants feedback."""
         answer = run_engine(engine, drives, limits=self.limits)
         if answer.came is not Came.DONE:
             return answer, None
         opened = self._replayed(drives, answer.motions)
-        found = score(self.scene, self.plan, opened)
-        if self.feedback is None or not wants_feedback(found.metrics):
-            return answer, found
-        asked = [replace(drive, feedback=self.feedback) for drive in drives]
-        followed = run_engine(engine, asked, limits=self.limits)
+        result = score(self.scene, self.plan, opened)
+        if self.feedback is None or not wants_feedback(result.metrics):
+            return answer, result
+        with_feedback = [replace(drive, feedback=self.feedback) for drive in drives]
+        followed = run_engine(engine, with_feedback, limits=self.limits)
         if followed.came is not Came.DONE:
             return followed, None
-        tracked = self._replayed(asked, followed.motions)
+        tracked = self._replayed(with_feedback, followed.motions)
         return answer, score(self.scene, self.plan, replace(opened, tracked=tracked))
 
     def _replayed(self, drives: Sequence[Drive], motions: Sequence[SimulatedMotion]) -> Replay:
-        """The last motion as a replay of the scene.
+        """Return the last motion as a replay of the scene.
 
-        An engine of first order is a third as wrong as it differs from the motion at four times
-        its step. The error is half of that difference.
+        A first-order engine errs by a third of the difference of two steps 4:1; half is reported.
         """
-        made = [self._replay(drive, motion) for drive, motion in zip(drives, motions, strict=True)]
-        coarse, fine = (item.rows(item.knots) if item.ok else None for item in made)
+        replays = [
+            self._replay(drive, motion) for drive, motion in zip(drives, motions, strict=True)
+        ]
+        coarse, fine = (item.rows(item.knots) if item.ok else None for item in replays)
         error = by_entry(lambda value: 0.5 * value, difference(coarse, fine))
-        return replace(made[-1], error=ReplayError(estimate=error))
+        return replace(replays[-1], error=ReplayError(estimate=error))
 
     def _replay(self, drive: Drive, motion: SimulatedMotion) -> Replay:
         plan, count = (
@@ -218,7 +216,7 @@ class _Judged:
         whole, nothing = count == len(motion.q), np.zeros(count)
         kinetic, potential = self.kernel.energy(q, v)
         gap = -self.kernel.penetration(q)
-        found = replace(
+        result = replace(
             self.replay, outcome=ReplayOutcome.OK if whole else ReplayOutcome.DIVERGED, message="",
             method="everyday", t=t, q=q, v=v,
             lam=self.kernel.contact_force(q, v=v), gap=gap,
@@ -228,16 +226,16 @@ class _Judged:
             events=(), tracked=None, feedback=None, applied=None, effort=None,
         )  # fmt: skip
         if drive.feedback is None or motion.applied is None:
-            return found
-        applied = motion.applied[: len(found.knots) - 1]
+            return result
+        applied = motion.applied[: len(result.knots) - 1]
         return replace(
-            found,
+            result,
             feedback=drive.feedback,
             applied=applied,
             effort=measure_effort(plan, applied, drive.feedback),
         )
 
     def _distance(self, q: np.ndarray) -> float:
-        """The largest distance of a motion (rows, nq) [m, rad] from ours at the plan's nodes, in nominal sizes [-]; infinite where it diverged."""
+        """Return the largest distance of q (rows, nq) [m, rad] from our motion, in nominals [-]."""
         apart = q[:: (len(q) - 1) // self.plan.steps] - self.replay.q[self.replay.knots]
         return float(np.nan_to_num(np.abs(apart) / self.nominal, nan=np.inf).max())

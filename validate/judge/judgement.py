@@ -1,15 +1,11 @@
-"""Does this plan hold? One call from a plan to its verdict, for a scene or for anybody's FMU.
+"""Judge a plan on a scene or on an external FMU, in one call.
 
-    from validate.judge.judgement import judge
-
-    # a scene by name, file or object; a plan as CSV, NetCDF, arrays by name, DataFrame or Solution
     verdict = judge("three_cart", "plan.csv")
     print(verdict)  # holds: every question asked is answered yes; closest to its limit: ..
     verdict.holds, verdict.score.value("replay_error"), verdict.replay.t
 
-The inputs alone are replayed first. Where they do not give the motion (question 4), a second replay follows it with limited feedback; where a plan that
-declares no scheme fails, a third tells whether it was held the other way
-(validate.judge.score.verdict).
+The inputs alone are replayed first. A second replay, with limited feedback, follows if question 4
+fails; a third, with the other hold, if a plan without a scheme fails.
 """
 
 from __future__ import annotations
@@ -38,16 +34,13 @@ from validate.judge.score import Score, metric_names, score, wants_feedback
 from validate.judge.score.verdict import Question, Verdict
 from validate.processes.isolated import Limits
 
-# A plan so many times as long as the task of its scene has its times in another unit.
+# A plan this many times longer than its task has times in another unit.
 ANOTHER_UNIT = 100.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Judgement:
-    """What the judge says of one plan: score.verdict, score.why and every metric.
-
-    The replay that it speaks of (None without a plan).
-    """
+    """The verdict, reasons and metrics of one plan; replay is None without a plan."""
 
     scene: Subject
     plan: Trajectory | None
@@ -56,12 +49,12 @@ class Judgement:
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict of the score."""
+        """Return the verdict of the score."""
         return self.score.verdict
 
     @property
     def holds(self) -> bool:
-        """Whether it holds, by its inputs alone or with feedback."""
+        """Return whether the plan holds, with or without feedback."""
         return self.score.verdict.is_good
 
     def __repr__(self) -> str:
@@ -81,17 +74,22 @@ def judge(
 
     Parameters
     ----------
-    scene : Scene, or its name, or the path of its file
-    plan : Trajectory | Solution | mapping or DataFrame of columns | path of a CSV or NetCDF file
-        Columns are `t` (nodes,), then the scene's names; what is absent is not claimed (docs/replay.md).
-    hold : "zero" or "linear" (or a Hold), the inputs within a step; scheme : the time step it is
-    made of, by name (or a Scheme). Of columns and CSV only, where they do not say so. feedback :
-    replay with feedback too, whether or not the verdict needs it. limits : run the FMU in a child
-    with these limits; None runs it here.
+    scene
+        Scene, its name, or the path of its file.
+    plan
+        Trajectory, Solution, mapping, DataFrame, or path of a CSV or NetCDF file. Columns: `t`
+        (nodes,) and names of the scene; absent columns are not claimed (docs/replay.md).
+    hold, scheme
+        Hold ("zero" or "linear") and time step of columns and CSV that declare none.
+    feedback
+        Replay with feedback even if the verdict does not need it.
+    limits
+        Run the FMU in a child process with these limits; None: in this process.
 
     Raises
     ------
-    SceneError, TrajectoryError, MachineError : in one sentence.
+    SceneError, TrajectoryError, MachineError
+        In one sentence.
     """
     subject = as_scene(scene)
     trajectory = as_trajectory(plan, subject, hold=hold, scheme=scheme)
@@ -110,22 +108,19 @@ def judge_trajectory(
     feedback: bool = False,
     limits: Limits | None = None,
 ) -> Judgement:
-    """Judge a Trajectory, its times counted from its start, on the scene's FMU.
+    """Judge a Trajectory, shifted to start at zero, on the scene's FMU.
 
-    feedback: replay with feedback even where the verdict does not need it. Raises TrajectoryError
-        if the plan does not fit the scene or lasts a hundred
-    times as long, MachineError.
+    feedback: replay with feedback even if the verdict does not need it. Raises MachineError, and
+    TrajectoryError if the plan does not fit the scene or is a hundred times as long.
     """
     plan = plan.from_zero()
     plan.check_fits(scene)
     if plan.duration > ANOTHER_UNIT * scene.task.horizon:
         raise TrajectoryError(
-            f"plan: it takes {plan.duration:.4g} s, the task of {scene.name} {scene.task.horizon:.4g} s: it is no plan of that task; give its t in s."
+            f"plan: it lasts {plan.duration:.4g} s, but the task of {scene.name} lasts {scene.task.horizon:.4g} s. Give t in seconds."
         )
 
-    scored: list[
-        tuple[Replay, Score]
-    ] = []  # what is not followed up is what comes back, and need not be scored twice
+    scored: list[tuple[Replay, Score]] = []  # reused below
 
     def follow(opened: Replay) -> Trajectory | None:
         scored.append((opened, score(scene, plan, opened)))
@@ -142,14 +137,14 @@ def _judged(
     track: Track,
     scored: Sequence[tuple[Replay, Score]] = (),
 ) -> Judgement:
-    """A plan judged by what `run` replays of it: with feedback where `track` says so, and held the other way where that may be why it fails.
+    """Judge a plan by replays of `run`: as `track` requires, and with the other hold.
 
-    scored: replays whose score is known by then.
+    scored: replays with known scores.
     """
     replayed = run(plan, track=track)
-    result = next((known for opened, known in scored if opened is replayed), None) or score(
-        subject, plan, replayed
-    )
+    result = next(
+        (known_score for opened, known_score in scored if opened is replayed), None
+    ) or score(subject, plan, replayed)
     fails = (
         dict(result.questions).get(Question.MOTION) == "no"
         or result.verdict is Verdict.HOLDS_WITH_FEEDBACK
@@ -164,9 +159,9 @@ def _judged(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WiredFmu:
-    """Somebody's FMU and a plan, brought together by a map; limits: of the child it runs in.
+    """An external FMU and a plan, connected by a map; limits: of the child process.
 
-    own_step: judge one doStep a step of the plan.
+    own_step: judge one doStep per step of the plan.
     """
 
     package: Package
@@ -176,7 +171,7 @@ class WiredFmu:
     own_step: bool
 
     def judge(self, feedback: bool = False) -> Judgement:
-        """Replay the plan, in a child process, and judge it; feedback: replay with feedback too.
+        """Replay the plan in a child process and judge it; feedback: replay with feedback too.
 
         Raises FmuError, MachineError, TrackingError.
         """
@@ -187,10 +182,10 @@ class WiredFmu:
         return _judged(self.foreign.model, self.plan, run, feedback)
 
     def _decides(self, plan: Trajectory, replayed: Replay) -> bool:
-        """Whether no smaller error of this replay would change the verdict."""
-        found = score(self.foreign.model, plan, replayed)
-        unsure = [item for item in found.metrics if item.is_judged and item.ok is None]
-        return found.verdict is not Verdict.UNDECIDED or all(item.value is None for item in unsure)
+        """Return whether a smaller error of this replay cannot change the verdict."""
+        result = score(self.foreign.model, plan, replayed)
+        unsure = [item for item in result.metrics if item.is_judged and item.ok is None]
+        return result.verdict is not Verdict.UNDECIDED or all(item.value is None for item in unsure)
 
 
 def wire_fmu(
@@ -203,30 +198,36 @@ def wire_fmu(
     own_step: bool = False,
     ignore: Sequence[str] = (),
 ) -> WiredFmu:
-    """Bring somebody's FMU and a plan together.
+    """Connect an external FMU with a plan.
 
     Parameters
     ----------
-    fmu : the file, of FMI 2.0 or 3.0
-    plan : path of a CSV | mapping or DataFrame of columns
-    map_path : the file that says which column is which variable (docs/replay.md); equal names
-        without it.
-    hold : "zero" or "linear", the inputs within a step; None: as the plan or the map says.
-    limits : of the child; None for the usual ones.
-    own_step : judge Co-Simulation with one doStep a step of the plan, as who recorded the plan
-        stepped it.
-    ignore : columns of a CSV that are left out.
+    fmu
+        FMU file, FMI 2.0 or 3.0.
+    plan
+        Path of a CSV, mapping or DataFrame of columns.
+    map_path
+        Map of columns to variables (docs/replay.md); None maps equal names.
+    hold
+        "zero" or "linear"; None: hold of the plan or the map.
+    limits
+        Limits of the child process.
+    own_step
+        Judge Co-Simulation with one doStep per step of the plan.
+    ignore
+        Columns of a CSV to leave out.
 
     Raises
     ------
-    FmuError, MapError, TrajectoryError, MachineError : in one sentence.
+    FmuError, MapError, TrajectoryError, MachineError
+        In one sentence.
     """
-    # The names of an FMU's map need pydantic, which a replay on a scene does without: 0.1 s.
+    # pydantic takes 0.1 s to import, and a replay on a scene does not need it.
     from validate.judge.replay.map_schema import MapError, hint, read_map
     from validate.judge.replay.mapping import wire
 
-    given = read_map(map_path) if map_path is not None else None
-    for name in given.limits if given is not None else ():
+    fmu_map = read_map(map_path) if map_path is not None else None
+    for name in fmu_map.limits if fmu_map is not None else ():
         if name not in metric_names():
             raise MapError(
                 f"map {map_path}: limits.{name}: there is no metric of that name{hint(name, metric_names())}."
@@ -241,17 +242,17 @@ def wire_fmu(
         raise TrajectoryError(
             f"plan: a {type(plan).__name__} has no names for the variables of an FMU; give the path of a CSV, arrays by column name or a DataFrame."
         )
-    foreign, trajectory = wire(package, table, given, hold, where)
+    foreign, trajectory = wire(package, table, fmu_map, hold, where)
     if not own_step and any(
         foreign.variables.internal_step == reference
         for reference, _ in foreign.variables.parameters
     ):
         raise MapError(
-            f"{where}: the parameter of the FMU's own step is chosen by the replay, ever smaller; with --own-step it may be given."
+            f"{where}: the map sets the parameter of the FMU's own step, but the replay sets it to ever smaller steps. Remove it from the map, or give --own-step."
         )
     if own_step and trajectory.hold is Hold.LINEAR:
         raise TrajectoryError(
-            f"{table.where}: its inputs are lines between its rows, but --own-step is for inputs that are held; leave it out."
+            f"{table.where}: its inputs are linear between rows, but --own-step requires inputs held over a step. Leave out --own-step."
         )
     return WiredFmu(
         package=package,
@@ -270,9 +271,9 @@ def as_trajectory(
     scheme: Scheme | str | None = None,
     ignore: Sequence[str] = (),
 ) -> Trajectory | None:
-    """A plan in any of the forms that `judge` takes; None of a Solution without one.
+    """Return a plan in any form of `judge` as a Trajectory; None for a Solution without one.
 
-    ignore: columns of a CSV that are left out. Raises TrajectoryError.
+    ignore: columns of a CSV to leave out. Raises TrajectoryError.
     """
     if hasattr(plan, "trajectory"):
         plan = plan.trajectory
@@ -283,23 +284,23 @@ def as_trajectory(
                 f"plan: its trajectory is a {type(plan).__name__}, but must be a Trajectory, or None."
             )
     is_file = isinstance(plan, (str, Path))
-    says_itself = (
+    declares = (
         "Trajectory"
         if isinstance(plan, Trajectory)
         else "NetCDF file"
         if is_file and Path(plan).suffix == ".nc"
         else ""
     )
-    if says_itself and (hold is not None or scheme is not None):
+    if declares and (hold is not None or scheme is not None):
         raise TrajectoryError(
-            f"plan: a {says_itself} says its own hold and scheme; change them in it."
+            f"plan: a {declares} declares its own hold and scheme. Change them there."
         )
     if isinstance(plan, Trajectory):
         return plan
     if is_file:
         return (
             read_netcdf(Path(plan), scene)
-            if says_itself
+            if declares
             else read_csv(Path(plan), scene, hold, scheme, ignore)
         )
     if isinstance(plan, (Mapping, np.ndarray)) or hasattr(plan, "columns"):

@@ -1,11 +1,11 @@
-"""What an engine is told, what it gives back, and how it is called: in a child with limits, so that a crash, a hang or a missing package is a row.
+"""Run an engine (another simulator) in a child process with limits.
 
-    name in engine_names(); describe_engine("mujoco").title            # nothing of it is imported
-    answer = run_engine("mujoco", scene, drives)  # one motion a drive, or a sentence
+    name in engine_names(); describe_engine("mujoco").title       # imports no engine
+    answer = run_engine("mujoco", drives)  # one motion per drive, or a sentence
     answer.motions[0].q, answer.motions[0].seconds, answer.why
 
-An engine is a file in `engines` (found by its name), which defines `ENGINE` and `simulate`. It
-steps a scene from the scene's own parameters; what it cannot express it says by CannotExpressError.
+An engine is a file in `engines` that defines `ENGINE` and `simulate`; unsupported parts of a scene
+raise CannotExpressError. A crash, a hang or a missing package becomes a row.
 """
 
 from __future__ import annotations
@@ -26,31 +26,29 @@ from models.loading import declared
 from validate.judge.replay.wiring import Feedback, HeldInputs
 from validate.processes.isolated import Ending, Limits, packed, run_isolated, unpacked_from
 
-if (
-    TYPE_CHECKING
-):  # the child of an engine that needs no scene's equations imports no SymPy before it reads one
+if TYPE_CHECKING:  # SymPy is imported only by engines that read equations
     from models.scene import Scene
     from models.trajectory import Trajectory
 
 FOLDER = Path(__file__).parent / "engines"
-# The engine that the others are compared with.
+# Engine that all others are compared with.
 REFERENCE = "fmu"
-# What a run of an engine may use; the largest of the truth suite, 1000 bounces by SAP, takes some
-# 200 s of a quiet core.
+# The largest run of the truth suite, 1000 bounces by SAP, takes some 200 s of a quiet core.
 LIMITS = Limits(seconds=900.0)
 
 
 class CannotExpressError(TouchstoneError):
-    """An engine has no such thing as a part of a scene; the sentence says which."""
+    """The engine does not support a part of the scene."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Simulator:
-    """What an engine says of itself, in literals.
+    """Description of an engine, in literals.
 
-    title: what it is called; package: what it imports, empty for our own; extra: what brings it;
-        tolerances: four that it is told, the loosest first, where it takes no step;
-    law: how it makes contact, in a few words.
+    - package: imported package, empty for ours.
+    - extra: dependency group that installs the package.
+    - tolerances: four, the loosest first, of an engine that takes no step.
+    - law: contact law.
     """
 
     title: str
@@ -61,19 +59,19 @@ class Simulator:
 
     @property
     def adaptive(self) -> bool:
-        """Whether it chooses its steps."""
+        """Return whether the engine chooses its steps."""
         return bool(self.tolerances)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drive:
-    """A scene to be stepped.
+    """A scene to step under a plan's times (nodes,) [s], inputs (steps, nu) [N, N m] and hold.
 
-    plan: times (nodes,) [s], inputs (steps, nu) [N, N m] and their hold; the rest of it is not
-        looked at. start (2 nq,): positions, then velocities [m, rad,
-    m/s, rad/s]. parts: steps of the engine between two nodes; rows: how many of them, evenly, are
-        given back; tolerance: relative, of an adaptive engine;
-    feedback: what corrects the inputs at each node.
+    - start: (2 nq,) positions, then velocities [m, rad, m/s, rad/s].
+    - parts: engine steps between nodes.
+    - rows: number of them to return, evenly spaced.
+    - tolerance: relative, of an adaptive engine.
+    - feedback: correction of the inputs at each node.
     """
 
     scene: Scene
@@ -86,16 +84,15 @@ class Drive:
 
     @property
     def step(self) -> float:
-        """Of the engine, where it has one [s]: the mean of the plan's over `parts`."""
+        """Return the engine's step [s]: the plan's mean step over `parts`."""
         return float(np.diff(self.plan.t).mean()) / self.parts
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimulatedMotion:
-    """What an engine made of a drive.
+    """Motion of a drive: q, v (rows, nq) [m, rad, m/s, rad/s], not finite once diverged.
 
-    q, v (rows, nq) [m, rad, m/s, rad/s], not finite from where it diverged; applied (steps made,
-    nu): inputs with feedback [N, N m]; seconds: of CPU time [s].
+    applied: (steps, nu) inputs with feedback [N, N m]. seconds: CPU time [s].
     """
 
     q: np.ndarray
@@ -105,12 +102,12 @@ class SimulatedMotion:
 
     @property
     def finite(self) -> bool:
-        """Whether it came to the end."""
+        """Return whether all numbers are finite."""
         return bool(np.isfinite(self.q).all() and np.isfinite(self.v).all())
 
 
 class Came(Enum):
-    """What came of asking an engine."""
+    """Status of an engine's run."""
 
     DONE = "done"
     CANNOT = "cannot express it"
@@ -120,7 +117,7 @@ class Came(Enum):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EngineAnswer:
-    """motions: one a drive where it came to its end, else none and a sentence that says why."""
+    """One motion per drive, or none and a reason."""
 
     came: Came
     motions: tuple[SimulatedMotion, ...] = ()
@@ -128,13 +125,13 @@ class EngineAnswer:
 
 
 def engine_names() -> tuple[str, ...]:
-    """Names of the engines, ours first; reads file names only."""
-    found = (path.stem for path in FOLDER.glob("*.py") if not path.stem.startswith("_"))
-    return tuple(sorted(found, key=lambda name: (not name.startswith("fmu"), name)))
+    """Return the names of the engines, ours first; reads file names only."""
+    names = (path.stem for path in FOLDER.glob("*.py") if not path.stem.startswith("_"))
+    return tuple(sorted(names, key=lambda name: (not name.startswith("fmu"), name)))
 
 
 def describe_engine(name: str) -> Simulator:
-    """What an engine says of itself, without importing it. Raises UnknownNameError."""
+    """Return an engine's description without importing the engine. Raises UnknownNameError."""
     if name not in engine_names():
         known = f"there are {', '.join(engine_names())}."
         raise UnknownNameError(
@@ -144,7 +141,7 @@ def describe_engine(name: str) -> Simulator:
 
 
 def missing(name: str) -> str:
-    """Why an engine cannot run here, and what to do; empty: it can. Raises UnknownNameError."""
+    """Return why an engine cannot run here, or "". Raises UnknownNameError."""
     about = describe_engine(name)
     package = about.package
     if not package or importlib.util.find_spec(package) is not None:
@@ -155,9 +152,9 @@ def missing(name: str) -> str:
 
 
 def named_engines(text: str) -> tuple[str, ...]:
-    """The engines of a comma-separated list, each once; `all`: those that are installed.
+    """Return the engines of a comma-separated list, each once; `all`: every installed engine.
 
-    Raises UnknownNameError, MachineError for one whose package is missing.
+    Raises UnknownNameError, and MachineError for a missing package.
     """
     if text.strip() == "all":
         return tuple(name for name in engine_names() if not missing(name))
@@ -173,38 +170,37 @@ def named_engines(text: str) -> tuple[str, ...]:
 
 
 def load_engine(name: str) -> Callable[[Drive], SimulatedMotion]:
-    """What steps a scene by that engine. Raises ImportError where its package is missing."""
+    """Return the engine's `simulate`. Raises ImportError if its package is missing."""
     return importlib.import_module(f"validate.judge.engines.{name}").simulate
 
 
 def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -> EngineAnswer:
-    """Make all motions of one scene in a child.
+    """Run all drives of one scene in one child process.
 
     Parameters
     ----------
     name
-        Of the engine.
+        Engine.
     drives
-        Of one scene, plan and start; they differ in parts and tolerance.
+        Equal but for parts and tolerance.
     limits
-        Of the child, for all of them together.
+        Limits for all drives together.
 
     Returns
     -------
     EngineAnswer
-        Motions, or a sentence: of what the engine cannot express, of a missing package, of how the
-        child ended.
+        Motions, or why there are none.
 
     Raises
     ------
     UnknownNameError
-        For an engine that there is not.
+        For an unknown engine.
     MachineError
         If the temporary folder cannot be written.
     """
     if absent := missing(name):
         return EngineAnswer(came=Came.MISSING, why=absent)
-    # A scene has no other form that keeps what a case changed of it.
+    # Pickled: no file format keeps the changes that a case makes to a scene.
     done = run_isolated(
         "validate.judge.simulator:answer",
         name,
@@ -216,12 +212,12 @@ def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -
         return EngineAnswer(came=Came.CANNOT, why=done.sentence)
     if not done.ok:
         return EngineAnswer(came=Came.FAILED, why=done.sentence)
-    found = done.arrays
+    arrays = done.arrays
     motions = tuple(
         SimulatedMotion(
-            q=found[f"{number}_q"],
-            v=found[f"{number}_v"],
-            applied=found.get(f"{number}_applied"),
+            q=arrays[f"{number}_q"],
+            v=arrays[f"{number}_v"],
+            applied=arrays.get(f"{number}_applied"),
             seconds=seconds,
         )
         for number, seconds in enumerate(done.value)
@@ -232,60 +228,32 @@ def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -
 def answer(
     name: str, arrays: Mapping[str, np.ndarray]
 ) -> tuple[list[float], dict[str, np.ndarray]]:
-    """In the child: all motions of the engine.
+    """Run all drives, packed (n,) [-], in the child process.
 
-    Parameters
-    ----------
-    name
-        Of the engine.
-    arrays
-        The drives, packed (n,) [-].
-
-    Returns
-    -------
-    tuple
-        CPU seconds of each motion [s]; q, v (rows, nq) of each [m, rad, m/s, rad/s].
-
-    Raises
-    ------
-    CannotExpressError
-        Of the engine.
+    Returns the CPU seconds [s] and q, v (rows, nq) [m, rad, m/s, rad/s] of each motion. Raises
+    CannotExpressError.
     """
-    simulate, value, found = load_engine(name), [], {}
+    simulate, value, results = load_engine(name), [], {}
     for number, drive in enumerate(unpacked_from(arrays)):
         motion = simulate(drive)
         value.append(motion.seconds)
-        found |= {
+        results |= {
             f"{number}_{part}": array
             for part in ("q", "v", "applied")
             if (array := getattr(motion, part)) is not None
         }
-    return value, found
+    return value, results
 
 
 def stepped(
     drive: Drive,
     advance: Callable[[np.ndarray, np.ndarray, int, float], tuple[np.ndarray, np.ndarray]],
 ) -> SimulatedMotion:
-    """The motion row by row, by an engine that holds its state.
+    """Return the motion of a drive by an engine that keeps its own state; NaN once diverged.
 
-    Parameters
-    ----------
-    drive
-        What is to be done.
-    advance
-        Under inputs (nu,) [N, N m] that change by so much a second (nu,) makes so many steps of so many seconds [s], and gives positions and velocities
-        (nq,) [m, rad, m/s, rad/s].
-
-    Returns
-    -------
-    SimulatedMotion
-        NaN from where a number was not finite.
-
-    Raises
-    ------
-    CannotExpressError
-        Whatever `advance` raises.
+    advance: takes inputs (nu,) [N, N m], their slopes (nu,) [N/s, N m/s], a number of steps and the
+    step [s]; returns positions and velocities (nq,) [m, rad, m/s, rad/s]. Raises errors of
+    `advance`.
     """
     nq, inputs, count = (
         drive.scene.nq,

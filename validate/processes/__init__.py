@@ -1,1 +1,1 @@
-"""How tasks are run: the campaign, its engines, one supervised process each, and foreign code in isolation."""
+"""Supervised child processes, and foreign code in isolation."""

@@ -1,4 +1,4 @@
-"""Files on a disk that may be full, read-only or gone: written whole or not at all, and one sentence where it refuses."""
+"""Atomic file operations, with one sentence if the disk refuses."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from typing import Any
 
 from models.errors import MachineError
 
-# How the name of what is not finished begins.
+# Prefix of unfinished files and folders.
 PARTIAL = ".partial-"
-# What the operating system says when a disk will take no more, as opposed to a mistake of ours.
+# Errors of a disk that accepts no writes, unlike programming errors.
 _DISK_REFUSES = frozenset(
     {
         errno.EACCES,
@@ -31,12 +31,12 @@ _DISK_REFUSES = frozenset(
         errno.ENOTDIR,
     }
 )
-# Of these, what no method and no check does by a mistake of its own.
+# Errors that a method or check never causes itself.
 _DISK_ENDS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
 
 
 def disk_error(path: Path, error: OSError) -> MachineError:
-    """One sentence for a disk that refuses."""
+    """Return the error of a disk that refuses, in one sentence."""
     what = (
         "the disk is full"
         if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -44,7 +44,7 @@ def disk_error(path: Path, error: OSError) -> MachineError:
     )
     if error.errno == errno.ENOENT and not path.parent.exists():
         return MachineError(
-            f"cannot write {path} (its folder is gone); somebody removed or moved it, or its disk is no longer there."
+            f"cannot write {path} (its folder is gone): it was removed or moved, or its disk is gone."
         )
     return MachineError(
         f"cannot write {path} ({what}); make room or permit it, or write elsewhere."
@@ -53,10 +53,7 @@ def disk_error(path: Path, error: OSError) -> MachineError:
 
 @contextmanager
 def refusals_in_words(path: Path) -> Iterator[None]:
-    """What is done to a file or folder here.
-
-    Where the disk refuses, a MachineError says so of it.
-    """
+    """Turn an OSError of the block into a MachineError about this path."""
     try:
         yield
     except OSError as error:
@@ -64,12 +61,12 @@ def refusals_in_words(path: Path) -> Iterator[None]:
 
 
 def disk_refuses(error: OSError) -> bool:
-    """Whether the disk will take no more, as opposed to a mistake of ours."""
+    """Return whether the disk accepts no writes, as opposed to a programming error."""
     return error.errno in _DISK_REFUSES
 
 
 def raise_if_disk_ended(path: Path, error: BaseException) -> None:
-    """Raise a MachineError if what went wrong in a task, or what it came of, is a disk that takes no more. path: named where the error names none."""
+    """Raise MachineError if the cause of an error is a full or broken disk; path: a default."""
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, OSError) and cause.errno in _DISK_ENDS:
@@ -80,13 +77,13 @@ def raise_if_disk_ended(path: Path, error: BaseException) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file if it is there. Raises MachineError where the disk refuses."""
+    """Remove a file if it exists. Raises MachineError if the disk refuses."""
     with refusals_in_words(path):
         path.unlink(missing_ok=True)
 
 
 def no_temporary_folder(error: OSError) -> MachineError:
-    """One sentence for a machine on which no temporary folder can be made."""
+    """Return the error of a machine without a temporary folder, in one sentence."""
     where = f": {error.filename}" if error.filename else ""
     return MachineError(
         f"no temporary folder can be made ({error.strerror or error}{where}); make room or set TMPDIR to a folder you can write."
@@ -95,7 +92,7 @@ def no_temporary_folder(error: OSError) -> MachineError:
 
 @contextmanager
 def temporary_folder(prefix: str) -> Iterator[Path]:
-    """A folder that is gone afterwards. Raises MachineError where none can be made."""
+    """Create a folder for the block. Raises MachineError if that fails."""
     try:
         folder = tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True)
     except OSError as error:
@@ -105,18 +102,18 @@ def temporary_folder(prefix: str) -> Iterator[Path]:
     finally:
         with contextlib.suppress(
             OSError
-        ):  # of another user's files, which foreign code may have left, it is not silent all the same
+        ):  # files of another user raise despite ignore_cleanup_errors
             folder.cleanup()
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and those it lies in. Raises MachineError where the disk refuses."""
+    """Make a folder and its parents. Raises MachineError if the disk refuses."""
     with refusals_in_words(path):
         path.mkdir(parents=True, exist_ok=True)
 
 
 def write_durably(path: Path, content: str | bytes) -> None:
-    """Write a file so that after this call either the old or the new content is there, whatever happens. Raises MachineError."""
+    """Write a file atomically: it has the old or the new content. Raises MachineError."""
     unfinished = path.with_name(aside_name("file", uuid.uuid4().hex))
     try:
         with open(unfinished, "wb") as file:
@@ -124,7 +121,7 @@ def write_durably(path: Path, content: str | bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.replace(unfinished, path)
-    except BaseException as error:  # Ctrl-C too leaves nothing
+    except BaseException as error:  # Ctrl-C, too, must leave nothing
         with contextlib.suppress(OSError):
             unfinished.unlink()
         if isinstance(error, OSError):
@@ -133,7 +130,7 @@ def write_durably(path: Path, content: str | bytes) -> None:
 
 
 def fsync(path: Path) -> None:
-    """Have a file or folder on the disk before this returns."""
+    """Sync a file or folder to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -142,16 +139,13 @@ def fsync(path: Path) -> None:
 
 
 def fsync_whole(folder: Path) -> None:
-    """Have a folder of files on the disk before this returns."""
+    """Sync a folder and its files to the disk."""
     for path in (*sorted(folder.iterdir()), folder):
         fsync(path)
 
 
 def renamed(folder: Path, target: Path) -> bool:
-    """Whether a folder has its name now; not if there is one of that name.
-
-    Raises OSError where the disk refuses.
-    """
+    """Rename a folder; return False if the target exists. Raises OSError if the disk refuses."""
     try:
         os.rename(folder, target)
     except OSError as error:
@@ -162,7 +156,7 @@ def renamed(folder: Path, target: Path) -> bool:
 
 
 def tail(path: Path, size: int) -> str:
-    """The last `size` bytes of a file, as text; empty where it cannot be read."""
+    """Return the last `size` bytes of a file as text, "" if unreadable."""
     with contextlib.suppress(OSError), open(path, "rb") as file:
         file.seek(max(0, os.path.getsize(path) - size))
         return file.read().decode("utf-8", errors="replace")
@@ -170,12 +164,12 @@ def tail(path: Path, size: int) -> str:
 
 
 def read_json(path: Path) -> Any:
-    """What a file of JSON holds; None where it is not there or damaged."""
+    """Return the content of a JSON file, None if missing or damaged."""
     with contextlib.suppress(OSError, ValueError, RecursionError):
         return json.loads(path.read_text(encoding="utf-8"))
     return None
 
 
 def aside_name(what: str, token: str) -> str:
-    """The name of what is not finished; it says whose it is."""
+    """Return a name for an unfinished file or folder, with its owner."""
     return f"{PARTIAL}{what}-{token}-{os.getpid()}-{socket.gethostname()}"

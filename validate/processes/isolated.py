@@ -1,8 +1,7 @@
-"""run_isolated(): one function call in a child process, with limits, its end put into words, nothing left of it afterwards.
+"""Call a function in a child process with limits; its ending becomes a sentence.
 
-How an isolated run can end is a closed list. `main` is what the child does: it leaves no core file,
-stays within its limits, and tells why it crashes if it was for memory. A fork of it that comes back
-through our code - an FMU may fork within doStep - ends silently: only the first process answers.
+Endings are a closed list. The child leaves no core file, obeys its limits and marks crashes by
+refused memory. A fork that returns through our code, as an FMU's may, ends silently.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ if TYPE_CHECKING:
 
 
 class Ending(Enum):
-    """The value is the sentence's beginning; `Isolated.sentence` says the rest."""
+    """Ending of a call, as the beginning of its sentence."""
 
     OK = "it came to its end"
     ERROR = "it refused"  # a TouchstoneError of the function: a sentence for the user
@@ -57,8 +56,8 @@ class Ending(Enum):
     NO_RESULT = "its process ended without a result"
 
 
-class ModelFault(Exception):  # noqa: N818 - a finding about the model, not an error of ours
-    """Raised by an isolated function to end with a finding about the model (FATAL, NOT_A_NUMBER) and its sentence."""
+class ModelFault(Exception):  # noqa: N818 - a finding about the model, no error of ours
+    """A finding about the model (FATAL, NOT_A_NUMBER) that ends an isolated function."""
 
     def __init__(self, ending: Ending, sentence: str) -> None:
         super().__init__(sentence)
@@ -72,31 +71,32 @@ GIVEN = "given.npz"
 TAKEN = "answer.npz"
 REFUSED = "memory-refused"
 FOLDER_PREFIX = ".partial-isolated-"
-# How a child that is called again is asked, and answers; how often it is looked whether it lives
-# [s]; calls after which it is a new one: what an FMU leaks a run (2.6 kB of PythonFMU's) adds up to
-# the limit of 4 GiB only from 8 MB a run on.
 _ASKED = "ask"
 _ANSWERED = "answers"
+# Interval between looks whether the child lives [s].
 _LOOK = 0.05
+# Calls per child. PythonFMU leaks 2.6 kB a run; 8 MB a run would reach the limit of 4 GiB.
 _MOST_CALLS = 500
-# Written to see whether there is room [bytes].
+# File that tests for free space.
 _ROOM = "room"
+# Its size [bytes].
 _ROOM_BYTES = 2**16
-# From which share of its memory limit on a crash is put down to it.
+# Share of the memory limit from which a crash counts as caused by it.
 _NEAR = 0.8
-# What C++ says last where nobody catches a refused allocation, and how far from the end of the
-# output it is looked for [bytes].
+# Last message of C++ on an uncaught refused allocation.
 _BAD_ALLOC = "std::bad_alloc"
+# Length of the output's end to search for that message [bytes].
 _LAST_WORDS = 4000
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a call may use.
+    """Limits of a call.
 
-    seconds: wall time [s], and twice that of CPU time; memory: address space [bytes], Python's own
-        0.3 GB included; file: any one file it writes [bytes],
-    what it prints included; output: how much of what it printed is recorded, from its end [bytes].
+    - seconds: wall time [s]; CPU time may be twice that.
+    - memory: address space [bytes], with Python's 0.3 GB.
+    - file: any written file [bytes].
+    - output: recorded end of the output [bytes].
     """
 
     seconds: float = 300.0
@@ -107,12 +107,10 @@ class Limits:
 
 @dataclass(frozen=True, kw_only=True)
 class Isolated:
-    """How the call ended. value, arrays: what the function gave, only if ok.
+    """Result of a call; value and arrays only if ok, else sentence.
 
-    sentence: why not, else empty.
-
-    output: the last bytes of what it printed; strays: processes it left behind, ended by us; cpu,
-        wall [s]; memory: the largest seen [bytes].
+    output: end of the output; strays: remaining processes, ended by us; cpu, wall [s]; memory:
+    largest [bytes].
     """
 
     ending: Ending
@@ -127,7 +125,7 @@ class Isolated:
 
     @property
     def ok(self) -> bool:
-        """Whether the function came to its end."""
+        """Return whether the function finished."""
         return self.ending is Ending.OK
 
 
@@ -147,20 +145,20 @@ def run_isolated(
     function
         `module:name`.
     request
-        What JSON holds; the value that comes back too. NaN is refused.
+        JSON data, like the value; NaN is refused.
     arrays
-        Numpy arrays of numbers by name (any shape) [any unit]; those that come back too.
+        Arrays of numbers by name (any shape) [any unit].
     limits
-        What the call may use.
+        Limits of the call.
     what
-        The subject of the sentence that says how it ended.
+        Subject of the sentence about its ending.
     ours
-        Whether all that runs there is ours: it may then be a fork of this process (validate.processes.process).
+        Only our code runs, so that a fork of this process may be used.
 
     Returns
     -------
     Isolated
-        Its `ending` says whatever the child did.
+        With the `ending` of the child.
 
     Raises
     ------
@@ -182,9 +180,9 @@ def run_isolated(
 
 
 def packed(*things: Any) -> dict[str, np.ndarray]:
-    """What is neither JSON nor an array, as the arrays of a call.
+    """Return any of our objects as an array (n,) [-] of a call. Raises PicklingError.
 
-    Only of ours, on its way to a child: what comes back lay beside foreign code.
+    Only towards a child: answers lie beside foreign code, and must not be unpickled.
     """
     import numpy as np
 
@@ -192,15 +190,15 @@ def packed(*things: Any) -> dict[str, np.ndarray]:
 
 
 def unpacked_from(arrays: Mapping[str, np.ndarray]) -> Any:
-    """The tuple of what was `packed` into the arrays of a call."""
+    """Return the tuple of objects packed into arrays (n,) [-]. Raises UnpicklingError."""
     return pickle.loads(arrays["packed"].tobytes())
 
 
 class IsolatedCalls:
-    """`run_isolated` for many calls, in one child as long as each comes back: `calls(function, request, arrays)`; to be closed.
+    """`run_isolated` for many calls in one child; must be closed.
 
-    A call that ends the process of earlier ones is made once more, in a new one: none pays for what
-    another left behind. limits.seconds is a call's.
+    A call that ends a used child is repeated in a new one, so that no call suffers from earlier
+    ones. limits.seconds is per call.
     """
 
     def __init__(self, limits: Limits, what: str) -> None:
@@ -210,7 +208,7 @@ class IsolatedCalls:
     def __call__(
         self, function: str, request: Any, arrays: Mapping[str, np.ndarray] | None = None
     ) -> Isolated:
-        """As `run_isolated`. Raises MachineError."""
+        """Call a function as `run_isolated`. Raises MachineError."""
         done = self._call(function, request, arrays)
         if self._child is None and self._made > 1 and done.ending is not Ending.TIME_LIMIT:
             done = self._call(function, request, arrays)
@@ -230,13 +228,13 @@ class IsolatedCalls:
         _write_request(folder, function, request, arrays, self._limits)
         self._made += 1
         os.write(self._ask, b"?")
-        heard, over_time = False, False
-        while not (heard or over_time or child.wait(0.0)):
-            heard = bool(select.select([self._answers], [], [], _LOOK)[0])
-            over_time = not heard and time.monotonic() - began > self._limits.seconds
-        if heard:
+        answered, over_time = False, False
+        while not (answered or over_time or child.wait(0.0)):
+            answered = bool(select.select([self._answers], [], [], _LOOK)[0])
+            over_time = not answered and time.monotonic() - began > self._limits.seconds
+        if answered:
             os.read(self._answers, 1)
-        ended = Ended(code=0) if heard else child.end()
+        ended = Ended(code=0) if answered else child.end()
         done = _told(folder, ended, over_time, time.monotonic() - began, self._limits, self._what)
         if not done.ok:
             self.close()
@@ -258,7 +256,7 @@ class IsolatedCalls:
         )
 
     def _pipe(self, name: str) -> int:
-        """Open for both ways: neither side waits for the other to open it."""
+        """Open for reading and writing, so that no side waits for the other to open it."""
         os.mkfifo(self._folder / name)
         return os.open(self._folder / name, os.O_RDWR)
 
@@ -303,7 +301,7 @@ def _write_request(
 
 
 def _see_room(folder: Path) -> None:
-    """Raises MachineError where the folder takes no more: what the child would have left then, nobody knows."""
+    """Raise MachineError if the folder is full, as the child's answer may then be lost."""
     try:
         with open(folder / _ROOM, "wb") as file:
             file.write(bytes(_ROOM_BYTES))
@@ -316,7 +314,6 @@ def _see_room(folder: Path) -> None:
 def _told(
     folder: Path, ended: Ended, over_time: bool, wall: float, limits: Limits, what: str
 ) -> Isolated:
-    """What came of a call whose child has ended."""
     peak = max(ended.space, ended.memory)
     answer, arrays = left_by(folder)
     if not answer:
@@ -339,18 +336,16 @@ def _told(
 
 
 def left_by(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The child's answer and its arrays (any shape) [any unit].
+    """Return the child's answer and arrays (any shape) [any unit], empty if incomplete.
 
-    Empty if it left none that are whole.
-
-    Foreign code ran beside ours, and may have written there: nothing raises for what it left.
+    Raises nothing: foreign code may have written there.
     """
     answer = _answer(folder)
     if answer.get("ending") != Ending.OK.name:
         return answer, {}
     try:
         return answer, _arrays_in(folder / TAKEN)
-    except Exception:  # noqa: BLE001 - of any type: numpy, zipfile and zlib have many
+    except Exception:  # noqa: BLE001 - numpy, zipfile and zlib raise many types
         return {}, {}
 
 
@@ -406,45 +401,42 @@ def _arrays_in(path: Path) -> dict[str, np.ndarray]:
         return {name: stored[name] for name in stored.files}
 
 
-# New objects after which Python looks for cycles among them, instead of 700: those of NumPy and
-# FMPy stay, and looking took a fifteenth of a replay.
+# Allocations between garbage collections, instead of 700, which took a fifteenth of a replay.
 _OBJECTS = 200_000
-# No module's bytecode is larger [bytes].
+# Larger than any module's bytecode [bytes].
 _ANY_BYTECODE = 16 * 1024**2
 
 
 def limit_resources(
     *, file_bytes: int, memory_bytes: int | None = None, cpu_seconds: float | None = None
 ) -> None:
-    """No core file, no file larger than that; address space and CPU time where given.
+    """Forbid core files and larger files, and limit address space and CPU time if given.
 
-    Limits that are narrower already stay.
-
-    Under a narrow limit no bytecode is written: Python would write what fits, and every later
-    process would stumble over it.
+    Narrower limits stay. Under a narrow file limit no bytecode is written, because truncated
+    bytecode would break later processes.
     """
     if file_bytes < _ANY_BYTECODE:
         sys.dont_write_bytecode = True
-    import resource  # not there on Windows, where no child can be started
+    import resource  # missing on Windows, where no child can be started
 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    wanted = {
+    new_limits = {
         resource.RLIMIT_FSIZE: file_bytes,
         resource.RLIMIT_AS: memory_bytes,
         resource.RLIMIT_CPU: None if cpu_seconds is None else int(cpu_seconds) + 1,
     }
-    for kind, limit in wanted.items():
+    for kind, limit in new_limits.items():
         soft, hard = resource.getrlimit(kind)
         if limit is not None and (soft == resource.RLIM_INFINITY or soft > limit):
             resource.setrlimit(kind, (limit, hard))
 
 
 def mark_refused_memory(mark: Path) -> Any:
-    """Let a crash that follows a refused allocation leave the file `mark`: C code that does not look at what malloc gave writes to address 0.
+    """Let a crash after a refused allocation write the file `mark`.
 
-    Then errno is still ENOMEM. The handler runs as Python, which it can where C code was called
-    through ctypes, as FMUs are; it puts the former handler back and returns, so that the crash goes
-    on as it would have. What is returned must live as long as the process lives.
+    C code that ignores malloc's failure writes to address 0, with errno still ENOMEM. The Python
+    handler works for code called through ctypes, such as FMUs; it restores the former handler, so
+    that the crash continues. The returned object must live as long as the process.
     """
     signals = (signal.SIGSEGV, signal.SIGBUS)
     set_handler: Any = ctypes.CDLL(None).signal
@@ -467,7 +459,7 @@ def _call(folder: Path, request: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     arrays = _arrays_in(folder / GIVEN)
     function = getattr(importlib.import_module(module), name)
     sys.dont_write_bytecode = (
-        True  # foreign code may narrow the limit of files, and what Python then writes is cut off
+        True  # foreign code may narrow the file limit, which truncates bytecode
     )
     value = function(request["request"], arrays)
     return value if isinstance(value, tuple) else (value, {})
@@ -489,7 +481,7 @@ def main(folder: Path) -> None:
 
 
 def main_again(folder: Path) -> None:
-    """The same for every call of `IsolatedCalls`, until the end of its process ends this one."""
+    """Answer the calls of `IsolatedCalls`, until this process is ended."""
     _, _kept = _limited(folder, again=True)
     first = os.getpid()
     with (
@@ -502,7 +494,7 @@ def main_again(folder: Path) -> None:
 
 
 def _limited(folder: Path, again: bool) -> tuple[dict[str, Any], Any]:
-    """What is asked, once this process has its limits; and what must live as long as it."""
+    """Limit this process; return the request, and an object to keep alive."""
     gc.set_threshold(_OBJECTS)
     request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
     seconds = None if again else 2 * request["seconds"]
@@ -519,14 +511,13 @@ def _answered(folder: Path, request: dict[str, Any], first: int) -> None:
 
             np.savez(folder / TAKEN, allow_pickle=False, **arrays)
         _write_answer(folder, Ending.OK, value=value)
-    except Exception as error:  # noqa: BLE001 - whatever it was, it is the answer
+    except Exception as error:  # noqa: BLE001 - any error is an answer
         _end_copies(first)
         ending, sentence = _ending(folder, error)
         _write_answer(folder, ending, sentence=sentence)
 
 
 def _ending(folder: Path, error: Exception) -> tuple[Ending, str]:
-    """How a call ends that raised, and the sentence."""
     if isinstance(error, ModelFault):
         return error.ending, str(error)
     if isinstance(error, MachineError):

@@ -1,23 +1,13 @@
-"""A child process under a supervisor (validate.processes.supervisor): started, watched, and ended with everything it started. Tasks and isolated FMUs use the same.
+"""Child processes under a supervisor, for tasks and isolated FMUs.
 
-# calls main(folder) there
-child = Child("validate.tasks.child:main", folder, output=folder / "log.txt")
-while not child.wait(0.05): ...
-ended = child.end()                 # how, what it cost; no process of it is left
-child.close()                       # and no folder
+    child = Child("validate.tasks.child:main", folder, output=folder / "log.txt")  # main(folder)
+    while not child.wait(0.05): ...
+    ended = child.end()                 # ends all its processes
+    child.close()                       # removes the folder
 
-Every child process is given one thread for every library, no hash randomisation, and temporary
-files in its own folder. What must not be cut short by Ctrl-C: it is held back for a moment, and
-heard then.
-
-Code of our own may run in a fork of this process instead, which has imported already what it needs:
-that takes a third of a replay.
-
-    if can_fork():
-        child = Fork("module:main", folder, output=folder / "output.txt")    # used like a Child
-
-Foreign code gets a process of its own under a supervisor, which finds whatever it starts; here
-nothing is looked for. When this process is killed, the fork removes its folder and ends.
+A child has one thread per library, no hash randomisation and its own temporary files. Our own code
+may run in a `Fork` of this process, which saves imports, a third of a replay. A fork has no
+supervisor; it removes its folder and ends if this process is killed.
 """
 
 from __future__ import annotations
@@ -42,7 +32,7 @@ from typing import Any
 from models.errors import MachineError
 from validate.processes.supervisor import ENDED, LENGTH, READY, be_child
 
-# What ends a campaign in words: Ctrl-C, a polite kill, a closed terminal.
+# Signals that end a campaign with a message: Ctrl-C, kill, a closed terminal.
 ENDING = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
@@ -50,18 +40,18 @@ ENDING = tuple(
 
 @contextmanager
 def interrupts_wait() -> Iterator[None]:
-    """What would raise KeyboardInterrupt raises it when the block has ended.
+    """Delay KeyboardInterrupt to the end of the block; a second one is immediate.
 
-    The second of them at once. Outside the main thread nothing is held back.
+    Only in the main thread.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    heard: list[int] = []
+    received: list[int] = []
 
     def hear(number: int, frame: FrameType | None) -> None:
-        heard.append(number)
-        if len(heard) > 1:
+        received.append(number)
+        if len(received) > 1:
             signal.default_int_handler(number, frame)
 
     mine = [number for number in ENDING if signal.getsignal(number) is signal.default_int_handler]
@@ -72,16 +62,16 @@ def interrupts_wait() -> Iterator[None]:
     finally:
         for number in mine:
             signal.signal(number, signal.default_int_handler)
-    if heard:
+    if received:
         raise KeyboardInterrupt
 
 
 ROOT = Path(__file__).resolve().parents[2]
-# In the folder of a child.
+# Subfolder of a child's temporary files.
 TEMPORARY = "tmp"
-# One thread for every library of a child: times compare, sums are added in one order, and -j N uses
-# N cores.
+# One thread per library: comparable times, one order of sums, and N cores for -j N.
 THREADS = 1
+
 _THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
@@ -93,18 +83,18 @@ _THREAD_VARIABLES = (
 
 
 def usable_cores() -> int:
-    """Cores this process may use, which in a container are fewer than the machine has."""
+    """Return the number of cores that this process may use, fewer in a container."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def child_environment(temporary: Path | None = None) -> dict[str, str]:
-    """The environment of a process that we start. temporary: its folder for temporary files, if not ours."""
-    given = [
+    """Return the environment of a child; temporary: its folder for temporary files."""
+    python_path = [
         str(Path(part).resolve())
         for part in os.environ.get("PYTHONPATH", "").split(os.pathsep)
         if part
     ]
-    # What the parent can import because it was started with `python -m`, the child can import too.
+    # The child must import what `python -m` lets the parent import.
     here = [os.getcwd()] if {"", os.getcwd()} & set(sys.path) else []
     return {
         **os.environ,
@@ -112,7 +102,7 @@ def child_environment(temporary: Path | None = None) -> dict[str, str]:
         "PYTHONHASHSEED": "0",
         "PYTHONUNBUFFERED": "1",
         "PYTHONFAULTHANDLER": "1",
-        "PYTHONPATH": os.pathsep.join([str(ROOT), *given, *here]),
+        "PYTHONPATH": os.pathsep.join([str(ROOT), *python_path, *here]),
         **({} if temporary is None else {"TMPDIR": str(temporary)}),
     }
 
@@ -120,8 +110,7 @@ def child_environment(temporary: Path | None = None) -> dict[str, str]:
 def _start_supervisor(
     channel: socket.socket, environment: Mapping[str, str], modules: Sequence[str] = ()
 ) -> subprocess.Popen[bytes]:
-    """The process at the other end of a channel. Raises MachineError."""
-    # -P: the folder it runs in is not searched for modules.
+    # -P: do not search the current folder for modules.
     command = [
         sys.executable,
         "-P",
@@ -144,15 +133,14 @@ def _start_supervisor(
         )
     except OSError as error:
         raise MachineError(
-            f"a process cannot be started ({error.strerror}); end what is not needed."
+            f"a process cannot be started ({error.strerror}). End other processes."
         ) from error
 
 
 class Preloaded:
-    """A process that has imported what children need, and from which their supervisors are forked: a child then begins in milliseconds instead of a second.
+    """A process with loaded modules that forks supervisors, which saves a second per child.
 
-    Linux only. Raises MachineError where there can be none: a library has started threads in it, or
-    it cannot be started.
+    Linux only. Raises MachineError if a library has started threads, or the start fails.
     """
 
     def __init__(self, modules: Sequence[str]) -> None:
@@ -169,17 +157,14 @@ class Preloaded:
             raise MachineError("supervisors cannot be forked: a library has started threads.")
 
     def fork(self, channel: socket.socket) -> bool:
-        """Have a supervisor at the other end of a channel.
-
-        Whether there is one: somebody may have ended this process.
-        """
+        """Fork a supervisor at the other end of a channel; return False if this process ended."""
         with contextlib.suppress(OSError):
             socket.send_fds(self._channel, [b"f"], [channel.fileno()])
             return self._process.poll() is None
         return False
 
     def close(self) -> None:
-        """End the process; the supervisors that it forked live on."""
+        """End the process; its supervisors live on."""
         self._process.kill()
         self._process.wait()
         self._channel.close()
@@ -187,12 +172,12 @@ class Preloaded:
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
-    """How a child ended and what it cost.
+    """How a child ended.
 
-    code: its exit code, negative for a signal; strays: how many processes it left behind, all
-        ended; cpu [s]: of the child and those it waited for;
-    memory: its largest resident size [bytes]; space: its largest address space [bytes], 0 where it
-        is not known.
+    - code: exit code, negative for a signal.
+    - strays: remaining processes, ended.
+    - cpu [s]: of the child and its waited-for children.
+    - memory, space: largest resident size and address space [bytes], 0 if unknown.
     """
 
     code: int
@@ -203,9 +188,9 @@ class Ended:
 
 
 class KeptFolder:
-    """A folder that is gone once it is closed, or we have ended, in whatever way.
+    """A folder that is removed on close or when our process ends. Raises MachineError.
 
-    Its name begins with `.partial-`. Raises MachineError.
+    Its name begins with `.partial-`.
     """
 
     def __init__(
@@ -220,14 +205,14 @@ class KeptFolder:
         with other:
             if preloaded is None or not preloaded.fork(other):
                 self._supervisor = _start_supervisor(other, environment)
-        asked = json.dumps(
+        message = json.dumps(
             {"folder": str(folder), "environment": environment, **(order or {})}
         ).encode()
-        with contextlib.suppress(OSError):  # somebody has ended it: the child has ended then
-            self._channel.sendall(LENGTH.pack(len(asked)) + asked)
+        with contextlib.suppress(OSError):  # the supervisor was killed, and the child with it
+            self._channel.sendall(LENGTH.pack(len(message)) + message)
 
     def close(self) -> None:
-        """Remove it. Returns when the supervisor has ended too."""
+        """Remove the folder, and wait for the supervisor."""
         shutil.rmtree(self._folder, ignore_errors=True)
         with contextlib.suppress(OSError):
             self._channel.shutdown(socket.SHUT_WR)
@@ -239,13 +224,11 @@ class KeptFolder:
 
 
 class Child(KeptFolder):
-    """A function of ours at work in a process of its own; see the module docstring.
+    """A function of ours in its own process. Raises MachineError.
 
-    Raises MachineError.
-
-    function: `module:name`; folder: what it is given, where TEMPORARY is for its temporary files;
-        output: where what it prints goes; preloaded: what
-    its supervisor is forked from.
+    - function: `module:name`, called with folder, which has TEMPORARY.
+    - output: file for its output.
+    - preloaded: process to fork the supervisor from.
     """
 
     _ended: Ended | None = None
@@ -256,13 +239,13 @@ class Child(KeptFolder):
         super().__init__(folder, {"function": function, "output": str(output)}, preloaded)
 
     def wait(self, seconds: float) -> bool:
-        """Wait at most that long [s]; whether it ended."""
+        """Wait at most this long [s]; return whether the child ended."""
         if self._ended is None and select.select([self._channel], [], [], max(0.0, seconds))[0]:
             self._ended = self._hear()
         return self._ended is not None
 
     def end(self) -> Ended:
-        """End the child and all it started, wherever they went; once more, it says the same."""
+        """End the child and all its processes; repeated calls return the same."""
         if self._ended is None:
             with contextlib.suppress(OSError):
                 self._channel.send(b"e")
@@ -270,35 +253,35 @@ class Child(KeptFolder):
         return self._ended
 
     def _hear(self) -> Ended:
-        said = b""
+        message = b""
         with contextlib.suppress(OSError):
-            said = self._channel.recv(ENDED.size, socket.MSG_WAITALL)
-        if len(said) == ENDED.size:
-            code, strays, cpu, memory, space = ENDED.unpack(said)
+            message = self._channel.recv(ENDED.size, socket.MSG_WAITALL)
+        if len(message) == ENDED.size:
+            code, strays, cpu, memory, space = ENDED.unpack(message)
             return Ended(code=code, strays=strays, cpu=cpu, memory=memory, space=space)
         return Ended(code=-signal.SIGKILL, strays=_end_users_of(self._folder))
 
     def close(self) -> None:
-        """End it, and remove its folder."""
+        """End the child, and remove its folder."""
         self.end()
         super().close()
 
 
 def _end_users_of(folder: Path) -> int:
-    """End the processes of a child whose supervisor was killed, and which died with it: those whose temporary files lie in its folder; how many."""
+    """End processes with temporary files in this folder, after a killed supervisor."""
     import psutil  # 0.05 s
 
-    found = 0
+    count = 0
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):
             if Path(process.environ().get("TMPDIR", "/")).is_relative_to(folder):
                 process.kill()
-                found += 1
-    return found
+                count += 1
+    return count
 
 
 def exit_in_words(code: int) -> str:
-    """`exit code 3` or `signal 11 (SIGSEGV)`."""
+    """Return `exit code 3` or `signal 11 (SIGSEGV)`."""
     if code >= 0:
         return f"exit code {code}"
     try:
@@ -308,12 +291,12 @@ def exit_in_words(code: int) -> str:
 
 
 def can_fork() -> bool:
-    """Whether this process may be forked: on Linux, and with one thread, as another would be cut off amid its work."""
+    """Return whether this process may be forked: Linux, and a single thread."""
     return sys.platform == "linux" and len(os.listdir("/proc/self/task")) == 1
 
 
 class Fork:
-    """See the module docstring; used like `Child`."""
+    """A function of ours in a fork of this process; used like `Child`."""
 
     _ended: Ended | None = None
 
@@ -326,7 +309,7 @@ class Fork:
         }
         sys.stdout.flush()
         sys.stderr.flush()
-        self._line, line = socket.socketpair()  # each side hears the end of the other
+        self._line, line = socket.socketpair()  # each side detects the end of the other
         self._pid = os.fork()
         if self._pid == 0:
             self._line.close()
@@ -336,13 +319,13 @@ class Fork:
         line.close()
 
     def wait(self, seconds: float) -> bool:
-        """Wait at most that long [s]; whether it ended."""
+        """Wait at most this long [s]; return whether the fork ended."""
         return self._ended is not None or bool(
             select.select([self._line], [], [], max(0.0, seconds))[0]
         )
 
     def end(self) -> Ended:
-        """End it, if it lives; once more, it says the same."""
+        """End the fork; repeated calls return the same."""
         if self._ended is None:
             os.kill(self._pid, signal.SIGKILL)
             _, status, usage = os.wait4(self._pid, 0)
@@ -351,13 +334,13 @@ class Fork:
         return self._ended
 
     def close(self) -> None:
-        """End it. Its folder stays."""
+        """End the fork; its folder stays."""
         self.end()
         self._line.close()
 
 
 def _end_with(line: socket.socket, folder: Path) -> None:
-    """In the child: wait for the end of its parent, whatever C code runs beside, and leave nothing."""
+    """End this child with its parent, also while C code runs, and remove the folder."""
     line.recv(1)
     shutil.rmtree(folder, ignore_errors=True)
     os._exit(1)

@@ -1,13 +1,11 @@
-"""The supervisor of a child: a process between the child and us, which starts it, ends all that it started, and says how it ended.
+"""Supervisor of a child: starts it, ends all its processes, and reports how it ended.
 
-    python -P -m validate.processes.supervisor 5  # 5: the socket over which it is told what to run
-    # imports these, then forks a supervisor for each socket that it is sent
-    python -P -m validate.processes.supervisor 5 numpy ..
+    python -P -m validate.processes.supervisor 5            # 5: socket of the order
+    python -P -m validate.processes.supervisor 5 numpy ..   # import, then fork supervisors
 
-Linux makes it the parent of whatever its child leaves behind, in whatever session and with whatever
-environment, so that nothing gets away. When its socket closes, we have ended, in whatever way: then
-it ends what still lives, and removes the child's unfinished folder. A child dies with its
-supervisor. The other side of the socket: validate.processes.process.
+On Linux orphans of the child become the supervisor's children, so that none escapes. When the
+socket closes, our process has ended: the supervisor kills the rest and removes the child's
+unfinished folder. A child dies with its supervisor. Other side: validate.processes.process.
 """
 
 from __future__ import annotations
@@ -31,55 +29,49 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-# What an order begins with: how many bytes of JSON it has.
+# Length of an order's JSON [bytes].
 LENGTH = struct.Struct("=i")
-# How a child ended: its exit code, negative for a signal; its processes that were left; CPU
-# seconds; largest resident size and address space [bytes].
+# Ending of a child: exit code (negative: signal), remaining processes, CPU seconds, largest
+# resident
+# size and address space [bytes].
 ENDED = struct.Struct("=iidqq")
-# What a process that others are forked from says once it has imported everything.
+# Message of a preloaded process after its imports.
 READY = b"r"
-# Of prctl.
-_PARENT_DEATH_SIGNAL = 1
-_CHILD_SUBREAPER = 36
-# How often the memory of a child is looked at [s].
+_PARENT_DEATH_SIGNAL = 1  # option of prctl
+_CHILD_SUBREAPER = 36  # option of prctl
+# Interval between looks at a child's memory [s].
 _LOOK = 0.02
-# How often, and how long apart [s], we look whether what was killed is gone: 10 s, on the busiest
-# machine. What forks meanwhile is found in the next round.
+# Rounds of killing descendants; a new fork is killed in the next round. In all 10 s.
 _ROUNDS = 1000
+# Pause between rounds [s].
 _PAUSE = 0.01
 
 
 def _process_control(option: int, value: int) -> None:
-    """Linux: what a process asks of the system for itself."""
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(option, value, 0, 0, 0)
 
 
 def _supervise(channel: socket.socket) -> NoReturn:
-    """Run the child that is asked for over the channel, or keep its folder without one.
-
-    Then wait until whoever asked has put away what it left.
-    """
+    """Run the child of the order, or keep its folder without one, until the caller closes."""
     _process_control(_CHILD_SUBREAPER, 1)
     (length,) = LENGTH.unpack(channel.recv(LENGTH.size, socket.MSG_WAITALL) or LENGTH.pack(0))
     order = json.loads(channel.recv(length, socket.MSG_WAITALL) or "{}")
     ended = _run(order, channel) if order.get("function") else b""
     with contextlib.suppress(OSError):
         channel.sendall(ended)
-        while channel.recv(
-            1
-        ):  # Ctrl-C came while the answer was read, which is asked for once more
+        while channel.recv(1):  # the caller was interrupted while reading, and asks again
             channel.sendall(ended)
     if os.path.basename(order.get("folder", "")).startswith(
         ".partial-"
-    ):  # nothing else is ours to remove, whatever the channel said
+    ):  # nothing else may be removed
         shutil.rmtree(order["folder"], ignore_errors=True)
     os._exit(0)
 
 
 def _run(order: dict[str, Any], channel: socket.socket) -> bytes:
-    """How the child ended, and all that it started with it."""
-    woken, wake = os.pipe()  # a child's end is seen at once
+    """Run the child and end its family; return how it ended."""
+    woken, wake = os.pipe()  # reports a child's end at once
     os.set_blocking(wake, False)
     signal.set_wakeup_fd(wake)
     signal.signal(signal.SIGCHLD, lambda number, frame: None)
@@ -94,12 +86,11 @@ def _run(order: dict[str, Any], channel: socket.socket) -> bytes:
     while ended != child:
         ready, _, _ = select.select([channel, woken], [], [], _LOOK)
         space = max(space, _address_space(child))
-        if channel in ready:  # it is to end, or nobody is there any more
+        if channel in ready:  # an order to end, or the caller is gone
             os.kill(child, signal.SIGKILL)
         elif ready:
             os.read(woken, 4096)
-        # Of what the child has left behind, and what has ended since, nothing stays in the table of
-        # processes.
+        # Orphans that ended must not stay in the process table.
         ended, status, usage = os.wait4(child, 0) if channel in ready else os.wait4(-1, os.WNOHANG)
     strays = _end_family(child)
     resident = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
@@ -109,11 +100,8 @@ def _run(order: dict[str, Any], channel: socket.socket) -> bytes:
 
 
 def _end_family(child: int) -> int:
-    """End all that a child started, which has ended itself; how many lived.
-
-    Returns when none does.
-    """
-    if sys.platform != "linux":  # nothing shows there what left the group
+    """End all descendants of an ended child; return how many lived."""
+    if sys.platform != "linux":  # escaped processes are invisible there
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(child, signal.SIGKILL)
     strays: set[int] = set()
@@ -133,18 +121,17 @@ def _end_family(child: int) -> int:
 
 
 def _descendants(parent: int) -> list[int]:
-    """Linux: the children of a process, and theirs. psutil would read the whole table of processes for that."""
-    found = []
+    """Return all descendants on Linux; psutil would read the whole process table."""
+    descendants = []
     with contextlib.suppress(OSError):
         for thread in os.listdir(f"/proc/{parent}/task"):
             with open(f"/proc/{parent}/task/{thread}/children", encoding="ascii") as file:
                 for number in map(int, file.read().split()):
-                    found += [number, *_descendants(number)]
-    return found
+                    descendants += [number, *_descendants(number)]
+    return descendants
 
 
 def _address_space(process: int) -> int:
-    """Largest address space so far [bytes]; 0 where it is not known."""
     with (
         contextlib.suppress(OSError),
         open(f"/proc/{process}/status", encoding="utf-8", errors="replace") as file,
@@ -156,17 +143,17 @@ def _address_space(process: int) -> int:
 
 
 def _die_with(supervisor: int) -> None:
-    """Have this process end with the one that it was forked from, which may have ended already."""
+    """End this process with its parent, which may have ended already."""
     _process_control(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
-    if os.getppid() != supervisor:  # it died before we could ask
+    if os.getppid() != supervisor:  # it died first
         os._exit(1)
 
 
 def be_child(order: Mapping[str, Any], bind: Callable[[], object]) -> NoReturn:
-    """Be the child: a session, folder, output and environment of its own, then the function that is asked for. bind: to the life of whoever asked.
+    """Run the ordered function in its own session, folder, output and environment.
 
-    Nobody's exit handlers are run: a library that crashes while it is unloaded cannot spoil what is
-    finished.
+    bind: ties this process to the caller's life. No exit handlers run, so that a library that
+    crashes while unloading spoils nothing.
     """
     try:
         os.setsid()
@@ -176,9 +163,7 @@ def be_child(order: Mapping[str, Any], bind: Callable[[], object]) -> NoReturn:
         os.environ.clear()
         os.environ.update(order["environment"])
         tempfile.tempdir = None
-        nothing = os.open(
-            os.devnull, os.O_RDONLY
-        )  # foreign code that reads shall not wait for whoever types
+        nothing = os.open(os.devnull, os.O_RDONLY)  # foreign code must not read the terminal
         os.dup2(nothing, 0)
         os.close(nothing)
         output = os.open(order["output"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
@@ -189,7 +174,7 @@ def be_child(order: Mapping[str, Any], bind: Callable[[], object]) -> NoReturn:
         os.chdir(order["environment"]["TMPDIR"])
         module, _, name = order["function"].partition(":")
         code = getattr(importlib.import_module(module), name)(Path(order["folder"])) or 0
-    except BaseException:  # noqa: BLE001 - whatever it was, it goes to the output; without an answer the parent knows enough
+    except BaseException:  # noqa: BLE001 - printed; a missing answer is enough for the parent
         traceback.print_exc()
         code = 1
     with contextlib.suppress(Exception):  # foreign code may have closed them
@@ -199,17 +184,17 @@ def be_child(order: Mapping[str, Any], bind: Callable[[], object]) -> NoReturn:
 
 
 def _fork_supervisors(channel: socket.socket, modules: Sequence[str]) -> None:
-    """Import, then fork a supervisor for each socket that comes over the channel, until it closes."""
-    _process_control(_PARENT_DEATH_SIGNAL, signal.SIGKILL)  # also in the midst of an import
+    """Import modules, then fork a supervisor per received socket until the channel closes."""
+    _process_control(_PARENT_DEATH_SIGNAL, signal.SIGKILL)  # also during an import
     for name in modules:
         with contextlib.suppress(
             ImportError
-        ):  # an extra that is not installed, or what a task will say itself
+        ):  # a missing extra, or an error that the task reports itself
             importlib.import_module(name)
-    if len(os.listdir("/proc/self/task")) > 1:  # a fork would cut a library's threads in two
+    if len(os.listdir("/proc/self/task")) > 1:  # a fork would break a library's threads
         return
     gc.collect()
-    gc.freeze()  # so that what is shared stays shared when a child looks for garbage
+    gc.freeze()  # keeps shared memory shared during a child's garbage collection
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     channel.sendall(READY)
     while sockets := socket.recv_fds(channel, 1, 1)[1]:
@@ -221,10 +206,7 @@ def _fork_supervisors(channel: socket.socket, modules: Sequence[str]) -> None:
 
 
 def main(words: Sequence[str]) -> None:
-    """See the module docstring. words: the number of the socket, and what to import.
-
-    Ctrl-C and a closed terminal are for whoever asked.
-    """
+    """Start; words: number of the socket, and modules. Ctrl-C is for the caller."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_SETMASK, ())

@@ -1,4 +1,4 @@
-"""TOML in and out: hostile files end in one sentence, and what is written can be read again."""
+"""Read and write TOML; invalid files raise one sentence."""
 
 from __future__ import annotations
 
@@ -12,22 +12,20 @@ from typing import Any
 
 from models.errors import TouchstoneError
 
-# No campaign or map that somebody wrote comes near this size.
+# Larger than any campaign or map.
 MOST_BYTES = 1_000_000
 
 
 class TomlError(TouchstoneError):
-    """A file that is not TOML; the sentence does not name the file."""
+    """The file is not TOML; the sentence does not name the file."""
 
 
 def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
-    """The text and its content. Raises TomlError."""
+    """Return the text and its content. Raises TomlError."""
     try:
         with open(path, "rb") as file:
             data = file.read(MOST_BYTES + 1)
-        text = data.decode(
-            "utf-8-sig"
-        )  # with or without the mark that editors of Windows begin with
+        text = data.decode("utf-8-sig")  # with or without a byte order mark
     except UnicodeDecodeError as error:
         raise TomlError("it is no text in UTF-8, and so no TOML") from error
     except (OSError, ValueError) as error:
@@ -44,12 +42,11 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
         raise TomlError(f"it is not TOML ({error})") from error
     except RecursionError as error:
         raise TomlError("its brackets are nested too deeply to be read") from error
-    except ValueError as error:  # a whole number of thousands of digits
+    except ValueError as error:  # an integer of thousands of digits
         raise TomlError(f"it is not TOML that can be read ({error})") from error
 
 
-# What a value must be, by the types of pydantic's errors that the schemas of campaign files and
-# maps can raise.
+# Expected values by type of pydantic error, for campaign files and maps.
 _WANTED = {
     "string_type": "text", "bool_type": "true or false", "int_type": "a whole number",
     "float_type": "a number", "finite_number": "a finite number",
@@ -64,9 +61,9 @@ _WANTED = {
 
 
 def mistake(problem: Mapping[str, Any]) -> str:
-    """What one of pydantic's errors says, in our words.
+    """Return one of pydantic's errors in our words.
 
-    A validator of ours that raises ValueError says what the value must be, PydanticCustomError all.
+    A ValueError of our validators has the expected value, a PydanticCustomError the whole text.
     """
     if problem["type"] == "missing":
         return "it is missing"
@@ -77,10 +74,7 @@ def mistake(problem: Mapping[str, Any]) -> str:
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is a finite number, and no truth.
-
-    TOML's whole numbers may be larger than any that a computer calculates with.
-    """
+    """Return whether a value is a finite number and no bool; TOML integers have no limit."""
     return (
         isinstance(value, (int, float))
         and not isinstance(value, bool)
@@ -89,7 +83,7 @@ def is_number(value: Any) -> bool:
 
 
 def toml_value(value: Any) -> str:
-    """A value on one line."""
+    """Return a value on one line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (int, float)):
@@ -110,5 +104,5 @@ def toml_value(value: Any) -> str:
 
 
 def toml_text(text: str) -> str:
-    """A basic string: what JSON escapes - control characters, quotes and backslashes - and the delete character."""
+    """Return a basic string: JSON's escapes, and the delete character's."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

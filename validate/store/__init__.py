@@ -1,1 +1,1 @@
-"""Where finished tasks lie, under which keys, and what is written across them."""
+"""Stored results of finished tasks, and their keys."""

@@ -1,8 +1,7 @@
-"""Where a result comes from: our commit and sources, the versions of what we stand on, the machine, the command.
+"""Provenance of a result: sources, library versions, machine, command.
 
-`content_key` (runs) and `function_key` (checks) hash everything that decides the numbers of a task:
-scene, pipeline, options, seed, our sources, library versions, compiler. They hash no times, paths
-or hosts: equal content has an equal key on every machine.
+`content_key` (runs) and `function_key` (checks) hash everything that decides a task's numbers, but
+no times, paths or hosts. Equal content has an equal key on every machine.
 """
 
 from __future__ import annotations
@@ -40,14 +39,13 @@ LIBRARIES = (
     "fmpy",
     "scikit-sundae",
 )
-# Parts of us that cannot change a number of a task: how tasks are chosen, run side by side, listed
-# and reported.
+# Sources that cannot change the numbers of a task.
 _NO_INFLUENCE = (
     "validate/cli",
     "validate/__main__.py",
     "validate/campaign/",
 )
-# Parts that decide what checks find, and nothing of a run.
+# Sources that decide checks, but no run.
 _OF_CHECKS = (
     "validate/tasks/check.py",
     "validate/tasks/fmu_checks.py",
@@ -55,14 +53,13 @@ _OF_CHECKS = (
     "validate/stress/",
     "reports/records/check_record.py",
 )
-# What tries plans that hold in perturbed worlds: it decides nothing of how they are found and
-# judged.
+# Sources of surveys, which decide no run.
 _OF_SURVEYS = "validate/judge/robustness/"
-# Parts of the room of reports that decide what is in a record: its form, how columns are written,
-# and the paper's numbers beside ours.
+# Sources of reports that decide the content of a record.
 _RECORDS = ("records/record", "records/check_record", "paper")
-# Scenes and methods count one by one: a task depends on its own.
+# A task depends on its own files of these folders only.
 _ONE_BY_ONE = ("models/scenes", "formulations/methods")
+
 _SOURCE_SUFFIXES = frozenset({".py", ".c", ".h", ".template", ".jinja", ".j2", ".xml"})
 
 
@@ -84,7 +81,7 @@ def _source_digests() -> dict[str, str]:
 
 
 def source_digests(methods: Iterable[str]) -> dict[str, str]:
-    """Digest of each of our files that a task of these methods depends on."""
+    """Return the digest of each source that a run by these methods depends on."""
     return {
         name: digest
         for name, digest in _digests_with(methods).items()
@@ -94,25 +91,25 @@ def source_digests(methods: Iterable[str]) -> dict[str, str]:
 
 @lru_cache(maxsize=1)
 def survey_sources() -> str:
-    """Return the digest of the source files of the survey in perturbed worlds."""
-    own = {
+    """Return the digest of the sources of surveys."""
+    sources = {
         name: digest for name, digest in _source_digests().items() if name.startswith(_OF_SURVEYS)
     }
-    return _hash({"sources": own})
+    return _hash({"sources": sources})
 
 
 def _digests_with(methods: Iterable[str]) -> dict[str, str]:
-    own = {f"formulations/methods/{method}.py" for method in methods}
+    used = {f"formulations/methods/{method}.py" for method in methods}
     return {
         name: digest
         for name, digest in _source_digests().items()
-        if name in own or not name.startswith(_ONE_BY_ONE)
+        if name in used or not name.startswith(_ONE_BY_ONE)
     }
 
 
 @lru_cache(maxsize=1)
 def library_versions() -> dict[str, str]:
-    """Installed versions of the libraries that decide numbers, and of Python."""
+    """Return the versions of Python and of the libraries that decide numbers."""
     return {
         "python": platform.python_version(),
         **{name: installed(name, "not installed") for name in LIBRARIES},
@@ -120,7 +117,7 @@ def library_versions() -> dict[str, str]:
 
 
 def installed(package: str, otherwise: str) -> str:
-    """The version of a package, or what is said where it is not installed."""
+    """Return the version of a package, `otherwise` if missing."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
@@ -128,13 +125,12 @@ def installed(package: str, otherwise: str) -> str:
 
 
 def content_key(scene: Scene, stages: Any, methods: Iterable[str], extra: str = "") -> str:
-    """The key of a task: sha256 over its content. stages: method, eps and filled options in order (JSON data)."""
+    """Return the key of a task; stages: method, eps and options in order (JSON data)."""
     sources = _digest_of_sources(frozenset(methods))
     return _hash({"scene": scene_text(scene), "stages": stages, "sources": sources, "extra": extra})
 
 
-# a campaign asks for some thirty sets of methods 1,700 times: 0.4 of the 3 s that a repeated one
-# takes
+# A repeated campaign calls this 1,700 times, without a cache 0.4 of 3 s.
 @lru_cache
 def _digest_of_sources(methods: frozenset[str]) -> str:
     return hashlib.sha256(json.dumps(source_digests(methods)).encode()).hexdigest()
@@ -143,10 +139,12 @@ def _digest_of_sources(methods: frozenset[str]) -> str:
 def function_key(
     asked: Sequence[Any], content: str, methods: Iterable[str], sources: Sequence[str]
 ) -> str:
-    """Return the key of a function's answer.
+    """Return the key of a function's result.
 
-    asked: JSON data; content: text that decides the answer; methods: names of the methods that the
-    function runs; sources: beginnings of the paths of our sources that matter, () for all.
+    - asked: JSON data.
+    - content: text that decides the result.
+    - methods: names.
+    - sources: prefixes of relevant source paths, () for all.
     """
     digests = _digests_with(methods)
     return _hash(
@@ -163,7 +161,7 @@ def function_key(
 
 
 def _hash(content: Mapping[str, Any]) -> str:
-    """sha256 over some content and what decides every number on this machine."""
+    """Return the sha256 of content and of this machine's influences."""
     around = {
         "seed": SEED,
         "threads": THREADS,
@@ -178,13 +176,13 @@ def _hash(content: Mapping[str, Any]) -> str:
 
 
 def fingerprint() -> str:
-    """Digest of all that decides numbers here, whatever the task: two machines that agree on it give a task the same key."""
+    """Return a digest of all influences on numbers; equal machines give tasks equal keys."""
     return _hash({"sources": _source_digests()})
 
 
 @lru_cache(maxsize=1)
 def compiler_text() -> str:
-    """Name and version of the C compiler, or the sentence that says there is none."""
+    """Return the C compiler's name and version, or why there is none."""
     try:
         return find_compiler().version
     except MachineError as error:
@@ -192,10 +190,7 @@ def compiler_text() -> str:
 
 
 def commit() -> str:
-    """The commit of our sources, with `+` if they were changed since.
-
-    Empty if they are not in a git work tree or git is missing.
-    """
+    """Return the commit of our sources, `+` if changed, "" without git."""
     if not (ROOT / ".git").exists():
         return ""
     command = [
@@ -225,12 +220,12 @@ def _cpu() -> str:
 
 
 def now() -> str:
-    """The present moment, ISO 8601 UTC."""
+    """Return the current time, ISO 8601 UTC."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def gather(command: str) -> ProvenanceRecord:
-    """The provenance of a campaign that starts now."""
+    """Return the provenance of a campaign that starts now."""
     return ProvenanceRecord(
         touchstone=installed("touchstone-contact", "0 (not installed)"),
         commit=commit(),
@@ -246,12 +241,12 @@ def gather(command: str) -> ProvenanceRecord:
 
 
 def machine() -> dict[str, Any]:
-    """What a record says of the machine: the system, the processor, and how many cores this process may use."""
+    """Return the system, the processor, and the number of usable cores."""
     return {"platform": platform.platform(), "cpu": _cpu(), "cores": usable_cores()}
 
 
 def command_line(arguments: Iterable[str], program: str = "python -m validate") -> str:
-    """The command as the user can type it again, into any shell: zsh takes an unquoted =word for the path of a program."""
+    """Return the command quoted for any shell; zsh expands an unquoted =word."""
     words = (
         f"'{word}'" if word.startswith("=") and shlex.quote(word) == word else shlex.quote(word)
         for word in arguments

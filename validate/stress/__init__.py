@@ -1,1 +1,1 @@
-"""Stress cases: situations in which contact solvers go wrong, each measured through the product's own paths. ONE FILE = ONE CASE in `cases`."""
+"""Stress cases: hard situations for contact solvers, one per file in `cases`."""

@@ -1,13 +1,12 @@
-"""Stress cases: what a correct system does in a hard situation, and a function that measures what happened; each is a check of a campaign.
+"""Stress cases as checks of a campaign: the expected behaviour, and a measurement.
 
     CASE = StressCase(title="...", expected="...")
 
     def measure() -> Found:
         return finding("...", at_most("...", 1e-9, 1e-6, reason="..."), charts=(chart("...", ...),))
 
-A case passes if each figure with a limit keeps it. A figure that is not a finite number fails, and
-so does a case without a figure. A case may end in an honest refusal: that is then what its figures
-count.
+A case passes if it has figures with limits, and all are finite and within. Figures may count
+correct refusals.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from validate.tasks.check import Course, Found
 from validate.tasks.task import CheckTask, SceneReference
 
 KIND = "stress case"
-# What a case's numbers depend on beside its own file; scenes by their text, methods one by one.
+# Sources of every case; scenes count by their text, methods one by one.
 _SOURCES = (
     "models/",
     "formulations/",
@@ -40,7 +39,7 @@ _SOURCES = (
 
 
 def checks(scenes: Sequence[SceneReference]) -> list[CheckTask]:
-    """All stress cases, whatever the scenes of the campaign."""
+    """Return all stress cases, for any scenes."""
     return [_check_of(name, describe_case(name)) for name in case_names()]
 
 
@@ -67,10 +66,7 @@ def check(arguments: Mapping[str, Any], course: Course) -> Found:
 
 
 def finding(happened: str, *figures: MetricRecord, charts: Sequence[ChartRecord] = ()) -> Found:
-    """What happened, in a sentence or two, with figures and the data of plots.
-
-    It passes if each figure with a limit keeps it, and there is one.
-    """
+    """Return a finding with figures and charts; it passes if every limit is met, and one exists."""
     judged = [figure.ok for figure in figures if figure.ok is not None]
     return Found(
         bool(judged) and all(judged), " ".join(happened.split()), figures, {"charts": tuple(charts)}
@@ -80,24 +76,24 @@ def finding(happened: str, *figures: MetricRecord, charts: Sequence[ChartRecord]
 def at_most(
     name: str, value: float, limit: float, unit: str = "1", *, reason: str, meaning: str = ""
 ) -> MetricRecord:
-    """A figure with a limit from above, and why this limit."""
+    """Return a figure with an upper limit and its reason."""
     return _figure(name, value, unit, meaning, limit=limit, reason=reason)
 
 
 def at_least(
     name: str, value: float, limit: float, unit: str = "1", *, reason: str
 ) -> MetricRecord:
-    """A figure with a limit from below, and why this limit."""
+    """Return a figure with a lower limit and its reason."""
     return _figure(name, value, unit, limit=limit, reason=reason, at_least=True)
 
 
 def unlimited(name: str, value: float, unit: str = "1") -> MetricRecord:
-    """A figure without a limit."""
+    """Return a figure without a limit."""
     return _figure(name, value, unit)
 
 
 def none_of(name: str, wrong: Sequence[str], *, reason: str) -> MetricRecord:
-    """How many things are wrong, which must be none; their words stand in the meaning."""
+    """Return the number of errors, which must be zero, with their texts as meaning."""
     return at_most(name, len(wrong), 0.0, meaning="; ".join(wrong)[:400], reason=reason)
 
 
@@ -111,7 +107,7 @@ def _figure(
     reason: str = "",
     at_least: bool = False,
 ) -> MetricRecord:
-    number = float(value) if math.isfinite(value) else None  # a number that is none keeps nothing
+    number = float(value) if math.isfinite(value) else None  # a value that is not finite is missing
     ok = (
         False
         if number is None
@@ -134,7 +130,7 @@ def _figure(
 
 
 def refusal(what: str, words: Iterable[str], act: Callable[[], object]) -> list[str]:
-    """What is wrong with how something is refused, in a sentence: it should be one line that has one of the words."""
+    """Return what is wrong with a refusal, which must be one line with one of the words."""
     try:
         act()
     except TouchstoneError as error:
@@ -144,7 +140,7 @@ def refusal(what: str, words: Iterable[str], act: Callable[[], object]) -> list[
             if named
             else [f"{what}: the sentence does not name {' or '.join(map(repr, words))}: {error}"]
         )
-    except Exception as error:  # noqa: BLE001 - anything else is what is looked for
+    except Exception as error:  # noqa: BLE001 - any other error is a finding
         return [f"{what}: {type(error).__name__} instead of a sentence: {error}"]
     return [f"{what} is taken"]
 
@@ -159,11 +155,12 @@ def chart(
     level: tuple[float, str] | None = None,
     words: str = "",
 ) -> ChartRecord:
-    """Data of one plot.
+    """Return the data of one plot.
 
-    x, y: (quantity, unit); series: for the legend, (x, y) of equal length, of which values that are
-        not finite are left out; log: the logarithmic axes, of "xy";
-    level: a horizontal line (value, words).
+    - x, y: (quantity, unit).
+    - series: (x, y) by name, only finite values are kept.
+    - log: logarithmic axes, of "xy".
+    - level: a horizontal line (value, words).
     """
     value, level_words = level or (None, "")
     return ChartRecord(

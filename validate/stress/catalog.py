@@ -1,4 +1,4 @@
-"""Finds stress cases by file name and reads what they say of themselves, without importing them: some need PyTorch, some Pyomo."""
+"""Catalog of stress cases, read without importing them: some need PyTorch or Pyomo."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from models.errors import UnknownNameError, did_you_mean
 from models.loading import declared
 
-if TYPE_CHECKING:  # names cost no numpy
+if TYPE_CHECKING:  # for type checkers only
     from validate.tasks.check import Found
 
 FOLDER = Path(__file__).parent / "cases"
@@ -19,13 +19,9 @@ FOLDER = Path(__file__).parent / "cases"
 
 @dataclass(frozen=True, kw_only=True)
 class StressCase:
-    """What a case says of itself.
+    """Description of a case h<two digits>_<words>, which defines `CASE` of literals and `measure`.
 
-    Its file is called h<two digits>_<words> and defines `CASE`, whose arguments are literals, and
-    `measure`.
-
-    quick: whether a quick campaign runs it; scenes, methods: names of those of the catalogs it
-        uses, on which a stored result depends.
+    quick: run by a quick campaign; scenes, methods: used ones of the catalogs.
     """
 
     title: str
@@ -36,17 +32,17 @@ class StressCase:
 
 
 def case_names() -> tuple[str, ...]:
-    """Names of all stress cases in the order of their numbers; reads file names only."""
+    """Return the names of all stress cases in order; reads file names only."""
     return tuple(sorted(path.stem for path in FOLDER.glob("h*.py")))
 
 
 def heading(name: str) -> str:
-    """Number and title of a case."""
+    """Return number and title of a case."""
     return f"{name[1:3]} {describe_case(name).title}"
 
 
 def describe_case(name: str) -> StressCase:
-    """What a case says of itself. Raises UnknownNameError."""
+    """Return a case's description. Raises UnknownNameError."""
     if name not in case_names():
         hint = did_you_mean(name, case_names(), f"there are {', '.join(case_names())}.")
         raise UnknownNameError(f"there is no stress case {name!r}; {hint}")
@@ -54,5 +50,5 @@ def describe_case(name: str) -> StressCase:
 
 
 def load_case(name: str) -> Callable[[], Found]:
-    """What measures the case of that name."""
+    """Return the case's `measure`."""
     return importlib.import_module(f"validate.stress.cases.{name}").measure

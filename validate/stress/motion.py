@@ -1,9 +1,9 @@
-"""Plans and replays as the stress cases need them: a scene's own compiled step, or a method, for the plan, its FMU for the replay.
+"""Plans and replays for stress cases.
 
-plan = rolled(scene, start=..., u=..., step=..., steps=...)  # a Trajectory by the compiled step
-motion = replayed(scene, plan)                                      # a Replay by the scene's FMU
-plan, motion = of_truth(problem)  # both, of a problem of the truth suite
-solution = solved(scene, "mpcc", seconds=20.0)                      # what a method makes of it
+plan = rolled(scene, start=..., u=..., step=..., steps=...)  # Trajectory by the compiled step
+motion = replayed(scene, plan)                               # Replay by the scene's FMU
+plan, motion = of_truth(problem)                             # of a problem of the truth suite
+solution = solved(scene, "mpcc", seconds=20.0)               # Solution by a method
 """
 
 from __future__ import annotations
@@ -37,36 +37,27 @@ def rolled(
     eps: float | None = None,
     every: int = 1,
 ) -> Trajectory:
-    """The motion by the compiled step.
+    """Return the motion by the compiled step, by default of the scene's task.
 
     Parameters
     ----------
-    scene
-        Its task gives what is not given here.
     start
         (2 nq,) first state [m, rad, m/s, rad/s].
     u
-        (steps, nu) inputs [N, N m]; zeros unless given.
+        (steps, nu) inputs [N, N m], default zero.
     step
-        Of time [s].
-    steps
-        How many, where `u` does not say it.
+        Time step [s].
     law, eps
-        The contact law, and the eps of a relaxed one.
+        Contact law, and eps of a relaxed one.
     every
-        One node in so many is part of the plan; the inputs must be constant between them.
-
-    Returns
-    -------
-    Trajectory
-        (steps / every + 1) nodes.
+        Keep one node of this many; inputs must be constant between.
 
     Raises
     ------
     KernelError
         If arrays do not fit the scene.
     RelaxationError
-        If the law wants another eps.
+        For an eps that the law does not allow.
     """
     h = scene.task.step if step is None else step
     count = (scene.task.steps if steps is None else steps) if u is None else len(u)
@@ -93,32 +84,35 @@ def solved(
     seconds: float,
     **options: Any,
 ) -> Solution:
-    """What a method finds in so many seconds at this eps, from this plan.
+    """Return a method's solution at this eps, from this plan, within seconds [s].
 
-    Raises OptionError, TrajectoryError, RelaxationError where it refuses.
+    Raises OptionError, TrajectoryError, RelaxationError.
     """
     with load_method(method).open(scene, options) as session:
         return session.solve(eps=eps, warm_start=plan, time_limit=seconds)
 
 
 def replayed(scene: Scene, plan: Trajectory, like: Scene | None = None, **settings: Any) -> Replay:
-    """Replay of a plan, without feedback, by the FMU of the scene, or of `like`: one with other parameter values, which the FMU is given."""
+    """Return the replay without feedback; like: scene whose FMU takes other parameters."""
     return replay(
         scene, build_fmu(scene if like is None else like), plan, **{"track": False, **settings}
     )
 
 
 def of_truth(problem: TruthProblem, like: Scene | None = None) -> tuple[Trajectory, Replay]:
-    """A problem of the truth suite by the compiled step between its nodes, and its replay.
+    """Return a truth problem's motion by the compiled step, and its replay.
 
-    `like` as of `replayed`. Raises KernelError, FmuError.
+    Raises KernelError, FmuError.
     """
     plan = rolled(problem.scene, u=problem.plan.u, step=problem.step)
     return plan, replayed(problem.scene, plan, like=like)
 
 
 def wrong_by(problem: TruthProblem, motion: Trajectory | Replay) -> dict[str, float]:
-    """Errors of a plan or a replay against the exact answer of its problem, by what is asked, as shares of its scales [-]; infinite where a replay stopped. Raises MotionError."""
+    """Return errors against a problem's exact answer, in its scales [-]; infinite if stopped.
+
+    Raises MotionError.
+    """
     rows = motion.knots if isinstance(motion, Replay) else slice(None)
     q, v = motion.q[rows], motion.v[rows]
     if len(q) <= problem.nodes:
@@ -127,5 +121,5 @@ def wrong_by(problem: TruthProblem, motion: Trajectory | Replay) -> dict[str, fl
 
 
 def at_nodes(motion: Replay) -> np.ndarray:
-    """States (nodes, 2 nq) of a replay at the plan's nodes that it reached [m, rad, m/s, rad/s]."""
+    """Return a replay's states (nodes, 2 nq) [m, rad, m/s, rad/s] at nodes. Raises nothing."""
     return np.hstack([motion.q[motion.knots], motion.v[motion.knots]])

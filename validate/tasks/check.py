@@ -1,13 +1,12 @@
-"""A check as its child makes it: a function is asked a question, and what it finds is as expected or not.
+"""Checks: a function is called in a child, and its finding passes or not.
 
     CheckTask(kind="FMU", name="three_cart, FMI 2.0", expected="...",
-    function="validate.tasks.fmu_checks:check",
+              function="validate.tasks.fmu_checks:check",
               arguments={"scene": "three_cart", "version": "2.0"}, ...)
 
-Checks are selected, keyed by content, run in a child with the campaign's time limit, stored,
-resumed and reported like a run. A room that has some offers a function `checks(scenes)`
-(validate.tasks.plugins, CHECKS); the campaign does the rest. The function is called as
-function(arguments, course) and hands back what it found.
+A function `checks(scenes)` lists the checks of a room (validate.tasks.plugins, CHECKS). The
+campaign selects, keys, runs, stores, resumes and reports them like runs; function(arguments,
+course) returns a Found.
 """
 
 from __future__ import annotations
@@ -31,22 +30,22 @@ from validate.tasks.records import LOG_LINES
 from validate.tasks.stage import in_words
 from validate.tasks.task import CheckTask, ChildExit
 
-# Of a check's time limit, what is reserved for writing down what was found: a twentieth, but no
-# more than 5 s.
+# Share of a check's time limit reserved for its record.
 _WRITING_SHARE = 0.05
+# Largest such time [s].
 _WRITING_MOST = 5.0
 
 
 def check_key(task: CheckTask) -> str:
-    """Return the key of a check: its question, its content and the sources that answer."""
-    asked = [task.kind, task.name, task.expected, task.function, dict(task.arguments)]
+    """Return the key of a check, by its request, content and sources."""
+    request = [task.kind, task.name, task.expected, task.function, dict(task.arguments)]
     sources = ("validate/tasks/check.py", "reports/", *task.sources) if task.sources else ()
-    return function_key(asked, task.content, task.methods, sources)
+    return function_key(request, task.content, task.methods, sources)
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a check found: whether it is as expected, in one sentence, with figures. details: further fields of the record."""
+    """Finding of a check, in one sentence; details: further fields of the record."""
 
     passed: bool
     sentence: str
@@ -56,30 +55,27 @@ class Found:
 
 @dataclass(frozen=True)
 class Course:
-    """What a check is given beside its arguments. folder: for scratch files.
-
-    deadline: time.monotonic() by which it should be done.
-    """
+    """Context of a check: folder for scratch files, and the deadline by time.monotonic()."""
 
     folder: Path
     deadline: float
 
     def at(self, text: str) -> None:
-        """Say where we are, for the parent to read if we never come back."""
+        """Report progress, for the parent of a failed child."""
         progress(self.folder, text)
 
     @property
     def seconds_left(self) -> float:
-        """Until the deadline [s]."""
+        """Return the time until the deadline [s]."""
         return max(0.0, self.deadline - time.monotonic())
 
 
 def run_check(
     task: CheckTask, provenance: ProvenanceRecord, folder: Path, began: float
 ) -> CheckRecord:
-    """Ask, in the child. began: time.monotonic() at its start.
+    """Run a check in its child; began: time.monotonic() at its start.
 
-    Raises MachineError; whatever else goes wrong is in the record.
+    Raises MachineError; other errors are recorded.
     """
     reserve = min(_WRITING_MOST, _WRITING_SHARE * task.time_limit)
     course = Course(folder, began + task.time_limit - reserve)
@@ -92,7 +88,7 @@ def run_check(
         found = function(task.arguments, course)
     except MachineError:
         raise
-    except Exception as error:  # noqa: BLE001 - a check may fail in any way; the log has the traceback, the row has the sentence
+    except Exception as error:  # noqa: BLE001 - any failure is recorded, with its traceback in the log
         raise_if_disk_ended(folder, error)
         traceback.print_exc()
         outcome, message = (
@@ -110,7 +106,7 @@ def run_check(
 def unfinished_check(
     task: CheckTask, provenance: ProvenanceRecord, child: ChildExit
 ) -> CheckRecord:
-    """The record of a check whose child left none."""
+    """Return the record of a check whose child left none."""
     return _record(task, provenance, Found(False, ""), child)
 
 

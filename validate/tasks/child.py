@@ -1,9 +1,7 @@
-"""Run one task in a child process (validate.tasks.worker). FOLDER/task.json names the task.
+"""Run the task of FOLDER/task.json in a child process, and write FOLDER/record.json.
 
-FOLDER/record.json is the answer.
-
-The record is written last and whole, so that its presence alone says that the task came to its end.
-What a task needs is imported inside `main`, so that its profile says what that took.
+The record is written last and atomically, so that its presence means success. Imports are inside
+`main`, so that the task's profile includes them.
 """
 
 from __future__ import annotations
@@ -17,15 +15,14 @@ from validate.processes.disk import disk_error, disk_refuses, write_durably
 from validate.processes.isolated import limit_resources
 from validate.tasks.profile import Profile
 
-# A task that wrote MACHINE ends with this; the file, not the code, is what counts.
+# Exit code after writing MACHINE; only the file counts.
 _EXIT_MACHINE = 3
-# No file of a task comes near this size; a log that runs away stops here instead of at the end of
-# the disk.
+# Larger than any file of a task; stops a runaway log before the disk is full.
 _LARGEST_FILE = 2 * 1024**3
 
 
 def main(folder: Path) -> int:
-    """Run the task of a folder; the process's exit code."""
+    """Run the task of a folder; return the exit code."""
     profile = Profile.since_process_start()
     limit_resources(file_bytes=_LARGEST_FILE)
     import random
@@ -65,10 +62,7 @@ def main(folder: Path) -> int:
 
 
 def _machine(folder: Path, error: Exception) -> int:
-    """Say why this machine cannot.
-
-    A disk may refuse even that: whoever reads it sees whether the line is whole.
-    """
+    """Write why this machine cannot run the task; the file is incomplete if the disk refuses."""
     from validate.store.store import MACHINE
 
     with contextlib.suppress(OSError):

@@ -1,7 +1,6 @@
-"""The FMU of each scene of a campaign, under the checks that decide whether its replays can be trusted.
+"""Decisive FMU checks of each scene of a campaign, as by `python -m validate fmu` and `check`.
 
-The FMU is exported and checked as `python -m validate fmu` and `check` do: its code runs in an
-isolated child, each check in a fork. All checks, in FMI 3.0 too, are the command's.
+The FMU's code runs in an isolated child, each check in a fork.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from validate.tasks.task import CheckTask, SceneReference
 if TYPE_CHECKING:
     from validate.fmu_check import CheckReport
 
-# The version that replays use.
+# FMI version of replays.
 _VERSION = "2.0"
 _SOURCES = (
     "models/",
@@ -36,7 +35,7 @@ _SOURCES = (
 
 
 def checks(scenes: Sequence[SceneReference]) -> list[CheckTask]:
-    """One for each scene."""
+    """Return one check per scene."""
     return [
         CheckTask(
             kind="FMU",
@@ -55,11 +54,12 @@ def checks(scenes: Sequence[SceneReference]) -> list[CheckTask]:
 
 
 def check(arguments: Mapping[str, Any], course: Course) -> Found:
-    """Export and check.
-
-    Raises MachineError, SceneError for a scene whose names an FMU cannot carry.
-    """
-    from validate.fmu_check import CHECK_SECONDS, DECISIVE, check_fmu  # imports FMPy: in the child
+    """Export and check. Raises MachineError, and SceneError for names that FMI forbids."""
+    from validate.fmu_check import (
+        CHECK_SECONDS,
+        DECISIVE,
+        check_fmu,
+    )  # imports FMPy, only in the child
 
     began = time.perf_counter()
     course.at("the export")
@@ -72,10 +72,7 @@ def check(arguments: Mapping[str, Any], course: Course) -> Found:
 
 
 def found_by(report: CheckReport, path: Path, export_seconds: float, check_seconds: float) -> Found:
-    """What a check of the FMU in a file found, as a record has it.
-
-    The sentence names what failed.
-    """
+    """Return the finding of a report, whose sentence names the failures."""
     data = path.read_bytes()
     rows = tuple(
         CheckRow(**{**asdict(row), "status": row.status.value, "severity": row.severity})

@@ -1,21 +1,12 @@
-"""A leg: one session of a method over its eps.
+"""Leg: one session of a method over its eps; a campaign's unit of work, keyed and stored once.
 
-It is the unit of work of a campaign - keyed by its content, run once, stored once.
+    DIR/legs/<key>/leg.json.gz, trajectory_<n>.nc, replay_<n>.nc, tracked_<n>.nc   stages n from 1
 
-    DIR/legs/<key>/leg.json.gz, trajectory_<n>.nc, replay_<n>.nc, tracked_<n>.nc   n from 1: its stages
-
-A run (scene x pipeline) is a path of legs, each of which starts from the plan of the one before it.
-The key of a leg is of all that decides it: the scene, what is asked of every stage up to its end,
-the sources of these methods, the libraries. So pipelines that begin alike have legs in common, and
-a run that was ended goes on behind the last leg it stored. A leg ends where its session does:
-nothing but its plan goes on from it, and what follows gives the same numbers whether the leg ran in
-the same process or was read from its files.
-
-A leg that leaves the plan it is given for the first guess (formulations.method, start_used) is the
-leg of a path that begins with it, and is stored as that. What a crash or a clock ended is not
-stored, but for a leg that used up the time of its run: it is stored for runs of the same time
-limit, which end there too. A folder is written aside, made durable, and renamed: it is whole or not
-there.
+A run is a path of legs, each started from the previous plan. A key covers the scene, all stages up
+to the leg's end, sources and libraries, so that pipelines share legs and runs resume. Only the plan
+continues across legs: results do not depend on whether earlier legs were stored. A leg that ignores
+its start is stored as the first leg of a path. Results of a crash or a clock are not stored, except
+a timeout for runs with the same limit.
 """
 
 from __future__ import annotations
@@ -43,12 +34,13 @@ from validate.store.provenance import content_key
 from validate.tasks.task import PlannedLeg
 
 CONTENT = "leg.json.gz"
-# Level of gzip. Higher levels save less than 5 %.
+# Level of gzip; higher levels save less than 5 %.
 _LEVEL = 4
+
 _FILES = ("trajectory", "replay", "tracked")
-# Outcomes that another run might not have.
+# Outcomes that may differ in another run.
 _BY_CHANCE = frozenset({"time_limit", "crashed", "interrupted"})
-# What damaged content raises where it is read; pydantic's errors are ValueErrors.
+# Errors of reading damaged content; pydantic's are ValueErrors.
 _DAMAGED = (
     OSError,
     ValueError,
@@ -62,7 +54,7 @@ _DAMAGED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Planned:
-    """One stage of a pipeline before it runs: a method at one eps."""
+    """A planned stage: a method at one eps."""
 
     index: int
     name: str
@@ -72,11 +64,11 @@ class Planned:
 
     @property
     def title(self) -> str:
-        """Its method, and its eps if it has one."""
+        """Return the method, and its eps if it has one."""
         return self.name if self.eps is None else f"{self.name}, eps {self.eps:g}"
 
     def asked(self) -> list[Any]:
-        """All that is asked of it, for a key."""
+        """Return the stage's part of a key."""
         places = {item.name for item in fields(self.options) if item.metadata.get("place")}
         options = asdict(self.options).items()
         return [
@@ -87,7 +79,7 @@ class Planned:
 
 
 def planned_stages(pipeline: Pipeline, methods: Mapping[str, Method]) -> tuple[Planned, ...]:
-    """The stages of a pipeline in order, options filled in. Raises OptionError."""
+    """Return the stages of a pipeline with all options. Raises OptionError."""
     stages = []
     for index, (leg, eps, options) in enumerate(stage_plan(pipeline)):
         method = methods[leg.method]
@@ -105,24 +97,23 @@ def planned_stages(pipeline: Pipeline, methods: Mapping[str, Method]) -> tuple[P
 
 
 def leg_key(scene: Scene, stages: Sequence[Planned], source: str, *named: str) -> str:
-    """Return the key of a sequence of stages on a scene.
-
-    source: text of the plugin's module; named: further words, for the key of a run.
-    """
+    """Return the key of stages on a scene; source: the plugin's; named: words of a run's key."""
     methods = {planned.name for planned in stages} | {
         leg.method for planned in stages for way in planned.method.ways for leg in way.legs
     }
-    asked = [*named, [planned.asked() for planned in stages]]
-    return content_key(scene, asked, methods, source)
+    request = [*named, [planned.asked() for planned in stages]]
+    return content_key(scene, request, methods, source)
 
 
 def planned_legs(
     plan: Sequence[Planned], key_of: Callable[[Sequence[Planned]], str]
 ) -> tuple[PlannedLeg, ...]:
-    """The path of a pipeline: a leg ends where the next stage has another method or other options. key_of: the key of some stages."""
-    asked = [(planned.name, planned.options) for planned in plan]
+    """Return the legs of a pipeline, split at each other method or option; key_of: of stages."""
+    settings = [(planned.name, planned.options) for planned in plan]
     ends = [
-        end for end in range(1, len(plan) + 1) if end == len(plan) or asked[end] != asked[end - 1]
+        end
+        for end in range(1, len(plan) + 1)
+        if end == len(plan) or settings[end] != settings[end - 1]
     ]
     return tuple(
         PlannedLeg(first, end, key_of(plan[:end]), key_of(plan[first:end]))
@@ -131,22 +122,22 @@ def planned_legs(
 
 
 def leg_files(number: int) -> dict[str, str]:
-    """The files of stage `number` (from 1) in the folder of a leg, by what they hold."""
+    """Return the file names of stage `number` (from 1) of a leg, by content."""
     return {what: f"{what}_{number}.nc" for what in _FILES}
 
 
 def timeout_key(key: str, limit: float) -> str:
-    """The name of a leg that used up the time limit [s] of its run."""
+    """Return the name of a leg that used up its run's time limit [s]."""
     return f"{key}-{limit:g}s"
 
 
 def is_deterministic(records: Sequence[StageRecord]) -> bool:
-    """Whether another run would have found the same: no clock, no crash, no judge that stumbled."""
+    """Return whether another run must give the same records."""
     return all(record.outcome not in _BY_CHANCE for record in records) and _is_judged(records)
 
 
 def ended_by_timeout(records: Sequence[StageRecord]) -> bool:
-    """Whether a clock ended the last of these, and chance nothing else."""
+    """Return whether the time limit alone, and nothing by chance, ended these records."""
     return (
         bool(records)
         and records[-1].outcome == "time_limit"
@@ -160,10 +151,7 @@ def _is_judged(records: Sequence[StageRecord]) -> bool:
 
 
 def write_leg(folder: Path, leg: LegRecord) -> LegRecord:
-    """Say beside the files of a leg what it found, and what the files are.
-
-    Raises MachineError where the disk refuses.
-    """
+    """Write the record and file digests of a leg. Raises MachineError if the disk refuses."""
     leg = leg.model_copy(
         update={"files": {path.name: _digest(path) for path in sorted(folder.glob("*.nc"))}}
     )
@@ -173,17 +161,14 @@ def write_leg(folder: Path, leg: LegRecord) -> LegRecord:
 
 
 def read_leg(folder: Path, *keys: str) -> LegRecord:
-    """What a leg found that has one of these keys.
-
-    Raises OSError or ValueError where it is not whole.
-    """
+    """Return the record of a leg with one of these keys. Raises OSError, ValueError if damaged."""
     try:
         content = gzip.decompress((folder / CONTENT).read_bytes())
     except (EOFError, zlib.error) as error:
         raise ValueError("it is cut or damaged") from error
     leg = LegRecord.model_validate_json(content)
     if leg.key not in keys:
-        raise ValueError("it is another leg than its folder says")
+        raise ValueError("its key differs from its folder's")
     if any(_digest(folder / Path(name).name) != digest for name, digest in leg.files.items()):
         raise ValueError("a file was changed")
     return leg
@@ -194,10 +179,7 @@ def _digest(path: Path) -> str:
 
 
 def plan_of(leg: LegRecord, folder: Path, scene: Scene) -> Trajectory | None:
-    """The last plan that a leg found, from the files in its folder.
-
-    Raises what damaged files raise.
-    """
+    """Return the last plan of a leg. Raises the errors of damaged files."""
     number = max(
         (number for number, record in enumerate(leg.stages, 1) if record.has_plan), default=None
     )
@@ -206,7 +188,7 @@ def plan_of(leg: LegRecord, folder: Path, scene: Scene) -> Trajectory | None:
 
 @dataclass(frozen=True)
 class StoredStage:
-    """A stage of a stored leg. files: "trajectory", "replay", "tracked" -> path, if there is one."""
+    """A stage of a stored leg; files: existing ones of "trajectory", "replay", "tracked"."""
 
     record: StageRecord
     plan: Trajectory | None
@@ -220,23 +202,22 @@ def stored_stages(
     methods: Mapping[str, Method],
     key_of: Callable[[Sequence[Planned]], str],
 ) -> tuple[StoredStage, ...]:
-    """Return the stored stages of the last leg of a path from a cold start.
+    """Return the stored stages of a cold path's last leg, () if missing or damaged.
 
-    Returns () if the leg is not stored or damaged. stored: the folder of all legs; methods: the
-    methods of the legs, by name.
+    stored: folder of all legs; methods: by name.
     """
     plan = planned_stages(Pipeline(name="", title="", legs=tuple(path)), methods)
     wanted = planned_legs(plan, key_of)[-1]
     folder = stored / wanted.key
     try:
         leg = read_leg(folder, wanted.key)
-        found = tuple(
+        stages = tuple(
             _stored_stage(record, folder, number, scene)
             for number, record in enumerate(leg.stages, 1)
         )
     except _DAMAGED:
         return ()
-    return found if len(found) == len(path[-1].schedule) else ()
+    return stages if len(stages) == len(path[-1].schedule) else ()
 
 
 def _stored_stage(record: StageRecord, folder: Path, number: int, scene: Scene) -> StoredStage:
@@ -248,34 +229,28 @@ def _stored_stage(record: StageRecord, folder: Path, number: int, scene: Scene) 
 
 
 def legs_in(folder: Path, legs: Sequence[PlannedLeg]) -> list[LegRecord]:
-    """Of a path those legs that lie in the folder of their run, in order.
-
-    Up to the first that is not there or is damaged.
-    """
-    found = []
+    """Return the legs in the folder of a run, up to the first missing or damaged one."""
+    records = []
     for number, leg in enumerate(legs, 1):
         try:
-            found.append(read_leg(place(folder, number), leg.key, leg.alone))
+            records.append(read_leg(place(folder, number), leg.key, leg.alone))
         except _DAMAGED:
             break
-    return found
+    return records
 
 
 def place(folder: Path, number: int) -> Path:
-    """Where leg `number` (from 1) lies in the folder of a run."""
+    """Return the folder of leg `number` (from 1) of a run."""
     return folder / f"leg_{number}"
 
 
 def take(
     stored: Path, key: str, limit: float | None, stages: int, into: Path, scene: Scene
 ) -> tuple[LegRecord, Trajectory | None] | None:
-    """A stored leg of so many stages, and its plan; its files are linked into a new folder `into`.
+    """Return a stored leg of this many stages and its plan, with files linked into `into`.
 
-    None if it is not stored.
-
-    stored: the folder of all legs; limit [s]: of the run that asks, None where it would not end
-        there too. A leg that is damaged is put aside, into the
-    folder that `into` lies in.
+    None if not stored. limit [s]: also accept a leg that a run of this limit ended. A damaged leg
+    is moved into the run's folder.
     """
     for name in (key,) if limit is None else (key, timeout_key(key, limit)):
         source = stored / name
@@ -291,12 +266,14 @@ def take(
         except _DAMAGED:
             shutil.rmtree(into, ignore_errors=True)
             with contextlib.suppress(OSError):
-                os.rename(source, into.with_name(f"damaged-{name}"))  # goes with the run's folder
+                os.rename(
+                    source, into.with_name(f"damaged-{name}")
+                )  # is removed with the run's folder
     return None
 
 
 def store(folder: Path, leg: LegRecord, stored: Path) -> None:
-    """Store a leg that lies in the folder of its run. Raises OSError where the disk refuses."""
+    """Store a leg of a run's folder. Raises OSError if the disk refuses."""
     target = stored / (leg.key if leg.limit is None else timeout_key(leg.key, leg.limit))
     if target.exists():
         return
@@ -318,26 +295,23 @@ def store_as(folder: Path, leg: LegRecord, key: str, stored: Path) -> None:
 
 
 def link(source: Path, target: Path) -> None:
-    """Make a folder of the same files, without copying them where the file system allows it.
-
-    Raises OSError.
-    """
+    """Create a folder with links to files, or copies. Raises OSError."""
     target.mkdir()
     for path in source.iterdir():
         link_file(path, target / path.name)
 
 
 def link_file(source: Path, target: Path) -> None:
-    """Give a file another name, in place of what had it. Raises OSError."""
+    """Link or copy a file, replacing the target. Raises OSError."""
     target.unlink(missing_ok=True)
     try:
         os.link(source, target)
-    except OSError:  # a file system without links, or with fewer of them
+    except OSError:  # a file system without links, or with a limit
         shutil.copyfile(source, target)
 
 
 def forget(paths: Iterable[Sequence[PlannedLeg]], stored: Path) -> None:
-    """Take away stored legs: they are to be run anew. What cannot be removed is used again."""
+    """Delete stored legs that must run again; legs that cannot be removed are reused."""
     for key in {key for path in paths for leg in path for key in (leg.key, leg.alone)}:
         for folder in stored.glob(f"{key}*"):
             shutil.rmtree(folder, ignore_errors=True)

@@ -1,20 +1,12 @@
-"""Fig. 2 of the paper: the worst-case violation D of complementarity of a relaxation at eps.
+"""The paper's Fig. 2, the worst complementarity violation D, and Table I beside ours.
 
     D = max over phi of lam * (lam - k * phi)            [N^2]
+    paper_row("three_cart", "softplus_dc+strict", 0)  # {"cost": 197.86, "stability": 0.0, ..}
 
-For softplus contact lam is what the *compiled* contact law says, and the maximum is searched for,
-on a grid and then by golden section; beside it stands the closed form (k ln2 / ln eps)^2, reached
-at phi = 0. For the relaxed LCP lam is free within lam >= 0, lam - k*phi >= 0, lam*(lam - k*phi) <=
-eps, and the worst is searched for over that set; it is eps.
-
-The paper's Table I beside ours: which of its rows belongs to which stage of which pipeline.
-
-    # {"cost": 197.86, "stability": 0.0, "physics": 2445.98, "time": 11.64}
-    paper_row("three_cart", "softplus_dc+strict", 0)
-
-The numbers stand once, in `reports.paper`. The rows of a warm starter stand once in the paper and
-belong to both pipelines that begin with it. A pipeline of ours has no row there, even where it
-chains the same methods.
+Softplus: lam of the compiled law, maximised numerically, beside the closed form (k ln2 / ln eps)^2
+at phi = 0. Relaxed LCP: the maximum over lam >= 0, lam - k*phi >= 0, lam*(lam - k*phi) <= eps,
+which is eps. Rows of a warm starter (`reports.paper`) belong to both pipelines that begin with it;
+ours have none.
 """
 
 from __future__ import annotations
@@ -34,7 +26,7 @@ from reports.records.record import ViolationPoint
 
 
 def table_rows(pipeline: str) -> tuple[PaperRow, ...]:
-    """The paper's rows of a pipeline, one a stage; empty for a pipeline the paper does not have."""
+    """Return the paper's rows of a pipeline, one per stage, empty for other pipelines."""
     known = next(
         (known for known in PIPELINES if known.name == pipeline and known.source.startswith(PAPER)),
         None,
@@ -50,30 +42,26 @@ def table_rows(pipeline: str) -> tuple[PaperRow, ...]:
 
 
 def paper_row(scene: str, pipeline: str, stage: int) -> Mapping[str, float]:
-    """The paper's numbers for stage `stage` (from 0) of a pipeline by column name.
-
-    Empty where the paper has none.
-    """
+    """Return the paper's numbers of a stage (from 0) by column name, empty if none."""
     rows = table_rows(pipeline) if scene == SCENE else ()
     return rows[stage].numbers if stage < len(rows) else {}
 
 
 SOFTPLUS_EPS = tuple(10.0**-power for power in range(1, 13))
 RELAXED_EPS = tuple(10.0**-power for power in range(1, 9))
-# Agreement that Fig. 2 must show; the search itself ends far below it.
+# Required agreement of Fig. 2; the search is far more accurate.
 TOLERANCE = 1e-6
-# Widths of the softplus transition, 1/b, that are searched on either side of phi = 0: beyond 40 its
-# violation is below 1e-14 of the peak. an even number: phi = 0 is found, not given
+# Searched widths 1/b of the softplus transition around phi = 0; beyond 40 the violation is below
+# 1e-14 of its maximum.
 _WIDTHS = 40.0
+# An even number, so that phi = 0 is no grid point.
 _GRID = 2000
+
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 def measure(scene: Scene) -> tuple[ViolationPoint, ...]:
-    """The points of Fig. 2 for the first contact of a scene; none for a scene without contacts.
-
-    Raises MachineError.
-    """
+    """Return the points of Fig. 2 for a scene's first contact, if any. Raises MachineError."""
     if scene.nc == 0:
         return ()
     kernel = load_kernel(scene)
@@ -100,21 +88,10 @@ def measure(scene: Scene) -> tuple[ViolationPoint, ...]:
 def softplus_violation(
     kernel: Kernel, path: Callable[[np.ndarray], np.ndarray], eps: float
 ) -> float:
-    """The largest lam*(lam - k*phi) [N^2] of the compiled softplus law at the first contact along a path through it.
+    """Return the largest lam*(lam - k*phi) [N^2] of the compiled softplus law.
 
-    Parameters
-    ----------
-    kernel
-        Of a scene with contacts.
-    path
-        From penetrations of the first contact (n,) [m] to positions (n, nq) [m, rad].
-    eps
-        Of the relaxation.
-
-    Raises
-    ------
-    RelaxationError
-        Unless 0 < eps < 1.
+    path: from penetrations of the first contact (n,) [m] to positions (n, nq) [m, rad]. Raises
+    RelaxationError unless 0 < eps < 1.
     """
     stiffness = kernel.stiffness()
 
@@ -134,7 +111,7 @@ def softplus_violation(
 
 
 def _through_contact(scene: Scene, kernel: Kernel) -> Callable[[np.ndarray], np.ndarray]:
-    """Positions q (n, nq) along the gradient of the first penetration whose penetration is, to first order, the given depth."""
+    """Return positions (n, nq) with given first penetration, to first order."""
     start = np.array([scene.task.start[: scene.nq]], dtype=float)
     jacobian = derive(scene).function(derive(scene).gap_jacobian, derive(scene).q)
     direction = -jacobian(start[0])[0]
@@ -144,10 +121,7 @@ def _through_contact(scene: Scene, kernel: Kernel) -> Callable[[np.ndarray], np.
 
 
 def _golden_section(function: Callable[[float], float], left: float, right: float) -> float:
-    """The largest value of a function with one peak between left and right.
-
-    60 cuts shrink the bracket to rounding.
-    """
+    """Return the largest value of a function with one peak; 60 cuts reach rounding."""
     inner, outer = right - _GOLDEN * (right - left), left + _GOLDEN * (right - left)
     at_inner, at_outer = function(inner), function(outer)
     largest = max(at_inner, at_outer)
@@ -165,10 +139,9 @@ def _golden_section(function: Callable[[float], float], left: float, right: floa
 
 
 def relaxed_violation(stiffness: float, eps: float) -> float:
-    """The largest lam*(lam - k*phi) [N^2] over the feasible set of the relaxed LCP, by search over phi and bisection in lam."""
+    """Return the largest lam*(lam - k*phi) [N^2] of the relaxed LCP, by search and bisection."""
     phi = np.linspace(-100.0, 100.0, 401) * math.sqrt(eps) / stiffness
-    # The product grows with lam from the smallest feasible force on; the largest feasible one is
-    # bracketed, and the bracket cut in half.
+    # The product grows with lam: bracket the largest feasible force, then bisect.
     low = np.maximum(0.0, stiffness * phi)
     high = low + math.sqrt(eps) + 1.0
     while (feasible := high * (high - stiffness * phi) <= eps).any():

@@ -1,16 +1,12 @@
-"""A run as a worker makes it: the legs of its path, one after the other, each taken from the store, or solved, judged, certified and stored.
+"""Run of a worker: the legs of its path, each read from the store, or solved, judged and stored.
 
-    # in a child process of its own: validate.tasks.child
-    record = run_path(task, provenance, folder, profile)
-    record = survey_run(task, folder, profile)      # later, if its plan is the cheapest
-    # by its worker, where the child left no record
-    record = unfinished_run(task, loaded, provenance, child, folder)
+    record = run_path(task, provenance, folder, profile)        # in a child: validate.tasks.child
+    record = survey_run(task, folder, profile)                  # later, if its plan is the cheapest
+    record = unfinished_run(task, loaded, provenance, child, folder)    # if that is missing
 
-A leg lies in the folder of the run as soon as it is judged. So a run that ends before its end keeps
-the legs it has, whatever ended it. Beside the record the folder holds `trajectory.nc` and
-`replay.nc` of the last stage, and `trajectory_<n>.nc` and `replay_<n>.nc` of every other stage n
-(from 1); where there was a tracked replay too, also `tracked.nc` and `tracked_<n>.nc`, and the
-gains with the trajectory.
+Judged legs are kept in the run's folder, even if the run fails. Beside the record are
+`trajectory.nc` and `replay.nc` of the last stage, `trajectory_<n>.nc` and `replay_<n>.nc` of stage
+n (from 1), `tracked.nc` and `tracked_<n>.nc` of tracked replays, and gains with the trajectory.
 """
 
 from __future__ import annotations
@@ -51,28 +47,25 @@ if TYPE_CHECKING:
     from reports.records.record import ProvenanceRecord, StageRecord
     from validate.tasks.task import ChildExit, PlannedLeg, RunTask
 
-# Of a run's time limit, what is reserved for certificates, replaying and scoring: a quarter, but no
-# more than 60 s. The paper's scene needs 2 s; the certificate of two fingers takes 3 CPU s.
+# Share of a run's time limit reserved for certificates and replays.
 _JUDGING_SHARE = 0.25
+# Largest such time [s]; the paper's scene needs 2 s, a certificate of two fingers 3 CPU s.
 _JUDGING_MOST = 60.0
 
-# A stage that gave no answer, why, and the sentence.
+# A stage without an answer, outcome, and reason.
 Unfinished: TypeAlias = "tuple[Planned, Outcome, str]"
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedRun:
-    """The scene and the stages of a run, which its task names."""
+    """The scene and the stages of a run."""
 
     scene: Scene
     plan: tuple[Planned, ...]
 
 
 def load_run(task: RunTask, profile: Profile) -> LoadedRun:
-    """What a task names. profile: where the time goes.
-
-    Raises UnknownNameError, SceneError, OptionError.
-    """
+    """Load the run of a task. Raises UnknownNameError, SceneError, OptionError."""
     plugin = load_plugin(task.plugin)
     profile.lap("imports")
     scene = load_scene(task.scene)
@@ -87,11 +80,9 @@ def load_run(task: RunTask, profile: Profile) -> LoadedRun:
 def run_path(
     task: RunTask, provenance: ProvenanceRecord, folder: Path, profile: Profile
 ) -> RunRecord:
-    """The record of a run.
+    """Return the record of a run; its time limit counts from the profile's start.
 
-    profile: of the process until now; from where it began the time limit counts. Raises
-        MachineError where this machine cannot go on; whatever else goes wrong in a method or the
-        judge is in the record.
+    Raises MachineError if this machine cannot go on; other errors are recorded.
     """
     loaded = load_run(task, profile)
     scene, plan = loaded.scene, loaded.plan
@@ -107,7 +98,7 @@ def run_path(
         unfinished_stage(task.published, task.pipeline.name, planned, outcome, message)
         for planned, outcome, message in rest
     ]
-    cause = rest[0][2] if rest else None  # the stages after it only say that it came before them
+    cause = rest[0][2] if rest else None  # later stages only refer to it
     drawn = scene_record(scene)
     profile.lap("record")
     wall, cpu = profile.total, time.process_time()
@@ -127,9 +118,9 @@ def run_path(
 def unfinished_run(
     task: RunTask, loaded: LoadedRun, provenance: ProvenanceRecord, child: ChildExit, folder: Path
 ) -> RunRecord:
-    """The record of a run whose child left none, with the legs that lie in its folder.
+    """Return the record of a run whose child left none, with the legs in its folder.
 
-    One that ran out of time has the outcome of its last stage, one that crashed has crashed.
+    After a timeout it has the outcome of its last stage, else that of the child.
     """
     scene, plan = loaded.scene, loaded.plan
     found, is_late = legs.legs_in(folder, task.legs), child.outcome == "time_limit"
@@ -144,7 +135,7 @@ def unfinished_run(
     in_certificate = not rest and stages[-1].certificate_missing
     profile = dict(found[-1].profile) if in_certificate else {}
     known = sum(profile.values())
-    wall = max(child.wall, known)  # the clock of the parent, and that of the child
+    wall = max(child.wall, known)  # clocks of parent and child
     if in_certificate:
         profile["certificate"] = profile.get("certificate", 0.0) + wall - known
     stages += [
@@ -174,10 +165,6 @@ def unfinished_run(
 def _stages_in(
     folder: Path, task: RunTask, found: Sequence[LegRecord], stages: int
 ) -> list[StageRecord]:
-    """The stages of these legs as those of a run of so many stages.
-
-    Their files under the names they have there.
-    """
     number = 0
     for place, leg in enumerate(found, 1):
         for own in range(1, len(leg.stages) + 1):
@@ -190,9 +177,9 @@ def _stages_in(
 
 
 def survey_run(task: RunTask, folder: Path, profile: Profile) -> RunRecord:
-    """Try the plans of the stages `task.worlds` of a stored run; return its amended record.
+    """Survey the plans of the stages `task.worlds` of a stored run; return the amended record.
 
-    Raises MachineError if this machine cannot go on, TouchstoneError if the run was deleted.
+    Raises MachineError, and TouchstoneError if the run was deleted.
     """
     scene, store = load_run(task, profile).scene, Store(folder.parents[1])
     run = store.read(task.key)
@@ -215,7 +202,7 @@ def amended(
     cpu: float,
     profile: Mapping[str, float],
 ) -> RunRecord:
-    """Return a copy of a run's record with these stages. wall, cpu, profile [s]: time to add."""
+    """Return a run's record with new stages; wall, cpu, profile [s]: time to add."""
     seconds = Counter(run.profile)
     seconds.update(profile)
     return run.model_copy(
@@ -229,10 +216,7 @@ def amended(
 
 
 def unfinished_survey(task: RunTask, run: RunRecord, child: ChildExit) -> RunRecord:
-    """Return the record of a stored run whose survey crashed or ran out of time.
-
-    The surveys have no digest of sources, so that the next campaign tries the plans again.
-    """
+    """Return the record of a run with failed surveys; without a digest, so they are repeated."""
     message = f"not tried in perturbed worlds: {child.message}"
     stages = tuple(
         stage.model_copy(update={"survey": SurveyRecord(message=message)})
@@ -246,7 +230,7 @@ def unfinished_survey(task: RunTask, run: RunRecord, child: ChildExit) -> RunRec
 def _surveyed(
     stage: StageRecord, scene: Scene, task: RunTask, folder: Path, stages: int
 ) -> StageRecord:
-    """Return the stage with the survey of its plan, read from the store or computed and stored."""
+    """Return the stage with the survey of its plan, stored or computed."""
     store = Store(folder.parents[1])
     plan = read_netcdf(
         store.runs / task.key / stage_files(stage.index, stages)["trajectory"], scene
@@ -260,8 +244,8 @@ def _surveyed(
             if array is not None
         )
     )
-    asked = [survey_sources(), numbers.hexdigest(), plan.hold.value, limits, followed]
-    stored = store.surveys / f"{content_key(scene, asked, (), plugin_source(task.plugin))}.json"
+    request = [survey_sources(), numbers.hexdigest(), plan.hold.value, limits, followed]
+    stored = store.surveys / f"{content_key(scene, request, (), plugin_source(task.plugin))}.json"
     with contextlib.suppress(OSError, ValueError):  # not stored, or damaged
         return stage.model_copy(
             update={"survey": SurveyRecord.model_validate_json(stored.read_bytes())}
@@ -269,22 +253,22 @@ def _surveyed(
     progress(folder, f"stage {stage.index + 1} ({stage.method}) in perturbed worlds")
     try:
         answer = load_plugin(task.plugin).survey(scene, plan, limits, followed)
-        found = SurveyRecord.model_validate(answer, from_attributes=True)
-        found = found.model_copy(update={"sources": survey_sources()})
+        survey = SurveyRecord.model_validate(answer, from_attributes=True)
+        survey = survey.model_copy(update={"sources": survey_sources()})
         stored.parent.mkdir(exist_ok=True)
-        write_durably(stored, found.model_dump_json())
+        write_durably(stored, survey.model_dump_json())
     except MachineError:
         raise
-    except Exception as error:  # noqa: BLE001 - the plan is kept even if trying it stumbles; the log has the traceback
+    except Exception as error:  # noqa: BLE001 - a failed survey must not lose the plan; the log has the traceback
         raise_if_disk_ended(folder, error)
         if not isinstance(error, TouchstoneError):
             traceback.print_exc()
-        found = SurveyRecord(message=in_words(error), sources=survey_sources())
-    return stage.model_copy(update={"survey": found})
+        survey = SurveyRecord(message=in_words(error), sources=survey_sources())
+    return stage.model_copy(update={"survey": survey})
 
 
 def refused(scene: Scene, plan: Sequence[Planned]) -> list[Unfinished]:
-    """Every stage, if one of the methods does not apply to the scene; else none."""
+    """Return all stages if a method does not apply to the scene, else none."""
     for planned in plan:
         reason = planned.method.accepts(scene)
         if reason is not None:
@@ -293,10 +277,7 @@ def refused(scene: Scene, plan: Sequence[Planned]) -> list[Unfinished]:
 
 
 class _Path:
-    """The legs of a run, into its folder. deadline: time.monotonic() by which solving ends.
-
-    Judging and certifying do not count.
-    """
+    """The legs of a run; deadline: end of solving by time.monotonic(), without judging."""
 
     def __init__(
         self, task: RunTask, loaded: LoadedRun, folder: Path, profile: Profile, deadline: float
@@ -309,30 +290,29 @@ class _Path:
             profile,
         )
         self._plugin, self._deadline = load_plugin(task.plugin), deadline
-        self._stored = Store(folder.parents[1]).legs  # a run is unfinished in DIR/runs
+        self._stored = Store(folder.parents[1]).legs  # unfinished runs are in DIR/runs
         self._judge = Judge(self._plugin, self._scene, profile)
         self._start: Trajectory | None = None
         self._is_prepared = False
-        # a leg that another run made: the time left is then not what its maker would have
+        # True after reading another run's leg: the time left is then not reproducible.
         self._took = False
         self._source = plugin_source(task.plugin)
-        self._used: list[legs.StoredStage] = []  # stored stages that a method has used
+        self._used: list[legs.StoredStage] = []  # stored stages used by methods
 
     def _stored_stages(self, path: Sequence[Leg]) -> Sequence[Solution] | None:
-        """Return the stored stages of the last leg of a path from a cold start; None if not stored."""
+        """Return the stored stages of a cold path's last leg, None if not stored."""
         methods = {leg.method: self._plugin.load_method(leg.method) for leg in path}
-        found = legs.stored_stages(
+        results = legs.stored_stages(
             self._stored,
             path,
             self._scene,
             methods,
             lambda stages: legs.leg_key(self._scene, stages, self._source),
         )
-        self._used += found
-        return [solution_of(stage.record, stage.plan) for stage in found] or None
+        self._used += results
+        return [solution_of(stage.record, stage.plan) for stage in results] or None
 
     def go(self) -> list[Unfinished]:
-        """All legs in order; the stages that did not run."""
         for number, leg in enumerate(self._task.legs, 1):
             rest = self._leg(number, leg)
             if rest:
@@ -340,7 +320,7 @@ class _Path:
         return []
 
     def _leg(self, number: int, leg: PlannedLeg) -> list[Unfinished]:
-        """Take a leg from the store or run it; the stages that do not run any more."""
+        """Take a leg from the store or run it; return the stages that do not run any more."""
         limit = self._task.time_limit
         taken = self._take(number, leg, leg.key, limit)
         solved: list[SolvedStage] = []
@@ -368,7 +348,7 @@ class _Path:
                         solved, rest = self._solve(leg, opened)
             except MachineError:
                 raise
-            except Exception as error:  # noqa: BLE001 - a method may fail in any way; the log has the traceback, the row has the sentence
+            except Exception as error:  # noqa: BLE001 - any failure is recorded, with its traceback in the log
                 return self._failed(first, error)
         if taken is None:
             ended = time.monotonic()
@@ -400,15 +380,15 @@ class _Path:
     def _solve(
         self, leg: PlannedLeg, opened: OpenLeg
     ) -> tuple[list[SolvedStage], list[Unfinished]]:
-        """The stages of a leg that ran, and those of the path that do not run any more."""
+        """Return the solved stages of a leg, and the remaining ones of the path."""
         solved: list[SolvedStage] = []
         for planned in self._plan[leg.first : leg.end]:
-            left = self._deadline - time.monotonic()
-            if left <= 0:
+            seconds_left = self._deadline - time.monotonic()
+            if seconds_left <= 0:
                 return solved, self._out_of_time(planned)
             progress(self._folder, f"stage {planned.index + 1} ({planned.title})")
             try:
-                item = opened.run(planned, self._start, left)
+                item = opened.run(planned, self._start, seconds_left)
             except MachineError:
                 raise
             except Exception as error:  # noqa: BLE001 - as above
@@ -426,7 +406,7 @@ class _Path:
     def _finish(
         self, number: int, leg: PlannedLeg, key: str, solved: list[SolvedStage], *, is_over: bool
     ) -> None:
-        """Judge and certify what was solved of a leg, and store the leg if others would find the same. is_over: the time for solving is up."""
+        """Judge, certify and, if reproducible, store a leg; is_over: no time is left."""
         folder = legs.place(self._folder, number)
         folder.mkdir()
         records: list[StageRecord] = []

@@ -1,17 +1,11 @@
-"""What a campaign works with: where methods and pipelines come from, and who judges.
+"""Plugins: replace methods, pipelines or the judge of a campaign, by a dotted name.
 
-Ours by default, anybody's by a dotted name.
-
-    # defines METHOD, and where that has eps or needs company PIPELINE
-    python -m validate all --plugin my_method
+    python -m validate all --plugin my_method                       # defines METHOD, maybe PIPELINE
     python -m validate all --plugin my_package.my_module:PLUGIN
 
-A module that defines `METHOD` is a method file like ours: its method is found and its pipeline runs
-before ours. `PLUGIN` is a `Plugin`, for whoever replaces more; what it does not replace stays ours.
-The name travels to the child processes, which import it themselves, so the module must be
-importable there (installed, or on PYTHONPATH). What only a child needs - compiler, FMU,
-certificate, judge - is imported where it is called: the campaign's own process imports neither
-Pyomo nor FMPy for it.
+`METHOD` adds a method, and runs its pipeline before ours. A `Plugin` replaces more; its defaults
+are ours. Child processes import the module too (installed, or on PYTHONPATH). Functions of children
+are imported on their first call, because the campaign's process needs neither Pyomo nor FMPy.
 """
 
 from __future__ import annotations
@@ -39,13 +33,12 @@ if TYPE_CHECKING:
     from validate.tasks.task import CheckTask, SceneReference
 
 DEFAULT_PLUGIN = "validate.tasks.plugins:DEFAULT"
-# What a campaign checks beside scenes by pipelines: functions of its scenes that give
-# validate.tasks.task.CheckTask.
+# Functions from scenes to the CheckTasks of a campaign.
 CHECKS: tuple[str, ...] = ("validate.tasks.fmu_checks:checks", "validate.stress.case:checks")
 
 
 def _late(reference: str) -> Callable[..., Any]:
-    """The function `module:name`, imported when it is called first."""
+    """Return the function `module:name`, imported on its first call."""
     module, _, name = reference.partition(":")
     return lambda *arguments: getattr(importlib.import_module(module), name)(*arguments)
 
@@ -68,13 +61,13 @@ def _write_report(folder: Path) -> Path:
 
     try:
         return folder / REPORT if is_current(folder) else write_report(folder)
-    except ReportError as error:  # of a room that knows none of our errors
+    except ReportError as error:  # reports do not know our errors
         raise MachineError(str(error)) from error
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plugin:
-    """See the module docstring. quick: the names of the pipelines that `--quick` runs."""
+    """Functions of a campaign; quick: pipelines of `--quick`."""
 
     load_method: Callable[[str], Method] = load_method
     pipelines_for: Callable[[Scene], tuple[Pipeline, ...]] = pipelines_for
@@ -102,7 +95,7 @@ class Plugin:
                 )
 
     def methods_of(self, pipeline: Pipeline) -> dict[str, Method]:
-        """The methods of a pipeline's legs, by name. Raises UnknownNameError."""
+        """Return the methods of a pipeline's legs by name. Raises UnknownNameError."""
         return {
             leg.method: GIVEN_PLAN
             if leg.method == GIVEN_PLAN.name
@@ -115,7 +108,7 @@ DEFAULT = Plugin()
 
 
 def load_plugin(reference: str) -> Plugin:
-    """The Plugin of a dotted name: `module:NAME`, or of a `module` that defines PLUGIN or METHOD.
+    """Return the Plugin `module:NAME`, or of a module with PLUGIN or METHOD.
 
     Raises UnknownNameError.
     """
@@ -126,7 +119,7 @@ def load_plugin(reference: str) -> Plugin:
         ImportError,
         TypeError,
         ValueError,
-    ) as error:  # the latter of what is no dotted name: '', '..x'
+    ) as error:  # an invalid dotted name: '', '..x'
         raise UnknownNameError(
             f"--plugin {reference}: the module {module_name!r} cannot be imported ({error}); its folder must be on PYTHONPATH."
         ) from error
@@ -144,26 +137,23 @@ def load_plugin(reference: str) -> Plugin:
 
 
 def _of_method(reference: str, method: Method, pipeline: Pipeline | None) -> Plugin:
-    """Ours, with a method and its pipeline (None: the method alone) before them."""
+    """Return our plugin with a method and its pipeline first."""
     if pipeline is None and method.needs_eps:
         raise UnknownNameError(
             f"--plugin {reference}: method {method.name} needs eps; define PIPELINE, whose leg says which: Leg(method={method.name!r}, schedule=(..,))."
         )
-    own = pipeline or Pipeline(
+    first = pipeline or Pipeline(
         name=method.name, title=method.title, legs=(Leg(method=method.name),)
     )
     return replace(
         DEFAULT,
         load_method=lambda name: method if name == method.name else load_method(name),
-        pipelines_for=lambda scene: (own, *pipelines_for(scene)),
+        pipelines_for=lambda scene: (first, *pipelines_for(scene)),
     )
 
 
 def plugin_source(reference: str) -> str:
-    """The source text of the module a reference names, for the key of a task.
-
-    Empty for our own (hashed with our sources).
-    """
+    """Return the source of the reference's module, for keys; "" for ours."""
     if reference == DEFAULT_PLUGIN:
         return ""
     return inspect.getsource(importlib.import_module(reference.partition(":")[0]))

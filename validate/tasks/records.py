@@ -1,8 +1,4 @@
-"""Solution, Score and Replay -> the records that are stored (reports.records.record).
-
-Numbers that are not finite never get into a record: a cost that is not a number is missing, and
-says so.
-"""
+"""Convert Solution, Score and Replay into stored records, without non-finite numbers."""
 
 from __future__ import annotations
 
@@ -53,10 +49,7 @@ def certificate_record(certificate: Certificate | None) -> CertificateRecord | N
 
 
 def _copied(record: type[_Record], source: object, **own: Any) -> _Record:
-    """A record with what of a source is called like its fields, beside what is given.
-
-    A number that is not finite is missing.
-    """
+    """Return a record with the source's equal-named fields, and `own`."""
     names = [name for name in record.model_fields if name not in own and hasattr(source, name)]
     return record(**{name: _plain_number(getattr(source, name)) for name in names}, **own)
 
@@ -66,18 +59,18 @@ def _plain_number(value: Any) -> Any:
 
 
 def with_certificate(record: StageRecord, solution: Solution) -> StageRecord:
-    """Return the record of the same stage with the certificate of its plan."""
+    """Return the record with the certificate of its plan."""
     certificate = certificate_record(solution.certificate)
     return record.model_copy(update={"certificate": certificate, "certificate_missing": False})
 
 
-# Lines of the log that go into the record, so that a report can show why a task ended as it did.
+# Last lines of the log that a record keeps.
 LOG_LINES = 40
 
 
 @dataclass(frozen=True, kw_only=True)
 class Judged:
-    """What the judge said of one plan: a Replay and a Score, or the sentence why there are none."""
+    """The judge's result of one plan, or why there is none."""
 
     replay: Replay | None = None
     score: Score | None = None
@@ -95,9 +88,9 @@ def stage_record(
     before: float,
     judged: Judged,
 ) -> StageRecord:
-    """The record of a stage that ran, as of a pipeline of its leg alone.
+    """Return the record of a solved stage, as in a pipeline of its leg alone.
 
-    index: in its leg; wall, cpu [s]: of this stage; before [s]: of its leg's stages before it.
+    index: in its leg; wall, cpu [s]: of this stage; before [s]: of earlier stages.
     """
     verdict, why = _verdict(solution, judged)
     return StageRecord(
@@ -143,7 +136,7 @@ def _asked(planned: Planned, outcome: Outcome) -> dict[str, Any]:
 
 
 def solution_of(record: StageRecord, plan: Trajectory | None) -> Solution:
-    """Return the Solution that a stage's record describes. plan: its trajectory."""
+    """Return the Solution of a stage's record; plan: its trajectory."""
     seconds, size = record.seconds, record.size
     return Solution(
         method=record.method,
@@ -172,11 +165,11 @@ def solution_of(record: StageRecord, plan: Trajectory | None) -> Solution:
 
 
 def stages_of(legs: Sequence[LegRecord], scene: str, pipeline: str) -> list[StageRecord]:
-    """The stages of the legs of a run, as its own."""
-    found: list[StageRecord] = []
+    """Return the stages of legs as those of a run."""
+    stages: list[StageRecord] = []
     for leg in legs:
-        before = found[-1].seconds.total if found else 0.0
-        found += [
+        before = stages[-1].seconds.total if stages else 0.0
+        stages += [
             record.model_copy(
                 update={
                     "index": index,
@@ -187,15 +180,15 @@ def stages_of(legs: Sequence[LegRecord], scene: str, pipeline: str) -> list[Stag
                     "shared_from": "" if leg.pipeline == pipeline else leg.pipeline,
                 }
             )
-            for index, record in enumerate(leg.stages, len(found))
+            for index, record in enumerate(leg.stages, len(stages))
         ]
-    return found
+    return stages
 
 
 def unfinished_stage(
     scene: str, pipeline: str, planned: Planned, outcome: Outcome, message: str
 ) -> StageRecord:
-    """The record of a stage without an answer: refused, crashed, out of time or never begun."""
+    """Return the record of a stage without an answer: refused, crashed, out of time, not begun."""
     return StageRecord(
         **_asked(planned, outcome),
         index=planned.index,
@@ -210,7 +203,7 @@ def unfinished_stage(
 def given_stage(
     name: str, replay: Replay | None, score: Score, seconds: float, message: str = ""
 ) -> StageRecord:
-    """The record of a plan that no method of ours found, as of a run of one stage. name: what the plan is called; seconds [s]: of CPU time of its replays."""
+    """Return the record of an external plan; seconds [s]: CPU time of its replays."""
     return StageRecord(
         index=0,
         method=name,
@@ -242,10 +235,9 @@ def run_record(
     message: str | None = None,
     profile: Mapping[str, float] = MappingProxyType({}),
 ) -> RunRecord:
-    """The record of a task.
+    """Return the record of a task, by default with outcome and message of the last stage.
 
-    Its outcome, message and verdict are those of the last stage unless given. profile: wall seconds
-    by phase.
+    profile: wall seconds by phase.
     """
     last = stages[-1]
     return RunRecord(
@@ -269,7 +261,7 @@ def run_record(
 
 
 def finite(value: float | None) -> float | None:
-    """The number if it is one, else None."""
+    """Return a finite number as float, else None."""
     return float(value) if value is not None and math.isfinite(value) else None
 
 
@@ -336,12 +328,11 @@ def _metric(metric: Metric) -> MetricRecord:
 
 
 def _of_score(judged: Judged) -> dict[str, Any]:
-    """What a stage has of its judge, but for the verdict."""
-    found: dict[str, Any] = (
+    fields: dict[str, Any] = (
         {} if judged.replay is None else {"replay": _replay(judged.replay, judged.score)}
     )
     if judged.score is not None:
-        found |= {
+        fields |= {
             "metrics": tuple(map(_metric, judged.score.metrics)),
             "questions": tuple(
                 QuestionRecord(number=question.number, text=question.value, answer=answer)
@@ -350,7 +341,7 @@ def _of_score(judged: Judged) -> dict[str, Any]:
             "not_asked": judged.score.not_asked,
             "cause": judged.score.cause,
         }
-    return found
+    return fields
 
 
 def _options(options: Mapping[str, object]) -> dict[str, Any]:
@@ -370,10 +361,6 @@ def _plain(value: object) -> Any:
 
 
 def _history(history: Mapping[str, Sequence[float]]) -> dict[str, tuple[float, ...]]:
-    """Columns thinned to the pixels of a plot.
-
-    Iterations in which any column is not finite are left out.
-    """
     rows = [row for row in zip(*history.values(), strict=False) if all(map(math.isfinite, row))]
     kept = [rows[place] for place in thin(len(rows), LONGEST_HISTORY)]
     return {name: tuple(float(row[column]) for row in kept) for column, name in enumerate(history)}

@@ -1,4 +1,4 @@
-"""A scene as the report shows it: names, units, start and goal, and its equations as presentation MathML."""
+"""Record of a scene for the report: names, units, start, goal, and equations as MathML."""
 
 from __future__ import annotations
 
@@ -28,15 +28,14 @@ from reports.records.record import (
 )
 
 _ENTITY = re.compile(r"&([A-Za-z]+);")
-# The only names XML itself knows; everything else SymPy writes by name is an HTML entity, which a
-# strict parser refuses.
+# XML's own names; SymPy's other entities are HTML's, which strict parsers refuse.
 _XML_NAMES = frozenset({"lt", "gt", "amp", "quot", "apos"})
-# The text of the equations depends on the scene and on this file.
+# Key of cached equations: this file's text.
 _WRITER = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:12]
 
 
 def scene_record(scene: Scene) -> SceneRecord:
-    """Return the record of a scene; its equations are printed once and cached (0.3 to 1.5 CPU s)."""
+    """Return the record of a scene; equations are cached (0.3 to 1.5 CPU s)."""
     dynamics = derive(scene)
     contacts = [
         ContactRecord(
@@ -120,10 +119,10 @@ def _cached_equations(scene: Scene, dynamics: Dynamics) -> tuple[EquationRecord,
 
 
 def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
-    """Equations of motion, gaps, contact law, time step and cost of a scene, in this order."""
-    found: list[tuple[str, sp.Basic]] = []
+    """Return equations of motion, gaps, contact law, time step and cost of a scene, in order."""
+    captioned: list[tuple[str, sp.Basic]] = []
     time, step = sp.Symbol("t", real=True), sp.Symbol("h", positive=True)
-    # Contact forces as they are written: lambda_left for lam_left.
+    # Contact forces as printed: lambda_left for lam_left.
     greek = {
         lam: sp.Symbol(f"lambda_{lam.name.removeprefix('lam_')}", real=True) for lam in dynamics.lam
     }
@@ -131,7 +130,7 @@ def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
     rate = sp.Matrix([sp.Derivative(velocity, time, evaluate=False) for velocity in dynamics.v])
     inertia = dynamics.mass_matrix * rate
     for row, coordinate in enumerate(dynamics.scene.coordinates):
-        found.append((f"motion of {coordinate.name}", _equation(inertia[row], force[row])))
+        captioned.append((f"motion of {coordinate.name}", _equation(inertia[row], force[row])))
     for contact, phi, k, lam in zip(
         dynamics.scene.contacts,
         dynamics.penetration,
@@ -140,29 +139,29 @@ def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
         strict=True,
     ):
         depth = sp.Symbol(f"phi_{contact.name}", real=True)
-        found.append(
+        captioned.append(
             (
                 f"penetration of contact {contact.name} (its gap is the negative)",
                 _equation(depth, phi),
             )
         )
         if contact.is_damped:
-            found += _damped_force(dynamics, contact, depth, lam)
+            captioned += _damped_force(dynamics, contact, depth, lam)
         else:
-            found.append(
+            captioned.append(
                 (
                     f"force of contact {contact.name}",
                     _equation(lam, sp.Mul(k, sp.Max(depth, 0), evaluate=False)),
                 )
             )
-    found += _friction_equations(dynamics, greek)
+    captioned += _friction_equations(dynamics, greek)
     belongs = ", friction to the slip at its end" if dynamics.f else ""
     after = [sp.Symbol(f"{velocity.name}__t+1", real=True) for velocity in dynamics.v]
     gain = dynamics.mass_matrix * sp.Matrix(
         [new - old for new, old in zip(after, dynamics.v, strict=True)]
     )
     for row, coordinate in enumerate(dynamics.scene.coordinates):
-        found.append(
+        captioned.append(
             (
                 f"time step of {coordinate.velocity_name}, contact forces at its start{belongs}",
                 _equation(gain[row], step * force[row]),
@@ -170,28 +169,28 @@ def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
         )
     for coordinate, velocity in zip(dynamics.scene.coordinates, after, strict=True):
         new = sp.Symbol(f"{coordinate.name}__t+1", real=True)
-        found.append(
+        captioned.append(
             (f"time step of {coordinate.name}", _equation(new, coordinate.symbol + step * velocity))
         )
     cost = sp.Symbol("J")
-    found.append(
+    captioned.append(
         (
             "cost, summed over the steps",
             _equation(cost, sp.Sum(dynamics.running_cost, (time, 0, sp.Symbol("T") - 1))),
         )
     )
     if dynamics.final_cost != 0:
-        found.append((FINAL_COST, _equation(sp.Symbol("J_T"), dynamics.final_cost)))
+        captioned.append((FINAL_COST, _equation(sp.Symbol("J_T"), dynamics.final_cost)))
     return tuple(
         EquationRecord(caption=caption, mathml=presentation(equation))
-        for caption, equation in found
+        for caption, equation in captioned
     )
 
 
 def _damped_force(
     dynamics: Dynamics, contact: Contact, depth: sp.Symbol, lam: sp.Symbol
 ) -> list[tuple[str, sp.Basic]]:
-    """The rate of penetration and the force that follows from it."""
+    """Return the rate of penetration and the force by it."""
     rate, k, c = (
         sp.Derivative(depth, sp.Symbol("t", real=True), evaluate=False),
         contact.stiffness,
@@ -220,26 +219,26 @@ def _damped_force(
 def _friction_equations(
     dynamics: Dynamics, names: Mapping[sp.Symbol, sp.Symbol]
 ) -> list[tuple[str, sp.Basic]]:
-    found: list[tuple[str, sp.Basic]] = []
+    captioned: list[tuple[str, sp.Basic]] = []
     for friction, slip, limit, force in zip(
         dynamics.scene.frictions, dynamics.slip, dynamics.friction_limit, dynamics.f, strict=True
     ):
         speed = sp.Symbol(friction.slip_name, real=True)
-        found.append((f"slip speed of friction {friction.name}", _equation(speed, slip)))
-        found.append(
+        captioned.append((f"slip speed of friction {friction.name}", _equation(speed, slip)))
+        captioned.append(
             (
                 f"largest force of friction {friction.name}",
                 sp.Le(sp.Abs(force), limit.subs(names), evaluate=False),
             )
         )
         held = _equation(force, sp.Mul(-1, limit.subs(names), sp.sign(speed), evaluate=False))
-        found.append(
+        captioned.append(
             (
                 f"force of friction {friction.name} where it slips; where it sticks, the slip is zero",
                 held,
             )
         )
-    return found
+    return captioned
 
 
 def _equation(left: sp.Basic, right: sp.Basic) -> sp.Basic:
@@ -247,7 +246,7 @@ def _equation(left: sp.Basic, right: sp.Basic) -> sp.Basic:
 
 
 def _with_minus_inside(expression: sp.Basic) -> sp.Basic:
-    """The same with the sign of a sum that is subtracted in each of its terms: SymPy's printer writes a - (b + c) without its parentheses."""
+    """Return the expression without a - (b + c), which SymPy prints without parentheses."""
     return expression.replace(
         lambda part: part.is_Mul and (-part).is_Add,
         lambda part: sp.Add(*(-term for term in (-part).args)),
@@ -255,10 +254,10 @@ def _with_minus_inside(expression: sp.Basic) -> sp.Basic:
 
 
 def presentation(expression: sp.Basic) -> str:
-    """Presentation MathML that any XML parser reads: a `math` element, entities as characters."""
+    """Return presentation MathML as XML: a `math` element, entities as characters."""
     inside = mathml(_with_minus_inside(expression), printer="presentation").replace(
         "<mo><</mo>", "<mo>&lt;</mo>"
-    )  # SymPy leaves it unescaped
+    )  # not escaped by SymPy
     plain = _ENTITY.sub(
         lambda match: (
             match.group(0) if match.group(1) in _XML_NAMES else html.unescape(match.group(0))

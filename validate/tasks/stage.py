@@ -1,6 +1,6 @@
-"""One stage of a run: solved in the session of its leg, replayed and scored, certified.
+"""Stage of a run: solved in its leg's session, replayed and scored, certified.
 
-prepare(plugin, scene, plan, folder, profile)            # once, so that no stage pays for it
+prepare(plugin, scene, plan, folder, profile)  # once, outside the stages' times
 with closing(OpenLeg(scene, planned)) as leg:
     solved = leg.run(planned, start, time_limit)
 record = judge.record(solved, folder, index, before)
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from validate.tasks.plugins import Plugin
 
 
-# Fields of a record that depend on the plan alone, not on the method that found it.
+# Fields of a record that depend on the plan only.
 _OF_PLAN = (
     "metrics",
     "verdict",
@@ -52,9 +52,9 @@ _OF_PLAN = (
 
 @dataclass(frozen=True)
 class SolvedStage:
-    """A stage that ran: its solution and the wall and CPU seconds it took, opening the method included.
+    """A solved stage, with its wall and CPU seconds including the method's opening.
 
-    elsewhere: the part of these seconds that other runs spent, for stored stages that it used.
+    elsewhere: part of these seconds spent by other runs, for stored stages.
     """
 
     planned: Planned
@@ -65,14 +65,14 @@ class SolvedStage:
 
     @property
     def can_be_certified(self) -> bool:
-        """Whether its method claims to solve the exact problem, and it has a plan."""
+        """Return whether the method claims exactness and has a plan."""
         return self.planned.method.exact and self.solution.trajectory is not None
 
 
 def prepare(
     plugin: Plugin, scene: Scene, plan: tuple[Planned, ...], folder: Path, profile: Profile
 ) -> None:
-    """Compile the scene, and open and close every method once, so that neither that nor importing libraries counts in any stage's seconds."""
+    """Compile the scene, and open and close every method, so that no stage's time includes it."""
     progress(folder, "the compilation of the scene")
     _tried(lambda: plugin.compile(scene))
     profile.lap("compile")
@@ -87,17 +87,15 @@ def _tried(preparation: Callable[[], object]) -> None:
         preparation()
     except MachineError:
         raise
-    except Exception as error:  # noqa: BLE001 - it will happen again where it belongs, in the stage
+    except Exception as error:  # noqa: BLE001 - the stage will raise it again
         raise_if_disk_ended(Path.cwd(), error)
         traceback.print_exc()
 
 
 class OpenLeg:
-    """The session of a leg. planned: one of its stages, which all have the same method and options.
+    """The session of a leg; planned: one of its stages. The first stage includes the opening.
 
-    Its first stage pays for the opening.
-
-    Raises what the method raises.
+    Raises the method's errors.
     """
 
     def __init__(self, scene: Scene, planned: Planned) -> None:
@@ -108,7 +106,7 @@ class OpenLeg:
         self._stored_seconds = Seconds()
 
     def use_stored(self, stored: StoredStages) -> None:
-        """Give the session access to stored stages of other pipelines; count their seconds."""
+        """Let the session use other pipelines' stored stages; count their seconds."""
 
         def counted(legs: Sequence[Leg]) -> Sequence[Solution] | None:
             stages = stored(legs)
@@ -120,7 +118,7 @@ class OpenLeg:
         self._session.use_stored(counted)
 
     def leaves(self, start: Trajectory | None) -> bool:
-        """Whether the first stage would leave this plan for the first guess."""
+        """Return whether the first stage would replace this plan by the first guess."""
         wall, cpu = time.perf_counter(), time.process_time()
         cold = self._session.start_used(start) is None
         self._opening = (
@@ -132,8 +130,8 @@ class OpenLeg:
     def run(self, planned: Planned, start: Trajectory | None, time_limit: float) -> SolvedStage:
         """Run a stage.
 
-        Raises what its method raises, TypeError for an answer that is no Solution, TrajectoryError
-        for a plan of another scene or of another duration.
+        Raises the method's errors, TypeError for no Solution, TrajectoryError for a plan of another
+        scene or duration.
         """
         wall, cpu = time.perf_counter() - self._opening[0], time.process_time() - self._opening[1]
         self._opening = (0.0, 0.0)
@@ -147,13 +145,13 @@ class OpenLeg:
             )
         if solution.trajectory is not None:
             solution.trajectory.check_fits(self._scene)
-            asked = self._scene.task.horizon
-            # The judge asks a given plan how long it lasts (question 1).
+            horizon = self._scene.task.horizon
+            # The judge compares the duration of a given plan with the task's (question 1).
             if planned.method.kind is not Kind.GIVEN and not math.isclose(
-                solution.trajectory.duration, asked, rel_tol=1e-9
+                solution.trajectory.duration, horizon, rel_tol=1e-9
             ):
                 raise TrajectoryError(
-                    f"plan: it lasts {solution.trajectory.duration:.6g} s, but the task of scene {self._scene.name} {asked:.6g} s."
+                    f"plan: it lasts {solution.trajectory.duration:.6g} s, but the task of scene {self._scene.name} {horizon:.6g} s."
                 )
             if planned.method.kind is Kind.DIRECT:
                 solution = as_asked(self._scene, solution)
@@ -164,12 +162,12 @@ class OpenLeg:
         """Close the session."""
         try:
             self._session.close()
-        except Exception:  # noqa: BLE001 - what was found is kept even if tidying up fails; the log has the traceback
+        except Exception:  # noqa: BLE001 - a failed close must not lose the result; the log has the traceback
             traceback.print_exc()
 
 
 class Judge:
-    """Replays and scores the plans of a run, certifies those of exact methods, and writes their files."""
+    """Judges and certifies the plans of a run, and writes their files."""
 
     def __init__(self, plugin: Plugin, scene: Scene, profile: Profile) -> None:
         self._plugin, self._scene, self._profile = plugin, scene, profile
@@ -183,10 +181,9 @@ class Judge:
         before: float,
         same: StoredStage | None = None,
     ) -> StageRecord:
-        """The record of stage `index` (from 0) of a leg, without its certificate.
+        """Return the record of stage `index` (from 0) without certificate; write its files.
 
-        Its files in the folder. before [s]: of its leg's stages before it; same: a stored stage
-        with an identical plan, whose judgement and certificate are copied.
+        before [s]: of earlier stages; same: a stored stage with an identical plan, to copy from.
         """
         if same is None:
             judged = self._judged(item.solution.trajectory, folder, index + 1)
@@ -250,7 +247,7 @@ class Judge:
             profile.lap("writing")
         except MachineError:
             raise
-        except Exception as error:  # noqa: BLE001 - the plan is kept even if the judge stumbles; the verdict is then undecided
+        except Exception as error:  # noqa: BLE001 - a failed judge must not lose the plan; the verdict is undecided
             raise_if_disk_ended(folder, error)
             traceback.print_exc()
             profile.lap("replay")
@@ -261,10 +258,10 @@ class Judge:
         return Judged(replay=replay, score=judgement.score, seconds=seconds)
 
     def certified(self, record: StageRecord, item: SolvedStage) -> StageRecord:
-        """The record with the certificate of its plan."""
+        """Return the record with the certificate of its plan."""
         try:
             solution = self._plugin.certify(self._scene, item.solution)
-        except Exception as error:  # noqa: BLE001 - the plan is kept even if its judge stumbles; it then has no certificate, and the log has the traceback
+        except Exception as error:  # noqa: BLE001 - a failed certificate must not lose the plan; the log has the traceback
             raise_if_disk_ended(Path.cwd(), error)
             traceback.print_exc()
             solution = item.solution
@@ -273,10 +270,7 @@ class Judge:
 
 
 def in_words(error: Exception) -> str:
-    """The sentence of an error of ours.
-
-    Of any other its type and the first line of what it says.
-    """
+    """Return our error's sentence, else type and first line."""
     return (
         str(error)
         if isinstance(error, TouchstoneError)
@@ -285,5 +279,5 @@ def in_words(error: Exception) -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """The first line of what an error says."""
+    """Return the first line of an error's text."""
     return next(iter(str(error).splitlines()), "") or "no further words."

@@ -1,15 +1,10 @@
-"""Tasks of a campaign as plain data with keys: a run, which is a scene by a pipeline, or a check.
+"""Tasks of a campaign as plain data with keys: a run, scene by pipeline, or a check.
 
-And how the child of one may end.
+    task = task_from_json(task_to_json(task))          # for a child
+    varied(load_scene("three_cart"), Variant(name="three_cart_k_300", parameters={"k": 300.0}))
 
-    task = task_from_json(task_to_json(task))          # what a child is given
-
-What a worker does with a run: validate.tasks.path; with a check: validate.tasks.check.
-
-A campaign file may ask for a scene with some of its numbers changed; it has a name of its own, and
-is a scene like any other: its text, numbers included, is part of the key of its tasks.
-
-    varied(load_scene("three_cart"), Variant(name="three_cart_k_300", parameters={"k": 300.0}, goal={"q1": 2.6, "v1": None}))
+A campaign file may vary a scene's numbers; the variant is a scene with its own name and key. Work
+of runs: validate.tasks.path; of checks: validate.tasks.check.
 """
 
 from __future__ import annotations
@@ -28,17 +23,13 @@ from reports.records.record import RunRecord
 
 # The scene of a foreign plan is the physics, or the plan's own equations; empty: of no such plan.
 JudgedBy: TypeAlias = Literal["", "scene", "model"]
-# Judges the replay by closed forms, which are those of the unchanged scene.
+# Metric by closed forms, which hold for the unchanged scene only.
 _BY_ANSWERS = "answer_error"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
-    """What is changed: parameters by name.
-
-    Start and goal by coordinate or velocity (None: that component of the end is free); limits:
-    (value, reason) by metric.
-    """
+    """Changes of a scene by name; a goal of None is free; limits: (value, reason) by metric."""
 
     name: str
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -51,10 +42,10 @@ class Variant:
 
 @dataclass(frozen=True)
 class SceneReference:
-    """A scene of the campaign, what load_scene takes to find it again in a child, and what a campaign file changed of it (done in `scene`).
+    """A scene, the argument of load_scene for children, and its variation, applied in `scene`.
 
     instance, judged_by: of a campaign of foreign plans, the instance and the role of the scene;
-        pipelines: those of this scene alone, None for those of the campaign.
+    pipelines: those of this scene alone, None for those of the campaign.
     """
 
     where: str
@@ -66,7 +57,7 @@ class SceneReference:
 
 
 def state_names(scene: Scene) -> tuple[str, ...]:
-    """(2 nq,) names of the components of a state: positions, then velocities."""
+    """Return the names of a state's components (2 nq,): positions, then velocities."""
     return (
         *(item.name for item in scene.coordinates),
         *(item.velocity_name for item in scene.coordinates),
@@ -74,11 +65,7 @@ def state_names(scene: Scene) -> tuple[str, ...]:
 
 
 def varied(scene: Scene, variant: Variant) -> Scene:
-    """The changed scene.
-
-    Closed forms of the unchanged one, and the limit on them, are left out where motion changes.
-    Raises SceneError.
-    """
+    """Return the varied scene, without closed forms if the motion changes. Raises SceneError."""
     limits = {limit.metric: limit for limit in scene.limits}
     moves = (
         variant.parameters
@@ -112,7 +99,7 @@ def varied(scene: Scene, variant: Variant) -> Scene:
 
 
 def in_words(scene: Scene, variant: Variant) -> list[str]:
-    """Each change but those of limits, as `k = 300 N/m`."""
+    """Return each change except limits, as `k = 300 N/m`."""
     units = {item.name: item.unit for item in scene.parameters}
     words = [
         f"{name} = {value:g} {units.get(name, '')}".rstrip()
@@ -141,7 +128,7 @@ def _state(
 
 @dataclass(frozen=True)
 class PlannedLeg:
-    """The stages `first` (from 0) to before `end` of a pipeline. key: of the leg at this place of its path; alone: of the same leg at the beginning of one."""
+    """Stages `first` (from 0) to before `end`; key: at this place; alone: at a path's beginning."""
 
     first: int
     end: int
@@ -153,10 +140,11 @@ class PlannedLeg:
 class RunTask:
     """A scene by a pipeline.
 
-    scene: a name or an absolute path of a scene file; variant: what a campaign file changes of it;
-        plugin: a dotted name (validate.tasks.plugins); legs:
-    its path; uses: keys of legs of other runs that it reads if they are stored; worlds: indices
-        of stages whose plans are tried in perturbed worlds (only for a stored run).
+    - scene: name, or absolute path of a file.
+    - plugin: dotted name.
+    - legs: its path.
+    - uses: keys of other runs' legs that it may read.
+    - worlds: stages to survey (of a stored run).
     """
 
     key: str
@@ -174,30 +162,28 @@ class RunTask:
 
     @property
     def title(self) -> str:
-        """What it is called."""
+        """Return the name of the task."""
         return f"{self.scene_name} x {self.pipeline.name}"
 
     @property
     def published(self) -> str:
-        """Its scene, where that is one of the catalog as it stands there.
-
-        Empty for a file of the user's, whatever it calls itself.
-        """
+        """Return the scene's name if it is of the catalog, else ""."""
         return self.scene_name if self.scene == self.scene_name else ""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckTask:
-    """A task that is no run: a function is asked a question, and what it finds is as expected or not.
+    """A function called in a child, with an expected result.
 
-    function: `module:name`, called in the child with the arguments (JSON data); content: text that
-        decides the result beside arguments and
-    sources, such as that of a scene (models.scene.text); sources: the parts of our sources that
-        matter, as beginnings of
-    paths (nothing: all of them); methods: names of the methods it runs; scene: the name of the one
-        it is about; quick: whether `--quick` runs it;
-    words: further names for `-k`; group: what it and its like are called where only their number is
-        said; key and time_limit [s]: filled in by the campaign.
+    - function: `module:name`.
+    - arguments: JSON data.
+    - content: text that decides the result, such as a scene's.
+    - sources: path prefixes of relevant sources, () for all.
+    - methods: used ones.
+    - quick: run by `--quick`.
+    - words: further names for `-k`.
+    - group: collective name.
+    - key, time_limit [s]: set by the campaign.
     """
 
     kind: str
@@ -217,12 +203,12 @@ class CheckTask:
 
     @property
     def title(self) -> str:
-        """What it is called."""
+        """Return the name of the task."""
         return f"{self.kind}: {self.name}"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What `-k` looks at."""
+        """Return the names for `-k`."""
         return (self.kind, self.name, *self.words, *([self.scene] if self.scene else []))
 
 
@@ -237,21 +223,18 @@ def path_of(task: Task) -> tuple[PlannedLeg, ...]:
 
 
 def task_to_json(task: Task) -> dict[str, Any]:
-    """Everything that a child and a resumed campaign need."""
+    """Return a task as JSON data, for children and resumed campaigns."""
     return _TASK.dump_python(task, mode="json")
 
 
 def task_from_json(data: Mapping[str, Any]) -> Task:
-    """The task that `task_to_json` wrote. Raises pydantic's ValidationError."""
+    """Return the task of `task_to_json`. Raises pydantic's ValidationError."""
     return _TASK.validate_python(data)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChildExit:
-    """How a task ended, such as a child that left no record. outcome: that of its record.
-
-    message: one sentence; wall, cpu [s]; log: its end.
-    """
+    """Ending of a task: outcome for its record, a sentence, times [s] and the end of its log."""
 
     outcome: str
     message: str

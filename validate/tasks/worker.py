@@ -1,11 +1,9 @@
-"""One child process a task: started, watched, ended, and its end put into words.
+"""Worker: one child process per task, and a record of its ending.
 
-    # a record whatever happened, already stored
-    record = Worker(task, provenance, store).run(wanted=lambda: True)
+    record = Worker(task, provenance, store).run(wanted=lambda: True)   # always a stored record
 
-The child runs in a session of its own, with its output in log.txt and nothing but its result file
-believed: a process that exits with 0 and leaves no record has crashed; one that left a whole record
-has answered, whatever its exit code.
+The child runs in its own session, with output in log.txt. Only its result file counts, not its exit
+code.
 """
 
 from __future__ import annotations
@@ -32,22 +30,21 @@ from validate.tasks.path import LoadedRun, load_run, unfinished_run, unfinished_
 from validate.tasks.profile import Profile
 from validate.tasks.task import CheckTask, ChildExit, RunTask, Task, TaskRecord, task_to_json
 
-# What a child says of its machine is no longer [bytes].
+# Longest message about the machine [bytes].
 _LONGEST_WORDS = 10_000
-# How often it is asked whether a task is still wanted, and has time left [s]; its end is seen at
-# once.
+# Interval between looks whether a task is wanted and has time [s]; its end is noticed at once.
 _LOOK = 0.05
-# What a child does.
 _FUNCTION = "validate.tasks.child:main"
 
 
 class Worker:
-    """One task at work; see the module docstring.
+    """One running task.
 
-    loaded: the run, if it is loaded here already; preloaded: what its child is forked from, if
-        there is something; token_begins: at most 16 letters and
-    digits by which a campaign knows its own. Starting it raises MachineError if the folder cannot
-        be written, or no process can be started.
+    - loaded: the run, if loaded.
+    - preloaded: process to fork the child from.
+    - token_begins: at most 16 letters and digits of the campaign.
+
+    Raises MachineError if the folder cannot be written, or no process started.
     """
 
     def __init__(
@@ -74,15 +71,13 @@ class Worker:
             shutil.rmtree(self._folder, ignore_errors=True)
             raise
         self._began = time.monotonic()
-        # A survey replaces the record of a stored run; the run's other files stay.
+        # A survey replaces only the record of a stored run.
         self._amends = isinstance(task, RunTask) and bool(task.worlds)
 
     def run(self, wanted: Callable[[], bool]) -> TaskRecord | None:
-        """Its record, which is stored; None if it was not wanted any more.
+        """Return the stored record, or None and no trace if no longer wanted.
 
-        Nothing else is left of it.
-
-        Raises MachineError if the child, or this process, found that this machine cannot.
+        Raises MachineError if this machine cannot run the task.
         """
         with closing(self._child) as child:
             while wanted():
@@ -108,7 +103,7 @@ class Worker:
         self._store.commit(self._folder, record.key)
 
     def _record(self, ended: Ended, *, over_time: bool) -> TaskRecord:
-        """The child's record if it is whole, else one that says how the child ended."""
+        """Return the child's record if complete, else one of its ending."""
         problem = ""
         try:
             record = record_of((self._folder / RECORD).read_bytes())
@@ -124,7 +119,6 @@ class Worker:
         return self._without_record(ended, problem, over_time=over_time)
 
     def _machine(self) -> MachineError:
-        """Why the child says that this machine cannot."""
         text = tail(self._folder / MACHINE, _LONGEST_WORDS)
         whole = text.endswith("\n") and text.strip()
         return (
@@ -156,7 +150,7 @@ class Worker:
 
 
 def write_request(folder: Path, task: Task, provenance: ProvenanceRecord) -> None:
-    """Say in the folder of a task what is asked. Raises MachineError."""
+    """Write a task's request into its folder. Raises MachineError."""
     request = {"task": task_to_json(task), "provenance": provenance.model_dump(mode="json")}
     write_durably(folder / REQUEST, json.dumps(request, indent=1))
 
@@ -168,9 +162,9 @@ def record_for_crash(
     folder: Path,
     loaded: LoadedRun | None = None,
 ) -> TaskRecord:
-    """The record of a task whose child left none. loaded: of a run, if it is loaded already.
+    """Return the record of a task whose child left none.
 
-    A scene file may have changed since.
+    loaded: the run, if loaded, because its scene file may have changed.
     """
     if isinstance(task, CheckTask):
         return unfinished_check(task, provenance, child)
@@ -180,7 +174,7 @@ def record_for_crash(
 
 
 def _last_line(log: str, code: int) -> str:
-    """The last line of the log where it says why: that of a Python traceback."""
+    """Return the log's last line after a Python traceback, else ""."""
     lines = [line.strip() for line in log.splitlines() if line.strip()]
     return (
         f"its last log line: {lines[-1][:300]}" if code > 0 and lines and "Traceback" in log else ""

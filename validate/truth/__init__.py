@@ -1,1 +1,1 @@
-"""Phenomena of contact with exact answers: what the truth suite (validate.cli.truth) puts to every engine."""
+"""Contact phenomena with exact answers, for the truth suite (validate.cli.truth)."""

@@ -1,11 +1,10 @@
-"""The exact continuous motion of a scene under piecewise constant inputs, without any C.
+"""Exact motion of a scene under piecewise constant inputs, without compiled code.
 
     states = true_motion(Equations(scene), [Piece(end=1.0, u=u)], times)
 
-scipy's DOP853 integrates the scene's equations as numpy functions, and restarts at every change of
-an input, a contact, its damping or a friction. Radau IIA integrates motions without inertia, and
-those that take DOP853 more than a budget of evaluations. Modes of friction are found by trying
-every combination for one without a contradiction; the FMU finds them another way.
+DOP853 restarts at every change of an input, a contact, its damping or a friction. Radau IIA is used
+without inertia, and if DOP853 exceeds its budget. Friction modes are searched exhaustively, unlike
+in the FMU.
 """
 
 from __future__ import annotations
@@ -23,23 +22,21 @@ from models.errors import SceneError
 from models.scene import Scene
 from models.scene.contacts import DampingLaw
 
-# Evaluations of the equations before a method is given up, about ten seconds of them; the scenes of
-# the bank take 300 to 44,000.
+# Largest number of evaluations per method, about ten seconds; the bank's scenes take 300 to 44,000.
 BUDGET = 200_000
-# A penetration below this share of the contact's nominal is on the boundary: there the direction of
-# motion decides the mode.
+# Relative penetration at the boundary, where the direction of motion decides the mode.
 _BOUNDARY = 1e-10
-# Contact changes within one piece before the motion is given up.
+# Largest number of contact changes within a piece.
 _MOST_SWITCHES = 10_000
 
 
 class MotionError(SceneError):
-    """The motion cannot be followed, or not within the budget."""
+    """The motion cannot be integrated, or not within the budget."""
 
 
-# scipy's method and its relative tolerance; the absolute one is that times the nominal of each state.
+# scipy's method and relative tolerance; the absolute one is that times each nominal.
 EXPLICIT = ("DOP853", 1e-12)
-IMPLICIT = ("Radau", 1e-9)  # a smaller tolerance does not make order 5 more accurate
+IMPLICIT = ("Radau", 1e-9)  # smaller tolerances do not improve order 5
 
 
 @dataclass(frozen=True)
@@ -52,9 +49,9 @@ class Piece:
 
 @dataclass(frozen=True)
 class Modes:
-    """closed, pushes (nc,) bool: a damped contact may be closed and released.
+    """closed, pushes (nc,) bool: a damped contact may be closed, but released.
 
-    Slips (nf,): -1 or 1, the way it slips, or 0 where it sticks.
+    slips (nf,): direction -1 or 1, or 0 while sticking.
     """
 
     closed: np.ndarray
@@ -63,7 +60,7 @@ class Modes:
 
 
 class Equations:
-    """The scene's equations as numpy functions of flat vectors; x is positions, then velocities."""
+    """The scene's equations as numpy functions; x is positions, then velocities."""
 
     def __init__(self, scene: Scene) -> None:
         d = derive(scene)
@@ -71,14 +68,13 @@ class Equations:
         share = pressing_shares(d)
         slip_rate = (
             d.slip.jacobian(d.q) * sp.Matrix(d.v) if scene.nf else d.slip
-        )  # at no acceleration
+        )  # at zero acceleration
         parts = {
             "mass": d.mass_matrix, "jacobian": d.gap_jacobian, "direction": d.slip_jacobian,
             "phi": d.penetration, "push": d.push, "slip": d.slip, "slip_rate": slip_rate,
             "share": share,
         }  # fmt: skip
-        # One function for all of them, kept at the last state: a call costs more than what it
-        # computes.
+        # One cached function for all: a call costs more than its computation.
         self._all, self._last = (
             _quick(d, [entry for matrix in parts.values() for entry in matrix], d.q, d.v),
             (b"", {}),
@@ -102,12 +98,15 @@ class Equations:
         self._band = _BOUNDARY * np.array([contact.nominal for contact in scene.contacts])
 
     def at(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """What depends on the state x (2*nq,) [m, rad, m/s, rad/s] alone, by name.
+        """Return the functions of the state x (2*nq,) [m, rad, m/s, rad/s], by name.
 
-        mass, jacobian, direction: the matrices M, J and S; phi (nc,) penetrations [m]; push (nc,)
-            forces of closed contacts [N]; slip (nf,) [m/s]; slip_rate
-        (nf,) [m/s^2]; share: what each damped contact would push with if it is closed, as a share
-            of a typical push [-]. Raises nothing.
+        - mass, jacobian, direction: M, J and S.
+        - phi (nc,) [m].
+        - push (nc,): of closed contacts [N].
+        - slip (nf,) [m/s]; slip_rate (nf,) [m/s^2].
+        - share: push of each closed damped contact over a typical push [-].
+
+        Raises nothing.
         """
         key = x.tobytes()
         if key != self._last[0]:
@@ -122,24 +121,10 @@ class Equations:
         return self._last[1]
 
     def modes(self, x: np.ndarray, u: np.ndarray) -> Modes:
-        """The modes of all contacts and frictions: on its boundary a contact is closed if it is closing; a friction slips one way or sticks.
+        """Return the modes of contacts (nc,) and frictions (nf,), tried for consistency.
 
-        Parameters
-        ----------
-        x
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        u
-            Inputs (nu,) [N, N m].
-
-        Returns
-        -------
-        Modes
-            Of contacts (nc,) and frictions (nf,).
-
-        Raises
-        ------
-        LinAlgError
-            Where the mass matrix is singular.
+        x: (2*nq,) [m, rad, m/s, rad/s]; u: (nu,) [N, N m]. Raises LinAlgError for a singular mass
+        matrix.
         """
         closed = self.closed(x, u)
         pushes = self.pushes(x, u, closed)
@@ -148,7 +133,7 @@ class Equations:
         decided = np.abs(slip) > self._slip_band
         ways = [
             [0, 1, -1] if pressed else [1, -1] for pressed in limit > 0
-        ]  # what nothing presses does not stick
+        ]  # without pressure nothing sticks
         choices = [
             [1 if value >= 0 else -1] if known else way
             for value, known, way in zip(slip, decided, ways, strict=True)
@@ -159,32 +144,17 @@ class Equations:
             change = self.at(x)["slip_rate"] + self.at(x)["direction"] @ acceleration
             holds = np.abs(force) <= limit * (
                 1 + _BOUNDARY / 2
-            )  # less than what ends sticking: whoever has just left does not stick
+            )  # below the end of sticking, so that leaving is final
             if np.all(decided | np.where(modes.slips == 0, holds, modes.slips * change >= 0)):
                 return modes
         return Modes(closed, pushes, np.where(decided, np.where(slip >= 0, 1, -1), 0))
 
     def closed(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Which contacts are closed: by penetration.
+        """Return which contacts (nc,) are closed.
 
-        On its boundary by the direction of motion, or of the acceleration of a body at rest there.
-
-        Parameters
-        ----------
-        x
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        u
-            Inputs (nu,) [N, N m].
-
-        Returns
-        -------
-        np.ndarray
-            (nc,) bool.
-
-        Raises
-        ------
-        LinAlgError
-            Where the mass matrix is singular.
+        On the boundary the direction of motion decides, at rest that of the acceleration. x:
+        (2*nq,) [m, rad, m/s, rad/s]; u: (nu,) [N, N m]. Raises LinAlgError for a singular mass
+        matrix.
         """
         phi = self.at(x)["phi"]
         jacobian, at_boundary = self.at(x)["jacobian"], np.abs(phi) <= self._band
@@ -196,26 +166,10 @@ class Equations:
         return (phi > self._band) | (at_boundary & (rate > 0))
 
     def pushes(self, x: np.ndarray, u: np.ndarray, closed: np.ndarray) -> np.ndarray:
-        """Closed contacts whose force would not pull; where it is nothing, those whose force grows.
+        """Return closed contacts (nc,) with a pushing force, or a growing one at zero.
 
-        Parameters
-        ----------
-        x
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        u
-            Inputs (nu,) [N, N m].
-        closed
-            Which contacts are closed (nc,).
-
-        Returns
-        -------
-        np.ndarray
-            (nc,) bool.
-
-        Raises
-        ------
-        LinAlgError
-            Where the mass matrix is singular.
+        x: (2*nq,) [m, rad, m/s, rad/s]; u: (nu,) [N, N m]; closed: (nc,). Raises LinAlgError for a
+        singular mass matrix.
         """
         result = closed.copy()
         for row, contact in enumerate(self.scene.damped):
@@ -230,74 +184,26 @@ class Equations:
         return result
 
     def limit(self, x: np.ndarray, pushes: np.ndarray) -> np.ndarray:
-        """The largest friction forces, mu N.
+        """Return the friction limits mu N (nf,) [N] at x (2*nq,); pushes: (nc,).
 
-        Parameters
-        ----------
-        x
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        pushes
-            Which contacts push (nc,).
-
-        Returns
-        -------
-        np.ndarray
-            Limits (nf,) [N].
-
-        Raises
-        ------
-        ValueError
-            For a state of another length.
+        Raises ValueError for another length.
         """
         return self._limit(x[: self.n], self.contact_force(x, pushes))
 
     def contact_force(self, x: np.ndarray, pushes: np.ndarray) -> np.ndarray:
-        """Contact forces: k phi, with damping more or less, in contacts that push and nothing in others.
+        """Return lam (nc,) [N] at x (2*nq,): k phi with damping if pushing (nc,), else 0.
 
-        Parameters
-        ----------
-        x
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        pushes
-            Which contacts push (nc,).
-
-        Returns
-        -------
-        np.ndarray
-            lam (nc,) [N].
-
-        Raises
-        ------
-        ValueError
-            For a state of another length.
+        Raises ValueError for another length.
         """
         push, damped = self.stiffness * self.at(x)["phi"], list(self.scene.damped)
         push[damped] = self.at(x)["push"][damped]
         return np.where(pushes, push, 0.0)
 
     def motion(self, x: np.ndarray, u: np.ndarray, modes: Modes) -> tuple[np.ndarray, np.ndarray]:
-        """Accelerations and friction forces: M a - S' f = forces, and S a = -dS/dt v where it sticks.
+        """Return accelerations (nq,) [m/s^2, rad/s^2] and friction forces (nf,) [N].
 
-        Parameters
-        ----------
-        x
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        u
-            Inputs (nu,) [N, N m].
-        modes
-            Which contacts are closed and push, and which way frictions slip.
-
-        Returns
-        -------
-        a
-            Accelerations (nq,) [m/s^2, rad/s^2].
-        f
-            Friction forces (nf,) [N].
-
-        Raises
-        ------
-        LinAlgError
-            Where the mass matrix is singular.
+        M a - S' f = forces, and S a = -dS/dt v while sticking. x: (2*nq,) [m, rad, m/s, rad/s]; u:
+        (nu,) [N, N m]. Raises LinAlgError for a singular mass matrix.
         """
         now, n = self.at(x), self.n
         lam = self.contact_force(x, modes.pushes)
@@ -310,53 +216,23 @@ class Equations:
         system = np.zeros((n + len(S), n + len(S)))
         system[:n, :n], system[:n, n:], system[n:, :n] = now["mass"], -S.T, S
         right = np.concatenate([force, -now["slip_rate"][sticks]])
-        # Frictions that hold one motion share their force: the system is singular, but consistent.
+        # Redundant frictions share their force: the system is singular, but consistent.
         solution = np.linalg.lstsq(system, right)[0]
         friction[sticks] = solution[n:]
         return solution[:n], friction
 
     def rate(self, x: np.ndarray, u: np.ndarray, modes: Modes) -> np.ndarray:
-        """The derivative dx/dt of the state in the given modes.
+        """Return dx/dt (2*nq,) [m/s, rad/s, m/s^2, rad/s^2] at x (2*nq,), u (nu,) in these modes.
 
-        Parameters
-        ----------
-        x
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        u
-            Inputs (nu,) [N, N m].
-        modes
-            Which contacts are closed and push, and which way frictions slip.
-
-        Returns
-        -------
-        np.ndarray
-            Velocities, then accelerations (2*nq,) [m/s, rad/s, m/s^2, rad/s^2].
+        Raises LinAlgError for a singular mass matrix.
         """
         return np.concatenate([x[self.n :], self.motion(x, u, modes)[0]])
 
     def reserve(self, x: np.ndarray, u: np.ndarray, modes: Modes, index: int) -> float:
-        """What is left until a friction leaves its mode.
+        """Return the reserve of a friction's mode: slip [m/s], or force [N] if sticking.
 
-        Parameters
-        ----------
-        x
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        u
-            Inputs (nu,) [N, N m].
-        modes
-            Which contacts are closed and push, and which way frictions slip.
-        index
-            Its place among the frictions.
-
-        Returns
-        -------
-        float
-            Slip [m/s] where it slips, force [N] where it sticks.
-
-        Raises
-        ------
-        LinAlgError
-            Where the mass matrix is singular.
+        x: (2*nq,) [m, rad, m/s, rad/s]; u: (nu,) [N, N m]; index: of the friction. Raises
+        LinAlgError for a singular mass matrix.
         """
         if modes.slips[index]:
             return float(modes.slips[index] * self.at(x)["slip"][index])
@@ -369,7 +245,7 @@ class Equations:
 def _quick(
     d: Dynamics, entries: Sequence[sp.Expr], *groups: Sequence[sp.Symbol]
 ) -> Callable[..., np.ndarray]:
-    """A function of vectors for inner loops: of Python's floats, which are three times as fast as numpy's; what has no value is NaN in all entries."""
+    """Return a function by Python floats, three times as fast as numpy; NaN where undefined."""
     expressions = [sp.sympify(entry).subs(d.scene.parameter_values) for entry in entries]
     compiled = sp.lambdify([list(group) for group in groups], expressions, modules="math", cse=True)
 
@@ -383,9 +259,9 @@ def _quick(
 
 
 def pressing_shares(d: Dynamics) -> sp.Matrix:
-    """Of each damped contact what its push is a share of k times the nominal penetration.
+    """Return the push of each damped contact over k times its nominal penetration.
 
-    Hunt-Crossley: of its spring's push.
+    Hunt-Crossley: over its spring's push.
     """
     shares = []
     for index in d.scene.damped:
@@ -400,27 +276,11 @@ def pressing_shares(d: Dynamics) -> sp.Matrix:
 
 
 def true_motion(equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> np.ndarray:
-    """Return the states of the true motion from the task's start.
+    """Return the states (n, 2*nq) [m, rad, m/s, rad/s] of the true motion at times (n,) [s].
 
-    Parameters
-    ----------
-    pieces
-        Inputs that are constant piece by piece.
-    times
-        When (n,) [s].
-
-    Returns
-    -------
-    np.ndarray
-        (n, 2*nq), positions [m, rad], then velocities [m/s, rad/s].
-
-    Raises
-    ------
-    MotionError
-        If neither method can follow it within the budget.
+    Raises MotionError if neither method succeeds within the budget.
     """
-    # Without inertia velocities settle within the lag, which explicit steps would have to follow
-    # all the way.
+    # Without inertia velocities settle within the lag, which explicit steps would have to resolve.
     if equations.scene.lag is None:
         with contextlib.suppress(MotionError):
             return _motion_by(EXPLICIT, equations, pieces, times)
@@ -433,7 +293,7 @@ def _motion_by(
     pieces: Sequence[Piece],
     times: np.ndarray,
 ) -> np.ndarray:
-    scene, left = equations.scene, BUDGET
+    scene, evaluations_left = equations.scene, BUDGET
     method, tolerance = integrator
     x, t = np.array(scene.task.start, dtype=float), 0.0
     nominal = np.tile([coordinate.nominal for coordinate in scene.coordinates], 2)
@@ -442,16 +302,13 @@ def _motion_by(
 
     from scipy.integrate import (
         solve_ivp,
-    )  # 0.3 CPU s to import, which a replay of a plan would pay for nothing
+    )  # 0.3 CPU s to import, which a replay does not need
 
     def rate(at: float, y: np.ndarray, u: np.ndarray, modes: Modes) -> np.ndarray:
-        """The derivative (2*nq,) [m/s, rad/s, m/s^2, rad/s^2].
-
-        Raises MotionError beyond the budget.
-        """
-        nonlocal left
-        left -= 1
-        if left < 0:
+        """Return the derivative (2*nq,) [m/s, rad/s, m/s^2, rad/s^2]. Raises MotionError."""
+        nonlocal evaluations_left
+        evaluations_left -= 1
+        if evaluations_left < 0:
             raise MotionError(
                 f"scene {scene.name}: its motion takes more than {BUDGET} evaluations of its equations, of which {method} came to t = {at:.6g} s."
             )
@@ -462,7 +319,7 @@ def _motion_by(
             if t >= piece.end:
                 break
             modes = equations.modes(x, piece.u)
-            found = solve_ivp(
+            solution = solve_ivp(
                 lambda at, y, u=piece.u, modes=modes: rate(at, y, u, modes),
                 (t, piece.end),
                 x,
@@ -473,21 +330,21 @@ def _motion_by(
                 dense_output=True,
                 events=_leaving(equations, modes, piece.u),
             )
-            if not found.success or not np.isfinite(found.y[:, -1]).all():
+            if not solution.success or not np.isfinite(solution.y[:, -1]).all():
                 raise MotionError(
-                    f"scene {scene.name}: its motion cannot be followed beyond t = {found.t[-1]:.6g} s ({found.message})."
+                    f"scene {scene.name}: its motion cannot be followed beyond t = {solution.t[-1]:.6g} s ({solution.message})."
                 )
-            inside = (times > t) & (times <= found.t[-1])
+            inside = (times > t) & (times <= solution.t[-1])
             if inside.any():
-                result[inside] = found.sol(times[inside]).T
-            x, t = found.y[:, -1], float(found.t[-1])
+                result[inside] = solution.sol(times[inside]).T
+            x, t = solution.y[:, -1], float(solution.t[-1])
     return result
 
 
 def _leaving(
     equations: Equations, modes: Modes, u: np.ndarray
 ) -> list[Callable[[float, np.ndarray], float]]:
-    """Event functions that fall through zero where a contact or a friction leaves its mode."""
+    """Return event functions that fall through zero where a contact or friction changes mode."""
 
     def contact(name: str, index: int, *, positive: bool) -> Callable[[float, np.ndarray], float]:
         return lambda _, y: float(
@@ -506,5 +363,5 @@ def _leaving(
     ]
     events += [friction(index) for index in range(len(modes.slips))]
     for event in events:
-        event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined] - how scipy is told
+        event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined] - scipy's interface
     return events

@@ -1,14 +1,11 @@
-"""Phenomena of contact with exact answers, as problems for any engine: a scene, a start, a duration, four steps, and what is true at the end.
+"""Problems of contact with exact answers: scene, start, duration, four steps, and the true end.
 
     problem = problems()[0]
-    # what an engine is asked
     problem.name, problem.phenomenon, problem.scene, problem.plan, problem.parts
-    problem.end(), problem.energy(), problem.asks  # what is right
+    problem.end(), problem.energy(), problem.asks
 
-Scenes are those of the bank, with other parameters, another start or a damped floor; the ramp and
-the belt are written here. An answer is a closed form (of the scene's file, or here) or, where there
-is none, the motion by our own event-exact integration: DOP853 at 1e-12, afresh at every change of a
-contact or a friction (validate.truth.exact_motion). Either is right to 1e-9.
+Scenes are the bank's, modified, and a ramp and a belt. Answers are closed forms, or the event-exact
+integration of validate.truth.exact_motion; both are right to 1e-9.
 """
 
 from __future__ import annotations
@@ -37,13 +34,13 @@ BOUNCES = 1000
 HEIGHT = 0.05
 STIFFNESSES = tuple(10.0**power for power in range(0, 9, 2))
 RATIOS = (1e-4, 1e-2, 1e2, 1e4)
-# Of the soft plane under what slides [N/m].
+# Stiffness of the soft plane under sliding bodies [N/m].
 _PLANE = 1e4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ask:
-    """A number of a motion beside its end: measure(t, q, v) of nodes (nodes,) [s], (nodes, nq) [m, rad, m/s, rad/s]; exact and scale in its unit."""
+    """A number of a motion: measure(t, q, v) of nodes (nodes,) [s], (nodes, nq) [m, rad, per s]."""
 
     name: str
     exact: float
@@ -53,13 +50,15 @@ class Ask:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TruthProblem:
-    """See the module docstring.
+    """One problem.
 
-    nodes: intervals at whose ends the motion is looked at; parts: steps of an engine in each, the
-        coarsest first; u (nu,): constant input [N]. exact (2 nq,):
-    the true end, NaN where it is not asked, None: integrated. position, velocity: what errors of
-        the end are a share of [m, m/s]. energy_kept: that the
-    energy at the end is that of the start. source: where the answer is from.
+    - nodes: intervals whose ends are compared.
+    - parts: engine steps in each, the coarsest first.
+    - u (nu,): constant input [N].
+    - exact (2 nq,): true end, NaN if not compared, None: integrated.
+    - position, velocity: scales of errors [m, m/s].
+    - energy_kept: the energy is constant.
+    - source: of the answer.
     """
 
     phenomenon: str
@@ -78,12 +77,12 @@ class TruthProblem:
 
     @property
     def step(self) -> float:
-        """Between two nodes [s]."""
+        """Return the time between two nodes [s]."""
         return self.duration / self.nodes
 
     @property
     def plan(self) -> Trajectory:
-        """Its inputs on its nodes."""
+        """Return the inputs on the nodes."""
         nothing = np.zeros((self.nodes + 1, 0))
         u = np.tile(np.array(self.u, dtype=float), (self.nodes, 1)).reshape(
             self.nodes, self.scene.nu
@@ -93,10 +92,7 @@ class TruthProblem:
         )
 
     def end(self) -> np.ndarray:
-        """The true end, (2 nq,) positions, then velocities [m, m/s]; NaN where it is not asked.
-
-        Raises MotionError where it cannot be integrated.
-        """
+        """Return the true end (2 nq,) [m, m/s], NaN if not compared. Raises MotionError."""
         if self.exact is not None:
             return np.array(self.exact)
         pieces = [Piece(end=self.duration, u=np.array(self.u, dtype=float))]
@@ -105,26 +101,12 @@ class TruthProblem:
     def errors(
         self, t: np.ndarray, q: np.ndarray, v: np.ndarray, end: np.ndarray
     ) -> dict[str, float]:
-        """How wrong a motion is, by what is asked.
+        """Return the errors of a motion, as shares of the problem's scales [-].
 
-        Parameters
-        ----------
-        t, q, v
-            (nodes,) [s], (nodes, nq) [m, m/s].
-        end
-            (2 nq,) of `end()` [m, m/s].
-
-        Returns
-        -------
-        dict[str, float]
-            Shares of the problem's scales [-]; empty where only the energy is asked.
-
-        Raises
-        ------
-        ValueError
-            If the shapes do not fit.
+        t, q, v: (nodes,) [s], (nodes, nq) [m, m/s]; end: (2 nq,) of `end()`. Empty if only energy
+        is compared. Raises ValueError if the shapes do not fit.
         """
-        found = {}
+        result = {}
         for kind, reached, true, scale in zip(
             ("position", "velocity"),
             (q, v),
@@ -133,14 +115,14 @@ class TruthProblem:
             strict=True,
         ):
             if np.isfinite(true).any():
-                found[f"{kind} at the end"] = float(np.nanmax(np.abs(reached[-1] - true))) / scale
-        return found | {
+                result[f"{kind} at the end"] = float(np.nanmax(np.abs(reached[-1] - true))) / scale
+        return result | {
             ask.name: abs(ask.measure(t, q, v) - ask.exact) / ask.scale for ask in self.asks
         }
 
 
 def problems() -> tuple[TruthProblem, ...]:
-    """All problems, by phenomenon."""
+    """Return all problems, by phenomenon."""
     return (
         *_rebounds(),
         _met("two-body collision", "masses 1 and 3", after=0.27, step=0.004, position=1.0),
@@ -151,32 +133,34 @@ def problems() -> tuple[TruthProblem, ...]:
 
 
 def _started(name: str, start: tuple[float, ...] | None = None, **parameters: float) -> Scene:
-    """A scene of the bank with another start and other parameters.
-
-    Its answers and limits are not those of this any more.
-    """
     changed = replace(load_scene(name), answers=(), limits=()).with_parameters(**parameters)
     return changed if start is None else changed.with_task(start=start)
 
 
 def deepest(t: np.ndarray, q: np.ndarray, v: np.ndarray) -> float:
-    """The largest depth of coordinate 0 below 0 [m], between nodes by cubics.
+    """Return the largest depth of coordinate 0 below 0 [m], by cubics between nodes.
 
-    T (nodes,) [s], q, v (nodes, nq) [m, m/s]. Raises ValueError if the shapes do not fit.
+    t: (nodes,) [s]; q, v: (nodes, nq) [m, m/s]. Raises ValueError if the shapes do not fit.
     """
     curve = CubicHermiteSpline(t, q[:, 0], v[:, 0])
     return -float(np.nanmin(curve(np.append(t, curve.derivative().roots(extrapolate=False)))))
 
 
 def last_fall(t: np.ndarray, q: np.ndarray, v: np.ndarray) -> float:
-    """The last time at which coordinate 0 falls below 0 [s], 0 where it never does: from then on it rests; t (nodes,) [s], q, v (nodes, nq) [m, m/s]. Raises ValueError as `deepest`."""
+    """Return the last time at which coordinate 0 falls below 0 [s], 0 if never.
+
+    t: (nodes,) [s]; q, v: (nodes, nq) [m, m/s]. Raises ValueError if the shapes do not fit.
+    """
     curve = CubicHermiteSpline(t, q[:, 0], v[:, 0])
     through = curve.roots(extrapolate=False)
     return float(through[curve(through, 1) < 0.0].max(initial=0.0))
 
 
 def asymmetry(q: np.ndarray, v: np.ndarray) -> float:
-    """Largest distance of positions (nodes, nq) [m], mirrored about the first middle, and velocities (nodes, nq) [m/s] from their mirror images. Raises nothing."""
+    """Return the largest difference of q, v (nodes, nq) [m, m/s] from their mirror images.
+
+    Positions are mirrored about the first middle. Raises nothing.
+    """
     return max(
         float(np.abs(q + q[:, ::-1] - q[0, 0] - q[0, -1]).max()),
         float(np.abs(v + v[:, ::-1]).max()),
@@ -186,7 +170,7 @@ def asymmetry(q: np.ndarray, v: np.ndarray) -> float:
 def damped_floor(
     law: DampingLaw, damping: float, start: tuple[float, ...] | None = None, **parameters: float
 ) -> Scene:
-    """The bouncing mass on a damped floor; damping in the law's unit."""
+    """Return the bouncing mass on a damped floor; damping in the law's unit."""
     scene, c = _started("bouncing_mass", start, **parameters), sp.Symbol("c", positive=True)
     damper = Parameter(
         symbol=c, value=damping, unit=law.unit, lower=0.0, description="damping of the floor"
@@ -199,7 +183,10 @@ def damped_floor(
 
 
 def restitution(z: float) -> float:
-    """Of a Kelvin-Voigt contact without gravity that is released when its force is zero, at the damping ratio z < 1/sqrt(2) (T. Schwager and T. Poeschel, Granular Matter 9, 2007)."""
+    """Return the restitution of a Kelvin-Voigt contact that opens at zero force, without gravity.
+
+    z < 1/sqrt(2): damping ratio (T. Schwager and T. Poeschel, Granular Matter 9, 2007).
+    """
     root = math.sqrt(1.0 - z**2)
     return math.exp(-z / root * (math.pi - math.atan(2.0 * z * root / (1.0 - 2.0 * z**2))))
 
@@ -237,7 +224,7 @@ def _met(
     after: float, step: float, position: float,
     m1: float = pair.MASS_1, m2: float = pair.MASS_2, k: float = pair.STIFFNESS,
 ) -> TruthProblem:  # fmt: skip
-    """Two bodies on a line that meet once, or overlap at rest, until `after` [s] beyond their parting."""
+    """Two bodies on a line that meet once, or overlap at rest, until `after` [s] past parting."""
     (q1, q2, v1, v2), w = start, contact_rate(m1, m2, k)
     gap, opening, mass = q2 - q1 - 2 * pair.RADIUS, v2 - v1, m1 + m2
     parted, parting = (
@@ -249,9 +236,9 @@ def _met(
     size = max(m1 * abs(v1) + m2 * abs(v2), m1 * m2 / mass * parting)
 
     def momentum(t: np.ndarray, q: np.ndarray, v: np.ndarray) -> float:
-        """Where it is furthest from what it was.
+        """Return the momentum [kg m/s] that differs most from the initial one.
 
-        T (nodes,) [s], q, v (nodes, 2) [m, m/s]: [kg m/s]. Raises nothing.
+        t: (nodes,) [s]; q, v: (nodes, 2) [m, m/s]. Raises nothing.
         """
         return float((v @ masses)[np.abs(v @ masses - mass * mean).argmax()])
 
@@ -268,7 +255,7 @@ def _met(
 
 
 def contact_rate(m1: float, m2: float, k: float) -> float:
-    """Of the swing of two bodies [kg] on a spring [N/m]: [rad/s].
+    """Return the frequency [rad/s] of two bodies [kg] on a spring [N/m].
 
     Raises ZeroDivisionError without mass.
     """
@@ -276,10 +263,7 @@ def contact_rate(m1: float, m2: float, k: float) -> float:
 
 
 def mass_ratio(ratio: float) -> TruthProblem:
-    """Bodies of 1 kg and `ratio` [kg] meet.
-
-    At the coarsest a step is a fifth of a radian of the contact.
-    """
+    """Bodies of 1 kg and `ratio` [kg] meet; the coarsest step is a fifth of a radian of contact."""
     w, start = contact_rate(1.0, ratio, pair.STIFFNESS), (0.0, 2 * pair.RADIUS + 0.03, 2.0, -1.0)
     return _met(
         "mass ratio",
@@ -294,7 +278,7 @@ def mass_ratio(ratio: float) -> TruthProblem:
 
 
 def stiff(k: float) -> TruthProblem:
-    """Bodies meet at 1 cm/s on a spring of k [N/m], at the steps of all the others."""
+    """Bodies meet at 1 cm/s on a spring of k [N/m], at the same steps for every k."""
     gap, speed = 0.005, 0.01
     start = (0.0, 2 * pair.RADIUS + gap, speed / 2, -speed / 2)
     return _met(
@@ -321,12 +305,9 @@ def _overlap() -> TruthProblem:
 
 
 def grazing(depth: float) -> TruthProblem:
-    """A disc passes another at 1 m/s, at rest in the origin, this deep [m], negative: beside it.
-
-    They are nearest at the middle node.
-    """
+    """A disc passes another at 1 m/s, this deep [m] (negative: beside it) at the middle node."""
     ahead, height = 0.05, math.sqrt((2 * RADIUS - depth) ** 2 - BLUR**2)
-    # What one disc gives the other at 0.1 mm: some 5 mm/s.
+    # Scale: the impulse of 0.1 mm, some 5 mm/s.
     return TruthProblem(
         phenomenon="grazing contact", name=f"discs pass at a depth of {1e3 * depth:g} mm",
         duration=2 * ahead, nodes=50, source=INTEGRATED, u=(0.0, 0.0),
@@ -336,7 +317,7 @@ def grazing(depth: float) -> TruthProblem:
 
 
 def squeeze() -> TruthProblem:
-    """Two carts press a third from both sides at once, for 2 s."""
+    """Two carts press a third from both sides for 2 s."""
     even = Ask(name="asymmetry", exact=0.0, scale=0.1, measure=lambda t, q, v: asymmetry(q, v))
     return TruthProblem(
         phenomenon="symmetric squeeze", name="two carts press a third",
@@ -346,7 +327,7 @@ def squeeze() -> TruthProblem:
 
 
 def _dying_bounces() -> TruthProblem:
-    # A contact lasts 0.1 s: at a twentieth of that our own integration sees each.
+    # A contact lasts 0.1 s; a twentieth of that resolves each one.
     scene = damped_floor(
         DampingLaw.KELVIN_VOIGT, 2.0 * 0.2 * math.sqrt(drop.STIFFNESS * drop.MASS)
     ).with_task(step=0.005)
@@ -370,12 +351,10 @@ def _dying_bounces() -> TruthProblem:
 def ground(
     angle: float, mu: float, *, belt: float = 0.0, spring: float = 0.0, speed: float = 0.0
 ) -> Scene:
-    """A block on a soft, rubbing plane that is tilted by `angle` [rad].
+    """Return a block on a soft plane with friction, tilted by `angle` [rad], or on a belt.
 
-    With a belt of that mass [kg] under it instead, and a spring [N/m] to the ground.
-
-    s is the place along the plane, n that above it; at the start it lies as deep as it weighs, and
-    has that speed along it [m/s], as the belt has.
+    belt: its mass [kg], on a spring [N/m]. s: place along the plane, n: height above it. The block
+    starts at its static depth, with this speed along the plane [m/s], as the belt.
     """
     s, n, b, v_s, v_n, v_b = sp.symbols("s n b v_s v_n v_b", real=True)
     m, g, tilt, k, mu_, m_b, k_s = sp.symbols("m g tilt k mu m_b k_s", positive=True)
@@ -450,10 +429,7 @@ def _stop() -> TruthProblem:
 
 
 def ramp(mu: float, share: float) -> TruthProblem:
-    """A block on a ramp that asks `share` of what friction can hold.
-
-    Errors are shares of the way without friction.
-    """
+    """A block on a ramp that needs `share` of the friction; errors in shares of the free motion."""
     angle, duration = math.atan(share * mu), 1.0
     down, on = drop.GRAVITY * math.sin(angle), drop.GRAVITY * math.cos(angle)
     rate, does = max(0.0, down - mu * on), "slides" if share > 1.0 else "sticks"
@@ -467,7 +443,7 @@ def ramp(mu: float, share: float) -> TruthProblem:
 
 
 def creep(mu: float) -> TruthProblem:
-    """The ramp at half of what friction holds."""
+    """A block on a ramp at half of the largest friction."""
     return replace(
         ramp(mu, 0.5),
         phenomenon="creep under load",
@@ -489,7 +465,11 @@ def _bounces() -> TruthProblem:
     contact = (2 * math.pi - 2 * math.atan2(speed / drop.RATE, drop.SAG)) / drop.RATE
 
     def lost(t: np.ndarray, q: np.ndarray, v: np.ndarray) -> float:
-        """At the pace at which the first half was, where that is gone: all of it alone would be the same at every step. t (nodes,) [s], q, v (nodes, 1): [-]. Raises nothing."""
+        """Return the relative energy loss [-] at the pace of the first half, if half is lost.
+
+        The whole loss alone would be equal at every step. t: (nodes,) [s]; q, v: (nodes, 1). Raises
+        nothing.
+        """
         share = abs(
             (
                 v[:, 0] ** 2 / 2

@@ -507,8 +507,7 @@ def test_what_is_infeasible_near_the_start_is_told_as_that():
     result = solve_mpec(_some_of([2 * number for number in (72, 83, 21, 83, 57, 60, 69)], 141))
     assert result.outcome is Outcome.INFEASIBLE
     assert (
-        "no feasible point was found near the start; another start may find one"
-        in result.message
+        "no feasible point was found near the start; another start may find one" in result.message
     )
     assert "learning rate" not in repr(result.attempts)
     m = two(near)

@@ -315,10 +315,10 @@ def test_a_stress_case_is_a_row_with_its_decisive_figures():
     section = checks.stress_cases(Report(Stored(None, (), (), (), 0, records)))
     rows = section.values["rows"]
     assert [(row.number, row.title, row.anchor, row.sign.word, row.happened) for row in rows] == [
-        ("00", "zero", "stress-case-00", "no answer", "It ended as time limit, without a word."),
+        ("00", "zero", "stress-case-00", "no answer", "It ended as time limit, without a message."),
         ("3", "003", "stress-case-003", "no answer", "late."),
         ("2", "early", "stress-case-02", "pass", "it went well."),
-        ("10", "later", "stress-case-10", "fail", "It ended as answered, without a word."),
+        ("10", "later", "stress-case-10", "fail", "It ended as answered, without a message."),
     ]  # fmt: skip
     assert rows[3].decisive == (figures[3], figures[1])
     assert (
@@ -360,7 +360,7 @@ def test_figures_of_a_stress_case_are_shown_with_unit_limit_and_reason():
         ]
 
     assert cells(first) == [
-        "10 | later | ✗ fail | e | It ended as answered, without a word. | bad: no number (≤ 0.5 m²); good: 0.25 m² (≥ 0.5 m²)"
+        "10 | later | ✗ fail | e | It ended as answered, without a message. | bad: no number (≤ 0.5 m²); good: 0.25 m² (≥ 0.5 m²)"
     ]
     assert cells(second) == [
         "shown meaning of shown | 0.25 m² | – | shown | reason of shown",

@@ -61,9 +61,9 @@ def test_rows_of_engines_stand_in_json_and_on_the_page(command: Command, tmp_pat
     page, without = (
         (tmp_path / name).read_text(encoding="utf-8") for name in ("plan.html", "alone.html")
     )
-    assert "What other simulators say" in page
+    assert "Verdicts of other simulators" in page
     assert '<th scope="row">mujoco</th>' in page
-    assert "What other simulators say" not in without
+    assert "Verdicts of other simulators" not in without
 
 
 @pytest.mark.slow

@@ -1,5 +1,1 @@
-"""Other simulators as judges.
-
-ONE FILE = ONE ENGINE: `ENGINE = Simulator(..)`, whose arguments are literals, and `simulate(drive)
--> SimulatedMotion`.
-"""
+"""Other simulators: one file per engine, with `ENGINE = Simulator(..)` and `simulate(drive)`."""

@@ -1,8 +1,8 @@
-"""Drake's plant of a scene, which its engines share: bodies by their MJCF, contacts as points between balls and half-spaces, all else as applied forces.
+"""Drake's plant of a scene, shared by the Drake engines.
 
-Both of a pair have twice the stiffness of the contact: Drake puts them in series. What rubs under a
-constant weight is pressed on a plane of its own. Hunt and Crossley's damping is Drake's own; Kelvin
-and Voigt's only its SAP knows. A stop on a joint, which no pads express, is one of the forces.
+Bodies come from MJCF, contacts are points between balls and half-spaces, everything else is an
+applied force. Both bodies of a pair have twice the contact's stiffness, as Drake puts them in
+series. Only SAP supports Kelvin-Voigt damping, the other integrators only Hunt-Crossley.
 """
 
 from __future__ import annotations
@@ -16,12 +16,11 @@ from models.scene.contacts import DampingLaw
 from validate.judge.engines._mechanism import Mechanism, Touch, mechanism_of
 from validate.judge.simulator import CannotExpressError, Drive
 
-drake: Any = importlib.import_module(
-    "pydrake.all"
-)  # a checker without the package takes its place for a module
+drake: Any = importlib.import_module("pydrake.all")  # dynamic: pyright may lack the package
 
-# Slip at which regularised friction is whole [m/s]; Drake's default is 1e-3.
+# Slip of full regularised friction [m/s]; Drake's default is 1e-3.
 STICTION = 1e-4
+# Inertia of massless bodies.
 _TINY = 1e-12
 _SYMBOLIC = {name: getattr(drake, name) for name in ("sin", "cos", "sqrt", "exp", "log")} | {
     "Max": drake.max
@@ -29,10 +28,7 @@ _SYMBOLIC = {name: getattr(drake, name) for name in ("sin", "cos", "sqrt", "exp"
 
 
 class Plant:
-    """A scene in Drake: its diagram and context, and how states and inputs go in and out.
-
-    With a time step [s] discrete, by SAP. Raises CannotExpressError.
-    """
+    """A scene in Drake: discrete (SAP) with a time step [s], else continuous."""
 
     def __init__(self, drive: Drive, *, time_step: float = 0.0) -> None:
         mechanism = mechanism_of(drive.scene, weights=True)
@@ -90,9 +86,7 @@ class Plant:
         )
         self._port = parts.get_input_port(1)
         for body in map(self.plant.get_body, self.plant.GetBodyIndices(instance)):
-            if (
-                body.default_mass() == 0.0
-            ):  # between two joints of one body; CENIC wants some mass of each
+            if body.default_mass() == 0.0:  # between two joints of one body; CENIC requires mass
                 body.SetSpatialInertiaInBodyFrame(
                     self._own, drake.SpatialInertia.SolidSphereWithMass(_TINY, 1.0)
                 )
@@ -104,18 +98,17 @@ class Plant:
         self.drive_by(np.zeros(drive.scene.nu))
 
     def _pads(self, touch: Touch, linear: bool) -> list[Any]:
-        """The two geometries of a contact, damped as Kelvin and Voigt have it (linear) or Hunt and Crossley."""
+        """Return both geometries of a contact; linear: Kelvin-Voigt damping, else Hunt-Crossley."""
         if touch.pads is None:
             raise CannotExpressError(f"contact {touch.name}: {touch.why}")
         if touch.damping and (touch.law is DampingLaw.KELVIN_VOIGT) is not linear:
-            own = "Kelvin and Voigt's alone" if linear else "Hunt and Crossley's alone"
+            supported = "Kelvin-Voigt" if linear else "Hunt-Crossley"
             raise CannotExpressError(
-                f"contact {touch.name}: its damping is another than this plant has, which is {own}"
+                f"contact {touch.name}: this plant supports only {supported} damping"
             )
-        found, across = [], sum(pad.radius for pad in touch.pads)
+        geometries, across = [], sum(pad.radius for pad in touch.pads)
         for place, pad in enumerate(touch.pads):
-            # Drake puts both in series, and friction where they meet: balls give way in proportion
-            # to their radii.
+            # Drake combines both in series, so balls deform in proportion to their radii.
             share = pad.radius / across if all(each.radius for each in touch.pads) else 0.5
             properties = drake.ProximityProperties()
             dissipation = None if linear else touch.damping * touch.steepness
@@ -125,7 +118,7 @@ class Plant:
                 friction=drake.CoulombFriction(touch.friction, touch.friction),
                 properties=properties,
             )  # fmt: skip
-            if linear:  # those of a pair add
+            if linear:  # relaxation times of a pair add
                 properties.AddProperty(
                     "material", "relaxation_time", touch.damping / touch.stiffness / 2.0
                 )
@@ -136,49 +129,44 @@ class Plant:
                     drake.HalfSpace(),
                     drake.HalfSpace.MakePose(list(pad.normal), list(pad.at)),
                 )
-            found.append(
+            geometries.append(
                 self.plant.RegisterCollisionGeometry(
                     body, pose, shape, f"{touch.name}_{place}", properties
                 )
             )
-        return found
+        return geometries
 
     def _forces(self, mechanism: Mechanism) -> Any:
-        """The smooth forces and the weights on all joints, as a system of state and inputs."""
         nu = len(mechanism.symbols[2])
         sizes = {"q": self.plant.num_positions(), "v": self.plant.num_velocities(), "u": max(1, nu)}
         q, v, u = (drake.MakeVectorVariable(size, letter) for letter, size in sizes.items())
-        found = [drake.Expression(0.0)] * len(v)
+        output = [drake.Expression(0.0)] * len(v)
         for place, force in zip(
             self._v,
             mechanism.smooth([_SYMBOLIC], stops=True)(*q[self._q], *v[self._v], *u[:nu]),
             strict=True,
         ):
-            found[place] = drake.Expression() + force
+            output[place] = drake.Expression() + force
         for name, weight, _ in mechanism.weights:
-            found[self.plant.GetJointByName(name).velocity_start()] = drake.Expression(weight)
-        # Drake asks derivatives of every such system in continuous time, and fails where there is
-        # no state: one that stays.
+            output[self.plant.GetJointByName(name).velocity_start()] = drake.Expression(weight)
+        # Drake requires derivatives in continuous time and fails without a state: a constant one.
         still = drake.Variable("still")
         return drake.SymbolicVectorSystem(
-            state=[still], input=[*q, *v, *u], dynamics=[drake.Expression(0.0)], output=found
+            state=[still], input=[*q, *v, *u], dynamics=[drake.Expression(0.0)], output=output
         )
 
     def drive_by(self, u: np.ndarray) -> None:
-        """Inputs (nu,) [N, N m] from now on. Raises nothing."""
+        """Apply the inputs (nu,) [N, N m]. Raises nothing."""
         self._port.FixValue(self._inputs, u if len(u) else np.zeros(1))
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and velocities of the scene's coordinates, (nq,) each [m, rad, m/s, rad/s].
-
-        Raises nothing.
-        """
+        """Return the scene's q and v, (nq,) each [m, rad, m/s, rad/s]. Raises nothing."""
         return self._back @ self.plant.GetPositions(self._own)[
             self._q
         ], self._back @ self.plant.GetVelocities(self._own)[self._v]
 
     def advance(self, scheme: str, drive: Drive) -> Any:
-        """What `stepped` calls, by an integrator that chooses its steps by the drive's tolerance, no longer than one of the plan."""
+        """Return `advance` for `stepped` by an integrator with error control."""
         simulator = drake.Simulator(self.diagram, self.context)
         integrator = drake.ResetIntegratorFromFlags(simulator, scheme, drive.step * drive.parts)
         integrator.set_target_accuracy(drive.tolerance)
@@ -187,13 +175,16 @@ class Plant:
         def advance(
             u: np.ndarray, slope: np.ndarray, count: int, h: float
         ) -> tuple[np.ndarray, np.ndarray]:
-            """Over count h [s] under u (nu,) [N, N m]: positions and velocities (nq,) [m, rad, m/s, rad/s]; NaN where Drake gives up. Raises nothing."""
+            """Return q, v (nq,) [m, rad, m/s, rad/s] after count h [s]; NaN if Drake fails.
+
+            u: (nu,) [N, N m]. Raises nothing.
+            """
             pieces, begin = count if slope.any() else 1, self.context.get_time()
             try:
                 for part in range(pieces):
                     self.drive_by(u + slope * h * count * (part + 0.5) / pieces)
                     simulator.AdvanceTo(begin + h * count * (part + 1) / pieces)
-            except RuntimeError:  # its step size fell below what it takes
+            except RuntimeError:  # step size below its minimum
                 return np.full(len(self._q), np.nan), np.full(len(self._q), np.nan)
             return self.state()
 

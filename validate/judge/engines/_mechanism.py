@@ -1,15 +1,12 @@
-"""A scene as other simulators can be told it: bodies on joints, forces, and contacts between balls and planes, with numbers for coefficients.
+"""A scene as bodies on joints, forces, and contacts between balls and planes, in numbers.
 
-    # raises CannotExpressError, in a sentence, for a scene that is no such thing
-    mechanism = mechanism_of(scene)
-    # the bodies as the worldbody of an MJCF text: joints have the names of coordinates
-    mechanism.bodies
-    mechanism.touches[0].pads                # the ball and the plane, or the two balls, that meet
+    mechanism = mechanism_of(scene)      # CannotExpressError for an unsupported scene
+    mechanism.bodies                     # MJCF worldbody; joints have the names of coordinates
+    mechanism.touches[0].pads            # ball and plane, or two balls
 
-Every number is derived from the scene's own energies, forces and contacts; nothing is typed twice.
-Each coordinate is a body that slides, or one of the axes of a body: a disc has two, and so has what
-rubs on something. Scenes whose bodies turn are written out below (`TREES`). An engine makes the
-contacts; what is smooth - springs, dampers, inputs - acts on it as forces.
+All numbers come from the scene's energies, forces and contacts. Each coordinate is a sliding body
+or an axis of one; turning bodies are written out in `TREES`. Engines compute contacts; springs,
+dampers and inputs act as forces.
 """
 
 from __future__ import annotations
@@ -27,15 +24,18 @@ from models.scene import Contact, Scene
 from models.scene.contacts import DampingLaw, Friction
 from validate.judge.simulator import CannotExpressError
 
-# Radius of a ball that slides along a plane [m]: nothing depends on it.
+# Radius of a ball that slides along a plane [m]; the motion does not depend on it.
 _BALL = 0.1
-# Inertia of what has none: MJCF wants some of each [kg m^2].
+# Inertia of massless bodies [kg m^2], because MJCF requires some.
 _TINY = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pad:
-    """What touches, in the frame of its body (empty: the ground) [m]: a ball by its centre and radius, or where that is 0 a plane by a point and its normal."""
+    """A ball (centre, radius), or a plane (point, normal) of radius 0, in its body's frame [m].
+
+    Body "" is the ground.
+    """
 
     body: str
     at: tuple[float, ...]
@@ -45,13 +45,12 @@ class Pad:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Touch:
-    """A contact: gap = normal @ q - offset, or with centres the distance of those two bodies less offset; with neither only its pads tell.
+    """A contact: gap = normal @ q - offset, or distance of centres - offset, or that of pads.
 
-    normal (nq,); offset, stiffness, damping in the scene's units; law of its damping; friction: its
-        coefficient; slip (nq,): its direction, where that is constant; centres: the coordinates (x,
-        y) of each body;
-    pads: what meets, steepness: the gap's change over that of their distance; without pads `why`
-        says why.
+    - offset, stiffness, damping: in the scene's units.
+    - normal (nq,), slip (nq,): direction of slip, if constant.
+    - centres: the coordinates (x, y) of each body.
+    - steepness: gap per distance of the pads; without pads `why` has the reason.
     """
 
     name: str
@@ -69,7 +68,7 @@ class Touch:
 
     @property
     def stops(self) -> bool:
-        """Whether it acts on coordinates alone: without pads, damping and friction."""
+        """Return whether the contact acts on coordinates alone, without damping and friction."""
         return self.pads is None and bool(self.normal.any()) and not (self.damping or self.friction)
 
 
@@ -85,12 +84,12 @@ class Rub:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mechanism:
-    """See the module docstring.
+    """Bodies, forces, contacts and friction of a scene.
 
-    bodies: their MJCF text; gravity [m/s^2], downwards; joints: q of the joints = joints @ q of the
-        scene, (nq, nq); forces: the smooth ones on each coordinate, by
-    the symbols q, v, u; weights: joint and force [N] of each rub that was given a body of its own
-        to press.
+    - bodies: MJCF; gravity [m/s^2], downwards.
+    - joints (nq, nq): q of joints = joints @ q of scene.
+    - forces: smooth ones per coordinate in the symbols q, v, u.
+    - weights: joint, force [N] and start [m] of each rub with a pressed body.
     """
 
     bodies: str
@@ -104,14 +103,17 @@ class Mechanism:
 
     @property
     def steady(self) -> bool:
-        """Whether the smooth forces depend on inputs alone."""
+        """Return whether the smooth forces depend on inputs alone."""
         return not set().union(*(force.free_symbols for force in self.forces)) & {
             *self.symbols[0],
             *self.symbols[1],
         }
 
     def smooth(self, modules: Any = "math", *, stops: bool = False) -> Callable[..., list[float]]:
-        """The smooth forces on the joints, with those of stops or without, in the arithmetic of `modules`, of q, v of the joints and u one by one. Raises nothing."""
+        """Return a function of q, v of the joints and u giving the smooth forces on the joints.
+
+        modules: for `lambdify`; stops: include their forces. Raises nothing.
+        """
         (q, v, u), forces = self.symbols, sp.Matrix(self.forces)
         for touch in self.touches if stops else ():
             if touch.stops:
@@ -131,25 +133,10 @@ class Mechanism:
 
 
 def mechanism_of(scene: Scene, *, weights: bool = False) -> Mechanism:
-    """The mechanism of a scene.
+    """Return the mechanism of a scene [SI].
 
-    Parameters
-    ----------
-    scene
-        With numbers for its parameters.
-    weights
-        Whether what rubs under a constant weight becomes a body that is pressed on a plane, for
-        engines without dry friction on joints.
-
-    Returns
-    -------
-    Mechanism
-        All in SI units [SI].
-
-    Raises
-    ------
-    CannotExpressError
-        With a sentence that says which part of the scene is no part of a mechanism.
+    weights: turn friction under a constant weight into a body pressed on a plane, for engines
+    without joint friction. Raises CannotExpressError naming the unsupported part.
     """
     dynamics, values = derive(scene), scene.parameter_values
     symbols, tree = (dynamics.q, dynamics.v, dynamics.u), TREES.get(scene.name)
@@ -158,12 +145,12 @@ def mechanism_of(scene: Scene, *, weights: bool = False) -> Mechanism:
         scene, [_touch(scene, contact, tree is not None) for contact in scene.contacts]
     )
     if tree is not None:
-        found = tree(scene)
+        turning = tree(scene)
         return Mechanism(
-            bodies=found.bodies, gravity=found.gravity,
-            joints=np.eye(scene.nq) if found.joints is None else found.joints, forces=tuple(forces),
+            bodies=turning.bodies, gravity=turning.gravity,
+            joints=np.eye(scene.nq) if turning.joints is None else turning.joints, forces=tuple(forces),
             symbols=symbols,
-            touches=tuple(replace(touch, pads=found.pads.get(touch.name),
+            touches=tuple(replace(touch, pads=turning.pads.get(touch.name),
                                   why="its joints have no stops") for touch in touches), rubs=rubs,
         )  # fmt: skip
     if not (dynamics.structure.constant_mass and dynamics.structure.diagonal_mass):
@@ -186,7 +173,7 @@ def mechanism_of(scene: Scene, *, weights: bool = False) -> Mechanism:
 
 
 class _Slides:
-    """Bodies on slides, all from the origin: which coordinates are axes of one body, along what, and what they are padded with."""
+    """Bodies on slides from the origin: the axes of each body, and its pads."""
 
     def __init__(
         self, scene: Scene, masses: Sequence[float], touches: Sequence[Touch], rubs: Sequence[Rub]
@@ -195,8 +182,7 @@ class _Slides:
         self.masses, self.touches, self.extra = masses, touches, {}
         self.axis = dict.fromkeys(range(scene.nq), 0)
         self.owner = list(range(scene.nq))
-        # Which coordinate a rubbing contact slides along, and which body (None: the ground) is
-        # under it.
+        # For each rubbing contact the body under it (None: the ground).
         self.under: dict[str, int | None] = {}
         for touch in touches:
             for x, y in touch.centres or ():
@@ -225,9 +211,9 @@ class _Slides:
         return "" if coordinate is None else self.names[self.owner[coordinate]]
 
     def padded(self, touch: Touch) -> Touch:
-        """With the balls and planes of its gap, where there are some."""
+        """Return the contact with the balls and planes of its gap, if any."""
         if touch.centres is not None:
-            # The smaller of two balls stands for both in their sum; each gets half.
+            # The offset is the sum of both radii; each ball gets half.
             balls = tuple(
                 Pad(body=self._body(centre[0]), at=(0.0, 0.0, 0.0), radius=touch.offset / 2)
                 for centre in touch.centres
@@ -256,9 +242,9 @@ class _Slides:
         return replace(touch, pads=(ball, plane), steepness=steepness)
 
     def press(self, rub: Rub) -> tuple[Touch, tuple[str, float, float]]:
-        """The contact that stands for a weight, upright, as stiff as the stiffest of the scene.
+        """Return a contact for a weight, as stiff as the scene's stiffest, with its joint.
 
-        Its joint, its force [N] and where it starts in balance [m].
+        The joint: name, force [N], start in balance [m].
         """
         over, below = (np.flatnonzero(sign * rub.direction > 0.0) for sign in (1.0, -1.0))
         stiffness = max((touch.stiffness for touch in self.touches), default=1e4)
@@ -278,14 +264,13 @@ class _Slides:
         return touch, (joint, -rub.pressed, -rub.pressed / stiffness)
 
     def text(self) -> str:
-        """Their MJCF. Raises CannotExpressError."""
-        found = ""
+        bodies = ""
         for first in dict.fromkeys(self.owner):
-            own = [place for place, item in enumerate(self.owner) if item == first]
+            axes = [place for place, item in enumerate(self.owner) if item == first]
             mass = self.masses[first]
-            if not np.allclose([self.masses[place] for place in own], mass, rtol=1e-12):
+            if not np.allclose([self.masses[place] for place in axes], mass, rtol=1e-12):
                 raise CannotExpressError("a body has another mass in each direction")
-            joints = [(self.names[place], self.axis[place]) for place in own]
+            joints = [(self.names[place], self.axis[place]) for place in axes]
             joints += (
                 [(self.extra[self.names[first]], 2)] if self.names[first] in self.extra else []
             )
@@ -293,16 +278,16 @@ class _Slides:
                 f'<joint name="{name}" type="slide" axis="{["1 0 0", "0 1 0", "0 0 1"][axis]}"/>'
                 for name, axis in joints
             )
-            found += f'<body name="{self.names[first]}">{slides}<inertial pos="0 0 0" mass="{mass!r}" diaginertia="1 1 1"/></body>'
-        return found
+            bodies += f'<body name="{self.names[first]}">{slides}<inertial pos="0 0 0" mass="{mass!r}" diaginertia="1 1 1"/></body>'
+        return bodies
 
 
 def _affine(
     expression: sp.Expr, symbols: Sequence[sp.Symbol], otherwise: str
 ) -> tuple[np.ndarray, float]:
-    """Slopes (symbols,) and value at zero of an expression that is affine in the symbols.
+    """Return slopes (symbols,) and value at zero of an affine expression.
 
-    Raises CannotExpressError with the words of `otherwise`.
+    Raises CannotExpressError(otherwise).
     """
     slopes = [sp.diff(sp.expand(expression), symbol) for symbol in symbols]
     if set().union(*(slope.free_symbols for slope in slopes)):
@@ -342,7 +327,7 @@ def _touch(scene: Scene, contact: Contact, is_tree: bool) -> Touch:
 def _centres(
     contact: Contact, distance: sp.Expr, q: Sequence[sp.Symbol]
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """The coordinates of two centres whose distance this is: sqrt((x2 - x1)^2 + (y2 - y1)^2), but for what blurs it."""
+    """Return the coordinates of two centres at this distance, sqrt(dx^2 + dy^2 + constant)."""
     form = np.array(sp.hessian(sp.expand(distance**2), list(q)) / 2)
     pairs = [(i, j) for i in range(len(q)) for j in range(i + 1, len(q)) if form[i, j] == -1]
     if len(pairs) != 2 or any(form[place, place] != 1 for pair in pairs for place in pair):
@@ -354,15 +339,14 @@ def _centres(
 
 
 def _slip(scene: Scene, friction: Friction) -> np.ndarray:
-    """Its direction, (nq,) [-]."""
     v = [item.velocity for item in scene.coordinates]
     otherwise = f"the direction of friction {friction.name} depends on the positions"
     return _affine(friction.slip.subs(scene.parameter_values), v, otherwise)[0]
 
 
 def _with_friction(scene: Scene, touches: list[Touch]) -> tuple[tuple[Touch, ...], tuple[Rub, ...]]:
-    """Frictions as coefficients of the contacts that press them, or as rubs under a constant weight."""
-    values, found = scene.parameter_values, {touch.name: touch for touch in touches}
+    """Add friction coefficients to pressing contacts; return constant-weight friction as rubs."""
+    values, by_name = scene.parameter_values, {touch.name: touch for touch in touches}
     rubs = []
     for friction in scene.frictions:
         coefficient = float(friction.coefficient.subs(values))
@@ -371,7 +355,7 @@ def _with_friction(scene: Scene, touches: list[Touch]) -> tuple[tuple[Touch, ...
             with contextlib.suppress(CannotExpressError):
                 slip = _slip(scene, friction)
             for contact in friction.pressing:
-                found[contact] = replace(found[contact], friction=coefficient, slip=slip)
+                by_name[contact] = replace(by_name[contact], friction=coefficient, slip=slip)
             continue
         pressed = sp.S.Zero if friction.normal_force is None else friction.normal_force.subs(values)
         if pressed.free_symbols:
@@ -386,18 +370,18 @@ def _with_friction(scene: Scene, touches: list[Touch]) -> tuple[tuple[Touch, ...
                 pressed=float(pressed),
             )
         )
-    return tuple(found.values()), tuple(rubs)
+    return tuple(by_name.values()), tuple(rubs)
 
 
-# Scenes whose bodies turn. A body has the name of its first joint. MJCF's hinges turn a body
-# relative to the one that carries it: `joints` says how the scene's angles become theirs.
+# Scenes with turning bodies. A body has the name of its first joint. MJCF hinges are relative to
+# the carrying body; `Tree.joints` converts the scene's angles.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tree:
-    """bodies: MJCF; pads by contact; gravity [m/s^2].
+    """MJCF bodies, pads by contact, gravity [m/s^2].
 
-    joints: q of the joints = joints @ q of the scene, (nq, nq), None: the same.
+    joints (nq, nq): q of joints = joints @ q of scene, None: identity.
     """
 
     bodies: str
@@ -411,18 +395,16 @@ def _numbers(scene: Scene) -> dict[str, float]:
 
 
 def _body(name: str, inside: str, *, at: str = "0 0 0", joints: str | None = None) -> str:
-    """A body on a hinge about y, or on the joints that are given."""
     turning = f'<joint name="{name}" type="hinge" axis="0 1 0"/>' if joints is None else joints
     return f'<body name="{name}" pos="{at}">{turning}{inside}</body>'
 
 
 def _point(mass: float, height: float) -> str:
-    """A point mass above the joint of its body; MJCF wants some inertia of each."""
     return f'<inertial pos="0 0 {height!r}" mass="{mass!r}" diaginertia="{_TINY} {_TINY} {_TINY}"/>'
 
 
 def _cart_pole(scene: Scene) -> Tree:
-    """A cart on a slide, a point at the end of a rod on it, and two planes that the tip alone touches."""
+    """A cart on a slide, a point mass on a rod, and two planes that only the tip touches."""
     p = _numbers(scene)
     pole = _body("theta", _point(p["m_p"], p["l"]))
     tip = Pad(body="theta", at=(0.0, 0.0, p["l"]), radius=_BALL)
@@ -439,23 +421,20 @@ def _cart_pole(scene: Scene) -> Tree:
 
 
 def _acrobot(scene: Scene) -> Tree:
-    """Two points at the ends of rods, each on a hinge.
-
-    Its stops act on the shoulder's angle, and no ball touches anything.
-    """
+    """Two point masses on hinged rods; stops act on the shoulder's angle, without pads."""
     p = _numbers(scene)
     second = _body("theta2", _point(p["m2"], p["l2"]), at=f"0 0 {p['l1']!r}")
     return Tree(bodies=_body("theta1", _point(p["m1"], p["l1"]) + second), gravity=p["g"])
 
 
 def _fingers(scene: Scene) -> Tree:
-    """Two fingers of two bars and a disc, upright: x to the right, z up, hinges about y.
+    """Two fingers of two bars and a disc: x right, z up, hinges about y.
 
-    A bar lies along x; the right finger is the left one's mirror image.
+    A bar lies along x; the right finger mirrors the left one.
     """
     p = _numbers(scene)
     long, w, radius, table = p["l"], p["w"], p["R"], p.get("y_t")
-    found, pads = "", {}
+    bodies, pads = "", {}
     for side, sign in (("left", 1.0), ("right", -1.0)):
         square = p["m_l"] * (long**2 + w**2) / 12
         bar = f'<inertial pos="{sign * long / 2!r} 0 0" mass="{p["m_l"]!r}" diaginertia="{square} {square} {square}"/>'
@@ -463,12 +442,12 @@ def _fingers(scene: Scene) -> Tree:
             f'<joint name="{side}{number}" type="hinge" axis="0 {-sign} 0"/>' for number in (1, 2)
         ]
         link = _body(f"{side}2", bar, at=f"{sign * long!r} 0 0", joints=hinge[1])
-        found += _body(f"{side}1", bar + link, at=f"{-sign * p['reach']!r} 0 0", joints=hinge[0])
+        bodies += _body(f"{side}1", bar + link, at=f"{-sign * p['reach']!r} 0 0", joints=hinge[0])
         tip = Pad(body=f"{side}2", at=(sign * long, 0.0, 0.0), radius=w / 2)
         pads[side] = (tip, Pad(body="x", at=(0.0, 0.0, 0.0), radius=radius))
     slides = '<joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 0 1"/><joint name="theta" type="hinge" axis="0 -1 0"/>'
     turning = p["m_d"] * radius**2 / 2
-    found += _body(
+    bodies += _body(
         "x",
         f'<inertial pos="0 0 0" mass="{p["m_d"]!r}" diaginertia="{turning} {turning} {turning}"/>',
         joints=slides,
@@ -479,8 +458,8 @@ def _fingers(scene: Scene) -> Tree:
             Pad(body="", at=(0.0, 0.0, -table), normal=(0.0, 0.0, 1.0)),
         )
     joints = np.eye(scene.nq)
-    joints[1, 0] = joints[3, 2] = -1.0  # the scene's angles are absolute, a hinge's relative
-    return Tree(bodies=found, pads=pads, gravity=p.get("g", 0.0), joints=joints)
+    joints[1, 0] = joints[3, 2] = -1.0  # the scene's angles are absolute, hinge angles relative
+    return Tree(bodies=bodies, pads=pads, gravity=p.get("g", 0.0), joints=joints)
 
 
 TREES = {

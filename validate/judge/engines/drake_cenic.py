@@ -1,4 +1,4 @@
-"""Drake CENIC: its convex, error-controlled integrator of the continuous plant."""
+"""Drake CENIC: convex, error-controlled integration of the continuous plant."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ ENGINE = Simulator(
 
 
 def simulate(drive: Drive) -> SimulatedMotion:
-    """The motion of a drive at its tolerance. Raises CannotExpressError."""
+    """Return the motion of a drive. Raises CannotExpressError."""
     return stepped(drive, Plant(drive).advance("cenic", drive))

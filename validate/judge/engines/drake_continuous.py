@@ -1,4 +1,4 @@
-"""Drake, its continuous plant: point contact, by Runge-Kutta 5 with error control."""
+"""Drake's continuous plant: point contact, Runge-Kutta 5 with error control."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ ENGINE = Simulator(
 
 
 def simulate(drive: Drive) -> SimulatedMotion:
-    """The motion of a drive at its tolerance. Raises CannotExpressError."""
+    """Return the motion of a drive. Raises CannotExpressError."""
     return stepped(drive, Plant(drive).advance("runge_kutta5", drive))

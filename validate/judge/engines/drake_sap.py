@@ -1,4 +1,4 @@
-"""Drake, its discrete plant with the SAP solver: fixed steps, convex contact."""
+"""Drake's discrete plant with SAP: fixed steps, convex contact."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ENGINE = Simulator(
 
 
 def simulate(drive: Drive) -> SimulatedMotion:
-    """The motion of a drive at its step. Raises CannotExpressError."""
+    """Return the motion of a drive. Raises CannotExpressError."""
     if not np.allclose(np.diff(drive.plan.t), drive.step * drive.parts, rtol=1e-9, atol=0.0):
         raise CannotExpressError(
             "the plan's steps differ in length, and a discrete plant has one step"
@@ -26,7 +26,10 @@ def simulate(drive: Drive) -> SimulatedMotion:
     def advance(
         u: np.ndarray, slope: np.ndarray, count: int, h: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """After so many steps of h [s] under u (nu,) [N, N m], slope (nu,): positions and velocities (nq,) [m, rad, m/s, rad/s]. Raises nothing."""
+        """Return q, v (nq,) [m, rad, m/s, rad/s] after count steps of h [s]. Raises nothing.
+
+        u: (nu,) [N, N m]; slope: (nu,) [N/s, N m/s].
+        """
         for part in range(count):
             plant.drive_by(u + slope * h * (part + 0.5))
             updated = plant.diagram.EvalUniquePeriodicDiscreteUpdate(plant.context)

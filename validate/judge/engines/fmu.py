@@ -1,4 +1,4 @@
-"""Our FMU, the reference: Model Exchange by CVODE, stopped at every event."""
+"""Our FMU as reference: Model Exchange by CVODE, stopped at every event."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ ENGINE = Simulator(
 
 
 def simulate(drive: Drive) -> SimulatedMotion:
-    """The motion of a drive at its tolerance. Raises FmuError."""
+    """Return the motion of a drive. Raises FmuError."""
 
     def steps(package: Package, variables: Variables, inputs: HeldInputs) -> Run:
-        """Of its Model Exchange. Raises FmuError."""
+        """Integrate the Model Exchange. Raises FmuError."""
         with closing(ExchangeModel(package, variables)) as model:
             return integrate(model, drive.start, inputs, drive.tolerance, EVENT_BUDGET)
 
@@ -38,7 +38,10 @@ def simulate(drive: Drive) -> SimulatedMotion:
 def motion_of(
     drive: Drive, steps: Callable[[Package, Variables, HeldInputs], Run]
 ) -> SimulatedMotion:
-    """Of our FMU by whatever steps it: positions and velocities at the plan's nodes, NaN from where the run ended. Raises FmuError."""
+    """Return the motion of our FMU by `steps` at the plan's nodes, NaN once it ended.
+
+    Raises FmuError.
+    """
     with unpacked(read_package(build_fmu(drive.scene))) as package:
         variables, nq = find_variables(package, drive.scene), drive.scene.nq
         began = time.process_time()

@@ -1,4 +1,4 @@
-"""Our FMU, every day: Co-Simulation with its own internal step."""
+"""Our FMU by Co-Simulation with its own internal step."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ENGINE = Simulator(
 
 
 def simulate(drive: Drive) -> SimulatedMotion:
-    """The motion of a drive at its step. Raises FmuError."""
+    """Return the motion of a drive. Raises FmuError."""
     return motion_of(
         drive,
         lambda package, variables, inputs: step_through(

@@ -1,13 +1,12 @@
-"""MuJoCo: a scene as bodies on joints and tendons between them, by Runge-Kutta 4 at a fixed step.
+"""MuJoCo: bodies on joints and tendons, by Runge-Kutta 4 at a fixed step.
 
-An undamped contact is a tendon with a dead band, whose force is k max(phi, 0) exactly; what rubs on
-it a tendon along the slip, whose friction loss follows that force at each stage of a step. A damped
-contact is a tendon with a limit, and one that no tendon measures a pair of geoms: constraints,
-which MuJoCo makes of acceleration units at an impedance d, so that k and c are weighed with the
-inverse mass that it takes for the constraint. At the smallest impedance that it takes, d = 1e-4,
-the force is max(k phi + c phi', 0) but for 1e-4 of what else acts on the bodies; at its default of
-0.9 a depth is 3 to 51 % wrong. Friction is a constraint on the slip, regularised whatever is asked:
-it creeps. What is smooth acts as forces on the joints, at each stage of a step.
+- Undamped contact: a tendon with a dead band, whose force is exactly k max(phi, 0). Its friction:
+  a tendon along the slip; the friction loss follows the contact force at each stage.
+- Damped contact: a tendon with a limit, or else a pair of geoms. Both are constraints in units of
+  acceleration, scaled by MuJoCo's inverse mass. At the smallest impedance, d = 1e-4, the force is
+  max(k phi + c phi', 0) except for 1e-4 of the other forces. At the default 0.9 depths are 3 to
+  51 % wrong.
+- Friction is always regularised, so it creeps. Smooth forces act on the joints at each stage.
 """
 
 from __future__ import annotations
@@ -21,36 +20,38 @@ from models.scene.contacts import DampingLaw
 from validate.judge.engines._mechanism import Mechanism, Pad, Touch, mechanism_of
 from validate.judge.simulator import CannotExpressError, Drive, SimulatedMotion, Simulator, stepped
 
-mujoco: Any = importlib.import_module(
-    "mujoco"
-)  # a checker without the package takes this file for it
+mujoco: Any = importlib.import_module("mujoco")  # dynamic: pyright would take this file for it
 
 ENGINE = Simulator(
     title="MuJoCo, Runge-Kutta 4",
     package="mujoco",
     law="tendons with a dead band, and tendons that rub as those press; damped contact and turning bodies: constraints at impedance 1e-4; friction regularised",
 )
-# The smallest and largest impedance that MuJoCo takes, and the first as it is told.
+# MuJoCo's smallest impedance.
 _SOFT = 1e-4
+# MuJoCo's largest impedance.
 _HARD = 0.9999
+
 _IMPEDANCE = [_SOFT, _SOFT, 0.001, 0.5, 1.0]
-# Constraint force of friction over that of the normal at the same violation: 1e8 leaves friction
-# with 1e-4 of the inverse mass as compliance, as _HARD does.
+# Friction's constraint force over the normal's at equal violation: 1e8 leaves 1e-4 of the inverse
+# mass as compliance, as _HARD does.
 _RATIO = 1e8
-# Slip decays by this share of itself in a step at most, as Runge-Kutta 4 bears 2.7; on pads at this
-# rate [1/s], as faster decay pushes apart what slides.
+# Largest decay of slip per step, as a fraction; Runge-Kutta 4 is stable up to 2.7.
 _DECAY = 0.5
+# Largest decay rate of slip on pads [1/s]; faster decay separates sliding bodies.
 _RATE = 1e3
-# Half the size of the block whose face is a plane, which no motion leaves, and half its depth [m]:
-# planes may not move.
+# Half the size of the block for a plane, beyond any motion [m]; MuJoCo's planes cannot move.
 _BLOCK = 100.0
+# Half the depth of that block [m].
 _DEPTH = 1.0
+# Upper end of a one-sided range.
 _FAR = 1e6
+# Stiffness of a constraint that only damps; MuJoCo wants a negative number.
 _TINY = 1e-12
 
 
 def simulate(drive: Drive) -> SimulatedMotion:
-    """The motion of a drive. Raises CannotExpressError."""
+    """Return the motion of a drive. Raises CannotExpressError."""
     scene, mechanism = drive.scene, mechanism_of(drive.scene)
     names = [coordinate.name for coordinate in scene.coordinates]
     model = _model(mechanism, names)
@@ -61,8 +62,7 @@ def simulate(drive: Drive) -> SimulatedMotion:
     data.qpos[places], data.qvel[places] = (joints @ part for part in np.split(drive.start, 2))
     forces, u_now = mechanism.smooth(), np.zeros(scene.nu)
 
-    # What is pressed by a dead band: the row of its friction, the band, and the friction a metre of
-    # depth.
+    # Each pressing dead band: friction row, tendon, friction per metre of depth, offset.
     bands = [touch for touch in mechanism.touches if _band_rubs(touch)]
     pressed = [
         (row, model.tendon(touch.name).id, touch.friction * touch.stiffness, touch.offset)
@@ -80,7 +80,10 @@ def simulate(drive: Drive) -> SimulatedMotion:
     def advance(
         u: np.ndarray, slope: np.ndarray, count: int, h: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and velocities (nq,) [m, rad, m/s, rad/s] after so many steps of h [s] under u (nu,) [N, N m], slope (nu,). Raises nothing."""
+        """Return q, v (nq,) [m, rad, m/s, rad/s] after count steps of h [s]. Raises nothing.
+
+        u: (nu,) [N, N m]; slope: (nu,) [N/s, N m/s].
+        """
         model.opt.timestep = h
         for part in range(count if slope.any() else 1):
             u_now[:] = u + slope * h * (part + 0.5)
@@ -97,7 +100,7 @@ def simulate(drive: Drive) -> SimulatedMotion:
 
 
 def _model(mechanism: Mechanism, names: list[str]) -> Any:
-    """The model, but for the constraints' numbers, which need its inverse masses."""
+    """Return the model without constraint parameters, which need its inverse masses."""
     spec = mujoco.MjSpec.from_string(
         f'<mujoco><option integrator="RK4" cone="elliptic" iterations="200" tolerance="1e-15" gravity="0 0 {-mechanism.gravity}">'
         '<flag refsafe="disable" autoreset="disable" island="disable"/></option><compiler angle="radian"/>'
@@ -133,25 +136,21 @@ def _model(mechanism: Mechanism, names: list[str]) -> Any:
             raise CannotExpressError(f"contact {touch.name}: {touch.why}")
         else:
             _add_pair(spec, touch, touch.pads)
-    # Friction's rows are in the order of these tendons; what a band presses has its limit at each
-    # stage of a step.
+    # Friction rows follow the order of these tendons; `passive` sets the limits of bands.
     for name, direction, limit in _rubs(mechanism):
         _fixed(spec, names, direction, name=f"rub_{name}", frictionloss=limit)
     return spec.compile()
 
 
 def _band_rubs(touch: Touch) -> bool:
-    """Whether a dead band makes the contact and another tendon its friction: both along directions that do not change."""
+    """Return whether a dead band makes the contact and another tendon its friction."""
     return bool(
         touch.friction and not touch.damping and touch.normal.any() and touch.slip is not None
     )
 
 
 def _rubs(mechanism: Mechanism) -> list[tuple[str, np.ndarray, float]]:
-    """Tendons that rub, by name, direction (nq,) and limit [N].
-
-    Those of bands first, with any limit.
-    """
+    """Return the rubbing tendons: name, direction (nq,), limit [N]; those of bands first."""
     bands = [
         (touch.name, touch.slip, 1.0)
         for touch in mechanism.touches
@@ -163,7 +162,6 @@ def _rubs(mechanism: Mechanism) -> list[tuple[str, np.ndarray, float]]:
 
 
 def _add_pair(spec: Any, touch: Touch, pads: tuple[Pad, Pad]) -> None:
-    """A ball and a plane, or two balls, that touch nothing but each other."""
     names = [f"{touch.name}_{place}" for place in range(2)]
     for name, pad in zip(names, pads, strict=True):
         body = spec.body(pad.body) if pad.body else spec.worldbody
@@ -192,14 +190,13 @@ def _add_pair(spec: Any, touch: Touch, pads: tuple[Pad, Pad]) -> None:
 
 
 def _fixed(spec: Any, names: list[str], direction: np.ndarray, **what: Any) -> None:
-    """A tendon whose length is direction @ q."""
     tendon = spec.add_tendon(**what)
     for place in np.flatnonzero(direction):
         tendon.wrap_joint(names[place], direction[place])
 
 
 def _set_constraints(model: Any, mechanism: Mechanism, h: float) -> None:
-    """Stiffness, damping and the give of friction in MuJoCo's units: of acceleration, by the inverse mass that it takes for each constraint."""
+    """Set stiffness, damping and friction compliance, scaled by MuJoCo's inverse masses."""
     model.opt.impratio = _RATIO
     for touch in mechanism.touches:
         pull = np.array([touch.stiffness, touch.damping])
@@ -211,7 +208,7 @@ def _set_constraints(model: Any, mechanism: Mechanism, h: float) -> None:
                 -pull * touch.steepness**2 * model.body_invweight0[bodies, 0].sum()
             )
             model.pair_solreffriction[pair] = -_TINY, -min(_DECAY / h, _RATE) * _SOFT
-        elif tendon >= 0:  # of one with a dead band, which has no limit, nobody reads it
+        elif tendon >= 0:  # unused by a tendon with a dead band, which has no limit
             model.tendon_solref_lim[tendon] = -pull * model.tendon_invweight0[tendon]
     for name, _, _ in _rubs(mechanism):
         tendon = model.tendon(f"rub_{name}").id

@@ -1,17 +1,11 @@
-"""How wrong a replay may be: `estimate`, from simulations of the same plan that differ in one thing.
+"""Error estimate of a replay, from simulations of the same plan that differ in one setting.
 
-`difference` compares two runs at the plan's nodes: the reference at two tolerances, the everyday
-replay at two steps, the one with the other. Without a reference `converged` believes the steps of
-the everyday replay only where its finest results come together.
-
-`overlooked` finds contacts that the integrator stepped over: a gap that closes and opens again
-within a step leaves no change of sign. Between two recorded points without an event the gap is
-taken as the cubic with the gaps and their rates at both ends; a minimum below zero is such a
-contact, and the replay is made again with steps small enough to see it.
-
-`with_lag_error` is for scenes without inertia (models.scene.quasi_static), which move with a short
-relaxation time tau: the error is of first order in tau, so that a run at 2 tau is as far from the
-judged one as that is from the first-order model, D v = F.
+- `difference` compares two runs at the plan's nodes. Without a reference, `converged` accepts the
+  everyday replay only if its results at the finest steps converge.
+- `overlooked` detects contacts inside one integrator step. The gap between two rows is a cubic
+  through both gaps and rates; a minimum below zero repeats the replay with smaller steps.
+- `with_lag_error` is for scenes without inertia, which move with a relaxation time tau. The error
+  is of first order in tau, so a run at 2 tau differs from the judged run by that error.
 """
 
 from __future__ import annotations
@@ -41,24 +35,26 @@ from validate.judge.replay.result import (
 from validate.judge.replay.subject import ForeignModel, Subject, find_variables, recorded
 from validate.judge.replay.wiring import Feedback, Variables
 
-# Steps within the contact that was overlooked; and steps in all that are taken for it.
+# Integrator steps within an overlooked contact.
 _WITHIN = 8
+# Largest number of integrator steps of a repeated replay.
 _MOST = 1_000_000
+# Largest number of recorded points per plan step.
 _MOST_PARTS = 3000
 
 
 def overlooked(kernel: Kernel, replayed: Replay) -> float | None:
-    """None, or the step [s] with which a contact that the replay stepped over is seen."""
+    """Return the step [s] that resolves an overlooked contact, or None if there is none."""
     if len(replayed.t) < 2:
         return None
     h = np.diff(replayed.t)[:, None]
     rate = -penetration_rates(kernel, replayed.q, replayed.v)
     (first, last), begins, ends = (replayed.gap[:-1], replayed.gap[1:]), rate[:-1], rate[1:]
-    # Without inertia velocities jump where inputs do: at the start of a piece those of the one
-    # before still stand.
+    # Velocities of scenes without inertia jump with the inputs: rows still hold the previous
+    # piece's.
     if kernel.scene.lag is not None:
         begins = 2.0 * np.divide(last - first, h, out=np.zeros_like(first), where=h > 0.0) - ends
-    rows = np.repeat(np.arange(len(h) + 1), 2)[1:-1]  # both of each piece
+    rows = np.repeat(np.arange(len(h) + 1), 2)[1:-1]  # both rows of each piece
     lowest = lowest_between(
         replayed.t[rows],
         replayed.gap[rows],
@@ -67,7 +63,7 @@ def overlooked(kernel: Kernel, replayed: Replay) -> float | None:
     turns = (first > 0.0) & (last > 0.0) & (begins < 0.0) & (ends > 0.0) & (h > 0.0)
     dips = turns & (lowest < 0.0)
     if not dips.any():
-        # Co-Simulation shows nothing but the plan's nodes, between which it may have been in touch.
+        # Co-Simulation has rows only at the plan's nodes, between which contact is unknown.
         if kernel.scene.lag is not None or replayed.method != "reference":
             return None
         return _passed_through(kernel, replayed, turns)
@@ -76,16 +72,13 @@ def overlooked(kernel: Kernel, replayed: Replay) -> float | None:
 
 
 def _passed_through(kernel: Kernel, replayed: Replay, turns: np.ndarray) -> float | None:
-    """As `overlooked`, of a gap that turns round at once, as that of a thin plate does.
+    """Return `overlooked` for a gap with a kink, as of a thin plate.
 
-    Its tangents at both rows meet in contact, and so do the positions there on their cubic.
-
-    Parameters
-    ----------
-    turns : (pieces, nc) whether a gap is open at both rows, falls first and rises then [-].
+    The tangents at both rows intersect in contact, and the cubic positions are in contact there.
+    turns: (pieces, nc) gaps that fall from open, then rise.
     """
     t, q, v, gap = replayed.t, replayed.q, replayed.v, replayed.gap
-    rate, found = -penetration_rates(kernel, q, v), []
+    rate, steps = -penetration_rates(kernel, q, v), []
     for piece, contact in np.argwhere(turns):
         h, (begins, ends) = t[piece + 1] - t[piece], rate[piece : piece + 2, contact]
         first, last = gap[piece : piece + 2, contact]
@@ -97,12 +90,12 @@ def _passed_through(kernel: Kernel, replayed: Replay, turns: np.ndarray) -> floa
         place += s**3 * (leaves + comes - 2.0 * moved)
         depth = float(kernel.penetration(place[None])[0, contact])
         if depth > 0.0:
-            found.append(depth * (1.0 / ends - 1.0 / begins) / _WITHIN)
-    return min(found, default=None)
+            steps.append(depth * (1.0 / ends - 1.0 / begins) / _WITHIN)
+    return min(steps, default=None)
 
 
 def with_steps_of(subject: Subject, job: Job) -> Job:
-    """The job for a plan, however long its steps are: nothing is seen less often than on the task's own grid."""
+    """Return the job with steps no longer than those of the task, however long the plan's are."""
     times, step = job.plan.t, float(subject.task.step)  # type: ignore[union-attr] - every subject that is replayed has one
     longest = math.ceil(float(np.diff(times).max()) / step - 1e-6)
     parts = min(job.parts * max(1, longest), _MOST_PARTS)
@@ -111,10 +104,7 @@ def with_steps_of(subject: Subject, job: Job) -> Job:
 
 
 def with_max_step(job: Job, longest: float) -> Job | None:
-    """The job with integrator steps of at most `longest` [s], in the everyday replay too.
-
-    None where that takes more than a million steps.
-    """
+    """Return the job with steps of at most `longest` [s], None beyond a million steps."""
     if np.ptp(job.plan.t) / longest > _MOST:
         return None
     return _finer(
@@ -124,33 +114,25 @@ def with_max_step(job: Job, longest: float) -> Job | None:
 
 
 def _finer(job: Job, factor: float) -> Job:
-    """With so many times the internal steps, or more."""
     return replace(
         job, fineness=tuple(max(1, math.ceil(factor)) * fineness for fineness in job.fineness)
     )
 
 
-# Relaxation times in the longest internal step of the everyday replay. Runge-Kutta 4 is stable
-# below 2.78, and keeps q + tau v whatever its step: at 2 the plans of push_box are within 1e-9 m of
-# the reference.
+# Longest internal step in relaxation times. Runge-Kutta 4 is stable below 2.78 and keeps q + tau v
+# exact; at 2 the plans of push_box are within 1e-9 m of the reference.
 _LAGS_IN_A_STEP = 2.0
 
 
 def fine_enough(scene: Scene, job: Job) -> Job:
-    """The job with a coarsest everyday run that is stable at this relaxation time.
-
-    As it is for a scene with inertia.
-    """
+    """Return the job with a coarsest everyday run that is stable at the scene's relaxation time."""
     if scene.lag is None or not job.fineness:
         return job
     return _finer(job, base_step(job.plan.t) / (_LAGS_IN_A_STEP * scene.lag) / min(job.fineness))
 
 
 def twice_the_lag(package: Package, scene: Scene) -> Variables | None:
-    """The FMU's variables with twice the relaxation time.
-
-    None for a scene with inertia, or an FMU that does not know the time.
-    """
+    """Return the FMU's variables with twice the relaxation time, None if there is no such time."""
     if scene.lag is None:
         return None
     twice = find_variables(package, scene.continuous(2.0 * scene.lag))
@@ -158,10 +140,7 @@ def twice_the_lag(package: Package, scene: Scene) -> Variables | None:
 
 
 def with_lag_error(scene: Scene, job: Job, feedback: Feedback | None, replayed: Replay) -> Replay:
-    """The replay with the lag's error in its own.
-
-    As it is where there is none to be told (`twice_the_lag`).
-    """
+    """Return the replay with the error of the relaxation time added, if there is one."""
     twice = twice_the_lag(job.package, scene) if replayed.ok else None
     if twice is None:
         return replayed
@@ -171,7 +150,7 @@ def with_lag_error(scene: Scene, job: Job, feedback: Feedback | None, replayed: 
         replace(job, variables=twice, tolerances=tolerances, fineness=fineness).run(feedback).judged
     )
     if run.outcome is not ReplayOutcome.OK:
-        note = f"What the relaxation time does is not known: with twice as much, {run.message or run.outcome.value}"
+        note = f"The effect of the relaxation time is unknown: with twice that time, {run.message or run.outcome.value}"
         return without_estimate(replayed, note)
     lagging = replace(
         replayed,
@@ -188,7 +167,7 @@ def with_lag_error(scene: Scene, job: Job, feedback: Feedback | None, replayed: 
 
 
 def without_estimate(replayed: Replay, note: str) -> Replay:
-    """The replay, of whose error nothing is known, and the note that says why."""
+    """Return the replay without an error estimate, and a note with the reason."""
     return replace(
         replayed,
         error=replace(replayed.error, estimate=None),
@@ -197,7 +176,7 @@ def without_estimate(replayed: Replay, note: str) -> Replay:
 
 
 def by_entry(function: Callable[..., float], *of: Difference | None) -> Difference | None:
-    """A function of each entry of some differences; None if one of them is not known."""
+    """Apply a function to each entry of some differences; None if one is unknown."""
     known = [item for item in of if item is not None]
     if len(known) < len(of):
         return None
@@ -209,14 +188,13 @@ def by_entry(function: Callable[..., float], *of: Difference | None) -> Differen
     )
 
 
-# The everyday replay is explained by its own step error if it is within this factor of its step
-# halving: to first order the finer run is as far from the truth as the two runs are from each
-# other, and an event within a step makes that vary.
+# An everyday replay within this factor of its step-halving difference is explained by its step: to
+# first order both are equal, and an event within a step makes them vary.
 _EXPLAINED = 3.0
 
 
 def difference(one: Recorded | None, other: Recorded | None) -> Difference | None:
-    """Largest difference of two simulations over the nodes, or None if one of the two did not get to the end."""
+    """Return the largest difference of two simulations over the nodes, None if one is None."""
     if one is None or other is None:
         return None
     state = np.hypot(
@@ -228,42 +206,29 @@ def difference(one: Recorded | None, other: Recorded | None) -> Difference | Non
     return Difference(position=position, state=float(state.max()), gap=gap)
 
 
-# Two runs that differ by less than this share of the motion are the same run: ten thousand steps
-# round as much.
+# Relative difference of equal runs: rounding of ten thousand steps.
 _SAME = 1e-10
-# Results at so many steps tell an error bar: three that are nearer to each other than the three
-# before.
+# Number of finest results that `converged` needs.
 FINEST = 4
 
 
 def largest_difference(runs: Sequence[Recorded]) -> Difference | None:
-    """Largest difference of any two of some simulations; None of fewer than two."""
-    found = [difference(one, other) for one, other in combinations(runs, 2)]
-    return by_entry(lambda *values: max(values), *found) if found else None
+    """Return the largest difference of any two simulations, None for fewer than two."""
+    differences = [difference(one, other) for one, other in combinations(runs, 2)]
+    return by_entry(lambda *values: max(values), *differences) if differences else None
 
 
 def all_the_same(runs: Sequence[Recorded]) -> bool:
-    """Whether the step changes nothing but rounding: then it is not the one that the FMU takes."""
+    """Return whether results agree to rounding: the FMU then ignores the step."""
     first, *others = (np.hstack([run.q, run.v]) for run in runs)
     size = _SAME * np.abs(first).max(initial=0.0)
     return all((np.abs(first - other) <= size).all() for other in others)
 
 
 def converged(runs: Sequence[Recorded], *, heeds: bool) -> bool:
-    """Whether the results at ever finer steps come together.
+    """Return whether the three finer of the last four results differ less than the three coarser.
 
-    Parameters
-    ----------
-    runs
-        Results at the finest steps, the coarsest of them first.
-    heeds
-        Whether the FMU is known to obey the step; then results that are equal are right.
-
-    Returns
-    -------
-    bool
-        Whether the three finer of four differ by less than the three coarser. No of fewer than
-        four.
+    runs: the coarsest first. heeds: the FMU obeys the step, so that equal results are right.
     """
     if len(runs) < FINEST:
         return False
@@ -278,7 +243,7 @@ def converged(runs: Sequence[Recorded], *, heeds: bool) -> bool:
 
 
 def larger(one: Difference | None, other: Difference | None) -> Difference | None:
-    """Entry by entry, or the one there is."""
+    """Return the larger difference by entry, or the one that is not None."""
     return by_entry(max, one, other) or one or other
 
 
@@ -291,11 +256,10 @@ def estimate(
     stated: Difference | None = None,
     declared: Difference | None = None,
 ) -> ReplayError:
-    """The error of the judged trajectory by the rule that `ReplayError` states."""
+    """Return the error of the judged run by the rule of `ReplayError`."""
     judged = step
     if has_reference:
-        # Where the looser reference did not get to the end, the everyday replay - another method -
-        # is as far away as the judged run may be wrong.
+        # If the looser reference failed, the everyday replay, another method, bounds the error.
         judged = tolerance
         if tolerance is None and step is not None:
             judged = larger(everyday, step) if everyday is not None else None
@@ -313,7 +277,7 @@ def estimate(
 def larger_where_stated(
     measured: Difference | None, stated: Difference | None
 ) -> Difference | None:
-    """The larger of the two, and what the runs say where nothing is stated; None if not measured."""
+    """Return the larger by entry, ignoring missing statements; None if not measured."""
     if stated is None or measured is None:
         return measured
     return by_entry(
@@ -322,27 +286,27 @@ def larger_where_stated(
 
 
 def _judged(tolerance: float, step: float, everyday: float) -> float:
-    """The tolerance difference, unless the everyday replay differs from the reference by more than its own step explains."""
+    """Return the tolerance difference, or `everyday` if step and tolerance do not explain it."""
     return tolerance if everyday <= _EXPLAINED * (step + tolerance) else max(tolerance, everyday)
 
 
 def is_explained(error: ReplayError) -> bool:
-    """Whether steps and tolerances explain how far the everyday replay is from the reference, if both got to the end."""
+    """Return whether steps and tolerances explain the everyday replay's difference."""
     return error.tolerance is None or error.estimate == error.tolerance
 
 
 def error_of(
     subject: Subject, variables: Variables, simulated: Simulated, package: Package
 ) -> tuple[ReplayError, bool]:
-    """The error of the run that is judged, and whether that of the everyday replay's step is known."""
-    # A run that ended the process has no other beside it: what is compared must be there twice.
+    """Return the error of the judged run, and whether the everyday step error is known."""
+    # A comparison needs two finished runs; a crash leaves one.
     loose, tight, everyday = None, None, list[Recorded]()
     if len(simulated.reference) == 2:
         loose, tight = (_recorded(subject, variables, run) for run in simulated.reference)
     for run in simulated.everyday:
-        found = _recorded(subject, variables, run)
-        # From a step that is too long to get to the end nothing follows of shorter ones.
-        everyday = [] if found is None else [*everyday, found]
+        motion = _recorded(subject, variables, run)
+        # A failed run at a long step invalidates no shorter step.
+        everyday = [] if motion is None else [*everyday, motion]
     stated = subject.accuracy if isinstance(subject, ForeignModel) else None
     if simulated.reference:
         step = largest_difference(everyday[-2:])
@@ -370,14 +334,12 @@ def error_of(
 
 
 def _recorded(subject: Subject, variables: Variables, run: Run) -> Recorded | None:
-    """The run at the plan's nodes, if it got to the end."""
     if run.outcome is not ReplayOutcome.OK:
         return None
     return recorded(subject, variables, run, run.knots)
 
 
 def _declared(package: Package, motion: Recorded) -> Difference | None:
-    """The tolerance that an FMU declares for its own solver, of the sizes of the motion."""
     tolerance = package.experiment("tolerance")
     if tolerance is None:
         return None

@@ -1,7 +1,6 @@
-"""The everyday replay: a Co-Simulation FMU with its own fine step, one doStep a step of the plan, by the loop of loops.c.
+"""Everyday replay: Co-Simulation with a fine internal step, one doStep per plan step (loops.c).
 
 run = simulate(package, variables, start, inputs, fineness=200)
-
 """
 
 from __future__ import annotations
@@ -20,34 +19,24 @@ from validate.fmi.loops import Reason, address_of, structure
 from validate.judge.replay.result import DIVERGENCE, Run
 from validate.judge.replay.wiring import HeldInputs, Variables
 
-# Calls of doStep a plan step, of an FMU that has no internal step to set: its fineness over this.
+# Fineness per call of doStep, for an FMU without a parameter for its internal step.
 FINENESS_OF_A_CALL = 50
+# Smallest unit of the internal step, over the mean step.
 _SHORTEST = 0.1
 
 
 def base_step(times: np.ndarray) -> float:
-    """What the internal step is a part of: the plan's shortest step, but no less than a tenth of its mean one.
+    """Return the unit of the internal step [s]: the shortest step of the times (nodes,) [s].
 
-    So a single step of a microsecond does not make a thousand times as many of all the others.
-
-    Parameters
-    ----------
-    times : (nodes,) of the plan [s].
-
-    Returns
-    -------
-    The step [s].
-
-    Raises
-    ------
-    ValueError : for fewer than two nodes.
+    At least a tenth of the mean step, so that one tiny step does not refine all others. Raises
+    ValueError for fewer than two nodes.
     """
     steps = np.diff(times)
     return float(max(steps.min(), _SHORTEST * steps.mean()))
 
 
 def everyday_refusal(package: Package, inputs: HeldInputs) -> str | None:
-    """None, or why the FMU's Co-Simulation cannot replay this plan."""
+    """Return why the FMU's Co-Simulation cannot replay this plan, or None."""
     interface = package.cosimulation
     if interface is None:
         return "the FMU offers no Co-Simulation"
@@ -55,17 +44,17 @@ def everyday_refusal(package: Package, inputs: HeldInputs) -> str | None:
     if not interface.canHandleVariableCommunicationStepSize and not np.allclose(
         steps, steps[0], rtol=1e-9, atol=0.0
     ):
-        return "the plan's steps differ in length, which the FMU's Co-Simulation does not take"
+        return "the plan's steps differ in length, which the FMU's Co-Simulation does not support"
     return None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stepping:
-    """An initialised FMU and what is to be done with it.
+    """An initialised FMU and its task.
 
-    parts: calls of doStep a step of the plan; slopes: whether the FMU is told those of the inputs;
-        states: how many of the outputs are positions and
-    velocities, and come first.
+    - parts: doSteps per plan step.
+    - slopes: pass input derivatives.
+    - states: number of leading outputs that are positions and velocities.
     """
 
     fmu: Instance
@@ -86,51 +75,53 @@ def simulate(
     *,
     fmu: Instance | None = None,
 ) -> Run:
-    """Step over the plan's grid.
-
-    Outputs and knots are those of the plan's nodes, accumulated stays empty.
+    """Step over the plan's grid and record the plan's nodes.
 
     Parameters
     ----------
-    package : unpacked, with Co-Simulation.
-    variables : the references of what is set and read.
-    start : (n,) start values [unit of each variable], in the order of Variables.start.
-    inputs : of the plan, with feedback or without.
-    fineness : internal steps a plan step; an FMU without the parameter `internal_step` gets
-        fineness/50 calls of doStep a step. Inputs that are lines
-        within a step become stairs of `fineness` calls, each at its middle, for an FMU that takes
-        no slopes: wrong by the square of a stair.
-    fmu : an instance that is as new, and stays loaded; None: one is loaded for this run.
+    package
+        Unpacked, with Co-Simulation.
+    start
+        (n,) start values [unit of each variable], in the order of Variables.start.
+    fineness
+        Internal steps per plan step. Without the parameter `internal_step`: fineness/50 doSteps.
+        Linear inputs without slopes: `fineness` midpoint stairs, with an error of second order.
+    fmu
+        A fresh instance that stays loaded; None loads one for this run.
 
     Raises
     ------
-    Fault : if it returns early.
-    MachineError : without a compiler.
+    Fault
+        If doStep returns early.
+    MachineError
+        Without a compiler.
     """
     run, kept = Run(), fmu
     try:
         fmu = fmu or load_instance(package, "CS")
         try:
-            own, own_step = (
+            internal_step, own_step = (
                 [] if variables.internal_step is None else [variables.internal_step],
                 base_step(inputs.grid) / fineness,
             )
-            given, settings = (
+            input_references, settings = (
                 References(variables.u),
                 [*variables.parameters, *zip(variables.start, start.tolist(), strict=True)],
             )
-            settings += [(reference, own_step) for reference in own]
+            settings += [(reference, own_step) for reference in internal_step]
             fmu.choose(variables.choices)
-            fmu.initialise(float(inputs.times[0]), settings, given, inputs.begin(0, None))
-            # FMI 3.0 has no call for inputs that are lines within a communication step.
+            fmu.initialise(
+                float(inputs.times[0]), settings, input_references, inputs.begin(0, None)
+            )
+            # FMI 3.0 has no call for inputs that are linear within a step.
             interpolates = (
                 package.cosimulation is not None and package.cosimulation.canInterpolateInputs
             )
             slopes = inputs.linear and interpolates and not package.is_three
-            parts = 1 if own else max(1, fineness // FINENESS_OF_A_CALL)
+            parts = 1 if internal_step else max(1, fineness // FINENESS_OF_A_CALL)
             parts = fineness if inputs.linear and not slopes else parts
             stepping = Stepping(
-                fmu=fmu, given=given, outputs=References(variables.outputs), inputs=inputs,
+                fmu=fmu, given=input_references, outputs=References(variables.outputs), inputs=inputs,
                 parts=parts, slopes=slopes,
                 states=len(variables.q) + len(variables.v),
             )  # fmt: skip
@@ -145,7 +136,7 @@ def simulate(
 
 
 def record_start(stepping: Stepping, run: Run) -> bool:
-    """Record the outputs at the first node; False if they end the run."""
+    """Record the outputs at the first node; return False if they end the run."""
     time, values = float(stepping.inputs.times[0]), stepping.fmu.read(stepping.outputs).copy()
     if not np.isfinite(values).all():
         run.end_without_number(time)
@@ -159,10 +150,7 @@ def record_start(stepping: Stepping, run: Run) -> bool:
 
 
 def step_through(stepping: Stepping, run: Run) -> None:
-    """All steps of the plan, recorded in `run`, which holds the first node.
-
-    Raises FMICallException, Fault.
-    """
+    """Take all steps of the plan after the first node. Raises FMICallException, Fault."""
     fmu, inputs, states = stepping.fmu, stepping.inputs, stepping.states
     given, width, steps = stepping.given.count, stepping.outputs.count, len(inputs.values)
     called = ["GetReal", "SetReal", "DoStep"]
@@ -210,7 +198,7 @@ def step_through(stepping: Stepping, run: Run) -> None:
 
 
 def early_return(reached: float) -> Misbehaviour:
-    """reached: where the FMU came back from a step before its end [s]."""
+    """Return the error of a doStep that returned early, at `reached` [s]."""
     return Misbehaviour(f"it returned early at {reached:g} s, which was not allowed")
 
 

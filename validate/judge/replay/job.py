@@ -1,4 +1,4 @@
-"""The four simulations of a replay as one job, which runs in this process or in a child (validate.processes.isolated).
+"""All simulations of a replay as one job, in this process or in a child process.
 
 job = Job(package=package, variables=variables, plan=plan, start=start, limits=Limits(), ...)
 job.run().judged.outputs
@@ -42,10 +42,8 @@ from validate.processes.isolated import (
     unpacked_from,
 )
 
-# Arrays of a run.
 _RECORDED = ("t", "outputs", "accumulated", "knots", "applied")
-# What an ending of the child means for the replay. The others are mistakes: of the user (a
-# sentence), of the machine, or ours.
+# Outcomes by the child's ending; other endings are errors of the user, the machine or ours.
 _ENDED = {
     Ending.TIME_LIMIT: ReplayOutcome.TIME_LIMIT,
     Ending.MEMORY_LIMIT: ReplayOutcome.MEMORY_LIMIT,
@@ -57,11 +55,9 @@ _ENDED = {
 
 @dataclass(frozen=True, kw_only=True)
 class Simulated:
-    """The runs of a replay.
+    """The runs of a replay, one per tolerance or step; empty if the FMU cannot.
 
-    reference, everyday: one run a tolerance or step, empty where the FMU cannot; coarsest_first:
-    whether the last everyday run has the shortest step; refusal: why there is no everyday run;
-    note: what else is to be recorded; CPU seconds of each.
+    refusal: why there is no everyday run; seconds: CPU time.
     """
 
     reference: tuple[Run, ...]
@@ -74,33 +70,22 @@ class Simulated:
 
     @property
     def judged(self) -> Run:
-        """The most accurate run: the last of the reference, or without one of the everyday replay."""
+        """Return the most accurate run: the last reference, else the last everyday run."""
         return (self.reference or self.everyday)[-1]
 
 
-# How much of what an FMU prints is quoted [characters].
+# Length of quoted output of an FMU [characters].
 _QUOTED = 60
 
 
 def simulate(
     request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """All simulations of a job in a child.
+    """Run all simulations of a job in a child process.
 
-    Parameters
-    ----------
-    request : path of the FMU; loops, the compiled ones, where they are not to be looked for; kept,
-        whether the child is called many times, and reads and
-        unpacks the FMU once.
-    arrays : Simulations, and their feedback or None, packed.
-
-    Returns
-    -------
-    What JSON holds of the runs, and their arrays.
-
-    Raises
-    ------
-    FmuError : if the FMU cannot be opened, or misbehaves.
+    request: path of the FMU; loops, the compiled library; kept, whether this child is reused and
+    keeps the FMU unpacked. arrays: Simulations and feedback, packed (n,) [-]. Returns JSON data of
+    the runs, and their arrays. Raises FmuError if the FMU cannot be opened, or misbehaves.
     """
     before = None if request["kept"] else surroundings()
     package = _kept(request["path"]) if request["kept"] else read_package(Path(request["path"]))
@@ -137,7 +122,7 @@ def _simulate(
     feedback: Feedback | None,
     before: dict[str, Any] | None = None,
 ) -> Simulated:
-    """All simulations of a job in this process. before: what it was like before the FMU was there, where changes of that are to be told."""
+    """Run all simulations here. before: process state to report changes from."""
     inputs = (
         HeldInputs(job.plan, feedback)
         if job.world is None
@@ -178,7 +163,7 @@ def _simulate(
 
 @cache
 def _kept(path: str) -> Package:
-    """An FMU that stays unpacked as long as this process lives, in its own folder of temporary files."""
+    """Return an FMU that stays unpacked for the lifetime of this process."""
     package = read_package(Path(path))
     folder = Path(tempfile.mkdtemp())
     unpack(package, folder, leave_out=NOT_RUN)
@@ -187,14 +172,13 @@ def _kept(path: str) -> Package:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Simulations:
-    """What is simulated of an FMU.
+    """Settings of the simulations of an FMU.
 
-    start: (n,) start values [unit of each variable], in the order of Variables.start; tolerances:
-        relative, of the reference, the looser first;
-    fineness: internal steps a plan step of the everyday replay, the coarser first; parts, max_step:
-        of the reference
-    (validate.judge.replay.reference.integrate); world: a perturbed one,
-    whose start and inputs are in the FMU's units.
+    - start: (n,) [unit of each variable], ordered as Variables.start.
+    - tolerances: relative, the looser first.
+    - fineness: internal steps per plan step, the coarser first.
+    - parts, max_step: of `integrate`.
+    - world: a perturbed one in the FMU's units.
     """
 
     variables: Variables
@@ -212,8 +196,9 @@ class Simulations:
 class Job(Simulations):
     """The simulations of one FMU, and where they run.
 
-    limits: of the child, None: in this process; ours: whether the FMU is one that we made; child:
-        one for many jobs, None: every job has its own.
+    - limits: of the child, None: in this process.
+    - ours: an FMU built by us.
+    - child: shared by many jobs, None: one per job.
     """
 
     package: Package
@@ -222,17 +207,15 @@ class Job(Simulations):
     child: IsolatedCalls | None = None
 
     def run(self, feedback: Feedback | None = None) -> Simulated:
-        """Run all simulations, here or in a child.
+        """Run all simulations; a crash of the child is an outcome.
 
-        What ended the child is an outcome. feedback: in the FMU's units; None: the inputs alone.
-
-        Raises FmuError if the FMU cannot be opened, or misbehaves, MachineError if this machine
-        cannot run it.
+        feedback: in the FMU's units. Raises FmuError if the FMU cannot be opened, or misbehaves,
+        and MachineError if this machine cannot run it.
         """
         package, jobs = self.package, [self]
         if self.limits is None:
             return _simulate(self, package, feedback)
-        if _only_once(package):  # one instance a process: every run has a process of its own
+        if _only_once(package):  # so each run gets its own process
             jobs = [
                 replace(self, tolerances=(rtol,), fineness=())
                 for rtol in self.tolerances
@@ -252,7 +235,7 @@ class Job(Simulations):
     def _in_child(self, feedback: Feedback | None) -> Simulated:
         package = self.package
         child = None if _only_once(package) else self.child
-        # The loops are compiled here, where no limit of the FMU's holds.
+        # Compiled here, outside the FMU's limits.
         request = {
             "path": str(package.path.resolve()),
             "loops": str(library_path()),
@@ -262,8 +245,8 @@ class Job(Simulations):
             run_isolated, limits=self.limits, what=f"FMU {package.path}", ours=self.ours
         )
 
-        asked = {field.name: getattr(self, field.name) for field in fields(Simulations)}
-        arrays = packed(Simulations(**asked), feedback)
+        settings = {field.name: getattr(self, field.name) for field in fields(Simulations)}
+        arrays = packed(Simulations(**settings), feedback)
         done = call("validate.judge.replay.job:simulate", request, arrays=arrays)
         if done.ending in _ENDED:
             ended: tuple[Run, ...] = (Run(outcome=_ENDED[done.ending], message=done.sentence),)
@@ -300,7 +283,6 @@ def _only_once(package: Package) -> bool:
 
 
 def _together(parts: list[Simulated]) -> Simulated:
-    """One job's worth of runs, each from a process of its own."""
     return Simulated(
         reference=tuple(run for part in parts for run in part.reference),
         everyday=tuple(run for part in parts for run in part.everyday),

@@ -1,15 +1,11 @@
-"""The map of somebody's FMU: MAP.toml, how it and somebody's plan belong together.
-
-or, where none is given, by equal names.
+"""The map of an external FMU: MAP.toml assigns columns of a plan to variables.
 
     [positions]
     x = "cart.s"  # column of the plan = variable of the FMU
     y = { variable = "cart2.s_mm", scale = 0.001 }           # plan's value = scale * FMU's + offset
 
-Every mistake is reported with its path, all in one sentence. See docs/replay.md for all sections.
-
-And whether a unit can be that of a quantity: a scale turns one unit of a quantity into another, but
-no mass into a length.
+Without a map equal names are used. Mistakes are reported in one sentence, with their paths. All
+sections: docs/replay.md.
 """
 
 from __future__ import annotations
@@ -34,7 +30,7 @@ from validate.processes.toml_text import TomlError, is_number, mistake, read_tom
 
 
 class MapError(TouchstoneError):
-    """A map file cannot be read, or names what the plan or the FMU does not have."""
+    """The map cannot be read, or contradicts the plan or the FMU."""
 
 
 class _Strict(BaseModel):
@@ -42,10 +38,9 @@ class _Strict(BaseModel):
 
 
 class Signal(_Strict):
-    """A variable of the FMU.
+    """A variable of the FMU; unit: of the plan's column.
 
-    For outputs: plan = scale * FMU + offset; for inputs: FMU = scale * plan + offset. unit: of the
-    plan's column.
+    Outputs: plan = scale * FMU + offset. Inputs: FMU = scale * plan + offset.
     """
 
     variable: str = Field(min_length=1)
@@ -60,16 +55,13 @@ class Signal(_Strict):
 
 
 class VelocitySignal(Signal):
-    """column: of the plan; without one, v_<position>."""
+    """A velocity; column: of the plan, default v_<position>."""
 
     column: str | None = None
 
 
 class InputSignal(Signal):
-    """lower, upper: bounds in the unit of the plan's column.
-
-    Without one, the FMU's own min and max.
-    """
+    """An input with bounds in the unit of the plan's column, default the FMU's min and max."""
 
     lower: float | None = None
     upper: float | None = None
@@ -86,10 +78,11 @@ class InputSignal(Signal):
 
 
 class ContactEntry(_Strict):
-    """A contact: its force, positive when it pushes, and its gap, negative in contact, as variables of the FMU.
+    """A contact: force (positive if pushing) and gap (negative in contact).
 
-    column: of the planned force, lam_<name> without one; depth: penetration at which the FMU's
-        model of the contact ends, in the unit of the gap [m]; nominal_force: a typical force [N].
+    - column: of the planned force, default lam_<name>.
+    - depth: largest penetration that the FMU's contact model allows, in the gap's unit.
+    - nominal_force: a typical force [N].
     """
 
     force: Signal | None = None
@@ -118,10 +111,7 @@ class _Valued(_Strict):
 
 
 class MapLimit(_Valued):
-    """value: the largest with which a plan still holds.
-
-    waived: the metric's default limit does not count, for a reason that must be given.
-    """
+    """The largest value with which a plan holds, or `waived` with a reason."""
 
     value: float | None = Field(default=None, ge=0.0)
     waived: bool = False
@@ -139,17 +129,14 @@ class MapLimit(_Valued):
 
 
 class UncertaintyEntry(_Valued):
-    """value: how far a parameter may be from what it is, both ways, in the FMU's unit; and why."""
+    """Half-width of a parameter's range, in the FMU's unit."""
 
     value: float = Field(ge=0.0)
     reason: str = "stated in the map"
 
 
 class PlanEntry(_Strict):
-    """time: name of the time column.
-
-    hold: of the inputs within a step, None: as the plan declares, else zero.
-    """
+    """Name of the time column; hold of the inputs, default the plan's, else zero."""
 
     time: str = "t"
     hold: Literal["zero", "linear"] | None = None
@@ -162,13 +149,13 @@ def _start(value: Any) -> Any:
 
 
 class TaskEntry(_Strict):
-    """duration: how long a plan of this task lasts [s]."""
+    """Duration of a plan of this task [s]."""
 
     duration: float | None = Field(default=None, gt=0.0)
 
 
 class AccuracyEntry(_Strict):
-    """How far the results of a Co-Simulation may be from the truth, as its author states it: of any position, velocity and gap, in the plan's units."""
+    """Errors of Co-Simulation results as the FMU's author states them, in the plan's units."""
 
     position: float | None = Field(default=None, gt=0.0)
     velocity: float | None = Field(default=None, gt=0.0)
@@ -176,7 +163,7 @@ class AccuracyEntry(_Strict):
 
 
 class MapFile(_Strict):
-    """The whole file. positions may be empty: then only contacts and the run itself can be shown."""
+    """The whole file. Without positions only contacts are judged."""
 
     plan: PlanEntry = PlanEntry()
     task: TaskEntry = TaskEntry()
@@ -193,7 +180,7 @@ class MapFile(_Strict):
     internal_step: str | None = None
 
     def lacks(self) -> dict[str, str]:
-        """Return what of q, v, lam and gap cannot be shown, and why."""
+        """Return which of q, v, lam and gap are missing, and why."""
         lacks = {}
         if not self.positions:
             lacks["q"] = "no positions are named"
@@ -215,26 +202,26 @@ def read_map(path: Path) -> MapFile:
     try:
         return MapFile.model_validate(_composed(path, data))
     except ValidationError as error:
-        found = "; ".join(map(_sentence, error.errors(include_url=False)))
-        raise MapError(f"map {path}: {found}{'' if found.endswith('?') else '.'}") from error
+        mistakes = "; ".join(map(_sentence, error.errors(include_url=False)))
+        raise MapError(f"map {path}: {mistakes}{'' if mistakes.endswith('?') else '.'}") from error
 
 
 def composed(text: str) -> str:
-    """A name in Unicode's composed form (NFC), in which names are compared: an umlaut may be written as one sign or as two that look the same."""
+    """Return a name in Unicode's composed form (NFC), so that equal-looking names are equal."""
     return text if text.isascii() else unicodedata.normalize("NFC", text)
 
 
 def _composed(path: Path, value: Any) -> Any:
     if not isinstance(value, dict):
         return composed(value) if isinstance(value, str) else value
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for name, item in value.items():
-        if composed(name) in found:
+        if composed(name) in result:
             raise MapError(
                 f"map {path}: two keys {composed(name)!r} look the same, but are written with other signs of Unicode."
             )
-        found[composed(name)] = _composed(path, item)
-    return found
+        result[composed(name)] = _composed(path, item)
+    return result
 
 
 def _sentence(problem: Any) -> str:
@@ -252,32 +239,29 @@ def _sentence(problem: Any) -> str:
 
 
 def _model_at(place: tuple[str | int, ...]) -> type[BaseModel]:
-    """The model of which the last part of this place would be a key."""
     if len(place) == 1:
         return MapFile
     section: Any = MapFile.model_fields[str(place[0])].annotation
     return Signal if len(place) == 4 else (get_args(section) or (section,))[-1]
 
 
-# What each quantity may be in, but for a factor. Pure numbers and radians pass for any: an arm of 1
-# m is often left out.
+# Units of each quantity, up to a factor. Numbers and radians match any, as an arm of 1 m is often
+# left out.
 QUANTITIES = {"position": ("m",), "velocity": ("m/s", "1/s"), "force": ("N", "N m"), "gap": ("m",)}
-# What forces and gaps of a contact are in without a scale, by what they are called where they
-# belong to an angle too.
+# Units of contact forces and gaps without a scale, also those of angles.
 CONTACT_UNITS = {"force": ("N", "N m", "N.m", "Nm"), "gap": ("m", "rad")}
-# What columns of a plan's friction forces begin with, as a scene's plan has them. A map has no
-# place for them: nothing of an FMU is held against them.
+# Prefix of friction columns, as in a scene's plan. An external FMU has no friction to compare.
 FRICTION = "friction_"
-# What is of mechanics, and what is not: the scale of a sensor only its maker knows.
+# Base units of mechanics.
 _MECHANICAL = ("kg", "m", "s")
+# Base units of sensors, whose scale is arbitrary.
 _OTHERS = ("A", "K", "mol", "cd")
 
 
 class Dimensions:
-    """Of the units of an FMU, by its own definitions, and of a plan, by ours."""
+    """Dimensions of units: an FMU's by its own definitions, a plan's by ours."""
 
     def __init__(self, description: Any) -> None:
-        """description: FMPy's."""
         self._defined = {
             unit.name: unit.baseUnit
             for unit in description.unitDefinitions
@@ -285,12 +269,12 @@ class Dimensions:
         }
 
     def contradicts(self, unit: str | None, what: str, of_fmu: bool = False) -> bool:
-        """Whether nothing in this unit is such a quantity."""
-        found = None if not unit else self._of_fmu(unit) if of_fmu else _ours(unit)
-        return bool(found) and found not in [_ours(name) for name in QUANTITIES[what]]
+        """Return whether this unit cannot be one of the quantity."""
+        exponents = None if not unit else self._of_fmu(unit) if of_fmu else _ours(unit)
+        return bool(exponents) and exponents not in [_ours(name) for name in QUANTITIES[what]]
 
     def is_rate(self, unit: str | None) -> bool:
-        """Whether a variable in this unit of the FMU is a velocity, by the unit's definition or name."""
+        """Return whether an FMU's variable in this unit is a velocity, by definition or name."""
         defined = self._defined.get(unit)
         if defined is None:
             return unit in _RATES
@@ -307,37 +291,30 @@ class Dimensions:
 
 
 def may_be_rate(position: str, velocity: str) -> bool:
-    """Whether a velocity is in its position's unit per second, as far as both units are known.
-
-    "1" is a unit that nobody told.
-    """
+    """Return whether a velocity may be in its position's unit per second; "1" is unknown."""
     try:
-        expected, found = dict(base_exponents(position)), base_exponents(velocity)
-    except ValueError:  # a unit that we do not know
+        expected, exponents = dict(base_exponents(position)), base_exponents(velocity)
+    except ValueError:  # an unknown unit
         return True
-    if not expected or not found:
+    if not expected or not exponents:
         return True
     expected["s"] = expected.get("s", 0) - 1
-    return found == {base: power for base, power in expected.items() if power}
+    return exponents == {base: power for base, power in expected.items() if power}
 
 
 def _ours(unit: str) -> dict[str, int] | None:
-    """Exponents of kg, m and s; None of a unit that we do not know."""
     try:
         return {base: power for base, power in base_exponents(unit).items() if base in _MECHANICAL}
     except ValueError:
         return None
 
 
-# Velocities by their names, in an FMU that defines no units.
+# Units of velocities in an FMU without unit definitions.
 _RATES = ("m/s", "rad/s")
 
 
 def _check_numbers(package: Package, variable: Any) -> None:
-    """Raises FmuError for a start, bound or nominal of a variable that is no number.
-
-    Those of an array are separated by blanks.
-    """
+    """Raise FmuError if a start, bound or nominal is no number, or list of numbers."""
     for what in ("start", "min", "max", "nominal"):
         if (text := getattr(variable, what, None)) is None:
             continue
@@ -348,41 +325,39 @@ def _check_numbers(package: Package, variable: Any) -> None:
             raise FmuError(f"FMU {package.path}: {why}.") from None
 
 
-# What a map takes, and what to do with anything else.
+# Supported variables, and advice for others.
 _TAKEN = (
     f"a map takes variables of one floating-point number ({', '.join(REAL)}); leave it out (inputs and parameters keep their start values), "
     "or wrap the FMU in one that has such a variable for it"
 )
-# Names from which on only some are compared with one that is not there, and how many: comparing
-# takes up to 40 us a name.
+# Largest number of names to compare with an unknown one; comparing takes up to 40 us a name.
 _MANY = 2000
 
 
 def is_input(variable: Any) -> bool:
-    """Whether it is an input."""
+    """Return whether the variable is an input."""
     return variable.causality == "input"
 
 
 def is_parameter(variable: Any) -> bool:
-    """Whether it is a parameter of one number."""
+    """Return whether the variable is a scalar parameter."""
     return variable.causality == "parameter" and not getattr(variable, "dimensions", None)
 
 
 def is_started(variable: Any) -> bool:
-    """Whether an FMU lets a state's start be set, and says what it is otherwise."""
+    """Return whether a state's start can be set and has a default."""
     return variable.initial in ("exact", "approx") and variable.start is not None
 
 
 def is_startable(variable: Any) -> bool:
-    """Whether a map may give its start value."""
+    """Return whether a map may set the start value."""
     return variable.causality in ("parameter", "input") or variable.initial in ("exact", "approx")
 
 
 class Named:
-    """The variables of an FMU by their names, in Unicode's composed form.
+    """The variables of an FMU by their NFC names.
 
-    `twice`: names that are there more than once, which FMI forbids; `aliases`: names of each value
-    that a map takes, by its reference.
+    twice: duplicate names, which FMI forbids; aliases: supported names by reference.
     """
 
     def __init__(self, package: Package) -> None:
@@ -400,20 +375,17 @@ class Named:
                     names.append(name)
 
     def alias(self, variable: Any, wanted: Callable[[Any], bool]) -> Any:
-        """The first variable of the same value that is wanted, else the variable itself."""
+        """Return the variable or its first alias that satisfies `wanted`, else the variable."""
         names = self.aliases.get(int(variable.valueReference), ())
-        found = (self.by_name[name] for name in names if wanted(self.by_name[name]))
-        return variable if wanted(variable) else next(found, variable)
+        matches = (self.by_name[name] for name in names if wanted(self.by_name[name]))
+        return variable if wanted(variable) else next(matches, variable)
 
     def numbers(self) -> list[str]:
-        """Names of the variables that are numbers."""
+        """Return the names of floating-point variables."""
         return [name for name, variable in self.by_name.items() if variable.type in REAL]
 
     def refusal(self, name: str) -> str:
-        """Why a map cannot take a variable of this name, a clause without full stop.
-
-        Empty where it can.
-        """
+        """Return why a map cannot use this variable, as a clause, or ""."""
         variable, array = self.by_name.get(name), name.rpartition("[")[0]
         if name in self.twice:
             return f"the FMU has two variables {name!r}, so it is not clear which is meant"
@@ -427,9 +399,9 @@ class Named:
 
 
 def by_equal_names(named: Named, table: Table, dimensions: Dimensions) -> MapFile:
-    """Columns are what the FMU's variables of their names are: inputs; lam_X (with gap_X) contacts.
+    """Return the map of equal names: inputs; lam_X with gap_X as contacts; rates as velocities.
 
-    friction_X left out where it is a force; in a unit of velocity velocities; else positions.
+    Other columns are positions; friction_X forces are left out.
     """
     by_name = named.by_name
     sections: dict[str, dict[str, Any]] = {"inputs": {}, "positions": {}, "contacts": {}}
@@ -474,10 +446,7 @@ def by_equal_names(named: Named, table: Table, dimensions: Dimensions) -> MapFil
 
 
 def paired(positions: list[str], rates: list[str], by_name: Mapping[str, Any]) -> dict[str, str]:
-    """Velocity of each position: the FMU says that it is its derivative, or its name does.
-
-    The others by their order in the plan.
-    """
+    """Return the velocity of each position: by derivative, then name, then order in the plan."""
     pairs = {}
     for rate in rates:
         of = getattr(by_name[rate], "derivative", None)
@@ -494,7 +463,7 @@ def paired(positions: list[str], rates: list[str], by_name: Mapping[str, Any]) -
 
 
 def hint(name: str, known: Iterable[str]) -> str:
-    """Names that are near it, for the end of a sentence."""
+    """Return similar names in parentheses, or ""."""
     known = list(known)
     if len(known) > _MANY:
         parts = {name[at : at + 3].lower() for at in range(max(1, min(len(name), 200) - 2))}
@@ -508,14 +477,14 @@ def hint(name: str, known: Iterable[str]) -> str:
 
 
 def number(text: Any) -> float:
-    """A number that an FMU states, 0 where it states none, or nothing finite."""
+    """Return the FMU's number, 0 if absent or not finite."""
     try:
-        found = float(text)
+        value = float(text)
     except (TypeError, ValueError):
         return 0.0
-    return found if math.isfinite(found) else 0.0
+    return value if math.isfinite(value) else 0.0
 
 
 def positive(nominal: Any) -> float:
-    """A nominal that an FMU states, 1 where it states none, or one that is not positive."""
+    """Return the FMU's nominal, 1 if absent or not positive."""
     return float(nominal) if nominal is not None and float(nominal) > 0 else 1.0

@@ -1,6 +1,6 @@
-"""Map, plan and FMU brought together: MAP.toml (or equal names) -> a ForeignModel, its wiring, and the plan as a Trajectory.
+"""Connect map, plan and external FMU; equal names replace a missing MAP.toml.
 
-foreign, trajectory = wire(package, PlanTable(path), map_file, hold)
+foreign, trajectory = wire(package, PlanTable(path), map_file, hold, where)
 """
 
 from __future__ import annotations
@@ -44,27 +44,27 @@ from validate.judge.replay.map_schema import (
 from validate.judge.replay.result import Difference
 from validate.judge.replay.wiring import INTERNAL_STEP, Variables, columns_or_zeros
 
-# Steps that the task of an FMU counts as.
+# Steps of an external FMU's task.
 _STEPS = 500
-# Largest difference of the plan's first row and the FMU's start value, in nominals.
+# Largest difference of the plan's first row from the FMU's start value, in nominals.
 _SAME_START = 1e-6
-# A clock whose ticks are a larger share of a step than this hides what happens within it: events are
-# located to a millionth of a step, which takes three digits more.
+# Largest spacing of a clock's numbers, as a fraction of a step. Events are located to a millionth
+# of a step, which takes three more digits.
 _TICK = 1e-9
-# Largest relative excess of a bound in the map over the FMU's own bound: rounding of units.
+# Largest relative excess of a bound over the FMU's own bound: rounding of units.
 _ROUNDING = 1e-9
 
 
 def wire(
-    package: Package, table: Table, given: MapFile | None, hold: str | None, where: str
+    package: Package, table: Table, map_file: MapFile | None, hold: str | None, where: str
 ) -> tuple[subject.Foreign, Trajectory]:
-    """where: the subject of a mistake's message, "map FILE" or "FMU FILE".
+    """Return the wired FMU and the plan; where: "map FILE" or "FMU FILE", for messages.
 
     Raises MapError, TrajectoryError.
     """
     named = Named(package)
-    whole = given or map_schema.by_equal_names(named, table, Dimensions(package.description))
-    wiring = _Wiring(package, named, table, whole, where)
+    complete = map_file or map_schema.by_equal_names(named, table, Dimensions(package.description))
+    wiring = _Wiring(package, named, table, complete, where)
     plan, start = wiring.trajectory(hold), wiring.counted_from
     wired = wiring.foreign(), plan if start is None else plan.from_zero(start)
     wiring.check_first_row()
@@ -84,7 +84,7 @@ class _Wiring:
         )
         self._by_name = named.by_name
         self._dimensions = Dimensions(package.description)
-        # Where it stands in the map, column and signal of each.
+        # Path in the map, column and signal of each.
         self._positions: list[tuple[str, str, Signal]] = [
             (f"positions.{name}", name, signal) for name, signal in given.positions.items()
         ]
@@ -96,8 +96,6 @@ class _Wiring:
         self._check_limits()
         self._check_columns()
         self.lacks = self.map.lacks()
-
-    # Names
 
     def _fail(self, path: str, text: str) -> MapError:
         return MapError(f"{self._where}: {path}: {text}")
@@ -111,7 +109,6 @@ class _Wiring:
         return int(self._variable(path, name).valueReference)
 
     def _place(self, name: str) -> int:
-        """The reference of a variable that was checked."""
         return int(self._by_name[name].valueReference)
 
     def _parameter(self, path: str, name: str, value: float | None = None) -> int:
@@ -187,10 +184,7 @@ class _Wiring:
                 )
 
     def _check_unit(self, path: str, column: str, signal: Signal) -> None:
-        """A unit that the map or the plan's header says, against the FMU's.
-
-        Where they differ, a scale must say how.
-        """
+        """Check a unit of the map or the plan's header against the FMU's; a scale may convert."""
         variable = self._variable(path, signal.variable)
         written = self._table.units.get(column)
         if signal.unit and written and signal.unit != written:
@@ -217,29 +211,31 @@ class _Wiring:
             raise self._fail(path, "scale is 0; it must not be.")
 
     def _check_quantity(self, path: str, what: str, column: str, signal: Signal) -> None:
-        """No scale makes a length of a mass."""
-        own, said = self._variable(path, signal.variable).unit, self._table.units.get(column)
+        """Check that signal and quantity have one dimension, which no scale can change."""
+        fmu_unit, plan_unit = (
+            self._variable(path, signal.variable).unit,
+            self._table.units.get(column),
+        )
         known = {
-            repr(signal.variable): (own, True),
+            repr(signal.variable): (fmu_unit, True),
             "it": (signal.unit, False),
-            f"the plan's {column!r}": (said, False),
+            f"the plan's {column!r}": (plan_unit, False),
         }
-        for whose, (unit, of_fmu) in known.items():
+        for source, (unit, of_fmu) in known.items():
             if self._dimensions.contradicts(unit, what, of_fmu):
                 raise self._fail(
                     path,
-                    f"{whose} is in {unit!r}, which no scale makes a {what}, in {' or '.join(QUANTITIES[what])}.",
+                    f"{source} is in {unit!r}, which no scale makes a {what}, in {' or '.join(QUANTITIES[what])}.",
                 )
 
     def _check_once(self, read: dict[int, str], path: str, variable: str) -> None:
-        """A variable is one thing: by its reference, as an FMU may call it by two names."""
+        """Check that a variable is mapped once, by its reference: an FMU may have aliases."""
         reference = self._reference(path, variable)
         if reference in read:
             raise self._fail(path, f"{variable!r} is {read[reference]} already.")
         read[reference] = path
 
     def _check_rate(self, name: str) -> None:
-        """A velocity is in its position's unit per second, where both units are known."""
         position, velocity = (
             self._unit(name, self.map.positions[name]),
             self._unit(self._velocity_column(name), self.map.velocities[name]),
@@ -251,35 +247,31 @@ class _Wiring:
             )
 
     def _check_contact_unit(self, path: str, what: str, signal: Signal) -> None:
-        """Forces are in N, gaps in m.
-
-        Where the FMU has another unit, a scale must say how - if only `scale = 1.0`.
-        """
-        known, own = CONTACT_UNITS[what], self._variable(path, signal.variable).unit
+        """Check force and gap units: N and m, or a scale (even `scale = 1.0`)."""
+        known, fmu_unit = CONTACT_UNITS[what], self._variable(path, signal.variable).unit
         if signal.unit and signal.unit not in known:
             raise self._fail(
                 path,
                 f"it is in {signal.unit!r}, but a {what} must be in {known[0]!r} behind its scale, as in the plan.",
             )
-        if own and own not in known and not signal.model_fields_set & {"scale", "offset"}:
+        if fmu_unit and fmu_unit not in known and not signal.model_fields_set & {"scale", "offset"}:
             raise self._fail(
                 path,
-                f"{signal.variable!r} is in {own!r}, but a {what} must be in {known[0]!r}; give a scale.",
+                f"{signal.variable!r} is in {fmu_unit!r}, but a {what} must be in {known[0]!r}; give a scale.",
             )
         self._check_scale(path, signal)
 
     def _check_limits(self) -> None:
-        """A goal needs a limit that says how near is near enough, of its positions and of its velocities."""
         given = self.map
         for part, columns in (
             ("position", given.positions),
             ("velocity", map(self._velocity_column, given.velocities)),
         ):
             metric = f"replay_terminal_{part}_error"
-            asked = next((column for column in columns if column in given.goal), None)
-            if asked is not None and metric not in given.limits:
+            goal_column = next((column for column in columns if column in given.goal), None)
+            if goal_column is not None and metric not in given.limits:
                 raise self._fail(
-                    f"goal.{asked}",
+                    f"goal.{goal_column}",
                     f"no limit says how near is near enough; add {metric} = {{ value = .., reason = '..' }} to [limits].",
                 )
 
@@ -288,7 +280,7 @@ class _Wiring:
 
     @property
     def _time(self) -> str:
-        """The column of times: a table calls `time` t."""
+        """Return the column of times; a table names the column `time` t."""
         named = self.map.plan.time
         renamed = named not in self._table.names and named.lower() == "time"
         return "t" if renamed else named
@@ -327,7 +319,6 @@ class _Wiring:
             table.check_unit(self._force_column(name), *CONTACT_UNITS["force"])
 
     def _check_roles(self) -> None:
-        """A column is one thing."""
         given, roles = self.map, {self._time: "the time (plan.time)"}
         claims = [
             (name, f"inputs.{name}", "call one of the two otherwise") for name in given.inputs
@@ -352,14 +343,12 @@ class _Wiring:
 
     @cached_property
     def counted_from(self) -> float | None:
-        """The FMU's own start [s], from which times are counted that a clock tells, since 1970 for example; None of other plans."""
+        """Return the FMU's start [s] if the plan has a clock's coarse times, else None."""
         times = self._table.column(self._time, last_is_open=False)
         experiment = getattr(self._package.description, "defaultExperiment", None)
         start = map_schema.number(getattr(experiment, "startTime", None))
         coarse = np.spacing(np.abs([times[0], start])) > _TICK * np.abs(np.diff(times)).min()
         return start if coarse[0] and not coarse[1] else None
-
-    # What comes of it
 
     def foreign(self) -> subject.Foreign:
         given, lacks = self.map, self.lacks
@@ -378,8 +367,8 @@ class _Wiring:
             list(given.inputs.values()),
         )
         references: dict[str, Any] = {
-            group: tuple(self._place(signal.variable) for signal in found)
-            for group, found in {**read, "u": driven}.items()
+            group: tuple(self._place(signal.variable) for signal in items)
+            for group, items in {**read, "u": driven}.items()
         }
         settings, internal = (
             self._settings(),
@@ -411,8 +400,7 @@ class _Wiring:
         )
 
     def _settings(self) -> list[tuple[int, float]]:
-        """Return the references and values of the map's [start]."""
-        given, found = self.map, {}
+        given, values = self.map, {}
         taken: dict[int, str] = {}
         for name in given.parameters:
             self._check_once(taken, f"parameters.{name}", name)
@@ -429,21 +417,20 @@ class _Wiring:
                         f"{lack_of(self._table, value)} in the plan{map_schema.hint(value, self._table.names)}.",
                     )
                 value = self._first(path, name, value)
-            found[self._startable(path, name)] = float(value)
-        return list(found.items())
+            values[self._startable(path, name)] = float(value)
+        return list(values.items())
 
     def _first(self, path: str, name: str, column: str) -> float:
-        """Return the first value of a plan's column, in the FMU's unit."""
         first = float(self._table.column(column, False)[0])
-        for _, own, signal in self._positions + self._velocities:
-            if own == column and signal.variable == name:
+        for _, own_column, signal in self._positions + self._velocities:
+            if own_column == column and signal.variable == name:
                 return (first - signal.offset) / signal.scale
         if unit := self._variable(path, name).unit:
             self._table.check_unit(column, unit)
         return first
 
     def check_first_row(self) -> None:
-        """Raise MapError if the plan's first row differs from a start value that [start] leaves out."""
+        """Raise MapError if the plan's first row contradicts a start value missing in [start]."""
         named = {self._place(name) for name in self.map.start}
         for _, column, signal in self._positions + self._velocities:
             variable = self._named.alias(self._by_name[signal.variable], is_started)
@@ -462,8 +449,8 @@ class _Wiring:
                 )
 
     def _uncertain(self, internal: str | None) -> tuple[subject.ForeignParameter, ...]:
-        """The parameters that may be otherwise: all with a value but `internal`, the FMU's own step."""
-        given, found = self.map, []
+        """Return the parameters with a value, without `internal`, the FMU's own step."""
+        given, parameters = self.map, []
         taken: dict[int, str] = {}
         for name in given.uncertainty:
             self._parameter(f"uncertainty.{name}", name)
@@ -490,7 +477,7 @@ class _Wiring:
             size, reason = (None, "") if entry is None else (entry.value, entry.reason)
             for end in (float(value) - size, float(value) + size) if size else ():
                 self._parameter(f"uncertainty.{name}", name, end)
-            told = {
+            fields = {
                 "unit": item.unit or "1",
                 "lower": lower,
                 "upper": upper,
@@ -498,23 +485,23 @@ class _Wiring:
                 "uncertainty_reason": reason,
                 "aliases": tuple(other for other in names if other != name),
             }
-            found.append(subject.ForeignParameter(name=name, value=float(value), **told))
-        return tuple(found)
+            parameters.append(subject.ForeignParameter(name=name, value=float(value), **fields))
+        return tuple(parameters)
 
     def _begin(self, settings: Mapping[int, float], signals: list[Signal]) -> dict[int, float]:
-        """Where a simulation starts, in the plan's units, by the places that can be set.
+        """Return the settable start values in the plan's units, by place.
 
-        settings: what the plan and the map set, by reference.
+        settings: values by reference, from plan and map.
         """
-        found = {}
+        starts = {}
         for place, signal in enumerate(signals):
             variable = self._named.alias(self._by_name[signal.variable], is_started)
             if is_started(variable):
-                found[place] = (
+                starts[place] = (
                     signal.scale * settings.get(int(variable.valueReference), float(variable.start))
                     + signal.offset
                 )
-        return found
+        return starts
 
     def _model(
         self, parameters: tuple[subject.ForeignParameter, ...], begin: Mapping[int, float]
@@ -572,7 +559,6 @@ class _Wiring:
         )
 
     def _limits(self) -> tuple[Limit, ...]:
-        """Return the limits of the map."""
         given = self.map.limits
         limits = [
             Limit(metric=name, value=entry.value, reason=entry.reason or "set in the map")
@@ -581,7 +567,7 @@ class _Wiring:
         return tuple(limits)
 
     def _accuracy(self) -> Difference | None:
-        """As a difference of two simulations: the state's is the norm of what each component may be wrong. Infinite is what is not stated."""
+        """Return the stated accuracy as a difference of two simulations; infinite if not stated."""
         stated, count = self.map.accuracy, len(self.map.positions)
         if stated.position is None and stated.velocity is None and stated.gap is None:
             return None
@@ -590,7 +576,7 @@ class _Wiring:
             for value in (stated.position, stated.velocity, stated.gap)
         )
         if "v" in self.lacks:
-            velocity = 0.0  # there is none that could be wrong
+            velocity = 0.0  # no velocity can be wrong
         return Difference(
             position=position,
             state=math.sqrt(count) * math.hypot(position, velocity) if count else velocity,
@@ -598,13 +584,9 @@ class _Wiring:
         )
 
     def _not_asked(self) -> tuple[str, ...]:
-        """For what the map or the FMU leaves out.
-
-        What the plan does not say is the score's to tell.
-        """
-        given, found = self.map, []
+        given, reasons = self.map, []
         if given.task.duration is None:
-            found.append("duration_error: the map gives no [task] duration")
+            reasons.append("duration_error: the map gives no [task] duration")
         for name, signal in given.inputs.items():
             bound = self._input(name, signal)
             ends = [
@@ -613,34 +595,34 @@ class _Wiring:
                 if math.isinf(end)
             ]
             if ends:
-                found.append(
+                reasons.append(
                     f"bound_violation: input {name} has no {' and no '.join(ends)} bound, neither in the map ([inputs]) nor in the FMU"
                 )
         if not given.goal:
-            found.append(
+            reasons.append(
                 "replay_terminal_position_error, replay_terminal_velocity_error: the map gives no [goal]"
             )
         if "q" in self.lacks:
-            found.append("replay_error: the map names no [positions]")
+            reasons.append("replay_error: the map names no [positions]")
         for name, entry in given.contacts.items():
             if entry.gap is None:
-                found.append(f"max_penetration: contact {name} has no gap in the map")
+                reasons.append(f"max_penetration: contact {name} has no gap in the map")
             elif entry.depth is None:
-                found.append(
+                reasons.append(
                     f"max_penetration: contact {name} has no depth in the map (depth = .., where its model ends)"
                 )
         if not given.contacts:
-            found.append(
+            reasons.append(
                 "max_penetration, ghost_impulse, missed_impulse: the map names no [contacts]"
             )
         elif "gap" in self.lacks or "lam" in self.lacks:
-            found.append(
+            reasons.append(
                 "ghost_impulse, missed_impulse: not every contact has both force and gap in the map"
             )
-        found.append(
+        reasons.append(
             "contact_law_error, defect: an FMU keeps its equations to itself; only a scene has them"
         )
-        return tuple(found)
+        return tuple(reasons)
 
     def _notes(self) -> tuple[str, ...]:
         notes, scheme = [], declared_scheme(self._table)
@@ -650,10 +632,10 @@ class _Wiring:
                 f"The plan's times are those of a clock: they are counted from its first row, {first:.10g} s, which is t = {self.counted_from:g} s of the FMU."
             )
         if scheme is not None:
-            said = (
+            why = (
                 "which is of a scene's equations; an FMU keeps its own, so nothing is asked of it."
             )
-            notes.append(f"The plan declares the scheme {scheme.value}, {said}")
+            notes.append(f"The plan declares the scheme {scheme.value}, {why}")
         if self._frictions:
             notes.append(
                 f"Nothing is asked of the plan's friction forces ({', '.join(self._frictions)}): an FMU's own are not read."
@@ -684,7 +666,7 @@ class _Wiring:
         return signal.unit or self._table.units.get(column) or own or "1"
 
     def _input(self, name: str, signal: InputSignal) -> subject.ForeignInput:
-        """Bounds in the plan's unit are those of the map, which may not lie beyond those that the FMU declares; else the latter."""
+        """Return an input with the map's bounds, which must lie within the FMU's, or the FMU's."""
         variable = self._named.alias(self._by_name[signal.variable], is_input)
         least, most = (
             -math.inf if variable.min is None else float(variable.min),
@@ -714,9 +696,9 @@ class _Wiring:
         )
 
     def trajectory(self, hold: str | None) -> Trajectory:
-        """The plan; what it does not say is in `missing`, with zeros in its place."""
+        """Return the plan; absent groups are in `missing`, filled with zeros."""
         given, table = self.map, self._table
-        # No velocities unless every position has one.
+        # Velocities count only if every position has one.
         velocities = (
             [self._velocity_column(name) for name in given.positions]
             if "v" not in self.lacks
@@ -758,7 +740,7 @@ class _Wiring:
             raise TrajectoryError(f"{error} ({table.source})") from error
 
     def _duration(self, missing: frozenset[str]) -> tuple[float, float] | None:
-        """How long a plan of inputs alone is meant to last, and how near to that is as long: half its own last step."""
+        """Return the duration of a plan of inputs alone, and its tolerance, half the last step."""
         duration, times = self.map.task.duration, self._table.column(self._time, False)
         if duration is None or "q" not in missing:
             return None

@@ -1,12 +1,11 @@
-"""Replays as NetCDF-4 files, with units; what is no array stands in the attribute `facts`, as JSON.
+"""Replays as NetCDF-4 files with units; other data is JSON in the attribute `facts`.
 
-write_replay(path, replay, scene, plan)         # every number, bit for bit
-write_drawn(path, replay, scene, plan, 1500)    # the columns and rows that a report draws
-columns, attributes = read_columns(path)        # models.netcdf
+    write_replay(path, replay, scene, plan)         # every number, bit for bit
+    write_drawn(path, replay, scene, plan, 1500)    # only the data that a report draws
+    columns, attributes = read_columns(path)        # models.netcdf
 
-Of a scene of ours the poses of its shapes stand there too (models.kinematics), for those who draw
-it without the scene. A tracked replay is a file of its own, with the inputs it applied; the law
-that made them, its gains, is stored with the plan (models.trajectory_netcdf).
+The poses of a scene's shapes are included, so that a report needs no scene. A tracked replay is a
+file of its own with the applied inputs; its gains are stored with the plan.
 """
 
 from __future__ import annotations
@@ -38,7 +37,6 @@ _SERIES = {
 
 
 def _groups(scene: Subject) -> dict[str, list[tuple[str, str, str]]]:
-    """(name, unit, description) of the columns of every array over time."""
     return {
         "q": [(item.name, item.unit, item.description) for item in scene.coordinates],
         "v": [
@@ -69,22 +67,21 @@ def _groups(scene: Subject) -> dict[str, list[tuple[str, str, str]]]:
     }
 
 
-# The groups of `_groups` that a report draws.
 _DRAWN = ("q", "lam", "gap", "friction")
 
 
 def write_replay(path: Path, replay: Replay, scene: Subject, plan: Trajectory) -> None:
-    """Write all columns of a replay of this plan. Raises MachineError if the file cannot be written."""
+    """Write all columns of a replay. Raises MachineError if the file cannot be written."""
     groups = _groups(scene)
     rows = np.arange(len(replay.t))
     _write(path, replay, scene, plan, {name: getattr(replay, name) for name in groups}, rows)
 
 
 def write_drawn(path: Path, replay: Replay, scene: Subject, plan: Trajectory, longest: int) -> None:
-    """Write the part of a replay that a report draws, in single precision but for the times.
+    """Write the data that a report draws, in single precision except for the times.
 
-    At most `longest` rows, evenly spread, and with them the nodes of the plan, the events and the
-    extremes of every column. Raises MachineError if the file cannot be written.
+    At most `longest` evenly spaced rows, plus the plan's nodes, events and extremes. Raises
+    MachineError if the file cannot be written.
     """
     arrays = {
         name: drawn(values) for name in _DRAWN if (values := getattr(replay, name)) is not None
@@ -112,7 +109,7 @@ def _write(
     arrays: Mapping[str, np.ndarray | None],
     rows: np.ndarray,
 ) -> None:
-    """Write these arrays of a replay, at these rows, which hold all nodes."""
+    """Write these arrays at these rows, which include all nodes."""
     if replay.scene != scene.name:
         raise TrajectoryError(
             f"file {path}: the replay is of scene {replay.scene}, not of {scene.name}."
@@ -180,17 +177,14 @@ def _write(
 
 
 def storable_name(name: str) -> str:
-    """The name as NetCDF allows it."""
+    """Return the name with characters that NetCDF allows."""
     return re.sub(r"[/\x00-\x1f\x7f]", "_", name).strip() or "_"
 
 
 def storable(columns: list[Column]) -> list[Column]:
-    """Columns of somebody's FMU under names that NetCDF allows and that are there once.
-
-    A name that had to be changed stands in the description.
-    """
+    """Return an FMU's columns under valid, unique names; descriptions keep the originals."""
     taken: set[str] = {"time", "node", "step"}  # dimensions
-    found = []
+    renamed = []
     for column in columns:
         name = base = storable_name(column.name)
         count = 1
@@ -203,5 +197,5 @@ def storable(columns: list[Column]) -> list[Column]:
             if name == column.name
             else f"{column.name}: {column.description}".rstrip(": ")
         )
-        found.append(replace(column, name=name, description=text))
-    return found
+        renamed.append(replace(column, name=name, description=text))
+    return renamed

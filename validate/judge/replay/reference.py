@@ -1,13 +1,10 @@
-"""The reference integrator: CVODE over a Model Exchange FMU, stopped at every gap event and at every jump of the inputs.
+"""Reference integrator: CVODE over a Model Exchange FMU, stopped at gap events and input jumps.
 
-    run = integrate(ExchangeModel(package, variables), start, inputs, rtol=1e-13, event_budget=10_000)
+    run = integrate(ExchangeModel(..), start, inputs, rtol=1e-13, event_budget=10_000)
 
-Between two such points the right-hand side is smooth, so the integrator's order and its error
-control hold; across one they would not. Adams' method (orders 1 to 12) needs half the evaluations
-of BDF here: contacts are springs, hardly damped.
-
-The loop is that of loops.c: one call a step of the plan, and one an event. CVODE is that of
-validate.fmi.cvode.
+Between stops the right-hand side is smooth, so order and error control hold. Adams' method (orders
+1 to 12) needs half the evaluations of BDF, because contacts are nearly undamped springs. The loop
+(loops.c) makes one call per plan step and one per event.
 """
 
 from __future__ import annotations
@@ -27,17 +24,15 @@ from validate.fmi.loops import SOLVER, Reason, address_of, structure
 from validate.judge.replay.result import DIVERGENCE, ReplayOutcome, Run, Stop
 from validate.judge.replay.wiring import HeldInputs, Variables
 
-# Parts of each step of the plan at whose ends the motion is recorded: enough to see what happens
-# between nodes.
+# Recorded points per step of the plan, so that motion between nodes is visible.
 PARTS = 3
-# Internal steps to the next point before the integrator is given up (a step of three_cart takes
-# about 20).
+# Limit of internal steps to the next point; a step of three_cart takes about 20.
 STEP_LIMIT = 100_000
-# The absolute tolerance is this fraction of rtol * nominal, so that small coordinates
-# (penetrations) are resolved too.
+# Absolute tolerance over rtol * nominal; resolves small coordinates such as penetrations.
 ABSOLUTE_FRACTION = 0.1
-# As a share of the time: two times that are the same but for rounding.
+# Relative rounding of a time.
 _ROUNDING = 1e-14
+
 _CALLED = (
     "GetReal", "SetReal", "SetTime", "SetContinuousStates", "GetContinuousStates", "GetDerivatives",
     "GetEventIndicators",
@@ -46,11 +41,9 @@ _CALLED = (
 
 
 class ExchangeModel:
-    """An FMU for Model Exchange. Every FMI call that is refused raises FMICallException.
+    """An FMU for Model Exchange; a refused FMI call raises FMICallException.
 
-    states, indicators, accumulated, outputs: how many there are; nominal (states,): typical size of
-        each; references: of what is accumulated, of
-    outputs, of inputs.
+    nominal: (states,) typical sizes; references: of rates, outputs and inputs.
     """
 
     def __init__(self, package: Package, variables: Variables) -> None:
@@ -66,21 +59,21 @@ class ExchangeModel:
         )
 
     def start(self, time: float, state: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Initialise with the plan's start.
+        """Initialise; return the continuous states (states,) [unit of each state].
 
         Parameters
         ----------
-        time : start of the plan [s].
-        state : (n,) start values [unit of each variable], in the order of Variables.start.
-        u : (nu,) first inputs [unit of each input].
-
-        Returns
-        -------
-        (states,) continuous states [unit of each state].
+        time
+            Start of the plan [s].
+        state
+            (n,) start values [unit of each variable], in the order of Variables.start.
+        u
+            (nu,) first inputs [unit of each input].
 
         Raises
         ------
-        FMICallException, Fault : if the FMU refuses a call, does not settle, or ends.
+        FMICallException, Fault
+            If the FMU refuses a call, does not settle, or ends.
         """
         fmu, variables = self.instance, self._variables
         fmu.choose(variables.choices)
@@ -92,40 +85,18 @@ class ExchangeModel:
         return x
 
     def read(self, time: float, y: np.ndarray) -> np.ndarray:
-        """Outputs at a state: q, v, lam, gap, friction, energies, those that the FMU has.
+        """Return the outputs (outputs,) [unit of each] at a time [s] and y (states + accumulated,).
 
-        Parameters
-        ----------
-        time : [s].
-        y : (states + accumulated,) of which the states are set [unit of each state].
-
-        Returns
-        -------
-        (outputs,) values [unit of each variable].
-
-        Raises
-        ------
-        FMICallException : if the FMU refuses a call.
+        Order: q, v, lam, gap, friction, energies. Raises FMICallException.
         """
         self.move(time, y)
         return self.instance.read(self.references[1]).copy()
 
     def event(self, time: float, y: np.ndarray, u: np.ndarray | None) -> np.ndarray:
-        """Event mode at a state, with new inputs if they are given.
+        """Run event mode at a time [s] and y (states + accumulated,); return y afterwards.
 
-        Parameters
-        ----------
-        time : [s].
-        y : (states + accumulated,) [unit of each].
-        u : (nu,) new inputs [unit of each input]; None: they stay.
-
-        Returns
-        -------
-        (states + accumulated,) y afterwards: with other states, if the FMU changed them.
-
-        Raises
-        ------
-        FMICallException, Fault : if the FMU refuses a call, does not settle, or ends.
+        u: (nu,) new inputs [unit of each input], None keeps the old ones. Raises FMICallException
+        or Fault if the FMU refuses a call, does not settle, or ends.
         """
         fmu = self.instance
         self.move(time, y)
@@ -137,21 +108,10 @@ class ExchangeModel:
     def jacobian(
         self, time: float, x: np.ndarray, unknowns: Sequence[int], knowns: Sequence[int]
     ) -> np.ndarray:
-        """Directional derivatives at a state.
+        """Return directional derivatives (unknowns, knowns) [unit of unknown per unit of known].
 
-        Parameters
-        ----------
-        time : [s].
-        x : (states,) continuous states [unit of each state].
-        unknowns, knowns : value references.
-
-        Returns
-        -------
-        (unknowns, knowns) derivatives [unit of the unknown per unit of the known].
-
-        Raises
-        ------
-        FMICallException : if the FMU refuses a call.
+        At a time [s] and states x (states,); unknowns, knowns: value references. Raises
+        FMICallException.
         """
         self.move(time, x)
         columns = [
@@ -161,10 +121,7 @@ class ExchangeModel:
         return np.array(columns, dtype=float).reshape(len(knowns), len(unknowns)).T
 
     def move(self, time: float, y: np.ndarray) -> None:
-        """Set time [s] and the states of y (states + accumulated,) [unit of each state].
-
-        Raises FMICallException if the FMU refuses.
-        """
+        """Set time [s] and states of y (states + accumulated,). Raises FMICallException."""
         self.instance.move(time, y[: self.states])
 
     def close(self) -> None:
@@ -182,22 +139,29 @@ def integrate(
     parts: int = PARTS,
     max_step: float = math.inf,
 ) -> Run:
-    """Integrate over the plan's grid. Numerical failure is the run's outcome, never an exception.
+    """Integrate over the plan's grid; numerical failure is the run's outcome.
 
     Parameters
     ----------
-    model : a fresh FMU.
-    start : (n,) start values [unit of each variable], in the order of Variables.start.
-    inputs : of the plan, with feedback or without.
-    rtol : relative tolerance of CVODE [-].
-    event_budget : events after which the run ends.
-    parts : of each step of the plan, at whose ends the motion is recorded.
-    max_step : the integrator's own steps are no longer [s].
+    model
+        A fresh FMU.
+    start
+        (n,) start values [unit of each variable], in the order of Variables.start.
+    rtol
+        Relative tolerance of CVODE [-].
+    event_budget
+        Events after which the run ends.
+    parts
+        Recorded points per step of the plan.
+    max_step
+        Largest step of the integrator [s].
 
     Raises
     ------
-    Fault : if the FMU does not settle or ends.
-    MachineError : without a compiler or CVODE.
+    Fault
+        If the FMU does not settle, or ends.
+    MachineError
+        Without a compiler or CVODE.
     """
     run = Run()
     integration = _Integration(model, inputs, rtol, event_budget, run, parts, max_step)
@@ -213,8 +177,6 @@ def integrate(
 
 
 class _Integration:
-    """CVODE over the plan's steps by the loop of loops.c, from event to event."""
-
     def __init__(
         self,
         model: ExchangeModel,
@@ -237,11 +199,11 @@ class _Integration:
         inner = [begin + (end - begin) * point / parts for point in range(1, parts)]
         self.targets = np.column_stack([*inner, end])
         self._loops = loops.load()
-        rates, outputs, given = model.references
+        rates, outputs, input_references = model.references
         fmu = loops.describe(
             model.instance,
             _CALLED,
-            inputs=given,
+            inputs=input_references,
             outputs=outputs,
             rates=rates,
             states=model.states,
@@ -270,7 +232,7 @@ class _Integration:
             ADAMS, self.y, rates=self._loops.integration_rates,
             indicators=self._loops.integration_indicators, count=model.indicators,
             data=self._at, rtol=rtol, absolute=self._absolute, max_steps=STEP_LIMIT,
-            # Smaller steps than this do not change the time any more.
+            # Smaller steps do not change the time.
             min_step=4e-16 * float(np.abs(inputs.times).max()),
             max_step=min(float(np.ptp(inputs.times)), max_step),
         )  # fmt: skip
@@ -279,7 +241,7 @@ class _Integration:
     def over_all_steps(self, start: np.ndarray) -> None:
         """Integrate from start (n,) [unit of each variable] to the plan's end, into `run`.
 
-        Raises Stop where the run cannot go on; FMICallException, Fault.
+        Raises Stop if the run fails, FMICallException, Fault.
         """
         model, inputs, run = self.model, self.inputs, self.run
         times = inputs.times
@@ -305,18 +267,15 @@ class _Integration:
             if feedback is not None:
                 run.applied.append(inputs.values[step].copy())
             if step and inputs.breaks[step]:
-                # Inputs that jump are an event of the FMU; a new slope is not, but the integrator
-                # must start afresh as well.
+                # A jump of inputs is an event of the FMU. A new slope only restarts the integrator.
                 self._jump(times[step], is_event=not inputs.linear or feedback is not None)
                 stop = times[inputs.stops[step]]
             self._over_points(stop)
 
     def close(self) -> None:
-        """Free what CVODE holds."""
         self._solver.close()
 
     def _jump(self, time: float, is_event: bool) -> None:
-        """Go on afresh from `time` with the inputs of the step in progress: other values, or other slopes."""
         self._loop.time = time
         self._set_inputs()
         self._check(
@@ -327,7 +286,7 @@ class _Integration:
         self.model.instance.next_event = self._loop.next_event
 
     def _over_points(self, stop: float) -> None:
-        """Integrate over the plan's step in progress, through every event in it, and record its points. stop [s]: beyond which no integration may go."""
+        """Integrate over the current step of the plan, at most to stop [s]."""
         if self.inputs.linear:
             self._set_inputs()
         done, count = 0, self.targets.shape[1]
@@ -352,7 +311,6 @@ class _Integration:
                 self._check(reason)
 
     def _take(self, first: int, last: int) -> None:
-        """Record the points of the step in progress that the loop came to."""
         run, step = self.run, self.step
         run.t.extend(self.targets[step, first:last].tolist())
         run.outputs.extend(self._outputs[step, first:last])
@@ -361,7 +319,7 @@ class _Integration:
             run.knots.append(len(run.t) - 1)
 
     def _note(self, time: float) -> None:
-        """Count an event; the sign CVODE gives is that of the indicator's slope."""
+        """Count an event; CVODE's sign is that of the indicator's slope."""
         for indicator in np.flatnonzero(self._solver.roots):
             self.run.events.append((time, int(indicator), bool(self._solver.roots[indicator] < 0)))
         if len(self.run.events) > self.event_budget:
@@ -371,20 +329,16 @@ class _Integration:
             )
 
     def _after_event(self, time: float, target: float, knot: bool) -> bool:
-        """The FMU's event at `time`, its record, and a new solver from there.
+        """Process an event and restart; return whether it fell on the point `target`.
 
-        Whether it fell on the point `target`, but for rounding.
-
-        One that the FMU wants where the plan's inputs jump is the event of that jump: it sees the
-        new ones.
+        An FMU's own event at a jump of the inputs is left to that jump, which has the new inputs.
         """
         falls_on_it = abs(target - time) <= 10.0 * _ROUNDING * max(1.0, abs(target))
         time = target if falls_on_it else time
         if self._loop.flag == ROOT_RETURN or not (
             falls_on_it and knot and self._jumps_after(self.step)
         ):
-            # A rounding later: what such an input takes through zero there has then changed its
-            # sign.
+            # One rounding later, so that an input that crosses zero here has changed sign.
             line = self._values + self._slopes * (
                 time + _ROUNDING * max(1.0, abs(time)) - self._loop.begin
             )
@@ -394,10 +348,7 @@ class _Integration:
         return falls_on_it
 
     def _jumps_after(self, step: int) -> bool:
-        """Whether inputs jump at the end of a step, which is an event of the FMU.
-
-        A new slope is none.
-        """
+        """Return whether inputs jump (not only their slopes) at the end of a step."""
         inputs = self.inputs
         return (
             step + 1 < len(inputs.values)
@@ -420,7 +371,6 @@ class _Integration:
         self.run.accumulated.append(self.y[self.model.states :].copy())
 
     def _renew(self, time: float) -> None:
-        """A new solver from `time` on: after an event."""
         self._loop.time, self._loop.next_event = time, self.model.instance.next_event
         self._set_inputs()
         self._solver.renew(time)
@@ -434,7 +384,6 @@ class _Integration:
         )
 
     def _within_bounds(self, time: float) -> None:
-        """Raise Stop where a state has left every bound, or anything is no finite number."""
         if not (np.abs(self.y[: self.model.states]) < self._bound).all():
             raise Stop(ReplayOutcome.DIVERGED, f"A state left every bound at t = {time:.6g} s.")
         if not np.isfinite(self.y).all():
@@ -444,7 +393,6 @@ class _Integration:
             )
 
     def _check(self, number: int) -> None:
-        """Raise for what the loop came back with, if it is not done."""
         reason, time = Reason(number), float(self._loop.time)
         if reason is Reason.DONE:
             return

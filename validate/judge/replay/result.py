@@ -1,7 +1,4 @@
-"""What a replay hands back: the true motion under the plan's inputs, and how far it can be trusted.
-
-And what each of its simulations recorded.
-"""
+"""Result of a replay: the true motion under the plan's inputs, and its error."""
 
 from __future__ import annotations
 
@@ -17,14 +14,14 @@ from validate.judge.replay.wiring import Effort, Feedback
 if TYPE_CHECKING:
     from fmpy.fmi1 import FMICallException
 
-# Of an FMU whose error is known better; one that does may have been replayed by its own steps.
+# Advice for an FMU without Model Exchange, or replayed with --own-step.
 _EXCHANGE = "offers Model Exchange (without --own-step)"
-# The status of FMI after which nothing of the FMU may be called any more.
+# FMI status after which no call is allowed.
 _FATAL = 4
 
 
 class ReplayOutcome(Enum):
-    """How a replay ended; the value is a sentence."""
+    """Ending of a replay, as a sentence."""
 
     OK = "The replay reached the end of the plan."
     DIVERGED = "The state left every bound."
@@ -42,9 +39,9 @@ class ReplayOutcome(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Growth:
-    """amplification: see validate.judge.replay.tracking.
+    """Growth of an error (validate.judge.replay.tracking), largest between begin and end [s].
 
-    begin, end [s]: between which it is reached; duration [s]: of the plan.
+    duration: of the plan [s].
     """
 
     amplification: float
@@ -54,18 +51,19 @@ class Growth:
 
     @property
     def rate(self) -> float:
-        """[1/s] with amplification = exp(rate * duration)."""
+        """Return the rate [1/s] with amplification = exp(rate * duration)."""
         return math.log(max(self.amplification, 1e-300)) / self.duration
 
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """A gap that closed or opened at `time` [s].
+    """A contact that closed or opened at `time` [s].
 
-    contact: its name; or the force's name of a friction that began to stick or to slip; or the name
-        of the push of a damped contact that was released
-    (closes, because its push fell below zero) or pressed again; or `indicator_<n>` where the FMU
-        has indicators of its own.
+    contact: its name, or
+
+    - the force's name if friction began to stick or slip.
+    - the push's name if a damped contact was released (closes) or pressed again.
+    - `indicator_<n>` in an external FMU.
     """
 
     time: float
@@ -77,8 +75,9 @@ class Event:
 class Difference:
     """Largest difference of two simulations over the plan's nodes.
 
-    position: of any one coordinate [m or rad]; state: Euclidean norm over positions and velocities;
-        gap: of any one gap [m].
+    - position: of one coordinate [m or rad].
+    - state: Euclidean norm of positions and velocities.
+    - gap: of one gap [m].
     """
 
     position: float
@@ -88,26 +87,20 @@ class Difference:
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayError:
-    """How wrong the judged trajectory may be, and what that is made of (None: not measured).
+    """Error of the judged trajectory and its parts; None: not measured.
 
-    estimate: what verdicts use; None where nothing is known.
-    tolerance: the reference, Model Exchange by CVODE, at two tolerances. It overstates the error of
-        the tighter run, which is judged.
-    step: of the everyday replay, Co-Simulation. With a reference its two finest steps; without one
-        the largest difference among its four finest, if the three finer of them differ by less than
-        the three coarser.
-    everyday: the everyday replay against the reference.
-    stated: what the map says that the results of Co-Simulation are good to ([accuracy]); infinite
-        in what is not stated.
-    lag: of scenes without inertia the motion at twice the relaxation time against the judged one:
-        to first order what is left of it.
+    - estimate: the error that verdicts use.
+    - tolerance: difference of the reference at two tolerances; overstates the tighter run's error.
+    - step: difference of everyday runs. With a reference of the two finest; without one the largest
+      of the four finest, if the three finer differ less than the three coarser.
+    - everyday: difference of everyday replay and reference.
+    - stated: errors that the map states ([accuracy]); infinite if not stated.
+    - lag: difference from the motion at twice the relaxation time, the first-order error.
 
-    With a reference the estimate is `tolerance`, unless the everyday replay, an independent method,
-    differs from it by more than `step` or `stated` explains; then `everyday`. Where the looser
-    reference did not get to the end it is the larger of `everyday` and `step`.
-    Without a reference it is `step`, and at least what is stated, or else the tolerance that the
-    FMU declares for its own solver. What is stated stands alone where no convergence is seen.
-    `lag` is added.
+    With a reference the estimate is `tolerance`, or `everyday` if `step` and `stated` do not
+    explain the difference of the methods. Without the looser reference it is the larger of
+    `everyday` and `step`. Without a reference it is `step`, at least `stated`, else the FMU's
+    declared tolerance; `stated` alone if the steps do not converge. `lag` is added.
     """
 
     estimate: Difference | None
@@ -119,10 +112,7 @@ class ReplayError:
 
     @property
     def would_decide(self) -> str:
-        """What would make this error smaller or known.
-
-        Empty where there was a reference to compare with.
-        """
+        """Return what would reduce this error, or make it known; "" with a reference."""
         if self.tolerance is not None or self.everyday is not None:
             return ""
         if self.estimate is None:
@@ -137,8 +127,8 @@ class ReplayError:
         )
         unknown = [name for name, value in parts if math.isinf(value)]
         if unknown:
-            # The norm of the state is unknown where the position is, whatever is stated of the
-            # velocity.
+            # Without a known position the state's norm is unknown, whatever the velocity's accuracy
+            # is.
             unknown = [name for name in unknown if name != "velocity" or "position" not in unknown]
             return f"state [accuracy] {' and '.join(unknown)} in the map too, or take an FMU that {_EXCHANGE}"
         if self.stated is not None:
@@ -146,7 +136,7 @@ class ReplayError:
         return f"a plan with shorter steps, or an FMU that {_EXCHANGE}"
 
     def as_json(self) -> dict[str, Any]:
-        """Its numbers by name; what is infinite is null, as JSON knows no such number."""
+        """Return the numbers by name; infinite ones are null."""
         numbers = asdict(self)
         for item in numbers.values():
             if isinstance(item, dict):
@@ -158,11 +148,11 @@ class ReplayError:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recorded:
-    """A motion row by row, and what belongs to it.
+    """A motion by rows; sums are None if the FMU lacks them.
 
     q, v (n, nq); lam, gap (n, nc) [N, m] with gap = -penetration; friction (n, nf) [N]; kinetic,
-    potential, contact_energy (n,) [J]; input_work, dissipated_work (n,) [J] and contact_impulse (n,
-    nc) [N s], accumulated from the start - None where the FMU has no such output.
+    potential, contact_energy (n,) [J]. Since the start: input_work, dissipated_work (n,) [J],
+    contact_impulse (n, nc) [N s].
     """
 
     q: np.ndarray
@@ -178,7 +168,7 @@ class Recorded:
     contact_impulse: np.ndarray | None
 
     def rows(self, chosen: np.ndarray) -> Recorded:
-        """Some of its rows, by their numbers (m,) [-]. Raises IndexError."""
+        """Return the rows chosen (m,) [-]. Raises IndexError."""
         arrays = ((item.name, getattr(self, item.name)) for item in fields(Recorded))
         taken: dict[str, Any] = {
             name: array if array is None else array[chosen] for name, array in arrays
@@ -188,17 +178,15 @@ class Recorded:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Replay(Recorded):
-    """The plan's inputs applied, from the task's start, to the true continuous contact dynamics.
+    """The true contact dynamics under the plan's inputs, from the task's start.
 
-    t (n,) [s]: every node of the plan, points between them, and every event, to which the rows of
-    `Recorded` belong; knots (nodes,): rows of t that are plan nodes. Every number is finite; a
-    replay that did not get to the end holds what came before (`outcome`, `message`).
+    t (n,) [s]: nodes of the plan, points between, events; knots (nodes,): rows of the nodes. All
+    numbers are finite; a failed replay holds the rows before (`outcome`, `message`).
 
-    growth: of an error in the open loop (None: not measured). tracked: the replay with feedback
-        around the plan, where there is one; it has feedback
-    (the law, in the plan's units), applied (steps, nu), the inputs at the start of each step that
-        it made, and effort, which an open one has not.
-    lagging: the motion at twice the relaxation time, of scenes without inertia (`ReplayError.lag`).
+    - growth: of an error without feedback.
+    - tracked: replay with feedback, which has feedback (in the plan's units), applied (steps, nu)
+      at the start of each step, and effort.
+    - lagging: motion at twice the relaxation time.
     """
 
     scene: str
@@ -231,34 +219,29 @@ class Replay(Recorded):
 
     @property
     def ok(self) -> bool:
-        """Whether it reached the end of the plan."""
+        """Return whether the replay reached the end of the plan."""
         return self.outcome is ReplayOutcome.OK
 
     @property
     def end(self) -> np.ndarray:
-        """State where the replay ended, (2*nq,) positions [m or rad], then velocities [m/s or rad/s]. Raises IndexError for a replay without a row."""
+        """Return the last state (2*nq,) [m or rad, m/s or rad/s]. Raises IndexError."""
         return np.concatenate([self.q[-1], self.v[-1]])
 
     @property
     def energy(self) -> np.ndarray:
-        """Kinetic, potential and contact energy at each row, (n,) [J].
-
-        Raises TypeError where one of them is missing.
-        """
+        """Return the energy of each row (n,) [J]. Raises TypeError if a part is missing."""
         return self.kinetic_energy + self.potential_energy + self.contact_energy
 
 
-# A state this many times its nominal (and its start) has left every bound; in Co-Simulation, which
-# tells no nominals, this itself.
+# Divergence of a state in nominals and starts; in Co-Simulation, without nominals, its value.
 DIVERGENCE = 1e9
 
 
 @dataclass(kw_only=True)
 class Run:
-    """What one simulation recorded, point by point.
+    """Record of one simulation, by points.
 
-    Times, outputs of the model and accumulated quantities per point; rows that are nodes; events as
-    (time, indicator, closes); with feedback the inputs applied from the start of each step on.
+    knots: rows of nodes; events: (time, indicator, closes); applied: inputs with feedback.
     """
 
     t: list[float] = field(default_factory=list)
@@ -271,29 +254,29 @@ class Run:
     message: str = ""
 
     def end_without_number(self, time: float) -> None:
-        """The outputs at a time [s] are not all finite."""
+        """End the run at a time [s] with outputs that are not finite."""
         self.outcome, self.message = (
             ReplayOutcome.NOT_A_NUMBER,
             f"An output was not a finite number at t = {time:.6g} s.",
         )
 
     def end_out_of_bounds(self, time: float) -> None:
-        """A state is beyond any bound at a time [s] that was stepped to."""
+        """End the run at a time [s] with a state out of bounds."""
         self.outcome, self.message = (
             ReplayOutcome.DIVERGED,
             f"A state left every bound by t = {time:.6g} s.",
         )
 
     def end_refused(self, error: FMICallException, begin: float) -> None:
-        """The FMU refused a call; begin: the first time of the run [s]."""
+        """End the run at a refused call; begin: first time of the run [s]."""
         self.outcome = ReplayOutcome.FATAL if error.status == _FATAL else ReplayOutcome.FMU_FAILED
         self.message = (
             f"{str(error).rstrip('.')} (after t = {self.t[-1] if self.t else begin:.6g} s)."
         )
 
 
-class Stop(Exception):  # noqa: N818 - it ends a run, and is no error of the program
-    """A run cannot go on: its outcome, and a sentence."""
+class Stop(Exception):  # noqa: N818 - an ending, no error of the program
+    """The run cannot continue: its outcome, and a sentence."""
 
     def __init__(self, outcome: ReplayOutcome, message: str) -> None:
         super().__init__(message)

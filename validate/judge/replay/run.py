@@ -1,4 +1,4 @@
-"""replay(): the reference at two tolerances, the everyday replay at two steps, and what their differences say."""
+"""Replay a plan: reference at two tolerances, everyday replay at two steps, their differences."""
 
 from __future__ import annotations
 
@@ -37,35 +37,33 @@ from validate.judge.replay.tracking import (
 from validate.judge.replay.wiring import Feedback, HeldInputs, measure_effort, with_times_between
 from validate.processes.isolated import Limits
 
-# Relative tolerances of the reference. On three_cart the looser is 1.4e-9 m from the truth, the
-# tighter 1e-11 m, at 1.1 times the time.
+# Looser relative tolerance of the reference, 1.4e-9 m from the truth on three_cart.
 LOOSE = 1e-11
+# Tighter tolerance, 1e-11 m from the truth at 1.1 times the time.
 TIGHT = 1e-13
-# Internal steps a plan step of the everyday replay beside the reference, which it only confirms.
+# Internal steps per plan step of the everyday replay that confirms a reference.
 FINENESS = (100, 200)
-# Without a reference the step is divided by these numbers, until the verdict is decided: each
-# result costs as much as the two before it, and steps are seldom whole multiples of each other.
+# Divisors of the step without a reference, used until the verdict is decided: each run costs as
+# much
+# as the previous two, and steps are seldom multiples of each other.
 LADDER = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233, 377)
-# Co-Simulation tells its motion at the ends of its steps alone. Where it is judged, it is looked at
-# so often in a plan at least: three_cart has as many steps.
+# Least number of rows of judged Co-Simulation, which has no rows within steps; as on three_cart.
 LOOKS = 500
-# Calls of doStep a step of the plan; the last is what is judged.
+# Fineness with --own-step; the last, one call per plan step, is judged.
 OWN_STEP = tuple(FINENESS_OF_A_CALL * parts for parts in LADDER[FINEST - 1 :: -1])
-# By how much communication steps are made shorter where they do not explain how far Co-Simulation
-# is from the reference; and how many calls a plan may take. A small FMU takes 1 to 5 us a call.
+# Refinement of communication steps that do not explain the difference from the reference.
 _SHORTER = 8
+# Largest number of calls per plan; a small FMU takes 1 to 5 us per call.
 _MOST_CALLS = 200_000
-# Steps that differ by less than this share are equal: times are printed with some ten digits.
+# Relative difference of equal steps; times are printed with some ten digits.
 _SAME_STEP = 1e-6
-# How often a replay that steps over a contact is made again, each time with steps that would have
-# seen it.
+# Largest number of repetitions of a replay that overlooks a contact.
 _CLOSER_LOOKS = 6
-# Whether to replay once more with feedback around the plan, or a function that gives the plan that
-# feedback is to follow, if any, by the replay of the inputs alone.
+# True to track the plan too, or a function from the open replay to the plan to track.
 Track = bool | Callable[[Replay], Trajectory | None]
-# Whether a replay is sure enough for a verdict.
+# Returns True if a replay is accurate enough for a verdict.
 Decides = Callable[[Trajectory, Replay], bool]
-# Contact events before a replay is stopped as chattering; the plans of the scenes have 2 to 40.
+# Largest number of contact events, beyond which a contact chatters; plans of scenes have 2 to 40.
 EVENT_BUDGET = 10_000
 
 
@@ -80,16 +78,14 @@ def replay(
     limits: Limits | None = None,
     track: Track = False,
 ) -> Replay:
-    """Apply the plan's inputs, from the task's start, to the FMU of the scene.
+    """Apply the plan's inputs, from the task's start, to the scene's FMU.
 
-    fineness: internal steps a plan step of the everyday replay; None: as many as its error needs.
-    limits: run the FMU in a child process of its own; None runs it here, which is for our own FMU
-        in a process that is a child already.
-    track: whether to replay once more with feedback around the plan, or a function that gives the
-        plan that feedback is to follow, if any, by the replay of the inputs alone.
-    Raises ArchiveError, FmuError or TrajectoryError if FMU, map and plan do not fit the scene,
-        TrackingError if track is True and cannot be;
-    how the simulation went is `Replay.outcome`.
+    - fineness: internal steps per plan step of the everyday replay; None: as its error needs.
+    - limits: run the FMU in a child process; None: in this process, for our own FMU in a child.
+    - track: replay with feedback too, or a function from the open replay to the plan to track.
+
+    Raises ArchiveError, FmuError, TrajectoryError for a plan that does not fit, TrackingError if
+    track is True and tracking fails. A failed simulation is `Replay.outcome`.
     """
     trajectory.check_fits(scene)
     scene = scene.continuous()
@@ -110,12 +106,9 @@ def replay(
         growth = measure_growth(kernel, scene, trajectory) if trajectory.has_states else None
 
         def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
-            """The replay, and the inputs (steps, nu) [N or N m] that it applied.
-
-            Raises FmuError, MachineError.
-            """
-            found, applied = _seeing_all(scene, kernel, job, feedback)
-            return with_lag_error(scene, job, feedback, found), applied
+            """Return replay and inputs (steps, nu) [N or N m]. Raises FmuError, MachineError."""
+            replayed, applied = _seeing_all(scene, kernel, job, feedback)
+            return with_lag_error(scene, job, feedback, replayed), applied
 
         opened = replace(run(None)[0], growth=growth)
         return _with_tracked(
@@ -134,7 +127,6 @@ def _with_tracked(
     run: Callable[[Feedback], tuple[Replay, np.ndarray]],
     plan: Trajectory,
 ) -> Replay:
-    """The replay of the inputs alone, and where `track` asks for it with one with feedback beside it, which `design` makes and `run` replays."""
     followed = track(opened) if callable(track) else plan if track else None
     if followed is None:
         return opened
@@ -156,31 +148,30 @@ def _with_tracked(
 def _seeing_all(
     scene: Scene, kernel: Kernel, job: Job, feedback: Feedback | None
 ) -> tuple[Replay, np.ndarray]:
-    """The replay and what it applied, made again with smaller steps while it steps over contacts.
+    """Return the replay and its inputs, repeated with smaller steps while it overlooks contacts.
 
-    Without an error estimate where that does not end.
+    There is no error estimate if that does not end.
     """
     inner = base_step(job.plan.t) / max(job.fineness, default=1)
     for _ in range(_CLOSER_LOOKS):
         simulated = _explained(scene, job, feedback)
-        found, applied = _assemble(scene, job, simulated), _applied(simulated, job.plan)
-        longest = overlooked(kernel, found)
-        if longest is None and inner < job.max_step and not is_explained(found.error):
-            # The everyday replay may have met what the longer steps of the reference passed by.
+        replayed, applied = _assemble(scene, job, simulated), _applied(simulated, job.plan)
+        longest = overlooked(kernel, replayed)
+        if longest is None and inner < job.max_step and not is_explained(replayed.error):
+            # The everyday replay may have found a contact that the reference overlooked.
             longest = inner
         if longest is None:
-            return found, applied
+            return replayed, applied
         finer = with_max_step(job, min(longest, job.max_step / 2.0))
         if finer is None:
             break
         job = finer
     return without_estimate(
-        found, "The replay steps over a contact that is shorter than any of its steps."
+        replayed, "The replay steps over a contact that is shorter than any of its steps."
     ), applied
 
 
 def _applied(simulated: Simulated, plan: Trajectory) -> np.ndarray:
-    """(steps made, nu) inputs of the run that is judged, as the FMU got them."""
     return np.array(simulated.judged.applied).reshape(
         len(simulated.judged.applied), plan.u.shape[1]
     )
@@ -196,18 +187,16 @@ def replay_foreign(
     own_step: bool = False,
     decides: Decides = lambda plan, found: True,
 ) -> Replay:
-    """The same for an FMU without a scene, always in a child process.
+    """Replay a plan on an external FMU, always in a child process.
 
-    track: with feedback too, by the FMU's own directional derivatives.
+    - track: feedback by the FMU's own directional derivatives.
+    - decides: whether a replay is accurate enough; without Model Exchange steps are refined until
+      then, or up to a number of calls.
+    - own_step: judge Co-Simulation with one doStep per plan step (not for linear inputs); four such
+      runs give the error.
 
-    decides: whether a replay, with or without `tracked`, is sure enough; without Model Exchange
-    steps are made shorter until it is, or until the number of calls is spent.
-
-    own_step: judged is Co-Simulation with one doStep a step of the plan, whatever else the FMU
-        offers; its error is what four change.
-    A plan whose inputs are lines is replayed as without.
-    Raises TrackingError if track is True and cannot be, FmuError for own_step without
-        Co-Simulation.
+    Raises TrackingError if track is True and tracking fails, FmuError for own_step without
+    Co-Simulation.
     """
     job = foreign_job(foreign, package, trajectory, limits, own_step)
     plan = (
@@ -218,32 +207,32 @@ def replay_foreign(
     looked_at = job if plan is trajectory else foreign_job(foreign, package, plan, limits, own_step)
 
     def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
-        """The replay, and the inputs (steps, nu) [unit of each column] that it applied.
+        """Return the replay and its inputs (steps, nu) [unit of each column].
 
         Raises FmuError, MachineError.
         """
-        asked = looked_at if feedback is None else job  # feedback acts at the plan's own rows
+        current = looked_at if feedback is None else job  # feedback acts at the plan's rows
 
         def made(simulated: Simulated) -> Replay:
-            found = _assemble(foreign.model, asked, in_plan_units(foreign, simulated))
-            found = _pushing(foreign.model, found)
-            if asked is job:
-                return found
-            return replace(found, knots=np.flatnonzero(np.isin(found.t, trajectory.t)))
+            assembled = _assemble(foreign.model, current, in_plan_units(foreign, simulated))
+            assembled = _pushing(foreign.model, assembled)
+            if current is job:
+                return assembled
+            return replace(assembled, knots=np.flatnonzero(np.isin(assembled.t, trajectory.t)))
 
         def is_enough(simulated: Simulated) -> bool:
-            found = made(simulated)
-            whole = found if feedback is None else replace(opened[0], tracked=found)
-            return found.error.estimate is not None and decides(trajectory, whole)
+            candidate = made(simulated)
+            whole = candidate if feedback is None else replace(opened[0], tracked=candidate)
+            return candidate.error.estimate is not None and decides(trajectory, whole)
 
         in_units = None if feedback is None else feedback.in_units(*foreign.units)
         if package.exchange is not None and not own_step:
-            simulated = _explained(foreign.model, asked, in_units)
+            simulated = _explained(foreign.model, current, in_units)
         else:
-            asked, simulated = _accepted(asked, job, in_units)
+            current, simulated = _accepted(current, job, in_units)
             if not own_step:
-                simulated = _refined(asked, simulated, in_units, is_enough)
-        applied = (_applied(simulated, asked.plan) - foreign.input_offset) / foreign.input_scale
+                simulated = _refined(current, simulated, in_units, is_enough)
+        applied = (_applied(simulated, current.plan) - foreign.input_offset) / foreign.input_scale
         if feedback is None:
             opened.append(made(simulated))
         return made(simulated), applied
@@ -258,25 +247,25 @@ def replay_foreign(
     )
 
 
-def _pushing(model: ForeignModel, found: Replay) -> Replay:
-    """The replay with contact forces that push, where those of the FMU pull: the map has their sign wrong."""
-    h = np.diff(found.t)[:, None]
-    impulses = (h * (found.lam[:-1] + found.lam[1:]) / 2.0).sum(axis=0)
+def _pushing(model: ForeignModel, replayed: Replay) -> Replay:
+    """Return the replay with pushing contact forces, if the map has their sign wrong."""
+    h = np.diff(replayed.t)[:, None]
+    impulses = (h * (replayed.lam[:-1] + replayed.lam[1:]) / 2.0).sum(axis=0)
     pulls = impulses < 0.0
     if not pulls.any():
-        return found
+        return replayed
     names = ", ".join(
         contact.name for contact, pull in zip(model.contacts, pulls, strict=True) if pull
     )
     note = f"By the FMU contact {names} pulls, so its force is taken with the other sign; say so in the map (scale = -1)."
-    lam = np.where(pulls, -1.0, 1.0) * found.lam
-    return replace(found, lam=lam, message=f"{found.message} {note}".lstrip())
+    lam = np.where(pulls, -1.0, 1.0) * replayed.lam
+    return replace(replayed, lam=lam, message=f"{replayed.message} {note}".lstrip())
 
 
 def _explained(subject: Subject, job: Job, feedback: Feedback | None) -> Simulated:
-    """The simulations, with shorter steps of Co-Simulation where those of the job do not explain how far it is from the reference.
+    """Return the simulations, with shorter steps if those of the job do not explain the difference.
 
-    As they are where no number of calls that we pay for does.
+    They are unchanged if the largest number of calls does not suffice.
     """
     first = simulated = job.run(feedback)
     while simulated.everyday and {
@@ -297,10 +286,9 @@ def _explained(subject: Subject, job: Job, feedback: Feedback | None) -> Simulat
 
 
 def _accepted(job: Job, own_rows: Job, feedback: Feedback | None) -> tuple[Job, Simulated]:
-    """The simulations by Co-Simulation at those steps that the FMU takes, and their job.
+    """Return the simulations at the steps that the FMU accepts, and their job.
 
-    own_rows: the job with no rows but the plan's, for an FMU that takes nothing but multiples of
-    one step.
+    own_rows: the job with the plan's rows only, for an FMU that requires multiples of one step.
     """
     coarsest_first = job.fineness[0] < job.fineness[-1]
     simulated = replace(job.run(feedback), coarsest_first=coarsest_first)
@@ -316,7 +304,7 @@ def _accepted(job: Job, own_rows: Job, feedback: Feedback | None) -> tuple[Job, 
 
 
 def _without_refused(simulated: Simulated) -> Simulated | None:
-    """Return the simulations without refused steps; None if all were refused, or the one that is judged by --own-step."""
+    """Return the simulations without refused steps, None if the judged one is refused."""
     refused, accepted = (
         tuple(
             run for run in simulated.everyday if (run.outcome is ReplayOutcome.FMU_FAILED) is failed
@@ -332,7 +320,7 @@ def _without_refused(simulated: Simulated) -> Simulated | None:
 
 
 def _multiples(job: Job) -> tuple[int, ...]:
-    """Fineness by which each step of the plan is made of whole steps of the FMU, one call first."""
+    """Return finenesses that divide plan steps into whole steps of the FMU, one call first."""
     declared, step = job.package.experiment("stepSize"), float(np.diff(job.plan.t).min())
     whole = round(step / declared) if declared is not None else 1
     if declared is None or not math.isclose(step, whole * declared, rel_tol=_SAME_STEP):
@@ -346,12 +334,12 @@ def _refined(
     feedback: Feedback | None,
     is_enough: Callable[[Simulated], bool],
 ) -> Simulated:
-    """The simulations with ever shorter steps of Co-Simulation, until they are enough.
+    """Return the simulations with shorter and shorter steps, until they are enough.
 
-    A step that the FMU refuses is one step too many of ours, and leaves what came before.
+    A refused step ends the refinement.
     """
     unit = job.fineness[0]
-    # Inputs that are lines take a call for each of their stairs.
+    # Linear inputs take one call per stair.
     of_a_call = 1 if job.plan.hold is Hold.LINEAR else FINENESS_OF_A_CALL
     for parts in LADDER[len(job.fineness) :]:
         fineness = parts * unit
@@ -370,10 +358,7 @@ def _refined(
 
 
 def with_rows(plan: Trajectory, longest: float) -> Trajectory:
-    """The plan with the same inputs and more rows, none longer than `longest` [s].
-
-    Itself where there is none.
-    """
+    """Return the plan with the same inputs and rows at most `longest` [s] apart."""
     t = with_times_between(plan.t, longest)
     if len(t) == len(plan.t):
         return plan
@@ -392,11 +377,11 @@ def with_rows(plan: Trajectory, longest: float) -> Trajectory:
 def foreign_job(
     foreign: Foreign, package: Package, trajectory: Trajectory, limits: Limits, own_step: bool
 ) -> Job:
-    """The simulations of `replay_foreign`.
+    """Return the job of `replay_foreign`.
 
-    Raises TrajectoryError for a plan of another shape, FmuError for own_step without Co-Simulation.
+    Raises TrajectoryError for another shape, FmuError for own_step without Co-Simulation.
     """
-    trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it answers what a scene answers
+    trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it has the attributes of a scene
     job = Job(
         package=package, variables=foreign.variables,
         plan=trajectory.with_inputs_in(*foreign.units[1]), start=foreign.start, limits=limits,
@@ -404,7 +389,7 @@ def foreign_job(
     )  # fmt: skip
     if package.exchange is None or own_step:
         job = replace(job, fineness=OWN_STEP[::-1])
-    if own_step and trajectory.hold is not Hold.LINEAR:  # lines are stairs of many calls
+    if own_step and trajectory.hold is not Hold.LINEAR:  # linear inputs need many calls
         if package.cosimulation is None:
             raise FmuError(
                 f"FMU {package.path}: it offers no Co-Simulation, so it has no step of its own; leave out --own-step."
@@ -415,15 +400,12 @@ def foreign_job(
 
 
 def in_plan_units(foreign: Foreign, simulated: Simulated) -> Simulated:
-    """The runs, in which what the FMU gave is made what the plan means.
-
-    Raises ValueError for runs of another FMU.
-    """
+    """Return the runs in the plan's units. Raises ValueError for runs of another FMU."""
     first = len(foreign.variables.q) + len(foreign.variables.v)
     contacts = len(foreign.variables.lam)
     impulse_scale = foreign.scale[first : first + contacts]
 
-    def told(run: Run) -> Run:
+    def converted(run: Run) -> Run:
         impulses = [
             np.concatenate([impulse_scale * row[:contacts], row[contacts:]])
             for row in run.accumulated
@@ -433,8 +415,8 @@ def in_plan_units(foreign: Foreign, simulated: Simulated) -> Simulated:
 
     return replace(
         simulated,
-        reference=tuple(map(told, simulated.reference)),
-        everyday=tuple(map(told, simulated.everyday)),
+        reference=tuple(map(converted, simulated.reference)),
+        everyday=tuple(map(converted, simulated.everyday)),
     )
 
 
@@ -447,8 +429,7 @@ def _assemble(subject: Subject, job: Job, simulated: Simulated) -> Replay:
         if isinstance(subject, Scene)
         else []
     )
-    # Indicators are the contacts' gaps, the frictions' reserves and what damped contacts press
-    # with, in their order, where the scene made the FMU; elsewhere they have no names.
+    # The FMU of a scene has indicators in this order; others have no names.
     named = isinstance(subject, Scene) and all(index < len(names) for _, index, _ in judged.events)
     return Replay(
         **vars(recorded(subject, variables, judged)),
@@ -477,10 +458,6 @@ def _notes(
     is_known: bool,
     own_step: bool = False,
 ) -> list[str]:
-    """What else is to be said of a replay.
-
-    is_known: whether the error of the everyday replay's step is.
-    """
     reference, everyday, refusal, judged = (
         simulated.reference,
         simulated.everyday,
@@ -502,9 +479,9 @@ def _notes(
             else no_exchange
         )
         if not is_known:
-            told = "its author states." if error.stated is not None else "cannot be told."
+            source = "its author states." if error.stated is not None else "cannot be told."
             notes.append(
-                f"Results at ever shorter communication steps do not come together; how wrong they are {told}"
+                f"Results at ever shorter communication steps do not come together; how wrong they are {source}"
             )
     if isinstance(subject, ForeignModel):
         if error.tolerance is not None:

@@ -1,10 +1,8 @@
-"""What is replayed: a scene, or somebody's FMU of which only names, units, a goal and limits are known (`ForeignModel`).
+"""The subject of a replay: a scene, or an external FMU (`ForeignModel`).
 
-A ForeignModel answers what replay and score ask of a scene, in the same words; equations and a
-compiled kernel it lacks.
-
-`find_variables` finds the variables of a scene in its FMU; `recorded` takes apart by name what a
-simulation recorded, and computes from the scene's equations what the FMU does not give.
+A ForeignModel has the attributes of a scene that replay and score need, but no equations.
+`find_variables` returns the variables of a scene in its FMU; `recorded` returns a simulation's
+outputs by name, computing missing ones from the scene's equations.
 """
 
 from __future__ import annotations
@@ -33,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignCoordinate:
-    """A position that the map names, and its velocity, in the plan's units."""
+    """A mapped position and its velocity, in the plan's units."""
 
     name: str
     velocity_name: str
@@ -48,7 +46,7 @@ class ForeignCoordinate:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignInput:
-    """An input that the map names, with its bounds in the plan's unit."""
+    """A mapped input, with bounds in the plan's unit."""
 
     name: str
     unit: str = "1"
@@ -59,7 +57,7 @@ class ForeignInput:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignContact:
-    """A contact that the map names; depth [m]: penetration at which its model ends; nominal_force [N]: a typical one."""
+    """A mapped contact; depth: largest valid penetration [m]; nominal_force: typical [N]."""
 
     name: str
     force_name: str
@@ -71,10 +69,7 @@ class ForeignContact:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignParameter:
-    """A parameter of the FMU that may be otherwise [unit of the FMU].
-
-    uncertainty: None: a share of its value; aliases: its other names.
-    """
+    """An uncertain parameter [unit of the FMU]; uncertainty None: a fraction of its value."""
 
     name: str
     value: float
@@ -88,13 +83,12 @@ class ForeignParameter:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignTask:
-    """What a plan on somebody's FMU is to do.
+    """Task of a plan on an external FMU.
 
-    goal: (2*nq,) positions, then velocities; None where nothing is asked. step [s]: a task
-        of an FMU has none of its own, and counts as one of
-    500 steps, so that a plan may be a thousandth of its duration off and a motion is seen as often
-        however few rows its plan has.
-    horizon: how long a plan of this task lasts [s], None where the map does not say.
+    - goal: (2*nq,) positions, then velocities, None if free.
+    - step [s]: a five-hundredth of the task, which sets the tolerance of the duration and the
+      resolution of the motion.
+    - horizon [s]: None if the map has no duration.
     """
 
     goal: tuple[float | None, ...]
@@ -103,23 +97,20 @@ class ForeignTask:
 
     @property
     def has_goal(self) -> bool:
-        """Whether any position or velocity has a goal."""
+        """Return whether any position or velocity has a goal."""
         return any(value is not None for value in self.goal)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignModel(Counted):
-    """A model of which only the FMU is known: what replay and score ask of a scene, in the same words.
+    """A model known by its FMU only, with the attributes of a scene.
 
-    lacks: what cannot be shown, as {"v": "no velocities are named", ...}; keys are q, v, lam, gap.
-        accuracy: how wrong the author says its
-    Co-Simulation may be, infinite in what is not stated; None: nothing is stated. not_asked: a
-        sentence for each question of the verdict that cannot
-    be asked, with what would make it askable; each begins with the metrics it is about. notes: what
-        else is to be reported.
-    parameters: those that may be otherwise; begin (2*nq,): where a simulation starts, in the plan's
-        units, 0 where nobody says; startable: the places
-    in that which can be set.
+    - lacks: missing groups of q, v, lam, gap with reasons.
+    - accuracy: stated errors of Co-Simulation, infinite if not stated.
+    - not_asked: metrics without data, and how to provide it.
+    - notes: for the report.
+    - begin (2*nq,): start in the plan's units, 0 if unknown.
+    - startable: settable places.
     """
 
     name: str
@@ -141,21 +132,18 @@ class ForeignModel(Counted):
 
     @property
     def depths(self) -> tuple[float | None, ...]:
-        """(nc,) penetration of each contact at which the model ends [m].
-
-        None where the map does not say.
-        """
+        """Return the largest valid penetrations (nc,) [m], None if the map has none."""
         return tuple(contact.depth for contact in self.contacts)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Foreign:
-    """Somebody's FMU, wired (validate.judge.replay.mapping): what it is called, its references, and how its numbers become the plan's.
+    """An external FMU, wired: model, references, and conversion to the plan's units.
 
-    scale, offset (outputs,): plan's value = scale * FMU's + offset, in the order of
-    Variables.outputs; input_scale, input_offset (nu,): FMU's value = scale * plan's + offset;
-    start: values in the FMU's units, in the order of Variables.start; hold as the plan's;
-    parameters: references of the model's.
+    - scale, offset (outputs,): plan = scale * FMU + offset, ordered as Variables.outputs.
+    - input_scale, input_offset (nu,): FMU = scale * plan + offset.
+    - start: in the FMU's units, ordered as Variables.start.
+    - parameters: references.
     """
 
     model: ForeignModel
@@ -169,7 +157,7 @@ class Foreign:
 
     @property
     def units(self) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-        """Scale and offset of positions and velocities, and of the inputs."""
+        """Return scale and offset of the state, and of the inputs."""
         nx = len(self.variables.q) + len(self.variables.v)
         return (self.scale[:nx], self.offset[:nx]), (self.input_scale, self.input_offset)
 
@@ -180,10 +168,7 @@ Subject = Scene | ForeignModel
 def recorded(
     subject: Subject, variables: Variables, run: Run, rows: list[int] | None = None
 ) -> Recorded:
-    """The numbers of a run by name, at all its points or at some rows.
-
-    Zero what neither the FMU nor a scene gives.
-    """
+    """Return the outputs of a run by name, at all or some rows; unknown ones are zero."""
     scene, chosen = (
         subject if isinstance(subject, Scene) else None,
         slice(None) if rows is None else rows,
@@ -194,7 +179,7 @@ def recorded(
     q, v, lam, gap, friction, energies = (
         part.copy() for part in np.split(values, np.cumsum(widths), axis=1)
     )
-    zeros = np.zeros((count, nc))  # of a foreign model, for what its `lacks` names
+    zeros = np.zeros((count, nc))  # for groups that a foreign model lacks
     if not variables.v and nq:
         v = np.zeros((count, nq))
     if not variables.lam and nc:
@@ -203,7 +188,7 @@ def recorded(
         gap = zeros if scene is None else -load_kernel(scene).penetration(q)
     if not variables.friction:
         friction = np.zeros((count, subject.nf))
-    given = dict(zip(variables.energies, energies.T.copy(), strict=True))
+    measured_energies = dict(zip(variables.energies, energies.T.copy(), strict=True))
     sums = (
         np.array(run.accumulated).reshape(len(run.t), len(variables.rates))[chosen]
         if run.accumulated
@@ -211,9 +196,9 @@ def recorded(
     )
 
     def energy(name: str) -> np.ndarray:
-        """One of the energies, (n,) [J]. Raises nothing."""
-        if name in given:
-            return given[name]
+        """Return an energy (n,) [J]. Raises nothing."""
+        if name in measured_energies:
+            return measured_energies[name]
         if name in variables.zero or scene is None:
             return np.zeros(count)
         if name == "contact_energy":
@@ -222,7 +207,7 @@ def recorded(
         return np.array(kinetic if name == "kinetic_energy" else potential)
 
     def work(power: str) -> np.ndarray | None:
-        """Work since the start of one of the powers, (n,) [J]; None where it was not integrated.
+        """Return the work of a power since the start (n,) [J], None if not integrated.
 
         Raises nothing.
         """
@@ -241,10 +226,9 @@ def recorded(
 
 
 def find_variables(package: Package, scene: Scene) -> Variables:
-    """The variables of the FMU that have the names of the scene's.
+    """Return the FMU's variables named as in the scene.
 
-    Positions, velocities and inputs must be there; the rest may be missing. Raises FmuError naming
-    the variable.
+    Raises FmuError if a position, velocity or input is missing, or has a wrong type.
     """
     groups = {**grouped_names(scene), "gap": tuple(item.gap_name for item in scene.contacts)}
     by_name = {variable.name: variable for variable in package.description.modelVariables}
@@ -257,7 +241,7 @@ def find_variables(package: Package, scene: Scene) -> Variables:
             )
         return None if variable is None else int(variable.valueReference)
 
-    found: dict[str, Any] = {}
+    references_by_group: dict[str, Any] = {}
     for which, group in groups.items():
         references = [reference(name) for name in group]
         missing = [name for name, item in zip(group, references, strict=True) if item is None]
@@ -265,8 +249,10 @@ def find_variables(package: Package, scene: Scene) -> Variables:
             raise FmuError(
                 f"FMU {package.path}: it has no variable {missing[0]!r} of scene {scene.name}; give its name in the FMU by a map."
             )
-        found[which] = () if missing else tuple(item for item in references if item is not None)
-    for name, item in zip(groups["u"], found["u"], strict=True):
+        references_by_group[which] = (
+            () if missing else tuple(item for item in references if item is not None)
+        )
+    for name, item in zip(groups["u"], references_by_group["u"], strict=True):
         if by_name[name].causality != "input":
             raise FmuError(
                 f"FMU {package.path}: {name} (value reference {item}) is no input, but the plan drives it."
@@ -291,11 +277,11 @@ def find_variables(package: Package, scene: Scene) -> Variables:
         return {name: item for name in group if (item := reference(name)) is not None}
 
     return Variables(
-        **found,
+        **references_by_group,
         energies=present(ENERGIES),
         powers=present(POWERS),
         zero=frozenset(name for name, is_absent in absent.items() if is_absent),
         parameters=tuple(parameters),
-        start=found["q"] + found["v"],
+        start=references_by_group["q"] + references_by_group["v"],
         internal_step=reference(INTERNAL_STEP),
     )

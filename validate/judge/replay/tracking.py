@@ -1,42 +1,13 @@
-"""Feedback around a plan: the time-varying LQR, held over each step and saturated at the bounds.
+"""Feedback around a plan (time-varying LQR, held and saturated), and growth of errors without.
 
-And how much errors grow without it.
-
-    u_t = sat(u_plan_t + K_t (x_plan_t - x(t)))
-        at the nodes; between them the correction is held, as a robot's computer does
-
-K_t, t = T-1 .. 0, is the discrete Riccati recursion (Anderson and Moore, Optimal Control: Linear
-Quadratic Methods, 1990, section 2.4)
-
+    u_t = sat(u_plan_t + K_t (x_plan_t - x(t)))    at the nodes, the correction held between
     K_t = (R + B' P B)^-1 B' P A,     P <- Q + A' P (A - B K_t),     from P = Q_T
 
-with A, B the exact derivatives of the true motion over step t at the plan's state and input: ten
-small steps of the compiled kernel, so that a contact that opens or closes within the step, sticks
-or slips counts for as long as it does. Where the plan touches, the true law's spring is in A; where
-it does not, there is none, whatever force the plan claims.
-
-Weights, for every scene alike: Q = 1/nominal^2 of each component of the state, R = 1/scale^2 with
-an input's scale half the width of its bounds (without bounds the plan's own largest value), so that
-an error of the nominal size is worth all of an input. At the end Q_T = T Q, as much as all the
-steps before it, but Q alone for what the goal leaves free.
-
-An FMU without a scene is linearised by its own directional derivatives (`design_foreign`). At each
-    node its states are set to the plan's and its events
-are settled, so that a contact that the plan closes is closed. One step is exp(h (F_t + F_{t+1})/2)
-    with F the Jacobian of the rates by states and held
-inputs: of second order in h, and half a contact where it closes in between.
-
-How much an error grows in the open loop (`measure_growth`): the plan is cut into at most 50 blocks.
-Phi of a block is the exact derivative of the plan's own time step (of one that declares no scheme:
-of steps that are stable in contact, and so small that smaller ones give the same), with the true
-contact law, from the block's first state on under the plan's inputs; Phi(j, i) is the product of
-the blocks i .. j - 1. The amplification is the largest 2-norm over i < j of S^-1 Phi_qq(j, i) S,
-the positions that positions lead to, with S the scene's nominals: a finite-time Lyapunov growth.
-Its rate is such that amplification = exp(rate T). Velocities are left out: in a contact of
-frequency w a position becomes w times as much speed, which is no growth.
-
-An exact plan lies on edges: a contact just touches, friction just sticks. The derivative there is
-that of one side, and rounding decides which. So the number explains a verdict, and decides none.
+is the discrete Riccati recursion (Anderson and Moore, Optimal Control: Linear Quadratic Methods,
+1990, section 2.4). `design_feedback` takes A, B from a scene's kernel, `design_foreign` from an
+FMU's directional derivatives, and `feedback_from` sets the weights. `measure_growth` explains
+verdicts, and decides none: an exact plan is at edges of contact and friction, whose one-sided
+derivatives depend on rounding.
 """
 
 from __future__ import annotations
@@ -66,7 +37,7 @@ from validate.processes.isolated import Limits, packed, run_isolated, unpacked_f
 
 
 def tracking_refusal(package: Package, variables: Variables) -> str | None:
-    """None, or why no feedback can be designed for this FMU."""
+    """Return why no feedback can be designed for this FMU, or None."""
     exchange = package.exchange
     if exchange is None:
         return "it offers no Model Exchange, whose states feedback needs"
@@ -89,20 +60,10 @@ def tracking_refusal(package: Package, variables: Variables) -> str | None:
 def design_foreign(
     foreign: Foreign, package: Package, plan: Trajectory, limits: Limits
 ) -> tuple[Feedback, Growth | None]:
-    """The feedback around a plan for an FMU without a scene, and how much errors grow along it.
+    """Return the feedback around a plan on an external FMU, and the growth, None if not finite.
 
-    Parameters
-    ----------
-    plan : in its own units.
-    limits : of the child that asks the FMU.
-
-    Returns
-    -------
-    The feedback in the plan's units, and the growth, None where it is not finite.
-
-    Raises
-    ------
-    TrackingError : if the plan says no positions, or the FMU cannot be linearised along it.
+    plan: in its own units. Raises TrackingError if the plan has no positions, or the FMU cannot be
+    linearised.
     """
     if "q" in plan.missing:
         raise TrackingError("plan: it does not say its positions, so there is nothing to track.")
@@ -125,45 +86,45 @@ def linearised(
     states: np.ndarray,
     limits: Limits,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """An FMU's motion over each step, linearised along a plan, in the FMU's units, states in the order of variables.q + variables.v.
+    """Linearise an FMU along a plan: A (steps, nx, nx), B (steps, nx, nu) of x' = A x + B u.
+
+    In the FMU's units, states ordered as variables.q + variables.v. One step is exp(h (F_t +
+    F_{t+1})/2), F the Jacobian of the rates by states and held inputs. This is of second order in
+    h, with half a contact if it closes within the step.
 
     Parameters
     ----------
-    plan : its times and inputs.
-    start : (n,) start values [unit of each variable], in the order of Variables.start.
-    states : (nodes, nx) the plan's states [unit of each state].
-    limits : of the child that asks the FMU.
-
-    Returns
-    -------
-    A (steps, nx, nx), B (steps, nx, nu) of x' = A x + B u.
+    start
+        (n,) start values [unit of each variable], in the order of Variables.start.
+    states
+        (nodes, nx) the plan's states [unit of each].
 
     Raises
     ------
-    TrackingError : if the FMU offers no directional derivatives of these states, refuses them, or
-        gives one that is not finite.
+    TrackingError
+        If directional derivatives of these states are missing, refused, or not finite.
     """
     refusal = tracking_refusal(package, variables)
     if refusal is not None:
         raise TrackingError(f"FMU {package.path}: the plan cannot be tracked, because {refusal}.")
-    request, given = (
+    request, arrays = (
         str(package.path.resolve()),
         packed(variables) | {"t": plan.t, "u": plan.u, "start": start, "states": states},
     )
     done = run_isolated(
         "validate.judge.replay.tracking:jacobians",
         request,
-        given,
+        arrays,
         limits=limits,
         what=f"FMU {package.path}",
     )
     if not done.ok:
         raise TrackingError(done.sentence)
-    found = done.arrays
+    jacobian_arrays = done.arrays
     nx, h = states.shape[1], np.diff(plan.t)
     pair = (
-        found["first"] + found["last"]
-    ) / 2.0  # (steps, nx, nx + nu): at both ends of each step, with the input of the step
+        jacobian_arrays["first"] + jacobian_arrays["last"]
+    ) / 2.0  # (steps, nx, nx + nu): mean of both ends of each step
     if not np.isfinite(pair).all():
         raise TrackingError(
             f"FMU {package.path}: the plan cannot be tracked, because a directional derivative is not a finite number."
@@ -177,26 +138,19 @@ def linearised(
 
 
 def jacobians(path: str, arrays: Mapping[str, np.ndarray]) -> tuple[None, dict[str, np.ndarray]]:
-    """Derivatives of an FMU's rates at both ends of each step, by its own directional derivatives, in a child.
+    """Return an FMU's directional derivatives at both ends of each step, in a child process.
 
-    Parameters
-    ----------
-    path : of the FMU.
-    arrays : t (nodes,) [s], u (steps, nu), start (n,), states (nodes, nx) [unit of each variable];
-        and the Variables, packed.
+    At each node events are settled, so that a contact of the plan is closed.
 
-    Returns
-    -------
-    None, and first, last (steps, nx, nx + nu) [unit of the state per second and per unit of the
-        known].
+    - arrays: t (nodes,) [s], u (steps, nu), start (n,), states (nodes, nx) [unit of each], packed
+      Variables.
 
-    Raises
-    ------
-    FmuError, FMICallException : if the FMU cannot be opened, misbehaves, or refuses a call.
+    Returns first, last (steps, nx, nx + nu) [unit of the state per second and per unit of the
+    known]. Raises FmuError, FMICallException.
     """
     (variables,) = unpacked_from(arrays)
     t, u, states = arrays["t"], arrays["u"], arrays["states"]
-    found = {
+    results = {
         name: np.empty((len(u), states.shape[1], states.shape[1] + u.shape[1]))
         for name in ("first", "last")
     }
@@ -213,56 +167,58 @@ def jacobians(path: str, arrays: Mapping[str, np.ndarray]) -> tuple[None, dict[s
                     x = np.empty(len(order))
                     x[places] = states[node]
                     model.event(float(t[node]), x, u[step])
-                    found[name][step] = model.jacobian(float(t[node]), x, unknowns, knowns)
-    return None, found
+                    results[name][step] = model.jacobian(float(t[node]), x, unknowns, knowns)
+    return None, results
 
 
 def _states(package: Package) -> list[Any]:
     return [item.variable.derivative for item in package.description.derivatives]
 
 
-# Blocks in which a plan is cut: growth within one is told by the next product, and fifty keep the
-# cost below that of one replay.
+# Largest number of blocks of a plan, which keeps the cost below that of one replay.
 _BLOCKS = 50
 
-# Parts of a plan's step, more and more until twice in a row the growth is the same up to this
-# factor, or they are so many in all (a CPU second). The first are no longer than this share of the
-# longest stable ones.
+# Refinement of the plan's step, until the growth agrees twice in a row.
 _FINER = 8
+# Largest ratio of growths that agree.
 _AGREE = 1.2
+# Largest number of steps, a CPU second.
 _MOST = 4_000_000
+# First step, as a fraction of the longest stable one.
 _STABLY = 0.25
 
 
 def nominals(subject: Subject) -> np.ndarray:
-    """Typical size of each component of the state, (2*nq,) [m or rad], of a velocity that of its position [m/s or rad/s]. Raises nothing."""
+    """Return the nominals of the state (2*nq,) [m or rad, m/s or rad/s]. Raises nothing."""
     sizes = [item.nominal for item in subject.coordinates]
     return np.array(sizes + sizes)
 
 
 def measure_growth(kernel: Kernel, scene: Scene, plan: Trajectory) -> Growth | None:
-    """How much an error grows along the plan in the open loop.
+    """Return the growth of an error along the plan without feedback.
 
-    None where the true law leads out of every bound within a block, the mass matrix is singular,
-    or, of a plan that declares no scheme, smaller steps keep giving another number: then it is the
-    steps that are unstable.
+    The plan is cut into at most 50 blocks. Phi of a block is the exact derivative, with the true
+    contact law, of the plan's scheme, or of stable steps fine enough to agree. The amplification is
+    the largest 2-norm of S^-1 Phi_qq(j, i) S over i < j, S the nominals: a finite-time Lyapunov
+    growth of positions. Velocities are left out, as a contact of frequency w multiplies positions
+    by w without growth. None if the motion diverges in a block, the mass matrix is singular, or
+    smaller steps do not agree.
     """
     if plan.scheme is not None:
         return _growth_in(1, kernel, scene, plan)
     stable, longest = step_stability(scene).largest_step, float(np.diff(plan.t).max())
     parts, before = 1 if longest < stable else math.ceil(longest / (_STABLY * stable)), None
     while parts * plan.steps <= _MOST:
-        found = _growth_in(parts, kernel, scene, plan)
-        if found is not None and before is not None:
-            ratio = max(found.amplification, 1.0) / max(before.amplification, 1.0)
+        growth = _growth_in(parts, kernel, scene, plan)
+        if growth is not None and before is not None:
+            ratio = max(growth.amplification, 1.0) / max(before.amplification, 1.0)
             if 1.0 / _AGREE <= ratio <= _AGREE:
-                return found
-        parts, before = parts * _FINER, found
+                return growth
+        parts, before = parts * _FINER, growth
     return None
 
 
 def _growth_in(parts: int, kernel: Kernel, scene: Scene, plan: Trajectory) -> Growth | None:
-    """With each step of the plan in so many parts."""
     h = np.diff(plan.t).tolist()
     uniform = bool(np.allclose(h, scene.task.step, rtol=1e-9, atol=0.0)) or plan.has_uniform_grid()
     edges = _edges(plan.steps) if uniform else np.arange(plan.steps + 1)
@@ -281,21 +237,26 @@ def _growth_in(parts: int, kernel: Kernel, scene: Scene, plan: Trajectory) -> Gr
 
 
 def largest_growth(steps: np.ndarray, t: np.ndarray, scale: np.ndarray) -> Growth | None:
-    """The largest gain of products of transition matrices, from positions to positions, taken in at most 50 blocks.
+    """Return the largest position gain of products of steps, in at most 50 blocks.
 
     Parameters
     ----------
-    steps : (n, 2*nq, 2*nq) transition matrices of positions and velocities from t[i] to t[i + 1].
-    t : (n + 1,) [s].
-    scale : (2*nq,) typical size of each component of the state [m or rad, then per second].
+    steps
+        (n, 2*nq, 2*nq) transition matrices of positions and velocities.
+    t
+        (n + 1,) [s].
+    scale
+        (2*nq,) nominals [m or rad, then per second].
 
     Returns
     -------
-    The growth; None where a product is not finite.
+    Growth or None
+        None if a product is not finite.
 
     Raises
     ------
-    ValueError : if the shapes do not fit.
+    ValueError
+        If the shapes do not fit.
     """
     scaled = steps * (scale[None, None, :] / scale[None, :, None])
     best, nq = (0.0, 0, 0), len(scale) // 2
@@ -307,7 +268,7 @@ def largest_growth(steps: np.ndarray, t: np.ndarray, scale: np.ndarray) -> Growt
             matrix = np.eye(len(scale))
             for step in scaled[first:last]:
                 matrix = step @ matrix
-            # Row i: from edge i to edge `end`.
+            # Row i: from edge i to edge `end`
             products = np.concatenate([matrix @ products, matrix[None]])
             if not np.isfinite(products).all():
                 return None
@@ -324,20 +285,19 @@ def largest_growth(steps: np.ndarray, t: np.ndarray, scale: np.ndarray) -> Growt
 
 
 def _edges(steps: int) -> np.ndarray:
-    """(blocks + 1,) steps at which blocks begin, and the last end."""
     return np.linspace(0, steps, min(steps, _BLOCKS) + 1).round().astype(int)
 
 
-# Small steps in one of the plan's, for A and B.
+# Kernel steps per plan step for A and B, so that contacts and friction count for their duration.
 _SUBSTEPS = 10
 
 
 class TrackingError(TouchstoneError):
-    """No feedback can track this plan; the text says why."""
+    """No feedback can track this plan; the text has the reason."""
 
 
 def design_feedback(kernel: Kernel, scene: Scene, plan: Trajectory) -> Feedback:
-    """The feedback around a plan of a scene. Raises TrackingError."""
+    """Return the feedback around a plan of a scene. Raises TrackingError."""
     if scene.nu == 0:
         raise TrackingError(
             f"scene {scene.name}: it has no inputs, so there is nothing to feed back to."
@@ -357,23 +317,18 @@ def design_feedback(kernel: Kernel, scene: Scene, plan: Trajectory) -> Feedback:
 
 
 def feedback_from(subject: Subject, plan: Trajectory, A: np.ndarray, B: np.ndarray) -> Feedback:
-    """The feedback for linearised steps of a plan.
+    """Return the feedback of linearised steps A (steps, 2*nq, 2*nq), B (steps, 2*nq, nu) [SI].
 
-    Parameters
-    ----------
-    A : (steps, 2*nq, 2*nq) by the state [m or rad, then per second].
-    B : (steps, 2*nq, nu) by the inputs [N or N m].
-
-    Raises
-    ------
-    TrackingError : if the Riccati recursion overflows or is singular.
+    Weights: Q = 1/nominal^2, R = 1/scale^2, so that a nominal error is worth a whole input. The
+    last weight is T Q, as much as all steps before, but Q for coordinates with a free goal. Raises
+    TrackingError if the Riccati recursion fails.
     """
     lower = np.array([item.lower for item in subject.inputs])
     upper = np.array([item.upper for item in subject.inputs])
     scale = input_scale(lower, upper, plan.u)
     sizes = nominals(subject)
     weight = 1.0 / sizes**2
-    free = np.isnan(goal_state(subject.task))  # type: ignore[arg-type] - a foreign task has a goal of the same form
+    free = np.isnan(goal_state(subject.task))  # type: ignore[arg-type] - a foreign task has the same goal
     gains = lqr_gains(A, B, weight, 1.0 / scale**2, np.where(free, weight, plan.steps * weight))
     return Feedback(
         gains=gains, reference=np.hstack([plan.q, plan.v]), u=plan.u, lower=lower, upper=upper,
@@ -382,20 +337,10 @@ def feedback_from(subject: Subject, plan: Trajectory, A: np.ndarray, B: np.ndarr
 
 
 def input_scale(lower: np.ndarray, upper: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """What an input's effort is a share of: half the width of its bounds.
+    """Return the unit of effort (nu,) [unit of each input]: half the width of the bounds.
 
-    Parameters
-    ----------
-    lower, upper : (nu,) bounds [unit of each input], may be infinite.
-    u : (steps, nu) the plan's inputs [unit of each input].
-
-    Returns
-    -------
-    (nu,) [unit of each input]; without bounds the largest value in the plan, or 1 where that is 0.
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
+    Without bounds the largest of u (steps, nu), or 1 if that is 0. Raises ValueError if the shapes
+    do not fit.
     """
     half = (upper - lower) / 2.0
     largest = np.abs(u).max(axis=0, initial=0.0)
@@ -405,22 +350,10 @@ def input_scale(lower: np.ndarray, upper: np.ndarray, u: np.ndarray) -> np.ndarr
 def lqr_gains(
     A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, Q_end: np.ndarray
 ) -> np.ndarray:
-    """Gains of the discrete Riccati recursion of the module docstring.
+    """Return the gains K (steps, nu, nx) [unit of the input per unit of the state].
 
-    Parameters
-    ----------
-    A : (steps, nx, nx) by the state [unit of the state per unit of the state].
-    B : (steps, nx, nu) by the inputs [unit of the state per unit of the input].
-    Q, Q_end : (nx,) diagonals of the weights on the state, and at the end.
-    R : (nu,) diagonal of the weight on the inputs.
-
-    Returns
-    -------
-    (steps, nu, nx) gains K [unit of the input per unit of the state].
-
-    Raises
-    ------
-    TrackingError : if the recursion overflows or is singular.
+    A (steps, nx, nx), B (steps, nx, nu): linearised steps; Q, Q_end (nx,), R (nu,): diagonal
+    weights. Raises TrackingError if the recursion overflows or is singular.
     """
     steps, nx, nu = B.shape
     K = np.empty((steps, nu, nx))
@@ -430,15 +363,15 @@ def lqr_gains(
             BP = B[t].T @ P
             if not np.isfinite(BP).all():
                 raise TrackingError(
-                    f"plan: the tracking gains overflow at step {t}; what grows there no input reaches."
+                    f"plan: the tracking gains overflow at step {t}: an unstable part of the motion there is out of reach of the inputs."
                 )
             try:
                 K[t] = np.linalg.solve(np.diag(R) + BP @ B[t], BP @ A[t])
             except np.linalg.LinAlgError as error:
                 raise TrackingError(
-                    f"plan: the tracking gains are lost to rounding at step {t}; what grows there swamps the inputs' weight."
+                    f"plan: the tracking gains are lost to rounding at step {t}: the growth there is far larger than the weight of the inputs."
                 ) from error
             closed = A[t] - B[t] @ K[t]
-            # Joseph's form, which keeps P symmetric and positive semidefinite in rounding.
+            # Joseph's form keeps P symmetric and positive semidefinite in rounding.
             P = np.diag(Q) + closed.T @ P @ closed + K[t].T @ (R[:, None] * K[t])
     return K

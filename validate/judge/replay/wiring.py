@@ -1,9 +1,8 @@
-"""What a simulation of a plan needs of it: value references, inputs as functions of time, a feedback law.
+"""Value references, inputs and feedback for a simulation of a plan.
 
-`Variables` holds value references only, so that it travels to a child process. `HeldInputs` are the
-plan's inputs between its nodes: constant over a step, or a line to the next node's value; with
-`Feedback` a constant is added over each step. `measure_effort` says how much that was.
-`WorldInputs` are what becomes of them in a perturbed world: later, by another gain, with noise.
+- `Variables`: value references only, so that they travel to a child process.
+- `HeldInputs`: inputs between nodes, constant or linear, plus a constant correction by `Feedback`.
+- `WorldInputs`: inputs in a perturbed world, with delay, gain and noise.
 """
 
 from __future__ import annotations
@@ -17,8 +16,7 @@ import numpy as np
 from models.plan_table import Table
 from models.trajectory import Hold, Trajectory, input_share
 
-# The outputs a replay can use beside positions and velocities; what an FMU lacks is computed from
-# the scene or left out.
+# Outputs used in addition to positions and velocities; missing ones are computed or omitted.
 ENERGIES = ("kinetic_energy", "potential_energy", "contact_energy")
 POWERS = ("input_power", "dissipated_power")
 INTERNAL_STEP = "internal_step"
@@ -26,16 +24,13 @@ INTERNAL_STEP = "internal_step"
 
 @dataclass(frozen=True, kw_only=True)
 class Variables:
-    """Value references. lam, gap and friction are empty where the FMU lacks one of them.
+    """Value references; lam, gap and friction are empty if the FMU lacks one of them.
 
-    V may be empty for an FMU without a scene.
-
-    energies, powers: those the FMU has, by name; zero: names of energies and powers that the scene
-        does not have at all;
-    parameters: (reference, value) set before the start; start: references of what is set to the
-        plan's start, in the order of the start
-    vector; internal_step: of the Co-Simulation; choices: (reference, value) of whole numbers set
-        before the start.
+    - zero: energies and powers that the scene does not have.
+    - parameters: (reference, value) set before the start.
+    - start: references in the order of the start vector.
+    - internal_step: of Co-Simulation.
+    - choices: (reference, integer) set before the start.
     """
 
     q: tuple[int, ...]
@@ -54,12 +49,12 @@ class Variables:
 
     @property
     def outputs(self) -> tuple[int, ...]:
-        """Of all that is read at a point of the replay: q, v, lam, gap, friction, energies."""
+        """Return the references read at each point: q, v, lam, gap, friction, energies."""
         return self.q + self.v + self.lam + self.gap + self.friction + tuple(self.energies.values())
 
     @property
     def rates(self) -> tuple[int, ...]:
-        """Of what is integrated beside the states: contact forces, powers."""
+        """Return the references integrated beside the states: contact forces, powers."""
         return self.lam + tuple(self.powers.values())
 
 
@@ -67,9 +62,10 @@ class Variables:
 class Feedback:
     """u_t = sat(u_plan_t + K_t (x_plan_t - x(t))) at each node.
 
-    gains K (steps, nu, nx); reference x_plan (nodes, nx) positions, then velocities; u (steps, nu)
-    of the plan; lower, upper (nu,) bounds, may be infinite; scale (nu,): what an input's effort is
-    a share of (half the width of its bounds, or the plan's own largest value).
+    - gains: K (steps, nu, nx).
+    - reference: x_plan (nodes, nx), positions, then velocities.
+    - u (steps, nu); lower, upper (nu,), may be infinite.
+    - scale (nu,): unit of effort (half the width of the bounds, or the plan's largest value).
     """
 
     gains: np.ndarray
@@ -80,39 +76,23 @@ class Feedback:
     scale: np.ndarray
 
     def at(self, step: int, state: np.ndarray) -> np.ndarray:
-        """The input applied from the start of a step on: what is asked for, saturated.
+        """Return the saturated input (nu,) [unit of each] at a step's start; state: (nx,).
 
-        Parameters
-        ----------
-        step : its number.
-        state : (nx,) there [unit of each state].
-
-        Returns
-        -------
-        (nu,) [unit of each input].
-
-        Raises
-        ------
-        IndexError : for a step that the plan does not have.
+        Raises IndexError for a step beyond the plan.
         """
-        wanted = self.u[step] + self.gains[step] @ (self.reference[step] - state)
+        unbounded = self.u[step] + self.gains[step] @ (self.reference[step] - state)
         return np.minimum(
-            np.maximum(wanted, self.lower), self.upper
+            np.maximum(unbounded, self.lower), self.upper
         )  # np.clip takes five times as long
 
     def in_units(
         self, output: tuple[np.ndarray, np.ndarray], inputs: tuple[np.ndarray, np.ndarray]
     ) -> Feedback:
-        """The same law in an FMU's units.
+        """Return the law in an FMU's units.
 
-        Parameters
-        ----------
-        output : scale, offset (nx,), plan's value [unit of the column] = scale * FMU's + offset.
-        inputs : scale, offset (nu,), FMU's value = scale * plan's [unit of the column] + offset.
-
-        Raises
-        ------
-        ValueError : if the shapes do not fit.
+        output: scale, offset (nx,), plan [unit of the column] = scale * FMU + offset; inputs:
+        scale, offset (nu,), FMU = scale * plan + offset. Raises ValueError if the shapes do not
+        fit.
         """
         (a, b), (c, d) = output, inputs
         bounds = np.sort([c * self.lower + d, c * self.upper + d], axis=0)
@@ -125,14 +105,13 @@ class Feedback:
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """What the feedback added to the plan's inputs.
+    """Corrections by feedback.
 
-    rms, peak: root mean square over time and largest value, of each input in its unit; rms_share,
-        peak_share: the largest over the inputs as a share of
-    the input's scale (half the width of its bounds); plan_share: root mean square of all that was
-        added over that of the plan's own inputs, each input in
-    its scale and averaged over windows (models.trajectory.input_share); saturated:
-    share of the steps in which some input stood at a bound that the plan did not ask for.
+    - rms, peak: of each input over time, in its unit.
+    - rms_share, peak_share: largest over the inputs, in their scale.
+    - plan_share: rms of corrections over rms of the plan's inputs, averaged over windows
+      (models.trajectory.input_share).
+    - saturated: fraction of steps at a bound because of a correction.
     """
 
     rms: tuple[float, ...]
@@ -144,13 +123,13 @@ class Effort:
 
 
 def measure_effort(plan: Trajectory, applied: np.ndarray, feedback: Feedback) -> Effort:
-    """Of inputs applied (steps, nu) at the starts of the steps against the plan's, in the plan's units.
+    """Return the effort of inputs applied (steps, nu) [plan's units]; fewer steps are allowed.
 
-    Raises nothing; of a replay that ended early the steps that it made.
+    Raises nothing.
     """
     steps = len(applied)
-    given, h = applied - plan.u[:steps], np.diff(plan.t)[:steps]
-    added = np.abs(given)
+    corrections, h = applied - plan.u[:steps], np.diff(plan.t)[:steps]
+    added = np.abs(corrections)
     if not steps:
         zero = (0.0,) * plan.u.shape[1]
         return Effort(
@@ -158,25 +137,25 @@ def measure_effort(plan: Trajectory, applied: np.ndarray, feedback: Feedback) ->
         )
     rms, peak = np.sqrt((h[:, None] * added**2).sum(axis=0) / h.sum()), added.max(axis=0)
     held = HeldInputs(plan)
-    own = held.values[:steps] + held.slopes[:steps] * h[:, None] / 2.0
+    plan_inputs = held.values[:steps] + held.slopes[:steps] * h[:, None] / 2.0
     at_bound = ((applied <= feedback.lower) | (applied >= feedback.upper)) & (added > 0.0)
     return Effort(
         rms=tuple(rms.tolist()),
         peak=tuple(peak.tolist()),
         rms_share=float((rms / feedback.scale).max()),
         peak_share=float((peak / feedback.scale).max()),
-        plan_share=input_share(plan.t[: steps + 1], given, own, feedback.scale),
+        plan_share=input_share(plan.t[: steps + 1], corrections, plan_inputs, feedback.scale),
         saturated=float(at_bound.any(axis=1).mean()),
     )
 
 
 class HeldInputs:
-    """u(t) of a plan. values, slopes (steps, nu): at the start of each step, and per second within it; grid: the plan's own times [s].
+    """Inputs u(t) of a plan; values, slopes (steps, nu): at each step's start and per second.
 
-    breaks (steps,): whether u or its slope jumps where step i begins, so that an integrator must
-    start afresh there. With feedback every step begins with a jump, and `values` are those of the
-    run in progress: `begin` sets them. stops (steps,): the first node after the start of each step
-    beyond which no integration may go.
+    - grid: the plan's times [s].
+    - breaks (steps,): the integrator must restart where u or its slope jumps; with feedback at
+      every step, with `values` set by `begin`.
+    - stops (steps,): the next node at which an integration must stop.
     """
 
     def __init__(self, trajectory: Trajectory, feedback: Feedback | None = None) -> None:
@@ -199,32 +178,20 @@ class HeldInputs:
             else np.full(trajectory.steps, True)
         )
         steps = np.arange(trajectory.steps)
-        # The first break at or after each step, and the end of the plan.
+        # The next break after each step, or the end of the plan.
         following = np.minimum.accumulate(np.where(self.breaks, steps, trajectory.steps)[::-1])[
             ::-1
         ]
         self.stops: list[int] = [*following[1:].tolist(), trajectory.steps]
 
     def begin(self, step: int, state: np.ndarray | None) -> np.ndarray:
-        """The input at the start of a step.
+        """Return the input (nu,) [unit of each] at a step's start.
 
-        Parameters
-        ----------
-        step : its number.
-        state : (nx,) there [unit of each state], for the feedback; None: the plan's own start.
-
-        Returns
-        -------
-        (nu,) [unit of each input].
-
-        Raises
-        ------
-        IndexError : for a step that the plan does not have.
+        state: (nx,) for the feedback; None: the plan's start. Raises IndexError beyond the plan.
         """
         if self.feedback is not None:
             u = self.feedback.at(step, self.feedback.reference[0] if state is None else state)
-            # the correction is held: it may not lead out of the bounds at the end of the step
-            # either
+            # The held correction must respect the bounds at the end of the step too.
             if self.linear:
                 change = self.slopes[step] * (self.times[step + 1] - self.times[step])
                 u = np.clip(
@@ -236,18 +203,18 @@ class HeldInputs:
         return self.values[step]
 
 
-# Breaks of the inputs that are nearer to one another than this share of a step are one.
+# Relative distance of equal breaks, in steps.
 _SAME = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class World:
-    """A perturbed world: parameters (np,) and start (2*nq,) [units of the scene], gain (nu,) [-], noise (steps, nu) [unit of each input], delay [s].
+    """A perturbed world: parameters (np,) and start (2*nq,) [units of the scene], delay [s].
 
-    whole: inputs change at the plan's nodes alone, as some FMUs take no other steps: over each step
-        they are the mean of what they would be.
-    longest: steps of the plan are made in equal parts that are no longer [s], as Co-Simulation
-        shows its motion at their ends alone.
+    - gain (nu,) [-]; noise (steps, nu) [unit of each input].
+    - whole: inputs change at nodes only and are means over steps, for FMUs with fixed steps.
+    - longest: largest part of a plan step [s], because Co-Simulation has rows only at the ends of
+      steps.
     """
 
     parameters: np.ndarray
@@ -260,7 +227,7 @@ class World:
 
 
 def with_times_between(t: np.ndarray, longest: float) -> np.ndarray:
-    """Times (n,) [s], and between them as many more, evenly, as leave no two further apart than `longest` [s]. Raises nothing."""
+    """Return times (n,) [s] with evenly added ones, at most `longest` [s] apart. Raises nothing."""
     counts = np.maximum(np.ceil(np.diff(t) / longest - 1e-6), 1.0).astype(int)
     step = np.repeat(np.arange(len(counts)), counts)
     part = (np.arange(len(step)) - (np.cumsum(counts) - counts)[step]) / counts[step]
@@ -268,18 +235,15 @@ def with_times_between(t: np.ndarray, longest: float) -> np.ndarray:
 
 
 class WorldInputs(HeldInputs):
-    """What a plan's inputs become in a world: later, by another gain, with noise.
+    """Inputs of a plan in a world: delayed, scaled, with noise.
 
-    With feedback, its commands do.
-
-    A command given at a node arrives `delay` later; until the first arrives it is that of the
-        start. rows (nodes,): where the plan's nodes are among the times;
-    grid: these nodes and the ends of the parts between them. With feedback a world is never
-        `whole`. What worlds there are, validate.judge.robustness.worlds says.
+    A command of a node arrives `delay` later; before the first arrival the start's is in force.
+    rows (nodes,): nodes among the times; grid: nodes and parts between. With feedback a world is
+    never `whole`.
     """
 
     def __init__(self, plan: Trajectory, world: World, feedback: Feedback | None = None) -> None:
-        """Raises ValueError if the shapes of plan, world and feedback do not fit."""
+        """Raises ValueError if the shapes do not fit."""
         super().__init__(plan, feedback)
         self._commands, self._world = HeldInputs(plan, feedback), world
         arrivals, shortest = plan.t[:-1] + world.delay, _SAME * float(np.diff(plan.t).min())
@@ -290,8 +254,7 @@ class WorldInputs(HeldInputs):
         self.times = np.union1d(self.grid, between)
         self.rows = np.searchsorted(self.times, plan.t)
         begins = self.times[:-1]
-        # Of each step of these times: the plan's step in which it lies, that whose command is in
-        # force, and since when it is [s].
+        # For each step: the plan's step, the step of the command in force, and its age [s].
         self._lies_in = np.searchsorted(plan.t, begins + shortest, side="right") - 1
         self._command = np.maximum(
             np.searchsorted(arrivals, begins + shortest, side="right") - 1, 0
@@ -324,11 +287,11 @@ class WorldInputs(HeldInputs):
 
     @property
     def commands(self) -> np.ndarray:
-        """(steps, nu) what is commanded at the plan's nodes [unit of each input]: what an actuator makes of it, and when, is the world's. Raises nothing."""
+        """Return the commands (steps, nu) [unit of each input] of the nodes. Raises nothing."""
         return self._commands.values
 
     def begin(self, step: int, state: np.ndarray | None) -> np.ndarray:
-        """The input at the start of a step of these times: at a node a command is given, from its arrival on it is in force (`HeldInputs.begin`): (nu,) [unit of each], state (2*nq,). Raises nothing."""
+        """Return the input (nu,) [unit of each] at a step and state (2*nq,). Raises nothing."""
         if self.feedback is not None:
             node = int(self._lies_in[step])
             if self.rows[node] == step:
@@ -340,7 +303,6 @@ class WorldInputs(HeldInputs):
 
 
 def _to_nearest(points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """(n,) distance of each point from the nearest node [s]."""
     after = np.clip(np.searchsorted(nodes, points), 1, len(nodes) - 1)
     return np.minimum(np.abs(points - nodes[after]), np.abs(points - nodes[after - 1]))
 
@@ -348,10 +310,7 @@ def _to_nearest(points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
 def columns_or_zeros(
     table: Table, columns: Sequence[str], shape: tuple[int, int], may_be_shorter: bool
 ) -> np.ndarray:
-    """Return columns of a plan (rows, n) [unit of each column], zeros (rows, n) if there are none.
-
-    Raises TrajectoryError.
-    """
+    """Return columns (rows, n) [unit of each], or zeros without columns. Raises TrajectoryError."""
     if not columns:
         return np.zeros(shape)
     return np.column_stack([table.column(column, may_be_shorter) for column in columns])

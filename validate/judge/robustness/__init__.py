@@ -1,4 +1,4 @@
-"""How much a plan can take: the share of perturbed worlds in which it still arrives, and which perturbation it takes least of.
+"""Robustness of a plan: the share of perturbed worlds in which it arrives.
 
 from validate.judge.robustness import robustness
 robustness("three_cart", "plan.csv").alone.share

@@ -1,12 +1,10 @@
-"""How much a plan can take: in what share of perturbed worlds it arrives, and which perturbation it takes least of.
+"""Robustness of a plan: its share of perturbed worlds, and the perturbation it tolerates least.
 
-    found = robustness("three_cart", "plan.csv", samples=1000)
-    found.alone.share, found.alone.interval, found.weakest
-    # in short, as a campaign asks it of every plan that holds
-    survey(scene, plan, limits, False).weakest
+    result = robustness("three_cart", "plan.csv", samples=1000)
+    result.alone.share, result.alone.interval, result.weakest
+    survey(scene, plan, limits, False).weakest      # short form, for campaigns
 
-Inputs alone and with feedback apart. Worlds come from validate.judge.robustness.worlds, trials from
-validate.judge.robustness.trials; a sample is tried once more by the reference, and what differs is
+Inputs alone and with feedback are separate. The reference repeats some trials; differences are
 counted.
 """
 
@@ -48,36 +46,43 @@ from validate.judge.score.verdict import Verdict
 
 SAMPLES = 1000
 MOST = 1_000_000
-# One of so many worlds is tried by the reference too, within these bounds.
+# One of this many worlds is repeated by the reference.
 _EVERY = 50
+# Smallest number of repeated worlds.
 _FEWEST = 10
+# Largest number of repeated worlds.
 _MOST_CHECKED = 200
-# Sizes of one perturbation: from the first, by this factor up to the last, then bisected to 1 %.
+# First size of one perturbation.
 _FIRST = 1 / 32
+# Factor between sizes.
 _FACTOR = math.sqrt(2.0)
+# Largest size.
 FARTHEST = 64.0
+# Relative width of the bisected interval.
 _WITHIN = 0.01
+# Two-sided 95 % quantile of the normal distribution.
 _Z95 = 1.959963984540054
-# One of so many worlds is tried with feedback too, which costs ten times as much.
+# Fewest worlds.
 _LEAST = 10
+# One of this many worlds is tried with feedback too, which is ten times as expensive.
 OF_FEEDBACK = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Share:
-    """How many of the worlds a plan arrives in; interval: Wilson's, of 95 %."""
+    """Number of worlds in which a plan arrives, with Wilson's 95 % interval."""
 
     arrived: int
     samples: int
 
     @property
     def share(self) -> float:
-        """The part that arrives [-]; 0 of none."""
+        """Return the fraction that arrives [-], 0 of none."""
         return self.arrived / max(self.samples, 1)
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Lower and upper end (Wilson, 1927)."""
+        """Return the lower and upper end (Wilson, 1927)."""
         if not self.samples:
             return 0.0, 1.0
         n, share, z2 = self.samples, self.share, _Z95**2
@@ -91,10 +96,10 @@ class Share:
 
 @dataclass(frozen=True, kw_only=True)
 class FirstFailure:
-    """One perturbation, one way, driven as the plan holds: the size at which the plan first fails.
+    """The size of one perturbation, in one direction, at which the plan first fails.
 
-    direction: -1 or 1; sizes: in sizes of the perturbation, None where it arrives up to `tried`;
-        amount: the same in the perturbation's unit; by: what fails there.
+    sizes: in sizes of the perturbation, None if the plan arrives up to `tried`; by: the failing
+    metric. The plan is driven as it holds.
     """
 
     cause: Perturbation
@@ -105,13 +110,13 @@ class FirstFailure:
 
     @property
     def amount(self) -> float | None:
-        """By how much it is moved there [unit of the perturbation]."""
+        """Return the perturbation there [unit of the perturbation]."""
         return None if self.sizes is None else self.direction * self.sizes * self.cause.size
 
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """Worlds that were tried once more, by the reference or as `by` says: how many, and of those that differ the number of the world and both shares."""
+    """Repeated worlds: count, and for different ones their number and both shares."""
 
     count: int
     differ: tuple[tuple[int, float, float], ...]
@@ -121,9 +126,9 @@ class Checked:
 
 @dataclass(kw_only=True, eq=False)
 class Way:
-    """A way to drive the plan, "inputs alone" or "with feedback": how many worlds fail by what, and what was checked.
+    """One way to drive the plan: "inputs alone" or "with feedback".
 
-    tried: of each world the largest of what is asked, as a share of its limit.
+    tried: per world the largest metric, as a share of its limit.
     """
 
     name: str
@@ -133,18 +138,19 @@ class Way:
 
     @property
     def share(self) -> Share:
-        """How many arrive."""
+        """Return the share of worlds in which the plan arrives."""
         return Share(arrived=sum(ratio <= 1.0 for ratio in self.tried), samples=len(self.tried))
 
 
 @dataclass(kw_only=True, eq=False)
 class Robustness:
-    """What was measured of a plan, and grows while it is measured.
+    """Measurements of a plan, filled as they are made; complete is False if interrupted.
 
-    complete: False where that was interrupted.
-
-    fineness: internal steps a plan step; ways: inputs alone, then with feedback; trials: replays in
-        all; seconds: CPU time [s]; points (samples, causes): the worlds in sizes.
+    - fineness: internal steps per plan step.
+    - ways: inputs alone, then with feedback.
+    - trials: replays in all.
+    - seconds: CPU time [s].
+    - points (samples, causes): worlds in sizes.
     """
 
     judgement: Judgement
@@ -160,35 +166,32 @@ class Robustness:
 
     @property
     def scene(self) -> str:
-        """Its name."""
+        """Return the scene's name."""
         return self.judgement.scene.name
 
     @property
     def verdict(self) -> Verdict:
-        """Of the plan in the scene's own world."""
+        """Return the plan's verdict in the scene's own world."""
         return self.judgement.verdict
 
     @property
     def followed(self) -> bool:
-        """Whether first failures are those with feedback: the plan holds only with it."""
+        """Return whether failures are those with feedback, as the plan holds only with it."""
         return self.verdict is Verdict.HOLDS_WITH_FEEDBACK
 
     @property
     def alone(self) -> Way:
-        """Inputs alone."""
+        """Return the results of the inputs alone."""
         return self.ways[0]
 
     @property
     def feedback(self) -> Way | None:
-        """With feedback.
-
-        None where the plan has no states to feed back, or the work was interrupted before.
-        """
+        """Return the results with feedback, None without states or if interrupted before."""
         return self.ways[1] if len(self.ways) > 1 else None
 
     @property
     def weakest(self) -> FirstFailure | None:
-        """The perturbation of which the plan takes the fewest sizes."""
+        """Return the failure at the smallest size."""
         return min(
             (item for item in self.failures if item.sizes is not None),
             key=lambda item: item.sizes or 0.0,
@@ -207,29 +210,36 @@ def robustness(
     hold: str | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Robustness:
-    """Measure how much a plan can take.
+    """Measure the robustness of a plan.
 
     Parameters
     ----------
-    scene, plan, hold : as `judge` takes them; or somebody's FMU, which has its plan
-    samples : worlds, from 10 to 10^6
-    seed : of the worlds; the same seed gives the same worlds and the same numbers, to the bit
-    kinds : what is perturbed: parameters, start, gain, noise, delay, or single ones by their names
-    anyway : measure a plan too that does not hold to begin with
-    tell : is called with a sentence at each part of the work
+    scene, plan, hold
+        As for `judge`; or a wired external FMU, which has its plan.
+    samples
+        Number of worlds, from 10 to 10^6.
+    seed
+        The same seed gives bitwise the same worlds and numbers.
+    kinds
+        Perturbations: parameters, start, gain, noise, delay, or names of single ones.
+    anyway
+        Measure a plan that does not hold, too.
+    tell
+        Receives a sentence at each part of the work.
 
     Returns
     -------
     Robustness
-        after Ctrl-C what was measured until then, with `complete` False.
+        After Ctrl-C the measurements so far, with `complete` False.
 
     Raises
     ------
-    SceneError, TrajectoryError, FmuError, MachineError : in one sentence.
+    SceneError, TrajectoryError, FmuError, MachineError
+        In one sentence.
     """
     if not isinstance(samples, int) or not _LEAST <= samples <= MOST:
         raise TrajectoryError(
-            f"samples: {samples} must be a whole number from {_LEAST} to {MOST}; {SAMPLES} tell a share to 3 %."
+            f"samples: {samples} must be a whole number from {_LEAST} to {MOST}; {SAMPLES} give a share to 3 %."
         )
     if not isinstance(seed, int) or seed < 0:
         raise TrajectoryError(f"seed: {seed} must be a whole number of at least 0.")
@@ -243,60 +253,63 @@ def robustness(
             raise TrajectoryError("plan: this solution has none, so there is nothing to try.")
         trajectory = trajectory.from_zero()
         causes, judgement = perturbations(subject, trajectory, kinds), judge(subject, trajectory)
-        assert judgement.replay is not None  # of a plan
+        assert judgement.replay is not None
         arena_of = partial(SceneArena.of, subject, trajectory)
-    # The plan of an FMU without a goal is consistent at best: then its own motion is what is asked.
+    # On an FMU without a goal a plan is consistent at best; its own motion is then the goal.
     holds = judgement.holds or (
         isinstance(scene, WiredFmu) and judgement.verdict is Verdict.CONSISTENT
     )
     if not holds and not anyway:
         raise TrajectoryError(
-            f"plan: it does not hold to begin with ({judgement.score.sentence.rstrip('.')}); what it takes beyond is measured with --anyway (anyway=True)."
+            f"plan: it does not hold to begin with ({judgement.score.sentence.rstrip('.')}). Measure its robustness all the same with --anyway (anyway=True)."
         )
     began, worlds = time.process_time(), draw(causes, samples, seed)
-    found = Robustness(judgement=judgement, causes=causes, seed=seed, points=worlds.points)
-    with arena_of(asked_limits(judgement.score), followed=found.followed) as arena:
+    result = Robustness(judgement=judgement, causes=causes, seed=seed, points=worlds.points)
+    with arena_of(asked_limits(judgement.score), followed=result.followed) as arena:
         try:
-            _measure(arena, worlds, found, tell)
+            _measure(arena, worlds, result, tell)
         except KeyboardInterrupt:
-            found.complete = False
-        found.fineness, found.trials, found.seconds = (
+            result.complete = False
+        result.fineness, result.trials, result.seconds = (
             arena.fineness,
             arena.trials,
             time.process_time() - began + arena.seconds,
         )
-    return found
+    return result
 
 
-def _measure(arena: Arena, worlds: Draw, found: Robustness, tell: Callable[[str], None]) -> None:
+def _measure(arena: Arena, worlds: Draw, result: Robustness, tell: Callable[[str], None]) -> None:
     samples = len(worlds.points)
     for feedback in (False,) if arena.feedback is None else (False, True):
         way, count = (
             (Way(name="with feedback"), max(_LEAST, samples // OF_FEEDBACK))
             if feedback
-            else (found.alone, samples)
+            else (result.alone, samples)
         )
         tell(f"{count} worlds, {way.name}")
         for number in range(count):
             trial = arena.trial(worlds.world(number, arena.nominal), feedback=feedback)
             way.tried.append(trial.ratio)
-            if way not in found.ways:
-                found.ways.append(way)
+            if way not in result.ways:
+                result.ways.append(way)
             if not trial.arrives:
                 way.fails_by[trial.fails_by] += 1
-    for feedback, way in enumerate(found.ways):
+    for feedback, way in enumerate(result.ways):
         tell(f"some of these {arena.by} too")
         way.checked = check_by_reference(arena, worlds, way.tried, bool(feedback))
     for cause in worlds.causes:
         if cause.kind is not PerturbationKind.NOISE:
             tell(f"{cause.name} by itself")
-            found.failures.extend(_failures(arena, cause))
+            result.failures.extend(_failures(arena, cause))
 
 
 def check_by_reference(
     arena: Arena, worlds: Draw, ratios: Sequence[float], feedback: bool
 ) -> Checked:
-    """Every so manieth world again by the reference. ratios: of each world tried, by the everyday replay. Raises FmuError, MachineError."""
+    """Repeat evenly chosen worlds by the reference; ratios: of each world by the everyday replay.
+
+    Raises FmuError, MachineError.
+    """
     count = min(len(ratios), max(_FEWEST, min(_MOST_CHECKED, len(ratios) // _EVERY)))
     numbers = np.unique(np.linspace(0, len(ratios) - 1, count).round().astype(int)).tolist()
     differ, largest = [], 0.0
@@ -312,14 +325,13 @@ def check_by_reference(
 
 
 def _at(arena: Arena, cause: Perturbation, size: float) -> WorldTrial:
-    """The plan in the model's own world but for one perturbation, driven as it holds."""
     return arena.trial(moved(arena.nominal, [cause], np.array([size])), feedback=arena.followed)
 
 
 def _along(
     arena: Arena, cause: Perturbation, direction: int, largest: float
 ) -> tuple[float, WorldTrial] | None:
-    """The size at which the plan first fails along one perturbation, one way, and the trial of the smallest move that fails; None where there is none."""
+    """Return the size of the first failure in one direction, and its trial, or None."""
     cases: dict[float, WorldTrial] = {}
 
     def ratio(size: float) -> float:
@@ -340,7 +352,6 @@ def _along(
 
 
 def _failures(arena: Arena, cause: Perturbation) -> Iterable[FirstFailure]:
-    """Both ways along one perturbation."""
     for direction in (1,) if cause.below == 0.0 else (-1, 1):
         tried = min(FARTHEST, cause.above if direction > 0 else cause.below)
         sizes, failed = _along(arena, cause, direction, tried) or (None, None)
@@ -354,16 +365,21 @@ def _failures(arena: Arena, cause: Perturbation) -> Iterable[FirstFailure]:
 
 
 def first_failure(ratio: Callable[[float], float], largest: float) -> float | None:
-    """The smallest size at which a share exceeds 1, to 1 %: sizes rise by a factor until it does, then the last interval is halved.
+    """Return the smallest size at which a share exceeds 1, to 1 %.
+
+    Sizes grow by a factor, then the last interval is halved.
 
     Parameters
     ----------
-    ratio : the share at a size
-    largest : size to which it is looked for
+    ratio
+        Share at a size.
+    largest
+        Largest size to try.
 
     Returns
     -------
-    the size, 0 where the share exceeds 1 without any; None where it does nowhere.
+    float or None
+        0 if the share exceeds 1 without a perturbation, None if nowhere.
     """
     if ratio(0.0) > 1.0:
         return 0.0
@@ -378,23 +394,24 @@ def first_failure(ratio: Callable[[float], float], largest: float) -> float | No
     return (low + high) / 2.0
 
 
-# Worlds of a plan of a campaign: shares are told to 6 %. Where they cost more internal steps than
-# this in all, half as many, and so on down to the fewest.
+# Worlds of a campaign's plan, for shares to 6 %.
 SURVEYED = 256
+# Smallest number of such worlds.
 FEWEST = 32
+# Largest number of internal steps; beyond it worlds are halved, down to FEWEST.
 MOST_STEPS = 2**19
+
 SEED = 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Survey:
-    """What was found of a plan.
+    """Robustness of a campaign's plan.
 
-    alone, feedback: how many worlds it arrives in, None where the plan has no states to feed back;
-        checked, differ: worlds that the reference was asked about too,
-    and in how many it says otherwise; weakest: the perturbation by itself of which the plan takes
-        the fewest sizes (`""`: it takes all up to 64), how far [unit], and
-    the metric by which it fails there - with feedback where it holds only so.
+    - alone, feedback: shares, feedback None without states.
+    - checked, differ: worlds repeated by the reference, and those that differ.
+    - weakest: the perturbation tolerated least ("": none fails up to 64 sizes), its amount [unit]
+      and failing metric, with feedback if the plan needs it.
     """
 
     alone: Share
@@ -409,22 +426,24 @@ class Survey:
 
 
 def survey(scene: Scene, plan: Trajectory, limits: Mapping[str, float], followed: bool) -> Survey:
-    """Try a plan that holds in the worlds of a campaign.
+    """Try a plan that holds in the worlds of a campaign, the same for every plan of a scene.
 
-    They are the same for every plan of a scene, so that two of them differ by no luck of the draw.
-    First failures are not looked for along every perturbation to their end, as `robustness` does:
-    only where a plan fails at a smaller size than along those before.
+    A perturbation is followed to its first failure only if it fails at a smaller size than those
+    before.
 
     Parameters
     ----------
-    limits : what the judge held the plan to, by metric
-    followed : whether it holds only with feedback
+    limits
+        The judge's limits by metric.
+    followed
+        True if the plan holds only with feedback.
 
     Raises
     ------
-    TrajectoryError : where the scene limits neither an end nor a cost, or nothing of it can be
-        perturbed.
-    FmuError, MachineError : in one sentence.
+    TrajectoryError
+        If the scene limits neither an end nor a cost, or nothing can be perturbed.
+    FmuError, MachineError
+        In one sentence.
     """
     plan = plan.from_zero()
     causes = perturbations(scene, plan)

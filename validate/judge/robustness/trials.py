@@ -1,19 +1,13 @@
-"""A plan tried in one world: the everyday replay there, and whether it arrives - near enough to the goal, no contact deeper than its model reaches.
+"""Try a plan in perturbed worlds: an everyday replay each, and whether the plan arrives.
 
     with SceneArena.of(scene, plan, limits) as arena:
-        # the largest of what is asked, as a share of its limit: up to 1 it arrives
-        arena.trial(world).ratio
+        arena.trial(world).ratio         # largest metric as a share of its limit; arrives up to 1
         arena.checked(world).ratio       # the same by the reference
 
-The FMU's step is the coarsest whose motion in the model's own world ends where the reference's
-does; of a scene in two perturbed worlds too, and where none does, worlds are the reference's. A
-scene's FMU is loaded once, and reset before each world. Somebody's is tried in the child process
-that a replay uses, and what ends the child there is a world in which the plan fails: by
-Co-Simulation where it has that, checked by Model Exchange, or else by half the smallest step; one
-with Model Exchange alone by a looser and a tighter tolerance.
-
-    with FmuArena.of(wired, limits) as arena:
-        arena.trial(world).fails_by            # "crashed", where the FMU did
+The step is the coarsest whose motion ends near the reference's, in the model's own world and, of a
+scene, in two perturbed ones; otherwise the reference is used. A scene's FMU stays loaded. An
+external FMU runs in a child process (`FmuArena`), whose crash is a failed world. Co-Simulation is
+checked by Model Exchange or half the smallest step, Model Exchange by a second tolerance.
 """
 
 from __future__ import annotations
@@ -60,23 +54,21 @@ from validate.judge.score.evidence import Evidence
 from validate.judge.score.measures import replay_limits
 from validate.processes.isolated import IsolatedCalls
 
-# Internal steps a plan step, the coarsest first; the one whose end is as near to the reference's as
-# this share of the limits is taken, else the last.
+# Internal steps per plan step: the coarsest that ends near the reference is used, else the last.
 FINENESS = (2, 5, 10, 20, 50, 100, 200)
-# In the place of a fineness; and the relative tolerance of the reference: limits are told with
-# three digits.
+# Fineness that selects the reference.
 REFERENCE = -1
+# Relative tolerance of the reference; limits have three digits.
 RTOL = 1e-9
-# A piece between two rows in which a contact may go deeper than they tell is run again in so many
-# parts, more where these do not tell it either.
+# Parts of a repeated piece between two rows, increased until its depth is known.
 _PARTS = (32, 128, 512, 2048, 8192, 32768)
-# Rows tell a depth where what is between them adds no more than this share of it: the cubic through
-# them is then right to 1e-4.
-_TOLD = 0.01
-# How much further than shares the gaps of two motions may be apart.
+# Largest share of a depth between rows for which the cubic is used, right to 1e-4.
+_CUBIC = 0.01
+# Tolerance of gaps over that of shares.
 _ROUGHLY = 10.0
-# What goes no deeper than this share of the limit is not looked at closely.
+# Depths below this share of the limit are not resolved.
 _SHALLOW = 1e-3
+
 _POSITION = "replay_terminal_position_error"
 _VELOCITY = "replay_terminal_velocity_error"
 _COST = "replay_cost"
@@ -87,13 +79,13 @@ _MOTION = "replay_error"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Asked:
-    """What arriving means.
+    """Conditions of arrival, for q [m or rad] and velocities.
 
-    limits: of the metrics that are asked, by name [their units]: how far from the goal (2*nq,)
-        (NaN: free) positions and velocities may end, what the motion
-    may cost, how far velocities may leave lower, upper (nq,); depths (nc,): how deep each contact
-        may be [m]; near (nq,): how far positions may be from the
-    planned (nodes, nq) [m or rad], None: that is not asked.
+    - limits: by metric [their units].
+    - goal (2*nq,), NaN if free.
+    - depths (nc,): largest penetrations [m].
+    - lower, upper (nq,): bounds of velocities.
+    - near (nq,): largest distance from the planned positions (nodes, nq), None if not a condition.
     """
 
     limits: Mapping[str, float]
@@ -108,17 +100,16 @@ class Asked:
     def of(
         cls, scene: Subject, limits: Mapping[str, float], plan: Trajectory | None = None
     ) -> Asked:
-        """By the limits that the judge held this plan to, by metric.
+        """Return the conditions of the judge's limits, by metric.
 
-        Of an FMU whose map gives no goal, the plan's own motion is asked.
-
-        Raises TrajectoryError where none is on an end, a cost or that motion.
+        On an FMU without a goal the plan's own motion is the goal. Raises TrajectoryError if
+        neither end, cost nor motion is limited.
         """
-        asked = {
+        known_limits = {
             name: limits[name] for name in (_POSITION, _VELOCITY, _COST, _SPEED) if name in limits
         }
         near = None
-        if not asked.keys() - {_SPEED}:
+        if not known_limits.keys() - {_SPEED}:
             if isinstance(scene, Scene):
                 raise TrajectoryError(
                     f"scene {scene.name}: it asks for no end that a plan must reach and limits no cost, so there is nothing to arrive at; robustness is measured on scenes that limit {_POSITION}, {_VELOCITY} or {_COST}."
@@ -128,18 +119,18 @@ class Asked:
                     f"FMU {scene.name}: there is nothing to arrive at, as its map gives no [goal], and {_MOTION} is not asked (the plan says no positions, or the map waives it); give it one of the two."
                 )
             near = replay_limits(scene)
-        own = scene.limit(_DEPTH)
+        depth_limit = scene.limit(_DEPTH)
         depths = np.array([math.inf if depth is None else depth for depth in scene.depths])
-        if own is not None:
-            depths = np.full(scene.nc, math.inf if own.value is None else own.value)
+        if depth_limit is not None:
+            depths = np.full(scene.nc, math.inf if depth_limit.value is None else depth_limit.value)
         lower, upper = (
             np.array([getattr(item, f"velocity_{side}") for item in scene.coordinates])
             for side in ("lower", "upper")
         )
         planned = None if near is None or plan is None else plan.q
-        goal = goal_state(scene.task)  # type: ignore[arg-type] - a foreign task has a goal of the same form
+        goal = goal_state(scene.task)  # type: ignore[arg-type] - a foreign task has the same goal
         return cls(
-            limits=asked,
+            limits=known_limits,
             goal=goal,
             depths=depths,
             lower=lower,
@@ -149,17 +140,10 @@ class Asked:
         )
 
     def shares(self, states: np.ndarray, gaps: np.ndarray, cost: float) -> dict[str, float]:
-        """What is asked as shares of its limits.
+        """Return each condition as a share of its limit.
 
-        Parameters
-        ----------
-        states : (rows, 2*nq) of the motion, the last row its end [m or rad, then per second]
-        gaps : (rows, nc) over the motion [m]
-        cost : the task's
-
-        Raises
-        ------
-        ValueError : if the shapes do not fit.
+        states: (rows, 2*nq), the last row the end [m or rad, then per second]; gaps: (rows, nc)
+        [m]. Raises ValueError if the shapes do not fit.
         """
         half, end = len(self.goal) // 2, states[-1]
         values = {
@@ -173,7 +157,7 @@ class Asked:
                 )
             ),
         }
-        # A limit on a cost may be negative, or 0.
+        # A limit on the cost may be 0 or negative.
         shares = {
             name: 1.0 + (values[name]() - limit) / (abs(limit) or 1.0)
             for name, limit in self.limits.items()
@@ -188,7 +172,7 @@ class Asked:
         return shares
 
     def depth_share(self, lowest: np.ndarray) -> float:
-        """The deepest contact as a share of its depth [-]. lowest: least gaps (nc,) [m].
+        """Return the deepest contact as a share of its depth [-]; lowest: least gaps (nc,) [m].
 
         Raises ValueError without contacts.
         """
@@ -196,15 +180,15 @@ class Asked:
 
 
 def asked_limits(score: Score) -> dict[str, float]:
-    """What the judge held each metric to, by name."""
+    """Return the judge's limits by metric."""
     return {metric.name: metric.limit for metric in score.metrics if metric.limit is not None}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WorldTrial:
-    """One world: states (nodes, 2*nq) [m or rad, then per second] and gaps (nodes, nc) [m] at the plan's nodes, fewer where the motion ended early.
+    """The motion in one world: states (nodes, 2*nq) [SI] and gaps (nodes, nc) [m] at plan nodes.
 
-    shares: what is asked as shares of its limits; empty where the motion did not come to its end.
+    shares: conditions as shares of their limits, empty if the motion ended early.
     """
 
     states: np.ndarray
@@ -214,17 +198,17 @@ class WorldTrial:
 
     @property
     def ratio(self) -> float:
-        """The largest share; infinite where the motion did not come to its end."""
+        """Return the largest share, infinite if the motion ended early."""
         return max(self.shares.values()) if self.shares else math.inf
 
     @property
     def arrives(self) -> bool:
-        """Whether all that is asked stays within its limits."""
+        """Return whether all conditions are met."""
         return self.ratio <= 1.0
 
     @property
     def fails_by(self) -> str:
-        """The metric with the largest share, or how the motion ended."""
+        """Return the metric with the largest share, or how the motion ended."""
         return (
             max(self.shares, key=lambda name: self.shares[name])
             if self.shares
@@ -234,12 +218,9 @@ class WorldTrial:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Ran:
-    """How a run ended.
+    """A run: states (nodes, 2*nq) and gaps (nodes, nc) at the plan's nodes, commands (steps, nu).
 
-    States (nodes, 2*nq) and gaps (nodes, nc) at the plan's nodes, fewer where it ended early;
-    commands (steps, nu).
-
-    lowest: the least gaps (nc,) [m], rightly so where a contact may be as deep as given (nc,) [m].
+    lowest: returns the least gaps (nc,) [m], exact for contacts deeper than its argument (nc,).
     """
 
     outcome: ReplayOutcome
@@ -250,20 +231,20 @@ class _Ran:
 
 
 class Arena(ABC):
-    """Where a plan is tried in one world after the other: what runs a world (`_run`) is a scene's or an FMU's own.
+    """Tries a plan in one world after the other; subclasses define `_run`.
 
-    feedback: around the motion of the inputs alone in the model's own world, or where that does not
-        arrive around the plan; None where there can be none;
-    followed: whether the plan holds only with it; nominal: the model's own world; fineness:
-        internal steps a plan step.
+    - feedback: around the open motion in the model's own world, or around the plan if that motion
+      does not arrive; None if impossible.
+    - followed: the plan holds only with feedback.
+    - nominal: the model's own world.
+    - fineness: internal steps per plan step.
     """
 
-    # What checks it, and how near to that the motion in the model's own world must end [shares of
-    # the limits].
     by = "by the reference"
+    # Tolerance of a fineness in the model's own world, as a share of the limits.
     near = 1e-3
     levels: Sequence[int] = FINENESS
-    # CPU time in other processes [s]; trials made.
+    # CPU time in other processes [s].
     seconds = 0.0
     trials = 0
 
@@ -288,36 +269,34 @@ class Arena(ABC):
         self._cost = Evidence(scene, plan, None).cost_of
 
     def settle(self) -> Self:
-        """Choose the fineness, and what the feedback follows. Raises FmuError."""
+        """Choose the fineness and the feedback's reference. Raises FmuError."""
         self.fineness = self._fine_enough()
-        # It follows the motion that arrives: what the plan's own states differ from it by is the
-        # plan's grid, which is no disturbance and may be dear to undo.
+        # The plan's states differ from the arriving motion by the grid's error, which feedback must
+        # not
+        # correct.
         if (
             self.feedback is not None
             and not self.followed
-            and (own := self._tried(self.nominal, self.fineness, False)).arrives
+            and (open_trial := self._tried(self.nominal, self.fineness, False)).arrives
         ):
-            self.feedback = replace(self.feedback, reference=own.states)
+            self.feedback = replace(self.feedback, reference=open_trial.states)
         return self
 
     @abstractmethod
     def _run(self, world: World, fineness: int, feedback: Feedback | None) -> _Ran:
-        """The plan in a world."""
+        """Run the plan in a world."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the FMU."""
+        """Free the FMU."""
 
     def trial(self, world: World, *, feedback: bool = False) -> WorldTrial:
-        """The everyday replay in a world. Raises FmuError."""
+        """Run the everyday replay in a world. Raises FmuError."""
         self.trials += 1
         return self._tried(world, self.fineness, feedback)
 
     def checked(self, world: World, *, feedback: bool = False) -> WorldTrial:
-        """The same by the reference: CVODE from event to event.
-
-        Of an FMU without Model Exchange finer steps. Raises FmuError, MachineError.
-        """
+        """Run the reference in a world, or finer steps. Raises FmuError, MachineError."""
         return self._tried(world, REFERENCE, feedback)
 
     def _tried(self, world: World, fineness: int, feedback: bool) -> WorldTrial:
@@ -326,12 +305,11 @@ class Arena(ABC):
         return WorldTrial(states=ran.states, gaps=ran.gaps, shares=shares, outcome=ran.outcome)
 
     def _shares(self, ran: _Ran) -> dict[str, float]:
-        """Shares of the limits, of a run that came to its end."""
         q, v = np.hsplit(ran.states, 2)
         cost = self._cost(self.plan.t, q, v, ran.commands) if _COST in self.asked.limits else 0.0
         shares = self.asked.shares(ran.states, ran.gaps, cost)
         if shares.pop(_DEPTH, None) is not None:
-            # Where the plan fails by something else a depth is told only if it is by more.
+            # A depth matters only if it exceeds another failing share.
             others = max(shares.values(), default=0.0)
             lowest = ran.lowest(self.asked.depths * (others if others > 1.0 else _SHALLOW))
             shares[_DEPTH] = self.asked.depth_share(lowest)
@@ -340,35 +318,34 @@ class Arena(ABC):
     def _fine_enough(self) -> int:
         exact = [self.checked(world, feedback=self.followed) for world in self.probes]
         for fineness in self.levels[:-1]:
-            found = (self._tried(world, fineness, self.followed) for world in self.probes)
-            if all(self._is_near(*pair) for pair in zip(found, exact, strict=True)):
+            tried = (self._tried(world, fineness, self.followed) for world in self.probes)
+            if all(self._is_near(*pair) for pair in zip(tried, exact, strict=True)):
                 return fineness
         return self.levels[-1]
 
-    def _is_near(self, found: WorldTrial, exact: WorldTrial) -> bool:
-        """Whether all shares are, and where the plan does not arrive the one by which it fails, for its size; and roughly the gaps, in depths of their contacts.
+    def _is_near(self, trial: WorldTrial, exact: WorldTrial) -> bool:
+        """Return whether shares (or the failing one) and, roughly, gaps agree.
 
-        A depth alone may be right by luck, where the first of many bounces is the deepest.
+        A depth alone may agree by chance, as if the first of many bounces is deepest.
         """
-        if found.outcome is not exact.outcome or not exact.shares:
-            return found.outcome is exact.outcome
+        if trial.outcome is not exact.outcome or not exact.shares:
+            return trial.outcome is exact.outcome
         names = exact.shares if exact.arrives else [exact.fails_by]
         shares = all(
-            abs(found.shares[name] - exact.shares[name])
+            abs(trial.shares[name] - exact.shares[name])
             <= self.near * max(1.0, abs(exact.shares[name]))
             for name in names
         )
         return shares and bool(
-            (np.abs(found.gaps - exact.gaps) <= _ROUGHLY * self.near * self.asked.depths).all()
+            (np.abs(trial.gaps - exact.gaps) <= _ROUGHLY * self.near * self.asked.depths).all()
         )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Motion:
-    """A scene's motion in a world: t (rows,) [s] and values (rows, 2*nq + nc) that the FMU gave.
+    """A scene's motion in a world: t (rows,) [s] and values (rows, 2*nq + nc) of the FMU.
 
-    inputs, as the run applied them; the FMU's variables and the equations' functions with the
-    world's parameters.
+    variables and kernel have the world's parameters.
     """
 
     t: np.ndarray
@@ -379,10 +356,7 @@ class _Motion:
 
 
 class SceneArena(Arena):
-    """A scene's own FMU, in this process: loaded once, and reset before each world.
-
-    Where no step of it is near enough, worlds are the reference's.
-    """
+    """A scene's own FMU in this process, loaded once and reset before each world."""
 
     levels = (*FINENESS, REFERENCE)
 
@@ -401,7 +375,7 @@ class SceneArena(Arena):
             *(moved(self.nominal, causes, np.full(len(causes), size)) for size in (-1.0, 1.0)),
         ]
         self._package, every = package, find_variables(package, scene.continuous())
-        # Only what is asked is read.
+        # Only outputs of conditions are read.
         self._variables = replace(every, lam=(), friction=(), energies={}, powers={})
         self._instance: Instance | None = None
 
@@ -410,7 +384,7 @@ class SceneArena(Arena):
     def of(
         cls, scene: Scene, plan: Trajectory, limits: Mapping[str, float], *, followed: bool = False
     ) -> Iterator[Arena]:
-        """An arena that is closed at the end. limits: what the judge held the plan to, by metric.
+        """Return a context with the arena; limits: the judge's, by metric.
 
         Raises FmuError, MachineError, TrajectoryError.
         """
@@ -423,7 +397,7 @@ class SceneArena(Arena):
 
     def _run(self, world: World, fineness: int, feedback: Feedback | None) -> _Ran:
         inputs = WorldInputs(self.plan, world, feedback)
-        # An FMU of ours has every parameter of its scene, in the scene's order.
+        # Our FMU has every parameter of its scene, in the scene's order.
         parameters = [
             (reference, value)
             for (reference, _), value in zip(
@@ -456,7 +430,11 @@ class SceneArena(Arena):
         )
 
     def _lowest(self, motion: _Motion, reach: np.ndarray) -> np.ndarray:
-        """Least gaps (nc,) [m] of a motion at its rows and between them: what may be lower than any, and as deep as `reach` (nc,) [m], is run again."""
+        """Return the least gaps (nc,) [m] of a motion, between rows too.
+
+        Pieces that may be lowest, and as deep as `reach` (nc,) [m], are repeated with smaller
+        steps.
+        """
         lowest, pieces, possible = self._told(motion)
         possible[possible > -reach] = math.inf
         for contact in range(len(lowest) if len(pieces) else 0):
@@ -468,7 +446,7 @@ class SceneArena(Arena):
         return lowest
 
     def _within(self, motion: _Motion, piece: int) -> np.ndarray:
-        """Least gaps (nc,) [m] between two rows of a motion, by as many rows between them as it takes."""
+        """Return the least gaps (nc,) [m] between two rows, by smaller and smaller steps."""
         lowest = motion.values[piece, 2 * self.scene.nq :]
         for parts in _PARTS:
             lowest, _, possible = self._told(self._again(motion, piece, parts))
@@ -477,19 +455,19 @@ class SceneArena(Arena):
         return lowest
 
     def _told(self, motion: _Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Least gaps (nc,) [m] that a motion's rows tell.
+        """Return the least gaps (nc,) [m] known from a motion's rows, and the uncertain pieces.
 
-        Pieces (n,) between two rows, and how low each may lead (n, nc) [m], infinite where they
-        tell that too.
+        Pieces (n,) between two rows, and how low each may be (n, nc) [m], infinite if known.
         """
         nq, gap = self.scene.nq, motion.values[:, 2 * self.scene.nq :]
-        by_contact = np.ascontiguousarray(gap.T)  # five times as fast where rows are many
+        by_contact = np.ascontiguousarray(gap.T)  # five times as fast with many rows
         lowest, moves = (
             by_contact.min(axis=1, initial=math.inf),
             np.abs(np.diff(by_contact)).max(axis=1, initial=0.0),
         )
-        # A contact is touched and left between two rows no further away than twice what its gap
-        # changes by between any; as far again shows what presses it.
+        # A contact within a piece is no farther away than twice the largest change of its gap;
+        # twice that
+        # shows the acceleration too.
         close = by_contact < (np.minimum(lowest, 0.0) + 4.0 * moves)[:, None]
         pieces = np.flatnonzero((close[:, :-1] | close[:, 1:]).any(axis=0))
         if not len(pieces):
@@ -506,19 +484,20 @@ class SceneArena(Arena):
         )
         (first, last), (begins, comes) = np.split(gap, 2), rate.reshape(2, len(pieces), -1)
         ends, floor = np.minimum(first, last), np.maximum(-lowest, _SHALLOW * self.asked.depths)
-        # Where the cubic goes no deeper than its ends, and its rates have the mean that the gap
-        # changed by, the rows tell all of it.
+        # If the cubic stays above its ends, and its mean rate matches the gap's change, the rows
+        # suffice.
         beyond = ends - np.minimum(first + h * begins / 3.0, last - h * comes / 3.0)
-        told = (
-            np.maximum(beyond, np.abs(last - first - h * (begins + comes) / 2.0)) <= _TOLD * floor
+        known = (
+            np.maximum(beyond, np.abs(last - first - h * (begins + comes) / 2.0)) <= _CUBIC * floor
         )
-        deep = np.flatnonzero((told & (ends - beyond < np.minimum(lowest, 0.0))).any(axis=1))
+        deep = np.flatnonzero((known & (ends - beyond < np.minimum(lowest, 0.0))).any(axis=1))
         if len(deep):
             pairs = np.column_stack([deep, deep + len(pieces)]).ravel()
             between = lowest_between(motion.t[rows[pairs]], gap[pairs], rate[pairs])[0][::2]
-            lowest = np.minimum(lowest, between.min(axis=0, initial=math.inf, where=told[deep]))
-        # Elsewhere it stays above its tangents at both ends, but for what presses the contact on:
-        # up to twice as much as anywhere without a contact that turns it back.
+            lowest = np.minimum(lowest, between.min(axis=0, initial=math.inf, where=known[deep]))
+        # Elsewhere the gap is above its tangents, except for pressing accelerations, at most twice
+        # the
+        # largest without contact.
         pressed = (
             2.0
             * np.maximum(((begins - comes) / np.maximum(h, 1e-3 * h.max())).max(axis=0), 0.0)
@@ -535,10 +514,9 @@ class SceneArena(Arena):
             0.0,
             h,
         )
-        return lowest, pieces, np.where(told, math.inf, np.minimum(ends, first + begins * late))
+        return lowest, pieces, np.where(known, math.inf, np.minimum(ends, first + begins * late))
 
     def _again(self, motion: _Motion, piece: int, parts: int) -> _Motion:
-        """The motion from one row to the next, with rows at the ends of so many parts."""
         (begin, end), inputs, nx = motion.t[piece : piece + 2], motion.inputs, 2 * self.scene.nq
         t, step = (
             np.linspace(begin, end, parts + 1),
@@ -562,17 +540,13 @@ class SceneArena(Arena):
     def _simulate(
         self, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int
     ) -> Run:
-        """The everyday replay from a start (2*nq,) on the instance that is kept.
-
-        One that failed is not.
-        """
+        """Run the everyday replay from (2*nq,) on the kept instance; drop a failed instance."""
         run = simulate(self._package, variables, start, inputs, fineness, fmu=self._fresh())
         if run.outcome in (ReplayOutcome.FMU_FAILED, ReplayOutcome.FATAL):
             self.close()
         return run
 
     def _fresh(self) -> Instance:
-        """The instance as it was when it was made."""
         if self._instance is None:
             self._instance = load_instance(self._package, "CS")
         else:
@@ -587,23 +561,23 @@ class SceneArena(Arena):
             self._instance = None
 
 
-# In the place of a fineness: Model Exchange at this relative tolerance.
+# Fineness that selects Model Exchange at a loose tolerance.
 _LOOSELY = 0
+# Relative tolerance of that run.
 _LOOSE = 1e-7
-# How near half the smallest step must be: of a method of first order no step comes within a
-# thousandth of the limits.
+# Tolerance for half the smallest step: no first-order step comes within 1e-3 of the limits.
 _NEAR = 1e-2
 
 
 class FmuArena(Arena):
-    """Somebody's FMU, in a child process."""
+    """An external FMU in a child process."""
 
     def __init__(self, wired: WiredFmu, asked: Asked, followed: bool) -> None:
         """Raises FmuError, TrajectoryError."""
         foreign, package, plan = wired.foreign, wired.package, wired.plan
         self._foreign, self._child = foreign, IsolatedCalls(wired.limits, f"FMU {package.path}")
         steps, exchange = package.cosimulation, package.exchange is not None and not wired.own_step
-        # Uneven steps are not everybody's, and who is judged by its own step takes no other.
+        # Many FMUs require even steps, and --own-step allows no other.
         uneven = (
             steps is not None
             and not wired.own_step
@@ -612,7 +586,7 @@ class FmuArena(Arena):
         whole = not uneven and not exchange
         super().__init__(foreign.model, plan, asked, followed, None if whole else _feedback(wired))
         self.nominal = replace(self.nominal, whole=whole)
-        # As often as a replay looks at it; but for what is judged by its own step.
+        # Rows as in a replay; none are added with --own-step.
         self._longest = math.inf if wired.own_step else plan.duration / LOOKS
         plans = with_rows(plan, self._longest), plan
         looked_at, job = (
@@ -646,7 +620,7 @@ class FmuArena(Arena):
     def of(
         cls, wired: WiredFmu, limits: Mapping[str, float], *, followed: bool = False
     ) -> Iterator[Arena]:
-        """An arena that is closed at the end. limits: what the judge held the plan to, by metric.
+        """Return a context with the arena; limits: the judge's, by metric.
 
         Raises FmuError, MachineError, TrajectoryError.
         """
@@ -664,7 +638,7 @@ class FmuArena(Arena):
         level = self._exact if fineness == REFERENCE else level
         world = (
             world if level["tolerances"] else replace(world, longest=self._longest)
-        )  # Model Exchange shows parts of a step as it is
+        )  # Model Exchange always has rows within steps
         foreign, inputs, nx = (
             self._foreign,
             WorldInputs(self.plan, world, feedback),
@@ -675,17 +649,17 @@ class FmuArena(Arena):
             simulated = in_plan_units(
                 foreign, job.run(None if feedback is None else feedback.in_units(*foreign.units))
             )
-        except FmuError:  # what it does in this world alone is no mistake of the user's
+        except FmuError:  # a failure in this world is not the user's mistake
             nothing = np.empty((0, nx + self.scene.nc))
             return self._told(
                 ReplayOutcome.FMU_FAILED, nothing[:, :nx], nothing[:, nx:], nothing[:, nx:], inputs
             )
         self.seconds += simulated.seconds_reference + simulated.seconds_everyday
         run = simulated.judged
-        found = recorded(foreign.model, foreign.variables, run)
+        motion = recorded(foreign.model, foreign.variables, run)
         rows = np.array(run.knots, dtype=int)[inputs.rows[inputs.rows < len(run.knots)]]
         return self._told(
-            run.outcome, np.hstack([found.q, found.v])[rows], found.gap[rows], found.gap, inputs
+            run.outcome, np.hstack([motion.q, motion.v])[rows], motion.gap[rows], motion.gap, inputs
         )
 
     @staticmethod
@@ -696,7 +670,7 @@ class FmuArena(Arena):
         every: np.ndarray,
         inputs: WorldInputs,
     ) -> _Ran:
-        """every: gaps (points, nc) [m] at all points that the FMU showed."""
+        """Return a run; every: gaps (points, nc) [m] of all points."""
         lowest = every.min(axis=0, initial=math.inf)
         return _Ran(
             outcome=outcome,
@@ -707,7 +681,6 @@ class FmuArena(Arena):
         )
 
     def _moved(self, world: World) -> Job:
-        """The job in a world, in the FMU's units; what is as the FMU has it is not set."""
         foreign, nominal = self._foreign, self.nominal
         (scale, offset), (times, plus) = foreign.units
         parameters, start = (
@@ -728,12 +701,12 @@ class FmuArena(Arena):
         )  # fmt: skip
 
     def close(self) -> None:
-        """End the child."""
+        """End the child process."""
         self._child.close()
 
 
 def _feedback(wired: WiredFmu) -> Feedback | None:
-    """The judge's, where the FMU tells derivatives of its states."""
+    """Return the judge's feedback, None if the FMU has no derivatives."""
     try:
         return design_foreign(wired.foreign, wired.package, wired.plan, wired.limits)[0]
     except TrackingError:

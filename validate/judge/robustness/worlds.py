@@ -1,12 +1,10 @@
-"""The worlds a plan is tried in: what may be otherwise than the scene, or somebody's FMU, says, by how much, and samples of it.
+"""Perturbed worlds of a plan, and samples of them.
 
     causes = perturbations(scene, plan)  # parameters, start, gains of the inputs, noise, delay
     worlds = draw(causes, samples=1000, seed=0)
-    worlds.world(0, nominal_world(scene, plan))          # one of them
+    worlds.world(0, nominal_world(scene, plan))
 
-Sizes are those of docs/robustness.md: a parameter's own uncertainty, else a twentieth of its value;
-the start by a hundredth of nominal; each input's gain by a fiftieth; noise of a hundredth of an
-input's range, new in every step; a delay of up to a step. A world is told in these sizes.
+Sizes are in docs/robustness.md.
 """
 
 from __future__ import annotations
@@ -25,16 +23,15 @@ from validate.judge.replay.subject import Subject
 from validate.judge.replay.tracking import input_scale, nominals
 from validate.judge.replay.wiring import World
 
-# Sizes of perturbations.
-_PARAMETER = 0.05  # of the value, unless the parameter states its uncertainty
-_START = 0.01  # of the nominal size
+_PARAMETER = 0.05  # of the value, without a stated uncertainty
+_START = 0.01  # of the nominal
 _GAIN = 0.02  # of the input
-_NOISE = 0.01  # of the input's range, standard deviation
+_NOISE = 0.01  # standard deviation, of the input's range
 _DELAY = 1.0  # steps
 
 
 class PerturbationKind(Enum):
-    """What is perturbed."""
+    """Kind of a perturbation."""
 
     PARAMETERS = "parameters"
     START = "start"
@@ -45,11 +42,11 @@ class PerturbationKind(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Perturbation:
-    """One number of a world that may be otherwise.
+    """One uncertain number of a world.
 
-    index: its place among those of its kind; nominal, size: its value in the scene and how far it
-        may be from that [unit]; below, above: how many
-    sizes it may be moved down and up at most.
+    - index: place within its kind.
+    - nominal, size: value and uncertainty [unit].
+    - below, above: largest moves down and up, in sizes.
     """
 
     kind: PerturbationKind
@@ -68,11 +65,9 @@ def perturbations(
     plan: Trajectory,
     asked: Sequence[PerturbationKind | str] = tuple(PerturbationKind),
 ) -> tuple[Perturbation, ...]:
-    """What may be otherwise in the worlds of a plan.
+    """Return the perturbations of a plan's worlds, without those of size 0.
 
-    What has no size (a parameter of value 0 without a stated uncertainty) is left out.
-
-    asked: kinds, or names of single ones. Raises TrajectoryError for a name that nothing has.
+    asked: kinds, or names. Raises TrajectoryError for an unknown name.
     """
     main = {
         alias: item.name
@@ -80,7 +75,7 @@ def perturbations(
         if not isinstance(item, Parameter)
         for alias in item.aliases
     }
-    names, kinds, found = (
+    names, kinds, result = (
         [
             item.value if isinstance(item, PerturbationKind) else main.get(item, item)
             for item in asked
@@ -102,7 +97,7 @@ def perturbations(
         if size > 0.0 and (kind.value in names or name in names):
             lower, upper = range_of or (-math.inf, math.inf)
             below, above = (nominal - lower) / size, (upper - nominal) / size
-            found.append(
+            result.append(
                 Perturbation(
                     kind=kind,
                     name=name,
@@ -132,7 +127,7 @@ def perturbations(
             item.lower,
             item.upper,
         )
-    columns = columns_of(subject)  # type: ignore[arg-type] - a foreign model answers what a scene answers
+    columns = columns_of(subject)  # type: ignore[arg-type] - a foreign model has the attributes of a scene
     state = columns["q"] + columns["v"]
     start, sizes = (
         nominal_world(subject, plan).start.tolist(),
@@ -190,17 +185,17 @@ def perturbations(
             0.0,
             math.inf,
         )
-    _check_all_found(subject, names, found)
-    return tuple(found)
+    _check_all_found(subject, names, result)
+    return tuple(result)
 
 
 def _check_all_found(subject: Subject, names: Sequence[str], found: Sequence[Perturbation]) -> None:
-    """Raise TrajectoryError where a name is neither a kind nor one of a perturbation, or nothing is found at all."""
+    """Raise TrajectoryError for a name without a perturbation, or if there is none."""
     kinds = [kind.value for kind in PerturbationKind]
     known = [*kinds, *(item.name for item in subject.parameters)]
     for name in names:
         if name not in kinds and name not in [item.name for item in found]:
-            none = "it is certain, or 0, of which there is no share; state how far it may be from its value ([uncertainty] in a map, Parameter(uncertainty=..) in a scene)."
+            none = "its uncertainty is 0 (by default a share of its value). State how far it may be from its value ([uncertainty] in a map, Parameter(uncertainty=..) in a scene)."
             near = did_you_mean(
                 name,
                 known,
@@ -216,7 +211,7 @@ def _check_all_found(subject: Subject, names: Sequence[str], found: Sequence[Per
 
 
 def nominal_world(subject: Subject, plan: Trajectory) -> World:
-    """The world as the scene, or somebody's FMU, says it is."""
+    """Return the world of the scene or FMU, unperturbed."""
     return World(
         parameters=np.array([item.value for item in subject.parameters]),
         start=np.array(
@@ -230,16 +225,10 @@ def nominal_world(subject: Subject, plan: Trajectory) -> World:
 def moved(
     world: World, causes: Sequence[Perturbation], sizes: np.ndarray, noise: np.ndarray | None = None
 ) -> World:
-    """Another world.
+    """Return a moved world; sizes (causes,) [-] are clipped to the largest moves.
 
-    Parameters
-    ----------
-    sizes : (causes,) by how many sizes each is moved; kept within what it may be moved by
-    noise : (steps, nu) [-] of standard deviation 1; None: without
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
+    noise: (steps, nu) [-] of standard deviation 1, or None. Raises ValueError if the shapes do not
+    fit.
     """
     parameters, start, gain = world.parameters.copy(), world.start.copy(), world.gain.copy()
     added, delay = world.noise.copy(), world.delay
@@ -261,7 +250,7 @@ def moved(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Draw:
-    """Sampled worlds in sizes: points (samples, causes), each in [-1, 1], of noise and delay in [0, 1]; seed: of the noise of each."""
+    """Sampled worlds: points (samples, causes) in sizes, [-1, 1], noise and delay [0, 1]."""
 
     causes: tuple[Perturbation, ...]
     points: np.ndarray
@@ -274,13 +263,11 @@ class Draw:
 
 
 def draw(causes: Sequence[Perturbation], samples: int, seed: int) -> Draw:
-    """Worlds spread evenly: a scrambled Sobol sequence over all causes but noise, whose size is always its own.
+    """Draw even worlds by a scrambled Sobol sequence over all causes; noise has its full size.
 
-    Raises
-    ------
-    ValueError : for no cause, or more than Sobol's sequence has numbers for.
+    Raises ValueError without causes, or with more than Sobol's sequence supports.
     """
-    # Half a second, which a replay need not pay.
+    # Imported here: half a second, which a replay does not need.
     from scipy.stats import qmc
 
     spread = [item for item in causes if item.kind is not PerturbationKind.NOISE]

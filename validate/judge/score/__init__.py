@@ -1,9 +1,10 @@
-"""Score: (Scene, Trajectory, Replay) -> metrics, each with unit, limit and reason, the answers to the judge's questions, and a verdict.
+"""Score a plan: metrics with limits and reasons, answers to the questions, and a verdict.
 
     score(scene, plan, replay(scene, fmu, plan)).why
-    -> "its contact forces are not those of contact: ...; driven by its inputs the motion ends 0.27 m from the goal, ..."
+    -> "its contact forces are not those of contact: ...; driven by its inputs the motion ends 0.27
+    m from the goal, ..."
 
-The judge knows no method: it sees a plan and what the plan's inputs do.
+The score uses the plan and its replay, not the method.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ __all__ = [
     "wants_feedback",
 ]
 
-# What a plan must say for a metric to be asked, in words.
+# Reasons by group of the plan that a metric needs.
 _NEEDS = {
     "q": "the plan does not say its positions",
     "v": "the plan does not say its velocities",
@@ -59,10 +60,9 @@ _NEEDS = {
     "no scheme": "the plan declares a scheme, whose own equations are asked instead",
 }
 
-# Of every metric, of a replay with feedback too.
 _NAMES = tuple(entry.name for entry in (*TABLE, *GROWTH, *FOLLOWED))
 
-# What is meant by a limit on a metric that is only shown.
+# Advice for a limit on a metric that is only shown.
 _INSTEAD = {
     name: f"limit {name.removesuffix('error')}position_error and {name.removesuffix('error')}velocity_error, each with its reason."
     for name in ("terminal_error", "replay_terminal_error", "discrete_terminal_error")
@@ -74,17 +74,14 @@ _INSTEAD = {
 
 
 def metric_names() -> tuple[str, ...]:
-    """Every metric a scene may set a limit on, in the order of the table.
-
-    Limits on a replay are for the one that is judged.
-    """
+    """Return every metric that a scene may limit, in the order of the table."""
     return tuple(entry.name for entry in TABLE) + tuple(
         entry.name for entry in FEEDBACK if entry.default is not None
     )
 
 
 def check_limits(scene: Subject, file: Path | None = None) -> None:
-    """Raise SceneError for a limit on a metric, or an answer by a measure, that does not exist. file: the scene's, which the sentence then names."""
+    """Raise SceneError for a limit or answer of an unknown metric; file: for messages."""
     where = f"scene {scene.name}" if file is None else f"scene file {file}: scene {scene.name}"
     for answer in scene.answers:
         if answer.measure and answer.measure not in MEASURES:
@@ -119,14 +116,10 @@ def score(
     replay: Replay | None,
     other_hold: Replay | None = None,
 ) -> Score:
-    """All metrics of a plan, and whether it holds.
+    """Return all metrics and the verdict of a plan; without a replay only violations are certain.
 
-    Without a replay (or one that failed) only a violation can be found.
-
-    other_hold: the replay of the same plan with its inputs held the other way, where that was made
-        because the stated one fails.
-    Raises TrajectoryError if plan, replay and scene do not belong together, SceneError for a limit
-        on a metric that does not exist.
+    other_hold: replay with the other hold, if the stated hold fails. Raises TrajectoryError if
+    plan, replay and scene do not match, SceneError for a limit on an unknown metric.
     """
     check_limits(scene)
     if trajectory is None:
@@ -173,20 +166,18 @@ def _scored(
     *,
     followed: bool,
 ) -> tuple[ScoredPlan, Literal["open", "feedback"]]:
-    """A plan with the metrics of these rows, and of which replay its answers are. followed: whether there is one with feedback."""
     case = Evidence(scene, plan, replay)
     metrics = {entry.name: _metric(entry, case) for entry in rows}
-    verdict, found, judged = decide(tuple(metrics.values()), followed)
+    verdict, answers, judged = decide(tuple(metrics.values()), followed)
     return ScoredPlan(
         scene=scene, trajectory=plan, replay=replay, metrics=metrics, verdict=verdict,
-        questions=found,
+        questions=answers,
         halved=partial(halved, case), times_the_law=partial(times_the_law, case),
         is_relaxed=partial(is_relaxed, case),
     ), judged  # fmt: skip
 
 
-# What asks for anything to be reached: the goal by its limits, unless they are waived, and limits
-# on the cost.
+# Metrics that a plan must satisfy to hold: goal and cost.
 _ASKING = frozenset(
     (
         "replay_cost",
@@ -202,10 +193,7 @@ _ASKING = frozenset(
 def _of_what_is_asked(
     scene: Subject, plan: Trajectory, verdict: Verdict, metrics: tuple[Metric, ...]
 ) -> Verdict:
-    """A plan of which nothing is asked has nothing to hold.
-
-    Who claims nothing there is not judged at all.
-    """
+    """Return the verdict of a plan without goal or cost: consistent, or not applicable."""
     if not verdict.is_good or any(metric.is_judged for metric in metrics if metric.name in _ASKING):
         return verdict
     claims = (
@@ -230,11 +218,10 @@ def _check_belongs(scene: Subject, trajectory: Trajectory, replay: Replay) -> No
 
 
 def _why_not_asked(entry: MetricEntry, case: Evidence) -> str:
-    """Why a plan is not asked this; empty: it is."""
+    """Return why a metric does not apply to a plan, or ""."""
     plan, scene = case.trajectory, case.scene
     for need in entry.needs:
-        # A scheme can be asked about only with forces; without them the motion is judged as that of
-        # a plan that declares none.
+        # A scheme needs forces; without them the plan is judged as one without a scheme.
         absent = {
             "scheme": plan.scheme is None, "no scheme": plan.scheme is not None,
         }.get(need, need in plan.missing)  # fmt: skip
@@ -248,8 +235,7 @@ def _why_not_asked(entry: MetricEntry, case: Evidence) -> str:
 def _not_asked(
     scene: Subject, rows: list[MetricEntry], metrics: tuple[Metric, ...]
 ) -> tuple[str, ...]:
-    """A sentence for each group of metrics that could not be asked."""
-    found: dict[str, list[str]] = {}
+    by_reason: dict[str, list[str]] = {}
     for entry, metric in zip(rows, metrics, strict=True):
         if (
             entry.question not in (Question.SHOWN, Question.JUDGE)
@@ -257,10 +243,10 @@ def _not_asked(
             and metric.limit is None
             and metric.reason
         ):
-            found.setdefault(metric.reason, []).append(metric.name)
+            by_reason.setdefault(metric.reason, []).append(metric.name)
     sentences = [
         f"{', '.join(names)}: {reason}"
-        for reason, names in found.items()
+        for reason, names in by_reason.items()
         if not reason.startswith(_NEEDS["no scheme"])
     ]
     return (*sentences, *getattr(scene, "not_asked", ()))
@@ -269,10 +255,9 @@ def _not_asked(
 def _worst(
     measured: Measured | tuple[float, float] | float, units: tuple[str, ...], limited: bool
 ) -> tuple[float, float, float, float, str | None]:
-    """Value, error, scale, what printing allows and the unit of the component that decides a metric; no unit of a norm over several.
+    """Return value, error, scale, rounding and unit of the deciding component; no unit of a norm.
 
-    The largest value where the scene sets a limit; else the one that is largest against its own
-    limit.
+    The largest value under a scene's limit, else the largest relative to its own limit.
     """
     if not isinstance(measured, Measured):
         value, error = measured if isinstance(measured, tuple) else (measured, 0.0)
@@ -298,7 +283,7 @@ def _worst(
 
 
 def _metric(entry: MetricEntry, case: Evidence) -> Metric:
-    own = case.scene.limit(entry.limited_by)
+    scene_limit = case.scene.limit(entry.limited_by)
     empty = Metric(
         name=entry.name,
         question=entry.question,
@@ -308,24 +293,23 @@ def _metric(entry: MetricEntry, case: Evidence) -> Metric:
     )
     if absent := _why_not_asked(entry, case):
         return replace(empty, reason=absent)
-    waived = own is not None and own.value is None
+    waived = scene_limit is not None and scene_limit.value is None
     judged = (
         entry.question is not Question.SHOWN
         and not waived
-        and (own is not None or entry.default is not None)
+        and (scene_limit is not None or entry.default is not None)
     )
-    # Of a default, how much of what counts as large; of a scene's limit the number itself.
+    # A default limit is a factor of the scale, a scene's limit an absolute number.
     stated, reason = (
-        (own.value, own.reason)
-        if own is not None and own.value is not None
+        (scene_limit.value, scene_limit.reason)
+        if scene_limit is not None and scene_limit.value is not None
         else entry.default or (0.0, "")
     )
     try:
-        # The plan's own time step may lead out of every bound, past its stability limit: what comes
-        # of it is not finite, and is refused below.
+        # Beyond its stability limit the plan's own step may overflow; that is rejected below.
         with np.errstate(over="ignore", invalid="ignore"):
             value, error, scale, allowed, unit = _worst(
-                entry.measure(case), entry.units(case.scene), own is not None and not waived
+                entry.measure(case), entry.units(case.scene), scene_limit is not None and not waived
             )
         if not math.isfinite(value):
             raise LeavesBounds("the metric is too large to be a number.")
@@ -335,23 +319,27 @@ def _metric(entry: MetricEntry, case: Evidence) -> Metric:
             beyond or isinstance(missing, Contradicted) or _can_be_asked(entry, case)
         ):
             return unmeasured
-        return replace(unmeasured, limit=stated, ok=False if beyond else None, default=own is None)
-    found = replace(empty, value=value, error=error, unit=unit or empty.unit)
+        return replace(
+            unmeasured, limit=stated, ok=False if beyond else None, default=scene_limit is None
+        )
+    measured = replace(empty, value=value, error=error, unit=unit or empty.unit)
     if not judged:
-        return replace(found, reason=own.reason if own is not None and waived else "")
-    bound = (stated if own is not None else stated * scale) + allowed
+        return replace(
+            measured, reason=scene_limit.reason if scene_limit is not None and waived else ""
+        )
+    bound = (stated if scene_limit is not None else stated * scale) + allowed
     if not math.isfinite(bound):
-        return found
-    return found.held_to(bound, reason, default=own is None)
+        return measured
+    return measured.held_to(bound, reason, default=scene_limit is None)
 
 
 def _can_be_asked(entry: MetricEntry, case: Evidence) -> bool:
-    """Whether a metric that could not be measured leaves a question open: somebody's FMU is not asked what it does not show, nor its plan."""
+    """Return whether an unmeasured metric leaves a question open; on external FMUs it does not."""
     if isinstance(case.scene, Scene):
         return True
     try:
         if entry.of_replay:
-            case.replay  # noqa: B018 - a replay that failed leaves everything open
+            case.replay  # noqa: B018 - a failed replay leaves everything open
     except Unmeasured:
         return True
     return False

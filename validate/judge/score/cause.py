@@ -1,8 +1,7 @@
-"""The sentence of a verdict: what decided it, the cause that the metrics show, and what to do.
+"""The sentence of a verdict: its deciding metric, the cause, and advice.
 
-Causes are told apart by metrics, never by what a method is called: the plan itself misses, inputs
-beyond bounds, relaxed contact law, coarse grid, unstable in the open loop, penetration beyond the
-model, replay too inexact. What a metric cannot show is not said.
+Causes follow from metrics, never from a method's name: defect, bounds, relaxed contact, coarse
+grid, unstable motion, penetration, inexact replay.
 """
 
 from __future__ import annotations
@@ -35,16 +34,14 @@ from validate.judge.score.verdict import (
 )
 
 _ENTRIES = {entry.name: entry for entry in (*TABLE, *FEEDBACK)}
-# From this growth of an error on, the instability of the motion is worth naming as a cause: a step
-# of a good plan is off by a thousandth of what it moves.
+# Growth of an error from which instability is named as a cause; a good plan's step errs by 1e-3.
 _UNSTABLE = 100.0
-# A step that the order of the scheme predicts is taken a little smaller.
+# Aimed share of the limit, so that an advised step is a little smaller than predicted.
 _SAFETY = 0.8
-# A number of three digits has nine at most where its limit looks alike.
+# Most additional digits to print a value apart from its limit.
 _MORE_DIGITS = 7
-# An angle off by whole turns is off by no more than this besides, in one row [rad].
+# Largest deviation of a jump from whole turns [rad].
 _NEAR_A_TURN = 0.1
-# What a metric says of itself where it fails first.
 _CAUSES = {
     "defect": "; if another integrator made it, leave the declaration of the scheme out",
 }
@@ -54,10 +51,10 @@ _CAUSES = {
 class ScoredPlan:
     """One plan with its metrics and answers.
 
-    other_hold: whether the plan holds with the inputs held the other way; halved: the grid errors [m or rad] with the step halved ever again until they are so
-        small, times_the_law: how many times what contact gives the planned
-    forces are, (nc,) [-] (validate.judge.score.measures); both raise Unmeasured; is_relaxed:
-    whether the planned forces follow a relaxed law.
+    - other_hold: the plan holds with the other hold.
+    - halved: yields grid errors [m or rad] with the step halved repeatedly; raises Unmeasured.
+    - times_the_law: (nc,) [-] planned forces over the law's; raises Unmeasured.
+    - is_relaxed: the planned forces follow a relaxed law.
     """
 
     scene: Subject
@@ -73,18 +70,18 @@ class ScoredPlan:
     is_relaxed: Callable[[], bool] = lambda: False
 
     def value(self, name: str) -> float | None:
-        """Of a metric; None if it was not measured."""
+        """Return a metric's value, None if not measured."""
         metric = self.metrics.get(name)
         return None if metric is None else metric.value
 
     def fails(self, name: str) -> bool:
-        """Whether a metric surely is above its limit."""
+        """Return whether a metric is certainly above its limit."""
         metric = self.metrics.get(name)
         return metric is not None and metric.is_judged and metric.ok is False
 
 
 def explain(scored: ScoredPlan) -> str:
-    """One or two sentences; see the module docstring."""
+    """Return the reason of the verdict in one or two sentences."""
     sentence = {
         Verdict.VIOLATES: _violates,
         Verdict.UNDECIDED: _undecided,
@@ -103,7 +100,7 @@ def explain(scored: ScoredPlan) -> str:
 
 
 def cause_of(scored: ScoredPlan) -> str:
-    """In one word what `explain` says in a sentence, see `Score.cause`."""
+    """Return the cause in one word, see `Score.cause`."""
     if scored.verdict is Verdict.UNDECIDED:
         return next(
             (
@@ -122,12 +119,11 @@ def cause_of(scored: ScoredPlan) -> str:
 
 
 _IMPULSES = ("ghost_impulse", "missed_impulse")
-# Of what is asked about the motion, what says its cause by its own name.
+# Metrics of the motion that are their own cause.
 _NAMED = ("replay_cost",)
 
 
 def _cause_of_motion(scored: ScoredPlan) -> str:
-    """Why the inputs do not give the motion, by what the metrics show."""
     growth = scored.value("amplification")
     unstable = growth is not None and growth >= _UNSTABLE
     if scored.fails("defect"):
@@ -142,25 +138,24 @@ def _cause_of_motion(scored: ScoredPlan) -> str:
 
 
 def _is_lost_on_its_grid(scored: ScoredPlan) -> bool:
-    """Whether exact contact on the plan's own grid moves it by more than a finer grid does: by another law, or by rounding where small errors grow."""
+    """Return whether exact contact on the plan's grid moves it more than a finer grid does."""
     grid = scored.value("grid_error")
     return grid is not None and (scored.value("law_error") or 0.0) > grid
 
 
 def _is_by_the_grid(name: str, scored: ScoredPlan) -> bool:
-    """Whether contact is elsewhere in the replay although the planned forces are those of contact, on a grid whose error shrinks with its step."""
+    """Return whether contact differs by an error of the grid, although planned forces are right."""
     return (
         name in _IMPULSES and scored.questions.get(Question.FORCES) == "yes" and _has_order(scored)
     )
 
 
 def _has_order(scored: ScoredPlan) -> bool:
-    """Whether the error of the plan's own grid is known to shrink with its step."""
+    """Return whether the grid's error is known to shrink with the step."""
     return None not in (scored.value("grid_error"), scored.value("grid_order"))
 
 
 def _above(scored: ScoredPlan) -> list[Metric]:
-    """What fails of the plan and the replay of its inputs alone, in the order of the questions."""
     return [metric for metric in _judged(scored, False) if metric.question is not Question.JUDGE]
 
 
@@ -173,17 +168,15 @@ def _unwell(scored: ScoredPlan) -> list[Metric]:
 
 
 def _judged(scored: ScoredPlan, ok: bool | None) -> list[Metric]:
-    """Judged metrics of the plan and the replay of its inputs alone, in the order of the questions, that are so."""
-    found = [
+    metrics = [
         metric
         for metric in scored.metrics.values()
         if metric.is_judged and metric.ok is ok and not is_of_feedback(metric.name)
     ]
-    return sorted(found, key=lambda metric: list(Question).index(metric.question))
+    return sorted(metrics, key=lambda metric: list(Question).index(metric.question))
 
 
 def _of_feedback(scored: ScoredPlan, ok: bool | None) -> list[Metric]:
-    """Judged metrics of the replay with feedback, and of that, that are so."""
     return [
         metric
         for metric in scored.metrics.values()
@@ -333,7 +326,6 @@ _ENDS = tuple(
 
 
 def _cause(first: Metric, scored: ScoredPlan) -> str:
-    """The cause of what failed first, and the advice."""
     if (
         first.name == "start_error"
         or first.question in (Question.GOAL, Question.FORCES, Question.MOTION)
@@ -359,7 +351,7 @@ def _cause(first: Metric, scored: ScoredPlan) -> str:
     ):
         if (
             scored.questions.get(Question.MOTION) == "yes"
-        ):  # no relaxed law gives the motion that the true one gives
+        ):  # a relaxed law never gives the true motion
             return "; its inputs give its motion all the same: if another integrator made it, leave the declaration of the scheme out"
         return _of_forces(scored)
     if first.question is Question.MOTION:
@@ -375,7 +367,7 @@ def _cause(first: Metric, scored: ScoredPlan) -> str:
 
 
 def _jumps_by_turns(scored: ScoredPlan) -> bool:
-    """Whether an angle is whole turns from the task's start, or from where its velocity takes it, in one row."""
+    """Return whether an angle jumps by whole turns, from the start or from its velocity."""
     plan, scene = scored.trajectory, scored.scene
     if not isinstance(scene, Scene) or not plan.has_states:
         return False
@@ -387,7 +379,7 @@ def _jumps_by_turns(scored: ScoredPlan) -> bool:
         np.diff(plan.t)[:, None] * (plan.v[:-1] + plan.v[1:]) / 2.0 * ("v" not in plan.missing)
     )
     turns = np.round(moved / (2.0 * math.pi)) * [item.unit == "rad" for item in scene.coordinates]
-    # It is the angle that jumps, not a velocity of another unit that would have it turn.
+    # An angle must jump; a velocity in another unit must not count as a turn.
     near = (np.abs(moved - 2.0 * math.pi * turns) < _NEAR_A_TURN) & (
         np.abs(jumps - 2.0 * math.pi * turns) < math.pi
     )
@@ -395,7 +387,6 @@ def _jumps_by_turns(scored: ScoredPlan) -> bool:
 
 
 def _of_forces(scored: ScoredPlan) -> str:
-    """Why the planned forces are not those of contact, by tests of their own."""
     if multiple := _multiple_of_the_law(scored):
         return multiple
     if scored.is_relaxed():
@@ -411,7 +402,6 @@ def _exact_contact(scored: ScoredPlan) -> str:
 
 
 def _departure(scored: ScoredPlan) -> str:
-    """When and where the replay leaves the plan."""
     plan, replay, scene = scored.trajectory, scored.replay, scored.scene
     metric = scored.metrics.get("replay_error")
     if replay is None or not replay.ok or metric is None or metric.limit is None or metric.ok:
@@ -425,7 +415,7 @@ def _departure(scored: ScoredPlan) -> str:
 
 
 def _multiple_of_the_law(scored: ScoredPlan) -> str:
-    """That the planned forces are those of contact but for a factor; empty where they are not."""
+    """Return the factor between planned forces and the contact law's, or ""."""
     try:
         times = scored.times_the_law()
     except Unmeasured:
@@ -437,12 +427,12 @@ def _multiple_of_the_law(scored: ScoredPlan) -> str:
         f"{rounded(float(x))} ({item.name})"
         for x, item in zip(times, scored.scene.contacts, strict=True)
     ]
-    said = rounded(float(times.mean())) if alike else ", ".join(each)
-    return f": they are {said} times what the contact law gives, as of another stiffness or another unit"
+    factor = rounded(float(times.mean())) if alike else ", ".join(each)
+    return f": they are {factor} times what the contact law gives, as of another stiffness or another unit"
 
 
 def _few_digits(plan: Trajectory) -> str:
-    """Whether the plan's own digits may be the cause: numbers with so few are taken as they stand."""
+    """Return whether too few digits of the plan may be the cause, or ""."""
     few = next(
         (
             digits
@@ -470,7 +460,6 @@ def _held_the_other_way(scored: ScoredPlan) -> str:
 
 
 def _of_motion(first: Metric, scored: ScoredPlan) -> str:
-    """Why the inputs do not give the motion, by what the metrics show."""
     plan = scored.trajectory
     if scored.other_hold:
         return f"; {_held_the_other_way(scored)}"
@@ -524,11 +513,10 @@ def _unstable(scored: ScoredPlan) -> str:
 
 
 def _finer(first: Metric, grid: float, scored: ScoredPlan) -> str:
-    """The step that is enough for these inputs, or that the order of the scheme predicts to be: a prediction until a plan on that grid is made."""
     plan = scored.trajectory
     if first.limit is None or first.limit <= 0.0 or plan.scheme is None or grid <= 0.0:
         return ""
-    # A kink of the contact force leaves an error of order two, whatever the scheme.
+    # A kink of the contact force limits any scheme to order two.
     first_order = plan.scheme is Scheme.SEMI_IMPLICIT_EULER
     order = 1.0 if first_order else 2.0
     step, error, near = (
@@ -536,7 +524,7 @@ def _finer(first: Metric, grid: float, scored: ScoredPlan) -> str:
         grid,
         _SAFETY * first.limit * min(1.0, grid / max(grid, first.value or 0.0)),
     )
-    # A step that is far too long says little of shorter ones: it is halved first, its inputs held.
+    # Far too long steps predict little: they are halved first, with held inputs.
     nearer = True
     with suppress(Unmeasured):
         for finer in scored.halved(near):
@@ -557,14 +545,12 @@ def _finer(first: Metric, grid: float, scored: ScoredPlan) -> str:
         and not scored.scene.damped
         and scored.scene.relaxation_index is None
     )
-    other = (
-        ", or `collocation`" if first_order and smooth else ""
-    )  # which takes neither friction nor damped contacts
+    other = ", or `collocation`" if first_order and smooth else ""
     return f". Try h = {step:.2g} s (predicted with these inputs held){other}"
 
 
 def _quote(metric: Metric) -> str:
-    """`the motion ends 0.3 m from the goal, limit 0.06 m`, or why there is no number."""
+    """Return `the motion ends 0.3 m from the goal, limit 0.06 m`, or why there is no number."""
     name = metric.name.removeprefix(TRACKED)
     if metric.value is None:
         return f"{metric.name}: {metric.reason.rstrip('.')}"
@@ -580,7 +566,7 @@ def _quote(metric: Metric) -> str:
 
 
 def _told_apart(value: float, limit: float, unit: str | None) -> tuple[str, str]:
-    """Both in as many digits as tell them apart; shares where there is no unit."""
+    """Return both with enough digits to differ; percentages without a unit."""
     for more in range(_MORE_DIGITS):
         texts = [
             percent(of, 2 + more) if unit is None else number(of, unit, 3 + more)
@@ -592,16 +578,16 @@ def _told_apart(value: float, limit: float, unit: str | None) -> tuple[str, str]
 
 
 def number(value: float, unit: str, digits: int = 3) -> str:
-    """Three digits, or as many, and the unit; a norm over several units has none."""
+    """Return a number with its unit; norms over several units have none."""
     return f"{value:.{digits}g}" if unit == "1" or "," in unit else f"{value:.{digits}g} {unit}"
 
 
 def percent(share: float, digits: int = 2) -> str:
-    """`24 %`."""
+    """Return `24 %`."""
     return f"{100 * share:.{digits}g} %" if abs(share) < 10 else f"{rounded(100 * share, digits)} %"
 
 
 def rounded(value: float, digits: int = 2) -> str:
-    """Two digits, or as many, without a power of ten up to a million: 5600, 0.34."""
+    """Return the value without a power of ten up to a million: 5600, 0.34."""
     text = float(f"{value:.{digits}g}")
     return f"{text:.0f}" if 10.0 <= text < 1e6 else f"{text:g}"

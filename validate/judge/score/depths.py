@@ -1,8 +1,7 @@
-"""How deep the contacts of a replay go, between its rows too.
+"""Deepest penetrations of a replay, between its rows too.
 
-A penetration lies below its tangents at two rows, as contact only turns it back: every piece of the
-replay's grid that could hold the deepest place is run once more, in small steps of the compiled
-kernel, as many as it takes.
+A penetration lies below its tangents at two rows, because contact reduces its rate. Pieces that may
+be deepest are repeated in small steps of the compiled kernel.
 """
 
 from __future__ import annotations
@@ -13,17 +12,16 @@ from models import collocation
 from models.scene import Scene
 from validate.judge.score.evidence import Evidence
 
-# Small steps of a piece of the replay: at first, and at most; and what twice as many change of a
-# depth where they are enough.
 _FEWEST = 250
 _MOST = 512_000
+# Relative change of a depth, on doubling the steps, that ends the refinement.
 _DEEP = 1e-6
 
 
 def deepest(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
-    """Largest penetration of the replay, (nc,) [m], of a scene between its rows too, and how well its small steps there tell it, (nc,) [m].
+    """Return the largest penetrations of the replay and their errors, (nc,) [m] each.
 
-    Raises Unmeasured without a whole replay.
+    Raises Unmeasured without a finished replay.
     """
     gap, replay = case.replay_gap, case.replay
     depth, unsure = np.maximum(-gap.min(axis=0, initial=0.0), 0.0), np.zeros(gap.shape[1])
@@ -33,9 +31,7 @@ def deepest(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
         case.duration, -gap, collocation.penetration_rates(case.kernel, replay.q, replay.v)
     )
     for contact in range(case.scene.nc):
-        looked_at: dict[
-            int, float
-        ] = {}  # every piece that could be deeper than the deepest that the motion was run in once more
+        looked_at: dict[int, float] = {}
         while (
             between[:, contact].max() > depth[contact]
             and (piece := int(between[:, contact].argmax())) not in looked_at
@@ -47,53 +43,41 @@ def deepest(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _depth_within(case: Evidence, piece: int, contact: int) -> tuple[float, float]:
-    """Largest penetration along a piece of the replay's grid, and what twice as many parts changed of it [m]: a contact may be far shorter than the piece."""
-    found, change, parts = np.nan, np.nan, _FEWEST
-    while parts <= _MOST and not change <= max(
-        case.error.gap, _DEEP * found
-    ):  # not a number has not settled either
-        before, found = found, float(penetrations_within(case, piece, parts)[:, contact].max())
-        # No point twice: one that a hard contact has not turned back yet would be too deep in both.
-        change, parts = abs(found - before), 2 * parts + 1
-    return (found, change) if np.isfinite(found) else (np.inf, np.inf)
+    """Return the largest penetration in a piece, and its change on doubling the steps [m]."""
+    depth, change, parts = np.nan, np.nan, _FEWEST
+    while parts <= _MOST and not change <= max(case.error.gap, _DEEP * depth):  # true for NaN too
+        before, depth = depth, float(penetrations_within(case, piece, parts)[:, contact].max())
+        # No point is used twice: before a hard contact acts, both would be too deep.
+        change, parts = abs(depth - before), 2 * parts + 1
+    return (depth, change) if np.isfinite(depth) else (np.inf, np.inf)
 
 
 def penetrations_within(case: Evidence, piece: int, parts: int) -> np.ndarray:
-    """(parts + 1, nc) along a piece of the replay's grid, in small steps from its first row [m]."""
+    """Return penetrations (parts + 1, nc) [m] along a piece, in small steps from its first row.
+
+    Raises Unmeasured without a finished replay.
+    """
     replay, held, step = case.replay, case.held_inputs, case.step_of[piece]
     h = float(case.duration[piece]) / parts
     values = (held.values if replay.applied is None else replay.applied)[step]
     late = replay.t[piece] - case.trajectory.t[step] + h * (np.arange(parts) + 0.5)
     u, q, v = values + held.slopes[step] * late[:, None], replay.q[piece], replay.v[piece]
-    # Half a step back the velocities of semi-implicit Euler are those of the leapfrog: of second
-    # order.
+    # Velocities half a step back make semi-implicit Euler a leapfrog, of second order.
     forces = np.concatenate([replay.lam[piece], replay.friction[piece]])
     v = v - h / 2.0 * case.kernel.acceleration(q[None], v[None], u[:1], forces[None])[0]
     return case.kernel.penetration(case.kernel.rollout(np.concatenate([q, v]), u, h).q)
 
 
 def _depth_bounds(h: np.ndarray, depth: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """What no penetration between two rows exceeds: a contact only turns it back, so that it lies below its tangents at both rows.
+    """Return upper bounds (n-1, nc) [m] of the penetrations between rows, by their tangents.
 
-    All but that contact may press it on, by no more than twice what any piece has in the mean.
-
-    Parameters
-    ----------
-    h : (n-1,) durations of the pieces [s].
-    depth, rate : (n, nc) penetrations at the rows [m], and their rates [m/s].
-
-    Returns
-    -------
-    (n-1, nc) [m]
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
+    Other forces press by at most twice their largest mean. h: (n-1,) [s]; depth, rate: (n, nc) [m],
+    [m/s]. Raises ValueError if the shapes do not fit.
     """
     h, gains = h[:, None], np.diff(rate, axis=0)
     pressed = (gains / np.maximum(h, 1e-3 * h.max())).max(
         axis=0
-    )  # of the shortest pieces rates differ by rounding
+    )  # rates of the shortest pieces differ by rounding
     bend = 2.0 * np.maximum(np.maximum(pressed * h, gains), 0.0)  # their acceleration times h
     first, last = rate[:-1] + bend / 2.0, rate[1:] - bend / 2.0
     share = np.divide(

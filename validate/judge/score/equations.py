@@ -1,7 +1,7 @@
-"""The equations of the score, one function a metric; arrays in, one number out.
+"""Equations of the metrics, with the shapes of Trajectory and Replay: nodes = steps + 1.
 
-Shapes as in Trajectory and Replay: nodes = steps + 1; phi (steps, nc) is the penetration at the
-*start* of each step, where the plan's lam (steps, nc) belongs.
+Penetrations are those at the start of each step, as the plan's lam (steps, nc). Every function
+raises ValueError if the shapes do not fit.
 """
 
 from __future__ import annotations
@@ -10,20 +10,9 @@ import numpy as np
 
 
 def physics(lam: np.ndarray, push: np.ndarray) -> float:
-    """Complementarity violation of the paper's (10): sum over steps and contacts of abs(lam*(lam - push)).
+    """Return the paper's complementarity violation (10), sum of abs(lam*(lam - push)) [N^2].
 
-    Parameters
-    ----------
-    lam : (steps, nc) contact forces [N].
-    push : (steps, nc) what the true force is the positive part of [N]: k*phi without damping.
-
-    Returns
-    -------
-    [N^2]
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
+    lam: (steps, nc) forces [N]; push: (steps, nc) k*phi, with damping [N]. Raises ValueError.
     """
     return float(np.abs(lam * (lam - push)).sum())
 
@@ -31,42 +20,22 @@ def physics(lam: np.ndarray, push: np.ndarray) -> float:
 def physics_scaled(
     lam: np.ndarray, push: np.ndarray, k: np.ndarray, length: np.ndarray, h: np.ndarray
 ) -> float:
-    """Complementarity violation, the same on any grid: sum over steps and contacts of h*abs(lam*(lam - push))/(k*L)^2.
+    """Return the scaled violation, sum of h*abs(lam*(lam - push))/(k*L)^2 [s], on any grid.
 
-    Parameters
-    ----------
-    lam, push : (steps, nc) as of `physics` [N].
-    k : (nc,) stiffness [N/m].
-    length : (nc,) L, the contact's nominal penetration [m].
-    h : (steps,) [s].
-
-    Returns
-    -------
-    [s]
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
+    lam, push: (steps, nc) [N]; k: (nc,) [N/m]; length L: (nc,) nominal penetrations [m]; h:
+    (steps,) [s]. Raises ValueError.
     """
     return float((h[:, None] * np.abs(lam * (lam - push)) / (k * length) ** 2).sum())
 
 
 def defect(q: np.ndarray, v: np.ndarray, acceleration: np.ndarray, h: np.ndarray) -> np.ndarray:
-    """Largest misses of semi-implicit Euler: abs of q[t+1] - q[t] - h v[t+1] and of v[t+1] - v[t] - h a[t].
+    """Return the largest residuals of semi-implicit Euler, (2*nq,), positions, then velocities.
 
-    Parameters
-    ----------
-    q, v : (nodes, nq) positions [m or rad], velocities [m/s or rad/s].
-    acceleration : (steps, nq) a, with the plan's own lam [m/s^2 or rad/s^2].
-    h : (steps,) [s].
+    Residuals are abs of q[t+1] - q[t] - h v[t+1] and of v[t+1] - v[t] - h a[t]. Raises ValueError.
 
-    Returns
-    -------
-    (2*nq,) of the positions, then of the velocities.
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
+    - q, v: (nodes, nq) [m or rad, m/s or rad/s].
+    - acceleration: (steps, nq), with the plan's lam.
+    - h: (steps,) [s].
     """
     positions = q[1:] - (q[:-1] + h[:, None] * v[1:])
     velocities = v[1:] - (v[:-1] + h[:, None] * acceleration)
@@ -74,21 +43,10 @@ def defect(q: np.ndarray, v: np.ndarray, acceleration: np.ndarray, h: np.ndarray
 
 
 def rate_misfit(t: np.ndarray, q: np.ndarray, v: np.ndarray, step: float) -> np.ndarray:
-    """Distance of the velocities from the slopes of the positions before and after their row.
+    """Return the distance (nodes - 2, nq) of velocities from the slopes around their row.
 
-    Parameters
-    ----------
-    t : (nodes,) [s].
-    q, v : (nodes, nq) [m or rad], [m/s or rad/s].
-    step : shortest time over which a slope is taken [s].
-
-    Returns
-    -------
-    (nodes - 2, nq) of the rows between the first and the last, 0 between the two slopes.
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
+    0 between the slopes; t: (nodes,) [s]; q, v: (nodes, nq) [m or rad, m/s or rad/s]; step:
+    shortest time of a slope [s]. Raises ValueError.
     """
     inner, slopes = t[1:-1], []
     for h, sign in ((np.diff(t)[:-1], -1.0), (np.diff(t)[1:], 1.0)):
@@ -100,38 +58,17 @@ def rate_misfit(t: np.ndarray, q: np.ndarray, v: np.ndarray, step: float) -> np.
 
 
 def outside(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Largest max(x - upper, lower - x, 0) of each column.
+    """Return the largest max(x - upper, lower - x, 0) of each column, (n,) [its unit].
 
-    Parameters
-    ----------
-    values : (rows, n) [unit of each column].
-    lower, upper : (n,) bounds [unit of each column], may be infinite.
-
-    Returns
-    -------
-    (n,) [unit of each column].
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
+    values: (rows, n); lower, upper: (n,), may be infinite. Raises ValueError.
     """
     return np.maximum(values - upper, lower - values).max(axis=0, initial=0.0)
 
 
 def largest_difference(one: np.ndarray, other: np.ndarray) -> tuple[float, int]:
-    """Largest abs difference of any one coordinate over the nodes.
+    """Return the largest difference of a coordinate [m or rad], and its node.
 
-    Parameters
-    ----------
-    one, other : (nodes, nq) positions [m or rad].
-
-    Returns
-    -------
-    The difference [m or rad], and the node.
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
+    one, other: (nodes, nq). Raises ValueError.
     """
     worst = np.abs(one - other).max(axis=1)
     node = int(worst.argmax())
@@ -139,23 +76,10 @@ def largest_difference(one: np.ndarray, other: np.ndarray) -> tuple[float, int]:
 
 
 def excess_impulse(lam: np.ndarray, other: np.ndarray, h: np.ndarray) -> float:
-    """Impulse that one has and the other has not: sum over steps and contacts of h max(lam - other, 0).
+    """Return the impulse of one force without the other, sum of h max(lam - other, 0) [N s].
 
-    Ghost impulse is that of the plan over the largest of the replay's `force_window`, missed
-    impulse that of its least over the plan.
-
-    Parameters
-    ----------
-    lam, other : (steps, nc) contact forces [N].
-    h : (steps,) [s].
-
-    Returns
-    -------
-    [N s]
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
+    Ghost impulse: the plan's over the largest of `force_window`; missed impulse: its least over the
+    plan's. lam, other: (steps, nc) [N]; h: (steps,) [s]. Raises ValueError.
     """
     return float((h[:, None] * np.maximum(lam - other, 0.0)).sum())
 
@@ -163,21 +87,10 @@ def excess_impulse(lam: np.ndarray, other: np.ndarray, h: np.ndarray) -> float:
 def friction_dissipation_error(
     friction: np.ndarray, least: np.ndarray, most: np.ndarray, slip: np.ndarray
 ) -> np.ndarray:
-    """Return abs of mu N abs(s) + f s, with the mu N in its range that makes it smallest: 0 where it sticks or slips against all of mu N.
+    """Return abs of mu N abs(s) + f s (steps, nf) [W], with the best mu N of its range.
 
-    Parameters
-    ----------
-    friction : (steps, nf) f [N].
-    least, most : (steps, nf) range of mu N [N].
-    slip : (steps, nf) s [m/s], that of each step's friction.
-
-    Returns
-    -------
-    (steps, nf) [W]
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
+    0 while sticking, or slipping against all of mu N. friction f: (steps, nf) [N]; least, most:
+    range of mu N [N]; slip s: [m/s]. Raises ValueError.
     """
     against = -friction * np.sign(slip)
     off = np.maximum(np.maximum(least - against, against - most), 0.0)
@@ -187,20 +100,9 @@ def friction_dissipation_error(
 def energy_residual(
     energy: np.ndarray, input_work: np.ndarray, dissipated_work: np.ndarray
 ) -> float:
-    """Largest abs(E - E(0) - W_in + W_dissipated) over time.
+    """Return the largest abs(E - E(0) - W_in + W_dissipated) [J].
 
-    Parameters
-    ----------
-    energy : (n,) E, with the energy stored in contacts [J].
-    input_work, dissipated_work : (n,) since the start [J].
-
-    Returns
-    -------
-    [J]
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
+    energy E: (n,), with contact energy; works: (n,) since the start [J]. Raises ValueError.
     """
     return float(np.abs(energy - energy[0] - input_work + dissipated_work).max())
 
@@ -212,20 +114,9 @@ def energy_turnover(
     input_work: np.ndarray,
     dissipated_work: np.ndarray,
 ) -> float:
-    """The largest energy that is there to be turned over: kinetic, in contacts, range of the potential, work in, work dissipated.
+    """Return the energy turned over [J]: largest of kinetic, contact, range of potential, works.
 
-    Parameters
-    ----------
-    kinetic, potential, contact : (n,) energies [J].
-    input_work, dissipated_work : (n,) since the start [J].
-
-    Returns
-    -------
-    [J]
-
-    Raises
-    ------
-    ValueError : for no rows.
+    All (n,) [J]. Raises ValueError without rows.
     """
     return float(
         max(

@@ -1,7 +1,6 @@
-"""What the metrics are computed from: the plan, its replay, and the plan's inputs under the true contact law on the plan's own grid.
+"""Data of the metrics: the plan, its replay, and the plan's inputs on its grid with true contact.
 
-Where the compiled functions refuse a state, their KernelError goes on to the score, which takes it
-for an Unmeasured.
+A KernelError of the compiled functions counts as Unmeasured in the score.
 """
 
 from __future__ import annotations
@@ -35,23 +34,23 @@ from validate.judge.score.forces import (
 )
 from validate.judge.score.verdict import LeavesBounds, Unmeasured
 
-# Gauss-Legendre points and weights on (0, 1): exact for squares of cubics and of lines.
+# Gauss-Legendre points and weights on (0, 1), exact for squares of cubics.
 _POINTS, _WEIGHTS = (
     part / 2.0 + shift for part, shift in zip(leggauss(4), (0.5, 0.0), strict=True)
 )
 
 
 class Evidence:
-    """Arrays by the symbols of the equations; each computed once."""
+    """Arrays by the symbols of the equations, each computed once."""
 
     def __init__(self, scene: Subject, trajectory: Trajectory, replay: Replay | None) -> None:
         self.scene, self.trajectory, self._replay = scene, trajectory, replay
-        # By parts: a metric and the sentence ask for the same ones, 7 s each by collocation.
+        # By parts; collocation takes 7 s, and several metrics need the same motion.
         self._own_motions: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     @property
     def equations(self) -> Scene:
-        """The scene, where there is one."""
+        """Return the scene; raise Unmeasured for an external FMU."""
         if not isinstance(self.scene, Scene):
             raise Unmeasured(
                 "it needs the equations, which only a scene has; an FMU keeps its own to itself."
@@ -60,67 +59,48 @@ class Evidence:
 
     @cached_property
     def kernel(self) -> Kernel:
-        """The scene's compiled functions. Raises Unmeasured for somebody's FMU."""
+        """Return the compiled functions. Raises Unmeasured for an external FMU."""
         return load_kernel(self.equations)
 
     @property
     def lacking(self) -> Mapping[str, str]:
-        """What an external FMU does not offer of q, v, lam, gap, and why; empty for a scene."""
+        """Return the groups that an external FMU lacks, with reasons; empty for a scene."""
         return {} if isinstance(self.scene, Scene) else self.scene.lacks
 
     def need(self, *parts: str) -> None:
-        """Raise Unmeasured if an external FMU does not offer one of these: q, v, lam, gap."""
+        """Raise Unmeasured if an external FMU lacks one of these groups."""
         for part in parts:
             if part in self.lacking:
                 raise Unmeasured(f"{self.lacking[part]}.")
 
     @property
     def q(self) -> np.ndarray:
-        """Positions of the plan, (nodes, nq) [m or rad].
-
-        Raises Unmeasured if it does not say them.
-        """
+        """Return the plan's positions (nodes, nq) [m or rad]. Raises Unmeasured if missing."""
         self.need("q")
         self._must_say("q", "positions", [item.name for item in self.scene.coordinates])
         return self.trajectory.q
 
     def _must_say(self, group: str, words: str, columns: Sequence[str]) -> None:
-        """Raise Unmeasured if the plan does not say these columns."""
         if group in self.trajectory.missing:
             raise Unmeasured(f"the plan does not say its {words} ({', '.join(columns)}).")
 
     @cached_property
     def goal(self) -> np.ndarray:
-        """The goal, (2*nq,) positions [m or rad], then velocities [m/s or rad/s].
-
-        NaN where the end is free.
-        """
-        return goal_state(self.scene.task)  # type: ignore[arg-type] - a foreign task has a goal of the same form
+        """Return the goal (2*nq,) [m or rad, m/s or rad/s], NaN if free. Raises nothing."""
+        return goal_state(self.scene.task)  # type: ignore[arg-type] - a foreign task has the same goal
 
     @cached_property
     def h(self) -> np.ndarray:
-        """Steps of the plan, (steps,) [s].
-
-        The nominal step where all steps equal it, so that t = n*h has left no rounding in it.
-        """
+        """Return the plan's steps (steps,) [s], the nominal one if all equal it. Raises nothing."""
         h = np.diff(self.trajectory.t)
         step = self.scene.task.step
         return np.full_like(h, step) if np.allclose(h, step, rtol=1e-9, atol=0.0) else h
 
     def cost_of(self, t: np.ndarray, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
-        """The task's cost of a motion: the integral of its running cost for each step of the task, and the final cost.
+        """Return the task's cost of a motion: running cost per step of the task, and final cost.
 
-        Between the rows positions are cubics, without inertia chords.
-
-        Parameters
-        ----------
-        t : (n,) times of the rows [s].
-        q, v : (n, nq) positions [m or rad], velocities [m/s or rad/s].
-        u : (steps, nu) inputs at the starts of the plan's steps [N or N m].
-
-        Raises
-        ------
-        Unmeasured : for an external FMU.
+        Between rows positions are cubics, without inertia lines. t: (n,) [s]; q, v: (n, nq) [m or
+        rad, m/s or rad/s]; u: (steps, nu) [N or N m]. Raises Unmeasured for an external FMU.
         """
         h, nodes, held = np.diff(t)[:, None], self.trajectory.t, self.held_inputs
         step = np.clip(np.searchsorted(nodes, t[:-1], side="right") - 1, 0, len(u) - 1)
@@ -142,9 +122,9 @@ class Evidence:
 
     @property
     def cost_of_rows(self) -> float:
-        """The task's cost as the plan's own method counts it: by the states at the starts of the steps, inputs that are lines at their middle.
+        """Return the task's cost as methods compute it, by the states at the starts of steps.
 
-        Raises Unmeasured without positions, velocities or equations.
+        Linear inputs count at the middle of their step. Raises Unmeasured.
         """
         q, v, h = self.q, self.v, self.h
         u = self.trajectory.u + self.held_inputs.slopes * h[:, None] / 2.0
@@ -152,7 +132,7 @@ class Evidence:
         return float(h / self.scene.task.step @ rate) + self._final_cost(q[-1], v[-1])
 
     def _running_cost(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """(n,) of states (n, nq) and inputs (n, nu), for a step of the task."""
+        """Return the running cost (n,) per step of the task; q, v: (n, nq), u: (n, nu)."""
         return np.broadcast_to(self._running(q.T, v.T, u.T), (len(q),))
 
     @cached_property
@@ -166,10 +146,9 @@ class Evidence:
 
     @cached_property
     def push(self) -> np.ndarray:
-        """What the true force is the positive part of at the start of each step, (steps, nc) [N]: k phi, and with damping more or less.
+        """Return the argument (steps, nc) [N] of the true force max(0, .): k phi, with damping.
 
-        Raises Unmeasured for somebody's FMU, or where a damped contact needs velocities that the
-        plan does not say.
+        Raises Unmeasured for an external FMU, or without velocities that damping needs.
         """
         q = self.trajectory.q[:-1]
         return (
@@ -180,14 +159,14 @@ class Evidence:
 
     @cached_property
     def k(self) -> np.ndarray:
-        """Stiffness of the contacts, (nc,) [N/m]. Raises Unmeasured for somebody's FMU."""
+        """Return the stiffnesses (nc,) [N/m]. Raises Unmeasured for an external FMU."""
         return self.kernel.stiffness()
 
     @cached_property
     def slopes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Largest derivatives of the replay's contact forces, (nc,) each: by penetration [N/m] and by its rate [N s/m].
+        """Return the largest derivatives of contact forces, (nc,) [N/m] by depth, [N s/m] by rate.
 
-        Raises Unmeasured for somebody's FMU, or without a whole replay.
+        Raises Unmeasured without equations or a finished replay.
         """
         scene, k = self.equations, self.k
         if not scene.damped:
@@ -206,41 +185,29 @@ class Evidence:
 
     @cached_property
     def length(self) -> np.ndarray:
-        """L, the scene's nominal penetration of each contact, (nc,) [m].
-
-        Raises Unmeasured for somebody's FMU.
-        """
+        """Return the nominal penetrations L (nc,) [m]. Raises Unmeasured for an external FMU."""
         return np.array([contact.nominal for contact in self.equations.contacts])
 
     @property
     def lam(self) -> np.ndarray:
-        """Contact forces of the plan, (steps, nc) [N]; zeros where it does not say them.
-
-        Raises nothing.
-        """
+        """Return the plan's contact forces (steps, nc) [N], zero if missing. Raises nothing."""
         return self.trajectory.lam[:, : self.scene.nc]
 
     @property
     def planned_impulse(self) -> float:
-        """Sum over steps and contacts of h |lam| [N s]."""
+        """Return the sum of h |lam| [N s]."""
         return float((self.h[:, None] * np.abs(self.lam)).sum())
 
     @cached_property
     def law(self) -> np.ndarray:
-        """Contact forces of the true law at the plan's nodes, (nodes, nc) [N].
-
-        Raises Unmeasured without positions or equations.
-        """
+        """Return the true contact forces (nodes, nc) [N]. Raises Unmeasured."""
         return self.kernel.contact_force(
             self.q, v=self.trajectory.v if self.equations.damped else None
         )
 
     @cached_property
     def typical_force(self) -> float:
-        """Yardstick of contact forces [N] (`models.scene.typical_force`); of an FMU the map's.
-
-        Raises Unmeasured if the map states none.
-        """
+        """Return the scale of contact forces [N], of an FMU the map's. Raises Unmeasured."""
         if isinstance(self.scene, Scene):
             return typical_force(self.scene, self.kernel)
         stated = [item.nominal_force for item in self.scene.contacts]
@@ -251,18 +218,12 @@ class Evidence:
 
     @cached_property
     def within_steps(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Positions and velocities of the plan at parts of its steps, (steps, nq) each.
-
-        Raises Unmeasured without positions.
-        """
+        """Return q, v (steps, nq) [m or rad, per s] at parts of steps. Raises Unmeasured."""
         return within_steps(self.q, self.trajectory.v, np.diff(self.trajectory.t))
 
     @cached_property
     def law_within(self) -> np.ndarray:
-        """Contact forces of the true law at parts of the plan's steps, (parts, steps, nc) [N].
-
-        Raises Unmeasured without positions or equations.
-        """
+        """Return the true contact forces (parts, steps, nc) [N] in steps. Raises Unmeasured."""
         damped = self.equations.damped
         return np.array(
             [
@@ -273,15 +234,11 @@ class Evidence:
 
     @cached_property
     def laws(self) -> dict[str, np.ndarray]:
-        """Contact forces (steps, nc) [N] of the true law by each convention.
-
-        Raises Unmeasured without positions or equations.
-        """
+        """Return the true contact forces (steps, nc) [N] by convention. Raises Unmeasured."""
         return by_convention(self.law_within, self._replayed_means)
 
     @property
     def _replayed_means(self) -> np.ndarray | None:
-        """Mean contact forces of the replay over the plan's steps, (steps, nc) [N]; None if unknown."""
         if self._replay is None or not self._replay.ok or self._replay.contact_impulse is None:
             return None
         impulses = np.diff(self._replay.contact_impulse[self._replay.knots], axis=0)
@@ -289,7 +246,7 @@ class Evidence:
 
     @cached_property
     def convention(self) -> str:
-        """Convention by which the plan's contact forces are nearest to the law; empty if they are not stated."""
+        """Return the convention nearest to the plan's contact forces, "" without forces."""
         if "lam" in self.trajectory.missing or not self.scene.nc:
             return ""
         off = {name: self.h @ np.abs(self.lam - law) for name, law in self.laws.items()}
@@ -297,10 +254,7 @@ class Evidence:
 
     @cached_property
     def rounding_of_law(self) -> np.ndarray:
-        """Change of the contact forces by the rounding of the plan's positions, (steps, nc) [N].
-
-        Raises Unmeasured without positions or equations.
-        """
+        """Return the change (steps, nc) [N] of forces by rounding of q. Raises Unmeasured."""
         d, rounding = derive(self.equations), self.rounding["q"]
         if not rounding.any():
             return np.zeros_like(self.lam)
@@ -315,10 +269,10 @@ class Evidence:
 
     @cached_property
     def impulse_yardstick(self) -> float:
-        """Contact impulse by which differences are measured [N s].
+        """Return the scale of impulse differences [N s].
 
-        The impulse that plan and replay have in common, at least a typical force for a fiftieth of
-        the plan. Of an FMU whose map states no typical force the larger of the two impulses.
+        The impulse common to plan and replay, at least a typical force for a fiftieth of the plan;
+        without a typical force the larger impulse.
         """
         try:
             force = self.typical_force
@@ -334,10 +288,9 @@ class Evidence:
 
     @cached_property
     def rounding(self) -> dict[str, np.ndarray]:
-        """By how much each number of the plan may be rounded (`validate.judge.printed`).
+        """Return the rounding of the plan's numbers [SI]. Raises nothing.
 
-        "q", "v" (nodes, nq), "u" (steps, nu), "lam" (steps, nl), each in its unit [SI]. Raises
-        nothing.
+        "q", "v" (nodes, nq), "u" (steps, nu), "lam" (steps, nl).
         """
         plan, items = self.trajectory, self.scene.coordinates
         nominals = np.array([item.nominal for item in items])
@@ -355,23 +308,20 @@ class Evidence:
 
     @cached_property
     def printing_acceleration(self) -> float:
-        """By how much printing may change an acceleration of the plan [m/s^2, rad/s^2]: tried by rounding states, inputs and true forces anew."""
+        """Return the change of accelerations by random rounding of the plan."""
         plan, size = self.trajectory, self.rounding
         if not any(part.any() for part in size.values()):
             return 0.0
         random = np.random.default_rng(0)
 
         def acceleration(scale: float) -> np.ndarray:
-            """(steps, nq) [m/s^2 or rad/s^2] with all numbers moved by `scale` of their printing.
+            """Return accelerations (steps, nq) [m/s^2 or rad/s^2] with this share of rounding.
 
             Raises KernelError.
             """
 
             def moved(group: str, values: np.ndarray) -> np.ndarray:
-                """All values (steps, n) [unit of the group], each moved up or down.
-
-                Raises KeyError for no group.
-                """
+                """Return values (steps, n) [unit of the group], rounded. Raises KeyError."""
                 signs = random.choice((-1.0, 1.0), size=values.shape)
                 return values + scale * size[group][: len(values)] * signs
 
@@ -387,14 +337,14 @@ class Evidence:
 
     @cached_property
     def held_inputs(self) -> HeldInputs:
-        """The plan's inputs as functions of time."""
+        """Return the plan's inputs as functions of time."""
         return HeldInputs(self.trajectory)
 
     @property
     def task_start(self) -> np.ndarray:
-        """Where the task starts, (2*nq,) [m or rad], then [m/s or rad/s]: of an FMU its own state at the start.
+        """Return the task's start (2*nq,) [m or rad, m/s or rad/s], of an FMU its own state.
 
-        Raises Unmeasured without a whole replay of an FMU.
+        Raises Unmeasured without a finished replay of an FMU.
         """
         if isinstance(self.scene, Scene):
             return np.array(self.scene.task.start, dtype=float)
@@ -402,23 +352,19 @@ class Evidence:
 
     @property
     def has_inertia(self) -> bool:
-        """Whether velocities are states: of every external FMU, and of scenes without a relaxation time."""
+        """Return whether velocities are states: false for scenes with a relaxation time."""
         return not isinstance(self.scene, Scene) or self.scene.relaxation_index is None
 
     @property
     def friction(self) -> np.ndarray:
-        """Friction forces of the plan, (steps, nf) [N]; zeros where it does not say them.
-
-        Raises nothing.
-        """
+        """Return the plan's friction forces (steps, nf) [N], zero if missing. Raises nothing."""
         return self.trajectory.lam[:, self.scene.nc :]
 
     @cached_property
     def friction_limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest mu N, (steps, nf) each [N], with the plan's own contact forces where they press; what pulls does not press.
+        """Return least and largest mu N, (steps, nf) [N], by the plan's own contact forces.
 
-        At the start of the step; of a plan that declares no scheme at both its ends. Raises
-        Unmeasured without positions or equations.
+        At the start of each step, without a scheme at both ends. Raises Unmeasured.
         """
         kernel, (first, *_, last) = self.kernel, self.pressing
         begins = np.maximum(kernel.friction_limit(self.q[:-1], first), 0.0)
@@ -429,9 +375,9 @@ class Evidence:
 
     @cached_property
     def pressing(self) -> np.ndarray:
-        """Contact forces that press on frictions at parts of the plan's steps, (parts, steps, nl) [N].
+        """Return the pressing forces (parts, steps, nl) [N]: the plan's, or the law's.
 
-        They are the plan's, or the law's if it states none. Raises Unmeasured as `law_within`.
+        Raises Unmeasured.
         """
         parts = len(self.within_steps[0])
         forces = np.repeat(self.trajectory.lam[None], parts, axis=0)
@@ -441,10 +387,7 @@ class Evidence:
 
     @cached_property
     def friction_excess(self) -> np.ndarray:
-        """By how much each friction force exceeds mu N of its own convention and all rounding, (steps, nf) [N].
-
-        Raises Unmeasured without positions or equations.
-        """
+        """Return the excess (steps, nf) [N] of friction over mu N. Raises Unmeasured."""
         limits = np.array(
             [
                 np.maximum(self.kernel.friction_limit(q, lam), 0.0)
@@ -463,17 +406,18 @@ class Evidence:
         if self.trajectory.scheme is not None:
             known = [limits[0]]
         else:
-            found = by_convention(limits, None)
-            known = [found[self.convention]] if self.convention in found else [*found.values()]
+            candidates = by_convention(limits, None)
+            known = (
+                [candidates[self.convention]]
+                if self.convention in candidates
+                else [*candidates.values()]
+            )
         over = [np.maximum(np.abs(self.friction) - limit - allowed, 0.0) for limit in known]
         return min(over, key=lambda excess: float(self.h @ excess.sum(axis=1)))
 
     @property
     def typical_friction(self) -> np.ndarray:
-        """Mu N of a typical force at the task's start, (nf,) [N].
-
-        Raises Unmeasured if the map states no nominal_force.
-        """
+        """Return mu N (nf,) [N] of a typical force at the task's start. Raises Unmeasured."""
         lam = np.full((1, self.scene.nl), self.typical_force if self.scene.nc else 0.0)
         return np.maximum(
             self.kernel.friction_limit(self.task_start[None, : self.scene.nq], lam)[0], 0.0
@@ -481,10 +425,9 @@ class Evidence:
 
     @cached_property
     def slip(self) -> np.ndarray:
-        """Slip speeds to which a step's friction force belongs, (steps, nf) [m/s]: at its end, with the geometry of its start.
+        """Return the slip speeds (steps, nf) [m/s] of friction: end of step, geometry of its start.
 
-        Of a plan that declares no scheme the least of that and those at both ends. Raises
-        Unmeasured without velocities or equations.
+        Without a scheme the least of that and those at both ends. Raises Unmeasured.
         """
         stepped = self.kernel.slip(self.trajectory.q[:-1], self.v[1:])
         if self.trajectory.scheme is not None:
@@ -494,15 +437,12 @@ class Evidence:
 
     @property
     def v(self) -> np.ndarray:
-        """Velocities of the plan, (nodes, nq) [m/s or rad/s].
-
-        Raises Unmeasured if it does not say them.
-        """
+        """Return the plan's velocities (nodes, nq) [m/s or rad/s]. Raises Unmeasured if missing."""
         self._must_say("v", "velocities", [item.velocity_name for item in self.scene.coordinates])
         return self.trajectory.v
 
     def _of_steps(self, acceleration: np.ndarray) -> np.ndarray:
-        """(steps, nq) of the plan's own steps, from those of the task's: without inertia a step takes up all of a force, however short it is."""
+        """Return accelerations (steps, nq) of the plan's steps, at once without inertia."""
         scene = self.equations
         if scene.relaxation_index is None:
             return acceleration
@@ -510,31 +450,31 @@ class Evidence:
 
     @cached_property
     def acceleration(self) -> np.ndarray:
-        """Acceleration by the plan's states, inputs and own forces, (steps, nq) [m/s^2 or rad/s^2].
-
-        Raises Unmeasured without velocities or equations.
-        """
+        """Return accelerations (steps, nq) [m/s^2 or rad/s^2] by the plan. Raises Unmeasured."""
         plan = self.trajectory
         return self._of_steps(self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, plan.lam))
 
     @property
     def collocation_defect(self) -> np.ndarray:
-        """Largest misses of a collocation plan in its own step, (2*nq,) [m or rad], then [m/s or rad/s]; infinite where a step has no solution.
+        """Return the largest residuals of a collocation (2*nq,) [m or rad, per s].
 
-        Raises Unmeasured without equations.
+        Infinite if a step has no solution. Raises Unmeasured without equations.
         """
         return collocation.defect(self.kernel, self.trajectory)
 
     @property
     def true_motion(self) -> tuple[np.ndarray, np.ndarray]:
-        """Positions [m or rad] and velocities [m/s or rad/s], (nodes, nq) each, of the plan's inputs through its own time step with the true contact law.
+        """Return q, v (nodes, nq) [m or rad, per s] of the plan's scheme with true contact.
 
-        Raises Unmeasured without positions or equations, LeavesBounds where that diverges.
+        Raises Unmeasured, LeavesBounds.
         """
         return self.own_motion(1)
 
     def own_motion(self, parts: int) -> tuple[np.ndarray, np.ndarray]:
-        """`true_motion` with each step of the plan in so many parts: q, v (nodes, nq) [m or rad], [m/s or rad/s]. Raises Unmeasured, LeavesBounds."""
+        """Return `true_motion`, q, v (nodes, nq) [m or rad, per s], with each step in equal parts.
+
+        Raises Unmeasured, LeavesBounds.
+        """
         if parts in self._own_motions:
             return self._own_motions[parts]
         plan, u, steps = (
@@ -570,25 +510,25 @@ class Evidence:
 
     @property
     def true_end(self) -> np.ndarray:
-        """Where `true_motion` ends, (2*nq,) [m or rad], then [m/s or rad/s]. Raises Unmeasured."""
+        """Return the end of `true_motion` (2*nq,) [m or rad, per s]. Raises Unmeasured."""
         q, v = self.true_motion
         return np.concatenate([q[-1], v[-1]])
 
     @property
     def opened(self) -> Replay:
-        """The replay in the open loop, however it ended."""
+        """Return the open replay, even if it failed."""
         if self._replay is None:
             raise Unmeasured("the plan was not replayed.")
         return self._replay
 
     @cached_property
     def tracked(self) -> Evidence:
-        """The same plan beside its tracked replay."""
+        """Return the plan with its tracked replay."""
         return Evidence(self.scene, self.trajectory, self.opened.tracked)
 
     @property
     def replay(self) -> Replay:
-        """The replay, if it got to the end."""
+        """Return the replay; raise Unmeasured if it failed."""
         replay = self.opened
         if replay.outcome is ReplayOutcome.DIVERGED:
             raise LeavesBounds(
@@ -602,7 +542,7 @@ class Evidence:
 
     @property
     def touches_nothing(self) -> bool:
-        """Whether the replay got to the end, shows its gaps, and none of them closes."""
+        """Return whether the finished replay has gaps, and none closes."""
         replay = self._replay
         return (
             replay is not None
@@ -613,7 +553,7 @@ class Evidence:
 
     @property
     def error(self) -> Difference:
-        """The replay's own error estimate; infinite where it has none."""
+        """Return the replay's error estimate, infinite if there is none."""
         estimate = self.replay.error.estimate
         return (
             Difference(position=np.inf, state=np.inf, gap=np.inf) if estimate is None else estimate
@@ -621,37 +561,28 @@ class Evidence:
 
     @property
     def replay_q(self) -> np.ndarray:
-        """Positions of the replay at the plan's nodes, (nodes, nq) [m or rad].
-
-        Raises Unmeasured without a whole replay.
-        """
+        """Return the replay's positions at nodes (nodes, nq) [m or rad]. Raises Unmeasured."""
         self.need("q")
         return self.replay.q[self.replay.knots]
 
     @property
     def end(self) -> np.ndarray:
-        """Where the plan ends, (2*nq,) [m or rad], then [m/s or rad/s].
+        """Return the plan's end (2*nq,) [m or rad, per s]. Raises Unmeasured.
 
-        The velocities only if a velocity of the goal is given. Raises Unmeasured.
+        Velocities are zero if the goal has none.
         """
         wants_v = np.isfinite(self.goal[self.scene.nq :]).any()
         return np.concatenate([self.q[-1], self.v[-1] if wants_v else np.zeros(self.scene.nq)])
 
     @property
     def replay_v(self) -> np.ndarray:
-        """Velocities of the replay at all its rows, (n, nq) [m/s or rad/s].
-
-        Raises Unmeasured without a whole replay.
-        """
+        """Return the replay's velocities (n, nq) [m/s or rad/s]. Raises Unmeasured."""
         self.need("v")
         return self.replay.v
 
     @property
     def replay_end(self) -> np.ndarray:
-        """Where the replay ends, (2*nq,) [m or rad], then [m/s or rad/s].
-
-        Raises Unmeasured if what the goal asks is not known.
-        """
+        """Return the replay's end (2*nq,) [m or rad, per s]. Raises Unmeasured."""
         self.need("q")
         if np.isfinite(self.goal[self.scene.nq :]).any():
             self.need("v")
@@ -659,19 +590,15 @@ class Evidence:
 
     @property
     def replay_gap(self) -> np.ndarray:
-        """Gaps of the replay, (n, nc) [m], negative in contact.
-
-        Raises Unmeasured without a whole replay.
-        """
+        """Return the replay's gaps (n, nc) [m], negative in contact. Raises Unmeasured."""
         self.need("gap")
         return self.replay.gap
 
     @cached_property
     def force_window(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest of the replay's contact forces within a step of each of the plan's, (steps, nc) each [N].
+        """Return least and largest contact forces of the replay near each step, (steps, nc) [N].
 
-        Their means over steps are among them: of a bounce between two rows no row tells. Raises
-        Unmeasured without a whole replay.
+        Means are included, because a bounce between rows shows in none. Raises Unmeasured.
         """
         self.need("lam")
         impulse, knots = self.replay.contact_impulse, self.replay.knots
@@ -684,17 +611,11 @@ class Evidence:
 
     @cached_property
     def step_of(self) -> np.ndarray:
-        """The plan's step in which each piece of the replay's grid lies, (n-1,) [-].
-
-        Raises Unmeasured without a whole replay.
-        """
+        """Return the plan's step (n-1,) [-] of each piece of the replay. Raises Unmeasured."""
         pieces = np.arange(len(self.replay.t) - 1)
         return np.searchsorted(self.replay.knots, pieces, side="right") - 1
 
     @cached_property
     def duration(self) -> np.ndarray:
-        """Duration of each piece of the replay's grid, (n-1,) [s].
-
-        Raises Unmeasured without a whole replay.
-        """
+        """Return the durations (n-1,) [s] of the replay's pieces. Raises Unmeasured."""
         return np.diff(self.replay.t)

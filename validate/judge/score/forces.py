@@ -1,15 +1,15 @@
 """Forces of a plan against the contact law, by one convention for the whole plan.
 
-A planned force is the one at the start of its step, at its middle, at its end, or the mean over the
-step. Within a step the plan moves along the cubic with its positions and velocities at both ends;
-the mean over a step may also be the one of the replay, which sees contacts that are shorter.
+A planned force belongs to the start, middle or end of its step, or is a mean. Within a step the
+plan is a cubic through both states; means may also be the replay's, which resolves shorter
+contacts.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-# Points of a step at which the law is evaluated: odd, so that the middle is one.
+# Points of a step at which the law is evaluated; odd, to include the middle.
 _POINTS = 17
 
 
@@ -18,14 +18,8 @@ def within_steps(
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Return positions and velocities (steps, nq) at equal parts of each step, ends included.
 
-    Parameters
-    ----------
-    q, v : (nodes, nq) of the plan [m or rad], [m/s or rad/s].
-    h : (steps,) [s].
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
+    q, v: (nodes, nq) [m or rad, m/s or rad/s]; h: (steps,) [s]. Raises ValueError if the shapes do
+    not fit.
     """
     h = h[:, None]
     moved, begins, ends = np.diff(q, axis=0), h * v[:-1], h * v[1:]
@@ -39,47 +33,30 @@ def within_steps(
 def by_convention(points: np.ndarray, replayed: np.ndarray | None) -> dict[str, np.ndarray]:
     """Return the forces (steps, n) [N] of each convention.
 
-    Parameters
-    ----------
-    points : (points, steps, n) of the law at equal parts of each step [N].
-    replayed : (steps, n) means of the replay [N]; None if unknown.
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
+    points: (points, steps, n) of the law; replayed: (steps, n) means of the replay, or None. Raises
+    ValueError if the shapes do not fit.
     """
     mean = (points[:-1] + points[1:]).mean(axis=0) / 2.0
-    found = {
+    forces = {
         "start": points[0],
         "middle": points[len(points) // 2],
         "end": points[-1],
         "mean": mean,
     }
-    return found if replayed is None else {**found, "mean of the replay": replayed}
+    return forces if replayed is None else {**forces, "mean of the replay": replayed}
 
 
 def force_window(
     lam: np.ndarray, step_of: np.ndarray, steps: int, mean: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Range of a replay's forces from the step before each of the plan's to the one after.
+    """Return least and largest forces of a replay, (steps, nc) [N], one step before to one after.
 
-    A planned force may be one of the start of its step, of its end, or a mean, and a contact may
-    open or close a step sooner or later than on the plan's grid.
+    A planned force has any convention, and a contact may be a step early or late. Raises ValueError
+    if a step has no row, or the shapes do not fit.
 
-    Parameters
-    ----------
-    lam : (n, nc) forces of the replay [N].
-    step_of : (n-1,) the plan's step of each piece of the replay's grid [-].
-    steps : of the plan.
-    mean : (steps, nc) over each step, where it is known [N].
-
-    Returns
-    -------
-    Least and largest, (steps, nc) each [N].
-
-    Raises
-    ------
-    ValueError : if a step has no row, or the shapes do not fit.
+    - lam: (n, nc) [N].
+    - step_of: (n-1,) the plan's step of each piece.
+    - mean: (steps, nc), if known.
     """
     first = np.searchsorted(step_of, np.arange(steps))
     last = np.searchsorted(step_of, np.arange(steps), side="right")
@@ -97,19 +74,9 @@ def force_window(
 
 
 def least_slip(slips: np.ndarray) -> np.ndarray:
-    """The slip of least magnitude of each step; 0 where it turns round.
+    """Return the slip (steps, nf) [m/s] of least magnitude of each step, 0 where it reverses.
 
-    Parameters
-    ----------
-    slips : (n, steps, nf) slips of each step [m/s].
-
-    Returns
-    -------
-    (steps, nf) [m/s]
-
-    Raises
-    ------
-    ValueError : for no slips.
+    slips: (n, steps, nf). Raises ValueError without slips.
     """
     low, high = slips.min(axis=0), slips.max(axis=0)
     return np.where(low * high <= 0.0, 0.0, np.where(np.abs(low) < np.abs(high), low, high))

@@ -1,4 +1,4 @@
-"""How each metric of the table is measured: from the evidence to a number, its error, and what counts as large (validate.judge.score.table)."""
+"""Measures of the metrics: from the evidence to a number, its error and its scale."""
 
 from __future__ import annotations
 
@@ -25,28 +25,25 @@ from validate.judge.score.verdict import Contradicted, LeavesBounds, Unmeasured
 
 DEFECT = 1e-6
 _HALVINGS = 7
-# A halving that moves the motion by less than this share of what is missing does not bring it
-# nearer: after two in a row the rest is not the grid's.
+# A halving with a relative change below this is idle; after two the rest is not the grid's error.
 IDLE = 0.01
-# Below this share of the largest a force or a gap is nothing.
+# Relative size below which a force or gap is zero.
 _CLEARLY = 1e-2
-# Forces are a multiple of the law's where that leaves this share of what the law itself leaves, or
-# less.
+# Largest unexplained share of forces that are a multiple of the law's.
 _EXPLAINED = 0.1
-# Largest share of forces that fall while the gap closes, of a law by the gap alone.
+# Largest decreasing share of forces that depend on the gap alone.
 _MONOTONE = 0.05
-# Where next to nothing moves, energy is measured by this share of what moving at nominal speeds
-# would take.
+# Scale of energy at rest, as a fraction of the kinetic energy at nominal speeds.
 _AT_REST = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """What was measured of one metric.
+    """Values (n,) of a metric's components, in the units of its row, or one number.
 
-    values (n,): of each component, in the units of its row, or one number; error: by the replay's
-    own error; scales (n,): what counts as large of each component; allowed (n,): what printing may
-    be the cause of, which is added to the limit.
+    - error: by the replay's error.
+    - scales (n,): of the default limit.
+    - allowed (n,): by rounding, added to the limit.
     """
 
     values: np.ndarray | float
@@ -59,33 +56,35 @@ def _nominals(scene: Subject) -> np.ndarray:
     return np.array([item.nominal for item in scene.coordinates])
 
 
-# Question 1
-
-
 def start_error(case: Evidence) -> Measured:
-    """Distance of the plan's first state from where the replay starts, of each component."""
+    """Return the distance of the plan's first state from the replay's start, by component."""
     start, nominals = case.task_start, _nominals(case.scene)
-    asked = np.abs(case.goal - start)
-    # A task of a micrometre is not started a millionth of a metre away.
-    scales = np.fmin(np.concatenate([nominals, nominals]), np.where(asked > 0.0, asked, np.nan))
+    distance_to_goal = np.abs(case.goal - start)
+    # A task of a micrometre must not start a millionth of a metre away.
+    scales = np.fmin(
+        np.concatenate([nominals, nominals]),
+        np.where(distance_to_goal > 0.0, distance_to_goal, np.nan),
+    )
     off = np.abs(np.concatenate([case.q[0], case.trajectory.v[0]]) - start)
-    # Without inertia the inputs decide the velocity at the start.
-    said = "v" not in {*case.trajectory.missing, *case.lacking} and case.has_inertia
+    # Without inertia the inputs determine the initial velocity.
+    has_velocities = "v" not in {*case.trajectory.missing, *case.lacking} and case.has_inertia
     return Measured(
-        values=off if said else off[: case.scene.nq],
-        scales=scales if said else scales[: case.scene.nq],
-        allowed=np.concatenate([case.rounding[of][0] for of in ("q", *(["v"] if said else []))]),
+        values=off if has_velocities else off[: case.scene.nq],
+        scales=scales if has_velocities else scales[: case.scene.nq],
+        allowed=np.concatenate(
+            [case.rounding[of][0] for of in ("q", *(["v"] if has_velocities else []))]
+        ),
     )
 
 
 def duration_error(case: Evidence) -> Measured:
-    """Difference of the plan's duration and the task's [s]."""
-    asked = float(case.scene.task.horizon or 0.0)
-    return Measured(values=abs(case.trajectory.duration - asked), scales=case.scene.task.step)
+    """Return the difference of the plan's and the task's duration [s]."""
+    horizon = float(case.scene.task.horizon or 0.0)
+    return Measured(values=abs(case.trajectory.duration - horizon), scales=case.scene.task.step)
 
 
 def bound_violation(case: Evidence) -> Measured:
-    """How far the plan's inputs leave their bounds, of each input."""
+    """Return the violation of the bounds by each input."""
     inputs = case.scene.inputs
     lower, upper = (
         np.array([item.lower for item in inputs]),
@@ -112,14 +111,14 @@ def _velocity_bounds(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
 
 
 def velocity_bound_violation(case: Evidence) -> Measured:
-    """At the starts of the steps: the end belongs to the goal."""
+    """Return the violation at the starts of steps; the end belongs to the goal."""
     bounds = _velocity_bounds(case)
     values = eq.outside(case.v[:-1], *bounds)
     return Measured(values=values, scales=_ranges(*bounds), allowed=case.rounding["v"].max(axis=0))
 
 
 def _ranges(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Widths; of one finite bound its size, or 1 where that is 0."""
+    """Return the widths; for one finite bound its size, or 1."""
     width = upper - lower
     one = np.where(
         np.isfinite(lower), np.abs(lower), np.where(np.isfinite(upper), np.abs(upper), 1.0)
@@ -127,16 +126,13 @@ def _ranges(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(width), width, np.where(one > 0.0, one, 1.0))
 
 
-# Question 2
-
-
 def terminal_error(case: Evidence) -> float:
-    """Euclidean distance of the plan's end from the goal, over what the goal gives."""
+    """Return the distance of the plan's end from the goal."""
     return distance(case.end, case.goal)
 
 
 def terminal_position_error(case: Evidence) -> Measured:
-    """Euclidean distance of the plan's last positions from the goal."""
+    """Return the distance of the plan's last positions from the goal."""
     nq = case.scene.nq
     return Measured(
         values=distance(case.q[-1], case.goal[:nq]),
@@ -145,7 +141,7 @@ def terminal_position_error(case: Evidence) -> Measured:
 
 
 def terminal_velocity_error(case: Evidence) -> Measured:
-    """Euclidean distance of the plan's last velocities from the goal."""
+    """Return the distance of the plan's last velocities from the goal."""
     nq = case.scene.nq
     return Measured(
         values=distance(case.v[-1], case.goal[nq:]),
@@ -154,20 +150,17 @@ def terminal_velocity_error(case: Evidence) -> Measured:
 
 
 def cost(case: Evidence) -> float:
-    """The task's cost as the plan's own method counts it."""
+    """Return the task's cost as methods compute it."""
     return case.cost_of_rows
 
 
-# Question 3
-
-
 def physics(case: Evidence) -> float:
-    """Complementarity violation of the paper's (10) [N^2]."""
+    """Return the complementarity violation (10) of the paper [N^2]."""
     return eq.physics(lam=case.lam, push=case.push)
 
 
 def physics_scaled(case: Evidence) -> Measured:
-    """Complementarity violation, the same on any grid [s]."""
+    """Return the complementarity violation on any grid [s]."""
     value = eq.physics_scaled(lam=case.lam, push=case.push, k=case.k, length=case.length, h=case.h)
     p_lam, p_push = case.rounding["lam"][:, : case.scene.nc], case.rounding_of_law
     rounded = (
@@ -182,7 +175,7 @@ def physics_scaled(case: Evidence) -> Measured:
 
 
 def contact_law_error(case: Evidence) -> Measured:
-    """Impulse by which the planned contact forces miss the law, by the convention that suits them best [N s]."""
+    """Return the impulse error of planned contact forces by their best convention [N s]."""
     law = case.laws[case.convention]
     touching = (case.lam != 0.0) | (law > 0.0) | (case.law_within.max(axis=0) > 0.0)
     off = case.rounding["lam"][:, : case.scene.nc] + case.rounding_of_law
@@ -194,7 +187,7 @@ def contact_law_error(case: Evidence) -> Measured:
 
 
 def contact_force_error(case: Evidence) -> Measured:
-    """Largest planned contact force beyond all that the law gives within a step of it, or below [N]."""
+    """Return the largest excess of a planned contact force over the law near its step [N]."""
     within = case.law_within
     least, most = within.min(axis=0), within.max(axis=0)
     with suppress(Unmeasured):
@@ -207,9 +200,9 @@ def contact_force_error(case: Evidence) -> Measured:
 
 
 def velocity_error(case: Evidence) -> Measured:
-    """Largest integral of abs(v - dq/dt) over a tenth of the plan, of each position [m or rad].
+    """Return the largest integral of abs(v - dq/dt) over a tenth of the plan, by position.
 
-    The difference that rows as coarse as these show of the true motion is no fault of the plan.
+    The true motion's own difference on such coarse rows is subtracted.
     """
     t, q, v, step = case.trajectory.t, case.q, case.v, case.scene.task.step
     off = eq.rate_misfit(t, q, v, step)
@@ -227,28 +220,27 @@ def velocity_error(case: Evidence) -> Measured:
 
 
 def times_the_law(case: Evidence) -> np.ndarray:
-    """How many times what the contact law gives the planned forces are, (nc,) [-]: 1 of a contact without force.
+    """Return planned forces over the law's, (nc,) [-], 1 without force, by one convention.
 
-    By one convention for all. Raises Unmeasured where that does not explain them far better than
-    the law itself does.
+    Raises Unmeasured unless that explains them far better than the law does.
     """
     h, lam, least = case.h[:, None], case.lam, np.inf
     times = np.ones(case.scene.nc)
     for law in case.laws.values():
-        given = (h * law**2).sum(axis=0)
-        found = np.divide(
-            (h * law * lam).sum(axis=0), given, out=np.ones_like(given), where=given > 0.0
+        norm = (h * law**2).sum(axis=0)
+        factors = np.divide(
+            (h * law * lam).sum(axis=0), norm, out=np.ones_like(norm), where=norm > 0.0
         )
-        left, of_law = (float((h * np.abs(lam - other)).sum()) for other in (found * law, law))
+        left, of_law = (float((h * np.abs(lam - other)).sum()) for other in (factors * law, law))
         if left <= _EXPLAINED * of_law and left < least:
-            times, least = found, left
+            times, least = factors, left
     if not math.isfinite(least):
         raise Unmeasured("the planned contact forces are no multiple of those of contact.")
     return times
 
 
 def is_relaxed(case: Evidence) -> bool:
-    """Whether the planned contact forces follow a relaxed law: they push at open gaps, the less the wider the gap is."""
+    """Return whether planned forces act at open gaps, decreasing with the gap."""
     if "lam" in case.trajectory.missing or not isinstance(case.scene, Scene):
         return False
     depth = case.kernel.penetration(case.q[:-1])
@@ -263,7 +255,7 @@ def is_relaxed(case: Evidence) -> bool:
 
 
 def _grazing(case: Evidence) -> float:
-    """Impulse of what is only just in touch [N s]: rounding, and no force."""
+    """Return the impulse of grazing contacts [N s], which is rounding."""
     return (
         1e-9 * float((case.k * case.length).max()) * case.trajectory.duration
         if isinstance(case.scene, Scene)
@@ -272,18 +264,18 @@ def _grazing(case: Evidence) -> float:
 
 
 def force_sign_violation(case: Evidence) -> Measured:
-    """Largest planned contact force that pulls [N]."""
+    """Return the largest pulling contact force of the plan [N]."""
     pulls = np.maximum(-case.lam, 0.0) - case.rounding["lam"][:, : case.scene.nc]
     return Measured(values=float(pulls.max(initial=0.0)), scales=case.typical_force)
 
 
 def friction_violation(case: Evidence) -> Measured:
-    """How far planned friction forces exceed mu N of their own rows, of each friction [N]."""
+    """Return the excess of planned friction over mu N, by friction [N]."""
     return Measured(values=case.friction_excess.max(axis=0), scales=case.typical_friction)
 
 
 def friction_dissipation_error(case: Evidence) -> Measured:
-    """Power mu N |s| + f s that friction does not dissipate as it must, of each friction [W]."""
+    """Return the power mu N |s| + f s that friction fails to dissipate, by friction [W]."""
     (least, most), slip = case.friction_limits, case.slip
     nominal = np.array([item.nominal for item in case.scene.frictions])
     moving = np.abs(case.v[:-1]).max(axis=1) * case.rounding["q"][:-1].max(axis=1)
@@ -295,11 +287,8 @@ def friction_dissipation_error(case: Evidence) -> Measured:
     )
 
 
-# Question 4
-
-
 def replay_error(case: Evidence) -> Measured:
-    """Largest difference of plan and replay at the plan's nodes, of each position."""
+    """Return the largest difference of plan and replay at nodes, by position."""
     values = np.abs(case.q - case.replay_q).max(axis=0)
     return Measured(
         values=values,
@@ -310,24 +299,24 @@ def replay_error(case: Evidence) -> Measured:
 
 
 def replay_terminal_error(case: Evidence) -> tuple[float, float]:
-    """Euclidean distance of the replay's end from the goal, and its error."""
+    """Return the distance of the replay's end from the goal, and its error."""
     return distance(case.replay_end, case.goal), case.error.state
 
 
 def replay_terminal_position_error(case: Evidence) -> tuple[float, float]:
-    """Euclidean distance of the replay's last positions from the goal, and its error."""
-    # The norm over positions differs by at most as much as each of them does.
+    """Return the distance of the replay's last positions from the goal, and its error."""
+    # A norm over positions differs at most by the norm of their errors.
     error = min(case.error.state, case.error.position * float(np.sqrt(case.scene.nq)))
     return distance(case.replay_q[-1], case.goal[: case.scene.nq]), error
 
 
 def replay_terminal_velocity_error(case: Evidence) -> tuple[float, float]:
-    """Euclidean distance of the replay's last velocities from the goal, and its error."""
+    """Return the distance of the replay's last velocities from the goal, and its error."""
     return distance(case.replay_v[-1], case.goal[case.scene.nq :]), case.error.state
 
 
 def replay_cost(case: Evidence) -> tuple[float, float]:
-    """The task's cost of the replay, and its error."""
+    """Return the task's cost of the replay, and its error."""
     replay, error = case.replay, case.error.state
     u = case.trajectory.u if replay.applied is None else replay.applied
     case.need("q", "v")
@@ -342,17 +331,17 @@ def replay_cost(case: Evidence) -> tuple[float, float]:
 
 
 def replay_error_time(case: Evidence) -> float:
-    """Time at which plan and replay differ most [s]."""
+    """Return the time of the largest difference of plan and replay [s]."""
     return float(case.trajectory.t[eq.largest_difference(case.q, case.replay_q)[1]])
 
 
 def grid_error(case: Evidence) -> tuple[float, float]:
-    """Discretisation error: largest difference of the true law on the plan's grid and in continuous time [m or rad], and its error."""
+    """Return the discretisation error [m or rad] of the plan's grid, and its own error."""
     return eq.largest_difference(case.true_motion[0], case.replay_q)[0], case.error.position
 
 
 def grid_order(case: Evidence) -> float:
-    """Log2 of what the last halving of the plan's step does to its distance from the replay, its inputs held; halved as `halved` does."""
+    """Return the log2 of the error's reduction by the last halving of `halved`."""
     error, near = grid_error(case)[0], float(replay_limits(case.scene).min()) / 4.0
     if error <= near:
         raise Unmeasured(
@@ -366,10 +355,9 @@ def grid_order(case: Evidence) -> float:
 
 
 def halved(case: Evidence, near: float) -> Iterator[float]:
-    """The grid error with the plan's step halved once, twice, ... its inputs held [m or rad].
+    """Yield the grid error [m or rad] with the plan's step halved repeatedly, with held inputs.
 
-    Until it is at most `near`, two halvings in a row change next to nothing of what is left, or
-    seven times. Raises Unmeasured.
+    Ends at `near`, after two idle halvings, or seven. Raises Unmeasured.
     """
     before, idle = case.true_motion[0], 0
     for halvings in range(1, _HALVINGS + 1):
@@ -383,24 +371,21 @@ def halved(case: Evidence, near: float) -> Iterator[float]:
 
 
 def replay_limits(scene: Subject) -> np.ndarray:
-    """How far each position of a replay may be from the plan's, (nq,) [m or rad], where that is asked. Raises nothing."""
-    own, nominals = scene.limit("replay_error"), _nominals(scene)
-    if own is None or own.value is None:
+    """Return the limits of replay_error, (nq,) [m or rad]. Raises nothing."""
+    scene_limit, nominals = scene.limit("replay_error"), _nominals(scene)
+    if scene_limit is None or scene_limit.value is None:
         return REPLAY_ERROR * nominals
-    return np.full(scene.nq, own.value)
-
-
-# Question 5
+    return np.full(scene.nq, scene_limit.value)
 
 
 def max_penetration(case: Evidence) -> Measured:
-    """Deepest penetration of each contact in the replay [m]."""
+    """Return the deepest penetration of each contact in the replay [m]."""
     depths = np.array([np.inf if depth is None else depth for depth in case.scene.depths])
     depth, unsure = deepest(case)
     error = case.error.gap + unsure
     if not isinstance(case.scene, Scene):
         _check_gaps(case)
-        # Between rows a smooth gap is below their chord by an eighth of its second difference.
+        # Between rows a smooth gap is below its chord by an eighth of its second difference.
         bends = (
             np.abs(
                 np.diff(
@@ -416,7 +401,7 @@ def max_penetration(case: Evidence) -> Measured:
 
 
 def _check_gaps(case: Evidence) -> None:
-    """Raise Contradicted where a contact of somebody's FMU pushes, but its gap is open most of that time: gaps are negative in contact."""
+    """Raise Contradicted if a contact of an external FMU pushes mostly at open gaps."""
     if "lam" in case.scene.lacks or "gap" in case.scene.lacks:  # type: ignore[union-attr] - a foreign model has it
         return
     pieces = np.append(case.duration, 0.0) + np.append(
@@ -436,14 +421,14 @@ def _check_gaps(case: Evidence) -> None:
 
 
 def ghost_impulse(case: Evidence) -> Measured:
-    """Planned contact impulse where the replay has none within a step [N s]."""
+    """Return the planned contact impulse without the replay's within a step [N s]."""
     return _of_impulses(
         case, lambda of: of.force_window[1], lambda most: eq.excess_impulse(case.lam, most, case.h)
     )
 
 
 def missed_impulse(case: Evidence) -> Measured:
-    """Contact impulse of the replay where the plan has none within a step [N s]."""
+    """Return the replay's contact impulse without the plan's within a step [N s]."""
     return _of_impulses(
         case,
         lambda of: of.force_window[0],
@@ -454,16 +439,11 @@ def missed_impulse(case: Evidence) -> Measured:
 def _of_impulses(
     case: Evidence, window: Callable[[Evidence], np.ndarray], excess: Callable[[np.ndarray], float]
 ) -> Measured:
-    """Measured by the impulse that plan and replay have in common, or a typical force for a moment.
-
-    excess: the impulse [N s], by one end of the window of the replay's forces, (steps, nc) [N].
-    """
+    """Return the impulse [N s] in excess of one end of the force window (steps, nc) [N]."""
     printed = float((case.h[:, None] * case.rounding["lam"][:, : case.scene.nc]).sum())
     forces, lagging = window(case), case.replay.lagging
     value, error = excess(forces), _impulse_error(case)
-    if (
-        lagging is not None
-    ):  # both ways by twice what the lag changes, which is right to first order
+    if lagging is not None:  # both ways, by twice the lag's first-order change
         off = 2.0 * np.abs(forces - window(Evidence(case.scene, case.trajectory, lagging)))
         error += max(
             abs(excess(np.maximum(moved, 0.0)) - value) for moved in (forces + off, forces - off)
@@ -477,17 +457,17 @@ def _of_impulses(
 
 
 def _impulse_error(case: Evidence) -> float:
-    """Each force may be wrong by k times the error of its gap while there is contact.
+    """Return the error of impulses: stiffness times gap error, damping times velocity error.
 
-    A damped one also by its error in the velocities; but for the lag's.
+    The lag's error is excluded.
     """
     touching = float(
         (
             case.duration[:, None] * ((case.replay.lam[:-1] > 0.0) | (case.replay.lam[1:] > 0.0))
         ).sum()
     )
-    if not isinstance(case.scene, Scene):  # its stiffness is what its own forces and gaps say
-        # Where a contact begins, a damper's force stands over a depth of nothing.
+    if not isinstance(case.scene, Scene):  # stiffness from its own forces and gaps
+        # Where a contact begins, damping divides by a depth near zero.
         pressed = case.replay_gap < np.minimum(_CLEARLY * case.replay_gap.min(axis=0), 0.0)
         stiffness = np.divide(
             case.replay.lam, -case.replay_gap, out=np.zeros_like(case.replay.lam), where=pressed
@@ -503,21 +483,18 @@ def _impulse_error(case: Evidence) -> float:
 
 
 def replay_velocity_bound_violation(case: Evidence) -> Measured:
-    """How far the replay's velocities leave their bounds, of each velocity."""
+    """Return the violation of bounds by the replay's velocities."""
     values = eq.outside(case.replay_v[:-1], *_velocity_bounds(case))
     return Measured(values=values, error=case.error.state, scales=_nominals(case.scene))
 
 
-# Question 6
-
-
 def defect(case: Evidence) -> Measured:
-    """How far the plan misses its declared scheme, of each component of the state."""
+    """Return the residual of the declared scheme, by component of the state."""
     p_q, p_v = (case.rounding[of].max(axis=0) for of in ("q", "v"))
     h = float(case.h.max())
     scheme = case.trajectory.scheme
     if scheme is not Scheme.SEMI_IMPLICIT_EULER:
-        # Stages are not stored: its forces are taken to be those of the true law there.
+        # Stages are not stored; their forces are those of the true law.
         values = case.collocation_defect
         if not np.isfinite(values).all():
             name = "" if scheme is None else scheme.value
@@ -535,37 +512,34 @@ def defect(case: Evidence) -> Measured:
 
 
 def _explained(case: Evidence) -> float:
-    """What a defect at its limit explains if each step has one and none grows or dies: steps times 1e-6 of the nominal."""
+    """Return the effect of a defect at its limit in each step: steps times 1e-6 nominal."""
     return case.trajectory.steps * DEFECT * float(
         _nominals(case.scene).min()
     ) + case.trajectory.steps * float(case.rounding["q"].max(initial=0.0))
 
 
 def law_error(case: Evidence) -> Measured:
-    """Largest difference of the plan and its own time step under the true contact law [m or rad]."""
+    """Return the difference of the plan and its scheme under true contact [m or rad]."""
     return Measured(
         values=eq.largest_difference(case.q, case.true_motion[0])[0], scales=_explained(case)
     )
 
 
 def discrete_terminal_error(case: Evidence) -> float:
-    """Euclidean distance from the goal of the end of the plan's own time step under the true contact law."""
+    """Return the distance from the goal of the plan's scheme under true contact."""
     return distance(case.true_end, case.goal)
 
 
 def discrete_terminal(case: Evidence, part: str) -> Measured:
-    """The same of the "position" or the "velocity" alone, beyond what the plan itself may miss the goal by."""
-    own, nq = case.scene.limit(f"terminal_{part}_error"), case.scene.nq
+    """Return `discrete_terminal_error` of "position" or "velocity", beyond the plan's own limit."""
+    scene_limit, nq = case.scene.limit(f"terminal_{part}_error"), case.scene.nq
     rows = slice(nq) if part == "position" else slice(nq, None)
-    allowed = 0.0 if own is None or own.value is None else own.value
+    allowed = 0.0 if scene_limit is None or scene_limit.value is None else scene_limit.value
     return Measured(
         values=distance(case.true_end[rows], case.goal[rows]),
         scales=_explained(case),
         allowed=allowed,
     )
-
-
-# The judge
 
 
 def _work(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
@@ -575,12 +549,12 @@ def _work(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
 
 
 def energy_residual(case: Evidence) -> float:
-    """Energy that the replay makes or loses: work in, less dissipated, less the change of energy [J]."""
+    """Return the largest error of the replay's energy balance [J]."""
     return eq.energy_residual(case.replay.energy, *_work(case))
 
 
 def energy_residual_relative(case: Evidence) -> float:
-    """The same as a share of the energy that is turned over [-]."""
+    """Return the energy error relative to the energy turned over [-]."""
     replay, work = case.replay, _work(case)
     turned = eq.energy_turnover(
         replay.kinetic_energy, replay.potential_energy, replay.contact_energy, *work
@@ -591,10 +565,9 @@ def energy_residual_relative(case: Evidence) -> float:
 
 
 def friction_impulse_error(case: Evidence) -> Measured:
-    """Impulse of planned friction beyond what the replay has within a step of it, or below [N s].
+    """Return the friction impulse beyond the replay's within a step [N s].
 
-    Frictions that hold a body together may share their load as they like: only what they do
-    together counts.
+    Frictions on one body may share loads arbitrarily, so only their joint effect counts.
     """
     kernel, scene, nc = case.kernel, case.equations, case.scene.nc
     least, most = force_window(case.replay.friction, case.step_of, case.trajectory.steps)
@@ -603,7 +576,7 @@ def friction_impulse_error(case: Evidence) -> Measured:
     still = kernel.acceleration(q, v, u, none)
 
     def effect(friction: np.ndarray) -> np.ndarray:
-        """Accelerations (steps, nq) [m/s^2, rad/s^2] by friction forces (steps, nf) [N].
+        """Return accelerations (steps, nq) [m/s^2, rad/s^2] by friction (steps, nf) [N].
 
         Raises KernelError.
         """
@@ -624,13 +597,12 @@ def friction_impulse_error(case: Evidence) -> Measured:
     return Measured(values=float(case.h @ np.maximum(off, 0.0)), scales=max(held, least_impulse))
 
 
-# Closed forms that the scene states (models.scene.parts.Answer.measure): each measure gives a value
-# and how wrong the replay may make it, and speaks of the first contact: the first that closes, and
-# the time until that one opens again.
+# Measures of closed forms (models.scene.parts.Answer.measure): value and error, of the first
+# contact
+# from its closing to its opening.
 
 
 def _first_contact(case: Evidence) -> tuple[Event, Event]:
-    """The events at which the first contact closes and opens."""
     events = case.replay.events
     closing = next((event for event in events if event.closes), None)
     if closing is None:
@@ -649,7 +621,6 @@ def _first_contact(case: Evidence) -> tuple[Event, Event]:
 
 
 def _gap_rate(case: Evidence, event: Event) -> float:
-    """Rate of the gap of an event's contact at the event [m/s]."""
     row = int(np.argmin(np.abs(case.replay.t - event.time)))
     return _rate(case, row, [contact.name for contact in case.scene.contacts].index(event.contact))
 
@@ -679,13 +650,12 @@ def _restitution(case: Evidence) -> tuple[float, float]:
 
 
 def _depth(case: Evidence) -> tuple[float, float]:
-    """Between the rows of the replay too: the gap there is the cubic with the gaps and their rates at both ends."""
+    """Return the deepest cubic between rows, and the gap's error."""
     t, gap = case.replay.t, case.replay.gap
     deepest, contact = np.unravel_index(int(np.argmin(gap)), gap.shape)
     rows = range(max(0, int(deepest) - 1), min(len(t) - 1, int(deepest) + 1))
-    s = np.linspace(
-        0.0, 1.0, 2001
-    )  # the depth is flat where it is largest: half a step there is 1e-7 of the fall since the row before
+    # 1e-7 of the last fall: the depth is flat at its largest.
+    s = np.linspace(0.0, 1.0, 2001)
     lowest = 0.0
     for row in rows:
         h = t[row + 1] - t[row]
@@ -712,7 +682,7 @@ MEASURES: dict[str, Callable[[Evidence], tuple[float, float]]] = {
 
 
 def answer_error(case: Evidence) -> tuple[float, float]:
-    """Largest distance of the replay from a measured answer of the scene, in that answer's tolerance, and its own error in the same unit."""
+    """Return the replay's largest distance from measured answers, and error, in tolerances."""
     distances, errors = [], []
     for answer in case.scene.answers:
         if answer.measure:

@@ -1,12 +1,8 @@
-"""The table of metrics: name, the question that it answers, unit, meaning, how it is measured, and the limit where a scene sets none.
+"""Table of metrics: name, question, unit, meaning, measure and default limit.
 
-Every metric of the score stands here once; those of question `SHOWN` are shown and judge nothing. A
-scene may set another limit with a reason, or waive it; it cannot forget one.
-
-Each metric of the replay has a twin for the replay with feedback: `replay_error` and
-`tracked_replay_error`, `ghost_impulse` and `tracked_ghost_impulse`; the same limits hold. The
-effort is limited too: feedback that does more than correct a plan makes another one, and it is the
-plan that is to hold.
+Metrics of question `SHOWN` are not judged. A scene may replace or waive a limit, with a reason.
+Metrics of the replay have a twin with feedback and the same limits (`tracked_replay_error`). The
+feedback's effort is limited too, because large corrections make another plan.
 """
 
 from __future__ import annotations
@@ -29,18 +25,14 @@ from validate.judge.score.verdict import EFFORT, SHARE, TRACKED, LeavesBounds, Q
 
 @dataclass(frozen=True, kw_only=True)
 class MetricEntry:
-    """One row. measure raises Unmeasured with a reason.
+    """One metric; measure raises Unmeasured with a reason.
 
-    units: one of each component that is measured, or those that a norm goes over.
-
-    quoted: how the sentence of a verdict quotes it, {} being the value with its unit; without it
-        `NAME is {}`.
-    default: the limit where the scene sets none, as a factor of the component's scale, with its
-        reason; None: only a scene's limit judges it.
-    needs: what the plan must say for the metric to be asked, of "q", "v", "lam", "friction",
-        "scheme", "no scheme"; of_replay:
-    whether it is of the replay, and so has a twin where there is a replay with feedback; limit_of:
-    the metric whose limit holds for this one too.
+    - units: of each component, or those of a norm.
+    - quoted: phrase of the verdict, {} is the value; default `NAME is {}`.
+    - default: limit as a factor of the scale, and reason; None: only a scene's limit judges.
+    - needs: groups of the plan, of "q", "v", "lam", "friction", "scheme", "no scheme".
+    - of_replay: has a twin with feedback.
+    - limit_of: metric whose limit is used.
     """
 
     name: str
@@ -57,15 +49,15 @@ class MetricEntry:
 
     @property
     def limited_by(self) -> str:
-        """By which metric a scene limits this one."""
+        """Return the metric whose limit is used."""
         return self.limit_of or self.name.removeprefix(TRACKED)
 
     def unit(self, scene: Subject) -> str:
-        """Of all its components, each told once."""
+        """Return the units of all components, each once."""
         return ", ".join(dict.fromkeys(self.units(scene)))
 
     def quote(self, value: str) -> str:
-        """How the sentence of a verdict says this metric; value: with its unit."""
+        """Return the phrase of the verdict; value: with its unit."""
         return self.quoted.format(value) if self.quoted else f"{self.name} is {value}"
 
 
@@ -133,7 +125,6 @@ def _has_goal_velocity(scene: Subject) -> bool:
     return any(value is not None for value in scene.task.goal[scene.nq :])
 
 
-# Limit of the impulses by which contact differs.
 _OF_IMPULSE = (
     IMPULSE,
     "1 % of the contact impulse that plan and replay have in common, or of a typical force for a fiftieth of the plan",
@@ -586,9 +577,8 @@ def _growth(case: Evidence) -> Growth:
     return case.opened.growth
 
 
-# Exact plans whose step is coarse for the contact (h w = 0.9) need an effort of up to 0.23 to be
-# followed through an impact, others some hundredths; plans with force from a distance need 0.65 to
-# 1.1 where that force matters.
+# Feedback for exact plans on coarse grids (h w = 0.9) needs up to 0.23 through an impact, for
+# other plans some hundredths. Plans with force at a distance need 0.65 to 1.1.
 FEEDBACK = (
     MetricEntry(
         name=EFFORT,
@@ -632,7 +622,6 @@ FEEDBACK = (
         meaning="share of the steps in which the feedback stood at a bound",
     ),
 )
-# Rows of the replay with feedback, asked where there was one.
 FOLLOWED = (*(_twin(entry) for entry in TABLE if entry.of_replay), *FEEDBACK)
 GROWTH = (
     MetricEntry(

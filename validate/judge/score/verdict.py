@@ -1,23 +1,11 @@
-"""From metrics and limits to the answers of the questions, and from those to a verdict.
-
-A metric is below its limit, or above it, only where ten times its error does not reach from its
-value to the limit,
+"""From metrics and limits to answers of the questions, and to a verdict.
 
     value + 10 error <= limit   -> yes   value - 10 error > limit   -> no   otherwise undecided
 
-so that a metric of 1e-9 with an error of 1e-4 is rightly below a limit of 1e-2, and one of 0.0599
-with the same error is not judged against 0.06. The error is that of the replay; metrics of the plan
-alone have none, and what is asked of the judge itself is measured with its error once, since that
-is what is asked about. A question is answered no where one of its metrics surely is, else undecided
-where one is, else yes. Where the judge is not well nothing that the replay says is sure: questions
-4 and 5 are undecided.
-
-The verdict of all: no plan | violates, if an asked question surely fails, even behind an undecided
-one | undecided | holds. Where question 4 fails or is undecided, limited feedback may help:
-questions 4 and 5 are then asked of the replay with feedback, with the same limits.
-
-What the judge says: metrics, the answers to its questions, and a verdict with the sentence that
-decided it.
+The error is the replay's; it counts once for metrics of the judge. A question is answered no if a
+metric fails, else undecided if one is, else yes. If the judge is not well, questions 4 and 5 are
+undecided. The verdict: no plan | violates, if a question fails | undecided | holds. If question 4
+is not answered yes, questions 4 and 5 may be answered by the replay with limited feedback.
 """
 
 from __future__ import annotations
@@ -30,27 +18,28 @@ from typing import Literal, TypeAlias
 from models.errors import UnknownNameError, did_you_mean
 
 
-class Unmeasured(Exception):  # noqa: N818 - a metric that cannot be measured is a value with a reason
-    """Raised within the measurement of a metric; the text is the reason."""
+class Unmeasured(Exception):  # noqa: N818 - a value with a reason, no error
+    """A metric cannot be measured; the text is the reason."""
 
 
 class LeavesBounds(Unmeasured):
-    """The motion leaves every bound: there is no number, but the question is answered."""
+    """The motion diverges: no number, but a certain answer."""
 
 
 class Contradicted(Unmeasured):
-    """What somebody's FMU shows contradicts its map: the question stays open, for scenes and FMUs alike."""
+    """An external FMU contradicts its map, which leaves the question open."""
 
 
 class Verdict(Enum):
-    """What is said of a plan; the value is the word that every table, file and sentence uses.
+    """Verdict on a plan, as the word of tables, files and sentences.
 
-    `holds`: every question that was asked is answered yes for the inputs alone; `holds with
-        feedback`: not so, but with limited feedback around the
-    plan; `violates`: one surely is not; `undecided`: none surely is not, but one could not be
-        decided; `no plan`: there is nothing to judge;
-    `not applicable`: the method does not apply, or nothing is claimed and nothing asked;
-        `consistent`: nothing is wrong, and the scene asks for nothing.
+    - `holds`: all questions are answered yes for the inputs alone.
+    - `holds with feedback`: only with limited feedback.
+    - `violates`: one certainly fails.
+    - `undecided`: none fails, one is undecided.
+    - `no plan`: nothing to judge.
+    - `not applicable`: the method does not apply, or neither claims nor goals exist.
+    - `consistent`: nothing is wrong, and there is no goal.
     """
 
     HOLDS = "holds"
@@ -63,15 +52,12 @@ class Verdict(Enum):
 
     @property
     def is_good(self) -> bool:
-        """Whether the plan holds, by its inputs alone or with feedback."""
+        """Return whether the plan holds, with or without feedback."""
         return self in (Verdict.HOLDS, Verdict.HOLDS_WITH_FEEDBACK)
 
 
 class Question(Enum):
-    """What is asked of a plan, in this order; the value is the question in words.
-
-    `JUDGE` is asked of the replay, `SHOWN` of nobody.
-    """
+    """Question about a plan, in this order; `JUDGE` is about the replay, `SHOWN` is none."""
 
     TASK = "Is it a plan of this task?"
     GOAL = "Does it say that it reaches the goal?"
@@ -84,21 +70,20 @@ class Question(Enum):
 
     @property
     def number(self) -> int | None:
-        """1 to 6; None for the last two."""
+        """Return 1 to 6, None for the last two."""
         place = list(Question).index(self) + 1
         return place if place <= 6 else None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:
-    """One metric of the score.
+    """One metric.
 
-    value: None where it was not asked or could not be measured (`reason` says why); error: how
-        wrong the value may be by the replay's own error (0
-    for what is of the plan alone); limit: with its `reason`, from the scene or the metric's
-        default, None where the metric is not judged;
-    ok: the value against the limit, None where that is undecided or there is no limit; default:
-        whether the limit is the metric's own.
+    - value: None if not measured, with `reason`.
+    - error: by the replay's error.
+    - limit: of the scene or the metric, with `reason`, None if not judged.
+    - ok: None if undecided or without a limit.
+    - default: the limit is the metric's own.
     """
 
     name: str
@@ -114,14 +99,11 @@ class Metric:
 
     @property
     def is_judged(self) -> bool:
-        """Whether a question was asked by it."""
+        """Return whether the metric has a limit."""
         return self.limit is not None
 
     def held_to(self, limit: float, reason: str, *, default: bool) -> Metric:
-        """The same, judged by a limit; of what is asked of the judge itself the error counts once.
-
-        Raises TypeError where there is no value.
-        """
+        """Return the metric judged by a limit. Raises TypeError without a value."""
         margin = 1.0 if self.question is Question.JUDGE else MARGIN
         return replace(
             self,
@@ -137,19 +119,15 @@ Answer: TypeAlias = Literal["yes", "no", "undecided", "not asked"]
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """All metrics of one plan and the verdict.
+    """All metrics of one plan, and the verdict.
 
-    why: the sentence that decided it, with the cause and what to do; cause: the same in one word,
-        empty where nothing is wrong: the name of the metric that
-    failed or is open, or where the inputs do not give the motion one of `defect`, `relaxed
-        contact`, `unstable`, `coarse grid`, `motion`; metrics: of the plan and of the replay of its
-        inputs alone; those of the replay
-    with feedback, where there was one, are called tracked_<name>, and feedback_<..> what it took.
-        judged: "open" or "feedback", of which replay the
-    verdict speaks. waived: limits that the scene waives, with its reasons; not_asked: what was not
-        asked, and why. questions: "yes", "no", "undecided" or "not asked" for each.
-    names: of all metrics there are, whether or not they apply; empty where whoever judged does not
-        say.
+    - why: deciding sentence with cause and advice.
+    - cause: one word, "" if nothing is wrong: the failing or undecided metric, or `defect`,
+      `relaxed contact`, `unstable`, `coarse grid`, `motion`.
+    - metrics: tracked_<name> and feedback_<..> are those with feedback.
+    - judged: replay of the verdict, "open" or "feedback".
+    - waived, not_asked: with reasons.
+    - names: all metrics, even if they do not apply; may be empty.
     """
 
     metrics: tuple[Metric, ...]
@@ -163,14 +141,11 @@ class Score:
     names: tuple[str, ...] = ()
 
     def metric(self, name: str) -> Metric | None:
-        """The metric of that name; None if it does not apply."""
+        """Return the metric, None if it does not apply."""
         return next((metric for metric in self.metrics if metric.name == name), None)
 
     def value(self, name: str) -> float | None:
-        """The value of a metric; None if it was not measured.
-
-        Raises UnknownNameError for a name that no metric has.
-        """
+        """Return a metric's value, None if not measured. Raises UnknownNameError."""
         metric = self.metric(name)
         if metric is None and self.names and name not in self.names:
             hint = did_you_mean(name, self.names, f"there are {', '.join(self.names)}.")
@@ -182,7 +157,7 @@ class Score:
 
     @property
     def sentence(self) -> str:
-        """The verdict and why, in a sentence that begins with its word."""
+        """Return verdict and reason in one sentence."""
         return (
             self.why
             if self.why.startswith(self.verdict.value)
@@ -191,22 +166,17 @@ class Score:
 
 
 MARGIN = 10.0
-# What feedback may take of the inputs, see validate.judge.score.table.
 EFFORT = "feedback_effort"
 SHARE = "feedback_share"
-# Metrics of the replay with feedback are called so.
 TRACKED = "tracked_"
-# Of the replay, and so only as sure as the judge is well.
+# Questions about the replay, which need a judge that is well.
 _OF_REPLAY = (Question.MOTION, Question.POSSIBLE)
-# Of the plan alone, which feedback cannot mend.
+# Questions about the plan, which feedback cannot change.
 _NOT_MENDED = (Question.TASK, Question.GOAL, Question.FORCES, Question.SCHEME)
 
 
 def compare(value: float, error: float, limit: float, margin: float = MARGIN) -> bool | None:
-    """Whether a value is below its limit; None where its error leaves that open.
-
-    See the module docstring.
-    """
+    """Return whether a value is below its limit, None if its error leaves that open."""
     if value + margin * error <= limit:
         return True
     if value - margin * error > limit:
@@ -215,7 +185,7 @@ def compare(value: float, error: float, limit: float, margin: float = MARGIN) ->
 
 
 def answer(metrics: Iterable[Metric]) -> Answer:
-    """Of the judged metrics of one question."""
+    """Return the answer of one question's metrics."""
     judged = [metric.ok for metric in metrics if metric.is_judged]
     if not judged:
         return "not asked"
@@ -223,14 +193,10 @@ def answer(metrics: Iterable[Metric]) -> Answer:
 
 
 def answers(metrics: Sequence[Metric], *, with_feedback: bool = False) -> dict[Question, Answer]:
-    """Of every question, by metrics of the plan and of the replay of its inputs alone.
-
-    with_feedback: questions 4 and 5 are asked of the replay with feedback instead; what it took
-        belongs to question 4.
-    """
+    """Return the answers to all questions; with_feedback: 4 and 5 by the tracked replay."""
     followed = [metric for metric in metrics if with_feedback and is_of_feedback(metric.name)]
     replaced = {metric.name.removeprefix(TRACKED) for metric in followed}
-    asked = [
+    used = [
         *followed,
         *(
             metric
@@ -238,58 +204,57 @@ def answers(metrics: Sequence[Metric], *, with_feedback: bool = False) -> dict[Q
             if not is_of_feedback(metric.name) and metric.name not in replaced
         ),
     ]
-    found: dict[Question, Answer] = {
-        question: answer(metric for metric in asked if metric.question is question)
+    result: dict[Question, Answer] = {
+        question: answer(metric for metric in used if metric.question is question)
         for question in Question
         if question.value
     }
-    if found[Question.JUDGE] in ("no", "undecided"):
+    if result[Question.JUDGE] in ("no", "undecided"):
         for question in _OF_REPLAY:
-            if found[question] != "not asked":
-                found[question] = "undecided"
-    return found
+            if result[question] != "not asked":
+                result[question] = "undecided"
+    return result
 
 
 def is_of_feedback(name: str) -> bool:
-    """Whether a metric is of the replay with feedback, or of the feedback."""
+    """Return whether a metric is of the replay with feedback, or of the feedback."""
     return name.startswith(TRACKED) or name.startswith("feedback_")
 
 
 def wants_feedback(metrics: Sequence[Metric]) -> bool:
-    """Return whether question 4 fails or is undecided and nothing that feedback cannot change surely fails."""
-    found = answers(metrics)
-    return found[Question.MOTION] in ("no", "undecided") and "no" not in [
-        found[question] for question in _NOT_MENDED
+    """Return whether question 4 is not answered yes, and no question fails despite feedback."""
+    result = answers(metrics)
+    return result[Question.MOTION] in ("no", "undecided") and "no" not in [
+        result[question] for question in _NOT_MENDED
     ]
 
 
 def verdict_of(found: dict[Question, Answer]) -> Verdict:
-    """Of one set of answers."""
-    asked = [word for question, word in found.items() if question is not Question.JUDGE]
-    if "no" in asked:
+    """Return the verdict of a set of answers."""
+    words = [word for question, word in found.items() if question is not Question.JUDGE]
+    if "no" in words:
         return Verdict.VIOLATES
-    if "undecided" in asked or found[Question.JUDGE] in ("no", "undecided"):
+    if "undecided" in words or found[Question.JUDGE] in ("no", "undecided"):
         return Verdict.UNDECIDED
     return Verdict.HOLDS
 
 
 def verdict_with_feedback(alone: Verdict, followed: dict[Question, Answer]) -> Verdict:
-    """Of the answers for the inputs alone and with feedback.
+    """Return the verdict of the answers without and with feedback.
 
-    An inputs-alone failure that is sure, and feedback that is not, leave it undecided.
+    A certain failure without and an undecided one with feedback is undecided.
     """
     with_feedback = verdict_of(followed)
     if with_feedback is Verdict.HOLDS:
         return Verdict.HOLDS_WITH_FEEDBACK
-    # Where they differ, one of the two is undecided: what fails for the inputs alone may hold with
-    # feedback, or the other way round.
+    # One of two different verdicts is undecided: feedback may change the outcome.
     return alone if with_feedback is alone else Verdict.UNDECIDED
 
 
 def decide(
     metrics: Sequence[Metric], has_feedback: bool
 ) -> tuple[Verdict, dict[Question, Answer], Literal["open", "feedback"]]:
-    """The verdict, the answers that it stands on, and of which replay they are: with feedback where that was tried, is wanted and helps."""
+    """Return the verdict, its answers, and its replay (with feedback if needed and helpful)."""
     alone = answers(metrics)
     verdict = verdict_of(alone)
     if has_feedback and wants_feedback(metrics):

@@ -1,1 +1,1 @@
-"""One file, one stress case: h<number>_<name>.py defines CASE."""
+"""One stress case per file, h<number>_<name>.py, which defines CASE."""

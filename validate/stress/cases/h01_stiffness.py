@@ -1,8 +1,8 @@
-"""Stiffness from 1 to 1e8 N/m at a fixed step: a warning before the run past the stability limit, and the right motion with a smaller step.
+"""Stiffness from 1 to 1e8 N/m at a fixed step: a warning past the stability limit.
 
-Three carts at h = 0.01 s: h^2 w^2 + 2 h c < 4 with w^2 = 3k and c = 2 allows k < 13200. How right a
-step is, is measured on two bodies that meet, whose motion is known (validate.truth): the step of
-all stiffnesses alike, one as fine as the contact needs, and the replay.
+Three carts at h = 0.01 s: h^2 w^2 + 2 h c < 4 with w^2 = 3k and c = 2 allows k < 13200. Accuracy is
+measured on two colliding bodies with a known motion (validate.truth): at the fixed step, at a fine
+step, and by the replay.
 """
 
 from __future__ import annotations
@@ -28,37 +28,38 @@ from validate.stress.motion import of_truth, rolled, wrong_by
 from validate.truth.problems import contact_rate, stiff
 
 STIFFNESSES = tuple(10.0**power for power in range(9))
-# Points of the plot about the limit.
+# Points of the plot around the limit.
 SWEPT = 7
+
 STEP = 0.01
 DAMPING = 2.0
 LIMIT = (4.0 - 2.0 * STEP * DAMPING) / (3.0 * STEP**2)
-# Steps a radian of the contact's oscillation in the fine grid, so that a collision has 150.
+# Fine steps per radian of the contact's oscillation; a collision has 150.
 _FINE = 50
-# After a collision the speed of a first-order step is wrong by a tenth of (h w)^2 at most (h02).
+# Largest error of the speed after a collision, over (h w)^2, of a first-order step (h02).
 _RESTITUTION = 0.1
-# Where a plan that blew up is drawn.
+# Largest error to plot.
 _FAR = 1e6
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     base, like = load_scene("three_cart"), stiff(STIFFNESSES[0]).scene
     radii, coarse, fine, shares, replays, unwarned = [], [], [], [], [], []
     for k in STIFFNESSES:
-        said = step_stability(base.with_parameters(k=k))
-        radii.append(said.radius)
-        if bool(said.sentence) != (k > LIMIT):
-            unwarned.append(f"k = {k:g}: {said.sentence or 'no warning'}")
+        stability = step_stability(base.with_parameters(k=k))
+        radii.append(stability.radius)
+        if bool(stability.sentence) != (k > LIMIT):
+            unwarned.append(f"k = {k:g}: {stability.sentence or 'no warning'}")
         problem = stiff(k)
-        plan, told = of_truth(problem, like)
+        plan, motion_by_replay = of_truth(problem, like)
         rate = contact_rate(pair.MASS_1, pair.MASS_2, k)
         parts = max(1, math.ceil(problem.step * _FINE * rate))
         h = problem.step / parts
         exact = rolled(problem.scene, step=h, steps=problem.nodes * parts, every=parts)
-        errors = [wrong_by(problem, motion) for motion in (plan, exact, told)]
-        for found, error in zip((coarse, fine, replays), errors, strict=True):
-            found.append(max(error.values()))
+        errors = [wrong_by(problem, motion) for motion in (plan, exact, motion_by_replay)]
+        for errors_by_k, error in zip((coarse, fine, replays), errors, strict=True):
+            errors_by_k.append(max(error.values()))
         drift = (
             problem.velocity * h
             + _RESTITUTION * (h * rate) ** 2 * problem.velocity * problem.duration

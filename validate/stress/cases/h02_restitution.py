@@ -1,10 +1,9 @@
-"""Contact creates energy although the step is stable: restitution of one collision over h w, in 100 phases of the first touch within a step.
+"""Restitution of one collision over h w, in 100 phases: stable steps can create energy.
 
-Two free masses on a linear spring part as fast as they met: restitution 1. The semi-implicit step
-keeps that only on the average; what a single collision gives depends on where within a step it
-begins. It keeps I = v^2 - h w^2 x v + w^2 x^2 in contact; a touch a share p of a step before the
-first node inside has I = s^2 (1 - (h w)^2 p (1 - p)), and so has the parting: restitution lies
-between sqrt(1 - (h w)^2/4) and one over that.
+Two masses on a linear spring have restitution 1, semi-implicit Euler only on average. In contact it
+keeps I = v^2 - h w^2 x v + w^2 x^2. A touch a fraction p of a step before the first node inside has
+I = s^2 (1 - (h w)^2 p (1 - p)), and so has the parting. Restitution is therefore between sqrt(1 -
+(h w)^2/4) and its inverse.
 """
 
 from __future__ import annotations
@@ -20,38 +19,39 @@ from validate.stress.case import Found, StressCase, at_most, chart, finding
 from validate.stress.motion import replayed, rolled
 
 PHASES = 100
-# h w -> smallest and largest restitution known, and a unit of their last digit: they come from 100
-# phases too, but not these (all phases at h w = 1.5 together reach from 0.8 to 1.25).
+# Smallest and largest known restitution by h w, and a unit of their last digit, from 100 other
+# phases; all phases at h w = 1.5 give 0.8 to 1.25.
 EXPECTED = {0.1: (0.999, 1.001, 1e-3), 0.6: (0.98, 1.02, 1e-2), 1.5: (0.80, 1.24, 1e-2)}
+# Values of h w.
 SWEEP = tuple(np.round(np.linspace(0.05, 1.95, 39), 3))
 
 
 def _restitutions(kernel: Kernel, hw: float) -> np.ndarray:
-    """(PHASES,) restitution of one collision at h w, each with its own place of the first touch within a step."""
+    """Return the restitutions (PHASES,) at h w, by phase of the first touch within a step."""
     values = {parameter.name: parameter.value for parameter in kernel.scene.parameters}
     m1, m2, k, r = (values[name] for name in ("m1", "m2", "k", "r"))
     w = math.sqrt(k * (m1 + m2) / (m1 * m2))
     h, closing = hw / w, 3.0
     steps = math.ceil(3.0 * math.pi / hw) + 10
-    found = []
+    restitutions = []
     for phase in (np.arange(PHASES) + 0.5) / PHASES:
         start = np.array([0.0, 2.0 * r + closing * h * (2.0 + phase), 2.0, 2.0 - closing])
         v = kernel.rollout(start, np.zeros((steps, 0)), h).v
-        found.append((v[-1, 1] - v[-1, 0]) / closing)
-    return np.array(found)
+        restitutions.append((v[-1, 1] - v[-1, 0]) / closing)
+    return np.array(restitutions)
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     scene = load_scene("two_body_collision")
     kernel = load_kernel(scene)
     figures = []
     for hw, (low, high, digit) in EXPECTED.items():
-        found = _restitutions(kernel, hw)
-        off = max(abs(found.min() - low), abs(found.max() - high))
+        restitutions = _restitutions(kernel, hw)
+        off = max(abs(restitutions.min() - low), abs(restitutions.max() - high))
         figures.append(
             at_most(
-                f"restitution at h w = {hw:g}: {found.min():.4g} to {found.max():.4g}, off the known {low:g} to {high:g} by",
+                f"restitution at h w = {hw:g}: {restitutions.min():.4g} to {restitutions.max():.4g}, off the known {low:g} to {high:g} by",
                 off,
                 digit,
                 reason="a unit of the last known digit: which phases are tried moves it by as much",
@@ -64,8 +64,8 @@ def measure() -> Found:
     swept = [_restitutions(kernel, hw) for hw in SWEEP]
     bound = [1.0 / math.sqrt(1.0 - hw**2 / 4.0) for hw in SWEEP]
     outside = max(
-        max(found.max() / most, 1.0 / (found.min() * most))
-        for found, most in zip(swept, bound, strict=True)
+        max(restitutions.max() / most, 1.0 / (restitutions.min() * most))
+        for restitutions, most in zip(swept, bound, strict=True)
     )
     worst = _restitutions(kernel, 1.5)
     return finding(
@@ -96,9 +96,9 @@ def measure() -> Found:
                 x=("h w", ""),
                 y=("restitution", ""),
                 series={
-                    "largest": (SWEEP, [found.max() for found in swept]),
-                    "mean": (SWEEP, [found.mean() for found in swept]),
-                    "smallest": (SWEEP, [found.min() for found in swept]),
+                    "largest": (SWEEP, [restitutions.max() for restitutions in swept]),
+                    "mean": (SWEEP, [restitutions.mean() for restitutions in swept]),
+                    "smallest": (SWEEP, [restitutions.min() for restitutions in swept]),
                 },
                 level=(1.0, "exact"),
                 words="The spread grows with h w, vanishes at 1 and 1.41, where a period is a whole number of steps, and runs away towards the stability limit at 2.",

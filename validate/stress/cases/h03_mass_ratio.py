@@ -1,11 +1,9 @@
-"""Mass ratios from 1e-4 to 1e4: contact time by its closed form and momentum to rounding in the replay of a collision; and what a plan costs.
+"""Mass ratios 1e-4 to 1e4: contact time and momentum of a collision, and the cost of plans.
 
-Planned are the paper's three carts, the middle one `ratio` times as heavy as the others, by
-softplus collocation and strict complementarity on half as many steps. The ends of the range cannot
-be planned, and are told as such. A middle cart lighter than 1/38 is damped too fast for a step of
-0.02 s, which step_stability says before anything runs; one a thousand times as heavy cannot be
-moved half a metre in 5 s by inputs of 10 N, which the method says. (A hundred times as heavy is so
-near to what can be moved that the search for an answer takes longer than all the rest.)
+Plans move the paper's three carts, the middle one `ratio` times as heavy, by softplus collocation
+and strict complementarity on half as many steps. Below a ratio of 1/38 damping is too fast for a
+step of 0.02 s, which step_stability reports. A ratio of 1000 is out of reach of 10 N in 5 s, which
+the method reports. (At 100 the search takes longer than all others together.)
 """
 
 from __future__ import annotations
@@ -29,20 +27,18 @@ from validate.stress.motion import of_truth, replayed, wrong_by
 from validate.truth.problems import mass_ratio
 
 RATIOS = tuple(10.0**power for power in range(-4, 5))
-# Middle cart to the others.
+# Ratios of the middle cart to the others.
 PLANNED = (1e-4, 1e-3, 1e-2, 3e-2, 1e-1, 1.0, 1e1, 3e1, 1e3)
+
 STEP = 0.02
 STEPS = 250
 _CHAIN = (("softplus_dc", SOFTPLUS_EPS), ("strict_lcp", (None,)))
-_ENOUGH = 120.0  # seconds of a stage, which takes about one
+_ENOUGH = 120.0  # seconds per stage, which takes about one
 
 
 @dataclass
 class _Planned:
-    """Of the three carts. plans: ratio, cost, replay error [m].
-
-    unstable, out_of_reach: ratios that are told to be so; wrong: what is neither.
-    """
+    """Plans of the three carts: ratio, cost, replay error [m]; and ratios refused, or wrong."""
 
     limit: float
     plans: list[tuple[float, float, float]] = field(default_factory=list)
@@ -52,36 +48,28 @@ class _Planned:
 
 
 def simulated() -> tuple[np.ndarray, list[str]]:
-    """Two bodies that collide, replayed at each ratio of their masses.
+    """Replay the collision of two bodies at each mass ratio.
 
-    Returns
-    -------
-    found : (4, ratios) of the replays that reached the end: what the contact's length may be wrong
-        by for the end to be where it is, as its share [-];
-        the momentum of the replay, and of the plan [-]; seconds [s]
-    wrong : which did not
-
-    Raises
-    ------
-    KernelError, FmuError : if the collision cannot be compiled or simulated at all
+    Returns (4, ratios): relative error of the contact time [-], momentum of replay and plan [-],
+    seconds [s]; and failed ratios. Raises KernelError, FmuError.
     """
-    found, wrong, base = [], [], mass_ratio(1.0).scene
+    results, wrong, base = [], [], mass_ratio(1.0).scene
     for ratio in RATIOS:
         problem = mass_ratio(ratio)
-        plan, told = of_truth(problem, base)
-        if not told.ok:
-            wrong.append(f"{ratio:g}: {told.message}")
+        plan, motion = of_truth(problem, base)
+        if not motion.ok:
+            wrong.append(f"{ratio:g}: {motion.message}")
             continue
-        error = wrong_by(problem, told)
+        error = wrong_by(problem, motion)
         off = max(error["position at the end"], error["velocity at the end"]) / math.pi
-        found.append(
-            (off, error["momentum"], wrong_by(problem, plan)["momentum"], told.seconds_reference)
+        results.append(
+            (off, error["momentum"], wrong_by(problem, plan)["momentum"], motion.seconds_reference)
         )
-    return np.array(found).reshape(-1, 4).T, wrong
+    return np.array(results).reshape(-1, 4).T, wrong
 
 
 def _carts() -> Scene:
-    """Three carts, the mass of the middle one `ratio` times that of the others."""
+    """Return three carts, the middle mass `ratio` times the others."""
     base = load_scene("three_cart")
     mass = next(parameter.symbol for parameter in base.parameters if parameter.name == "m")
     ratio = Parameter(
@@ -104,7 +92,7 @@ def _carts() -> Scene:
 
 
 def _chained(scene: Scene) -> Solution:
-    """The last stage that was run: a relaxed plan that says that there is none ends the chain."""
+    """Return the solution of the last stage; infeasibility ends the chain."""
     plan, solution = None, None
     for method, schedule in _CHAIN:
         with load_method(method).open(scene) as session:
@@ -117,45 +105,46 @@ def _chained(scene: Scene) -> Solution:
 
 
 def planned() -> _Planned:
-    """Three carts, planned for at each ratio of the middle mass to the others."""
+    """Plan for three carts at each ratio."""
     base = _carts()
     values = {parameter.name: parameter.value for parameter in base.parameters}
-    # The middle cart on two closed contacts, damped: h^2 2k/m + 2 h c/m < 4. The others, so much
-    # heavier, stand still beside it.
-    found = _Planned(
+    # Stability of the damped middle cart on two closed contacts: h^2 2k/m + 2 h c/m < 4.
+    result = _Planned(
         limit=(2.0 * STEP**2 * values["k"] + 2.0 * STEP * values["c"]) / (4.0 * values["m"])
     )
     for ratio in PLANNED:
         scene = base.with_parameters(ratio=ratio)
-        said = step_stability(scene)
-        if said.is_stable != (ratio > found.limit) or said.is_stable == bool(said.sentence):
-            found.wrong.append(f"{ratio:g}: {said.sentence or 'no warning'}")
-        if not said.is_stable:
-            found.unstable.append(ratio)
+        stability = step_stability(scene)
+        if stability.is_stable != (ratio > result.limit) or stability.is_stable == bool(
+            stability.sentence
+        ):
+            result.wrong.append(f"{ratio:g}: {stability.sentence or 'no warning'}")
+        if not stability.is_stable:
+            result.unstable.append(ratio)
             continue
         solution = _chained(scene)
         plan, cost = solution.trajectory, solution.cost
         if solution.outcome is Outcome.INFEASIBLE:
-            found.out_of_reach.append(ratio)
+            result.out_of_reach.append(ratio)
             continue
-        told = None if plan is None else replayed(scene, plan, like=base)
+        motion = None if plan is None else replayed(scene, plan, like=base)
         if (
             plan is None
             or cost is None
             or solution.outcome is not Outcome.SOLVED
-            or told is None
-            or not told.ok
+            or motion is None
+            or not motion.ok
         ):
-            found.wrong.append(
-                f"{ratio:g}: {solution.outcome.name.lower()}, {told.message if told else solution.message}"
+            result.wrong.append(
+                f"{ratio:g}: {solution.outcome.name.lower()}, {motion.message if motion else solution.message}"
             )
             continue
-        found.plans.append((ratio, cost, float(np.abs(told.q[told.knots] - plan.q).max())))
-    return found
+        result.plans.append((ratio, cost, float(np.abs(motion.q[motion.knots] - plan.q).max())))
+    return result
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     (times, momenta, plan_momenta, seconds), lost = simulated()
     plans, most = planned(), partial(max, default=math.nan)
     ratios, costs, errors = np.array(plans.plans).reshape(-1, 3).T

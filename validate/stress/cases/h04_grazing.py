@@ -1,8 +1,8 @@
-"""Grazing: a disc passes another so that they touch to a depth of 1e-9 m, or miss by as much.
+"""Grazing: a disc passes another at a depth of 1e-9 m, or misses by as much.
 
-Pushed straight past, the depth is d - (v t)^2/(4 r): the impulse is (4/3) k d T with T = sqrt(4 r
-d)/v, 2e-10 N s here. The plan's own step sees one node inside and gives at most h k d. The gradient
-of the end is finite on both sides, and that of differences.
+On a straight line the depth is d - (v t)^2/(4 r), with an impulse of (4/3) k d T, T = sqrt(4 r
+d)/v: 2e-10 N s. A plan has at most one node inside, h k d. The gradient of the end must be finite
+on both sides and agree with differences.
 """
 
 from __future__ import annotations
@@ -20,13 +20,12 @@ from validate.truth.problems import TruthProblem, grazing
 
 DEPTH = 1e-9
 SPEED = 1.0
-# Differences must stay on one side of the touch, which is 1e-9 m away; their rounding is then
-# 1e-16/2e-10 of the state.
+# Differences must stay on one side of the touch, 1e-9 m away; rounding is 1e-16/2e-10.
 _DIFFERENCE = 2e-10
 
 
 def _gradient_error(kernel: Kernel, problem: TruthProblem) -> float:
-    """Adjoint against central differences: derivative of the end (y of disc 2 and its speed) with respect to the start, relative to its largest."""
+    """Return the relative error of the adjoint gradient of the end against central differences."""
     start, u = np.array(problem.scene.task.start, dtype=float), problem.plan.u
     weights = np.zeros((2, problem.nodes + 1, 4))
     weights[:, -1, 3] = 1.0
@@ -43,7 +42,7 @@ def _gradient_error(kernel: Kernel, problem: TruthProblem) -> float:
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     scene = load_scene("two_discs")
     kernel, problems = load_kernel(scene), (grazing(DEPTH), grazing(-DEPTH))
     k, h = float(kernel.stiffness()[0]), problems[0].step

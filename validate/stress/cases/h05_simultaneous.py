@@ -1,7 +1,6 @@
-"""Simultaneous impacts: two carts squeeze a third from both sides at once.
+"""Simultaneous impacts: two carts squeeze a third.
 
-Symmetric in, symmetric out, in whatever order the contacts are listed (validate.truth has the exact
-motion).
+The motion must be symmetric, in any order of contacts.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from validate.truth.problems import asymmetry, squeeze
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     problem = squeeze()
     scene, u = problem.scene, problem.plan.u
     listed = (scene, replace(scene, contacts=scene.contacts[::-1]))

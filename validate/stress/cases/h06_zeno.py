@@ -1,11 +1,7 @@
-"""Zeno-like bouncing: a mass falls on a damped floor, each bounce a share of the one before.
+"""Zeno-like bouncing on a damped floor: bounces shrink by a ratio, and the replay must end.
 
-It ends, and so does its replay.
-
-With restitution e of each bounce and v the first speed at the floor, the flights take 2 v/g (e +
-e^2 + ...) together: the time of rest is t_1 + (2 v/g) e/(1 - e), but for the contact times
-themselves. The floor and e are those of the truth suite (validate.truth.problems), the floor
-stiffer, so that gravity does next to nothing within a contact.
+With restitution e and first speed v the flights last 2 v/g (e + e^2 + ...). Rest begins at t_1 +
+(2 v/g) e/(1 - e), plus contact times. The floor is stiff, so that gravity is negligible in contact.
 """
 
 from __future__ import annotations
@@ -34,24 +30,24 @@ STIFFNESS = 1e7
 RATIO = 0.2
 NODES = 180
 STEP = 0.01
-# Fewer events than the bounces have, to see the budget told.
+# Fewer events than bounces, to exceed the budget.
 BUDGET = 6
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     damping = 2.0 * RATIO * math.sqrt(STIFFNESS * drop.MASS)
     scene = damped_floor(DampingLaw.KELVIN_VOIGT, damping, k=STIFFNESS).with_task(
         step=STEP, steps=NODES
     )
-    fine = 20000  # the plan: the step that the stiff floor needs, at the nodes of the replay
+    fine = 20000  # step that the stiff floor needs
     plan = rolled(scene, step=STEP / fine, steps=NODES * fine, every=fine)
-    told_replay = replayed(scene, plan)
+    motion = replayed(scene, plan)
     e, first = restitution(RATIO), 2.0 * drop.FALL_TIME
     series = drop.FALL_TIME + first * e / (1.0 - e)
     touches = [
-        event for event in told_replay.events if event.contact == "floor"
-    ]  # beside them: when the damped force lets go
+        event for event in motion.events if event.contact == "floor"
+    ]  # without releases of the damped force
     opened = [event.time for event in touches if not event.closes]
     closed = [event.time for event in touches if event.closes]
     rest = max(opened + closed, default=math.nan)
@@ -59,7 +55,7 @@ def measure() -> Found:
     flights = np.array([down - up for up, down in zip(opened, closed[1:], strict=False)])
     ratios = flights[1:] / flights[:-1]
     small = replayed(scene, plan, event_budget=BUDGET)
-    wrong = [] if told_replay.ok else [f"the replay does not end: {told_replay.message}"]
+    wrong = [] if motion.ok else [f"the replay does not end: {motion.message}"]
     if small.outcome is not ReplayOutcome.EVENT_BUDGET or str(BUDGET) not in small.message:
         wrong.append(
             f"a budget of {BUDGET} events is not told: {small.outcome.name.lower()}, {small.message}"
@@ -85,7 +81,7 @@ def measure() -> Found:
             0.02,
             reason="gravity takes 0.2 % of each flight, which makes 0.5 % of their sum; the last ones are as low as the floor sags",
         ),
-        unlimited("contact events", len(told_replay.events)),
+        unlimited("contact events", len(motion.events)),
         charts=(
             chart(
                 "Flights between bounces",

@@ -1,7 +1,4 @@
-"""Long horizons: three carts over 5000, 20000 and 80000 steps.
-
-Time and memory about linear, and the adjoint that of differences.
-"""
+"""Long horizons: linear growth of time and memory, and a correct adjoint."""
 
 from __future__ import annotations
 
@@ -23,11 +20,12 @@ from validate.stress.case import Found, StressCase, at_most, chart, finding
 
 LENGTHS = (5000, 20000, 80000)
 MODEL_LENGTHS = (500, 1000, 2000)
-# Largest exponent of memory over steps; sparse rows are sorted, hence a little above 1.
+# Largest exponent of memory over steps; sorting sparse rows adds a little to 1.
 EXPONENT = 1.15
-# Largest exponent of CPU time over steps: halfway between linear and quadratic growth. A loaded
-# machine, or arrays that leave the processor's cache, change the exponent by less (1.2 measured).
+# Largest exponent of CPU time over steps: between linear and quadratic. Load and cache sizes cause
+# up to 1.2.
 TIME_EXPONENT = 1.5
+
 _REPEATS = 20
 _MODEL_REPEATS = 2
 _DIFFERENCE = 1e-4
@@ -35,14 +33,13 @@ _WEIGHTS = (1.0, 2.0, 3.0)
 
 
 def _squeeze(steps: int) -> np.ndarray:
-    """(steps, 2) inputs [N]: both carts press, with a little noise."""
     return np.tile([3.0, -3.0], (steps, 1)) + np.random.default_rng(8).normal(
         scale=0.3, size=(steps, 2)
     )
 
 
 def _gradient_of(kernel: Kernel, steps: int) -> Callable[[], np.ndarray]:
-    """What an iteration of descent does: rollout, and the adjoint of a sum over the last positions."""
+    """Return an iteration of descent: rollout, and adjoint of a sum of the last positions."""
     task, u = kernel.scene.task, _squeeze(steps)
 
     def _iteration() -> np.ndarray:
@@ -53,7 +50,7 @@ def _gradient_of(kernel: Kernel, steps: int) -> Callable[[], np.ndarray]:
 
 
 def _measured(make: Callable[[], Any], repeats: int) -> tuple[float, float]:
-    """Least CPU seconds of some repeats of what `make` makes, and the most memory [MB] held while it is made and done once."""
+    """Return the least CPU seconds of the work of `make`, and its peak memory [MB]."""
     work, seconds = make(), []
     for _ in range(repeats):
         begin = time.process_time()
@@ -69,7 +66,6 @@ def _measured(make: Callable[[], Any], repeats: int) -> tuple[float, float]:
 
 
 def _exponent(lengths: tuple[int, ...], values: list[float]) -> float:
-    """Slope of log value over log length, from the first to the last."""
     return math.log(values[-1] / values[0]) / math.log(lengths[-1] / lengths[0])
 
 
@@ -78,11 +74,11 @@ def _model(scene: Scene, steps: int) -> Any:
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     scene = load_scene("three_cart")
     kernel = load_kernel(scene)
     gradients = [_measured(lambda n=n: _gradient_of(kernel, n), _REPEATS) for n in LENGTHS]
-    _model(scene, 50)  # what is imported and compiled once does not count
+    _model(scene, 50)  # excludes imports and compilation
     models = [
         _measured(lambda n=n: lambda: _model(scene, n), _MODEL_REPEATS) for n in MODEL_LENGTHS
     ]

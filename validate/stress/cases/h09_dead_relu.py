@@ -1,4 +1,4 @@
-"""Dead ReLU: only the middle cart has a goal, and at the first guess nothing touches it: no gradient. Said in words, and escaped by smoothing."""
+"""Dead ReLU: no contact at the first guess gives no gradient; smoothing solves this."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from validate.stress.motion import solved
 
 GOAL = 3.3
 SOFTPLUS_EPS = (1e-2, 1e-3, 1e-5)
-_ENOUGH = 15.0  # seconds of a descent
+_ENOUGH = 15.0  # seconds per descent
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     scene = load_scene("three_cart").with_task(goal=(None, GOAL, None, None, 0.0, None))
     dead, plan = solved(scene, "relu_gd", seconds=_ENOUGH, max_iterations=500), None
     for eps in SOFTPLUS_EPS:

@@ -1,7 +1,4 @@
-"""A goal out of reach: 20 m in 1 s, where the carts make 3.
-
-Every direct transcription says `infeasible` within its budget, and marks no plan valid.
-"""
+"""A goal out of reach, 20 m in 1 s instead of 3: direct methods must report `infeasible`."""
 
 from __future__ import annotations
 
@@ -15,12 +12,12 @@ from validate.stress.motion import solved
 FAR = 20.0
 STEPS = 100
 BUDGET = 20.0
-# Method -> eps. One of each kind: smooth, exact, by windows.
+# Eps of one method of each kind: smooth, exact, by windows.
 METHODS = {"softplus_dc": 1e-3, "relaxed_lcp": 1e-2, "strict_lcp": None, "mpcc": None}
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     scene = load_scene("three_cart").with_task(
         goal=(FAR, FAR + 1.0, FAR + 2.0, 0.0, 0.0, 0.0), steps=STEPS
     )

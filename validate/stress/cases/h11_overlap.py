@@ -1,4 +1,4 @@
-"""Penetration at the start, down to coincident centres, where the normal is 0/0: everything stays finite, and what is pushed is pushed apart."""
+"""Penetration at the start, down to coincident centres with an undefined normal: all finite."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ STEPS = 480
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     scene = load_scene("two_discs")
     kernel = load_kernel(scene)
-    h = scene.task.step / 20  # a spring wound up by 0.4 m needs a finer grid than the task's
+    h = scene.task.step / 20  # a spring compressed by 0.4 m needs a finer grid than the task's
     wrong, apart = [], {}
     for distance in DISTANCES:
         where = f"centres {distance:g} m apart"
@@ -30,11 +30,11 @@ def measure() -> Found:
         ):
             wrong.append(f"{where}: the plan's step or its gradient is not finite")
             continue
-        told = replayed(scene, rolled(scene, start=start, step=h, steps=STEPS))
-        if not told.ok:
-            wrong.append(f"{where}: {told.message}")
+        motion = replayed(scene, rolled(scene, start=start, step=h, steps=STEPS))
+        if not motion.ok:
+            wrong.append(f"{where}: {motion.message}")
             continue
-        apart[distance] = float(np.linalg.norm(told.q[-1, 2:] - told.q[-1, :2]))
+        apart[distance] = float(np.linalg.norm(motion.q[-1, 2:] - motion.q[-1, :2]))
     pushed = min((value for distance, value in apart.items() if distance > 0.0), default=np.nan)
     return finding(
         f"All finite. Discs that overlap are pushed apart to at least {pushed:.2f} m; coincident centres have no direction between them, "

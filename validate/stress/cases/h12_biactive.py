@@ -1,8 +1,7 @@
-"""Biactive pairs, force and gap both zero: the certificate reports stationarity, not only feasibility.
+"""Biactive pairs, force and gap both zero: the certificate must report stationarity.
 
-Three carts at rest that just touch: every pair of the plan is biactive. And the origin of min (x -
-1)^2 + (y - 1)^2 on the two axes: feasible, with multipliers of the wrong sign, so that directions go
-down from it.
+Three touching carts at rest are all biactive. The origin of min (x - 1)^2 + (y - 1)^2 on two axes
+is feasible, but not stationary.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ def _corner() -> Any:
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     touching = (2.0, 2.5, 3.0, 0.0, 0.0, 0.0)
     scene = load_scene("three_cart").with_task(start=touching, goal=touching, steps=STEPS)
     plan = certify_plan(scene, rolled(scene))

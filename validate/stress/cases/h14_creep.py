@@ -1,9 +1,7 @@
-"""Stick-slip and creep: the truth suite's block on a ramp that asks half of what friction can hold.
+"""Creep: a block on a ramp at half of the largest friction, for several mu and steps.
 
-Dry friction sticks; regularised friction creeps.
-
-mu is swept, and the step goes to zero: the creep is a property of the law, not of the grid. Above
-what friction can hold the block slips at the known acceleration.
+Dry friction sticks; regularised friction creeps at every step size. Above the limit the block slips
+at the known acceleration.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ STEEP = 4.0
 
 
 def _slip_speed(mu: float, step: float) -> float:
-    """Slip at the end of the motion by the relaxed law [m/s], from where that bears the block: above the plane."""
+    """Return the final slip of the relaxed law [m/s], started at its own height above the plane."""
     problem = creep(mu)
     b = sharpness(EPS, problem.scene.length)
     _, lies, *_ = problem.scene.task.start
@@ -42,14 +40,14 @@ def _slip_speed(mu: float, step: float) -> float:
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     creeps, sticks, replay_slips, slipping = [], [], [], []
     like = creep(COEFFICIENTS[0]).scene
     for mu in COEFFICIENTS:
         creeps.append(_slip_speed(mu, STEPS[0]))
-        stuck, told = of_truth(creep(mu), like)
+        stuck, motion = of_truth(creep(mu), like)
         sticks.append(float(np.abs(stuck.v[:, 0]).max()))
-        replay_slips.append(float(np.abs(told.v[:, 0]).max()) if told.ok else np.inf)
+        replay_slips.append(float(np.abs(motion.v[:, 0]).max()) if motion.ok else np.inf)
         slides = ramp(mu, STEEP)
         slipping.append(max(wrong_by(slides, of_truth(slides, like)[1]).values()))
     by_step = {mu: [_slip_speed(mu, h) for h in STEPS] for mu in (0.05, 0.2, 0.8)}

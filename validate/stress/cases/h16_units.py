@@ -1,7 +1,4 @@
-"""Units rescaled: positions in mm, masses in tonnes, stiffness in N/mm.
-
-Forces and costs are the same numbers, positions a thousand times as large.
-"""
+"""Rescaled units, mm, tonnes and N/mm: equal forces and costs, positions times 1000."""
 
 from __future__ import annotations
 
@@ -18,10 +15,7 @@ LENGTH = 1e3
 
 
 def _in_millimetres(scene: Scene) -> Scene:
-    """Three carts with q * 1e3: N = tonne mm/s^2, so that forces and inputs keep their numbers.
-
-    So is the length that relaxed contact is counted in.
-    """
+    """Return three carts with q * 1e3; N = tonne mm/s^2 keeps forces, and `length` is scaled."""
     values = {parameter.name: parameter.value for parameter in scene.parameters}
     scaled = scene.with_parameters(
         m=values["m"] / LENGTH,
@@ -37,7 +31,7 @@ def _in_millimetres(scene: Scene) -> Scene:
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     metres = load_scene("three_cart")
     small = _in_millimetres(metres)
     u = np.random.default_rng(16).uniform(-5.0, 5.0, size=(300, 2)) + np.array([2.0, -2.0])
@@ -49,7 +43,7 @@ def measure() -> Found:
         )
     )
     truths = [replayed(scene, plan) for scene, plan in zip((metres, small), plans, strict=True)]
-    told = (
+    replay_difference = (
         float(np.abs(at_nodes(truths[1]) / LENGTH - at_nodes(truths[0])).max())
         if all(item.ok for item in truths)
         else np.inf
@@ -62,13 +56,13 @@ def measure() -> Found:
         if item.trajectory is None
     ]
     return finding(
-        f"Cost {costs[0]:.6f} in metres, {costs[1]:.6f} in millimetres; motions differ by {max(step, told):.0e} m.",
+        f"Cost {costs[0]:.6f} in metres, {costs[1]:.6f} in millimetres; motions differ by {max(step, replay_difference):.0e} m.",
         at_most(
             "plan's step: difference after rescaling", step, 1e-11, reason="rounding of 300 steps"
         ),
         at_most(
             "replay: difference after rescaling",
-            told,
+            replay_difference,
             1e-8,
             reason="ten times what the replay says of its own error",
         ),

@@ -1,9 +1,7 @@
-"""Hold convention and grids that do not divide: inputs held or joined by lines, on both sides of the replay alike.
+"""Hold of inputs, and uneven grids.
 
-A smooth input is sampled on coarser and finer plans. Held, the replay comes nearer with order 1;
-joined by lines, with order 2: that is how one sees that the replay applies the inputs as the plan
-says. A plan whose last step is shorter is the same motion as on a grid that divides; a warm start
-on another grid is refused.
+Sampled smooth inputs converge with order 1 if held, with order 2 if linear. A plan with a short
+step moves as on an even grid. A warm start on another grid is refused.
 """
 
 from __future__ import annotations
@@ -34,12 +32,11 @@ FINE = 640
 
 
 def _smooth(t: np.ndarray) -> np.ndarray:
-    """(n, 2) inputs [N] that press the carts together."""
     return np.column_stack([6.0 + 3.0 * np.sin(4.0 * t), -6.0 + 2.0 * np.cos(5.0 * t)])
 
 
 def _held(scene: Scene, t: np.ndarray, u: np.ndarray, hold: Hold) -> Trajectory:
-    """A plan of these inputs; a replay takes nothing else from it but the start."""
+    """Return a plan of these inputs; a replay uses only its start besides."""
     start = np.array(scene.task.start)
     state = np.tile(start, (len(t), 1))
     return Trajectory(
@@ -58,15 +55,14 @@ def _end_of(scene: Scene, count: int, hold: Hold) -> np.ndarray:
 
 
 def order(errors: list[float]) -> float:
-    """Slope of log error over log step."""
+    """Return the slope of log error over log step."""
     return -float(np.polyfit(np.log(COUNTS), np.log(errors), 1)[0])
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     scene = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0))
-    # the last step of a linear plan is constant: its effect is one more step of order 1 in an ever
-    # shorter step, so of order 2 as well
+    # The last step of a linear plan is constant: an error of order 1 in a shrinking step, order 2.
     truth = _end_of(scene, FINE, Hold.LINEAR)
     errors = {
         hold: [float(np.abs(_end_of(scene, count, hold) - truth).max()) for count in COUNTS]
@@ -83,7 +79,7 @@ def measure() -> Found:
     )
     same = float(np.abs(one.end - other.end).max()) if one.ok and other.ok else math.inf
     wrong = []
-    other_grid = rolled(scene, step=0.03, steps=166)  # 4.98 s: neither the step nor the horizon
+    other_grid = rolled(scene, step=0.03, steps=166)  # 4.98 s: another step and horizon
     for name, eps in (("softplus_dc", 1e-3), ("strict_lcp", None), ("mpcc", None)):
         solve = partial(solved, scene, name, eps, other_grid, seconds=5.0)
         wrong += refusal(f"{name}, a warm start on another grid", ["resample", "steps"], solve)

@@ -1,7 +1,6 @@
-"""A chattering plan: both carts are driven to and fro at their bounds, each step the other way, while they press on the middle one.
+"""Chattering plan: both carts reverse at their bounds in each step, pressing the middle one.
 
-The replay converges as its step shrinks (the ratio of successive differences is that of its order),
-or says that it does not resolve the plan.
+The replay must converge as its step shrinks, or be undecided.
 """
 
 from __future__ import annotations
@@ -17,15 +16,14 @@ from validate.stress.case import Found, StressCase, at_least, at_most, finding, 
 from validate.stress.motion import replayed, rolled
 
 NODES = 300
-# Internal steps a plan step: with the default ones (100, 200) the differences are rounding
-# already, and have no ratio.
+# Internal steps per plan step; the default ones leave only rounding.
 COARSE = (5, 10, 20)
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     base = load_scene("three_cart")
-    # the carts touch all the while; stiff enough that each reversal is a collision
+    # The carts always touch; each reversal is a collision.
     scene = base.with_parameters(k=3000.0).with_task(
         start=(2.0, 2.51, 3.02, 0.0, 0.0, 0.0), steps=NODES
     )

@@ -1,4 +1,4 @@
-"""float32 against float64 in shooting at k = 1e6 N/m: the same rollout in plain PyTorch in both, against the compiled one, which takes float64 only."""
+"""float32 against float64 at k = 1e6 N/m: PyTorch rollouts against the compiled float64 one."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from validate.stress.case import Found, StressCase, at_least, at_most, finding, 
 STIFFNESS = 1e6
 STEP = 1e-4
 STEPS = 600
-# The carts stand 1 mm apart and meet within the 60 ms.
+# The carts start 1 mm apart and meet within 60 ms.
 _START = (2.0, 2.501, 3.002, 0.3, 0.0, -0.3)
 
 
 def measure() -> Found:
-    """Measure what `CASE.expected` says."""
+    """Measure the case."""
     scene = load_scene("three_cart").with_parameters(k=STIFFNESS)
     u = np.tile([2.0, -2.0], (STEPS, 1))
     compiled = load_kernel(scene).rollout(np.array(_START), u, STEP)

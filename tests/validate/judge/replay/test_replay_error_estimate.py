@@ -434,7 +434,7 @@ def test_the_error_of_the_lag_is_added_to_the_replays_own(method: str, asked: An
     assert lagged(ReplayOutcome.OK, method, None)[0].error.estimate is None
     lost, _ = lagged(ReplayOutcome.DIVERGED, method, Difference(position=0.5, state=1.0, gap=2.0))
     assert (lost.error.estimate, lost.error.lag) == (None, None)
-    assert not unsaid(lost.message, "so far. … relaxation time … with twice as much, cut")
+    assert not unsaid(lost.message, "so far. … relaxation time … with twice that time, cut")
 
 
 def test_what_has_no_lag_is_as_it_is():
