@@ -21,13 +21,11 @@ from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
-from validate.fmu_check.motion import JUMP, Crowded, Exchange, by_adams_or_bdf
+from validate.fmu_check.motion import JUMP, SAFETY, Crowded, Exchange, by_adams_or_bdf
 from validate.fmu_check.subject import HOLD, Block, CheckedInstance, Subject
 
 _RTOLS = (1e-7, 1e-9)
 _PARTS = (1, 2, 4)
-# A difference is explained by errors up to this many times their estimates.
-_SAFETY = 4.0
 # Below this share of a value's size nothing is told apart, whatever tolerance the FMU proposes.
 _FINEST = 1e-6
 # With a larger difference than this share of the value's size nothing was compared [-], nor where
@@ -65,7 +63,7 @@ def agree(subject: Subject) -> Finding:
     tolerated = max(subject.tolerance, _FINEST) * size
     apart, allowed = (
         np.abs(finest - truth),
-        tolerated + _SAFETY * (_running(shrink) + _running(error)),
+        tolerated + SAFETY * (_running(shrink) + _running(error)),
     )
     jumps, watched = np.zeros(apart.shape, dtype=bool), None
     if events and not (apart <= allowed).all():
@@ -75,7 +73,7 @@ def agree(subject: Subject) -> Finding:
     if unexplained.any() and (euler := _euler(subject, compared, length - 1, awake)) is not None:
         own = np.abs(euler - truth)
         if watched is None:
-            allowed = allowed + _SAFETY * _running(own)
+            allowed = allowed + SAFETY * _running(own)
         else:
             allowed, jumps = watched.allowed([shrink, error, own])
         unexplained &= ~(apart <= allowed) & ~jumps
@@ -184,7 +182,7 @@ class _Events:
         """
         times = self.start + self.step * np.arange(len(self.truth))
         shown = [self._without_jumps(item) for item in differences]
-        allowed = self.tolerated + _SAFETY * sum(map(_running, shown), np.zeros(self.truth.shape))
+        allowed = self.tolerated + SAFETY * sum(map(_running, shown), np.zeros(self.truth.shape))
         jumps, later = np.zeros(self.truth.shape, dtype=bool), np.zeros(self.truth.shape)
         for event in self.events:
             row = self._step_of(event)

@@ -20,7 +20,7 @@ import numpy as np
 from validate.fmi.instance import RefusedCall
 from validate.fmi.surroundings import listed
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
-from validate.fmu_check.motion import Record, fresh_run, run
+from validate.fmu_check.motion import SAFETY, Record, fresh_run, run
 from validate.fmu_check.subject import HOLD, Block, CheckedInstance, FmuVariable, Subject
 
 # Steps: from this share of the variable's size, each a quarter of the one before.
@@ -536,8 +536,6 @@ def _factors(
 # Points at which derivatives are compared with what their states do, and how short a step is made
 # there, as a share of the FMU's.
 _PLACES = 6
-# Errors of a solver with local control, in units of the tolerance that the FMU declares.
-_SOLVER = 10.0
 _SHORT = 1e-5
 
 
@@ -551,8 +549,9 @@ def rates(subject: Subject, kind: str) -> Finding:
     derivatives, moving = (Block(pair[place] for pair in subject.rates) for place in (0, 1))
     steps, short = subject.steps(kind), _SHORT * subject.step
     names, places, resolved = derivatives.names, 0, False
-    # A solver inside moves the state within its own tolerance of each step.
-    share = max(_SHARE, _SOLVER * subject.tolerance)
+    # In the time in which a state moves by its size, the solver inside may be wrong by the tolerance
+    # of that size: as large a share of its speed.
+    fastest, share = np.zeros(moving.entries), SAFETY * subject.tolerance
     with CheckedInstance(subject, kind).begin() as instance:
         for step in range(steps):
             if step % HOLD == 0:
@@ -582,7 +581,8 @@ def rates(subject: Subject, kind: str) -> Finding:
                 & (rounding <= allowed)
             )
             places, resolved = places + 1, resolved or bool(told.any())
-            wrong = told & (away > share * size)
+            fastest = np.maximum(fastest, size)
+            wrong = told & (away > np.maximum(_SHARE * size, share * fastest))
             if wrong.any():
                 at = int(np.argmax(wrong))
                 return failed(

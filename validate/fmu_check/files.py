@@ -380,6 +380,10 @@ def _of_terminals(folder: Path) -> list[str]:
     return []
 
 
+# Factors of units that are the same but for the digits with which they are written.
+_SAME_FACTOR = 1e-6
+
+
 @check("variables are consistent", Scope.FILE, clauses=("2.2.7", "2.4.7"))
 def consistent(subject: Subject) -> Finding:
     """Starts lie within ranges, ranges are not empty, nominals positive, units of derivatives those of states per second."""
@@ -434,13 +438,17 @@ def _of_derivatives(subject: Subject) -> list[str]:
         for unit in subject.description.unitDefinitions
         if unit.baseUnit is not None
     }
-    return [
-        f"{rate.name} has the unit {rate.unit}, but is the derivative of {state.name} in {state.unit}"
-        for rate, state in subject.rates
-        if rate.unit in units
-        and state.unit in units
-        and _exponents(units[rate.unit]) != _exponents(units[state.unit], seconds=-1)
-    ]
+    wrong = []
+    for rate, state in subject.rates:
+        one, other = units.get(rate.unit), units.get(state.unit)
+        if one is None or other is None:
+            continue
+        said = f"{rate.name} has the unit {rate.unit}, but is the derivative of {state.name} in {state.unit}"
+        if _exponents(one) != _exponents(other, seconds=-1):
+            wrong.append(said)
+        elif not math.isclose(float(one.factor), float(other.factor), rel_tol=_SAME_FACTOR):
+            wrong.append(f"{said}: their factors are {one.factor:g} and {other.factor:g}")
+    return wrong
 
 
 def _exponents(base: Any, seconds: int = 0) -> tuple[int, ...]:

@@ -109,6 +109,8 @@ def restart_limit(subject: Subject) -> float:
     return min(subject.tolerance, _RESTART)
 
 
+# A difference is explained by errors up to this many times their estimates.
+SAFETY = 4.0
 # Relative tolerance of runs that are compared with each other only.
 TOLERANCE = 1e-6
 # Internal steps to the next communication point before the integrator is given up.

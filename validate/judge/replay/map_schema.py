@@ -20,7 +20,7 @@ import math
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
@@ -271,6 +271,24 @@ FRICTION = "friction_"
 # What is of mechanics, and what is not: the scale of a sensor only its maker knows.
 _MECHANICAL = ("kg", "m", "s")
 _OTHERS = ("A", "K", "mol", "cd")
+# Factors of units that are the same but for the digits with which they are written.
+_SAME_FACTOR = 1e-6
+
+
+class Meaning(NamedTuple):
+    """A unit in base units: their exponents, and value in base units = factor * value + offset. An angle is a number."""
+
+    powers: Mapping[str, int]
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def is_same(self, other: Meaning) -> bool:
+        """Whether numbers in the one unit are those in the other."""
+        return (
+            self.powers == other.powers
+            and math.isclose(self.factor, other.factor, rel_tol=_SAME_FACTOR)
+            and math.isclose(self.offset, other.offset, rel_tol=_SAME_FACTOR, abs_tol=0.0)
+        )
 
 
 class Dimensions:
@@ -286,39 +304,67 @@ class Dimensions:
 
     def contradicts(self, unit: str | None, what: str, of_fmu: bool = False) -> bool:
         """Whether nothing in this unit is such a quantity."""
-        found = None if not unit else self._of_fmu(unit) if of_fmu else _ours(unit)
-        return bool(found) and found not in [_ours(name) for name in QUANTITIES[what]]
+        found = self.meaning(unit, of_fmu)
+        if found is None or not found.powers or found.powers.keys() & set(_OTHERS):
+            return False
+        return all(found.powers != _ours(name) for name in QUANTITIES[what])
 
     def is_rate(self, unit: str | None) -> bool:
         """Whether a variable in this unit of the FMU is a velocity, by the unit's definition or name."""
         defined = self._defined.get(unit)
         if defined is None:
             return unit in _RATES
-        powers = self._of_fmu(unit or "")
-        return powers == {"m": 1, "s": -1} or (powers == {"s": -1} and int(defined.rad) == 1)
+        powers = self.meaning(unit, True)
+        assert powers is not None
+        return powers.powers == {"m": 1, "s": -1} or (
+            powers.powers == {"s": -1} and int(defined.rad) == 1
+        )
 
-    def _of_fmu(self, unit: str) -> dict[str, int] | None:
-        defined = self._defined.get(unit)
+    def is_force(self, unit: str | None) -> bool:
+        """Whether a variable in this unit of the FMU is a force or a torque, by the unit's definition or name."""
+        if unit not in self._defined:
+            return unit in CONTACT_UNITS["force"]
+        found = self.meaning(unit, True)
+        return found is not None and found.powers in [_ours(name) for name in QUANTITIES["force"]]
+
+    def is_in(self, unit: str, known: Iterable[str]) -> bool:
+        """Whether numbers in a unit of the FMU are those in one of ours, by the unit's definition or name."""
+        if unit not in self._defined:
+            return unit in known
+        return any(self.is_same(name, unit) for name in known)
+
+    def is_same(self, unit: str, of_fmu: str) -> bool:
+        """Whether numbers in a unit of the plan are those in a unit of the FMU."""
+        one, other = self.meaning(unit, False), self.meaning(of_fmu, True)
+        if one is None or other is None:
+            return unit == of_fmu
+        return one.is_same(other)
+
+    def may_be_rate(self, position: str, velocity: str) -> bool:
+        """Whether a velocity is in its position's unit per second, as far as both units are known.
+
+        "1" is a unit that nobody told.
+        """
+        one, other = self.meaning(position, True), self.meaning(velocity, True)
+        if one is None or other is None or "1" in (position, velocity):
+            return True
+        powers = dict(one.powers)
+        powers["s"] = powers.get("s", 0) - 1
+        expected = {base: power for base, power in powers.items() if power}
+        return Meaning(expected, one.factor).is_same(other._replace(offset=0.0))
+
+    def meaning(self, unit: str | None, of_fmu: bool) -> Meaning | None:
+        """Return what a unit means, of the FMU by its definition; None if nobody says."""
+        defined = self._defined.get(unit) if of_fmu else None
         if defined is None:
-            return _ours(unit)
-        if any(getattr(defined, base) for base in _OTHERS):
-            return None
-        return {base: power for base in _MECHANICAL if (power := int(getattr(defined, base)))}
-
-
-def may_be_rate(position: str, velocity: str) -> bool:
-    """Whether a velocity is in its position's unit per second, as far as both units are known.
-
-    "1" is a unit that nobody told.
-    """
-    try:
-        expected, found = dict(base_exponents(position)), base_exponents(velocity)
-    except ValueError:  # a unit that we do not know
-        return True
-    if not expected or not found:
-        return True
-    expected["s"] = expected.get("s", 0) - 1
-    return found == {base: power for base, power in expected.items() if power}
+            powers = None if not unit else _ours(unit)
+            return None if powers is None else Meaning(powers)
+        powers = {base: int(getattr(defined, base)) for base in (*_MECHANICAL, *_OTHERS)}
+        return Meaning(
+            {base: power for base, power in powers.items() if power},
+            float(getattr(defined, "factor", None) or 1.0),
+            float(getattr(defined, "offset", None) or 0.0),
+        )
 
 
 def _ours(unit: str) -> dict[str, int] | None:
@@ -440,7 +486,7 @@ def by_equal_names(named: Named, table: Table, dimensions: Dimensions) -> MapFil
             continue
         if name.startswith(FRICTION) and (
             variable is None
-            or (variable.causality != "input" and variable.unit in CONTACT_UNITS["force"])
+            or (variable.causality != "input" and dimensions.is_force(variable.unit))
         ):
             continue
         if variable is None:

@@ -202,7 +202,7 @@ class _Wiring:
         if (
             unit
             and variable.unit
-            and unit != variable.unit
+            and not self._dimensions.is_same(unit, variable.unit)
             and signal.scale == 1.0
             and signal.offset == 0.0
         ):
@@ -244,7 +244,7 @@ class _Wiring:
             self._unit(name, self.map.positions[name]),
             self._unit(self._velocity_column(name), self.map.velocities[name]),
         )
-        if not map_schema.may_be_rate(position, velocity):
+        if not self._dimensions.may_be_rate(position, velocity):
             raise self._fail(
                 f"velocities.{name}",
                 f"it is in {velocity!r}, but positions.{name} in {position!r}; it must be in '{position}/s'.",
@@ -261,7 +261,8 @@ class _Wiring:
                 path,
                 f"it is in {signal.unit!r}, but a {what} must be in {known[0]!r} behind its scale, as in the plan.",
             )
-        if own and own not in known and not signal.model_fields_set & {"scale", "offset"}:
+        scaled = signal.model_fields_set & {"scale", "offset"}
+        if own and not self._dimensions.is_in(own, known) and not scaled:
             raise self._fail(
                 path,
                 f"{signal.variable!r} is in {own!r}, but a {what} must be in {known[0]!r}; give a scale.",
@@ -437,7 +438,8 @@ class _Wiring:
         for _, own, signal in self._positions + self._velocities:
             if own == column and signal.variable == name:
                 return (first - signal.offset) / signal.scale
-        if unit := self._variable(path, name).unit:
+        unit, given = self._variable(path, name).unit, self._table.units.get(column)
+        if unit and given and not self._dimensions.is_same(given, unit):
             self._table.check_unit(column, unit)
         return first
 
