@@ -340,7 +340,7 @@ class _ArchiveCheck:
 
     def _of_description(self) -> Iterator[ArchiveError]:
         version = self._root.get("fmiVersion", "")
-        if version != "2.0" and not _is_three(version):
+        if version != "2.0" and not is_version(version, 3):
             yield self._problem(
                 "version", f"it says FMI version {version!r}; 2.0 and 3.0 can be run."
             )
@@ -401,7 +401,7 @@ def wrong_identifiers(identifiers: Iterable[str | None]) -> list[str]:
 def binary_name(version: str, identifier: str) -> str:
     """Where the archive has the binary for this machine; FMI 3 changed the names of machines."""
     system, machine = platform.system().lower(), platform.machine().lower()
-    if _is_three(version):
+    if is_version(version, 3):
         folder = f"{_MACHINES.get(machine, machine)}-{system}"
     else:
         folder = (
@@ -410,8 +410,9 @@ def binary_name(version: str, identifier: str) -> str:
     return f"binaries/{folder}/{identifier}{_ENDINGS.get(system, '.so')}"
 
 
-def _is_three(version: str) -> bool:
-    return re.fullmatch(r"3\.0(\.\d+)?", version) is not None
+def is_version(text: str, major: int) -> bool:
+    """Whether a version of FMI, as 3.0.2, is one of the standard; 3.0-beta.3 is none."""
+    return re.fullmatch(rf"{major}\.0(\.\d+)?", text) is not None
 
 
 def _size(count: int) -> str:

@@ -58,14 +58,19 @@ class Package(FmuArchive):
         """FMPy's description of Co-Simulation; None if it cannot run here."""
         return self.description.coSimulation if "CoSimulation" in self.kinds else None
 
-    def experiment(self, name: str) -> float | None:
-        """Return a positive number of the default experiment, as "tolerance" [-] or "stepSize" [s]; None if it states none."""
-        text = getattr(self.description.defaultExperiment, name, None)
-        try:
-            value = float(text) if text is not None else 0.0
-        except ValueError:
-            return None
-        return value if 0.0 < value < math.inf else None
+
+def experiment(description: Any, name: str) -> float | None:
+    """Return a number of the default experiment, as "tolerance" [-]; None if it states no usable one.
+
+    Times are finite; tolerance and stepSize are also positive.
+    """
+    text = getattr(description.defaultExperiment, name, None)
+    try:
+        value = float(text) if text is not None else math.nan
+    except ValueError:
+        return None
+    is_usable = math.isfinite(value) and (value > 0.0 or name in ("startTime", "stopTime"))
+    return value if is_usable else None
 
 
 def interface_of(description: Any, kind: str) -> Any:

@@ -525,11 +525,12 @@ class Instance:
         raise endless()
 
     def _array(self, call: Callable[..., Any], size: int) -> np.ndarray:
-        array = (ctypes.c_double * size)(
-            *[math.nan] * size
-        )  # a pointer into a numpy array costs more than all else here
+        if not size:
+            return np.empty(0)
+        # A pointer into a numpy array costs more than everything else here.
+        array = (ctypes.c_double * size)(*[math.nan] * size)
         call(array, size)
-        return np.frombuffer(memoryview(array)) if size else np.empty(0)
+        return np.frombuffer(memoryview(array))
 
     @property
     def state_count(self) -> int:

@@ -80,7 +80,7 @@ def variables(*kinds: tuple[str, str | None, tuple[int, ...]]) -> Block:
         )
         for place, (kind, start, shape) in enumerate(kinds)
     ]  # fmt: skip
-    return Block(Subject(Path(), Path(), SimpleNamespace(modelVariables=made)).variables)
+    return Block(Subject(Path(), SimpleNamespace(modelVariables=made)).variables)
 
 
 MIXED = (

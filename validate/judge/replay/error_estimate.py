@@ -27,7 +27,8 @@ import numpy as np
 from models.codegen.kernel import Kernel
 from models.collocation import lowest_between, penetration_rates
 from models.scene import Scene
-from validate.fmi.description import Package
+from validate.fmi.description import Package, experiment
+from validate.fmi.ladder import FINEST
 from validate.judge.replay.everyday import base_step
 from validate.judge.replay.job import Job, Simulated
 from validate.judge.replay.result import (
@@ -231,9 +232,6 @@ def difference(one: Recorded | None, other: Recorded | None) -> Difference | Non
 # Two runs that differ by less than this share of the motion are the same run: ten thousand steps
 # round as much.
 _SAME = 1e-10
-# Results at so many steps tell an error bar: three that are nearer to each other than the three
-# before.
-FINEST = 4
 
 
 def largest_difference(runs: Sequence[Recorded]) -> Difference | None:
@@ -378,7 +376,7 @@ def _recorded(subject: Subject, variables: Variables, run: Run) -> Recorded | No
 
 def _declared(package: Package, motion: Recorded) -> Difference | None:
     """The tolerance that an FMU declares for its own solver, of the sizes of the motion."""
-    tolerance = package.experiment("tolerance")
+    tolerance = experiment(package.description, "tolerance")
     if tolerance is None:
         return None
     state = np.hypot(np.linalg.norm(motion.q, axis=1), np.linalg.norm(motion.v, axis=1))

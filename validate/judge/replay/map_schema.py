@@ -16,11 +16,10 @@ from __future__ import annotations
 
 import difflib
 import heapq
-import math
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
@@ -30,6 +29,7 @@ from models.plan_table import Table
 from models.scene.values import base_exponents
 from validate.fmi.archive import DESCRIPTION, FmuError
 from validate.fmi.description import REAL, Package
+from validate.fmi.units import Unit, defined_units
 from validate.processes.toml_text import TomlError, is_number, mistake, read_toml
 
 
@@ -268,44 +268,21 @@ CONTACT_UNITS = {"force": ("N", "N m", "N.m", "Nm"), "gap": ("m", "rad")}
 # What columns of a plan's friction forces begin with, as a scene's plan has them. A map has no
 # place for them: nothing of an FMU is held against them.
 FRICTION = "friction_"
-# What is of mechanics, and what is not: the scale of a sensor only its maker knows.
-_MECHANICAL = ("kg", "m", "s")
-_OTHERS = ("A", "K", "mol", "cd")
-# Factors of units that are the same but for the digits with which they are written.
-_SAME_FACTOR = 1e-6
-
-
-class Meaning(NamedTuple):
-    """A unit in base units: their exponents, and value in base units = factor * value + offset. An angle is a number."""
-
-    powers: Mapping[str, int]
-    factor: float = 1.0
-    offset: float = 0.0
-
-    def is_same(self, other: Meaning) -> bool:
-        """Whether numbers in the one unit are those in the other."""
-        return (
-            self.powers == other.powers
-            and math.isclose(self.factor, other.factor, rel_tol=_SAME_FACTOR)
-            and math.isclose(self.offset, other.offset, rel_tol=_SAME_FACTOR, abs_tol=0.0)
-        )
+# Base units of mechanics; only the maker of a sensor knows the scale of other ones.
+_MECHANICAL = {"kg", "m", "s"}
 
 
 class Dimensions:
-    """Of the units of an FMU, by its own definitions, and of a plan, by ours."""
+    """Units of an FMU, by its own definitions, and of a plan, by ours."""
 
     def __init__(self, description: Any) -> None:
         """description: FMPy's."""
-        self._defined = {
-            unit.name: unit.baseUnit
-            for unit in description.unitDefinitions
-            if unit.baseUnit is not None
-        }
+        self._defined = defined_units(description)
 
     def contradicts(self, unit: str | None, what: str, of_fmu: bool = False) -> bool:
-        """Whether nothing in this unit is such a quantity."""
-        found = self.meaning(unit, of_fmu)
-        if found is None or not found.powers or found.powers.keys() & set(_OTHERS):
+        """Whether no quantity of this kind has such a unit."""
+        found = self._unit(unit, of_fmu)
+        if found is None or not found.powers or not found.powers.keys() <= _MECHANICAL:
             return False
         return all(found.powers != _ours(name) for name in QUANTITIES[what])
 
@@ -314,28 +291,25 @@ class Dimensions:
         defined = self._defined.get(unit)
         if defined is None:
             return unit in _RATES
-        powers = self.meaning(unit, True)
-        assert powers is not None
-        return powers.powers == {"m": 1, "s": -1} or (
-            powers.powers == {"s": -1} and int(defined.rad) == 1
+        return defined.powers == {"m": 1, "s": -1} or (
+            defined.powers == {"s": -1} and defined.rad == 1
         )
 
     def is_force(self, unit: str | None) -> bool:
-        """Whether a variable in this unit of the FMU is a force or a torque, by the unit's definition or name."""
-        if unit not in self._defined:
+        """Whether a variable in this unit of the FMU is a force, by the unit's definition or name."""
+        if (defined := self._defined.get(unit)) is None:
             return unit in CONTACT_UNITS["force"]
-        found = self.meaning(unit, True)
-        return found is not None and found.powers in [_ours(name) for name in QUANTITIES["force"]]
+        return defined.powers in [_ours(name) for name in QUANTITIES["force"]]
 
     def is_in(self, unit: str, known: Iterable[str]) -> bool:
-        """Whether numbers in a unit of the FMU are those in one of ours, by the unit's definition or name."""
+        """Whether numbers in a unit of the FMU are those in one of ours, by definition or name."""
         if unit not in self._defined:
             return unit in known
         return any(self.is_same(name, unit) for name in known)
 
     def is_same(self, unit: str, of_fmu: str) -> bool:
         """Whether numbers in a unit of the plan are those in a unit of the FMU."""
-        one, other = self.meaning(unit, False), self.meaning(of_fmu, True)
+        one, other = self._unit(unit, False), self._unit(of_fmu, True)
         if one is None or other is None:
             return unit == of_fmu
         return one.is_same(other)
@@ -343,28 +317,19 @@ class Dimensions:
     def may_be_rate(self, position: str, velocity: str) -> bool:
         """Whether a velocity is in its position's unit per second, as far as both units are known.
 
-        "1" is a unit that nobody told.
+        "1" counts as unknown.
         """
-        one, other = self.meaning(position, True), self.meaning(velocity, True)
+        one, other = self._unit(position, True), self._unit(velocity, True)
         if one is None or other is None or "1" in (position, velocity):
             return True
-        powers = dict(one.powers)
-        powers["s"] = powers.get("s", 0) - 1
-        expected = {base: power for base, power in powers.items() if power}
-        return Meaning(expected, one.factor).is_same(other._replace(offset=0.0))
+        return one.per_second().is_same(other._replace(offset=0.0))
 
-    def meaning(self, unit: str | None, of_fmu: bool) -> Meaning | None:
-        """Return what a unit means, of the FMU by its definition; None if nobody says."""
-        defined = self._defined.get(unit) if of_fmu else None
-        if defined is None:
-            powers = None if not unit else _ours(unit)
-            return None if powers is None else Meaning(powers)
-        powers = {base: int(getattr(defined, base)) for base in (*_MECHANICAL, *_OTHERS)}
-        return Meaning(
-            {base: power for base, power in powers.items() if power},
-            float(getattr(defined, "factor", None) or 1.0),
-            float(getattr(defined, "offset", None) or 0.0),
-        )
+    def _unit(self, unit: str | None, of_fmu: bool) -> Unit | None:
+        """Return a unit by the FMU's definition or ours; None if neither defines it."""
+        if of_fmu and unit in self._defined:
+            return self._defined[unit]
+        powers = _ours(unit) if unit else None
+        return None if powers is None else Unit(powers)
 
 
 def _ours(unit: str) -> dict[str, int] | None:
@@ -551,15 +516,6 @@ def hint(name: str, known: Iterable[str]) -> str:
         )
     close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
     return f" (near it: {', '.join(close)})" if close else ""
-
-
-def number(text: Any) -> float:
-    """A number that an FMU states, 0 where it states none, or nothing finite."""
-    try:
-        found = float(text)
-    except (TypeError, ValueError):
-        return 0.0
-    return found if math.isfinite(found) else 0.0
 
 
 def positive(nominal: Any) -> float:

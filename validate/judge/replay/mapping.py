@@ -23,7 +23,7 @@ from models.trajectory import (
     missing_groups,
     times_and_inputs,
 )
-from validate.fmi.description import REAL, Package
+from validate.fmi.description import REAL, Package, experiment
 from validate.judge.printed import rounding
 from validate.judge.replay import map_schema, subject
 from validate.judge.replay.map_schema import (
@@ -354,8 +354,7 @@ class _Wiring:
     def counted_from(self) -> float | None:
         """The FMU's own start [s], from which times are counted that a clock tells, since 1970 for example; None of other plans."""
         times = self._table.column(self._time, last_is_open=False)
-        experiment = getattr(self._package.description, "defaultExperiment", None)
-        start = map_schema.number(getattr(experiment, "startTime", None))
+        start = experiment(self._package.description, "startTime") or 0.0
         coarse = np.spacing(np.abs([times[0], start])) > _TICK * np.abs(np.diff(times)).min()
         return start if coarse[0] and not coarse[1] else None
 

@@ -13,9 +13,9 @@ import numpy as np
 from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory
-from validate.fmi.description import FmuError, Package, read_package, unpacked
+from validate.fmi.description import FmuError, Package, experiment, read_package, unpacked
+from validate.fmi.ladder import FINEST, LADDER
 from validate.judge.replay.error_estimate import (
-    FINEST,
     error_of,
     is_explained,
     overlooked,
@@ -43,9 +43,6 @@ LOOSE = 1e-11
 TIGHT = 1e-13
 # Internal steps a plan step of the everyday replay beside the reference, which it only confirms.
 FINENESS = (100, 200)
-# Without a reference the step is divided by these numbers, until the verdict is decided: each
-# result costs as much as the two before it, and steps are seldom whole multiples of each other.
-LADDER = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233, 377)
 # Co-Simulation tells its motion at the ends of its steps alone. Where it is judged, it is looked at
 # so often in a plan at least: three_cart has as many steps.
 LOOKS = 500
@@ -333,7 +330,10 @@ def _without_refused(simulated: Simulated) -> Simulated | None:
 
 def _multiples(job: Job) -> tuple[int, ...]:
     """Fineness by which each step of the plan is made of whole steps of the FMU, one call first."""
-    declared, step = job.package.experiment("stepSize"), float(np.diff(job.plan.t).min())
+    declared, step = (
+        experiment(job.package.description, "stepSize"),
+        float(np.diff(job.plan.t).min()),
+    )
     whole = round(step / declared) if declared is not None else 1
     if declared is None or not math.isclose(step, whole * declared, rel_tol=_SAME_STEP):
         whole = 1
