@@ -98,8 +98,8 @@ def accepted(subject: Subject, kind: str) -> Finding:
     if wrong or traps:
         return (failed if wrong else advice)(f"{listed([*wrong, *traps])}.", learnt=learnt)
     inputs = len(search.subject.continuous_inputs)
-    moved = f"{starts} start values and {inputs} inputs were moved, and runs went on."
-    return passed(moved, learnt=learnt)
+    sentence = f"{starts} start values and {inputs} inputs were moved, and runs went on."
+    return passed(sentence, learnt=learnt)
 
 
 @dataclass
@@ -176,8 +176,7 @@ class _Search:
     def _start(self, settings: Settings) -> None:
         """Set values before initialisation, and make a step."""
         with CheckedInstance(self.subject, self.kind).begin(before=settings) as instance:
-            instance.live(self.subject.before_end(self.kind, 1))
-            instance.observe()
+            self._step(instance)
 
     def _input(self, settings: Settings) -> None:
         """Set values after initialisation, and make a step."""
@@ -187,8 +186,11 @@ class _Search:
             instance.set(*settings)
             if self.kind == "ME":
                 instance.settle()
-            instance.live(self.subject.before_end(self.kind, 1))
-            instance.observe()
+            self._step(instance)
+
+    def _step(self, instance: CheckedInstance) -> None:
+        instance.live(self.subject.before_end(self.kind, 1))
+        instance.observe()
 
     def _run(self, settings: Settings) -> None:
         """Make the longest run of checks; with settings, the run with other inputs."""

@@ -10,19 +10,20 @@ as that of explicit Euler, the plainest integrator, on the same equations.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
+from validate.fmi.cvode import ADAMS
 from validate.fmi.instance import Misbehaviour
 from validate.fmi.ladder import FINEST, LADDER
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
-from validate.fmu_check.motion import JUMP, SAFETY, Crowded, Exchange, by_adams_or_bdf
-from validate.fmu_check.subject import HOLD, Block, CheckedInstance, Subject
+from validate.fmu_check.motion import JUMP, SAFETY, Exchange, by_adams_or_bdf, run
+from validate.fmu_check.subject import Block, CheckedInstance, Subject
 
 # Relative tolerances of CVODE; their difference is the error bar of the tighter run.
 _RTOLS = (1e-7, 1e-9)
@@ -47,37 +48,41 @@ def agree(subject: Subject) -> Finding:
     ]
     if not compared:
         return not_offered("there are no continuous outputs or locals to compare.")
-    compared = Block(compared[:: max(1, len(compared) // _MOST_COMPARED)])
     steps = min(subject.long_steps(kind) for kind in subject.types)
-    fine, mover = by_adams_or_bdf(partial(_integrated, subject, compared, steps, _RTOLS[1]))
-    coarse, _ = by_adams_or_bdf(partial(_integrated, subject, compared, len(fine) - 1, _RTOLS[0]))
+    compared = Block(compared[:: max(1, len(compared) // _MOST_COMPARED)])
+    subject = subject.observing(compared)
+    fine, mover = by_adams_or_bdf(partial(_integrated, subject, steps, _RTOLS[1]))
+    coarse, _ = by_adams_or_bdf(partial(_integrated, subject, len(fine) - 1, _RTOLS[0]))
     length = min(len(fine), len(coarse))
     truth, events = fine[:length], sum(bool(event[1]) for event in mover.record.events)
     is_free = subject.can("CS", "canHandleVariableCommunicationStepSize")
-    parts = LADDER[:FINEST] if is_free else LADDER[:1]
-    runs = [_cosimulation(subject, compared, length - 1, part) for part in parts]
-    results = [rows for rows, _ in runs]
+    results: dict[int, np.ndarray] = {}
+    for part in LADDER[:FINEST] if is_free else LADDER[:1]:
+        with _Parted(subject, part).begin() as instance:
+            results[part] = run(instance, 0, length - 1)
+    finest, smallest = results[part], instance.most
     size = np.maximum(np.abs(truth).max(axis=0), 1e-3 * compared.scales)
-    errors = [np.ptp(results, axis=0), np.abs(truth - coarse[:length])]
+    errors = [np.ptp([*results.values()], axis=0), np.abs(truth - coarse[:length])]
     explained = _Explained(subject, truth, max(subject.tolerance, _FINEST) * size)
-    left, allowed, jumps = explained.differences(results[-1], errors)
+    left, allowed, jumps = explained.differences(finest, errors)
     if events and left.any():
-        explained = explained.with_events(compared)
-        left, allowed, jumps = explained.differences(results[-1], errors)
-    why, smallest = "", runs[-1][1]
-    if left.any() and (euler := _euler(subject, compared, length - 1, smallest)) is not None:
+        make = partial(_integrated, subject, length - 1, _RTOLS[1], make=_Watched)
+        explained.events = by_adams_or_bdf(make)[1].noted
+        left, allowed, jumps = explained.differences(finest, errors)
+    why = ""
+    if left.any() and (euler := _euler(subject, length - 1, smallest)) is not None:
         errors.append(SAFETY * np.abs(euler - truth))
-        left, allowed, jumps = explained.differences(results[-1], errors)
+        left, allowed, jumps = explained.differences(finest, errors)
         why = (
             ": no more than the error of explicit Euler with the smallest of these steps, but it "
             "does not shrink with the step"
         )
-    shares = [
-        float((np.abs(rows - truth) / size).max(where=~jumps, initial=0.0)) for rows in results
-    ]
+    shares = {
+        part: float((np.abs(rows - truth) / size).max(where=~jumps, initial=0.0))
+        for part, rows in results.items()
+    }
     shown = ", ".join(
-        f"{share:.2g} with h{f'/{part}' if part > 1 else ''}"
-        for part, share in zip(parts, shares, strict=True)
+        f"{share:.2g} with h{f'/{part}' if part > 1 else ''}" for part, share in shares.items()
     )
     where = (
         f"{compared.entries} values over {length - 1} steps of h = {subject.step:g} s, {events} "
@@ -89,11 +94,11 @@ def agree(subject: Subject) -> Finding:
         row, column = np.argwhere(left)[0]
         return failed(
             f"{compared.names[column]} differs at t = {subject.time(row):.6g} s: "
-            f"{results[-1][row, column]:.8g} by Co-Simulation, {truth[row, column]:.8g} by Model "
+            f"{finest[row, column]:.8g} by Co-Simulation, {truth[row, column]:.8g} by Model "
             f"Exchange, more than steps and tolerances explain ({allowed[row, column]:.1g}); "
             f"{where}."
         )
-    if max(shares[-1], float(jumps.mean())) <= _COMPARED:
+    if max(shares[part], float(jumps.mean())) <= _COMPARED:
         return passed(f"{where}{why}.")
     return not_offered(f"{where}{why}: that is too much to tell whether they agree.")
 
@@ -110,56 +115,27 @@ def _running(rows: np.ndarray) -> np.ndarray:
 class _Event(NamedTuple):
     """A state event.
 
-    time: [s].
-    delay: (nx,) how much later it comes per unit of a state's error [s per unit].
+    time, spread: when it comes, and how uncertain that is by tolerated errors of the states [s].
     jumps: (compared,) whether a value jumps.
     """
 
     time: float
-    delay: np.ndarray
+    spread: float
     jumps: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Explained:
     """Differences that errors of steps, tolerances and event times explain.
 
     truth: (rows, compared) values of Model Exchange [unit of each].
     tolerated: (compared,) by the FMU's tolerance [unit of each].
-    columns: (nx,) the column of each state, -1 if it is not compared.
-    usual: (nx,) tolerated errors of the states [unit of each].
     """
 
     subject: Subject
     truth: np.ndarray
     tolerated: np.ndarray
-    events: tuple[_Event, ...] = ()
-    columns: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
-    usual: np.ndarray = field(default_factory=lambda: np.empty(0))
-
-    def with_events(self, compared: Block) -> _Explained:
-        """Integrate again and measure each event. Raises as `_integrated`."""
-        subject, steps = self.subject, len(self.truth) - 1
-        make = partial(_Watched, compared)
-        simulate = partial(_integrated, subject, compared, steps, _RTOLS[1], make=make)
-        _, mover = by_adams_or_bdf(simulate)
-        places = {item.key: place for item, place in zip(compared, compared.ends, strict=False)}
-        columns = [
-            places[item.key] + entry if item.key in places else -1
-            for item in subject.states
-            for entry in range(item.size)
-        ]
-        if len(columns) != mover.count:  # the description does not list its states
-            columns = [-1] * mover.count
-        usual = max(subject.tolerance, _FINEST) * mover.largest
-        return _Explained(
-            subject,
-            self.truth,
-            self.tolerated,
-            tuple(mover.noted),
-            np.array(columns, dtype=int),
-            usual,
-        )
+    events: Sequence[_Event] = ()
 
     def differences(
         self, values: np.ndarray, errors: list[np.ndarray]
@@ -185,28 +161,22 @@ class _Explained:
         Nothing.
         """
         allowed = self.tolerated + sum(_running(self._without_jumps(item)) for item in errors)
-        times = self.subject.start_time + self.subject.step * np.arange(len(self.truth))
-        jumps, later = np.zeros(self.truth.shape, dtype=bool), np.zeros(self.truth.shape)
+        step = self.subject.step
+        times = self.subject.start_time + step * np.arange(len(self.truth))
+        jumps = np.zeros(self.truth.shape, dtype=bool)
         for event in self.events:
             row = self._row(event)
-            spread = self._spread(event, allowed[row])
             # Runs that jump at another point than the truth find the event at the end of a step.
             rows = slice(row, row + 3)
             late = np.any([(item[rows] > self.tolerated).any(axis=0) for item in errors], axis=0)
-            near = np.abs(times - event.time)[:, None] <= spread + self.subject.step * late
+            near = np.abs(times - event.time)[:, None] <= event.spread + step * late
             jumps |= near & event.jumps
-            # The runs show how measured errors change the motion after the event; tolerated ones
-            # make it late by their spread.
-            spread = self._spread(event, self.tolerated)
+            # The motion after the event is late by its spread.
             bend = self._bend(row)
-            later[times >= event.time - spread] += np.where(bend > 0.0, bend * spread, 0.0)
-        allowed = allowed + later
+            allowed[times >= event.time - event.spread] += np.where(
+                bend > 0.0, bend * event.spread, 0.0
+            )
         return ~(np.abs(values - self.truth) <= allowed) & ~jumps, allowed, jumps
-
-    def _spread(self, event: _Event, errors: np.ndarray) -> float:
-        """Return the error of an event's time [s] from errors of values (compared,) [unit of each]."""
-        error = np.where(self.columns < 0, self.usual, errors[self.columns])
-        return float(np.sum(event.delay * error, where=event.delay > 0.0))
 
     def _row(self, event: _Event) -> int:
         """Return the row before an event."""
@@ -242,42 +212,35 @@ _MOST_EVALUATIONS = 200_000
 
 
 class _Watched(Exchange):
-    """CVODE that notes how uncertain the time of each state event is.
+    """CVODE that notes how uncertain the time of each state event is."""
 
-    noted: the events.
-    largest: (nx,) sizes of the states [unit of each].
-    """
-
-    def __init__(
-        self, compared: Block, instance: CheckedInstance, rtol: float, method: tuple[int, int]
-    ) -> None:
-        super().__init__(instance, rtol, method)
-        self._compared, self.noted = compared, list[_Event]()
-        self.largest = 1e-3 * self.nominal[: self.count]
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.noted: list[_Event] = []
+        self._largest = 1e-3 * self.nominal[: self.count]
         self._left = _MOST_EVALUATIONS
 
     def _event(self, crossed: tuple[int, ...]) -> None:
         if not crossed:
             super()._event(crossed)
             return
-        time, delay = self.time, self._delay(list(crossed))
-        before = self.instance.get(self._compared)
+        time, spread, before = self.time, self._spread(list(crossed)), self.instance.observe()
         super()._event(crossed)
-        after = self.instance.get(self._compared)
-        size = np.maximum(np.maximum(np.abs(before), np.abs(after)), self._compared.scales)
-        self.noted.append(_Event(time, delay, np.abs(after - before) > JUMP * size))
+        after, scales = self.instance.observe(), self.instance.subject.observed.scales
+        size = np.maximum(np.maximum(np.abs(before), np.abs(after)), scales)
+        self.noted.append(_Event(time, spread, np.abs(after - before) > JUMP * size))
 
-    def _delay(self, crossed: list[int]) -> np.ndarray:
-        """Return the delay (nx,) of the event per unit of a state's error [s per unit].
+    def _spread(self, crossed: list[int]) -> float:
+        """Return the error of the event's time [s] by tolerated errors of the states.
 
-        It is the slope of the crossed indicators by that state over their slope in time. Raises
+        It is the change of the crossed indicators by these errors over their slope in time. Raises
         FMICallException.
         """
         instance, time, x = self.instance, self.time, self.y[: self.count].copy()
-        self.largest = np.maximum(self.largest, np.abs(x))
+        self._largest = np.maximum(self._largest, np.abs(x))
         self._left -= len(x)
         if self._left < 0:
-            return np.full(len(x), np.inf)
+            return np.inf
 
         def indicators(at: float, states: np.ndarray) -> np.ndarray:
             """Crossed indicators (crossed,) [-] at states (nx,) [unit of each]. Raises as above."""
@@ -287,86 +250,78 @@ class _Watched(Exchange):
         length = _SLOPE_SHARE * instance.subject.step
         here, rates = indicators(time, x), instance.rates()
         slope = np.abs(here - indicators(time - length, x - length * rates)) / length
-        delay = np.zeros(len(x))
-        for place, step in enumerate(max(instance.subject.tolerance, _FINEST) * self.largest):
-            moved = x.copy()
-            moved[place] += step
-            off = np.abs(indicators(time, moved) - here) / step
+        spread = 0.0
+        for row in np.diag(max(instance.subject.tolerance, _FINEST) * self._largest):
+            off = np.abs(indicators(time, x + row) - here)
             with np.errstate(divide="ignore", invalid="ignore"):
-                delay[place] = np.max(np.where(off > 0.0, off / slope, 0.0))
+                spread += np.max(np.where(off > 0.0, off / slope, 0.0))
         instance.move(time, x)
-        return delay
+        return float(spread)
 
 
-def _begun(subject: Subject, kind: str, name: str) -> CheckedInstance:
-    """Initialise an instance with the first inputs."""
-    return CheckedInstance(subject, kind, name).begin(
-        during=(subject.continuous_inputs, subject.inputs_at(0))
-    )
+class _Euler(Exchange):
+    """Explicit Euler with a part of the communication step, and events at the ends of its steps."""
+
+    def __init__(self, parts: int, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._parts = parts
+
+    def renew(self, time: float) -> None:
+        """Continue at `time` [s]."""
+        self.time = time
+
+    def advance(self, target: float) -> None:
+        """Integrate to `target` [s]."""
+        instance, begin, length = self.instance, self.time, (target - self.time) / self._parts
+        for part in range(1, self._parts + 1):
+            instance.move(begin + part * length, instance.states() + length * instance.rates())
+            instance.event()
+        self.time = target
+
+
+class _Parted(CheckedInstance):
+    """A Co-Simulation instance that makes each communication step in parts.
+
+    most: in how many parts of a step its values moved, at most.
+    """
+
+    most = 1
+
+    def __init__(self, subject: Subject, parts: int) -> None:
+        super().__init__(subject, "CS", f"parts {parts}")
+        self._parts = parts
+
+    def make_step(self, step: int) -> None:
+        """Make one communication step of the subject's grid. Raises FMICallException, Fault."""
+        length, before, moved = self.subject.step / self._parts, self.observe(), 0
+        for part in range(self._parts):
+            self.time = self.subject.time(step) + part * length
+            self.do_step(self.time, length)
+            after = self.observe()
+            moved += not np.array_equal(before, after)
+            before = after
+        self.most = max(self.most, moved)
 
 
 def _integrated(
     subject: Subject,
-    compared: Block,
     steps: int,
     rtol: float,
     method: tuple[int, int],
-    make: Callable[..., Exchange] = Exchange,
-) -> tuple[np.ndarray, Exchange]:
-    """Return the values after each step by CVODE, fewer if events crowd, and the integration."""
-    with _begun(subject, "ME", "reference") as instance:
+    make: Callable[..., Any] = Exchange,
+) -> tuple[np.ndarray, Any]:
+    """Return the values (rows, compared) of Model Exchange [unit of each] and the integration.
+
+    Rows end where events crowd. Raises as `run`.
+    """
+    with CheckedInstance(subject, "ME", "reference").begin() as instance:
         mover = make(instance, rtol, method)
-        mover.renew(subject.start_time)
-        rows = [instance.get(compared)]
-        for step in range(steps):
-            if step and step % HOLD == 0 and subject.continuous_inputs:
-                mover.jump(subject.time(step), subject.inputs_at(step))
-            try:
-                mover.advance(subject.time(step + 1))
-            except Crowded:
-                break
-            rows.append(instance.get(compared))
-        return np.array(rows), mover
+        return run(instance, 0, steps, mover=mover), mover
 
 
-def _cosimulation(
-    subject: Subject, compared: Block, steps: int, parts: int
-) -> tuple[np.ndarray, int]:
-    """Return the values after each step, and in how many parts of a step they moved at most."""
-    with _begun(subject, "CS", f"parts {parts}") as instance:
-        rows = [instance.get(compared)]
-        length = subject.step / parts
-        most = 1
-        for step in range(steps):
-            if step and step % HOLD == 0:
-                instance.set(subject.continuous_inputs, subject.inputs_at(step))
-            moved, before = 0, rows[-1]
-            for part in range(parts):
-                instance.do_step(subject.time(step) + part * length, length)
-                after = instance.get(compared)
-                moved += not np.array_equal(before, after)
-                before = after
-            most = max(most, moved)
-            rows.append(before)
-        return np.array(rows), most
-
-
-def _euler(subject: Subject, compared: Block, steps: int, parts: int) -> np.ndarray | None:
-    """Return the values by explicit Euler, with events at the ends of its steps; None if it fails."""
-    length = subject.step / parts
-    with _begun(subject, "ME", "euler") as instance:
-        rows = [instance.get(compared)]
-        for step in range(steps):
-            if step and step % HOLD == 0 and subject.continuous_inputs:
-                instance.fmu.enterEventMode()
-                instance.set(subject.continuous_inputs, subject.inputs_at(step))
-                instance.settle()
-            try:
-                for part in range(1, parts + 1):
-                    x = instance.states() + length * instance.rates()
-                    instance.move(subject.time(step) + part * length, x)
-                    instance.event()
-                rows.append(instance.get(compared))
-            except (FMICallException, Misbehaviour):
-                return None
-        return np.array(rows)
+def _euler(subject: Subject, steps: int, parts: int) -> np.ndarray | None:
+    """Return the values (rows, compared) by explicit Euler [unit of each]; None if it fails."""
+    try:
+        return _integrated(subject, steps, _RTOLS[0], ADAMS, partial(_Euler, parts))[0]
+    except (FMICallException, Misbehaviour):
+        return None

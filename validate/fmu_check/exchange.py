@@ -6,7 +6,7 @@ import numpy as np
 
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
 from validate.fmu_check.motion import Crowded, Exchange, Record, fresh_run, run
-from validate.fmu_check.subject import HOLD, Block, CheckedInstance, Subject
+from validate.fmu_check.subject import Block, CheckedInstance, Subject
 
 # Relative difference of one number that is read in two ways: some units in the last place.
 _SAME = 1e-12
@@ -94,8 +94,8 @@ def indicators(subject: Subject, kind: str) -> Finding:
                 values, time = instance.indicators(), subject.start_time
                 if wrong := _unequal(instance, "event indicator", listed, values, time):
                     return failed(f"{wrong[0]}.")
-        mover = Exchange(instance, _RTOL)
-        size = _look_between_events(mover, subject.long_steps(kind))
+        mover = _Looking(instance, _RTOL)
+        run(instance, 0, subject.long_steps(kind), observe="end", mover=mover)
     record = mover.record
     if record.surprises:
         return failed(
@@ -106,7 +106,7 @@ def indicators(subject: Subject, kind: str) -> Finding:
         return not_offered("there are no event indicators, and nothing jumps.")
     for time, crossed, values in record.events:
         for place in crossed:
-            if abs(values[place]) > _ZERO * size[place]:
+            if abs(values[place]) > _ZERO * mover.size[place]:
                 return failed(
                     f"event indicator {place} jumps over zero at t = {time:.10g} s: it is "
                     f"{values[place]:.4g} there, but it should be continuous."
@@ -118,29 +118,28 @@ def indicators(subject: Subject, kind: str) -> Finding:
     )
 
 
-def _look_between_events(mover: Exchange, steps: int) -> np.ndarray:
-    """Integrate, and update between events until one surprises.
+class _Looking(Exchange):
+    """CVODE that also updates between events, until an update surprises.
 
-    Returns the largest value of each indicator (ni,) [unit of each]. Raises FMICallException, Fault.
+    size: (ni,) largest value of each indicator [unit of each].
     """
-    subject, size = mover.instance.subject, np.abs(mover.instance.indicators())
-    for step in range(steps):
-        if step % HOLD == 0:
-            mover.jump(subject.time(step), subject.inputs_at(step))
-        for look in range(1, _LOOKS + 1):
-            try:
-                mover.advance(subject.time(step) + subject.step * look / _LOOKS)
-            except Crowded:
-                return size
-            now = np.abs(mover.instance.indicators())
-            size = np.maximum(size, now)
+
+    def __init__(self, instance: CheckedInstance, rtol: float) -> None:
+        super().__init__(instance, rtol)
+        self.size = np.abs(instance.indicators())
+
+    def advance(self, target: float) -> None:
+        """Integrate to `target` [s]. Raises Crowded after a surprise, or if events do not end."""
+        for stop in np.linspace(self.time, target, _LOOKS + 1)[1:].tolist():
+            super().advance(stop)
+            now = np.abs(self.instance.indicators())
+            self.size = np.maximum(self.size, now)
             # An indicator that is zero, or the time, announces an event at the look itself.
-            if ((now <= _ZERO * size) & (size > 0)).any() or mover.is_at_time_event:
+            if ((now <= _ZERO * self.size) & (self.size > 0)).any() or self.is_at_time_event:
                 continue
-            mover.update_unannounced()
-            if mover.record.surprises:
-                return size
-    return size
+            self.update_unannounced()
+            if self.record.surprises:
+                raise Crowded
 
 
 @check("events tell that they change states", Scope.EXCHANGE, clauses=("3.2.2", "2.3.5"))

@@ -17,6 +17,7 @@ import zipfile
 from pathlib import Path
 from xml.etree import ElementTree
 
+import fmpy
 from fmpy.model_description import ValidationError, read_build_description, read_model_description
 from fmpy.validation import validate_model_description
 
@@ -35,6 +36,8 @@ _PLAIN = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*(,[0-9]+)?\)"
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 _BUILD = "sources/buildDescription.xml"
+# Headers of the FMI standard, of both versions.
+_HEADERS = Path(fmpy.__file__).parent / "c-code"
 # Time limit of the compiler [s]: large generated models take minutes.
 _COMPILE_SECONDS = 300.0
 # Missing functions that a sentence names.
@@ -103,20 +106,12 @@ def _compile(
 
     Raises FmuError with an error of the compiler, MachineError without a compiler.
     """
-    # Imports SymPy, 0.6 s, which few FMUs need.
-    from models.fmu.description import find_standard, standard_headers
-
     place, compiler = (subject.folder / "sources").resolve(), find_compiler()
     paths = [(place / name).resolve() for name in (*files, *folders)]
     for path, name in zip(paths, (*files, *folders), strict=True):
         if not path.is_relative_to(place) or not path.exists():
             raise FmuError(f"sources/{name} is listed, but missing")
-    headers = library.parent / "headers"
-    for name, text in standard_headers(find_standard(f"{subject.major}.0")).items():
-        (headers / name).parent.mkdir(parents=True, exist_ok=True)
-        (headers / name).write_text(text, encoding="utf-8")
-    standard = (path.parent for path in headers.rglob("*.h"))
-    includes = {place, *paths[len(files) :], headers, *standard}
+    includes = {place, *paths[len(files) :], _HEADERS}
     command = [
         *(*compiler.command, "-O2", "-w", "-fPIC", "-shared"),
         f"-DFMI{subject.major}_OVERRIDE_FUNCTION_PREFIX",  # names as in a shared library

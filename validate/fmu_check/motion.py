@@ -174,6 +174,7 @@ def run(
     after: Callable[[int], Any] | None = None,
     observe: Literal["each", "end"] = "each",
     record: Record | None = None,
+    mover: Exchange | None = None,
 ) -> np.ndarray:
     """Make communication steps first..last, with moving inputs.
 
@@ -191,6 +192,8 @@ def run(
         Whether values are stored after each step, or only at the end.
     record
         Notes about events of Model Exchange.
+    mover
+        The integration of Model Exchange; None: CVODE with TOLERANCE.
 
     Returns
     -------
@@ -205,11 +208,10 @@ def run(
     """
     subject = instance.subject
     rows = [instance.observe()] if observe == "each" else []
-    with contextlib.ExitStack() as stack, contextlib.suppress(Crowded):
-        mover = None
-        if instance.kind == "ME":
-            mover = Exchange(instance, TOLERANCE, record=record)
-            stack.callback(mover.close)
+    if instance.kind == "ME":
+        mover = mover or Exchange(instance, TOLERANCE, record=record)
+    closing = contextlib.closing(mover) if mover else contextlib.nullcontext()
+    with closing, contextlib.suppress(Crowded):
         for step in range(first, last):
             if step == first or step % HOLD == 0:
                 inputs = subject.inputs_at(step, seed)

@@ -47,9 +47,7 @@ def restores(subject: Subject, kind: str) -> Finding:
     places = sorted({int(share * (steps - length)) for share in _SHARES})
     for place in places:
         with CheckedInstance(subject, kind).begin_varied() as instance:
-            if place:
-                run(instance, 0, place)
-            before = instance.observe()[None]
+            before = run(instance, 0, place, observe="end")
             saved, next_event = instance.save(), instance.next_event
             reference = run(instance, place, place + length)
             run(instance, place + length, place + 2 * length, seed=1)  # with other inputs
@@ -88,9 +86,7 @@ def _restart_error(subject: Subject, kind: str, first: int, length: int) -> floa
     for tolerance in (None, _TIGHT):
         with CheckedInstance(subject, kind, f"tolerance {tolerance}") as instance:
             instance.tolerance = tolerance
-            instance.begin_varied()
-            if first:
-                run(instance, 0, first)
+            run(instance.begin_varied(), 0, first, observe="end")
             saved = instance.save()
             reference = run(instance, first, first + length)
             instance.restore(saved)

@@ -15,6 +15,7 @@ import gc
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping
+from copy import copy
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -314,6 +315,12 @@ class Subject:
         """Return the same FMU with other values avoided: fields of `Avoided`."""
         return replace(self, avoided=Avoided(**{**asdict(self.avoided), **changes}))
 
+    def observing(self, block: Block) -> Subject:
+        """Return the same FMU with fewer observed values."""
+        other = copy(self)
+        other.observed = block
+        return other
+
     def of(self, unknowns: list[Any]) -> Block:
         """Return the variables with numbers of a section of the ModelStructure."""
         names = (item.variable.name for item in unknowns)
@@ -574,16 +581,13 @@ class CheckedInstance(Instance):
         self.fmu.enter(self.time, stop, self.tolerance)
         return self
 
-    def begin(
-        self, before: Settings = NOTHING, during: Settings = NOTHING, stop: float | None = None
-    ) -> Self:
+    def begin(self, before: Settings = NOTHING, stop: float | None = None) -> Self:
         """Initialise, up to Continuous-Time Mode or the first step.
 
         Parameters
         ----------
-        before, during
-            Variables and their values (entries,) [unit of each] that are set before and in
-            Initialization Mode.
+        before
+            Variables and their values (entries,) [unit of each] that are set before.
         stop
             Stop time [s].
 
@@ -592,8 +596,7 @@ class CheckedInstance(Instance):
         FMICallException, Fault
             If the FMU refuses a call, does not settle, or ends.
         """
-        self.initialising(before, stop).set(*during)
-        return self.finish_initialisation()
+        return self.initialising(before, stop).finish_initialisation()
 
     def begin_varied(self) -> Self:
         """Initialise with other parameters than the starts. Raises as `begin`."""

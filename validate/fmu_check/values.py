@@ -159,12 +159,10 @@ def obeyed(subject: Subject, kind: str) -> Finding:
                 wrong.append(f"{where} {inside[0]:.10g} in Initialization Mode")
             elif not (may_move or np.allclose(after, value, rtol=_TEXT, atol=0.0)):
                 wrong.append(f"{where} {after[0]:.10g} after it")
-    more = f" {refused} of them make the model refuse to start." if refused else ""
-    if tried < 2 * len(others):
-        more += f" After {tried + 1} instances the FMU gave no other one for the {len(others) - tried // 2} that are left."
-    of_all = "" if len(items) == len(every) else f", drawn from {len(every)}"
-    count = f"{tried // 2} start values were moved, each before and in initialisation"
-    return unless(wrong, f"{count}{of_all}.{more}", end="")
+    moves = (
+        f"{tried // 2} of {len(every)} start values were moved, each before and in initialisation"
+    )
+    return unless(wrong, f"{moves}; {refused} times the model then refuses to start.", end="")
 
 
 def _is_kept(item: FmuVariable) -> bool:
