@@ -368,7 +368,7 @@ _LONGEST_IDENTIFIER = 249
 
 
 def wrong_identifiers(identifiers: Iterable[str | None]) -> list[str]:
-    """Return clauses about modelIdentifiers that are no file names; only others may become paths."""
+    """Return clauses about modelIdentifiers that are no file names: paths are made of them."""
     wrong = []
     for text in dict.fromkeys(identifiers):
         if not re.fullmatch(rf"[A-Za-z_]\w{{,{_LONGEST_IDENTIFIER - 1}}}", text or "", re.ASCII):

@@ -127,8 +127,8 @@ def understood(path: Path) -> Any:
 def unfit(description: Any) -> list[str]:
     """Return clauses about a description by which an FMU cannot be run.
 
-    C takes the last 32 bits of a value reference, which are another variable's. Of two elements of
-    one interface FMPy takes the last, the archive the first: both identifiers are checked.
+    C takes the last 32 bits of a value reference, which are another variable's. FMPy takes the last
+    of two elements of one interface, the archive the first: both identifiers are checked.
     """
     offered = (interface_of(description, kind) for kind in ("ME", "CS"))
     wrong = wrong_identifiers(

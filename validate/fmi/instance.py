@@ -60,7 +60,7 @@ class TerminationRequested(Fault):
 class RefusedCall(FMICallException):
     """A call that the FMU refused.
 
-    said: the FMU's message during that call, empty without one.
+    message: the FMU's message during that call, empty without one.
     setting: the variables that the call set, with their values; empty for other calls.
     time: end of the run so far [s], NaN without a run.
     """
@@ -68,21 +68,21 @@ class RefusedCall(FMICallException):
     setting = ""
     time = math.nan
 
-    def __init__(self, function: str, status: int, said: str) -> None:
+    def __init__(self, function: str, status: int, message: str) -> None:
         super().__init__(function=function, status=status)
-        self.said = said
+        self.message = message
 
     @property
     def sentence(self) -> str:
         """The refusal as a clause without full stop."""
         what = self.setting or "a call that must be possible"
-        quoted = f"; it said: {self.said}" if self.said else ""
+        quoted = f"; it said: {self.message}" if self.message else ""
         return f"{what} is refused ({str(self).rstrip('.')}){quoted}"
 
     @property
     def reason(self) -> str:
         """The message without numbers, else the call: equal for refusals with one reason."""
-        return _NUMBER.sub("#", self.said or f"{self.function} {self.setting}")
+        return _NUMBER.sub("#", self.message or f"{self.function} {self.setting}")
 
 
 @contextlib.contextmanager
@@ -165,10 +165,10 @@ class _Calls(_FMU):
             self.refuse(fname, answer, self.last_message if self.messages > before else "")
         return answer
 
-    def refuse(self, function: str, status: int, said: str = "") -> NoReturn:
+    def refuse(self, function: str, status: int, message: str = "") -> NoReturn:
         """Raise RefusedCall for a call of `function` that was answered with this status."""
         self.fatal = self.fatal or status == fmi2.fmi2Fatal
-        raise RefusedCall(function, status, said)
+        raise RefusedCall(function, status, message)
 
     def address(self, function: str) -> int:
         """Return the address of a function, named without its prefix."""
@@ -247,7 +247,7 @@ class _Fmi2(_Calls):
 
 
 class _Fmi3(_Calls):
-    """Co-Simulation without event mode and without early return, unless the options ask for them."""
+    """Co-Simulation without event mode and without early return, unless the options request them."""
 
     prefix = "fmi3"
     doubles = "Float64"
@@ -544,12 +544,12 @@ class Instance:
 
     @property
     def state_count(self) -> int:
-        """Number of continuous states, as the description says."""
+        """Number of continuous states, by the description."""
         return int(self.description.numberOfContinuousStates)
 
     @property
     def indicator_count(self) -> int:
-        """Number of event indicators, as the description says."""
+        """Number of event indicators, by the description."""
         return int(self.description.numberOfEventIndicators)
 
     def states(self) -> np.ndarray:

@@ -77,7 +77,7 @@ def surroundings() -> dict[str, Any]:
 
 
 # Begin of a name -> words for an item that is gone, new, or changed.
-_SAID = {
+_WORDS = {
     "file descriptor": ("closed", "", "another file"),
     "the handler": ("another one", "another one", "another one"),
     _FILE: ("gone", "new or changed", "new or changed"),
@@ -87,7 +87,7 @@ _SAID = {
 
 def changes(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
     """Return clauses about changes; new file descriptors may be open while an FMU lives."""
-    said = []
+    found = []
     moved = before["the working folder"] != after["the working folder"]
     for name in [*before, *(name for name in after if name not in before)]:
         one, two = before.get(name), after.get(name)
@@ -97,15 +97,15 @@ def changes(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
             or (one is None and name.startswith("file descriptor"))
         ):
             continue
-        words = next((words for kind, words in _SAID.items() if name.startswith(kind)), None)
-        said.append(
+        words = next((words for kind, words in _WORDS.items() if name.startswith(kind)), None)
+        found.append(
             f"{name} is {words[0 if two is None else 1 if one is None else 2] if words else f'{two}, it was {one}'}"
         )
-    return said
+    return found
 
 
 def listed(items: list[str], most: int = 3) -> str:
-    """Return the first texts and the number of the others."""
+    """Return the first texts and the number of further ones."""
     more = len(items) - most
     return "; ".join(items[:most]) + (f"; and {more} more" if more > 0 else "")
 

@@ -29,10 +29,10 @@ from validate.fmu_check.subject import Block, CheckedInstance, Subject
 _RTOLS = (1e-7, 1e-9)
 # Least tolerance of the comparison, as a share of a value's size: ten times that of the looser run.
 _FINEST = 1e-6
-# The check tells nothing if errors explain a larger share of the value's size than this, or if more
+# The check is not decisive if errors explain a larger share of the value's size than this, or if more
 # values than this share are left out.
 _COMPARED = 0.1
-# Of more values than twice this number every second, third .. is compared.
+# Number of values above which only every second, third .. is compared.
 _MOST_COMPARED = 10_000
 
 
@@ -74,8 +74,8 @@ def agree(subject: Subject) -> Finding:
         errors.append(SAFETY * np.abs(euler - truth))
         left, allowed, jumps = explained.differences(finest, errors)
         why = (
-            ": no more than the error of explicit Euler with the smallest of these steps, but it "
-            "does not shrink with the step"
+            ": no more than explicit Euler has with the smallest of these steps, but it does not "
+            "shrink with the step"
         )
     shares = {
         part: float((np.abs(rows - truth) / size).max(where=~jumps, initial=0.0))

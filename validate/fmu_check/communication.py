@@ -261,7 +261,7 @@ def event_mode(subject: Subject, kind: str) -> Finding:
 
 @check("early return", Scope.COSIMULATION, clauses=("", "4.1.3"))
 def early_return(subject: Subject, kind: str) -> Finding:
-    """Only where it is allowed, at the time that is told, and where it is asked for."""
+    """It returns early only if that is allowed, at the reported time, and on request."""
     on_demand = "canReturnEarlyAfterIntermediateUpdate"
     might, asked = (subject.can(kind, name) for name in (_MIGHT_RETURN, on_demand))
     if subject.major < 3:

@@ -38,7 +38,7 @@ _WITHIN = 10.0
 _SHARE = 5e-5
 # Relative error of adjoints and of factors declared constant: those are computed, not approximated.
 _EXACT = 1e-6
-# What such differences leave of an entry that is zero, in typical sizes: forward differences are best
+# Error of such differences for an entry that is zero, in typical sizes: forward differences are best
 # with steps of the root of rounding.
 _FLOOR = math.sqrt(_EPS)
 # A value changes if it moves by more than this share of its size: far above rounding.

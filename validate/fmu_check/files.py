@@ -26,6 +26,7 @@ from models.errors import MachineError
 from validate.fmi.archive import ARCHIVE_CHECKS, DESCRIPTION, FmuError, binary_name, problems
 from validate.fmi.description import in_words, understood, unfit, without_garbage
 from validate.fmi.instance import CLASSES
+from validate.fmi.surroundings import listed
 from validate.fmi.units import defined_units
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
 from validate.fmu_check.subject import FmuVariable, Subject
@@ -37,11 +38,9 @@ _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 _BUILD = "sources/buildDescription.xml"
 # Headers of the FMI standard, of both versions.
-_HEADERS = Path(fmpy.__file__).parent / "c-code"
+_HEADERS = Path(fmpy.__path__[0], "c-code")
 # Time limit of the compiler [s]: large generated models take minutes.
 _COMPILE_SECONDS = 300.0
-# Missing functions that a sentence names.
-_NAMED = 6
 
 
 @check("archive", Scope.FILE, clauses=("2.3", "2.5.1"))
@@ -158,7 +157,7 @@ def exports(subject: Subject, kind: str) -> Finding:
     if not path.is_file():
         return not_offered(f"there is no {name}.")
     try:
-        with contextlib.chdir(path.parent):  # as FMPy: it may load others beside it
+        with contextlib.chdir(path.parent):  # as FMPy: it may load libraries beside it
             library = ctypes.CDLL(str(path))
     except OSError:
         return not_offered(f"{name} cannot be loaded: see `starts and ends`.")
@@ -169,8 +168,7 @@ def exports(subject: Subject, kind: str) -> Finding:
         if name.startswith(prefix) and name.removeprefix(prefix)[:1].isupper()
     }
     if missing := sorted(name for name in required if not hasattr(library, name)):
-        more = " and more" if len(missing) > _NAMED else ""
-        return failed(f"{len(missing)} missing: {', '.join(missing[:_NAMED])}{more}.")
+        return failed(f"{len(missing)} missing: {listed(missing)}.")
     return passed(f"all {len(required)} are there.")
 
 
@@ -198,7 +196,7 @@ def _by_fmpy(path: Path) -> list[str]:
         )
     except ValidationError as error:
         found = list(error.problems)
-        with contextlib.suppress(FmuError):  # FMPy has said why
+        with contextlib.suppress(FmuError):  # the reason is in `found`
             description = understood(path)
     except Exception as error:  # noqa: BLE001 - FMPy raises anything
         return [in_words(error)]

@@ -101,7 +101,7 @@ def leaks(subject: Subject, kind: str) -> Finding:
 class _MallocInfo(ctypes.Structure):
     """struct mallinfo2 of the GNU C library.
 
-    hblkhd, bytes in large blocks, is its fifth number; uordblks, bytes in others, its eighth.
+    hblkhd, bytes in large blocks, is its fifth number; uordblks, bytes in small ones, its eighth.
     """
 
     _fields_ = [("numbers", ctypes.c_size_t * 10)]

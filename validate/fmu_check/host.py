@@ -52,13 +52,13 @@ from validate.processes.disk import temporary_folder
 from validate.processes.isolated import Ending, Limits, run_isolated
 
 # All checks, in the order of the table.
-# Of the file, before its description is read.
+# Checks of the file, before its description is read.
 STATIC: tuple[Check, ...] = (files.archive, files.valid)
-# Of the description and the binary.
+# Checks of the description and the binary.
 READING: tuple[Check, ...] = (files.consistent, files.compiled, files.exports)
 # If this one fails for a type, the checks after it are not run.
 FIRST = communication.lives
-# The values that this one finds refused are avoided by the others.
+# The values that this one finds refused are avoided by all checks.
 ACCEPTED = accepted.accepted
 BEHAVIOUR: tuple[Check, ...] = (
     FIRST, ACCEPTED, values.readable, values.starts, values.obeyed, values.finite, values.still,
@@ -82,12 +82,12 @@ DECISIVE = tuple(
         agreement.agree,
     )
 )  # fmt: skip
-# Checks on which others depend.
+# Checks that are always made, because further ones depend on them.
 _ALWAYS = (FIRST.name, files.compiled.name)
 
 
 def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, Any]:
-    """Run the checks of a request, in the child; return what the report says of the FMU."""
+    """Run the checks of a request, in the child; return the facts of the report about the FMU."""
     if set(request["names"]) >= set(NAMES):
         # Load the integrator once, before the forks (7 ms). It may be missing, and a few named
         # checks may run without it.
@@ -279,7 +279,7 @@ def check_fmu(
     names: Sequence[str] | None = None,
     seconds: float = CHECK_SECONDS,
     waived: Mapping[str, str] | None = None,
-    told: Callable[[FmuCheckRow], None] | None = None,
+    on_row: Callable[[FmuCheckRow], None] | None = None,
 ) -> CheckReport:
     """Run all checks of an FMU file, or some.
 
@@ -293,7 +293,7 @@ def check_fmu(
         Time limit of each check.
     waived
         Name of a check -> the reason why its failure is right.
-    told
+    on_row
         Called with each row as soon as its check has ended.
 
     Returns
@@ -322,8 +322,8 @@ def check_fmu(
             sentence = f"{row.sentence} Waived: {waived[row.name]}"
             row = replace(row, status=Status.WAIVED, sentence=sentence)
         rows.append(row)
-        if told is not None:
-            told(row)
+        if on_row is not None:
+            on_row(row)
 
     try:
         archive = check_archive(path, but_for=("binary", "duplicates", "identifier"))

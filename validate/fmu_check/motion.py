@@ -272,10 +272,10 @@ class Exchange:
     def jump(self, time: float, inputs: np.ndarray) -> None:
         """Set inputs (nu,) [unit of each input] at `time` [s] in an event, and restart the integrator.
 
-        Raises FMICallException, Fault.
+        Without inputs there is no event. Raises FMICallException, Fault.
         """
         instance = self.instance
-        if self._solver.memory or inputs.size:
+        if inputs.size:
             instance.set_time(time)
             instance.fmu.enterEventMode()
             instance.set(instance.subject.continuous_inputs, inputs)

@@ -148,7 +148,7 @@ def obeyed(subject: Subject, kind: str) -> Finding:
                     instance.fmu.exitInitializationMode()
                 after = instance.get(block)
             except FMICallException:
-                refused += 1  # the model has no solution there, and says so
+                refused += 1  # the model has no solution there
                 continue
             may_move = not _is_kept(block[0]) and (
                 (kind == "CS" and block[0].variability == "discrete")

@@ -158,3 +158,11 @@ def test_events_without_states_are_compared(tmp_path: Path):
     row = _row(model, tmp_path, "m->time = end; if (end > 0.295) m->i[0] = 1;")
     assert row.status is Status.FAILED, row.sentence
     assert "light differs at t = 0.3 s" in row.sentence
+
+
+@pytest.mark.parametrize(("rate", "status"), [(1.0, Status.PASSED), (1.02, Status.FAILED)])
+def test_error_that_shrinks_with_the_step_is_explained(rate: float, status: Status, tmp_path: Path):
+    """Explicit Euler with the communication step is 0.1 to 0.5 % off, a rate of 1.02 is 2 % off."""
+    row = _row(_COOLING, tmp_path, f"m->r[T] *= 1.0 - {rate} * step; update(m);")
+    assert row.status is status, row.sentence
+    assert "with h/5" in row.sentence

@@ -288,7 +288,7 @@ class Dimensions:
 
     def is_rate(self, unit: str | None) -> bool:
         """Whether a variable in this unit of the FMU is a velocity, by the unit's definition or name."""
-        defined = self._defined.get(unit)
+        defined = self._defined.get(unit or "")
         if defined is None:
             return unit in _RATES
         return defined.powers == {"m": 1, "s": -1} or (
@@ -297,7 +297,7 @@ class Dimensions:
 
     def is_force(self, unit: str | None) -> bool:
         """Whether a variable in this unit of the FMU is a force, by the unit's definition or name."""
-        if (defined := self._defined.get(unit)) is None:
+        if (defined := self._defined.get(unit or "")) is None:
             return unit in CONTACT_UNITS["force"]
         return defined.powers in [_ours(name) for name in QUANTITIES["force"]]
 
