@@ -75,9 +75,9 @@ not_offered = partial(Finding, Status.NOT_OFFERED)
 advice = partial(Finding, Status.ADVICE)
 
 
-def unless(wrong: list[str], sentence: str, end: str = ".") -> Finding:
-    """Return failed with the first items of `wrong` and `end`; without any, passed."""
-    return failed(f"{listed(wrong)}{end}") if wrong else passed(sentence)
+def unless(wrong: list[str], sentence: str) -> Finding:
+    """Return failed with the first items of `wrong`; without any, passed with the sentence."""
+    return failed(f"{listed(wrong).rstrip('.')}.") if wrong else passed(sentence)
 
 
 class Refusal(Misbehaviour):

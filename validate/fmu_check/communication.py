@@ -13,7 +13,7 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.archive import is_version
-from validate.fmi.instance import Misbehaviour
+from validate.fmi.instance import Misbehaviour, RefusedCall
 from validate.fmu_check.check import (
     Failed,
     Finding,
@@ -413,12 +413,17 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
                 instance.do_step(float(begin), float(until - begin))
             return instance.get(states)
 
-    held, sloping, line = end(1, flat, flat), end(1, flat, slope), end(_STAIRS, slope)
+    held, sloping = end(1, flat, flat), end(1, flat, slope)
+    try:
+        line, straight = end(_STAIRS, slope), end(_STAIRS, flat)
+    except RefusedCall as refusal:
+        refusal.setting = f"a step of {length / _STAIRS:g} s"
+        return not_offered(f"{refusal.sentence}.")
     scale = np.maximum(np.abs(line), states.scales)
     effect = np.abs(line - held) / scale
     if effect.max(initial=0.0) < _VISIBLE:
         return not_offered(f"what a slope changes within {length:g} s is too small to be seen.")
-    own_error = np.abs(end(_STAIRS, flat) - held) / scale
+    own_error = np.abs(straight - held) / scale
     if own_error.max() > _NEARER * effect.max():
         return not_offered(
             f"its own steps are too coarse to tell: without slopes, one step of {length:g} s and {_STAIRS} small ones differ as well."

@@ -299,11 +299,7 @@ def directional(subject: Subject, kind: str) -> Finding:
             "there is nothing to derive: no states or inputs, or no derivatives or outputs."
         )
     at_kinks = f", {kinks} lie at kinks" if kinks else ""
-    return unless(
-        wrong,
-        f"{looked} entries at {places} points agree{at_kinks}.",
-        end="",
-    )
+    return unless(wrong, f"{looked} entries at {places} points agree{at_kinks}.")
 
 
 @check(
@@ -367,7 +363,7 @@ def dependencies(subject: Subject, kind: str) -> Finding:
     if not looked and not wrong:
         return not_offered("there is nothing that can be changed and compared.")
     fine = f"{looked} pairs that are declared independent are so; {len(slopes)} declared factors are constant."
-    return unless(list(dict.fromkeys(wrong)), fine, end="")
+    return unless(list(dict.fromkeys(wrong)), fine)
 
 
 # Name of an unknown -> its declared knowns, by `FmuVariable.key`, as aliases are one -> kind.
@@ -480,7 +476,11 @@ def rates(subject: Subject, kind: str) -> Finding:
                 instance.do_step(time, subject.step)
                 continue
             first = instance.get(moving)
-            instance.do_step(time, short)
+            try:
+                instance.do_step(time, short)
+            except RefusedCall as refusal:
+                refusal.setting = f"a step of {short:g} s"
+                return not_offered(f"{refusal.sentence}.")
             middle, claimed = instance.get(moving), instance.get(derivatives)
             instance.do_step(time + short, short)
             last = instance.get(moving)

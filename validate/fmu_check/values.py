@@ -63,7 +63,7 @@ def readable(subject: Subject, kind: str) -> Finding:
         ]
         problems += filter(None, (_wrong_text(instance, item) for item in texts))
     more = f", {len(texts)} of them strings or binaries" if texts else ""
-    return unless(problems, f"{len(variables) + len(texts)} variables were read{more}.", end="")
+    return unless(problems, f"{len(variables) + len(texts)} variables were read{more}.")
 
 
 def _wrong_text(instance: CheckedInstance, item: Any) -> str:
@@ -111,7 +111,7 @@ def starts(subject: Subject, kind: str) -> Finding:
         f"{variables.names[at]} is {values[at]:.10g} in the binary, {starts[at]:.10g} in the description"
         for at in np.flatnonzero(~(same | (np.abs(values - starts) <= share * np.abs(starts))))
     ]
-    return unless(wrong, f"{len(variables)} start values agree to {_TEXT:g}.", end="")
+    return unless(wrong, f"{len(variables)} start values agree to {_TEXT:g}.")
 
 
 @check("start values are obeyed", Scope.EACH, clauses=("2.1.7", "2.2.7.2"))
@@ -162,7 +162,7 @@ def obeyed(subject: Subject, kind: str) -> Finding:
     moves = (
         f"{tried // 2} of {len(every)} start values were moved, each before and in initialisation"
     )
-    return unless(wrong, f"{moves}; {refused} times the model then refuses to start.", end="")
+    return unless(wrong, f"{moves}; {refused} times the model then refuses to start.")
 
 
 def _is_kept(item: FmuVariable) -> bool:
