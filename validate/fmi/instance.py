@@ -16,6 +16,7 @@ import contextlib
 import ctypes
 import math
 import os
+import platform
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -357,7 +358,11 @@ class Instance:
             ) from error
         except Exception as error:  # FMPy's bare Exception for a binary that does not load
             absent = re.search(r"(\S+): cannot open shared object file", str(error))
-            if absent and not list(folder.rglob(absent[1])):
+            if absent and Path(absent[1]).is_file():  # so glibc answers for another processor
+                raise Misbehaviour(
+                    f"the binary is for another processor than this one ({platform.machine()})"
+                ) from error
+            if absent and not list(folder.rglob(Path(absent[1]).name)):
                 raise Lacking(
                     f"its binary needs {absent[1]}, which neither the FMU carries nor this machine has; install it"
                 ) from error

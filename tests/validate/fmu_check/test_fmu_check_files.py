@@ -79,15 +79,25 @@ def test_no_schema(defective: Callable[..., Path]):
     assert "Odd" in _sentence(path, "description is valid")
 
 
-def test_binary_that_is_none(tmp_path: Path, sound_content):
+@pytest.mark.parametrize(
+    ("begin", "words"),
+    [
+        (lambda data: b"MZ not what it should be", "the binary cannot be loaded"),
+        (lambda data: data[:18] + b"\x16\0" + data[20:], "for another processor"),  # S/390
+        (lambda data: data[:4] + b"\1" + data[5:], "wrong ELF class"),
+    ],
+)
+def test_binary_that_cannot_be_loaded_fails(
+    tmp_path: Path, sound_content, begin: Callable[[bytes], bytes], words: str
+):
     content = sound_content("2.0")
     binary = next(name for name in content if name.startswith("binaries/"))
-    content[binary] = b"MZ not what it should be"
+    content[binary] = begin(content[binary])
     report = check_fmu(_pack(tmp_path / "bad.fmu", content), names=["exported functions"])
     rows = {row.title: row for row in report.rows}
     assert rows["exported functions (ME)"].status is Status.NOT_OFFERED
     assert rows["starts and ends (ME)"].status is Status.FAILED
-    assert "the binary cannot be loaded" in rows["starts and ends (ME)"].sentence
+    assert words in rows["starts and ends (ME)"].sentence
 
 
 @pytest.mark.slow
