@@ -40,6 +40,9 @@ _TRIAL_SECONDS = 20.0
 # are left then stay at their starts.
 _SEARCH_SECONDS = 20.0
 
+# Fields of `Avoided` with names of variables.
+_SIDES = ("below", "above", "unset")
+
 # Sets some values in a new instance and makes steps. Raises RefusedCall, Fault.
 _Trial: TypeAlias = Callable[[Settings], None]
 
@@ -107,7 +110,7 @@ class _Search:
     """The search of one type of FMI.
 
     subject: avoids the values refused so far.
-    refused: by variable and side ("below", "above", "start"), the refusal.
+    refused: by variable and field of `Avoided`, the refusal.
     wrong, traps: clauses about runs.
     reasons: of all refusals.
     end: time [s] at which the FMU stops a run that sets nothing.
@@ -129,7 +132,7 @@ class _Search:
         names |= {item.name for item in self.subject.varied[0]}
         for _ in range(2):  # a value that is refused on one side is tried on the other
             block = self._named(names)
-            if not self._narrow(self._start, block, moved(block)):
+            if not self._avoid(self._start, *_moving(block, moved(block))):
                 break
         self._set_starts(self._start, self._named(names))
         return len(names)
@@ -137,7 +140,8 @@ class _Search:
     def inputs(self) -> None:
         """Move inputs to both ends of the range in which checks move them."""
         for end in (1, 0):
-            self._narrow(self._input, self.subject.continuous_inputs, self.subject.input_range[end])
+            inputs, values = self.subject.continuous_inputs, self.subject.input_range[end]
+            self._avoid(self._input, *_moving(inputs, values))
         self._set_starts(self._input, self.subject.continuous_inputs)
 
     def runs(self) -> None:
@@ -157,8 +161,8 @@ class _Search:
         wrong, traps = list(self.wrong), []
         for name, sides in self.refused.items():
             item = self.subject.by_name[name]
-            if "start" in sides:
-                wrong.append(f"{name} cannot be set, not even to its start: {sides['start']}")
+            if "unset" in sides:
+                wrong.append(f"{name} cannot be set, not even to its start: {sides['unset']}")
                 continue
             for side, refusal in sides.items():
                 bound, word = (item.upper, "max") if side == "above" else (item.lower, "min")
@@ -237,34 +241,29 @@ class _Search:
         items = (*self.subject.exact, *self.subject.varied[0])
         return one_each(item for item in items if item.name in names)
 
-    def _narrow(self, trial: _Trial, block: Block, values: np.ndarray) -> bool:
-        """Find and avoid the refused ones of these values (entries,) [unit of each].
+    def _avoid(self, trial: _Trial, block: Block, values: np.ndarray) -> bool:
+        """Avoid the refused ones of these values (entries,) [unit of each]: a side, or the variable.
 
         Returns whether any is refused. Raises as `_refusal`.
         """
-        avoided = self.subject.avoided
-        sides = {"below": set(avoided.below), "above": set(avoided.above)}
+        names = {side: set(getattr(self.subject.avoided, side)) for side in _SIDES}
         is_any = False
-        for item, value, refusal in self._each_refused(trial, *_moving(block, values)):
+        for item, value, refusal in self._each_refused(trial, block, values):
+            is_any = True
             start = 0.0 if item.start is None else item.start
-            for side, goes in (("below", value < start), ("above", value > start)):
-                if goes.any():
-                    is_any = True
-                    sides[side].add(item.name)
+            below, above = bool((value < start).any()), bool((value > start).any())
+            for side, is_refused in zip(_SIDES, (below, above, not (below or above)), strict=True):
+                if is_refused:
+                    names[side].add(item.name)
                     if refusal is not None:
                         self.refused.setdefault(item.name, {}).setdefault(side, refusal)
-        self.subject = self.subject.avoiding(**{side: sorted(sides[side]) for side in sides})
+        self.subject = self.subject.avoiding(**{side: sorted(names[side]) for side in _SIDES})
         return is_any
 
     def _set_starts(self, trial: _Trial, block: Block) -> None:
         """Set variables that move to neither side to their starts, and avoid those that refuse it."""
         stuck = Block(item for item in block if len(item.refused) > 1)
-        unset = set(self.subject.avoided.unset)
-        for item, _, refusal in self._each_refused(trial, stuck, np.nan_to_num(stuck.starts)):
-            unset.add(item.name)
-            if refusal is not None:
-                self.refused.setdefault(item.name, {})["start"] = refusal
-        self.subject = self.subject.avoiding(unset=sorted(unset))
+        self._avoid(trial, stuck, np.nan_to_num(stuck.starts))
 
     def _each_refused(
         self, trial: _Trial, block: Block, values: np.ndarray

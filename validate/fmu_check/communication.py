@@ -116,7 +116,6 @@ def stop_time(subject: Subject, kind: str) -> Finding:
                     f"the step to t = {subject.time(step + 1):.6g} s is refused, though the stop "
                     f"time is {stop:.6g} s{instance.quote()}."
                 )
-        before = instance.observe()
         try:
             instance.make_step(steps)
         except FMICallException as error:
@@ -128,11 +127,9 @@ def stop_time(subject: Subject, kind: str) -> Finding:
                 )
             made = f"{steps} steps up to the stop time {stop:.6g} s are made"
             return passed(f"{made}, the next one is refused.")
-        is_still = np.array_equal(before, instance.observe(), equal_nan=True)
-    still = " (though no output changes)" if is_still else ""
     return failed(
-        f"a step to t = {subject.time(steps + 1):.6g} s is answered with OK{still}, though the stop "
-        f"time given was {stop:.6g} s."
+        f"a step to t = {subject.time(steps + 1):.6g} s is answered with OK, though the stop time "
+        f"given was {stop:.6g} s."
     )
 
 

@@ -49,10 +49,7 @@ def readable(subject: Subject, kind: str) -> Finding:
     with CheckedInstance(subject, kind).begin() as instance:
         problems = [
             f"{item.name} (value reference {item.reference}, {item.type}) is refused{instance.quote()}"
-            for kind in dict.fromkeys(item.type for item in variables)
-            for item in itertools.islice(
-                _refused(instance, Block(item for item in variables if item.type == kind)), LEAST
-            )
+            for item in itertools.islice(_refused(instance, variables), LEAST)
         ]
         texts = [
             item
@@ -85,7 +82,7 @@ def _wrong_text(instance: CheckedInstance, item: Any) -> str:
 
 
 def _refused(instance: CheckedInstance, variables: Block) -> Iterator[FmuVariable]:
-    """Find variables of one type that cannot be read, by bisection."""
+    """Find variables that cannot be read, by bisection."""
     try:
         instance.get(variables)
     except FMICallException:
