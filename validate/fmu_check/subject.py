@@ -179,7 +179,7 @@ class Block(tuple[FmuVariable, ...]):
         above, below = value + away, value - away
         return np.where(above <= upper, above, np.where(below >= lower, below, value))
 
-    @property
+    @cached_property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest values (entries,) that range and FMU allow [unit of each]. Raises nothing."""
         starts = np.nan_to_num(self.starts)
