@@ -272,7 +272,7 @@ class Exchange:
     def jump(self, time: float, inputs: np.ndarray) -> None:
         """Set inputs (nu,) [unit of each input] at `time` [s] in an event, and restart the integrator.
 
-        Without inputs there is no event. Raises FMICallException, Fault.
+        Without inputs it only starts the integrator. Raises FMICallException, Fault.
         """
         instance = self.instance
         if inputs.size:
@@ -280,6 +280,8 @@ class Exchange:
             instance.fmu.enterEventMode()
             instance.set(instance.subject.continuous_inputs, inputs)
             self._settle()
+        elif self._solver.memory:
+            return
         self.renew(time)
 
     def renew(self, time: float) -> None:
