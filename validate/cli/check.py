@@ -1,7 +1,4 @@
-"""`check`: whether FMUs do what they say.
-
-On the terminal as it is found, and as other tools read it: JSON, a page and JUnit XML.
-"""
+"""The command `check`: checks of FMUs, printed as they end, or as JSON, a page and JUnit XML."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from validate.cli.table import one_line, say, wide_option
 from validate.fmu_check import CheckReport, FmuCheckRow, Status, check_fmu
 from validate.store.provenance import command_line
 
-# An FMU's report, with the seconds that its checks took: wall and CPU [s].
+# A report of an FMU, with wall and CPU time of its checks [s].
 Checked: TypeAlias = tuple[CheckReport, float, float]
 _EPILOG = """\b
 Examples:
@@ -79,7 +76,7 @@ _SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-", "advice": "!", "
     "waivers",
     multiple=True,
     metavar="NAME=REASON",
-    help="A failure of the check of this name is right, for this reason: it is shown as waived, and the exit code is 0. May be repeated.",
+    help="Accept a failure of this check, for this reason: it is shown as waived and does not count. May be repeated.",
 )
 @wide_option
 @click.pass_obj
@@ -93,30 +90,27 @@ def command(
     junit_file: Path | None,
     waivers: tuple[str, ...],
 ) -> int:
-    """Check any FMU (FMI 2.0 or 3.0, Model Exchange and Co-Simulation), its files and how its code behaves.
+    """Check the files and the behaviour of FMUs (FMI 2.0 or 3.0, Model Exchange and Co-Simulation).
 
-    Each check claims something of a sound FMU. It is passed, failed or not offered, and a sentence
-    says what was found. The FMU runs in child processes: one that hangs or crashes fails the check,
-    and harms nothing else.
+    Each check states a claim about a sound FMU, which is passed, failed or not offered, with a
+    sentence about the result. The FMU runs in child processes: one that hangs or crashes fails its
+    check, and harms nothing else.
     """
     checked: list[Checked] = []
     waived, context = _waivers(waivers), click.get_current_context()
 
-    def told(row: FmuCheckRow) -> None:
-        with context.scope(
-            cleanup=False
-        ):  # rows are told by another thread, which knows no --wide of its own
+    def print_row(row: FmuCheckRow) -> None:
+        with context.scope(cleanup=False):  # in a thread, which has no --wide of its own
             _print(row)
 
     for file in files:
         before = os.times()
-        tell = None if as_json else told
         report = check_fmu(
             file,
             names=names or None,
             seconds=time_limit,
             waived=waived,
-            told=tell,
+            on_row=None if as_json else print_row,
         )
         after = os.times()
         cpu = sum(after[:4]) - sum(before[:4])
@@ -142,7 +136,7 @@ def _summary(report: CheckReport) -> str:
 
 
 def _print(row: FmuCheckRow) -> None:
-    """A row, as soon as it is there."""
+    """Print a row."""
     word = row.status.value
     clause = (
         f" [{row.clause}]" if row.status in (Status.FAILED, Status.WAIVED) and row.clause else ""
@@ -156,7 +150,7 @@ def _print(row: FmuCheckRow) -> None:
 
 
 def _waivers(texts: tuple[str, ...]) -> dict[str, str]:
-    """Name of a check -> reason. Raises click.UsageError."""
+    """Return the reasons by names of checks. Raises click.UsageError."""
     waived = {}
     for text in texts:
         name, _, reason = text.partition("=")
@@ -168,7 +162,7 @@ def _waivers(texts: tuple[str, ...]) -> dict[str, str]:
 
 
 def _page(checked: Sequence[Checked], arguments: tuple[str, ...]) -> str:
-    """The page that a report has of its FMUs, of these."""
+    """Return a report's page of FMUs, with these."""
     from reports.records.check_record import CheckRecord
     from reports.render import render_checks
     from validate.store.provenance import gather
@@ -195,11 +189,11 @@ def _page(checked: Sequence[Checked], arguments: tuple[str, ...]) -> str:
 
 
 def data(report: CheckReport) -> dict[str, Any]:
-    """The report as JSON holds it."""
-    told = ("type", "claim", "status", "severity", "clause", "sentence", "seconds")
+    """Return a report as JSON holds it."""
+    names = ("type", "claim", "status", "severity", "clause", "sentence", "seconds")
     rows = [
         {"check": row.name}
-        | {name: getattr(row, name) for name in told}
+        | {name: getattr(row, name) for name in names}
         | {"status": row.status.value}
         for row in report.rows
     ]
@@ -214,7 +208,7 @@ def data(report: CheckReport) -> dict[str, Any]:
 
 
 def junit(reports: Sequence[tuple[CheckReport, float]]) -> bytes:
-    """JUnit XML, of reports and the seconds each took: what was measured is the message of a failure; what is waived or not offered is skipped."""
+    """Return JUnit XML of reports and their seconds; checks waived or not offered are skipped."""
     suites = ElementTree.Element("testsuites", name="touchstone check")
     for report, spent in reports:
         skipped = [row for row in report.rows if row.status in (Status.NOT_OFFERED, Status.WAIVED)]

@@ -1,13 +1,10 @@
-"""The archive: what an FMU file must be before anything of it is unpacked or loaded.
+"""The archive of an FMU: checks before anything of it is unpacked or loaded.
 
-Every refusal is one sentence.
+    archive = check_archive(path)     # raises ArchiveError for the first problem
+    problems(path)                    # all problems that can be found
+    unpack(archive, folder)           # bounded by the checked sizes
 
-archive = check_archive(path)     # raises ArchiveError at the first problem
-problems(path)                    # all that can be found, for a table
-unpack(archive, folder)           # bounded by the sizes that were checked
-
-Of the XML texts the root is read and the interfaces an FMU offers - and no DOCTYPE, whose entities
-can read files and fill the memory.
+A problem is one sentence. A DOCTYPE is refused: its entities can read files and fill the memory.
 """
 
 from __future__ import annotations
@@ -28,24 +25,26 @@ from xml.parsers import expat
 
 from models.errors import MachineError, TouchstoneError
 
-# What is let in: bytes unpacked altogether; entries; unpacked over packed, from a size on where it
-# matters; bytes of one XML text.
+# Unpacked bytes of all entries.
 MOST_UNPACKED = 2 * 1024**3
 MOST_ENTRIES = 20_000
+# Bytes of one XML text.
 MOST_XML = 64 * 1024**2
+# Unpacked over packed size; deflate of text reaches 20.
 MOST_RATIO = 100.0
+# Unpacked bytes from which the ratio is checked: less harms no machine.
 RATIO_MATTERS_FROM = 32 * 1024**2
 _ROOT = "fmiModelDescription"
-# Interfaces of FMI, by what is short for them.
+# Short name of an interface -> its name in FMI.
 INTERFACES = {"ME": "ModelExchange", "CS": "CoSimulation"}
 
 
 class HasDoctype(Exception):  # noqa: N818 - it ends the reading
-    """Raised while reading."""
+    """The XML text has a DOCTYPE."""
 
 
 class XmlReader:
-    """The root of an XML text and, of a model description, its interfaces; refusal of a DOCTYPE."""
+    """Reads the root of an XML text and the interfaces of a model description."""
 
     def __init__(self) -> None:
         self.root: dict[str, str] = {}
@@ -71,23 +70,22 @@ class XmlReader:
             self.root_name, self.root = name, attributes
         elif name in INTERFACES.values():
             self.kinds.setdefault(name, attributes)
-        if (
-            name == "ModelVariables" or self.root_name != _ROOT
-        ):  # interfaces come before it, and hundreds of thousands of elements after
+        # Interfaces come before the variables, of which there may be hundreds of thousands.
+        if name == "ModelVariables" or self.root_name != _ROOT:
             self._parser.StartElementHandler = None
 
 
 def interfaces(text: bytes) -> dict[str, dict[str, str]]:
-    """What each interface of a model description says of itself, by the attributes' names in its version of FMI: FMPy does not read all of them."""
+    """Return the attributes of each interface of a model description; FMPy does not read all."""
     reader = XmlReader()
     reader.read(text)
     return reader.kinds
 
 
 DESCRIPTION = "modelDescription.xml"
-# Texts that are parsed as XML, by us or by FMPy, and are therefore looked into.
+# Endings of texts that we or FMPy parse as XML.
 _XML_SUFFIXES = (".xml", ".ssd", ".ssv", ".ssm", ".ssb")
-# What Python raises while it reads a damaged entry.
+# Exceptions of Python for a damaged entry.
 _DAMAGED = (NotImplementedError, EOFError, RuntimeError, ValueError, zlib.error, LZMAError)
 _MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 _ENDINGS = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
@@ -103,10 +101,7 @@ class FmuError(TouchstoneError):
 
 
 class ArchiveError(FmuError):
-    """A problem of an FMU file, for which it is not accepted: what is wrong and what was expected.
-
-    `check` says which check it failed.
-    """
+    """A problem for which an FMU file is refused; check: the name of the failed check."""
 
     def __init__(self, check: str, sentence: str) -> None:
         super().__init__(sentence)
@@ -117,9 +112,10 @@ class ArchiveError(FmuError):
 class FmuArchive:
     """An FMU file that was accepted.
 
-    version: as it says, for example 2.0; kinds: interface -> what it says of itself, those with a
-        binary for this platform; digest: SHA-256 of the file;
-    unpacked [bytes].
+    digest: SHA-256 of the file.
+    version: of FMI, for example 2.0.
+    kinds: interface -> its attributes, of those with a binary for this platform.
+    unpacked: size of all entries [bytes].
     """
 
     path: Path
@@ -130,9 +126,9 @@ class FmuArchive:
 
 
 def check_archive(path: Path, *, but_for: Sequence[str] = ()) -> FmuArchive:
-    """See the module docstring. but_for: checks that need not hold.
+    """Check an FMU file; but_for: checks that may fail.
 
-    Raises ArchiveError with the first problem, MachineError if the file cannot be read.
+    Raises ArchiveError for the first problem, MachineError if the file cannot be read.
     """
     check = _ArchiveCheck(path)
     for problem in check.problems():
@@ -142,14 +138,14 @@ def check_archive(path: Path, *, but_for: Sequence[str] = ()) -> FmuArchive:
 
 
 def problems(path: Path) -> tuple[ArchiveError, ...]:
-    """All problems that can be found: what makes the rest unreadable comes last."""
+    """Return all problems that can be found; one that makes the rest unreadable is last."""
     return tuple(_ArchiveCheck(path).problems())
 
 
 def unpack(archive: FmuArchive, folder: Path, leave_out: tuple[str, ...] = ()) -> None:
-    """Unpack a checked file, but for entries whose names begin with one of `leave_out`.
+    """Unpack a checked file, without entries whose names begin with one of `leave_out`.
 
-    Raises ArchiveError if it is not what was checked, MachineError if the disk refuses.
+    Raises ArchiveError if the file has changed, MachineError if the disk refuses.
     """
     try:
         with zipfile.ZipFile(archive.path) as packed:
@@ -160,9 +156,7 @@ def unpack(archive: FmuArchive, folder: Path, leave_out: tuple[str, ...] = ()) -
             members = [
                 item for item in packed.infolist() if not item.filename.startswith(leave_out)
             ]
-            packed.extractall(
-                folder, members
-            )  # reads no more of an entry than its stated size, which was added up
+            packed.extractall(folder, members)  # reads at most the stated size of an entry
     except (zipfile.BadZipFile, *_DAMAGED) as error:
         raise ArchiveError(
             "zip", f"FMU {archive.path}: it cannot be unpacked ({_first(error)}); it is damaged."
@@ -182,7 +176,7 @@ class _ArchiveCheck:
         self._names: set[str] = set()
 
     def archive(self) -> FmuArchive:
-        """What was found, where there are no problems."""
+        """Return the archive, if there are no problems."""
         present = {
             kind: interface
             for kind, interface in self._kinds.items()
@@ -200,7 +194,7 @@ class _ArchiveCheck:
         )
 
     def problems(self) -> Iterator[ArchiveError]:
-        """Those that make further reading unsafe end it."""
+        """Yield all problems; unsafe entries end the reading."""
         try:
             if not self._path.is_file():
                 yield self._problem(
@@ -235,12 +229,12 @@ class _ArchiveCheck:
         if len(items) > MOST_ENTRIES:
             yield self._problem(
                 "entries",
-                f"it holds {len(items)} files, more than the {MOST_ENTRIES} that are let in.",
+                f"it holds {len(items)} files, more than the {MOST_ENTRIES} that are allowed.",
             )
         if unpacked > MOST_UNPACKED:
             yield self._problem(
                 "size",
-                f"unpacked it has {_size(unpacked)}, more than the {_size(MOST_UNPACKED)} that are let in.",
+                f"unpacked it has {_size(unpacked)}, more than the {_size(MOST_UNPACKED)} that are allowed.",
             )
         if unpacked > RATIO_MATTERS_FROM and unpacked > MOST_RATIO * packed:
             yield self._problem(
@@ -296,7 +290,7 @@ class _ArchiveCheck:
         dangerous = False
         for problem in (problem for item in texts for problem in self._of_xml(archive, item)):
             dangerous = True
-            yield problem  # told before the next text is read, which may be damaged
+            yield problem  # before the next text is read, which may be damaged
         if dangerous:
             return
         if DESCRIPTION in self._names:
@@ -310,7 +304,7 @@ class _ArchiveCheck:
         if item.file_size > MOST_XML:
             yield self._problem(
                 "size",
-                f"{item.filename} has {_size(item.file_size)}, more than the {_size(MOST_XML)} that are let in.",
+                f"{item.filename} has {_size(item.file_size)}, more than the {_size(MOST_XML)} that are allowed.",
             )
             return
         is_description = item.filename == DESCRIPTION
@@ -322,10 +316,7 @@ class _ArchiveCheck:
                 "xml",
                 f"{item.filename} has a DOCTYPE, which FMI does not allow (its entities can read files and fill the memory).",
             )
-        except (
-            expat.ExpatError,
-            LookupError,
-        ) as error:  # a lookup of an encoding that nobody knows
+        except (expat.ExpatError, LookupError) as error:  # LookupError: an unknown encoding
             if is_description:
                 yield self._problem(
                     "description", f"{DESCRIPTION} is not well-formed XML ({error})."
@@ -340,7 +331,7 @@ class _ArchiveCheck:
 
     def _of_description(self) -> Iterator[ArchiveError]:
         version = self._root.get("fmiVersion", "")
-        if version != "2.0" and not _is_three(version):
+        if version != "2.0" and not is_version(version, 3):
             yield self._problem(
                 "version", f"it says FMI version {version!r}; 2.0 and 3.0 can be run."
             )
@@ -377,10 +368,7 @@ _LONGEST_IDENTIFIER = 249
 
 
 def wrong_identifiers(identifiers: Iterable[str | None]) -> list[str]:
-    """What is wrong with the modelIdentifiers of interfaces, clauses without full stop.
-
-    Of one with which nothing is wrong alone a path may be made.
-    """
+    """Return clauses about modelIdentifiers that are no file names: paths are made of them."""
     wrong = []
     for text in dict.fromkeys(identifiers):
         if not re.fullmatch(rf"[A-Za-z_]\w{{,{_LONGEST_IDENTIFIER - 1}}}", text or "", re.ASCII):
@@ -393,15 +381,15 @@ def wrong_identifiers(identifiers: Iterable[str | None]) -> list[str]:
             )
             wanted = f"a C identifier of at most {_LONGEST_IDENTIFIER} letters, as the binary is called by it"
             wrong.append(
-                f"{DESCRIPTION}: modelIdentifier is {shown}; expected {wanted} (FMI 2.0.4, 2.3; 3.0.2, 2.5.1); export it anew"
+                f"{DESCRIPTION}: modelIdentifier is {shown}; expected {wanted} (FMI 2.0.4, 2.3; 3.0.2, 2.5.1); export it again"
             )
     return wrong
 
 
 def binary_name(version: str, identifier: str) -> str:
-    """Where the archive has the binary for this machine; FMI 3 changed the names of machines."""
+    """Return the path of the binary for this machine; FMI 3 changed the names of machines."""
     system, machine = platform.system().lower(), platform.machine().lower()
-    if _is_three(version):
+    if is_version(version, 3):
         folder = f"{_MACHINES.get(machine, machine)}-{system}"
     else:
         folder = (
@@ -410,8 +398,9 @@ def binary_name(version: str, identifier: str) -> str:
     return f"binaries/{folder}/{identifier}{_ENDINGS.get(system, '.so')}"
 
 
-def _is_three(version: str) -> bool:
-    return re.fullmatch(r"3\.0(\.\d+)?", version) is not None
+def is_version(text: str, major: int) -> bool:
+    """Whether a version of FMI, as 3.0.2, is one of the standard; 3.0-beta.3 is none."""
+    return re.fullmatch(rf"{major}\.0(\.\d+)?", text) is not None
 
 
 def _size(count: int) -> str:

@@ -1,13 +1,13 @@
-"""CVODE, the integrator of SUNDIALS 7, called by the addresses of its functions in the libraries that scikit-sundae brings.
+"""CVODE, the integrator of SUNDIALS 7, in the libraries of scikit-sundae.
 
     solver = Cvode(ADAMS, y, rates=.., data=.., rtol=1e-9, absolute=.., min_step=0.0, max_step=0.1, max_steps=1000)
     solver.renew(0.0)                                # from y at t = 0 on
-    # to t = 0.5, never beyond 1: a flag; solver.time, solver.y, solver.roots
-    solver.advance(0.5, 1.0, one_step=False)
+    solver.advance(0.5, 1.0, one_step=False)         # to t = 0.5, never beyond 1
+    solver.time, solver.y, solver.roots
     solver.close()
 
-scikit-sundae itself is not imported: that imports SciPy, and took 0.45 s of every check of an FMU.
-A solver is what its CVODE(..) makes, call by call.
+The functions are called by ctypes, as scikit-sundae's CVODE(..) calls them: to import scikit-sundae
+takes 0.45 s, with SciPy.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 
 from models.errors import MachineError
 
-# The only major version whose arguments are known to be these.
+# The major version with these signatures.
 _VERSION = 7
 _TYPES = {
     "i": ctypes.c_int,
@@ -59,7 +59,7 @@ _FAILURES = 10
 _NORMAL = 1
 _ONE_STEP = 2
 ROOT_RETURN = 2
-# What a negative flag of `advance` means.
+# Negative flags of `advance`.
 _WHY = {
     -1: "Could not reach endpoint after 'max_num_steps'.",
     -2: "Could not satisfy demanded accuracy for an internal step.",
@@ -74,21 +74,20 @@ _WHY = {
     -22: "One of the function inputs is invalid.",
     -27: "The output and initial times are too close to each other.",
 }  # fmt: skip
-# CVRhsFn and CVRootFn: time, address of y's vector (or of its array's for roots), of what is to be
-# filled, data.
+# CVRhsFn and CVRootFn: time, address of y's vector, address of the result, data.
 FILLS = ctypes.CFUNCTYPE(
     ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p
 )
 
 
 def why(flag: int) -> str:
-    """What a negative flag of `Cvode.advance` means, as a sentence."""
+    """Return the sentence of a negative flag of `Cvode.advance`."""
     return _WHY.get(flag, f"CVODE's flag {flag}.")
 
 
 @lru_cache(maxsize=1)
 def functions() -> Any:
-    """The library, whose functions are its attributes. Raises MachineError."""
+    """Load the library, whose functions are its attributes. Raises MachineError."""
     what, found = "the integrator of Model Exchange, CVODE,", importlib.util.find_spec("sksundae")
     folders = map(Path, (found.submodule_search_locations or ()) if found is not None else ())
     path = next(
@@ -107,9 +106,8 @@ def functions() -> Any:
     version = [ctypes.c_int() for _ in range(3)]
     label = ctypes.create_string_buffer(32)
     try:
-        module = ctypes.CDLL(
-            str(path)
-        )  # a lookup by this handle goes on to the libraries that the module needs
+        # A lookup by this handle includes the libraries that the module needs.
+        module = ctypes.CDLL(str(path))
         module.SUNDIALSGetVersionNumber(*map(ctypes.byref, version), label, len(label))
         for name, signature in _SIGNATURES.items():
             function, (result, arguments) = getattr(module, name), signature.split(":")
@@ -119,7 +117,7 @@ def functions() -> Any:
             )
     except (OSError, AttributeError) as error:
         raise MachineError(
-            f"{what} cannot be reached in {path} ({error}); install scikit-sundae anew."
+            f"{what} cannot be reached in {path} ({error}); install scikit-sundae again."
         ) from error
     if (major := version[0].value) != _VERSION:
         raise MachineError(
@@ -129,25 +127,26 @@ def functions() -> Any:
 
 
 def address(name: str) -> int:
-    """Of a function of SUNDIALS. Raises MachineError."""
+    """Return the address of a function of SUNDIALS. Raises MachineError."""
     return ctypes.cast(functions()[name], ctypes.c_void_p).value or 0
 
 
 def array_of(vector: int) -> int:
-    """Address of the numbers of a vector of SUNDIALS."""
+    """Return the address of the numbers of a vector of SUNDIALS."""
     return functions().N_VGetArrayPointer(vector)
 
 
 @dataclass(eq=False)
 class Cvode:
-    """A solver with dense Newton iterations; see the module docstring.
+    """A solver with dense Newton iterations.
 
-    y: (n,) where it is, which `renew` begins at and `advance` moves [unit of each state]; rates:
-        its right-hand side, indicators: what it looks for zeros
-    of, `count` of them (FILLS, or the addresses of such functions); data: their last argument;
-        absolute: (n,) tolerances [unit of each state].
-    time [s]; roots: (count,) the sign of the slope of each indicator that `advance` stopped at,
-        else 0.
+    y: (n,) the state, from which `renew` starts and which `advance` moves [unit of each state].
+    rates, indicators: right-hand side and root functions, FILLS or their addresses.
+    count: number of indicators.
+    data: last argument of both functions.
+    absolute: (n,) tolerances [unit of each state].
+    time: of y [s].
+    roots: (count,) sign of the slope of each indicator at which `advance` stopped, else 0 [-].
     """
 
     method: tuple[int, int]
@@ -173,10 +172,7 @@ class Cvode:
         self._made = contextlib.ExitStack()  # frees what was made
 
     def renew(self, time: float) -> None:
-        """A new solver from y at `time` [s].
-
-        Raises RuntimeError where CVODE refuses what it is given.
-        """
+        """Make a new solver from y at `time` [s]. Raises RuntimeError if CVODE refuses an argument."""
         self.close()
         self.time = time
         call, context, logger = functions(), ctypes.c_void_p(), ctypes.c_void_p()
@@ -232,9 +228,9 @@ class Cvode:
             raise RuntimeError(f"CVODE refused to be set up at t = {self.time:.6g} s")
 
     def advance(self, target: float, stop: float, *, one_step: bool) -> int:
-        """To `target` [s], or one step towards it, never beyond `stop` [s].
+        """Integrate to `target` [s], or one step towards it, never beyond `stop` [s].
 
-        CVODE's flag, negative for a failure. Raises RuntimeError for a stop that lies behind.
+        Returns CVODE's flag, negative for a failure. Raises RuntimeError for a stop in the past.
         """
         call, time = functions(), ctypes.c_double()
         if call.CVodeSetStopTime(self.memory, stop) < 0:
@@ -251,6 +247,6 @@ class Cvode:
         return flag
 
     def close(self) -> None:
-        """Free what CVODE holds."""
+        """Free the memory of CVODE."""
         self._made.close()
         self.memory = self.vector = 0

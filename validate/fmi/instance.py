@@ -6,8 +6,8 @@
     fmu.read(outputs)
     fmu.unload()
 
-A call that is refused raises FMPy's FMICallException, what else keeps a run from going on a Fault.
-`Instance.fmu` is FMPy's object, for calls that need no words of ours.
+A refused call raises FMPy's FMICallException, any other obstacle of a run a Fault. `Instance.fmu` is
+FMPy's object.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import contextlib
 import ctypes
 import math
 import os
+import platform
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,7 +31,7 @@ from validate.fmi import logger
 from validate.fmi.archive import FmuError
 from validate.fmi.description import Package, interface_of
 
-# Rounds of one event iteration before it is called endless.
+# Rounds of one event iteration before it counts as endless.
 EVENT_ROUNDS = 100
 # Characters of a message that are quoted: about three lines of a terminal.
 _QUOTED = 200
@@ -38,19 +39,19 @@ _NUMBER = re.compile(r"[-+]?[0-9][0-9.]*([eE][-+]?[0-9]+)?")
 
 
 class Fault(FmuError):  # noqa: N818 - a finding about the FMU, not an error of ours
-    """What an FMU did, or lacks, that keeps a run from going on: a clause without subject and full stop, `it asked to end ..`."""
+    """An obstacle of a run; its text is a clause without full stop, `it asked to end ..`."""
 
 
 class Misbehaviour(Fault):
-    """The FMU did what no FMU may do."""
+    """The FMU broke a rule of the standard."""
 
 
 class Lacking(Fault):
-    """The FMU's code needs something of the machine that is not there."""
+    """The FMU's code needs something that this machine lacks."""
 
 
 class TerminationRequested(Fault):
-    """The FMU asked for the end of the simulation, as it may: a run cannot reach `time` [s]."""
+    """The FMU asked for the end of the simulation: a run cannot reach `time` [s]."""
 
     def __init__(self, time: float) -> None:
         super().__init__(f"it asked to end the simulation at t = {time:.6g} s")
@@ -58,30 +59,31 @@ class TerminationRequested(Fault):
 
 
 class RefusedCall(FMICallException):
-    """A call that the FMU refused; said: the FMU's words during that call, empty without any.
+    """A call that the FMU refused.
 
-    setting: the variables that the call set, with their values in words; empty for other calls;
-        time: how far a run had come [s], NaN where none was made.
+    message: the FMU's message during that call, empty without one.
+    setting: the variables that the call set, with their values; empty for other calls.
+    time: end of the run so far [s], NaN without a run.
     """
 
     setting = ""
     time = math.nan
 
-    def __init__(self, function: str, status: int, said: str) -> None:
+    def __init__(self, function: str, status: int, message: str) -> None:
         super().__init__(function=function, status=status)
-        self.said = said
+        self.message = message
 
     @property
     def sentence(self) -> str:
         """The refusal as a clause without full stop."""
         what = self.setting or "a call that must be possible"
-        quoted = f"; it said: {self.said}" if self.said else ""
+        quoted = f"; it said: {self.message}" if self.message else ""
         return f"{what} is refused ({str(self).rstrip('.')}){quoted}"
 
     @property
     def reason(self) -> str:
-        """What is the same in two refusals for one reason: the FMU's words but for numbers, else the call."""
-        return _NUMBER.sub("#", self.said or f"{self.function} {self.setting}")
+        """The message without numbers, else the call: equal for refusals with one reason."""
+        return _NUMBER.sub("#", self.message or f"{self.function} {self.setting}")
 
 
 @contextlib.contextmanager
@@ -94,7 +96,10 @@ def faults_of(path: Path) -> Iterator[None]:
 
 
 class References:
-    """Value references of one type, doubles unless said, that are read or written at once. values: (size,) the memory that C reads and writes."""
+    """Value references of one type that are read or written at once.
+
+    values: (size,) the memory that C reads and writes.
+    """
 
     def __init__(
         self,
@@ -103,9 +108,11 @@ class References:
         size: int | None = None,
         number: Any = ctypes.c_double,
     ) -> None:
-        """kind: as the functions of FMI name it, empty for doubles.
+        """Allocate the memory.
 
-        size: entries of all, one a reference unless said; number: of C.
+        kind: the name in the functions of FMI, empty for doubles.
+        size: number of entries; None: one per reference.
+        number: the type in C.
         """
         self.count, self.kind = len(references), kind
         self.size = self.count if size is None else size
@@ -114,22 +121,21 @@ class References:
         self.values = np.frombuffer(self.memory, dtype=number) if self.size else np.empty(0)
 
     def forget(self) -> None:
-        """What was read before is there no more, should the FMU say that it wrote, and write nothing."""
+        """Overwrite earlier values, in case the FMU returns OK and writes nothing."""
         self.values.fill(math.nan if self.values.dtype.kind == "f" else 0)
 
 
-# FMPy's classes of FMI 2.0 and FMI 3.0, with one name for what the two versions name, or pass,
-# differently. What is the same in both - terminate, reset, enterEventMode, getContinuousStates, ..
-# - is FMPy's own. A class must be called FMU2.. or FMU3..: FMPy takes the prefix of the functions
-# from that.
+# FMPy's classes of FMI 2.0 and FMI 3.0, with one name for each call whose name or arguments differ.
+# A class must be called FMU2.. or FMU3..: FMPy takes the prefix of the functions from that.
 
 
 class StepAnswer(NamedTuple):
-    """What a communication step answered.
+    """The answer of a communication step.
 
-    event: one is to be handled; ends: the FMU asks for the end of the simulation; early: it
-        returned early; reached: the time it says it reached [s]
-    (FMI 2.0 says nothing: the end of the step).
+    event: whether an event must be handled.
+    ends: whether the FMU asks for the end of the simulation.
+    early: whether it returned early.
+    reached: the time that it reports [s]; the end of the step in FMI 2.0.
     """
 
     event: bool
@@ -139,7 +145,7 @@ class StepAnswer(NamedTuple):
 
 
 class _Calls(_FMU):
-    """FMPy's one way to call, stricter: a status that FMI does not know is refused as well, and a fatal one is remembered (`fatal`)."""
+    """FMPy's way to call; a status unknown to FMI is refused as well, and a fatal one is kept."""
 
     prefix: str
     doubles: str
@@ -160,27 +166,27 @@ class _Calls(_FMU):
             self.refuse(fname, answer, self.last_message if self.messages > before else "")
         return answer
 
-    def refuse(self, function: str, status: int, said: str = "") -> NoReturn:
+    def refuse(self, function: str, status: int, message: str = "") -> NoReturn:
         """Raise RefusedCall for a call of `function` that was answered with this status."""
         self.fatal = self.fatal or status == fmi2.fmi2Fatal
-        raise RefusedCall(function, status, said)
+        raise RefusedCall(function, status, message)
 
     def address(self, function: str) -> int:
-        """Of one of FMI's functions, named without its prefix."""
+        """Return the address of a function, named without its prefix."""
         return ctypes.cast(self._functions[self.prefix + function], ctypes.c_void_p).value or 0
 
     @classmethod
     def references(
         cls, kind: str, references: Sequence[int], size: int | None = None
     ) -> References:
-        """Of variables of a type, with memory as C has it; size: entries of all."""
+        """Return References of a type, with memory as in C; size: number of entries."""
         name = cls.whole if kind == "Enumeration" else kind
         return References(
             references, name, size, getattr(sys.modules[f"fmpy.{cls.prefix}"], cls.prefix + name)
         )
 
     def transfer(self, verb: str, what: References) -> None:
-        """Get or Set. Raises FMICallException."""
+        """Get or set values. Raises FMICallException."""
         size = (what.size,) if self.prefix == "fmi3" else ()
         getattr(self, f"{self.prefix}{verb}{what.kind or self.doubles}")(
             self.component, what.array, what.count, what.memory, *size
@@ -228,7 +234,7 @@ class _Fmi2(_Calls):
         return StepAnswer(False, False, False, time + length)
 
     def last_successful_time(self) -> float | None:
-        """May be asked after a step that was discarded; None if the FMU does not tell it."""
+        """Return the time that a discarded step reached [s]; None if the FMU does not report it."""
         return self._status(self.getRealStatus, fmi2.fmi2LastSuccessfulTime)
 
     def _status(self, ask: Callable[[int], Any], what: int) -> Any:
@@ -242,7 +248,7 @@ class _Fmi2(_Calls):
 
 
 class _Fmi3(_Calls):
-    """Co-Simulation without event mode and without early return, unless the options ask for them."""
+    """Co-Simulation without event mode and without early return, unless the options request them."""
 
     prefix = "fmi3"
     doubles = "Float64"
@@ -262,7 +268,7 @@ class _Fmi3(_Calls):
         return StepAnswer(*self.doStep(time, length))
 
     def last_successful_time(self) -> float | None:
-        """FMI 3.0 tells it with the step."""
+        """Return None: FMI 3.0 reports it with the step."""
         return None
 
     def directional(
@@ -312,9 +318,11 @@ CLASSES: dict[tuple[int, str], Any] = {
 
 
 class Instance:
-    """One instance of an unpacked FMU; kind: "ME" or "CS".
+    """One instance of an unpacked FMU.
 
-    time: to which it was brought [s]; next_event: the time event it told of, infinite without.
+    kind: "ME" or "CS".
+    time: of the instance [s].
+    next_event: time of the next time event [s], infinite without one.
     """
 
     def __init__(
@@ -325,18 +333,19 @@ class Instance:
         name: str,
         options: Mapping[str, Any] | None = None,
     ) -> None:
-        """description: FMPy's; options: more arguments of FMPy's instantiate().
+        """Load the binary and instantiate.
 
-        Raises Fault if it cannot be loaded or gives no instance.
+        description: FMPy's.
+        options: more arguments of FMPy's instantiate().
+        Raises Fault if the binary cannot be loaded or gives no instance.
         """
         self.description, self.kind, self.options = description, kind, dict(options or {})
         self.time, self.next_event = math.nan, math.inf
         interface = interface_of(description, kind)
         self._needs_tool = bool(interface.needsExecutionTool)
         try:
-            with contextlib.chdir(
-                os.getcwd()
-            ):  # FMPy goes to the library's folder, and stays there if that fails
+            # FMPy changes to the library's folder, and stays there if loading fails.
+            with contextlib.chdir(os.getcwd()):
                 self.fmu: Any = CLASSES[self.major, kind](
                     guid=description.guid,
                     modelIdentifier=interface.modelIdentifier,
@@ -347,11 +356,13 @@ class Instance:
             raise Misbehaviour(
                 f"a function of FMI is missing in the binary ({_inside(folder, error)})"
             ) from error
-        except (
-            Exception
-        ) as error:  # FMPy raises a bare Exception where a binary is missing or does not load
+        except Exception as error:  # FMPy's bare Exception for a binary that does not load
             absent = re.search(r"(\S+): cannot open shared object file", str(error))
-            if absent and not list(folder.rglob(absent[1])):
+            if absent and Path(absent[1]).is_file():  # so glibc answers for another processor
+                raise Misbehaviour(
+                    f"the binary is for another processor than this one ({platform.machine()})"
+                ) from error
+            if absent and not list(folder.rglob(Path(absent[1]).name)):
                 raise Lacking(
                     f"its binary needs {absent[1]}, which neither the FMU carries nor this machine has; install it"
                 ) from error
@@ -360,13 +371,13 @@ class Instance:
 
     @property
     def major(self) -> int:
-        """Of the version of FMI."""
+        """Major version of FMI."""
         return int(self.description.fmiVersion.split(".")[0])
 
     # Life
 
     def instantiate(self) -> None:
-        """Once at the start; once more after free()."""
+        """Make an instance, also after free()."""
         try:
             self.fmu.make(self._log, self.options)
         except FMICallException:
@@ -380,13 +391,13 @@ class Instance:
             raise Misbehaviour(f"{what}{self.quote()}") from error
 
     def _log(self, *arguments: Any) -> None:
-        """The logger of either version: the message comes last."""
+        """Store a message; in both versions it is the last argument."""
         text = (arguments[-1] or b"").decode("utf-8", errors="replace")
         self.fmu.messages += 1
         self.fmu.last_message = " ".join(text.split())[:_QUOTED]
 
     def quote(self) -> str:
-        """What the FMU logged last, for the end of a sentence."""
+        """Return the FMU's last message, for the end of a sentence."""
         text = self.fmu.last_message
         return f"; it said: {text}" if text else ""
 
@@ -424,20 +435,20 @@ class Instance:
             )
 
     def free(self) -> None:
-        """Free the instance, if it lives and reported no fatal status."""
+        """Free the instance, unless it reported a fatal status."""
         if self.fmu.component and not self.fmu.fatal:
             getattr(self.fmu, f"{self.fmu.prefix}FreeInstance")(self.fmu.component)
             self.fmu.component = None
 
     def close(self) -> None:
-        """Terminate and free, whatever happened before - but for a fatal status: then nothing of the FMU may be called any more."""
+        """Terminate and free; after a fatal status no function of the FMU may be called."""
         if self.fmu.component and not self.fmu.fatal:
             with contextlib.suppress(FMICallException):
                 self.fmu.terminate()
         self.free()
 
     def unload(self) -> None:
-        """Close, and let go of the library too, so that the next instance begins with a fresh one."""
+        """Close, and unload the library, so that the next instance loads it again."""
         self.close()
         if not self.fmu.fatal:
             self.fmu.freeLibrary()
@@ -492,7 +503,7 @@ class Instance:
         return place
 
     def restore(self, saved: Any) -> None:
-        """Set the FMU to a saved state. Raises FMICallException."""
+        """Set a saved state. Raises FMICallException."""
         self.fmu.setFMUState(saved)
 
     def forget(self, saved: Any) -> None:
@@ -502,15 +513,19 @@ class Instance:
     # Model Exchange
 
     def event(self) -> bool:
-        """Event mode and back: `settle`."""
+        """Enter Event Mode and `settle`."""
         self.fmu.enterEventMode()
         return self.settle()
 
     def content(self) -> None:
-        """What else is to be done at its end, before Event Mode is left."""
+        """Act after the last update, before Event Mode is left; for subclasses."""
 
     def settle(self) -> bool:
-        """Event updates until the FMU is content, then Continuous-Time or Step Mode: whether states changed. Raises Misbehaviour if that does not end, TerminationRequested."""
+        """Update until the FMU needs no more updates, then leave Event Mode.
+
+        Returns whether states changed. Raises Misbehaviour if the updates do not end,
+        TerminationRequested.
+        """
         changed = False
         for _ in range(EVENT_ROUNDS):
             again, ends, _, states_changed, defined, following = self.fmu.update()
@@ -525,20 +540,21 @@ class Instance:
         raise endless()
 
     def _array(self, call: Callable[..., Any], size: int) -> np.ndarray:
-        array = (ctypes.c_double * size)(
-            *[math.nan] * size
-        )  # a pointer into a numpy array costs more than all else here
+        if not size:
+            return np.empty(0)
+        # A pointer into a numpy array costs more than everything else here.
+        array = (ctypes.c_double * size)(*[math.nan] * size)
         call(array, size)
-        return np.frombuffer(memoryview(array)) if size else np.empty(0)
+        return np.frombuffer(memoryview(array))
 
     @property
     def state_count(self) -> int:
-        """Number of continuous states, as the description says."""
+        """Number of continuous states, by the description."""
         return int(self.description.numberOfContinuousStates)
 
     @property
     def indicator_count(self) -> int:
-        """Number of event indicators, as the description says."""
+        """Number of event indicators, by the description."""
         return int(self.description.numberOfEventIndicators)
 
     def states(self) -> np.ndarray:
@@ -586,9 +602,9 @@ class Instance:
         self.fmu.setTime(time)
 
     def completed(self) -> bool:
-        """Tell of an accepted integrator step; whether the FMU wants an event.
+        """Report an accepted integrator step; return whether the FMU wants an event.
 
-        Raises TerminationRequested if it wants to end.
+        Raises TerminationRequested if it asks for the end.
         """
         event, ends = self.fmu.completedIntegratorStep()
         if ends:
@@ -608,7 +624,7 @@ class Instance:
     # Co-Simulation
 
     def do_step(self, time: float, step: float) -> StepAnswer:
-        """One communication step [s]. Raises TerminationRequested if the FMU wants to end."""
+        """Make one communication step [s]. Raises TerminationRequested if the FMU asks for the end."""
         answer = self.fmu.step(time, step)
         if answer.ends:
             raise TerminationRequested(time + step)
@@ -616,12 +632,12 @@ class Instance:
 
 
 def _inside(folder: Path, error: Exception) -> str:
-    """What an error says, with files of an unpacked FMU as they are called in its archive: the folder is gone when it is read."""
+    """Return the text of an error, with paths relative to the unpacked FMU, whose folder is temporary."""
     return str(error).replace(f"{folder}{os.sep}", "")
 
 
 def endless() -> Misbehaviour:
-    """An event iteration that does not end."""
+    """Return the fault of an event iteration that does not end."""
     return Misbehaviour(f"the event iteration did not end after {EVENT_ROUNDS} rounds")
 
 

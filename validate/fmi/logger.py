@@ -1,8 +1,8 @@
-"""The logger that FMUs of FMI 2.0 are given: it formats a message with its arguments, in C.
+"""The logger of FMI 2.0: it formats a message with its arguments, in C.
 
     logger, environment, kept = made(lambda text: print(text.decode()))
 
-A callback of ctypes has no variable arguments: "cannot open %s" would stay as it is.
+A callback of ctypes has no variable arguments: it cannot format "cannot open %s".
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ def _library() -> Any:
 
 
 def made(say: Callable[[bytes | None], None]) -> tuple[Any, int | None, Any]:
-    """Make a logger: the callback, its environment, and an object to keep while it is used.
+    """Return a logger: the callback, its environment, and an object to keep while it is used.
 
-    Without a compiler the messages come without their arguments.
+    Without a compiler the messages lack their arguments.
     """
     library = _library()
     if library is None:

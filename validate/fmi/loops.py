@@ -1,9 +1,9 @@
-"""The loops of a replay in C (loops.c), over the addresses of any FMU's functions: one call of Python a step of the plan, or a run, instead of one a call of FMI.
+"""The loops of a replay in C (loops.c), over the addresses of an FMU's functions.
 
-    loops = load()                     # built once, found in the cache
-    fmu = describe(instance, ...)      # an FMU as they see it
+    loops = load()                     # built once, then taken from the cache
+    fmu = describe(instance, ...)      # the struct of an FMU
 
-The tests hold them against the same loops in Python, call by call and bit for bit.
+Python makes one call per step of the plan, instead of one per call of FMI.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ SOLVER = (
 _COUNTS = {"CALLS": len(CALLS), "SOLVER_CALLS": len(SOLVER)}
 
 
-# Why a loop came back, in the order of loops.c.
+# Reasons of a loop to return, in the order of loops.c.
 Reason = IntEnum(
     "Reason",
     "DONE EVENT CALL_REFUSED RATE_NOT_FINITE OUT_OF_BOUNDS SUM_NOT_FINITE OUTPUT_NOT_FINITE SOLVER_FAILED STOP_TIME_REFUSED SETUP_REFUSED WANTS_END "
@@ -64,7 +64,7 @@ Reason = IntEnum(
 
 @cache
 def structure(name: str) -> type[ctypes.Structure]:
-    """A struct of loops.c, for ctypes: its fields as they are declared there."""
+    """Return a struct of loops.c for ctypes, with the fields declared there."""
     body = re.search(
         rf"^struct {name} {{$(.*?)^}};$",
         re.sub(r"/\*.*?\*/", "", _SOURCE, flags=re.DOTALL),
@@ -87,9 +87,9 @@ def structure(name: str) -> type[ctypes.Structure]:
 
 
 def library_path() -> Path:
-    """The compiled loops, built if they are not in the cache.
+    """Return the compiled loops, built if they are not in the cache.
 
-    Raises MachineError without a compiler that takes them.
+    Raises MachineError without a suitable compiler.
     """
     return cached_library({"loops.c": _SOURCE})
 
@@ -98,14 +98,14 @@ _adopted: list[Path] = []
 
 
 def adopt(path: Path) -> None:
-    """Use these loops, built by the process that started this one, in which the FMU's limits hold for a compiler too."""
+    """Use loops that the parent built: limits of this process would hold for its compiler, too."""
     _adopted[:] = [path]
     load.cache_clear()
 
 
 @lru_cache(maxsize=1)
 def load() -> Any:
-    """The loops. Raises MachineError."""
+    """Load the loops. Raises MachineError."""
     path = _adopted[0] if _adopted else library_path()
     try:
         library = ctypes.CDLL(str(path))
@@ -134,7 +134,10 @@ def describe(
     states: int = 0,
     indicators: int = 0,
 ) -> ctypes.Structure:
-    """The FMU for a loop that calls `needed` (FMI 2.0's names): FMPy loads no binary that lacks one of them. What is given must live as long as the answer."""
+    """Return the struct of an FMU for a loop that calls `needed` (names of FMI 2.0).
+
+    The arguments must live as long as the struct.
+    """
     is_three = instance.major == 3
     fmu = structure("fmu")(
         component=instance.fmu.component, three=is_three, states=states, indicators=indicators
@@ -149,7 +152,7 @@ def describe(
 
 
 def refuse(instance: Instance, fmu: Any) -> NoReturn:
-    """Raise FMICallException for the call that was refused."""
+    """Raise FMICallException for the refused call."""
     instance.refuse(CALLS[fmu.fault_call][instance.major == 3], int(fmu.fault_status))
 
 
@@ -159,8 +162,5 @@ def unsettled(reason: Reason, time: float) -> NoReturn:
 
 
 def address_of(array: np.ndarray) -> int:
-    """Address of an array's memory, whatever its shape (n,) or (rows, n) and unit [any].
-
-    Raises nothing.
-    """
+    """Return the address of an array (n,) or (rows, n) [any unit]. Raises nothing."""
     return array.ctypes.data

@@ -1,10 +1,10 @@
-"""What a process has beside its memory, and what an FMU's code may have changed of it: folder, environment, floating-point modes, signals, files.
+"""The surroundings of a process: folder, environment, floating-point modes, signals, files.
 
     before = surroundings()
     ..
     changes(before, surroundings())     # ["the working folder is /, it was /tmp"]
 
-Code that is called must leave these as they were: whoever calls it goes on with them.
+Called code must leave them unchanged: its caller goes on with them.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from typing import Any
 
 import numpy as np
 
-# Half of the smallest normal number: what is flushed to zero where denormal numbers are switched
-# off.
+# The smallest normal number; half of it is zero if denormal numbers are switched off.
 _DENORMAL = np.float64(2.0**-1022)
 _LC_ALL = 6  # of glibc
 _MASKS = {0: "to nearest", 0x400: "downward", 0x800: "upward", 0xC00: "toward zero"}
 # Room for struct sigaction, which begins with the handler's address.
 _SIGACTION = 256
-# How a file is called, and how many of them are looked at.
+# Begin of a file's name in a sentence.
 _FILE = "the file here "
+# Files of the working folder that are compared.
 _MOST_FILES = 1000
 
 
 @lru_cache(maxsize=1)
 def symbols() -> Any:
-    """The process' own symbols; None where they cannot be had."""
+    """Return the symbols of this process; None if the system has none."""
     try:
         return ctypes.CDLL(None)
     except (OSError, TypeError):
@@ -42,7 +42,7 @@ def symbols() -> Any:
 
 
 def surroundings() -> dict[str, Any]:
-    """What this process has, by what it is called in a sentence; Linux tells all of it."""
+    """Return the surroundings by their names in a sentence; all of them on Linux alone."""
     found: dict[str, Any] = {"the working folder": "gone"}
     with contextlib.suppress(OSError):
         found["the working folder"] = os.getcwd()
@@ -76,9 +76,8 @@ def surroundings() -> dict[str, Any]:
     return found
 
 
-# By how a thing's name begins what is said of it where it is gone, new, or another one; of others
-# what it is and was.
-_SAID = {
+# Begin of a name -> words for an item that is gone, new, or changed.
+_WORDS = {
     "file descriptor": ("closed", "", "another file"),
     "the handler": ("another one", "another one", "another one"),
     _FILE: ("gone", "new or changed", "new or changed"),
@@ -87,11 +86,8 @@ _SAID = {
 
 
 def changes(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
-    """What is not as it was, in words.
-
-    File descriptors that were not there before may stay open while an FMU lives.
-    """
-    said = []
+    """Return clauses about changes; new file descriptors may be open while an FMU lives."""
+    found = []
     moved = before["the working folder"] != after["the working folder"]
     for name in [*before, *(name for name in after if name not in before)]:
         one, two = before.get(name), after.get(name)
@@ -101,21 +97,21 @@ def changes(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
             or (one is None and name.startswith("file descriptor"))
         ):
             continue
-        words = next((words for kind, words in _SAID.items() if name.startswith(kind)), None)
-        said.append(
+        words = next((words for kind, words in _WORDS.items() if name.startswith(kind)), None)
+        found.append(
             f"{name} is {words[0 if two is None else 1 if one is None else 2] if words else f'{two}, it was {one}'}"
         )
-    return said
+    return found
 
 
 def listed(items: list[str], most: int = 3) -> str:
-    """The first few of some texts, and how many more there are."""
+    """Return the first texts and the number of further ones."""
     more = len(items) - most
     return "; ".join(items[:most]) + (f"; and {more} more" if more > 0 else "")
 
 
 def _files() -> dict[str, int]:
-    """Files of the working folder, and when each was changed [ns]."""
+    """Return the files of the working folder, with times of change [ns]."""
     found = {}
     with contextlib.suppress(OSError), os.scandir(".") as entries:
         for entry in itertools.islice(entries, _MOST_FILES):
@@ -125,7 +121,7 @@ def _files() -> dict[str, int]:
 
 
 def _environment() -> dict[str, bytes]:
-    """That of C: os.environ is a copy."""
+    """Return the environment of C; os.environ is a copy."""
     call = symbols()
     try:
         rows = ctypes.POINTER(ctypes.c_char_p).in_dll(call, "environ")
@@ -143,7 +139,7 @@ def _environment() -> dict[str, bytes]:
 
 
 def _descriptors() -> dict[str, tuple[int, int]]:
-    """Device and file of each open file."""
+    """Return device and inode of each open file."""
     try:
         numbers = sorted(map(int, os.listdir("/proc/self/fd")))
     except OSError:

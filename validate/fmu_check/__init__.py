@@ -1,11 +1,10 @@
-"""Checks any FMU: what its files say, and how its code behaves.
+"""Checks of any FMU: its files, and the behaviour of its code.
 
     report = check_fmu(Path("model.fmu"))
-    report.ok, [row for row in report.rows if row.status is Status.FAILED]
+    report.ok, report.failures()
 
-Each check is one function that claims something of a sound FMU and finds out; host.py lists them.
-They run in forks of an isolated child, each with its time and memory: an FMU that hangs or crashes
-has failed a check, and nothing else happens.
+A check is one function with a claim about a sound FMU; host.py lists them. Each check runs in a fork
+of an isolated child, with limits of time and memory: an FMU that hangs or crashes fails the check.
 """
 
 from validate.fmu_check.check import CheckReport, FmuCheckRow, Status

@@ -1,8 +1,13 @@
-"""A check of an FMU: what it claims, the fork in which it runs, and what it finds - passed, failed or not offered, and one sentence with figures.
+"""A check of an FMU: its claim, the process in which it runs, and its finding.
 
-The process that forks never loads an FMU itself: libraries are imported once, and each check has a
-fresh process. The answer is a file written last and whole; what the FMU prints, and how the process
-exits, cannot pass for one. A Fault is raised here as it was there.
+    @check("runs repeat", Scope.EACH)
+    def repeats(subject: Subject, kind: str) -> Finding: ...
+
+    in_fork(partial(repeats, subject, "CS"), seconds=60.0)
+
+The process that forks never loads an FMU: libraries are imported once, and each check has a fresh
+process. Its answer is a file, written last and whole, so that no output or exit code of the FMU can
+be taken for an answer.
 """
 
 from __future__ import annotations
@@ -10,9 +15,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import json
-import math
 import os
-import select
 import signal
 import tempfile
 import time
@@ -30,25 +33,22 @@ from validate.fmi.instance import Fault, Lacking, Misbehaviour, RefusedCall, Ter
 from validate.fmi.surroundings import listed
 from validate.processes.process import exit_in_words
 
-# The texts whose sections the checks name.
+# Versions of the standard whose sections the checks name.
 STANDARDS = ("2.0.4", "3.0.2")
 
 
 class Status(StrEnum):
-    """How a check ended; the value is the word in the table."""
+    """The outcome of a check, as the table shows it."""
 
     PASSED = "passed"
     FAILED = "failed"
-    NOT_OFFERED = "not offered"  # the FMU does not offer what is checked, or it cannot be told
-    ADVICE = "advice"  # allowed, and a trap for who uses the FMU
-    WAIVED = "waived"  # it failed, and who asked for the check gave a reason why that is right
+    NOT_OFFERED = "not offered"  # the FMU does not offer the feature, or it cannot be measured
+    ADVICE = "advice"  # allowed, and a trap for users
+    WAIVED = "waived"  # failed, and the user gave a reason why that is right
 
 
 class Scope(Enum):
-    """What a check is about: the file; an FMI type, each one the FMU offers; or one of them only.
-
-    The value: the types it is run for, as far as they are there.
-    """
+    """The types of FMI for which a check is run, if the FMU offers them; "" for the file."""
 
     FILE = ("",)
     EACH = ("ME", "CS")
@@ -57,10 +57,10 @@ class Scope(Enum):
 
 
 class Finding(NamedTuple):
-    """The outcome of one check and its sentence.
+    """The outcome of a check and its sentence.
 
-    pace: seconds of a step, from the check that measures it; learnt: what other checks must not set,
-        from the check that finds it (validate.fmu_check.accepted).
+    pace: seconds per step, from the check that measures it.
+    learnt: values that other checks must avoid, from the check that finds them.
     """
 
     status: Status
@@ -69,27 +69,23 @@ class Finding(NamedTuple):
     learnt: dict[str, Any] | None = None
 
 
-# Each makes the Finding of a sentence; of advice: nothing that the standard or common sense
-# forbids, but worth a change.
-passed, failed, not_offered, advice = (
-    partial(Finding, status) for status in Status if status is not Status.WAIVED
-)
+passed = partial(Finding, Status.PASSED)
+failed = partial(Finding, Status.FAILED)
+not_offered = partial(Finding, Status.NOT_OFFERED)
+advice = partial(Finding, Status.ADVICE)
 
 
-def unless(wrong: list[str], sentence: str, end: str = ".") -> Finding:
-    """Failed with the first few things that are wrong, and `end` behind them.
-
-    Without any, passed with the sentence.
-    """
-    return failed(f"{listed(wrong)}{end}") if wrong else passed(sentence)
+def unless(wrong: list[str], sentence: str) -> Finding:
+    """Return failed with the first items of `wrong`; without any, passed with the sentence."""
+    return failed(f"{listed(wrong).rstrip('.')}.") if wrong else passed(sentence)
 
 
 class Refusal(Misbehaviour):
-    """A call that was refused in a fork, as RefusedCall tells of it: text, a clause, reason and time [s]."""
+    """A RefusedCall of a fork, raised again in its parent; see there for its attributes."""
 
-    def __init__(self, text: str, reason: str = "", time: float = math.nan) -> None:
-        super().__init__(text)
-        self.reason, self.time = reason, time
+    def __init__(self, sentence: str, reason: str, time: float) -> None:
+        super().__init__(sentence)
+        self.sentence, self.reason, self.time = sentence, reason, time
 
 
 class Failed(Exception):  # noqa: N818 - a finding about the FMU, not an error of ours
@@ -98,52 +94,55 @@ class Failed(Exception):  # noqa: N818 - a finding about the FMU, not an error o
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One check: its name in the table, and the function that finds out, whose docstring, one sentence, is what it claims of a sound FMU.
+    """One check.
 
-    run(subject) for Scope.FILE, run(subject, type) with type "ME" or "CS" otherwise; clauses:
-    the sections of FMI 2.0.4 and 3.0.2 that demand it, empty where none does; needs: the ability
-    that the type must claim, by its names in FMI 2.0 and 3.0, empty in a version that has none.
+    name: in the table.
+    run: run(subject) for Scope.FILE, run(subject, kind) otherwise; its docstring is one sentence.
+    clauses: sections of FMI 2.0.4 and 3.0.2 that demand it, empty if none does.
+    needs: the ability that the type must claim, by its names in FMI 2.0 and 3.0; empty in a version
+        without it.
     """
 
     name: str
     scope: Scope
     run: Callable[..., Finding]
-    clauses: tuple[str, str] = ("", "")
-    needs: tuple[str, str] | None = None
+    clauses: tuple[str, str]
+    needs: tuple[str, str] | None
 
     @property
     def claim(self) -> str:
-        """What it claims of a sound FMU."""
+        """The claim about a sound FMU, without full stop."""
         claim = " ".join((self.run.__doc__ or "").split()).removesuffix(".")
         return claim[:1].lower() + claim[1:]
 
     def clause(self, major: int) -> str:
-        """The section that demands it, for example `FMI 2.0.4, 2.1.8`.
+        """Return the section that demands it, as `FMI 2.0.4, 2.1.8`; empty if none does.
 
-        Empty where no section does. major: the version of FMI, 0 if it is not known.
+        major: the version of FMI, 0 if it is unknown.
         """
         section = self.clauses[major >= 3]
         return f"FMI {STANDARDS[major >= 3]}, {section}" if major and section else ""
 
     def lacks(self, subject: Any, kind: str) -> str:
-        """Which ability the type does not claim, as a sentence; empty if none is missing."""
+        """Return a sentence about the ability that the type lacks; empty if it lacks none."""
         ability = self.needs[subject.major >= 3] if self.needs is not None else None
         if ability is None or (ability and subject.can(kind, ability)):
             return ""
         return f"{ability} is false." if ability else f"FMI {subject.major}.0 has none."
 
     def __call__(self, *arguments: Any) -> Finding:
-        """Run it: see `run`. Raises Fault, FMICallException, MemoryError."""
+        """Run it. Raises Fault, FMICallException, MemoryError."""
         try:
             return self.run(*arguments)
         except (Fault, FMICallException, MemoryError):
             raise
         except Failed as failure:
             return failed(str(failure))
-        except Exception as error:  # noqa: BLE001 - our own mistake must not pass for the FMU's
+        except Exception as error:  # noqa: BLE001 - an error of ours is no defect of the FMU
             traceback.print_exc()
             return failed(
-                f"this check itself broke off ({type(error).__name__}: {error}); please report it with the FMU."
+                f"this check itself broke off ({type(error).__name__}: {error}); "
+                "please report it with the FMU."
             )
 
 
@@ -154,18 +153,13 @@ def check(
     clauses: tuple[str, str] = ("", ""),
     needs: tuple[str, str] | None = None,
 ) -> Callable[[Callable[..., Finding]], Check]:
-    """Make a function a Check: see there."""
-    return lambda function: Check(
-        name=name, scope=scope, run=function, clauses=clauses, needs=needs
-    )
+    """Make a Check of a function."""
+    return lambda run: Check(name=name, scope=scope, run=run, clauses=clauses, needs=needs)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FmuCheckRow:
-    """A line of the table: check, FMI type ("", "ME" or "CS"), outcome, seconds it took.
-
-    clause: see `Check`.
-    """
+    """A row of the table: a check, the type of FMI ("", "ME" or "CS") and the outcome."""
 
     name: str
     type: str
@@ -177,20 +171,22 @@ class FmuCheckRow:
 
     @property
     def title(self) -> str:
-        """The check, with the type of FMI that it was run for."""
+        """The name of the check, with the type of FMI."""
         return f"{self.name} ({self.type})" if self.type else self.name
 
     @property
     def severity(self) -> str:
-        """What a failure of it is: an `error` against the standard, or `behaviour` that users trip over; `advice` is none."""
+        """`error` if the standard demands it, else `behaviour`; `advice` for advice."""
         return "advice" if self.status is Status.ADVICE else "error" if self.clause else "behaviour"
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckReport:
-    """All that was found about one FMU. version: of FMI; types: those it offers.
+    """All findings about one FMU.
 
-    unrunnable: there is no binary for this machine, or it needs what the machine does not have.
+    version: of FMI.
+    types: those the FMU offers.
+    unrunnable: whether its code cannot be run on this machine.
     """
 
     path: str
@@ -200,23 +196,20 @@ class CheckReport:
     unrunnable: bool = False
 
     def failures(self) -> tuple[FmuCheckRow, ...]:
-        """The rows that failed."""
+        """Return the rows that failed."""
         return tuple(row for row in self.rows if row.status is Status.FAILED)
 
     @property
     def counts(self) -> str:
-        """How many rows there are of each outcome; of advice and waivers, if there are any."""
+        """The number of rows per outcome; of advice and waivers only if there are any."""
         found = [row.status for row in self.rows]
         always = (Status.PASSED, Status.FAILED, Status.NOT_OFFERED)
-        return ", ".join(
-            f"{found.count(status)} {status.value}"
-            for status in Status
-            if status in always or status in found
-        )
+        shown = (status for status in Status if status in always or status in found)
+        return ", ".join(f"{found.count(status)} {status.value}" for status in shown)
 
     @property
     def ok(self) -> bool:
-        """Whether no check failed, but for those that are waived."""
+        """Whether no check failed, except waived ones."""
         return not self.failures()
 
     @property
@@ -225,17 +218,18 @@ class CheckReport:
         return (3 if self.unrunnable else 0) if self.ok else 1
 
 
-# What a function in a fork may raise, as it is raised again here.
+# Exceptions of a fork that are raised again in its parent.
 _FAULTS = (TerminationRequested, Lacking, Refusal, Misbehaviour)
-# Pause between two looks where the system cannot tell us the end of a process [s].
-_LOOK = 0.005
+# Interval of looking whether a process has ended [s]; a check takes 20 ms and more.
+_POLL_S = 0.002
 
 
 def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = False) -> Any:
-    """What function() gives in a fork, as JSON holds it. own_group: a process group of its own, ended as a whole at the time limit.
+    """Return the value of function() from a fork, as JSON holds it.
 
-    Raises TerminationRequested and Lacking as the function did; Refusal for a call that was refused;
-    Misbehaviour for its own, and for a process that crashed or hung.
+    own_group: whether its process group is killed at the end.
+    Raises TerminationRequested, Lacking and Misbehaviour as the function did, Refusal for a
+        RefusedCall, and Misbehaviour for a process that crashed or hung.
     """
     with tempfile.TemporaryDirectory(prefix="answer-", ignore_cleanup_errors=True) as folder:
         path = Path(folder, "answer.json")
@@ -243,16 +237,14 @@ def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = Fa
         if child == 0:
             _answer(function, path, own_group)
         problem = _wait(child, seconds, own_group)
-        if (
-            problem and own_group
-        ):  # what stood between was ended while the code went on: its answer does not count
+        if problem and own_group:
+            # The process between was killed while the code ran on: its answer does not count.
             raise Misbehaviour(problem)
         try:
             answer = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError):
-            raise Misbehaviour(
-                problem or "its process ended without a result (exit code 0)"
-            ) from None
+            nothing = "its process ended without a result (exit code 0)"
+            raise Misbehaviour(problem or nothing) from None
     for fault in _FAULTS:
         if fault.__name__ in answer:
             raise fault(*answer[fault.__name__])
@@ -260,10 +252,9 @@ def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = Fa
 
 
 def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
-    """In the child: never returns.
+    """Run the function and store its answer, in the child: never returns.
 
-    With a group of its own a process stands between: code that ends its parent ends that one, and
-    is told by how it ended.
+    With a group of its own a process stands between, because code may kill its parent.
     """
     code = 1
     try:
@@ -272,76 +263,61 @@ def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
             if guarded := os.fork():
                 _end_like(guarded)
         first = os.getpid()
-        # what was there before the fork is no garbage of the check, and need not be looked through
-        gc.freeze()
-        try:
-            answer = {"value": function()}
-        except TerminationRequested as end:
-            answer = {TerminationRequested.__name__: [end.time]}
-        except RefusedCall as refusal:
-            answer = {Refusal.__name__: [refusal.sentence, refusal.reason, refusal.time]}
-        except Refusal as refusal:
-            answer = {Refusal.__name__: [str(refusal), refusal.reason, refusal.time]}
-        except (Lacking, Misbehaviour) as fault:
-            answer = {type(fault).__name__: [str(fault)]}
-        except MemoryError:
-            answer = {Misbehaviour.__name__: ["it was ended at its memory limit"]}
+        gc.freeze()  # objects of the parent are no garbage of the check
+        answer = _value_or_fault(function)
         if os.getpid() == first:  # an FMU may fork within a call: only the first process answers
-            aside = path.with_suffix(".part")
-            aside.write_text(json.dumps(answer), encoding="utf-8")
-            os.replace(aside, path)
+            part = path.with_suffix(".part")
+            part.write_text(json.dumps(answer), encoding="utf-8")
+            os.replace(part, path)
         code = 0
-    except BaseException:  # noqa: BLE001 - it goes to the output; without an answer the parent knows enough
+    except BaseException:  # noqa: BLE001 - printed; the parent reports that there is no answer
         traceback.print_exc()
     finally:
         os._exit(code)
 
 
+def _value_or_fault(function: Callable[[], Any]) -> dict[str, Any]:
+    """Return the value, or the arguments of the fault that is to be raised again."""
+    try:
+        return {"value": function()}
+    except TerminationRequested as end:
+        return {TerminationRequested.__name__: [end.time]}
+    except (RefusedCall, Refusal) as refusal:
+        return {Refusal.__name__: [refusal.sentence, refusal.reason, refusal.time]}
+    except (Lacking, Misbehaviour) as fault:
+        return {type(fault).__name__: [str(fault)]}
+    except MemoryError:
+        return {Misbehaviour.__name__: ["it was ended at its memory limit"]}
+
+
 def _end_like(child: int) -> None:
-    """Wait for a child, then end as it did: never returns."""
+    """Wait for a child, then end with its exit code or signal: never returns."""
     _, status = os.waitpid(child, 0)
     code = os.waitstatus_to_exitcode(status)
     if code < 0:
-        signal.signal(-code, signal.SIG_DFL) if -code not in (
-            signal.SIGKILL,
-            signal.SIGSTOP,
-        ) else None
+        if -code not in (signal.SIGKILL, signal.SIGSTOP):
+            signal.signal(-code, signal.SIG_DFL)
         os.kill(os.getpid(), -code)
-    os._exit(max(code, 1) if code < 0 else code)
+    os._exit(abs(code))
 
 
 def _wait(child: int, seconds: float, own_group: bool) -> str:
-    """Wait for the child, end it at the limit; how it ended if not with exit code 0."""
-    over_time = not _ended_within(child, seconds)
+    """Wait for the child, kill it at the limit; return how it ended if not with exit code 0."""
+    until = time.monotonic() + seconds
+    # The child is not reaped before its group is killed, so that its number stays its own.
+    while not (ended := os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT)):
+        if time.monotonic() > until:
+            break
+        time.sleep(_POLL_S)
     with contextlib.suppress(ProcessLookupError, PermissionError):
-        if over_time:
+        if not ended:
             os.kill(child, signal.SIGKILL)
         if own_group:
             os.killpg(child, signal.SIGKILL)
     _, status = os.waitpid(child, 0)
-    code = os.waitstatus_to_exitcode(status)
-    if over_time:
+    if not ended:
         return f"it hung: it was ended at its time limit of {seconds:g} s"
-    if code == 0:
-        return ""
-    return (
-        f"it crashed with {exit_in_words(code)}"
-        if code < 0
-        else f"its process ended without a result ({exit_in_words(code)})"
-    )
-
-
-def _ended_within(child: int, seconds: float) -> bool:
-    """Whether it ends in time; it is not waited for, so that its number stays its own."""
-    until = time.monotonic() + seconds
-    if hasattr(os, "pidfd_open"):
-        handle = os.pidfd_open(child)
-        try:
-            return bool(select.select([handle], [], [], seconds)[0])
-        finally:
-            os.close(handle)
-    while os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
-        if time.monotonic() > until:
-            return False
-        time.sleep(_LOOK)
-    return True
+    code = os.waitstatus_to_exitcode(status)
+    if code < 0:
+        return f"it crashed with {exit_in_words(code)}"
+    return f"its process ended without a result ({exit_in_words(code)})" if code else ""

@@ -1,9 +1,9 @@
-"""Derivatives and dependencies that the FMU declares, against finite differences at points along a run.
+"""Declared derivatives and dependencies against finite differences at points along a run.
 
-The differences know their own error: central ones with steps h, h/4, ... (Ridders, Accurate
+The differences know their own error: central ones with steps h, h/4, .. (Ridders, Accurate
 computation of F'(x), Adv. Eng. Software 4, 1982), two neighbours extrapolated, and of these the
-pair that changes least. Where the two one-sided differences do not approach each other, however
-small the step, there is a kink and no derivative.
+pair that changes least. If the two one-sided differences do not approach each other, however small
+the step, there is a kink and no derivative.
 """
 
 from __future__ import annotations
@@ -13,53 +13,61 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from validate.fmi.instance import RefusedCall
 from validate.fmi.surroundings import listed
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
-from validate.fmu_check.motion import Record, fresh_run, run
-from validate.fmu_check.subject import HOLD, Block, CheckedInstance, FmuVariable, Subject
+from validate.fmu_check.motion import SAFETY, Record, fresh_run, run
+from validate.fmu_check.subject import HOLD, MOVED, Block, CheckedInstance, FmuVariable, Subject
 
-# Steps: from this share of the variable's size, each a quarter of the one before.
-_LARGEST = 1e-2
-_COUNT = 9
+_EPS = float(np.finfo(float).eps)
 # Rounding of one evaluation, in units of the last place of its value.
 _ULPS = 16.0
-# Derivatives that an FMU computes by differences itself are less than this off, and are none the
-# worse for their users; wrong ones are farther.
+# Finite differences: number of steps, each a quarter of the one before. From MOVED of the variable's
+# size they pass the cube root of rounding, the best step of a central difference.
+_COUNT = 9
+# Largest first step of a second measurement, before a derivative is called wrong: no power of two
+# from the first one.
+_OTHER_STEPS = 3.7e-3
+# A difference exceeds the estimated error of finite differences by at most this factor.
+_WITHIN = 10.0
+# Relative error of derivatives that an FMU computes by differences itself; wrong ones are farther off.
 _SHARE = 5e-5
-_EPS = float(np.finfo(float).eps)
-# What rounding leaves of such an entry where it is zero, in typical sizes: forward differences do
-# best with steps of the root of rounding.
+# Relative error of adjoints and of factors declared constant: those are computed, not approximated.
+_EXACT = 1e-6
+# Error of such differences for an entry that is zero, in typical sizes: forward differences are best
+# with steps of the root of rounding.
 _FLOOR = math.sqrt(_EPS)
+# A value changes if it moves by more than this share of its size: far above rounding.
+_CHANGED = 1e-9
+# Shares of a run at which points are taken ...
+SHARES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9)
+# ... and the number of first events after which points are taken, where other equations may hold.
+AFTER_EVENTS = 4
+# Columns of a large FMU that are drawn: two evaluations of all unknowns per step and column.
+MOST_KNOWNS = 60
 
 
-@dataclass(frozen=True)
-class _DerivativeColumn:
-    """d(unknowns)/d(one known): value, error estimate and where there is no derivative, each (unknowns,)."""
+class _Column(NamedTuple):
+    """d(unknowns)/d(one known): value, error estimate and whether it is a kink, each (unknowns,)."""
 
     value: np.ndarray
     error: np.ndarray
     kink: np.ndarray
 
-    @classmethod
-    def unknown(cls, count: int) -> _DerivativeColumn:
-        """Of which nothing can be said."""
-        return cls(np.zeros(count), np.full(count, np.inf), np.zeros(count, dtype=bool))
-
 
 def _rounding(claimed: np.ndarray) -> float:
-    """What large terms that cancel leave of an entry that is zero: some units in the last place of the largest entry."""
+    """Return the rounding of zero entries that are sums of large terms, of claimed ones (entries,)."""
     return _ULPS * _EPS * float(np.abs(claimed[np.isfinite(claimed)]).max(initial=0.0))
 
 
-def _agrees(claimed: np.ndarray, found: _DerivativeColumn, floor: np.ndarray) -> np.ndarray:
-    """(unknowns,) whether a claimed column is within the error of the one found, or below `floor` as it is; True where nothing can be said."""
+def _agrees(claimed: np.ndarray, found: _Column, floor: np.ndarray) -> np.ndarray:
+    """(unknowns,) whether claimed entries (unknowns,) are within error or floor, or unmeasurable."""
     allowed = (
-        10.0 * found.error
+        _WITHIN * found.error
         + _SHARE * np.maximum(np.abs(claimed), np.abs(found.value))
         + _rounding(claimed)
         + floor
@@ -67,26 +75,12 @@ def _agrees(claimed: np.ndarray, found: _DerivativeColumn, floor: np.ndarray) ->
     return (np.abs(claimed - found.value) <= allowed) | found.kink | ~np.isfinite(found.error)
 
 
-def _resolved(claimed: np.ndarray, found: _DerivativeColumn) -> np.ndarray:
-    """(unknowns,) whether an error of a thousandth of the entry would show."""
-    size = np.maximum(np.abs(claimed), np.abs(found.value))
-    return ~found.kink & (
-        (found.error <= 1e-3 * size) | (np.abs(claimed - found.value) <= found.error)
-    )
-
-
-# Where in a run points are taken, and after how many of its first events.
-AFTER_EVENTS = 4
-SHARES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9)
-# Of a large FMU, columns are drawn.
-MOST_KNOWNS = 60
-
-
 @dataclass
 class _CheckedPoint:
-    """An instance at a point: `evaluate` maps the knowns (their entries in order) to the unknowns, and leaves the instance at the point after back().
+    """An instance at a point, and the map from knowns to unknowns there.
 
-    fresh: makes another instance that was brought there in the same way, for one that refused a call.
+    fresh: makes another instance at the point, in place of one that refused a call.
+    x: (entries of the knowns,) the point; states, of `state_entries`, come first [unit of each].
     """
 
     where: str
@@ -96,17 +90,14 @@ class _CheckedPoint:
     unknowns: Block
     x: np.ndarray
     time: float
-    state_entries: int
+    state_entries: int = 0
     is_initial: bool = False
 
     def evaluate(self, x: np.ndarray) -> np.ndarray:
-        """Unknowns (entries,) [unit of each] for knowns x (entries,) [unit of each].
-
-        Raises FMICallException.
-        """
+        """Return the unknowns (entries,) at knowns (entries,) [unit of each]. Raises FMICallException."""
         if self.state_entries:
             self.instance.move(self.time, x[: self.state_entries])
-        self.instance.set(self._given, x[self.state_entries :])
+        self.instance.set(self._settable, x[self.state_entries :])
         return self.instance.get(self.unknowns)
 
     def back(self) -> None:
@@ -114,7 +105,7 @@ class _CheckedPoint:
         self.evaluate(self.x)
 
     def renew(self, refusal: RefusedCall) -> None:
-        """Go on with another instance after a refusal. Raises that if it was fatal: then there is no other."""
+        """Replace the instance after a refusal. Raises the refusal if it was fatal."""
         if self.instance.fmu.fatal:
             raise refusal
         self.instance.free()
@@ -122,115 +113,87 @@ class _CheckedPoint:
         self.back()
 
     @cached_property
-    def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest values (entries,) of the knowns that are declared, and not refused [unit of each]. Raises nothing."""
-        knowns = self.knowns
-        starts = np.nan_to_num(knowns.starts)
-        return (
-            np.where(knowns.refuses("below"), starts, knowns.each(lambda item: item.lower)),
-            np.where(knowns.refuses("above"), starts, knowns.each(lambda item: item.upper)),
-        )
-
-    @cached_property
-    def _given(self) -> Block:
-        """Knowns that are no states: those come first."""
+    def _settable(self) -> Block:
+        """Knowns that are no states."""
         return Block(self.knowns[int(np.searchsorted(self.knowns.ends, self.state_entries)) :])
 
-    def column(self, place: int, largest: float = _LARGEST) -> _DerivativeColumn:
-        """The derivatives by entry `place` of x, by finite differences.
+    def column(self, place: int, largest: float = MOVED) -> _Column:
+        """Return the derivatives by entry `place` of x, by finite differences.
 
-        Without any where the point is at the edge of what is allowed, or a value is refused.
+        The error is infinite at the edge of the range, and where a value is refused.
         """
-        try:
-            return self._column(place, largest)
-        except RefusedCall as refusal:
-            self.renew(refusal)
-            return _DerivativeColumn.unknown(self.unknowns.entries)
-
-    def _column(self, place: int, largest: float) -> _DerivativeColumn:
-        x, (lower, upper) = self.x, self.limits
+        count = self.unknowns.entries
+        unknown = _Column(np.zeros(count), np.full(count, np.inf), np.zeros(count, dtype=bool))
+        x, (lower, upper) = self.x, self.knowns.limits
         most = largest * max(self.knowns.scales[place], abs(x[place]))
         most = min(most, x[place] - lower[place], upper[place] - x[place])
         if not most > 4.0**_COUNT * _EPS * abs(x[place]):  # the last step would be rounded away
-            return _DerivativeColumn.unknown(self.unknowns.entries)
-        middle = self.evaluate(x)
-        central, forward, backward, noise = [], [], [], []
+            return unknown
+        try:
+            return self._column(place, most)
+        except RefusedCall as refusal:
+            self.renew(refusal)
+            return unknown
+
+    def _column(self, place: int, most: float) -> _Column:
+        x, middle, (lower, upper) = self.x, self.evaluate(self.x), self.knowns.limits
+        central, gap, noise = [], [], []
         for number in range(_COUNT):
-            step = most / 4.0**number
             above, below = x.copy(), x.copy()
-            above[place] = min(x[place] + step, upper[place])
-            below[place] = max(x[place] - step, lower[place])
+            above[place] = min(x[place] + most / 4.0**number, upper[place])
+            below[place] = max(x[place] - most / 4.0**number, lower[place])
             up, down = self.evaluate(above), self.evaluate(below)
             right, left = above[place] - x[place], x[place] - below[place]
             central.append((up - down) / (right + left))
-            forward.append((up - middle) / right)
-            backward.append((middle - down) / left)
-            noise.append(
-                _ULPS
-                * _EPS
-                * np.maximum(np.maximum(np.abs(up), np.abs(down)), np.abs(middle))
-                / step
-            )
-        d, rounding = np.array(central), np.array(noise)
+            gap.append(np.abs((up - middle) / right - (middle - down) / left))
+            noise.append(_ULPS * _EPS * np.abs([up, down, middle]).max(axis=0) / right)
+        d, gaps, rounding = np.array(central), np.array(gap), np.array(noise)
         extrapolated = (16.0 * d[1:] - d[:-1]) / 15.0
         error = np.abs(extrapolated[1:] - extrapolated[:-1]) + 2.0 * rounding[2:]
         error = np.where(np.isfinite(error), error, np.inf)
-        best = np.argmin(error, axis=0)
-        columns = np.arange(d.shape[1])
-        gap = np.abs(np.array(forward) - np.array(backward))
-        # A smooth function's one-sided differences approach each other as the step; four times
-        # smaller, four times nearer.
-        here, before = gap[best + 2, columns], gap[best + 1, columns]
-        kink = (here > 0.5 * before) & (here > 10.0 * rounding[best + 2, columns])
-        return _DerivativeColumn(extrapolated[best + 1, columns], error[best, columns], kink)
+        best, columns = np.argmin(error, axis=0), np.arange(d.shape[1])
+        # One-sided differences of a smooth function approach each other as the step: by a factor of
+        # four.
+        here, before = gaps[best + 2, columns], gaps[best + 1, columns]
+        kink = (here > 0.5 * before) & (here > _WITHIN * rounding[best + 2, columns])
+        return _Column(extrapolated[best + 1, columns], error[best, columns], kink)
 
     def entries(self) -> list[tuple[int, FmuVariable]]:
-        """(place in x, known) of the entries to look at: all, or some of a large FMU."""
+        """Return (place in x, known) of all entries, or of some of a large FMU."""
         every = [*enumerate(item for item in self.knowns for _ in range(item.size))]
         if len(every) <= MOST_KNOWNS:
             return every
-        return [
-            every[place]
-            for place in sorted(
-                np.random.default_rng(3).choice(len(every), MOST_KNOWNS, replace=False)
-            )
-        ]
+        chosen = np.random.default_rng(3).choice(len(every), MOST_KNOWNS, replace=False)
+        return [every[place] for place in sorted(chosen)]
 
 
 def _points(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
-    """Points along a run: unknowns are derivatives and outputs, knowns are states and continuous inputs (Co-Simulation: inputs, outputs)."""
-    steps = subject.long_steps(kind)
-    exchange = kind == "ME"
-    outputs = [item for item in subject.outputs if item.is_float]
-    states = (
-        subject.states
-        if exchange and subject.states.entries == int(subject.description.numberOfContinuousStates)
-        else Block()
-    )
+    """Yield points along a run: unknowns are derivatives and outputs, knowns states and inputs.
+
+    Co-Simulation has outputs and inputs alone.
+    """
+    states, derivatives = Block(), Block()
+    if kind == "ME":
+        derivatives = subject.derivatives
+        if subject.states.entries == int(subject.description.numberOfContinuousStates):
+            states = subject.states
     knowns = Block([*states, *subject.continuous_inputs])
-    unknowns = Block([*(subject.derivatives if exchange else []), *outputs])
+    unknowns = Block([*derivatives, *(item for item in subject.outputs if item.is_float)])
     if not knowns or not unknowns:
         return
-    count = states.entries
     instance, before = CheckedInstance(subject, kind).begin(), 0
-    for place in _places(subject, kind, steps):
-        if place > before:
-            run(instance, before, place, observe="end")
-        x = np.concatenate(
-            [
-                instance.states() if count else np.empty(0),
-                instance.get(subject.continuous_inputs),
-            ]
-        )
+    for place in _places(subject, kind):
+        run(instance, before, place, observe="end")
+        inputs = instance.get(subject.continuous_inputs)
         point = _CheckedPoint(
             f"at t = {subject.time(place):.6g} s",
             instance,
             partial(_brought, subject, kind, place),
             knowns,
             unknowns,
-            x,
+            np.concatenate([instance.states(), inputs]) if states else inputs,
             subject.time(place),
-            count,
+            states.entries,
         )
         yield point
         point.back()
@@ -239,61 +202,47 @@ def _points(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
 
 
 def _brought(subject: Subject, kind: str, place: int) -> CheckedInstance:
-    """A new instance at the end of so many steps."""
+    """Return a new instance after so many steps."""
     instance = CheckedInstance(subject, kind).begin()
-    if place:
-        run(instance, 0, place, observe="end")
+    run(instance, 0, place, observe="end")
     return instance
 
 
-def _places(subject: Subject, kind: str, steps: int) -> list[int]:
-    """Steps at whose ends to look: spread over the run, and just after the first events, where other equations hold."""
+def _places(subject: Subject, kind: str) -> list[int]:
+    """Return the steps at whose ends points are taken: spread over the run, and after events."""
+    steps = subject.long_steps(kind)
     places = {int(share * steps) for share in SHARES}
-    if kind == "ME":
-        record = Record()
-        fresh_run(subject, kind, steps, "events", observe="end", record=record)
-        ends = [
-            math.ceil((time - subject.start_time) / subject.step)
-            for time, crossed, _ in record.events
-            if crossed
-        ]
-        # Where events crowd, a run that starts afresh at each point could not follow.
-        last = (
-            math.floor(
-                (min(record.crowded, subject.time(steps)) - subject.start_time) / subject.step
-            )
-            - 1
-        )
-        places = {
-            place
-            for place in places | set(list(dict.fromkeys(ends))[:AFTER_EVENTS])
-            if place <= max(last, 0)
-        }
-    return sorted(places)
+    if kind != "ME":
+        return sorted(places)
+    record = Record()
+    fresh_run(subject, kind, steps, "events", observe="end", record=record)
+    grid = [
+        (time - subject.start_time) / subject.step for time, crossed, _ in record.events if crossed
+    ]
+    after = list(dict.fromkeys(map(math.ceil, grid)))[:AFTER_EVENTS]
+    # A run that starts again at each point cannot follow crowded events.
+    end = min(record.crowded, subject.time(steps))
+    last = max(0, math.floor((end - subject.start_time) / subject.step) - 1)
+    return sorted(place for place in places | set(after) if place <= last)
 
 
 def _initial_point(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
-    """In Initialization Mode: unknowns are those of the ModelStructure, knowns all that has an exact start; none if there are none or it is refused."""
-    unknowns = Block(
-        item for item in subject.of(subject.description.initialUnknowns) if item.is_float
-    )
+    """Yield the point in Initialization Mode, if the FMU has one and lets its knowns be set.
+
+    Unknowns are those of the ModelStructure, knowns all variables with an exact start.
+    """
+    unknowns = subject.of(subject.description.initialUnknowns)
+    unknowns = Block(item for item in unknowns if item.is_float)
     knowns = Block(
         item for item in subject.exact if item.is_float and item.variability != "constant"
     )
     if not knowns or not unknowns:
         return
-    instance = _initialising(subject, kind)
-    x = instance.get(knowns)
+    fresh = partial(_initialising, subject, kind)
+    instance = fresh()
+    x, where = instance.get(knowns), "in Initialization Mode"
     point = _CheckedPoint(
-        "in Initialization Mode",
-        instance,
-        partial(_initialising, subject, kind),
-        knowns,
-        unknowns,
-        x,
-        subject.start_time,
-        0,
-        is_initial=True,
+        where, instance, fresh, knowns, unknowns, x, subject.start_time, is_initial=True
     )
     try:
         point.back()
@@ -303,18 +252,8 @@ def _initial_point(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
 
 
 def _initialising(subject: Subject, kind: str) -> CheckedInstance:
-    """A new instance in Initialization Mode: a little off the starts, where symmetric models have kinks and zeros."""
-    instance = CheckedInstance(subject, kind, "initial")
-    instance.setup()
-    instance.set(*subject.varied)
-    instance.enter_initialisation()
-    return instance
-
-
-# A second opinion, with other steps, before a derivative is called wrong.
-_OTHER_STEPS = 3.7e-3
-# A value that changes by less than this share of its size did not change.
-_CHANGED = 1e-9
+    """Return a new instance in Initialization Mode, off the starts, where kinks and zeros are."""
+    return CheckedInstance(subject, kind, "initial").initialising(subject.varied)
 
 
 @check(
@@ -325,59 +264,42 @@ _CHANGED = 1e-9
 )
 def directional(subject: Subject, kind: str) -> Finding:
     """They equal finite differences within the error of those."""
-    looked = sharp = kinks = places = 0
+    looked = kinks = places = 0
     wrong: list[str] = []
     for point in itertools.chain(_points(subject, kind), _initial_point(subject, kind)):
+        unknowns, ends = point.unknowns, point.knowns.ends
         try:
             for place, known in point.entries():
                 point.back()
-                seed, ends = np.zeros(known.size), point.knowns.ends
+                seed = [0.0] * known.size
                 seed[place - ends[np.searchsorted(ends, place, side="right") - 1]] = 1.0
-                claimed = point.instance.fmu.directional(
-                    point.unknowns.references, [known.reference], list(seed), point.unknowns.entries
+                claimed = np.array(
+                    point.instance.fmu.directional(
+                        unknowns.references, [known.reference], seed, unknowns.entries
+                    )
                 )
-                claimed = np.array(claimed)
                 found = point.column(place)
                 looked += claimed.size
-                sharp += int(np.sum(_resolved(claimed, found)))
                 kinks += int(np.sum(found.kink))
-                wrong.extend(_wrong(point, place, known, claimed, found))
+                floor = _FLOOR * unknowns.scales / point.knowns.scales[place]
+                bad = ~_agrees(claimed, found, floor)
+                if bad.any():
+                    bad &= ~_agrees(claimed, point.column(place, _OTHER_STEPS), floor)
+                wrong += [
+                    f"d {unknowns.names[row]} / d {known.name} {point.where} is {claimed[row]:.6g}, finite differences give {found.value[row]:.6g} +- {found.error[row]:.1g}"
+                    for row in np.flatnonzero(bad)
+                ]
             places += 1
         except RefusedCall:
-            if (
-                not point.is_initial
-            ):  # there by parameters, or of a value outside its range: not every FMU has those
+            # In Initialization Mode, by parameters or beyond a range: not every FMU has derivatives.
+            if not point.is_initial:
                 raise
     if not looked and not wrong:
         return not_offered(
             "there is nothing to derive: no states or inputs, or no derivatives or outputs."
         )
     at_kinks = f", {kinks} lie at kinks" if kinks else ""
-    return unless(
-        wrong,
-        f"{looked} entries at {places} points agree; for {sharp} an error of a thousandth would show{at_kinks}.",
-        end="",
-    )
-
-
-def _wrong(
-    point: _CheckedPoint,
-    place: int,
-    known: FmuVariable,
-    claimed: np.ndarray,
-    found: _DerivativeColumn,
-) -> list[str]:
-    floor = _FLOOR * point.unknowns.scales / point.knowns.scales[place]
-    bad = ~_agrees(claimed, found, floor)
-    if not bad.any():
-        return []
-    again = point.column(place, _OTHER_STEPS)
-    bad &= ~_agrees(claimed, again, floor)
-    names = point.unknowns.names
-    return [
-        f"d {names[row]} / d {known.name} {point.where} is {claimed[row]:.6g}, finite differences give {found.value[row]:.6g} +- {found.error[row]:.1g}"
-        for row in np.flatnonzero(bad)
-    ]
+    return unless(wrong, f"{looked} entries at {places} points agree{at_kinks}.")
 
 
 @check(
@@ -388,37 +310,35 @@ def _wrong(
 )
 def adjoint(subject: Subject, kind: str) -> Finding:
     """They are the transpose of what finite differences give."""
-    looked = 0
-    dice = np.random.default_rng(11)
+    looked, dice = 0, np.random.default_rng(11)
     for point in _points(subject, kind):
-        if len(point.entries()) < point.x.size:
+        entries, unknowns, knowns = point.entries(), point.unknowns, point.knowns
+        if len(entries) < point.x.size:
             return not_offered("the model is too large for all columns.")
-        columns = [point.column(place) for place, _ in point.entries()]
+        columns = [point.column(place) for place, _ in entries]
+        value, error, kink = (np.array(part) for part in zip(*columns, strict=True))
         point.back()
-        rows = point.unknowns.entries
+        rows = unknowns.entries
         for seed in [*np.eye(rows), dice.uniform(-1.0, 1.0, rows)]:
-            claimed = point.instance.fmu.adjoint(
-                point.unknowns.references, point.knowns.references, list(seed), point.knowns.entries
+            claimed = np.array(
+                point.instance.fmu.adjoint(
+                    unknowns.references, knowns.references, list(seed), knowns.entries
+                )
             )
-            claimed = np.array(claimed)
-            used = seed != 0.0
-            for (place, known), found in zip(point.entries(), columns, strict=True):
-                if bool((found.kink & used).any()):
-                    continue
-                value = float(seed[used] @ found.value[used])
-                error = float(np.abs(seed[used]) @ found.error[used])
-                size = float(np.abs(seed[used]) @ np.abs(found.value[used]))
-                looked += 1
-                if not abs(claimed[place] - value) <= 10.0 * error + 1e-6 * max(
-                    size, abs(claimed[place])
-                ) + _rounding(claimed):
-                    names = [
-                        name for name, one in zip(point.unknowns.names, used, strict=True) if one
-                    ]
-                    return failed(
-                        f"the adjoint of {listed(names, 1)} by {known.name} {point.where} is {claimed[place]:.6g}, "
-                        f"finite differences give {value:.6g} +- {error:.1g}."
-                    )
+            used, weight = seed != 0.0, np.abs(seed)
+            expected = value[:, used] @ seed[used]
+            bar = error[:, used] @ weight[used]
+            size = np.maximum(np.abs(value[:, used]) @ weight[used], np.abs(claimed))
+            known = ~kink[:, used].any(axis=1)
+            looked += int(known.sum())
+            allowed = _WITHIN * bar + _EXACT * size + _rounding(claimed)
+            bad = np.flatnonzero(known & ~(np.abs(claimed - expected) <= allowed))
+            for place in bad:
+                names = list(itertools.compress(unknowns.names, used))
+                return failed(
+                    f"the adjoint of {listed(names, 1)} by {knowns.names[place]} {point.where} is "
+                    f"{claimed[place]:.6g}, finite differences give {expected[place]:.6g} +- {bar[place]:.1g}."
+                )
     if not looked:
         return not_offered("there is nothing to derive.")
     return passed(f"{looked} entries agree, one seed at a time and all at once.")
@@ -443,7 +363,7 @@ def dependencies(subject: Subject, kind: str) -> Finding:
     if not looked and not wrong:
         return not_offered("there is nothing that can be changed and compared.")
     fine = f"{looked} pairs that are declared independent are so; {len(slopes)} declared factors are constant."
-    return unless(list(dict.fromkeys(wrong)), fine, end="")
+    return unless(list(dict.fromkeys(wrong)), fine)
 
 
 # Name of an unknown -> its declared knowns, by `FmuVariable.key`, as aliases are one -> kind.
@@ -465,22 +385,21 @@ def _declared(subject: Subject, unknowns: list) -> _Declared:
 
 
 def _missing(point: _CheckedPoint, declared: _Declared, wrong: list[str]) -> int:
-    """Add to `wrong` what changes undeclared; the number of pairs looked at."""
+    """Add clauses about undeclared changes to `wrong`; return the number of pairs looked at."""
     looked, names, drawn = 0, point.unknowns.names, point.entries()
     keys = [item.key for item in point.unknowns for _ in range(item.size)]
     point.back()
     base = point.evaluate(point.x)
-    asked = np.array([name in declared for name in names], dtype=bool)
-    # For each value that is moved, the rows that must stay: of what declares none of its names, and
-    # is none of them.
-    independent = {known.key: asked.copy() for _, known in drawn}
+    declares = np.array([name in declared for name in names], dtype=bool)
+    # For each known the rows that must stay: unknowns that declare none of its names, and are none.
+    independent = {known.key: declares.copy() for _, known in drawn}
     for row, (name, key) in enumerate(zip(names, keys, strict=True)):
         for other in independent.keys() & {key, *declared.get(name, ())}:
             independent[other][row] = False
-    lower, upper = point.limits
+    lower, upper = point.knowns.limits
     for place, known in drawn:
         moved = point.x.copy()
-        step = 1e-2 * max(point.knowns.scales[place], abs(moved[place]))
+        step = MOVED * max(point.knowns.scales[place], abs(moved[place]))
         moved[place] += step if moved[place] + step <= upper[place] else -step
         if moved[place] < lower[place]:
             continue
@@ -491,10 +410,10 @@ def _missing(point: _CheckedPoint, declared: _Declared, wrong: list[str]) -> int
             continue
         looked += int(independent[known.key].sum())
         changed = np.abs(values - base) > _CHANGED * np.maximum(np.abs(base), np.abs(values))
-        wrong.extend(
+        wrong += [
             f"{names[row]} changes with {known.name} {point.where}, but does not declare that it depends on it"
             for row in np.flatnonzero(independent[known.key] & changed)
-        )
+        ]
         point.back()
     return looked
 
@@ -505,14 +424,11 @@ def _factors(
     slopes: dict[tuple[str, str], tuple[float, float, str]],
     wrong: list[str],
 ) -> None:
-    """Compare the slopes of dependencies declared `constant` or `fixed` with those at the points before."""
+    """Compare the slopes of dependencies declared `constant` or `fixed` with those at earlier points."""
     names = point.unknowns.names
     for place, known in point.entries():
-        rows = [
-            row
-            for row, name in enumerate(names)
-            if declared.get(name, {}).get(known.key) in ("constant", "fixed")
-        ]
+        kinds = [declared.get(name, {}).get(known.key) for name in names]
+        rows = [row for row, kind in enumerate(kinds) if kind in ("constant", "fixed")]
         if not rows:
             continue
         found = point.column(place)
@@ -521,23 +437,20 @@ def _factors(
             value, error = float(found.value[row]), float(found.error[row])
             if found.kink[row] or not math.isfinite(error):
                 continue
-            first, first_error, where = slopes.setdefault(
-                (names[row], known.name), (value, error, point.where)
-            )
-            if abs(value - first) > 10.0 * (error + first_error) + 1e-6 * max(
-                abs(value), abs(first)
-            ):
+            here = (value, error, point.where)
+            first, first_error, where = slopes.setdefault((names[row], known.name), here)
+            allowed = _WITHIN * (error + first_error) + _EXACT * max(abs(value), abs(first))
+            if abs(value - first) > allowed:
                 wrong.append(
-                    f"{names[row]} is declared to depend on {known.name} by a {declared[names[row]][known.key]} factor, "
+                    f"{names[row]} is declared to depend on {known.name} by a {kinds[row]} factor, "
                     f"which is {first:.6g} {where} and {value:.6g} {point.where}"
                 )
 
 
-# Points at which derivatives are compared with what their states do, and how short a step is made
-# there, as a share of the FMU's.
+# Times at which derivatives are compared with the motion of their states.
 _PLACES = 6
-# Errors of a solver with local control, in units of the tolerance that the FMU declares.
-_SOLVER = 10.0
+# Length of the steps there, as a share of the FMU's: short against the motion. Rounding is 4e-10 of a
+# state per communication step.
 _SHORT = 1e-5
 
 
@@ -551,8 +464,9 @@ def rates(subject: Subject, kind: str) -> Finding:
     derivatives, moving = (Block(pair[place] for pair in subject.rates) for place in (0, 1))
     steps, short = subject.steps(kind), _SHORT * subject.step
     names, places, resolved = derivatives.names, 0, False
-    # A solver inside moves the state within its own tolerance of each step.
-    share = max(_SHARE, _SOLVER * subject.tolerance)
+    # While a state moves by its size, the solver inside may be wrong by the tolerance of that size:
+    # by as large a share of its speed.
+    fastest, share = np.zeros(moving.entries), SAFETY * subject.tolerance
     with CheckedInstance(subject, kind).begin() as instance:
         for step in range(steps):
             if step % HOLD == 0:
@@ -562,27 +476,27 @@ def rates(subject: Subject, kind: str) -> Finding:
                 instance.do_step(time, subject.step)
                 continue
             first = instance.get(moving)
-            instance.do_step(time, short)
+            try:
+                instance.do_step(time, short)
+            except RefusedCall as refusal:
+                refusal.setting = f"a step of {short:g} s"
+                return not_offered(f"{refusal.sentence}.")
             middle, claimed = instance.get(moving), instance.get(derivatives)
             instance.do_step(time + short, short)
             last = instance.get(moving)
             before, after = (middle - first) / short, (last - middle) / short
+            low, high = np.minimum(before, after), np.maximum(before, after)
             rounding = _ULPS * _EPS * np.maximum(np.abs(middle), abs(time)) / short
-            size = np.maximum(np.abs(claimed), np.maximum(np.abs(before), np.abs(after)))
-            away = np.maximum(
-                np.minimum(before, after) - claimed, claimed - np.maximum(before, after)
-            )
-            # What does not move at all has a step of its own inside; where it bends within so short
-            # a step, something jumps.
+            size = np.abs([claimed, before, after]).max(axis=0)
+            # A value that does not move at all has an internal step; one that bends within so short
+            # a step jumps.
             allowed = 0.1 * _SHARE * size
-            told = (
-                (middle != first)
-                & (last != middle)
-                & (np.abs(after - before) <= allowed + rounding)
-                & (rounding <= allowed)
-            )
-            places, resolved = places + 1, resolved or bool(told.any())
-            wrong = told & (away > share * size)
+            is_even = (middle != first) & (last != middle)
+            is_even &= (high - low <= allowed + rounding) & (rounding <= allowed)
+            places, resolved = places + 1, resolved or bool(is_even.any())
+            fastest = np.maximum(fastest, size)
+            away = np.maximum(low - claimed, claimed - high)
+            wrong = is_even & (away > np.maximum(_SHARE * size, share * fastest))
             if wrong.any():
                 at = int(np.argmax(wrong))
                 return failed(

@@ -1,9 +1,9 @@
-"""check_fmu(): the file is checked, unpacked, and checked by the table of checks in an isolated child (validate.processes.isolated).
+"""The table of checks, and check_fmu(), which runs them in an isolated child.
 
-    run_checks({"path": ..., "folder": ..., "told": ..., "names": [...], "seconds": 60}, {}) -> what the rows are about
+    report = check_fmu(Path("model.fmu"), names=["runs repeat"])
 
-is what the child runs: each check in a fork of its own. It appends each row to the file `told`, as
-a line of JSON, when the check has ended.
+The child (validate.processes.isolated) calls run_checks(): each check has a fork of its own, and each
+row is appended to a file, as a line of JSON, when its check has ended.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ from validate.fmu_check import (
     derivatives,
     exchange,
     files,
+    guest,
     states,
     values,
 )
@@ -51,59 +52,58 @@ from validate.processes.disk import temporary_folder
 from validate.processes.isolated import Ending, Limits, run_isolated
 
 # All checks, in the order of the table.
-# Of the file alone; the others need its description, and most of them run its code.
+# Checks of the file, before its description is read.
 STATIC: tuple[Check, ...] = (files.archive, files.valid)
-# If this one fails for a type, those after it are not run.
-FIRST = communication.lives
-# What it learns, others avoid.
-ACCEPTED = accepted.accepted
+# Checks of the description and the binary.
 READING: tuple[Check, ...] = (files.consistent, files.compiled, files.exports)
+# If this one fails for a type, the checks after it are not run.
+FIRST = communication.lives
+# The values that this one finds refused are avoided by all checks.
+ACCEPTED = accepted.accepted
 BEHAVIOUR: tuple[Check, ...] = (
     FIRST, ACCEPTED, values.readable, values.starts, values.obeyed, values.finite, values.still,
     values.get_order,
     communication.keeps_time, communication.stop_time, communication.event_mode,
     communication.early_return,
     communication.intermediate_update, communication.input_derivatives,
-    states.repeats, states.resets, states.independent, states.leaks, states.surrounded,
-    states.token, states.restores, states.serialises,
-    exchange.arrays, exchange.nominals, exchange.indicators, exchange.told,
+    states.repeats, states.resets, states.independent, guest.leaks, guest.surrounded, guest.token,
+    states.restores, states.serialises,
+    exchange.arrays, exchange.nominals, exchange.indicators, exchange.reported,
     derivatives.directional, derivatives.adjoint, derivatives.dependencies, derivatives.rates,
     agreement.agree,
 )  # fmt: skip
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
-# Checks that decide whether a replay by the FMU can be trusted: start values, state, derivatives,
-# events, and Model Exchange against Co-Simulation. A campaign makes these.
+# The checks that a campaign makes: they decide whether a replay by the FMU can be trusted.
 DECISIVE = tuple(
     item.name
     for item in (
         values.starts, communication.keeps_time, states.repeats, states.restores,
-        exchange.indicators, exchange.told, derivatives.directional, derivatives.rates,
+        exchange.indicators, exchange.reported, derivatives.directional, derivatives.rates,
         agreement.agree,
     )
 )  # fmt: skip
-# Checks on which others depend.
+# Checks that are always made, because further ones depend on them.
 _ALWAYS = (FIRST.name, files.compiled.name)
 
 
 def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, Any]:
-    """See the module docstring."""
+    """Run the checks of a request, in the child; return the facts of the report about the FMU."""
     if set(request["names"]) >= set(NAMES):
-        # Loads the integrator once, before anything is forked (7 ms). A few named checks may run
-        # without it, and it may be missing.
+        # Load the integrator once, before the forks (7 ms). It may be missing, and a few named
+        # checks may run without it.
         cvode.functions()
     table = _Table(request)
-    path, folder = Path(request["path"]), Path(request["folder"])
-    for item, place in zip(STATIC, (path, folder), strict=True):
+    folder = Path(request["folder"])
+    for item, place in zip(STATIC, (Path(request["path"]), folder), strict=True):
         table.add(item, "", place)
     try:
         description = read_description(folder)
     except FmuError as error:
-        reason = f"{error}."
         for item in (*READING, *BEHAVIOUR):
-            table.skip(item, "", reason)
+            table.skip(item, "", f"{error}.")
         return {"version": "", "types": [], "lacking": not request["runnable"]}
-    table.subject = subject = Subject(path, folder, description)
-    with contextlib.suppress(ValueError, KeyError):  # told by the first check that looks at it
+    table.subject = subject = Subject(folder, description)
+    with contextlib.suppress(ValueError, KeyError):  # reported by the first check that needs it
         subject.prepare()
     table.major = subject.major
     for item in (*READING, *BEHAVIOUR):
@@ -118,38 +118,35 @@ def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, An
 
 
 class _Table:
-    """Writes the rows, and knows which types turned out not to run, and which values the FMU refuses.
+    """Writes the rows, and learns which types do not run, and which values the FMU refuses.
 
-    subject: the FMU, once it is described; it avoids what was found to be refused.
+    subject: the FMU, once it is described; avoids the refused values.
+    ran: whether any of its code ran.
+    lacking: whether a type cannot be run on this machine.
     """
 
     subject: Subject
 
     def __init__(self, request: dict[str, Any]) -> None:
-        self._names, self._seconds, self._told = (
-            request["names"],
-            request["seconds"],
-            Path(request["told"]),
-        )
+        self._names, self._seconds = request["names"], request["seconds"]
+        self._rows = Path(request["rows"])
         self.major = int(request["version"][:1] or 0)
         self._broken: set[str] = set()
-        self._searched: set[str] = set()  # types of which it is known what they refuse
+        self._searched: set[str] = set()  # types whose refused values are known
         self._refusals: dict[str, str] = {}  # reason of a refusal -> the check that reports it
-        self.ran = False  # whether any of its code could be run
-        self.lacking = False  # whether a type cannot be run on this machine
+        self.ran = self.lacking = False
 
     def of_description(self, item: Check, kind: str) -> None:
-        """One check of a described FMU, if it can be run."""
+        """Run one check of a described FMU, if it can be run."""
         subject = self.subject
         if item is files.compiled and files.library_path(subject, kind).is_file():
-            return  # as of most FMUs: no row
+            return  # no row: most FMUs have a binary
         if item in READING:
             self.add(item, kind, subject)
             return
         needed = (kind,) if kind else subject.types
-        missing = [name for name in needed if not files.library_path(subject, name).is_file()]
         broken = [name for name in needed if name in self._broken]
-        if missing:
+        if not all(files.library_path(subject, name).is_file() for name in needed):
             self.skip(item, kind, "there is no binary for this machine.")
         elif broken:
             self.skip(item, kind, f"it does not run as {' and '.join(broken)}: see `{FIRST.name}`.")
@@ -165,17 +162,19 @@ class _Table:
                 subject.pace[kind] = found.pace or 0.0
 
     def add(self, item: Check, kind: str, about: Path | Subject) -> Finding | None:
-        """Run one check in a fork, if it was asked for; what it found."""
+        """Run one check in a fork, and write its row, if it is wanted; return its finding."""
         if item.name not in self._names:
             return None
         began = time.monotonic()
-        self._row(item, kind, found := self._found(item, kind, about), began)
+        found = self._found(item, kind, about)
+        self._write(item, kind, found, time.monotonic() - began)
         return found
 
     def _found(self, item: Check, kind: str, about: Path | Subject) -> Finding:
-        """What the check finds, or what kept it from that.
+        """Return the finding of a check, or the fault that stopped it.
 
-        Shorter once more where the FMU ends the simulation; with other values where it refuses some.
+        A check is repeated with shorter runs if the FMU ends the simulation, and with other values
+        if it refuses some.
         """
         while True:
             once = partial(item, about, kind) if kind else partial(item, about)
@@ -187,7 +186,10 @@ class _Table:
                 return found
             except TerminationRequested as end:
                 if not _shorten(self.subject, kind, end.time):
-                    sentence = f"it asks for the end of the simulation at t = {end.time:.6g} s, which leaves nothing to check."
+                    sentence = (
+                        f"it asks for the end of the simulation at t = {end.time:.6g} s, which "
+                        "leaves nothing to check."
+                    )
                     return failed(sentence) if item is FIRST else not_offered(sentence)
             except Refusal as refusal:
                 if item in (FIRST, ACCEPTED) or not self._search(kind):
@@ -196,29 +198,26 @@ class _Table:
             except Lacking as lack:
                 return not_offered(f"{lack}.")
             except Misbehaviour as fault:
-                if (
-                    item in STATIC
-                ):  # none of the FMU's code ran: a large description takes FMPy's validation minutes
-                    return not_offered(f"it was not found out within {self._seconds:g} s: {fault}.")
+                if item in STATIC:  # FMPy's validation of a large description takes minutes
+                    return not_offered(f"it did not end within {self._seconds:g} s: {fault}.")
                 return failed(f"{fault}.")
 
     def _search(self, kind: str) -> bool:
-        """Find out which values the FMU refuses, if that is not known; whether there are some to avoid."""
-        before, kinds = self.subject.avoided, (kind,) if kind else self.subject.types
-        ends = dict(self.subject.ends)
-        for name in kinds:
+        """Search for refused values, unless they are known; return whether there are new ones."""
+        before, ends = self.subject.avoided, dict(self.subject.ends)
+        for name in (kind,) if kind else self.subject.types:
             if name not in self._searched:
                 self._found(ACCEPTED, name, self.subject)
                 self._searched.add(name)
         return (self.subject.avoided, self.subject.ends) != (before, ends)
 
     def _learn(self, kind: str, found: Finding) -> None:
-        """Keep what the search found, for all types: none is set to what another refuses."""
+        """Keep the refused values, for all types."""
         self._searched.add(kind)
         if found.learnt is None:
             return
         self._refusals |= dict.fromkeys(found.learnt["reasons"], ACCEPTED.name)
-        avoided = Avoided.of(found.learnt["avoided"])
+        avoided = Avoided(**found.learnt["avoided"])
         if avoided != self.subject.avoided:
             self.subject = replace(self.subject, avoided=avoided)
             self.subject.prepare()
@@ -226,7 +225,7 @@ class _Table:
             _shorten(self.subject, kind, found.learnt["end"])
 
     def _refused(self, item: Check, kind: str, refusal: Refusal) -> Finding:
-        """A refusal that no other values avoid: the finding of the first check that meets it, alone."""
+        """Return the finding of a refusal that other values do not avoid: failed for the first check."""
         title = f"{item.name} ({kind})" if kind else item.name
         first = self._refusals.setdefault(refusal.reason, title)
         if first != title:
@@ -234,42 +233,44 @@ class _Table:
         return failed(f"{refusal}.")
 
     def skip(self, item: Check, kind: str, sentence: str) -> None:
+        """Write the row of a check that is not run, if it is wanted."""
         if item.name in self._names:
-            self._row(item, kind, not_offered(sentence), time.monotonic())
+            self._write(item, kind, not_offered(sentence), 0.0)
 
-    def _row(self, item: Check, kind: str, found: Finding, began: float) -> None:
-        row = {
-            "name": item.name,
-            "type": kind,
-            "claim": item.claim,
-            "status": found.status,
-            "sentence": found.sentence,
-        }
-        with self._told.open("a", encoding="utf-8") as file:
-            file.write(
-                f"{json.dumps({**row, 'seconds': time.monotonic() - began, 'clause': item.clause(self.major)})}\n"
-            )
+    def _write(self, item: Check, kind: str, found: Finding, seconds: float) -> None:
+        row = _row(item, kind, found, seconds, self.major)
+        with self._rows.open("a", encoding="utf-8") as file:
+            file.write(f"{json.dumps(asdict(row))}\n")
+
+
+def _row(item: Check, kind: str, found: Finding, seconds: float, major: int) -> FmuCheckRow:
+    return FmuCheckRow(
+        name=item.name,
+        type=kind,
+        claim=item.claim,
+        status=found.status,
+        sentence=found.sentence,
+        seconds=seconds,
+        clause=item.clause(major),
+    )
 
 
 def _shorten(subject: Subject, kind: str, end: float) -> bool:
-    """Let runs end before `end` [s].
-
-    Whether that is earlier than it was, and leaves a step to make.
-    """
-    earlier = {
-        name: end
-        for name in ((kind,) if kind else subject.types)
-        if end < subject.ends.get(name, math.inf)
-    }
+    """Let runs end before `end` [s]; return whether they are shorter now, with a step left."""
+    kinds = (kind,) if kind else subject.types
+    earlier = {name: end for name in kinds if end < subject.ends.get(name, math.inf)}
     subject.ends |= earlier
     return bool(earlier) and all(subject.before_end(name, 1) for name in subject.ends)
 
 
-# Seconds of one check, and bytes of memory of each.
+# Time limit of one check [s].
 CHECK_SECONDS = 60.0
+# Memory of each process [bytes]: a description of 400,000 variables takes a quarter.
 _MEMORY = 4 * 1024**3
-# Pause between two looks at what is found [s].
-_LOOK = 0.02
+# Time of the child without its checks [s]: imports, and reading the description.
+_BEFORE_SECONDS = 60.0
+# Interval of looking for new rows [s]: a line appears at once.
+_POLL_S = 0.02
 
 
 def check_fmu(
@@ -278,61 +279,61 @@ def check_fmu(
     names: Sequence[str] | None = None,
     seconds: float = CHECK_SECONDS,
     waived: Mapping[str, str] | None = None,
-    told: Callable[[FmuCheckRow], None] | None = None,
+    on_row: Callable[[FmuCheckRow], None] | None = None,
 ) -> CheckReport:
-    """All checks of an FMU file, or those named.
+    """Run all checks of an FMU file, or some.
 
-    seconds: of the clock, for each check; waived: the reason why a failure of the check of this
-        name is right; told: called with each row as soon as it is there.
-    Raises ArchiveError if the file is no FMU of version 2.0 or 3.0, MachineError if this machine
-        cannot, UnknownNameError for a name.
+    Parameters
+    ----------
+    path
+        The FMU.
+    names
+        Names of checks; None: all.
+    seconds
+        Time limit of each check.
+    waived
+        Name of a check -> the reason why its failure is right.
+    on_row
+        Called with each row as soon as its check has ended.
+
+    Returns
+    -------
+    CheckReport
+        All findings.
+
+    Raises
+    ------
+    ArchiveError
+        If the file is no FMU of version 2.0 or 3.0.
+    MachineError
+        If the machine cannot run the checks.
+    UnknownNameError
+        If there is no check of a name.
     """
     waived = waived or {}
     for name in (*(names or ()), *waived):
         if name not in NAMES:
-            there = f"there are: {', '.join(NAMES)}."
-            raise UnknownNameError(
-                f"there is no check {name!r}; {did_you_mean(name, NAMES, there)}"
-            )
-    asked = NAMES if names is None else (*names, *_ALWAYS)
+            hint = did_you_mean(name, NAMES, f"there are: {', '.join(NAMES)}.")
+            raise UnknownNameError(f"there is no check {name!r}; {hint}")
     rows: list[FmuCheckRow] = []
 
     def take(row: FmuCheckRow) -> None:
         if row.status is Status.FAILED and row.name in waived:
-            row = replace(
-                row, status=Status.WAIVED, sentence=f"{row.sentence} Waived: {waived[row.name]}"
-            )
+            sentence = f"{row.sentence} Waived: {waived[row.name]}"
+            row = replace(row, status=Status.WAIVED, sentence=sentence)
         rows.append(row)
-        if told is not None:
-            told(row)
+        if on_row is not None:
+            on_row(row)
 
     try:
         archive = check_archive(path, but_for=("binary", "duplicates", "identifier"))
     except ArchiveError as error:
         if error.check not in ARCHIVE_CHECKS:
             raise
-        finding, reason = files.archive(path), "the archive is not unpacked: it is unsafe."
-        take(
-            FmuCheckRow(
-                name=NAMES[0],
-                type="",
-                claim=files.archive.claim,
-                status=finding.status,
-                sentence=finding.sentence,
-                seconds=0.0,
-            )
-        )
-        for name in NAMES[1:]:
-            take(
-                FmuCheckRow(
-                    name=name,
-                    type="",
-                    claim="",
-                    status=Status.NOT_OFFERED,
-                    sentence=reason,
-                    seconds=0.0,
-                )
-            )
+        take(_row(files.archive, "", files.archive(path), 0.0, 0))
+        unsafe = not_offered("the archive is not unpacked: it is unsafe.")
+        for item in (files.valid, *READING, *BEHAVIOUR):
+            take(_row(item, "", unsafe, 0.0, 0))
         return CheckReport(path=str(path), version="", types=(), rows=tuple(rows))
     with temporary_folder("touchstone-check-") as folder:
         unpacked, lines = folder / "fmu", folder / "rows.jsonl"
@@ -340,11 +341,11 @@ def check_fmu(
         unpack(archive, unpacked)
         lines.touch()
         request = {
-            "path": str(path.resolve()), "folder": str(unpacked), "told": str(lines),
-            "version": archive.version, "seconds": seconds,
-            "runnable": bool(archive.kinds), "names": list(asked),
+            "path": str(path.resolve()), "folder": str(unpacked), "rows": str(lines),
+            "version": archive.version, "seconds": seconds, "runnable": bool(archive.kinds),
+            "names": list(NAMES if names is None else (*names, *_ALWAYS)),
         }  # fmt: skip
-        limits = Limits(seconds=60.0 + 2 * len(NAMES) * seconds, memory=_MEMORY)
+        limits = Limits(seconds=_BEFORE_SECONDS + 2 * len(NAMES) * seconds, memory=_MEMORY)
         with _following(lines, take):
             done = run_isolated(
                 "validate.fmu_check.host:run_checks",
@@ -358,25 +359,25 @@ def check_fmu(
         raise MachineError(
             f"{done.sentence.rstrip('.')}; the checks themselves did not come to an end."
         )
-    version, types, lacking = (done.value[name] for name in ("version", "types", "lacking"))
     return CheckReport(
-        path=str(path), version=version, types=tuple(types), rows=tuple(rows), unrunnable=lacking
+        path=str(path),
+        version=done.value["version"],
+        types=tuple(done.value["types"]),
+        rows=tuple(rows),
+        unrunnable=done.value["lacking"],
     )
 
 
 @contextlib.contextmanager
 def _following(lines: Path, take: Callable[[FmuCheckRow], None]) -> Iterator[None]:
-    """Give each row to `take` soon after its line is in the file; all of them before the end.
-
-    What that raises, a closed pipe for example, is raised here.
-    """
+    """Call take(row) soon after each row is in the file. Raises what it raises, as a closed pipe."""
     over = threading.Event()
 
     def follow() -> None:
         with lines.open(encoding="utf-8") as file:
-            part, last = "", False
-            while not last:
-                last = over.wait(_LOOK)
+            part, is_last = "", False
+            while not is_last:
+                is_last = over.wait(_POLL_S)
                 *whole, part = (part + file.read()).split("\n")
                 for row in map(json.loads, whole):
                     take(FmuCheckRow(**{**row, "status": Status(row["status"])}))

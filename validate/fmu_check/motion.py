@@ -1,7 +1,11 @@
-"""Runs of an instance, and how far two of them are apart: communication steps of Co-Simulation, and CVODE with event location over Model Exchange.
+"""Runs of an instance and their comparison.
 
-A run is a pure function of the instance's state, the steps and the inputs: two runs from equal
-states must give equal bits.
+    rows = fresh_run(subject, "ME", steps)
+    require_equal(subject, rows, fresh_run(subject, "ME", steps), "in a second run")
+
+Co-Simulation makes communication steps; Model Exchange is integrated by CVODE, with located events.
+A run is a function of the instance's state, the steps and the inputs: two runs from equal states
+must give equal bits.
 """
 
 from __future__ import annotations
@@ -20,51 +24,51 @@ from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Failed
 from validate.fmu_check.subject import HOLD, CheckedInstance, Subject
 
-# Runs that should be equal may differ by this share of a variable's size where an FMU's own
-# integrator starts afresh.
+# Largest difference of runs that should be equal, as a share of a variable's size, if an FMU's own
+# integrator restarts and declares a looser tolerance.
 _RESTART = 1e-6
 
 
 def compare(
     subject: Subject, one: np.ndarray, other: np.ndarray, first: int = 0
 ) -> tuple[float, str]:
-    """How far two runs are apart.
+    """Return the difference of two runs.
 
     Parameters
     ----------
-    subject : the FMU, whose variables are compared.
-    one, other : (rows, observed) values of all variables [unit of each variable].
-    first : the step of row 0.
+    subject
+        The FMU, whose variables are compared.
+    one, other
+        (rows, observed) values of all variables [unit of each variable].
+    first
+        The step of row 0.
 
     Returns
     -------
-    The difference that is largest as a share of the variable's size over the run [-], infinite for
-        runs of different length; the variable, the difference
-    and the time as a clause, empty where the runs are equal bit for bit.
+    tuple of float and str
+        The largest difference as a share of the variable's size [-], infinite for runs of different
+        length; and a clause with variable, difference and time, empty if all bits are equal.
 
     Raises
     ------
-    ValueError : if the columns are not the observed variables.
+    ValueError
+        If the columns are not the observed variables.
     """
     if len(one) != len(other):
         end = subject.time(first + min(len(one), len(other)))
-        return (
-            np.inf,
-            f"the length of the run ({len(one)} against {len(other)} steps) differs by inf at t = {end:.6g} s",
-        )
+        lengths = f"{len(one)} against {len(other)} steps"
+        return np.inf, f"the length of the run ({lengths}) differs by inf at t = {end:.6g} s"
     if np.array_equal(one, other, equal_nan=True):
         return 0.0, ""
     with np.errstate(invalid="ignore"):
-        apart = np.where(one == other, 0.0, np.abs(one - other))
-    apart = np.where(
-        np.isnan(one) & np.isnan(other), 0.0, np.nan_to_num(apart, nan=np.inf, posinf=np.inf)
-    )
-    size = np.maximum(
-        np.nan_to_num(np.abs(one), nan=0.0, posinf=0.0).max(axis=0), subject.observed.scales * 1e-6
-    )
-    shares = apart / size
+        apart = np.abs(one - other)
+    apart[(one == other) | (np.isnan(one) & np.isnan(other))] = 0.0
+    apart[~np.isfinite(apart)] = np.inf
+    size = np.abs(one).max(axis=0, where=np.isfinite(one), initial=0.0)
+    shares = apart / np.maximum(size, 1e-6 * subject.observed.scales)
     row, column = np.unravel_index(int(np.argmax(shares)), shares.shape)
-    where = f"{subject.observed.names[column]} differs by {apart[row, column]:.2g} at t = {subject.time(first + int(row)):.6g} s"
+    name, time = subject.observed.names[column], subject.time(first + int(row))
+    where = f"{name} differs by {apart[row, column]:.2g} at t = {time:.6g} s"
     return float(shares[row, column]), where
 
 
@@ -75,12 +79,17 @@ def require_equal(
 
     Parameters
     ----------
-    one, other : (rows, observed) values of all variables [unit of each variable].
-    clause : what was done to the second; first: the step of row 0.
+    one, other
+        (rows, observed) values of all variables [unit of each variable].
+    clause
+        How the second run was made.
+    first
+        The step of row 0.
 
     Raises
     ------
-    Failed : with the clause, the variable and the time.
+    Failed
+        With the clause, the variable and the time.
     """
     _, where = compare(subject, one, other, first)
     if where:
@@ -90,58 +99,65 @@ def require_equal(
 def fresh_run(
     subject: Subject, kind: str, steps: int, name: str = "check", **how: Any
 ) -> np.ndarray:
-    """A run of a fresh instance from its start; how: see `run`.
+    """Run a fresh instance from its start; how: see `run`.
 
     Returns
     -------
-    (steps + 1, observed) values of all variables [unit of each variable].
+    np.ndarray
+        (steps + 1, observed) values of all variables [unit of each variable].
 
     Raises
     ------
-    FMICallException, Fault : as `run`.
+    FMICallException, Fault
+        As `run`.
     """
     with CheckedInstance(subject, kind, name) as instance:
         return run(instance.begin(), 0, steps, **how)
 
 
 def restart_limit(subject: Subject) -> float:
-    """Up to this share a continued run may differ from the first one: the FMU's tolerance, at most 1e-6."""
+    """Return how far a continued run may be from the first one, as a share of a variable's size."""
     return min(subject.tolerance, _RESTART)
 
 
+# Errors of solvers of one order, or with one tolerance, differ by such a factor.
+SAFETY = 4.0
 # Relative tolerance of runs that are compared with each other only.
 TOLERANCE = 1e-6
-# Internal steps to the next communication point before the integrator is given up.
+# Internal steps to the next communication point before the integrator gives up.
 _STEP_LIMIT = 200_000
-# More events than this in one run: it ends here, as does one whose events crowd (a bouncing ball
-# that comes to rest).
+# A run ends after this many events ...
 _MOST_EVENTS = 2000
+# ... or if 20 events follow each other within this share of a step each, as those of a ball that
+# comes to rest.
 _CROWDED = 1e-7
-# What changes by more than this share of its size at an event update jumps.
+# A value jumps at an event if it changes by more than this share of its size: a hundred times the
+# error with which CVODE locates the event.
 JUMP = 1e-8
-# Less than this, as a share of the time (of 1 s near 0), is no time to integrate over: what is so
-# near a time event is at it. It is 450 units in the last place of 1: a time that an FMU sums up
-# from 500 periods, as many as the longest run has steps, is up to 250 units off.
+# Shortest time to integrate over, as a share of the time (of 1 s near 0). It is 450 units in the
+# last place of 1: a time that an FMU sums up from 500 periods, as many as the longest run has steps,
+# is up to 250 units off.
 _NO_TIME = 1e-13
 
 
 @dataclass
 class Record:
-    """What a run of Model Exchange noted.
+    """Notes about a run of Model Exchange.
 
-    events: (time, indicators that crossed, indicators there); surprises: jumps at events that
-        nothing announced, in words; untold: states that an event
-    changed and the FMU did not say so, in words; crowded: from when on events crowd.
+    events: time, indicators that crossed, values of all indicators.
+    surprises: clauses about jumps at events that nothing announced.
+    unreported: clauses about states that an event changed without reporting it.
+    crowded: time from which events crowd [s].
     """
 
     events: list[tuple[float, tuple[int, ...], np.ndarray]] = field(default_factory=list)
     surprises: list[str] = field(default_factory=list)
-    untold: list[str] = field(default_factory=list)
+    unreported: list[str] = field(default_factory=list)
     crowded: float = math.inf
 
 
 def _still(rates: Any, _size: int) -> None:
-    """The right-hand side of the state that stands still, of an FMU that has none."""
+    """Compute the derivative of the constant state that stands in for missing states."""
     rates[0] = 0.0
 
 
@@ -158,42 +174,55 @@ def run(
     after: Callable[[int], Any] | None = None,
     observe: Literal["each", "end"] = "each",
     record: Record | None = None,
+    mover: Exchange | None = None,
 ) -> np.ndarray:
-    """Communication steps first..last, with moving inputs.
+    """Make communication steps first..last, with moving inputs.
 
     Parameters
     ----------
-    instance : in Continuous-Time Mode, or before a step.
-    first, last : steps of the subject's grid.
-    seed : of the inputs' signal.
-    after : after(step) is called when each step is done.
-    observe : values after each of them, or only at the end.
-    record : where events of Model Exchange are noted.
+    instance
+        In Continuous-Time Mode, or before a step.
+    first, last
+        Steps of the subject's grid.
+    seed
+        Number of the inputs' signal.
+    after
+        Called as after(step) after each step.
+    observe
+        Whether values are stored after each step, or only at the end.
+    record
+        Notes about events of Model Exchange.
+    mover
+        The integration of Model Exchange; None: CVODE with TOLERANCE.
 
     Returns
     -------
-    (last - first + 1, observed) values of all variables [unit of each variable], at the beginning
-        and at each step's end; (1, observed) of the end.
+    np.ndarray
+        (last - first + 1, observed) values of all variables [unit of each variable], at the
+        beginning and after each step; (1, observed) at the end.
 
     Raises
     ------
-    FMICallException, Fault : if the FMU refuses a call, misbehaves or ends.
+    FMICallException, Fault
+        If the FMU refuses a call, misbehaves or ends.
     """
     subject = instance.subject
     rows = [instance.observe()] if observe == "each" else []
-    exchange = (
-        contextlib.closing(Exchange(instance, TOLERANCE, record=record))
-        if instance.kind == "ME"
-        else contextlib.nullcontext()
-    )
-    with exchange as mover, contextlib.suppress(Crowded):
+    if instance.kind == "ME":
+        mover = mover or Exchange(instance, TOLERANCE, record=record)
+    closing = contextlib.closing(mover) if mover else contextlib.nullcontext()
+    with closing, contextlib.suppress(Crowded):
         for step in range(first, last):
             if step == first or step % HOLD == 0:
-                values = subject.inputs_at(step, seed)
-                mover.jump(subject.time(step), values) if mover else instance.set(
-                    subject.continuous_inputs, values
-                )
-            mover.advance(subject.time(step + 1)) if mover else instance.make_step(step)
+                inputs = subject.inputs_at(step, seed)
+                if mover is None:
+                    instance.set(subject.continuous_inputs, inputs)
+                else:
+                    mover.jump(subject.time(step), inputs)
+            if mover is None:
+                instance.make_step(step)
+            else:
+                mover.advance(subject.time(step + 1))
             if observe == "each":
                 rows.append(instance.observe())
             if after is not None:
@@ -202,7 +231,7 @@ def run(
 
 
 def by_adams_or_bdf(simulate: Callable[[tuple[int, int]], Any]) -> Any:
-    """What `simulate` gives with one method of CVODE: Adams where it does, BDF where the model is stiff. Raises Misbehaviour."""
+    """Return simulate(method) with Adams' method of CVODE, or BDF if that fails. Raises Misbehaviour."""
     try:
         return simulate(ADAMS)
     except Misbehaviour:
@@ -210,7 +239,7 @@ def by_adams_or_bdf(simulate: Callable[[tuple[int, int]], Any]) -> Any:
 
 
 class Exchange:
-    """CVODE over an instance in Continuous-Time Mode."""
+    """An integration by CVODE of an instance in Continuous-Time Mode."""
 
     def __init__(
         self,
@@ -223,8 +252,8 @@ class Exchange:
         self.instance, self.record = instance, record or Record()
         self.problem: Exception | None = None
         self.count, indicators = instance.state_count, instance.indicator_count
-        # An FMU without continuous states still has time and events: a state that stands still lets
-        # CVODE find them.
+        # An FMU without continuous states still has time and events: with a constant state CVODE
+        # locates them.
         self.nominal = np.abs(instance.nominals()) if self.count else np.ones(1)
         self.nominal[~(self.nominal > 0.0)] = 1.0
         self.time = math.nan
@@ -241,20 +270,22 @@ class Exchange:
         )  # fmt: skip
 
     def jump(self, time: float, inputs: np.ndarray) -> None:
-        """Begin at `time` [s] with inputs (nu,) [unit of each input], by an event if they change or the integrator has not begun.
+        """Set inputs (nu,) [unit of each input] at `time` [s] in an event, and restart the integrator.
 
-        Raises FMICallException, Fault.
+        Without inputs it only starts the integrator. Raises FMICallException, Fault.
         """
         instance = self.instance
-        if self._solver.memory or inputs.size:
+        if inputs.size:
             instance.set_time(time)
             instance.fmu.enterEventMode()
             instance.set(instance.subject.continuous_inputs, inputs)
             self._settle()
+        elif self._solver.memory:
+            return
         self.renew(time)
 
     def renew(self, time: float) -> None:
-        """A new solver from the instance's own states."""
+        """Restart the integrator at `time` [s] from the instance's own states."""
         self.time = time
         if self.count:
             self.y[:] = self.instance.states()
@@ -262,21 +293,18 @@ class Exchange:
         self._solver.renew(time)
 
     def close(self) -> None:
-        """Free what CVODE holds."""
+        """Free the memory of CVODE."""
         self._solver.close()
 
     def advance(self, target: float) -> None:
-        """Integrate to `target` through all events; the instance is left there.
-
-        Raises Crowded where events do not end.
-        """
+        """Integrate to `target` [s] through all events. Raises Crowded if events do not end."""
         instance = self.instance
         while self.time < target:
             if self.time >= self.record.crowded:
                 raise Crowded
             stop = min(target, instance.next_event)
             if stop - self.time <= _NO_TIME * max(1.0, abs(stop)):
-                self.time = stop  # there already, but for rounding
+                self.time = stop
                 if stop >= instance.next_event:
                     self._move(stop, self.y)
                     self._event(())
@@ -291,25 +319,22 @@ class Exchange:
                 )
             self.time = self._solver.time
             self._move(self.time, self.y)
-            root = flag == ROOT_RETURN
-            wanted = instance.wants_steps and not root and instance.completed()
-            if root or wanted or (self.time >= instance.next_event):
-                crossed = (
-                    tuple(int(place) for place in np.flatnonzero(self._solver.roots))
-                    if root
-                    else ()
-                )
+            crossed = ()
+            if flag == ROOT_RETURN:
+                crossed = tuple(np.flatnonzero(self._solver.roots).tolist())
+            wanted = instance.wants_steps and not crossed and instance.completed()
+            if crossed or wanted or self.time >= instance.next_event:
                 self._event(crossed)
         self._move(target, self.y)
 
     @property
     def is_at_time_event(self) -> bool:
-        """Whether the next time event is now, but for rounding."""
+        """Whether a time event is due now, up to rounding."""
         return self.instance.next_event - self.time <= _NO_TIME * max(1.0, abs(self.time))
 
     def _event(self, crossed: tuple[int, ...]) -> None:
         events = self.record.events
-        indicators = self.instance.indicators() if self.instance.indicator_count else np.empty(0)
+        indicators = self.instance.indicators()
         if crossed or self.is_at_time_event:
             self._update()
         else:
@@ -323,7 +348,7 @@ class Exchange:
         self.renew(self.time)
 
     def update_unannounced(self) -> None:
-        """An event update that no indicator and no time announced: what it makes jump is noted."""
+        """Update at a time without an announced event, and note all jumps."""
         instance = self.instance
         if not self.count:
             self._update()
@@ -338,21 +363,20 @@ class Exchange:
             self.record.surprises += self._jumps(what, old, new, scale)
 
     def _update(self) -> None:
-        """Event mode and back."""
+        """Enter Event Mode, update and leave it."""
         self.instance.fmu.enterEventMode()
         self._settle()
 
     def _settle(self) -> None:
-        """Event updates in Event Mode, then out of it: a state that they change, and do not say so, is noted."""
+        """Update until nothing changes, leave Event Mode, and note states that changed unreported."""
         before = self.instance.states() if self.count else self.y
         if not self.instance.settle() and self.count:
-            self.record.untold += self._jumps("state", before, self.instance.states(), self.nominal)
+            self.record.unreported += self._jumps(
+                "state", before, self.instance.states(), self.nominal
+            )
 
     def _jumps(self, what: str, old: np.ndarray, new: np.ndarray, scale: np.ndarray) -> list[str]:
-        """The largest jump of states, or of derivatives, (nx,) [unit of each], in words.
-
-        Nothing if none jumps.
-        """
+        """Return a clause about the largest jump of states or derivatives (nx,) [unit of each]; none without."""
         jump = np.abs(new - old) / np.maximum(np.abs(old), scale)
         place = int(np.argmax(jump))
         if not jump[place] > JUMP:
@@ -368,9 +392,9 @@ class Exchange:
         self.instance.move(time, y[: self.count])
 
     def _filling(self, call: Callable[[Any, int], Any], size: int, *, in_vector: bool) -> Any:
-        """What CVODE calls for rates, or indicators, at a time and states.
+        """Return the function that CVODE calls for derivatives, or indicators.
 
-        in_vector: whether into a vector of its own, not an array.
+        in_vector: whether the result is a vector of CVODE, not an array.
         """
         states, values = ctypes.c_double * self.count, ctypes.c_double * size
         unset = values(*[math.nan] * size)
@@ -385,7 +409,7 @@ class Exchange:
                         states.from_address(array_of(y)), self.count
                     )
                 call(values.from_address(place), size)
-            except Exception as error:  # noqa: BLE001 - nothing may pass through CVODE; raised again in advance()
+            except Exception as error:  # noqa: BLE001 - raised again in advance()
                 self.problem = error
                 return -1
             return 0

@@ -1,6 +1,11 @@
-"""The FMU under check: its description, what follows from it for all checks - variables, times, inputs, what may be varied -, and an instance of it.
+"""The FMU under check: its variables, times, inputs and settings, and an instance of it.
 
-A Subject loads nothing of the FMU's code, a CheckedInstance does.
+    subject = Subject(folder, read_description(folder))
+    with CheckedInstance(subject, "CS").begin() as instance:
+        instance.make_step(0)
+        instance.observe()
+
+A Subject loads no code of the FMU; a CheckedInstance does.
 """
 
 from __future__ import annotations
@@ -10,7 +15,8 @@ import gc
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -18,51 +24,45 @@ from typing import Any, Self
 import numpy as np
 
 from validate.fmi.archive import DESCRIPTION, INTERFACES, interfaces
-from validate.fmi.description import interface_of, without_garbage
+from validate.fmi.description import experiment, interface_of, without_garbage
 from validate.fmi.instance import CLASSES, Instance, References, RefusedCall
 
 _FLOATS = ("Real", "Float64", "Float32")
-_WHOLE = (
-    "Integer",
-    "Int8",
-    "UInt8",
-    "Int16",
-    "UInt16",
-    "Int32",
-    "UInt32",
-    "Int64",
-    "UInt64",
+_INTEGERS = (
+    *("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64"),
     "Enumeration",
 )
-# Communication steps of a run that is repeated often; of one that is to meet the model's events, at
-# most.
+# Communication steps of a run that checks repeat: 10 and 4 changes of the inputs.
 STEPS = {"CS": 100, "ME": 40}
+# Most communication steps of a run through the FMU's experiment.
 LONG_STEPS = 500
-# A run of a slow FMU is shortened to about this [s], but not below FEWEST_STEPS.
+# A run of a slow FMU is shortened to about this time [s].
 RUN_SECONDS = 2.0
+# Fewest steps of a shortened run: the check of variability needs three in a row, several times.
 FEWEST_STEPS = 8
-# Values of one run that are compared, at most, but for those FEWEST_STEPS.
+# Values of one run that are stored and compared: 32 MB.
 _MOST_VALUES = 4_000_000
-# Steps for which the inputs stay as they are.
+# The inputs change every so many steps.
 HOLD = 10
-# Inputs move about their starts by this share of their range, or of their size if they have no
-# range.
+# Inputs move around their starts by this share of their range ...
 RANGE_SHARE = 0.3
+# ... or by this share of their size if they have no range.
 SIZE_SHARE = 0.1
-# Parameters are varied by this share of their size.
-_VARIED = 0.01
-# Variables that are named where several are set at once.
+# Start values and parameters are moved by this share of their size: far above rounding, and small
+# enough for a model to remain itself.
+MOVED = 0.01
+# Variables named in a sentence about several.
 _NAMED = 3
-# Tolerance of an FMU that proposes none (the value FMI's own examples use).
+# Tolerance of an FMU that declares none: the value in the examples of the FMI standard.
 DEFAULT_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class FmuVariable:
-    """A variable of the FMU that has a number: `size` entries, start as numbers (or None).
+    """A variable with a number: `size` entries, and its start as an array or None.
 
-    clocked: FMI 3.0 lets it be read and set only while a clock ticks, so the checks leave it out;
-        refused: the sides of its start, "below" and "above", to which the FMU lets nobody move it.
+    clocked: FMI 3.0 allows access only while a clock ticks, so the checks leave it out.
+    refused: sides of its start, "below" and "above", on which the FMU refuses values.
     """
 
     name: str
@@ -82,7 +82,7 @@ class FmuVariable:
 
     @property
     def key(self) -> tuple[int, str]:
-        """The value that it names: aliases share it. Enumerations of FMI 2.0 are read as integers."""
+        """The value behind the name; aliases share it. FMI 2.0 reads enumerations as integers."""
         return self.reference, "Integer" if self.type == "Enumeration" else self.type
 
     @property
@@ -100,36 +100,34 @@ class FmuVariable:
         """Typical magnitude: the nominal, else that of the start, else 1."""
         if self.nominal:
             return abs(self.nominal)
-        size = (
-            float(np.max(np.abs(self.start))) if self.start is not None and self.start.size else 0.0
-        )
+        size = 0.0 if self.start is None else float(np.abs(self.start).max(initial=0.0))
         return size if size > 0.0 and math.isfinite(size) else 1.0
 
 
 class Block(tuple[FmuVariable, ...]):
-    """Variables that are read or written together, by one call a type.
+    """Variables that are read or written together, with one call per type.
 
-    What that takes is found out once. Entries: all of the first variable, then of the second.
+    Their entries: all of the first variable, then all of the second.
     """
 
     @cached_property
     def sizes(self) -> np.ndarray:
-        """(variables,) entries of each [-]. Raises nothing."""
+        """(variables,) number of entries of each [-]. Raises nothing."""
         return np.array([item.size for item in self], dtype=int)
 
     @cached_property
     def ends(self) -> np.ndarray:
-        """(variables + 1,) where each variable's entries begin, and all end [-]. Raises nothing."""
+        """(variables + 1,) first entry of each variable, then the end [-]. Raises nothing."""
         return np.concatenate([[0], np.cumsum(self.sizes, dtype=int)])
 
     @property
     def entries(self) -> int:
-        """Of all variables together."""
+        """Number of entries of all variables."""
         return int(self.ends[-1])
 
     @cached_property
     def names(self) -> list[str]:
-        """Of the variable of each entry."""
+        """The variable's name of each entry."""
         return [item.name for item in self for _ in range(item.size)]
 
     @property
@@ -149,71 +147,76 @@ class Block(tuple[FmuVariable, ...]):
     @cached_property
     def starts(self) -> np.ndarray:
         """(entries,) starts, NaN without one [unit of each]. Raises nothing."""
-        return np.concatenate(
-            [
-                np.empty(0),
-                *(
-                    np.full(item.size, math.nan) if item.start is None else item.start
-                    for item in self
-                ),
-            ]
-        )
+        parts = [
+            np.full(item.size, math.nan if item.start is None else item.start) for item in self
+        ]
+        return np.concatenate([np.empty(0), *parts])
+
+    def split(self, values: np.ndarray) -> list[tuple[FmuVariable, np.ndarray]]:
+        """Pair each variable with its values of (entries,) [unit of each]. Raises nothing."""
+        ends = itertools.pairwise(self.ends)
+        return [(item, values[begin:end]) for item, (begin, end) in zip(self, ends, strict=True)]
 
     def near(self, share: float) -> np.ndarray:
-        """Other values than the starts: `share` of the size away, on the side that the range allows; the same where it allows none.
+        """Return other values than the starts, on the side that range and FMU allow.
 
         Parameters
         ----------
-        share : of its size [-].
+        share
+            Distance from the start, as a share of its size [-].
 
         Returns
         -------
-        (entries,) [unit of each]. Raises nothing.
+        np.ndarray
+            (entries,) [unit of each]; the start where neither side is allowed.
+
+        Raises
+        ------
+        Nothing.
         """
-        value, upper, lower = (
-            self.starts,
-            self.each(lambda item: item.upper),
-            self.each(lambda item: item.lower),
-        )
+        value, lower, upper = self.starts, *self.limits
         away = share * np.where(value == 0.0, self.scales, np.abs(value))
         above, below = value + away, value - away
-        rises = (above <= upper) & ~self.refuses("above")
-        falls = (below >= lower) & ~self.refuses("below")
-        return np.where(rises, above, np.where(falls, below, value))
+        return np.where(above <= upper, above, np.where(below >= lower, below, value))
+
+    @cached_property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest values (entries,) that range and FMU allow [unit of each]. Raises nothing."""
+        starts = np.nan_to_num(self.starts)
+        return (
+            np.where(self.refuses("below"), starts, self.each(lambda item: item.lower)),
+            np.where(self.refuses("above"), starts, self.each(lambda item: item.upper)),
+        )
 
     def refuses(self, side: str) -> np.ndarray:
         """(entries,) whether the FMU refuses values on this side of the start. Raises nothing."""
         return self.each(lambda item: side in item.refused) > 0.0
 
     def parts(self, fmu: Any) -> list[tuple[References, Any]]:
-        """Of each type its references, with memory, and the places of its entries.
+        """Return the references of each type, with memory, and the places of their entries.
 
         fmu: an object or class of `validate.fmi.instance`.
         """
         if self._parts is None:
             self._parts = []
-            kinds = [item.type for item in self]
+            kinds = np.array([item.type for item in self], dtype=object)
             for kind in dict.fromkeys(kinds):
-                chosen = np.fromiter((other == kind for other in kinds), bool, len(kinds))
-                references = fmu.references(
-                    kind,
-                    [item.reference for item in self if item.type == kind],
-                    int(self.sizes[chosen].sum()),
-                )
-                self._parts.append(
-                    (references, slice(None) if chosen.all() else np.repeat(chosen, self.sizes))
-                )
+                chosen = kinds == kind
+                numbers = [item.reference for item in self if item.type == kind]
+                references = fmu.references(kind, numbers, int(self.sizes[chosen].sum()))
+                places = slice(None) if chosen.all() else np.repeat(chosen, self.sizes)
+                self._parts.append((references, places))
         return self._parts
 
     _parts: list[tuple[References, Any]] | None = None
 
 
 def one_each(variables: Iterable[FmuVariable]) -> Block:
-    """The first of the names of each value."""
-    found: dict[tuple[int, str], FmuVariable] = {}
+    """Keep the first name of each value."""
+    first: dict[tuple[int, str], FmuVariable] = {}
     for item in variables:
-        found.setdefault(item.key, item)
-    return Block(found.values())
+        first.setdefault(item.key, item)
+    return Block(first.values())
 
 
 # Variables, and (entries,) a value for each [unit of each].
@@ -223,50 +226,34 @@ NOTHING: Settings = (Block(), np.empty(0))
 
 @dataclass(frozen=True)
 class Avoided:
-    """Values that the FMU refuses, and no check sets.
+    """Values that the FMU refuses, so that no check sets them.
 
-    below, above, unset: names of variables that stay on the other side of their starts, and that are
-        never set; held, unvaried: inputs, and parameters, stay at their starts.
+    below, above: names of variables that stay on the other side of their starts.
+    unset: names of variables that are never set.
+    held, unvaried: inputs, and parameters, stay at their starts.
     """
 
-    below: frozenset[str] = frozenset()
-    above: frozenset[str] = frozenset()
-    unset: frozenset[str] = frozenset()
+    below: list[str] = field(default_factory=list)
+    above: list[str] = field(default_factory=list)
+    unset: list[str] = field(default_factory=list)
     held: bool = False
     unvaried: bool = False
-
-    def sides(self, name: str) -> frozenset[str]:
-        """The sides to which a variable is not moved."""
-        return frozenset(side for side in ("below", "above") if name in getattr(self, side))
-
-    def lists(self) -> dict[str, Any]:
-        """The same as JSON holds it."""
-        return {
-            name: sorted(value) if isinstance(value, frozenset) else value
-            for name, value in vars(self).items()
-        }
-
-    @classmethod
-    def of(cls, lists: Mapping[str, Any]) -> Self:
-        """From `lists`."""
-        named = {name: frozenset(lists[name]) for name in ("below", "above", "unset")}
-        return cls(**named, held=lists["held"], unvaried=lists["unvaried"])
 
 
 @dataclass(eq=False)
 class Subject:
     """An unpacked FMU.
 
-    `description` is FMPy's; `pace`: the seconds of one step of each type, once known; `ends`: the
-    time [s] that a run of each type cannot reach, as the FMU ended it before.
+    description: FMPy's.
+    pace: seconds of one step of each type, once measured.
+    ends: time [s] of each type at which the FMU ended a run.
     """
 
-    path: Path
     folder: Path
     description: Any
     pace: dict[str, float] = field(default_factory=dict)
     ends: dict[str, float] = field(default_factory=dict)
-    avoided: Avoided = Avoided()
+    avoided: Avoided = field(default_factory=Avoided)
 
     @property
     def major(self) -> int:
@@ -275,15 +262,15 @@ class Subject:
 
     @property
     def types(self) -> tuple[str, ...]:
-        """Types of FMI that the description offers, of "ME" and "CS"."""
+        """The types of FMI that the description offers, of "ME" and "CS"."""
         return tuple(kind for kind in ("ME", "CS") if self.interface(kind) is not None)
 
     def interface(self, kind: str) -> Any:
-        """FMPy's description of a type."""
+        """Return FMPy's description of a type."""
         return interface_of(self.description, kind)
 
     def can(self, kind: str, ability: str) -> bool:
-        """Whether the description claims an ability, by its name in this version of FMI (FMPy does not read all of them)."""
+        """Whether a type claims an ability, by its name in this version of FMI."""
         return self._interfaces.get(INTERFACES[kind], {}).get(ability) in ("true", "1")
 
     @cached_property
@@ -292,15 +279,19 @@ class Subject:
 
     @cached_property
     def variables(self) -> tuple[FmuVariable, ...]:
-        """All variables that have numbers, in the order of the description (aliases included)."""
+        """All variables with numbers, aliases included, in the order of the description."""
         found = filter(None, map(_variable, self.description.modelVariables))
-        if not (self.avoided.below or self.avoided.above):
+        sides = {side: set(getattr(self.avoided, side)) for side in ("below", "above")}
+        if not any(sides.values()):
             return tuple(found)
-        return tuple(replace(item, refused=self.avoided.sides(item.name)) for item in found)
+        return tuple(
+            replace(item, refused=frozenset(side for side in sides if item.name in sides[side]))
+            for item in found
+        )
 
     @cached_property
     def values(self) -> Block:
-        """One variable a value, in the order of the description."""
+        """One variable per value, in the order of the description."""
         return one_each(self.variables)
 
     @cached_property
@@ -309,43 +300,37 @@ class Subject:
         return {variable.name: variable for variable in self.variables}
 
     def prepare(self) -> None:
-        """Find out, once for all forks, what follows from the description.
+        """Compute once, for all forks, what follows from the description.
 
-        Raises ValueError, KeyError for one that contradicts itself.
+        Raises ValueError, KeyError for a description that contradicts itself.
         """
         with without_garbage():
-            for name in (
-                "_interfaces",
-                "by_name",
-                "states",
-                "derivatives",
-                "outputs",
-                "observed",
-                "continuous_inputs",
-                "exact",
-                "varied",
-            ):
-                getattr(self, name)
             for block in (self.observed, self.exact, self.varied[0]):
                 block.parts(CLASSES[self.major, "CS"])
+            for name in ("_interfaces", "states", "derivatives", "outputs", "continuous_inputs"):
+                getattr(self, name)
         gc.freeze()
 
+    def avoiding(self, **changes: Any) -> Subject:
+        """Return the same FMU with other values avoided: fields of `Avoided`."""
+        return replace(self, avoided=Avoided(**{**asdict(self.avoided), **changes}))
+
+    def observing(self, block: Block) -> Subject:
+        """Return the same FMU with fewer observed values."""
+        other = copy(self)
+        other.observed = block
+        return other
+
     def of(self, unknowns: list[Any]) -> Block:
-        """The variables of a section of the ModelStructure, those without numbers left out."""
-        return Block(
-            self.by_name[item.variable.name]
-            for item in unknowns
-            if item.variable.name in self.by_name
-        )
+        """Return the variables with numbers of a section of the ModelStructure."""
+        names = (item.variable.name for item in unknowns)
+        return Block(self.by_name[name] for name in names if name in self.by_name)
 
     @cached_property
     def states(self) -> Block:
-        """Of which the derivatives are listed, in that order."""
-        names = [
-            item.variable.derivative.name
-            for item in self.description.derivatives
-            if item.variable.derivative is not None
-        ]
+        """Continuous states, in the order in which their derivatives are listed."""
+        derivatives = (item.variable.derivative for item in self.description.derivatives)
+        names = (item.name for item in derivatives if item is not None)
         return Block(self.by_name[name] for name in names if name in self.by_name)
 
     @cached_property
@@ -355,45 +340,40 @@ class Subject:
 
     @cached_property
     def rates(self) -> list[tuple[FmuVariable, FmuVariable]]:
-        """Variables that are derivatives, each with what it is the derivative of."""
-        named = [
-            (item.name, getattr(item.derivative, "name", None))
-            for item in self.description.modelVariables
-        ]
-        pairs = [
-            (self.by_name[rate], self.by_name[state])
-            for rate, state in named
-            if rate in self.by_name and state in self.by_name
-        ]
-        return list({rate.key: (rate, state) for rate, state in reversed(pairs)}.values())[::-1]
+        """Variables that are derivatives, each with its state; one name per derivative."""
+        pairs: dict[tuple[int, str], tuple[FmuVariable, FmuVariable]] = {}
+        for item in self.description.modelVariables:
+            rate = self.by_name.get(item.name)
+            state = self.by_name.get(getattr(item.derivative, "name", ""))
+            if rate is not None and state is not None:
+                pairs.setdefault(rate.key, (rate, state))
+        return list(pairs.values())
 
     @cached_property
     def outputs(self) -> Block:
-        """Outputs, as the ModelStructure lists them, but for clocked ones."""
+        """Outputs, as the ModelStructure lists them, without clocked ones."""
         return one_each(item for item in self.of(self.description.outputs) if not item.clocked)
 
     @cached_property
     def observed(self) -> Block:
-        """The values that runs are compared by: all but for clocked ones."""
+        """The values by which runs are compared: all but clocked ones."""
         return Block(item for item in self.values if not item.clocked)
 
     @cached_property
     def continuous_inputs(self) -> Block:
         """Continuous floating-point inputs."""
-        return self._settable(
-            lambda item: item.causality == "input" and item.is_continuous,
-        )
+        return self._settable(lambda item: item.causality == "input" and item.is_continuous)
 
     @cached_property
     def clocks(self) -> Block:
-        """Variables that tell the time."""
+        """Variables that contain the time."""
         return one_each(
             item for item in self.variables if item.causality == "independent" and item.is_float
         )
 
     @cached_property
     def exact(self) -> Block:
-        """Variables whose start is their value in initialisation."""
+        """Variables whose start is their value in Initialization Mode."""
         return self._settable(
             lambda item: (
                 item.start is not None and (item.initial == "exact" or item.causality == "input")
@@ -402,7 +382,7 @@ class Subject:
 
     @cached_property
     def varied(self) -> Settings:
-        """Other values of the floating-point parameters that may be set before a run: a hundredth of their size off their starts."""
+        """Floating-point parameters that may be set before a run, at other values than their starts."""
         if self.avoided.unvaried:
             return NOTHING
         parameters = self._settable(
@@ -413,114 +393,101 @@ class Subject:
                 and item.start is not None
             )
         )
-        return parameters, parameters.near(_VARIED)
+        return parameters, parameters.near(MOVED)
 
-    def _settable(self, wanted: Callable[[FmuVariable], bool]) -> Block:
-        """One variable a value of those that are wanted, and that the FMU lets be set."""
+    def _settable(self, is_wanted: Callable[[FmuVariable], bool]) -> Block:
+        """Return one variable per value of those that are wanted and that the FMU lets be set."""
+        unset = set(self.avoided.unset)
         return one_each(
-            item for item in self.variables if wanted(item) and item.name not in self.avoided.unset
+            item for item in self.variables if is_wanted(item) and item.name not in unset
         )
 
     @cached_property
     def start_time(self) -> float:
         """Start of the FMU's experiment [s]; 0 without one."""
-        return self._experiment("startTime", 0.0)
+        return experiment(self.description, "startTime") or 0.0
+
+    @property
+    def length(self) -> float:
+        """Length of the FMU's experiment [s]; 0 without one."""
+        stop = experiment(self.description, "stopTime")
+        return 0.0 if stop is None else max(0.0, stop - self.start_time)
 
     @cached_property
     def step(self) -> float:
-        """The communication step [s]: the FMU's own, else a 500th of its experiment, else 10 ms."""
-        stop = self._experiment("stopTime", math.nan)
-        length = stop - self.start_time
-        fallback = length / 500.0 if length > 0.0 else 1e-2
-        return self._experiment("stepSize", self.internal_step or fallback)
+        """Communication step [s]: the FMU's own, else a 500th of its experiment, else 10 ms."""
+        declared = experiment(self.description, "stepSize") or self.internal_step
+        return declared or self.length / LONG_STEPS or 1e-2
 
     @property
     def internal_step(self) -> float:
-        """The step [s] that Co-Simulation makes inside, as FMI 3.0 declares it.
-
-        0 where it does not.
-        """
+        """Internal step [s] of Co-Simulation, as FMI 3.0 declares it; 0 without one."""
         return float(getattr(self.description.coSimulation, "fixedInternalStepSize", None) or 0.0)
 
     @cached_property
     def tolerance(self) -> float:
         """Relative tolerance of the FMU's experiment [-]."""
-        return self._experiment("tolerance", DEFAULT_TOLERANCE)
-
-    def _experiment(self, name: str, fallback: float) -> float:
-        """A number of the default experiment, or what stands for it."""
-        text = getattr(self.description.defaultExperiment, name, None)
-        try:
-            value = float(text) if text is not None else fallback
-        except ValueError:
-            return fallback
-        return value if math.isfinite(value) and (value > 0.0 or name == "startTime") else fallback
+        return experiment(self.description, "tolerance") or DEFAULT_TOLERANCE
 
     def steps(self, kind: str) -> int:
-        """Communication steps of a run of this type."""
+        """Return the number of communication steps of a run of this type."""
         return self._affordable(kind, STEPS[kind])
 
     def long_steps(self, kind: str) -> int:
-        """Communication steps of a run through the FMU's experiment."""
-        length = self._experiment("stopTime", math.nan) - self.start_time
-        return self._affordable(
-            kind,
-            min(LONG_STEPS, max(STEPS["CS"], round(length / self.step)))
-            if length > 0.0
-            else STEPS["CS"],
-        )
+        """Return the number of communication steps of a run through the FMU's experiment."""
+        through = min(LONG_STEPS, round(self.length / self.step))
+        return self._affordable(kind, max(STEPS["CS"], through))
 
     def _affordable(self, kind: str, steps: int) -> int:
-        pace = self.pace.get(kind, 0.0)
+        """Limit a number of steps by memory, by the pace, and by where the FMU ends a run."""
         steps = min(steps, max(FEWEST_STEPS, _MOST_VALUES // max(len(self.observed), 1)))
-        return self.before_end(
-            kind,
-            steps
-            if pace <= 0.0
-            else int(np.clip(RUN_SECONDS / pace, min(FEWEST_STEPS, steps), steps)),
-        )
+        if pace := self.pace.get(kind, 0.0):
+            steps = min(steps, max(FEWEST_STEPS, int(RUN_SECONDS / pace)))
+        return self.before_end(kind, steps)
 
     def before_end(self, kind: str, steps: int) -> int:
-        """So many steps, or as many as the FMU makes before it ends the simulation itself."""
-        left = (
-            math.ceil((self.ends.get(kind, math.inf) - self.start_time) / self.step - 1e-9) - 1
-            if kind in self.ends
-            else steps
-        )
+        """Limit a number of steps to those that the FMU makes before it ends a run."""
+        if kind not in self.ends:
+            return steps
+        left = math.ceil((self.ends[kind] - self.start_time) / self.step - 1e-9) - 1
         return max(0, min(steps, left))
 
     def time(self, step: int) -> float:
-        """Time of a communication point [s]."""
+        """Return the time of a communication point [s]."""
         return self.start_time + step * self.step
 
     def inputs_at(self, step: int, seed: int = 0) -> np.ndarray:
-        """Values of the continuous inputs from this step on; they change every HOLD steps.
+        """Return values of the continuous inputs from this step on; they change every HOLD steps.
 
-        Another seed, another signal.
+        Parameters
+        ----------
+        step
+            Number of the communication step.
+        seed
+            Number of the signal.
 
         Returns
         -------
-        (nu,) [unit of each input]. Raises nothing.
+        np.ndarray
+            (nu,) [unit of each input].
+
+        Raises
+        ------
+        Nothing.
         """
-        lower, upper = self.input_range
         middle, half = self._input_motion
         moves = np.random.default_rng([seed, step // HOLD]).uniform(-1.0, 1.0, middle.shape)
-        return np.clip(middle + half * moves, lower, upper)
+        return np.clip(middle + half * moves, *self.input_range)
 
     @cached_property
     def input_range(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest values (nu,) that `inputs_at` gives [unit of each input]. Raises nothing."""
-        inputs, (start, size) = self.continuous_inputs, self._input_motion
-        lower = np.maximum(start - size, inputs.each(lambda item: item.lower))
-        upper = np.minimum(start + size, inputs.each(lambda item: item.upper))
-        return (
-            np.where(inputs.refuses("below"), np.maximum(lower, start), lower),
-            np.where(inputs.refuses("above"), np.minimum(upper, start), upper),
-        )
+        """Least and largest values (nu,) of `inputs_at` [unit of each input]. Raises nothing."""
+        (start, size), (lower, upper) = self._input_motion, self.continuous_inputs.limits
+        return np.maximum(start - size, lower), np.minimum(start + size, upper)
 
     @cached_property
     def _input_motion(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the continuous inputs starts, and how far they move, (nu,) [unit of each input] each. Raises nothing."""
+        """Starts and amplitudes (nu,) of the continuous inputs [unit of each]. Raises nothing."""
         inputs = self.continuous_inputs
         width = inputs.each(lambda item: item.upper - item.lower)
         size = np.where(np.isfinite(width), RANGE_SHARE * width, SIZE_SHARE * inputs.scales)
@@ -528,21 +495,18 @@ class Subject:
 
 
 def _variable(item: Any) -> FmuVariable | None:
-    """Ours for FMPy's; None if it has no number."""
-    if item.type not in (*_FLOATS, *_WHOLE, "Boolean"):
+    """Convert a variable of FMPy; None if it has no number."""
+    if item.type not in (*_FLOATS, *_INTEGERS, "Boolean"):
         return None
 
-    def number(name: str, otherwise: float | None = None) -> Any:
+    def number(name: str, default: float | None = None) -> Any:
         texts = (getattr(source, name, None) for source in (item, item.declaredType))
-        return next((_number(text) for text in texts if text is not None), otherwise)
+        return next((_number(text) for text in texts if text is not None), default)
 
     size, start = int(np.prod(item.shape)) if item.shape else 1, None
     with contextlib.suppress(ValueError):
-        start = (
-            None
-            if item.start is None
-            else np.array([_number(word) for word in str(item.start).split()])
-        )
+        if item.start is not None:
+            start = np.array([_number(word) for word in str(item.start).split()])
     if start is not None and start.size != size:
         start = np.full(size, start[0]) if start.size == 1 else None
     return FmuVariable(
@@ -561,21 +525,21 @@ def _number(text: Any) -> float:
 
 
 def in_words(variables: Block, values: np.ndarray) -> str:
-    """Variables and the values (entries,) [unit of each] that they are set to: `p = -0.1, m = 10`.
-
-    Raises nothing.
-    """
+    """Return names and values (entries,) [unit of each]: `p = -0.1, m = 10`. Raises nothing."""
     pairs = zip(variables.names, values.tolist(), strict=True)
-    said = [f"{name} = {value:.6g}" for name, value in itertools.islice(pairs, _NAMED)]
-    more = variables.entries - len(said)
-    return ", ".join(said) + (f" and {more} more" if more else "")
+    shown = [f"{name} = {value:.6g}" for name, value in itertools.islice(pairs, _NAMED)]
+    more = variables.entries - len(shown)
+    return ", ".join(shown) + (f" and {more} more" if more else "")
 
 
 class CheckedInstance(Instance):
-    """One instance of `subject` of type "ME" or "CS", which knows the FMU's variables.
+    """One instance of a subject, of type "ME" or "CS", with access by variables.
 
-    After a failure it is left as it is: the process ends soon.
+    After an exception the instance is not freed: its process ends soon.
     """
+
+    # For the FMU's own integrator; None: its default.
+    tolerance: float | None = None
 
     def __init__(
         self,
@@ -584,12 +548,8 @@ class CheckedInstance(Instance):
         name: str = "check",
         options: Mapping[str, Any] | None = None,
     ) -> None:
-        """options: more arguments of FMPy's instantiate().
-
-        Raises Fault if the binary cannot be loaded or refuses.
-        """
+        """Load and instantiate; options: more arguments of FMPy's instantiate(). Raises Fault."""
         self.subject = subject
-        self.tolerance: float | None = None  # for the FMU's own integrator; None: what it likes
         super().__init__(subject.description, subject.folder, kind, name, options)
         self.time = subject.start_time
 
@@ -600,42 +560,50 @@ class CheckedInstance(Instance):
         if kind is None:
             self.close()
 
-    def setup(self, stop: float | None = None) -> None:
-        """Before values are set."""
-        self.fmu.setup(self.subject.start_time, stop, self.tolerance)
-
-    def enter_initialisation(self, stop: float | None = None) -> None:
-        """Into Initialization Mode; stop: the stop time [s]."""
-        self.fmu.enter(self.subject.start_time, stop, self.tolerance)
-
-    def begin(
-        self, before: Settings = NOTHING, during: Settings = NOTHING, stop: float | None = None
-    ) -> Self:
-        """Through initialisation, and to Continuous-Time Mode or the first step.
+    def initialising(self, before: Settings = NOTHING, stop: float | None = None) -> Self:
+        """Set some variables and enter Initialization Mode.
 
         Parameters
         ----------
-        before, during : variables and their values (entries,) [unit of the variable] that are set
-            before and in initialisation.
-        stop : stop time [s].
+        before
+            Variables and their values (entries,) [unit of each].
+        stop
+            Stop time [s].
 
         Raises
         ------
-        FMICallException, Fault : if the FMU refuses a call, does not settle, or ends.
+        FMICallException, Fault
+            If the FMU refuses a call, or ends.
         """
         self.time = self.subject.start_time
-        self.setup(stop)
+        self.fmu.setup(self.time, stop, self.tolerance)
         self.set(*before)
-        self.enter_initialisation(stop)
-        self.set(*during)
-        return self.finish_initialisation()
+        self.fmu.enter(self.time, stop, self.tolerance)
+        return self
+
+    def begin(self, before: Settings = NOTHING, stop: float | None = None) -> Self:
+        """Initialise, up to Continuous-Time Mode or the first step.
+
+        Parameters
+        ----------
+        before
+            Variables and their values (entries,) [unit of each] that are set before.
+        stop
+            Stop time [s].
+
+        Raises
+        ------
+        FMICallException, Fault
+            If the FMU refuses a call, does not settle, or ends.
+        """
+        return self.initialising(before, stop).finish_initialisation()
 
     def begin_varied(self) -> Self:
-        """As `begin`, with other parameters than a fresh instance has, so that a forgotten one shows. Raises as `begin`."""
+        """Initialise with other parameters than the starts. Raises as `begin`."""
         return self.begin(before=self.subject.varied)
 
     def finish_initialisation(self) -> Self:
-        """Out of Initialization Mode, and with Model Exchange to Continuous-Time Mode."""
+        """Leave Initialization Mode; enter Continuous-Time Mode of Model Exchange."""
         self.fmu.exitInitializationMode()
         self.next_event = math.inf
         if self.kind == "ME":
@@ -643,16 +611,14 @@ class CheckedInstance(Instance):
         return self
 
     def make_step(self, step: int) -> None:
-        """One communication step of the subject's grid. Raises FMICallException, Fault."""
+        """Make one communication step of the subject's grid. Raises FMICallException, Fault."""
         self.time = self.subject.time(step)
         self.do_step(self.time, self.subject.step)
 
     def live(self, steps: int, *, completed: bool = False) -> None:
-        """So many communication steps; of Model Exchange as many evaluations, if it has states.
+        """Make communication steps; with Model Exchange, evaluations at their times.
 
-        Raises as `do_step`.
-
-        completed: whether each is told to be an accepted step.
+        completed: whether completedIntegratorStep follows each evaluation. Raises as `do_step`.
         """
         for step in range(steps):
             if self.kind == "CS":
@@ -664,15 +630,22 @@ class CheckedInstance(Instance):
                     self.completed()
 
     def get(self, variables: Block) -> np.ndarray:
-        """Values of variables in the order given; one call a type.
+        """Read variables, with one call per type.
+
+        Parameters
+        ----------
+        variables
+            In any order.
 
         Returns
         -------
-        (entries,) [unit of each variable], all entries of the first variable, then of the second.
+        np.ndarray
+            (entries,) [unit of each variable].
 
         Raises
         ------
-        FMICallException : if the FMU refuses a call.
+        FMICallException
+            If the FMU refuses a call.
         """
         values = np.empty(variables.entries)
         for references, places in variables.parts(self.fmu):
@@ -681,17 +654,19 @@ class CheckedInstance(Instance):
         return values
 
     def set(self, variables: Block, values: np.ndarray) -> None:
-        """Set variables; one call a type.
+        """Set variables, with one call per type.
 
         Parameters
         ----------
-        variables : in any order.
-        values : (entries,) [unit of each variable], all entries of the first variable, then of the
-            second.
+        variables
+            In any order.
+        values
+            (entries,) [unit of each variable].
 
         Raises
         ------
-        FMICallException : if the FMU refuses a call.
+        RefusedCall
+            If the FMU refuses a call.
         """
         for references, places in variables.parts(self.fmu):
             try:
@@ -701,8 +676,5 @@ class CheckedInstance(Instance):
                 raise
 
     def observe(self) -> np.ndarray:
-        """Values (entries,) [unit of each variable] of all that runs are compared by.
-
-        Raises FMICallException.
-        """
+        """Read the values (entries,) by which runs are compared [unit of each]. Raises FMICallException."""
         return self.get(self.subject.observed)

@@ -118,7 +118,7 @@ def test_a_waiver_that_is_none_is_one_sentence(tmp_path: Path, cli, waiver: str,
 def test_an_entry_that_is_there_twice_stops_no_other_check(tmp_path: Path):
     rows = []
     report = check_fmu(
-        _doubled(tmp_path), names=["archive", "values stay finite"], told=rows.append
+        _doubled(tmp_path), names=["archive", "values stay finite"], on_row=rows.append
     )
     assert tuple(rows) == report.rows, "each row is told once, in order"
     assert {row.title: row.status for row in rows} == {

@@ -25,7 +25,6 @@ from hostile_records import (
     read_answer,
     read_record,
     read_scheduler,
-    read_spoilt_library,
     read_table,
     recover,
     resume,
@@ -33,7 +32,6 @@ from hostile_records import (
     spoilt_campaign,
     spoilt_folder,
     spoilt_leg,
-    spoilt_library,
     spoilt_scheduler,
     spoilt_stored_leg,
     spoilt_table,
@@ -341,7 +339,6 @@ READERS: dict[str, Reader] = {
     "stored leg": Reader(spoilt_stored_leg, take_leg),
     "scheduler file": Reader(spoilt_scheduler, read_scheduler),
     "foreign plan CSV": Reader(spoilt_table, read_table),
-    "library": Reader(spoilt_library, read_spoilt_library),
     "leg of a lost run": Reader(spoilt_leg, recover),
     "isolated answer": Reader(spoilt_answer, read_answer),
 }  # fmt: skip

@@ -5,7 +5,6 @@ import hashlib
 import json
 import random
 import shutil
-import struct
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -122,59 +121,6 @@ def read_table(path: Path) -> None:
     table = PlanTable(path)
     for name in {"t", "x", "v_x", "F"} & set(table.names):
         table.column(name, last_is_open=name == "F")
-
-
-# ---- a library
-#   --------------------------------------------------------------------------------------------------------------------------------
-def library() -> bytes:
-    """A library for 64 bits, of nothing but its tables: it exports one function and needs the C library."""
-    texts = b"\0fmi3DoStep\0libc.so.6\0GLIBC_2.34\0"
-    symbols = struct.pack("<IBBHQQ", 0, 0, 0, 0, 0, 0) + struct.pack(
-        "<IBBHQQ", 1, 0x12, 0, 7, 64, 8
-    )
-    dynamic = struct.pack("<QQ", 1, 12) + struct.pack("<QQ", 0, 0)
-    content, at, places = b"", 64, []
-    for part in (texts, symbols, dynamic):
-        places.append((at + len(content), len(part)))
-        content += part
-    table = [
-        (0, 0, 0, 0, 0),
-        (3, *places[0], 0, 0),
-        (11, *places[1], 1, 24),
-        (6, *places[2], 1, 16),
-    ]
-    sections = b"".join(
-        struct.pack("<IIQQQQIIQQ", 0, kind, 0, 0, offset, size, link, 0, 0, entry)
-        for kind, offset, size, link, entry in table
-    )
-    identity = b"\x7fELF\x02\x01\x01" + bytes(9)
-    header = identity + struct.pack(
-        "<HHIQQQIHHHHHH", 3, 62, 1, 0, 0, at + len(content), 0, 64, 0, 0, 64, len(table), 1
-    )
-    return header + content + sections
-
-
-def spoilt_library(rng: random.Random, folder: Path) -> Path:
-    path = folder / "hostile.so"
-    data = bytearray(library())
-    for _ in range(
-        rng.randint(1, 3)
-    ):  # a number of a table, which random bytes seldom make small, or large
-        at, size = rng.randrange(len(data) - 8), rng.choice([2, 4, 8])
-        data[at : at + size] = rng.choice([0, 1, 2, 2**15, 2**31, 2**63 - 1, 2**64 - 1]).to_bytes(
-            8, "little"
-        )[:size]
-    path.write_bytes(spoilt_bytes(rng, bytes(data)) if rng.random() < 0.3 else bytes(data))
-    return path
-
-
-def read_spoilt_library(path: Path) -> None:
-    from validate.fmu_check.files import NotElf, read_library
-
-    try:
-        read_library(path.read_bytes())
-    except NotElf as error:
-        raise TouchstoneError(str(error)) from error
 
 
 # ---- what a child left

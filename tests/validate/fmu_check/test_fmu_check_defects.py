@@ -154,6 +154,18 @@ _DEFECTS = (
         ((_XML, 'unit="m/s^2" derivative="5"', 'unit="m/s" derivative="5"'),),
     ),
     (
+        "an acceleration is in other units of length than its velocity",
+        "variables are consistent",
+        "their factors are 0.001 and 1",
+        (
+            (
+                _XML,
+                '<Unit name="m/s^2">\n      <BaseUnit m="1" s="-2"',
+                '<Unit name="m/s^2">\n      <BaseUnit factor="0.001" m="1" s="-2"',
+            ),
+        ),
+    ),
+    (
         "a unit is not defined",
         "description is valid",
         "furlong",

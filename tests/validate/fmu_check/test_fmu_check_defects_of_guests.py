@@ -302,3 +302,13 @@ def test_states_may_be_off_by_the_declared_tolerance(declared: str, status: Stat
     rows = check_fmu(build_shell(model, tmp_path, (loop, inexact)), names=[name]).rows
     (row,) = [row for row in rows if row.name == name]
     assert row.status is status, row.sentence
+
+
+@pytest.mark.slow
+def test_binary_of_a_draft_of_the_standard_is_found(tmp_path: Path):
+    edit = ("return fmi2Version;", 'return "2.0-beta.1";')
+    name = "starts and ends"
+    rows = check_fmu(build_shell(FOREIGN[0], tmp_path, edit), names=[name]).rows
+    found = [row.sentence for row in rows if row.name == name and row.status is Status.FAILED]
+    assert found, rows
+    assert "the binary says that it is FMI 2.0-beta.1, the description says 2.0" in found[0]

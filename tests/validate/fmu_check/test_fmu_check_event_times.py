@@ -158,3 +158,29 @@ def test_events_without_states_are_compared(tmp_path: Path):
     row = _row(model, tmp_path, "m->time = end; if (end > 0.295) m->i[0] = 1;")
     assert row.status is Status.FAILED, row.sentence
     assert "light differs at t = 0.3 s" in row.sentence
+
+
+@pytest.mark.parametrize(("rate", "status"), [(1.0, Status.PASSED), (1.02, Status.FAILED)])
+def test_error_that_shrinks_with_the_step_is_explained(rate: float, status: Status, tmp_path: Path):
+    """Explicit Euler with the communication step is 0.1 to 0.5 % off, a rate of 1.02 is 2 % off."""
+    row = _row(_COOLING, tmp_path, f"m->r[T] *= 1.0 - {rate} * step; update(m);")
+    assert row.status is status, row.sentence
+    assert "with h/5" in row.sentence
+
+
+def test_steps_that_an_fmu_refuses_are_left_out(tmp_path: Path):
+    """It takes multiples of 5 ms alone: h and h/2, but neither h/3 nor h/5, nor a very short step."""
+    refusal = """const double end = now + step;
+    if (fabs(step / 5e-3 - floor(step / 5e-3 + 0.5)) > 1e-6) return refuse(self, "multiples of 5 ms only");
+"""
+    exact = (_LOOP, "{ m->r[T] = exp(-end); update(m); }\n")
+    fmu = build_shell(_COOLING, tmp_path, exact, ("const double end = now + step;", refusal))
+    rows = {row.title: row for row in check_fmu(fmu).rows}
+    assert rows[_AGREE].status is Status.PASSED, rows[_AGREE].sentence
+    assert "with h/2 of the value's size" in rows[_AGREE].sentence
+    rates = rows["derivatives are those of the states (CS)"]
+    assert rates.status is Status.NOT_OFFERED, rates.sentence
+    assert "it said: multiples of 5 ms only" in rates.sentence
+    assert "multiples of 5 ms only" not in "".join(
+        row.sentence for row in rows.values() if row.status is Status.FAILED
+    )

@@ -21,7 +21,8 @@ import numpy as np
 from models.codegen.kernel import Kernel
 from models.collocation import lowest_between, penetration_rates
 from models.scene import Scene
-from validate.fmi.description import Package
+from validate.fmi.description import Package, experiment
+from validate.fmi.ladder import FINEST
 from validate.judge.replay.everyday import base_step
 from validate.judge.replay.job import Job, Simulated
 from validate.judge.replay.result import (
@@ -208,8 +209,6 @@ def difference(one: Recorded | None, other: Recorded | None) -> Difference | Non
 
 # Relative difference of equal runs: rounding of ten thousand steps.
 _SAME = 1e-10
-# Number of finest results that `converged` needs.
-FINEST = 4
 
 
 def largest_difference(runs: Sequence[Recorded]) -> Difference | None:
@@ -340,7 +339,7 @@ def _recorded(subject: Subject, variables: Variables, run: Run) -> Recorded | No
 
 
 def _declared(package: Package, motion: Recorded) -> Difference | None:
-    tolerance = package.experiment("tolerance")
+    tolerance = experiment(package.description, "tolerance")
     if tolerance is None:
         return None
     state = np.hypot(np.linalg.norm(motion.q, axis=1), np.linalg.norm(motion.v, axis=1))

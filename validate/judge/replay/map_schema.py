@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import difflib
 import heapq
-import math
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -26,6 +25,7 @@ from models.plan_table import Table
 from models.scene.values import base_exponents
 from validate.fmi.archive import DESCRIPTION, FmuError
 from validate.fmi.description import REAL, Package
+from validate.fmi.units import Unit, defined_units
 from validate.processes.toml_text import TomlError, is_number, mistake, read_toml
 
 
@@ -252,54 +252,67 @@ QUANTITIES = {"position": ("m",), "velocity": ("m/s", "1/s"), "force": ("N", "N 
 CONTACT_UNITS = {"force": ("N", "N m", "N.m", "Nm"), "gap": ("m", "rad")}
 # Prefix of friction columns, as in a scene's plan. An external FMU has no friction to compare.
 FRICTION = "friction_"
-# Base units of mechanics.
-_MECHANICAL = ("kg", "m", "s")
-# Base units of sensors, whose scale is arbitrary.
-_OTHERS = ("A", "K", "mol", "cd")
+# Base units of mechanics; sensors use other ones at an arbitrary scale.
+_MECHANICAL = {"kg", "m", "s"}
 
 
 class Dimensions:
-    """Dimensions of units: an FMU's by its own definitions, a plan's by ours."""
+    """Units of an FMU by its own definitions, of a plan by ours."""
 
     def __init__(self, description: Any) -> None:
-        self._defined = {
-            unit.name: unit.baseUnit
-            for unit in description.unitDefinitions
-            if unit.baseUnit is not None
-        }
+        self._defined = defined_units(description)
 
     def contradicts(self, unit: str | None, what: str, of_fmu: bool = False) -> bool:
         """Return whether this unit cannot be one of the quantity."""
-        exponents = None if not unit else self._of_fmu(unit) if of_fmu else _ours(unit)
-        return bool(exponents) and exponents not in [_ours(name) for name in QUANTITIES[what]]
+        known = self._unit(unit, of_fmu)
+        if known is None or not known.powers or not known.powers.keys() <= _MECHANICAL:
+            return False
+        return all(known.powers != _ours(name) for name in QUANTITIES[what])
 
     def is_rate(self, unit: str | None) -> bool:
         """Return whether an FMU's variable in this unit is a velocity, by definition or name."""
-        defined = self._defined.get(unit)
+        defined = self._defined.get(unit or "")
         if defined is None:
             return unit in _RATES
-        powers = self._of_fmu(unit or "")
-        return powers == {"m": 1, "s": -1} or (powers == {"s": -1} and int(defined.rad) == 1)
+        return defined.powers == {"m": 1, "s": -1} or (
+            defined.powers == {"s": -1} and defined.rad == 1
+        )
 
-    def _of_fmu(self, unit: str) -> dict[str, int] | None:
-        defined = self._defined.get(unit)
-        if defined is None:
-            return _ours(unit)
-        if any(getattr(defined, base) for base in _OTHERS):
-            return None
-        return {base: power for base in _MECHANICAL if (power := int(getattr(defined, base)))}
+    def is_force(self, unit: str | None) -> bool:
+        """Whether a variable in this unit of the FMU is a force, by the unit's definition or name."""
+        if (defined := self._defined.get(unit or "")) is None:
+            return unit in CONTACT_UNITS["force"]
+        return defined.powers in [_ours(name) for name in QUANTITIES["force"]]
 
+    def is_in(self, unit: str, known: Iterable[str]) -> bool:
+        """Whether numbers in a unit of the FMU are those in one of ours, by definition or name."""
+        if unit not in self._defined:
+            return unit in known
+        return any(self.is_same(name, unit) for name in known)
 
-def may_be_rate(position: str, velocity: str) -> bool:
-    """Return whether a velocity may be in its position's unit per second; "1" is unknown."""
-    try:
-        expected, exponents = dict(base_exponents(position)), base_exponents(velocity)
-    except ValueError:  # an unknown unit
-        return True
-    if not expected or not exponents:
-        return True
-    expected["s"] = expected.get("s", 0) - 1
-    return exponents == {base: power for base, power in expected.items() if power}
+    def is_same(self, unit: str, of_fmu: str) -> bool:
+        """Whether numbers in a unit of the plan are those in a unit of the FMU."""
+        one, other = self._unit(unit, False), self._unit(of_fmu, True)
+        if one is None or other is None:
+            return unit == of_fmu
+        return one.is_same(other)
+
+    def may_be_rate(self, position: str, velocity: str) -> bool:
+        """Whether a velocity is in its position's unit per second, as far as both units are known.
+
+        "1" counts as unknown.
+        """
+        one, other = self._unit(position, True), self._unit(velocity, True)
+        if one is None or other is None or "1" in (position, velocity):
+            return True
+        return one.per_second().is_same(other._replace(offset=0.0))
+
+    def _unit(self, unit: str | None, of_fmu: bool) -> Unit | None:
+        """Return a unit by the FMU's definition or ours; None if neither defines it."""
+        if of_fmu and unit in self._defined:
+            return self._defined[unit]
+        powers = _ours(unit) if unit else None
+        return None if powers is None else Unit(powers)
 
 
 def _ours(unit: str) -> dict[str, int] | None:
@@ -412,7 +425,7 @@ def by_equal_names(named: Named, table: Table, dimensions: Dimensions) -> MapFil
             continue
         if name.startswith(FRICTION) and (
             variable is None
-            or (variable.causality != "input" and variable.unit in CONTACT_UNITS["force"])
+            or (variable.causality != "input" and dimensions.is_force(variable.unit))
         ):
             continue
         if variable is None:
@@ -474,15 +487,6 @@ def hint(name: str, known: Iterable[str]) -> str:
         )
     close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
     return f" (near it: {', '.join(close)})" if close else ""
-
-
-def number(text: Any) -> float:
-    """Return the FMU's number, 0 if absent or not finite."""
-    try:
-        value = float(text)
-    except (TypeError, ValueError):
-        return 0.0
-    return value if math.isfinite(value) else 0.0
 
 
 def positive(nominal: Any) -> float:

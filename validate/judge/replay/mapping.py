@@ -23,7 +23,7 @@ from models.trajectory import (
     missing_groups,
     times_and_inputs,
 )
-from validate.fmi.description import REAL, Package
+from validate.fmi.description import REAL, Package, experiment
 from validate.judge.printed import rounding
 from validate.judge.replay import map_schema, subject
 from validate.judge.replay.map_schema import (
@@ -196,7 +196,7 @@ class _Wiring:
         if (
             unit
             and variable.unit
-            and unit != variable.unit
+            and not self._dimensions.is_same(unit, variable.unit)
             and signal.scale == 1.0
             and signal.offset == 0.0
         ):
@@ -240,7 +240,7 @@ class _Wiring:
             self._unit(name, self.map.positions[name]),
             self._unit(self._velocity_column(name), self.map.velocities[name]),
         )
-        if not map_schema.may_be_rate(position, velocity):
+        if not self._dimensions.may_be_rate(position, velocity):
             raise self._fail(
                 f"velocities.{name}",
                 f"it is in {velocity!r}, but positions.{name} in {position!r}; it must be in '{position}/s'.",
@@ -254,7 +254,8 @@ class _Wiring:
                 path,
                 f"it is in {signal.unit!r}, but a {what} must be in {known[0]!r} behind its scale, as in the plan.",
             )
-        if fmu_unit and fmu_unit not in known and not signal.model_fields_set & {"scale", "offset"}:
+        scaled = signal.model_fields_set & {"scale", "offset"}
+        if fmu_unit and not self._dimensions.is_in(fmu_unit, known) and not scaled:
             raise self._fail(
                 path,
                 f"{signal.variable!r} is in {fmu_unit!r}, but a {what} must be in {known[0]!r}; give a scale.",
@@ -345,8 +346,7 @@ class _Wiring:
     def counted_from(self) -> float | None:
         """Return the FMU's start [s] if the plan has a clock's coarse times, else None."""
         times = self._table.column(self._time, last_is_open=False)
-        experiment = getattr(self._package.description, "defaultExperiment", None)
-        start = map_schema.number(getattr(experiment, "startTime", None))
+        start = experiment(self._package.description, "startTime") or 0.0
         coarse = np.spacing(np.abs([times[0], start])) > _TICK * np.abs(np.diff(times)).min()
         return start if coarse[0] and not coarse[1] else None
 
@@ -425,7 +425,8 @@ class _Wiring:
         for _, own_column, signal in self._positions + self._velocities:
             if own_column == column and signal.variable == name:
                 return (first - signal.offset) / signal.scale
-        if unit := self._variable(path, name).unit:
+        unit, given = self._variable(path, name).unit, self._table.units.get(column)
+        if unit and given and not self._dimensions.is_same(given, unit):
             self._table.check_unit(column, unit)
         return first
 

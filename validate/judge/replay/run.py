@@ -13,9 +13,9 @@ import numpy as np
 from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory
-from validate.fmi.description import FmuError, Package, read_package, unpacked
+from validate.fmi.description import FmuError, Package, experiment, read_package, unpacked
+from validate.fmi.ladder import FINEST, LADDER
 from validate.judge.replay.error_estimate import (
-    FINEST,
     error_of,
     is_explained,
     overlooked,
@@ -43,10 +43,6 @@ LOOSE = 1e-11
 TIGHT = 1e-13
 # Internal steps per plan step of the everyday replay that confirms a reference.
 FINENESS = (100, 200)
-# Divisors of the step without a reference, used until the verdict is decided: each run costs as
-# much
-# as the previous two, and steps are seldom multiples of each other.
-LADDER = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233, 377)
 # Least number of rows of judged Co-Simulation, which has no rows within steps; as on three_cart.
 LOOKS = 500
 # Fineness with --own-step; the last, one call per plan step, is judged.
@@ -321,7 +317,10 @@ def _without_refused(simulated: Simulated) -> Simulated | None:
 
 def _multiples(job: Job) -> tuple[int, ...]:
     """Return finenesses that divide plan steps into whole steps of the FMU, one call first."""
-    declared, step = job.package.experiment("stepSize"), float(np.diff(job.plan.t).min())
+    declared, step = (
+        experiment(job.package.description, "stepSize"),
+        float(np.diff(job.plan.t).min()),
+    )
     whole = round(step / declared) if declared is not None else 1
     if declared is None or not math.isclose(step, whole * declared, rel_tol=_SAME_STEP):
         whole = 1

@@ -218,6 +218,29 @@ def test_a_unit_is_what_the_fmu_defines_it_to_be(
         assert wired(given, "t,F\n0,1\n1,\n", "unit.fmu")[0].model.nq == 1
 
 
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (('unit="N"', 'unit="newton"'), ""),
+        (('unit="N"', 'unit="kilo"'), "contacts.stop.force: 'stop.push' is in 'kilo' … in 'N'; give a scale"),
+    ],
+)  # fmt: skip
+def test_contact_unit_is_what_the_fmu_defines(
+    folder: Path, wired: Wire, edit: tuple[str, str], words: str
+):
+    newton = '<Unit name="{0}"><BaseUnit kg="1" m="1" s="-2" factor="{1}"/></Unit>'
+    units = f"<UnitDefinitions>{newton.format('newton', 1)}{newton.format('kilo', 1000)}</UnitDefinitions><ModelVariables>"
+    edited(
+        folder / "cart.fmu",
+        folder / "newton.fmu",
+        lambda text: text.replace(*edit).replace("<ModelVariables>", units),
+    )
+    if words:
+        assert not unsaid(refusal(lambda: wired(FULL_MAP, fmu="newton.fmu")), words)
+    else:
+        assert wired(FULL_MAP, fmu="newton.fmu")[0].model.nc == 1
+
+
 @pytest.mark.parametrize("given", [BARE, None])
 @pytest.mark.parametrize(
     ("old", "new", "words"),

@@ -21,7 +21,6 @@ from validate.judge.replay.map_schema import (
     Named,
     by_equal_names,
     hint,
-    may_be_rate,
     read_map,
 )
 from validate.judge.replay.mapping import wire
@@ -577,16 +576,14 @@ def test_a_hint_among_many_names_is_that_among_few():
      ("furlong", "m/s", True), ("m", "furlong", True)],
 )  # fmt: skip
 def test_a_velocity_is_in_its_positions_unit_per_second(position: str, velocity: str, may: bool):
-    assert may_be_rate(position, velocity) is may
+    dimensions = Dimensions(SimpleNamespace(unitDefinitions=[]))
+    assert dimensions.may_be_rate(position, velocity) is may
 
 
-def unit_of(name: str, **exponents: int) -> Any:
-    return SimpleNamespace(
-        name=name,
-        baseUnit=SimpleNamespace(
-            **(dict.fromkeys(("kg", "m", "s", "A", "K", "mol", "cd"), 0) | exponents)
-        ),
-    )
+def unit_of(name: str, **given: float) -> Any:
+    powers = dict.fromkeys(("kg", "m", "s", "A", "K", "mol", "cd", "rad"), 0)
+    base = {**powers, "factor": 1.0, "offset": 0.0, **given}
+    return SimpleNamespace(name=name, baseUnit=SimpleNamespace(**base))
 
 
 @pytest.mark.parametrize(
@@ -613,6 +610,45 @@ def test_a_unit_contradicts_a_quantity_where_no_scale_leads_to_it(
     assert of_fmu.contradicts(unit, what, True) is contradicts
     own = {"m": what in ("velocity", "force"), "kg": True}
     assert [of_fmu.contradicts(name, what) for name in own] == list(own.values())
+
+
+# Units of an FMU whose names say one thing, or nothing, and whose definitions say what they are.
+_UNITS = [
+    unit_of("N", kg=1, m=1, s=-2, factor=1000.0), unit_of("newton", kg=1, m=1, s=-2),
+    unit_of("m.s-1", m=1, s=-1), unit_of("mm/s", m=1, s=-1, factor=1e-3), unit_of("mm", m=1, factor=1e-3),
+    unit_of("degree", rad=1, factor=0.0174532925199433), unit_of("degree/s", rad=1, s=-1, factor=0.01745329252),
+    unit_of("radian", rad=1), unit_of("degC", K=1, offset=273.15), unit_of("kelvin", K=1),
+]  # fmt: skip
+
+
+def test_units_are_the_same_by_their_definitions():
+    units = Dimensions(SimpleNamespace(unitDefinitions=_UNITS))
+    assert units.is_same("m/s", "m.s-1")
+    assert units.is_same("rad", "radian")
+    assert not units.is_same("rad", "degree")
+    assert not units.is_same("m/s", "mm/s")
+    assert units.is_same("furlong", "furlong"), "that nobody defines"
+    assert not units.is_same("furlong", "chain")
+    assert not units.is_same("N", "N"), "the FMU's are kilonewtons"
+    assert units.is_in("newton", ("N", "N m"))
+    assert not units.is_in("N", ("N", "N m"))
+    assert units.is_force("newton")
+    assert not units.is_force("degree")
+    assert units.is_force("Nm"), "by its name"
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "may"),
+    [
+        ("mm", "mm/s", True), ("m", "mm/s", False), ("mm", "m.s-1", False), ("m", "m.s-1", True),
+        ("degree", "degree/s", True), ("rad", "degree/s", False), ("degC", "furlong", True),
+    ],
+)  # fmt: skip
+def test_velocity_is_per_second_of_its_position_by_definition(
+    position: str, velocity: str, may: bool
+):
+    units = Dimensions(SimpleNamespace(unitDefinitions=_UNITS))
+    assert units.may_be_rate(position, velocity) is may
 
 
 def test_very_many_short_names_do_not_crowd_out_the_long_one_that_is_meant():
