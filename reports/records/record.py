@@ -31,6 +31,10 @@ from pydantic import (
     model_validator,
 )
 
+from reports.wording import FEEDBACK as FEEDBACK
+from reports.wording import HOLD as HOLD
+from reports.wording import TRACKED as TRACKED
+
 if TYPE_CHECKING:  # a fifth of `show`, which needs no more of it
     import numpy as np
     from numpy.typing import NDArray
@@ -105,12 +109,6 @@ Verdict = Literal[
     "not applicable",
     "consistent",
 ]
-# Verdicts of plans that hold.
-HOLD = ("holds", "holds with feedback")
-# How the names begin of metrics of the replay with feedback, and of what the feedback took, as
-# validate.judge.score has them.
-TRACKED = "tracked_"
-FEEDBACK = "feedback_"
 
 
 class Model(BaseModel):
