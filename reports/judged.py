@@ -13,18 +13,13 @@ import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import islice
+from typing import TYPE_CHECKING
 
-from reports.records.check_record import CheckRecord
-from reports.records.record import (
-    FEEDBACK,
-    HOLD,
-    TRACKED,
-    MetricRecord,
-    RunRecord,
-    SceneRecord,
-    StageRecord,
-)
-from reports.wording import capital, measured, spaced
+from reports.wording import FEEDBACK, HOLD, TRACKED, capital, measured, spaced
+
+if TYPE_CHECKING:  # `replay` has stages that are no records, and does without pydantic: 0.4 s
+    from reports.records.check_record import CheckRecord
+    from reports.records.record import MetricRecord, RunRecord, SceneRecord, StageRecord
 
 SHOWN = "Shown, not judged"
 
@@ -343,12 +338,7 @@ def again(record: RunRecord | CheckRecord) -> str:
         return record.provenance.command
     if words[1:3] != ["-m", "validate"] or words[3:4] not in (["all"], ["run"]):
         return record.provenance.command
-    title = (
-        record.title
-        if isinstance(record, CheckRecord)
-        else f"{record.scene.name} x {record.pipeline}"
-    )
-    quoted = title.replace('"', '""')
+    quoted = record.title.replace('"', '""')
     return shlex.join(
         [*words[:4], *_kept(words[4:]), "-k", f'="{quoted}"', "--fresh", "--out", "runs/again"]
     )

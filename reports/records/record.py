@@ -27,6 +27,10 @@ from pydantic import (
     model_validator,
 )
 
+from reports.wording import FEEDBACK as FEEDBACK
+from reports.wording import HOLD as HOLD
+from reports.wording import TRACKED as TRACKED
+
 if TYPE_CHECKING:  # a fifth of the time of `show`, which does not need them
     import numpy as np
     from numpy.typing import NDArray
@@ -94,11 +98,6 @@ Verdict = Literal[
     "not applicable",
     "consistent",
 ]
-HOLD = ("holds", "holds with feedback")
-# Prefix of metrics with feedback, as in validate.judge.score.
-TRACKED = "tracked_"
-# Prefix of metrics of the feedback's effort.
-FEEDBACK = "feedback_"
 
 
 class Model(BaseModel):

@@ -1,8 +1,4 @@
-"""`show`: one run of a campaign, in a terminal; a judged plan as `replay` prints it too.
-
-print_verdict(stage.verdict, stage.why, stage, cause_of_stage(stage))
-print_score(stage)
-"""
+"""`show`: one run of a campaign, in a terminal."""
 
 from __future__ import annotations
 
@@ -12,13 +8,14 @@ from pathlib import Path
 import click
 
 from models.errors import did_you_mean
-from reports.judged import Cause, MetricView, again, cause_of, deciding, questions_of
+from reports.judged import again, cause_of
 from reports.records.check_record import CheckRecord
-from reports.records.record import HOLD, MetricRecord, RunRecord, StageRecord
+from reports.records.record import RunRecord
 from reports.rule import fails
 from validate.campaign.stored import CampaignError, campaign_of, stored_names
 from validate.cli.options import folder_of
 from validate.cli.table import one_line, print_table, say, short, wide_option
+from validate.cli.verdict import print_score, print_verdict
 from validate.store.store import RECORD, Store
 
 _EPILOG = """\b
@@ -124,25 +121,6 @@ def _tell_run(record: RunRecord) -> None:
         say(f"options of stage {stage.index + 1} ({stage.method}): {options or 'none'}")
 
 
-def print_verdict(verdict: str, why: str, stage: StageRecord | None, cause: Cause | None) -> None:
-    """Print the verdict with its sentence, the metric that decided it, and the cause."""
-    say(why if why.startswith(verdict) else f"{verdict}: {why}")
-    metric = deciding(stage) if stage is not None else None
-    if metric is not None:
-        limit = f", limit {_amount(metric.limit, metric.unit)}"
-        found = "not measured" if metric.value is None else _amount(metric.value, metric.unit)
-        word = "closest to its limit" if verdict in HOLD else "decided by"
-        say(
-            f"{word}: {metric.name}, {found}{'' if metric.value is None else limit}: {metric.meaning}"
-        )
-    if cause is not None:
-        say(f"cause: {cause.sentence.rstrip('.')}. {cause.advice}".rstrip())
-
-
-def _amount(value: float | None, unit: str) -> str:
-    return f"{short(value, '.3g')}{'' if unit == '1' else f' {unit}'}"
-
-
 def _print_stages(record: RunRecord) -> None:
     rows = []
     for stage in record.stages:
@@ -165,63 +143,6 @@ def _print_stages(record: RunRecord) -> None:
         ("wall s", "iterations", "CPU s", "stage"),
     )
     print_table(titles, rows, right, drop=drop)
-
-
-def print_score(stage: StageRecord) -> None:
-    """Print questions and their answers, the metrics, and what was not asked."""
-    views = questions_of(stage)
-    if stage.questions:
-        of = "the replay with feedback" if stage.is_tracked else "the inputs alone"
-        rows = [
-            ["" if item.number is None else str(item.number), item.text, item.answer]
-            for item in stage.questions
-        ]
-        click.echo()
-        print_table(["", f"question, of {of}", "answer"], rows, ("",))
-    click.echo()
-    values = ["inputs alone", "with feedback"] if stage.is_followed else ["value"]
-    rows = [
-        row
-        for question in views
-        for view in question.metrics
-        for row in _metric_rows(question.number, view, stage.is_tracked, len(values))
-    ]
-    meant = ("meaning", "reason of the limit")
-    titles = ["question", "metric", *values, "+-", "unit", "limit", "", *meant]
-    drop = (*meant[::-1], "+-", "question", "limit", "unit", *values[:-1])
-    print_table(titles, rows, ("question", *values, "+-", "limit"), drop=drop)
-    for sentence in stage.not_asked:
-        say(f"not asked: {sentence}")
-
-
-def _metric_rows(
-    number: int | None, view: MetricView, tracked: bool, columns: int
-) -> list[list[str]]:
-    """Return the row of a metric, or none if it was not asked. tracked: the verdict is with feedback."""
-    judged = (view.followed if tracked else view.alone) or view.metric
-    if judged.value is None and judged.limit is None:
-        return []
-    known, asked = judged.value is not None, number is not None
-    is_waived = known and asked and judged.limit is None and judged.reason
-    # A default limit is in nominal sizes, which are unknown if nothing could be measured.
-    limit = short(judged.limit, ".3g") if known or not judged.default else ""
-    values = [
-        short(None if metric is None else metric.value, ".5g")
-        for metric in (view.alone, view.followed)[:columns]
-    ]
-    own = "unknown" if judged.error is None else short(judged.error, ".1e") if judged.error else ""
-    why = [judged.meaning, judged.reason] if known else [judged.reason, ""]
-    cells = [own, judged.unit, "waived" if is_waived else limit, _against(judged)]
-    return [[str(number) if asked else "", view.name, *values, *cells, *why]]
-
-
-def _against(metric: MetricRecord) -> str:
-    """Compare a metric with its limit, in a word."""
-    if metric.limit is None:
-        return ""
-    if metric.value is None:
-        return "not measured"
-    return "undecided" if metric.ok is None else "within" if metric.ok else "beyond"
 
 
 def _print_check(record: CheckRecord) -> None:

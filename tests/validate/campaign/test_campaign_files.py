@@ -278,7 +278,7 @@ def test_what_is_stored_is_used_again_and_what_is_changed_is_not(cli, dry_run, t
     assert (
         dry_run("run", str(path), *fakes)
         .stdout.splitlines()[-1]
-        .startswith("1 stored, 1 to run; the time is unknown")
+        .startswith("1 stored, 1 to run; none of these ran into this folder before")
     )
 
 

@@ -10,7 +10,7 @@ from reports.judged import cause_of_stage
 from reports.records.record import MetricRecord, TrackedRecord
 from tests.reports import record_factory as factory
 from validate.campaign.stored import stored_names, title_of
-from validate.cli.show import print_score, print_verdict
+from validate.cli.verdict import print_score, print_verdict
 from validate.store.store import Store
 
 
