@@ -360,9 +360,9 @@ def _contact(path: Path, model: Any, text: str) -> GeomPair:
             return GeomPair(names=names, geoms=sides)
     known = [name for name, found in geoms.items() if name and found]
     missing = next((name for name in parts if name not in known), text)
-    advice = did_you_mean(missing, known, f"it has {', '.join(known[:8])} ..")
+    advice = did_you_mean(missing, known, f"it has {', '.join(known[:8])} ...")
     raise RobotError(
-        f"{path}: the contact {text!r} is not of two geoms, or bodies with geoms, written A:B; {advice}."
+        f"{path}: the contact {text!r} is not of two geoms, or bodies with geoms, written A:B; {advice}"
     )
 
 
