@@ -18,11 +18,13 @@ from reports.wording import count, listing, spaced
 NOT_ASKED = "not asked"
 WRONG_MODEL = "wrong model"
 COARSE_GRID = "coarse grid"
-# Verdicts without a fault, and how a sentence counts them.
+# Verdicts without a fault, and the plural of each in a sentence.
 _GOOD = {
     **dict(zip(HOLD, ("hold", "hold with feedback"), strict=True)),
     "consistent": "are consistent",
 }
+# Singular of the verdicts that need another verb.
+_ONE = {"consistent": "is consistent"}
 # The question of the judge about the discrete equations.
 _DISCRETE = 6
 
@@ -111,7 +113,10 @@ def sentence(found: Sequence[Answers]) -> str:
         return ""
     parts = []
     if any(one.discrete != NOT_ASKED for one in found):
-        parts.append(f"{sum(one.discrete == 'yes' for one in found)} solve their own time step")
+        solving = sum(one.discrete == "yes" for one in found)
+        parts.append(
+            "1 solves its own time step" if solving == 1 else f"{solving} solve their own time step"
+        )
     if any(one.own is not None for one in found):
         parts.append(f"{_holding([one.model for one in found])} under their own equations")
     parts.append(f"{_holding([one.scene for one in found])} under the scene's physics")
@@ -123,5 +128,9 @@ def sentence(found: Sequence[Answers]) -> str:
 
 def _holding(verdicts: Sequence[str]) -> str:
     """Return how many hold, in words: 7 hold and 3 hold with feedback."""
-    words = [f"{verdicts.count(name)} {word}" for name, word in _GOOD.items() if name in verdicts]
+    words = []
+    for name, several in _GOOD.items():
+        number = verdicts.count(name)
+        if number:
+            words.append(f"{number} {_ONE.get(name, name) if number == 1 else several}")
     return listing(words) or "0 hold"

@@ -97,7 +97,7 @@ def test_page_and_table_have_every_plan():
     assert section is not None
     assert section.said == (
         "2 foreign plans: 2 solve their own time step, 2 hold under their own equations, "
-        "1 hold under the scene's physics (1 wrong model)."
+        "1 holds under the scene's physics (1 wrong model)."
     )
     page = Templates().render(section.template, section=section, **section.values)
     assert page.count("<tr>") == 3
