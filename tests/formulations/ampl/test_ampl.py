@@ -245,7 +245,7 @@ _AT = {code: next(i for i, item in enumerate(SEGMENTS) if item[0] == code) for c
     (as_text().replace(b" 3 3 1 1 1 ", b" three 3 1 1 1 "), ("line 2", "whole numbers", "three")),
     (as_text().replace(b" 3 3 1 1 1 ", b" 999999999 3 1 1 1 "),
      ("line 2", "999999999 variables", "bytes")),
-    (as_binary("<").replace(b" 0 0 1 1", b" 0 0 2 1"), ("another byte order",)),
+    (as_binary("<").replace(b" 0 0 1 1", b" 0 0 2 1"), ("byte order differs",)),
     (as_binary("<").replace(b" 0 0 1 1", b" 0 0 5 1"), ("line 6", "arithmetic 5")),
 ])  # fmt: skip
 def test_what_is_damaged_or_cannot_be_said_is_named(written, data, parts):
