@@ -47,7 +47,7 @@ class Standing:
 
 
 def three_findings(runs: Sequence[RunRecord]) -> tuple[str, ...]:
-    """Return sentences on foreign plans, relaxed plans, exact plans, and the pipeline to try first."""
+    """Return sentences on foreign, relaxed and exact plans, and the pipeline to try first."""
     ours = planned(runs)
     found = (sentence(answers(runs)), _relaxed(ours), _exact(ours), _first(standings(ours)))
     return tuple(said for said in found if said)

@@ -33,8 +33,14 @@ _DISCRETE = 6
 class Answers:
     """One plan of one instance.
 
-    run, own: the runs on the physics and on the plan's own equations; discrete: yes, no, undecided
-        or not asked; model, scene: verdicts; meaning: a cause, "" if the plan holds.
+    Attributes
+    ----------
+    run
+        The run on the physics.
+    own
+        The run on the plan's own equations, if there is one.
+    discrete
+        Answer to the question of the plan's own time step: yes, no, undecided or not asked.
     """
 
     instance: str
@@ -55,7 +61,7 @@ class Answers:
 
     @property
     def meaning(self) -> str:
-        """What the three answers mean together, or the judge's cause."""
+        """Return the meaning of the three answers together, or the judge's cause."""
         if self.scene in _GOOD:
             return ""
         if self.discrete == "no":

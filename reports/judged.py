@@ -215,7 +215,7 @@ class Cause:
     advice: str
 
 
-# Of a plan without positions, which claims no motion.
+# Cause for a plan without positions, which claims no motion.
 _NO_MOTION = Cause(
     "The inputs do not bring the motion to the goal",
     "Change the inputs; `replay --html` draws the motion that they give.",

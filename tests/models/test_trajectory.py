@@ -218,7 +218,7 @@ def test_the_last_row_twice_is_told_by_its_time(reading):
 
 def test_hold_and_scheme_must_agree_with_declarations(reading):
     assert reading("# hold: zero\n" + PLAIN, hold=Hold.ZERO_ORDER).hold is Hold.ZERO_ORDER
-    with pytest.raises(TrajectoryError, match="'zero', but --hold asks"):
+    with pytest.raises(TrajectoryError, match="'zero', but --hold requests"):
         reading("# hold: zero\n" + PLAIN, hold=Hold.LINEAR)
     with pytest.raises(TrajectoryError, match="'semi_implicit_euler' is requested; leave one"):
         reading(f"# scheme: {list(Scheme)[1].value}\n" + PLAIN, scheme="semi_implicit_euler")
@@ -229,7 +229,7 @@ def test_hold_and_scheme_must_agree_with_declarations(reading):
 @pytest.mark.parametrize(("header", "words"), [
     ("t,q1,q2,u1,u3", "'q3' is missing, but 'q1' is present; give q1, q2, q3, or none"),
     ("t,q1,q2,q3,v1,u1,u3", "'v2' is missing, but 'v1' is present; give v1, v2, v3, or none"),
-    ("t,u1,u3,lam_right", "the column 'lam_left' is missing beside 'lam_right'"),
+    ("t,u1,u3,lam_right", "the column 'lam_left' is missing, but 'lam_right' is present"),
     ("t,v1,v2,v3,u1,u3", "no positions; give q1, q2, q3 too"),
 ])  # fmt: skip
 def test_half_a_group_of_columns_is_refused(reading, scene, header: str, words: str):

@@ -1,4 +1,4 @@
-"""Time steps: a scheme of ours or a Python function, and whether it keeps the energy of free motion.
+"""Time steps, by a scheme of ours or a Python function, and their energy test in free motion.
 
     step = load_step("their_step.py:step")  # step(q, v, u, h, parameters) -> (q, v)
     step_defect(scene, step, plan)  # does the plan solve this step: at most 1 if it does
@@ -58,9 +58,16 @@ class StepError(TouchstoneError):
 class EnergyTest:
     """The energy error of free motion at three step sizes.
 
-    steps: (3,) [s]; errors: (3,) largest energy error [J], the largest over the starts; turnover:
-    kinetic energy and range of the potential energy [J]; order: of the error in the step, between
-    the two smallest, infinite if the error is rounding.
+    Attributes
+    ----------
+    steps
+        (3,) [s].
+    errors
+        (3,) largest energy error over the starts [J].
+    turnover
+        Kinetic energy and range of the potential energy [J].
+    order
+        Order of the error between the two smallest steps; infinite if the error is rounding.
     """
 
     scene: str
@@ -71,7 +78,7 @@ class EnergyTest:
 
     @property
     def vanishes(self) -> bool:
-        """Whether the energy error vanishes with the step."""
+        """Return whether the energy error vanishes with the step."""
         return self.order >= _LEAST_ORDER
 
     @property
@@ -243,7 +250,7 @@ def energy_test(scene: Scene, step: Step | Scheme | str) -> EnergyTest:
 
 
 def _starts(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return states in which every coordinate moves, near the task's start, the same on every run."""
+    """Return states near the task's start in which every coordinate moves, equal on every run."""
     nominal = np.array([item.nominal for item in scene.coordinates])
     first = np.array(scene.task.start[: scene.nq], dtype=float)
     random = np.random.default_rng(0)

@@ -345,8 +345,8 @@ def test_other_version_of_any_campaign_file(text: str | None, refused: bool, tmp
 MODULES = ("record", "check_record")
 # Not empty: what is meant where nothing is said.
 MEANT = {
-    "RunRecord.schema_version": 8, "CampaignRecord.schema_version": 8,
-    "CheckRecord.schema_version": 8,
+    "RunRecord.schema_version": 9, "CampaignRecord.schema_version": 9,
+    "CheckRecord.schema_version": 9,
     "ReplayRecord.judged": "open",
     "RunRecord.verdict": "no plan", "StageRecord.verdict": "no plan",
     "ContactRecord.bodies": ("", ""), "ShapeRecord.place": (None, None, None), "SeriesRecord.line": True,

@@ -166,7 +166,7 @@ def test_times_alone_cannot_be_drawn():
         lam=np.zeros((10, 1)),
         missing={"q", "v", "lam"},
     )
-    with pytest.raises(TrajectoryError, match="nothing but times of scene bouncing_mass"):
+    with pytest.raises(TrajectoryError, match="only times of scene bouncing_mass"):
         plan.plot(scene)
 
 

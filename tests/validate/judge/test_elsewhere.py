@@ -158,7 +158,7 @@ def test_elsewhere_inexpressible_scene_gives_the_reason():
 
 
 def test_elsewhere_without_a_replay_refused(thrown: Judgement):
-    with pytest.raises(SceneError, match="engines: they step scenes"):
+    with pytest.raises(SceneError, match="engines: they need a scene"):
         elsewhere(replace(thrown, replay=None), ("fmu",))
 
 

@@ -242,7 +242,7 @@ def test_what_is_no_plan_is_told_so(held):
     scene, plan = held
     with pytest.raises(TrajectoryError, match=r"an? int is no plan; give"):
         judge(scene, 7)
-    with pytest.raises(TrajectoryError, match="a Trajectory says its own"):
+    with pytest.raises(TrajectoryError, match="a Trajectory declares its own"):
         judge(scene, plan, scheme="semi_implicit_euler")
     with pytest.raises(TrajectoryError, match="scene three_cart has 2 inputs"):
         judge(scene, replace(plan, u=np.zeros((STEPS, 3)), u_end=None))
@@ -257,7 +257,7 @@ def test_what_is_no_scene_is_told_so(held, scene):
 def test_a_file_that_says_its_own_scheme_is_not_asked_for_another(held, tmp_path: Path):
     scene, plan = held
     write_netcdf(tmp_path / "plan.nc", plan, scene)
-    with pytest.raises(TrajectoryError, match="a NetCDF file says its own"):
+    with pytest.raises(TrajectoryError, match="a NetCDF file declares its own"):
         judge(scene, tmp_path / "plan.nc", scheme="semi_implicit_euler")
     with pytest.raises(TrajectoryError, match="trajectory is a str, but must"):
         judge(scene, SimpleNamespace(trajectory="plan.csv"))

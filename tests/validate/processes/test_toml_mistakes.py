@@ -6,9 +6,13 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.trajectory import Trajectory, uniform_grid, write_csv
 from validate.campaign import schema
 from validate.campaign.read import ConfigError, read_campaign
 from validate.campaign.schema import CampaignFile
@@ -28,8 +32,13 @@ SCENE = {
     "start": {"q1": [2.0]}, "goal": {"q1": ["free"]},
     "limits": {"replay_error": LIMIT}, "sweep": "product",
 }  # fmt: skip
+PLANS = {
+    "scene": "three_cart", "name": "theirs", "instances": "instances.csv", "plans": "{name}.csv",
+    "model": "three_cart", "time_step": "step.py:step", "start": "a.csv",
+    "limits": {"replay_error": LIMIT},
+}  # fmt: skip
 CAMPAIGN = {
-    "title": "t", "scenes": [SCENE], "pipelines": ["own"],
+    "title": "t", "scenes": [SCENE], "plans": [PLANS], "pipelines": ["own"],
     "pipeline": {"own": {"title": "t", "legs": [LEG]}}, "time_limit": 5.0,
     "checks": False,
 }  # fmt: skip
@@ -76,10 +85,24 @@ def changed(data: Any, place: tuple[str | int, ...], value: Any) -> Any:
     return copy
 
 
+def write_instance(folder: Path) -> None:
+    """Write the files that PLANS names, with one instance."""
+    scene = load_scene("three_cart")
+    u = np.zeros((scene.task.steps, scene.nu))
+    motion = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step)
+    grid = uniform_grid(scene.task.step, scene.task.steps)
+    plan = Trajectory(t=grid, q=motion.q, v=motion.v, u=u, lam=motion.lam)
+    (folder / "instances.csv").write_text("name\na\n", encoding="utf-8")
+    (folder / "step.py").write_text("def step(q, v, u, h, p):\n    return q, v\n", encoding="utf-8")
+    write_csv(folder / "a.csv", plan, scene)
+
+
 def read_whole(kind: str, path: Path, data: dict[str, Any]) -> None:
     def of(value: Any) -> str:
         return value.isoformat() if isinstance(value, date) else toml_value(value)
 
+    if kind == "campaign":
+        write_instance(path.parent)
     path.write_text(
         "\n".join(f"{toml_text(key)} = {of(value)}" for key, value in data.items()) + "\n",
         encoding="utf-8",

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import csv
 import glob
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -287,7 +288,7 @@ class _Made:
 
     def _given(self, path: Path | None) -> Pipeline:
         """Read the plan on each scene, and return its pipeline."""
-        if path is None or not path.is_file():
+        if path is None or not os.path.isfile(path):
             raise InstanceError(f"its plan {path or ''} is missing; check plans and instances.")
         of, time_step, entry = self._written_for(path), "", self._item.entry
         self.plan, *_ = (read_plan(path, scene, of) for scene in self._scenes)
@@ -304,7 +305,7 @@ class _Made:
         if path.suffix == ".nc":
             stated = str(read_columns(path)[1].get("scene", ""))
             known.add(self._item.scenes[0].scene.name)
-        elif not path.is_file():
+        elif not os.path.isfile(path):
             raise InstanceError(f"its start {path} is missing; check start.")
         else:
             with open(path, encoding="utf-8", errors="replace") as file:

@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from validate.fmi.description import Package
+from validate.fmi.description import Package, experiment
 from validate.judge.replay.map_schema import (
     CONTACT_UNITS,
     Dimensions,
@@ -22,12 +22,12 @@ from validate.judge.replay.map_schema import (
     is_input,
     is_parameter,
     is_startable,
-    number,
     paired,
 )
 
-# Duration of the plan if the FMU declares none [s], and its steps if the FMU declares no step.
+# Duration of the plan if the FMU declares none [s].
 _DURATION = 1.0
+# Steps of the plan if the FMU declares no step.
 _STEPS = 100
 # A plan of more rows is of no use as a first one.
 _MOST_STEPS = 10_000
@@ -60,8 +60,7 @@ def draft_map(package: Package) -> MapDraft:
     }
     motion = _motion(package, usable, inputs, forces)
     start, stop = (
-        number(getattr(package.description.defaultExperiment, name, None))
-        for name in ("startTime", "stopTime")
+        experiment(package.description, name) or 0.0 for name in ("startTime", "stopTime")
     )
     duration = stop - start if stop > start else None
     writer = _Writer(Dimensions(package.description), _factors(package.description))
@@ -187,11 +186,11 @@ class _Writer:
             "",
             *_contacts(forces, usable),
             "[start]              # of the task, in the FMU's units; without a line the FMU's own",
-            *_comments(f"{_text(name)} = {number(usable[name].start)!r}" for name in settable),
+            *_comments(f"{_text(name)} = {_number(usable[name].start)!r}" for name in settable),
             "",
             "[parameters]         # set before the start; without a line the FMU's own",
             *_comments(
-                f"{_text(name)} = {number(item.start)!r}{_unit(item)}"
+                f"{_text(name)} = {_number(item.start)!r}{_unit(item)}"
                 for name, item in usable.items()
                 if is_parameter(item) and item.start is not None
             ),
@@ -228,7 +227,7 @@ class _Writer:
         if is_driven:
             ends = {"lower": item.min, "upper": item.max}
             parts += [
-                f"{end} = {number(value) * factor!r}"
+                f"{end} = {_number(value) * factor!r}"
                 for end, value in ends.items()
                 if value is not None and math.isfinite(float(value))
             ]
@@ -265,12 +264,14 @@ def _contacts(forces: Mapping[str, Any], usable: Mapping[str, Any]) -> list[str]
 
 
 def _plan(package: Package, inputs: Mapping[str, Any], start: float, duration: float | None) -> str:
-    """Return a plan of the inputs at their start values, in the FMU's units scaled as in the map."""
+    """Return a plan with the inputs at their start values, scaled as in the map."""
     factors = _factors(package.description)
-    lasts, step = duration or _DURATION, package.experiment("stepSize")
+    lasts, step = duration or _DURATION, experiment(package.description, "stepSize")
     steps = round(lasts / step) if step is not None else _STEPS
     steps = steps if 1 <= steps <= _MOST_STEPS else _STEPS
-    values = [number(item.start) * factors.get(item.unit, (1.0, ""))[0] for item in inputs.values()]
+    values = [
+        _number(item.start) * factors.get(item.unit, (1.0, ""))[0] for item in inputs.values()
+    ]
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["t", *map(_column, inputs)])
@@ -279,3 +280,12 @@ def _plan(package: Package, inputs: Mapping[str, Any], start: float, duration: f
         cells = [repr(value) for value in values] if k < steps else [""] * len(values)
         rows.writerow([repr(round(start + lasts * k / steps, 12)), *cells])
     return text.getvalue()
+
+
+def _number(text: Any) -> float:
+    """Return the FMU's number, 0 if absent or not finite."""
+    try:
+        value = float(text)
+    except (TypeError, ValueError):
+        return 0.0
+    return value if math.isfinite(value) else 0.0

@@ -279,28 +279,28 @@ class Dimensions:
         )
 
     def is_force(self, unit: str | None) -> bool:
-        """Whether a variable in this unit of the FMU is a force, by the unit's definition or name."""
+        """Return whether an FMU's variable in this unit is a force, by definition or name."""
         if (defined := self._defined.get(unit or "")) is None:
             return unit in CONTACT_UNITS["force"]
         return defined.powers in [_ours(name) for name in QUANTITIES["force"]]
 
     def is_in(self, unit: str, known: Iterable[str]) -> bool:
-        """Whether numbers in a unit of the FMU are those in one of ours, by definition or name."""
+        """Return whether a unit of the FMU is one of ours, by definition or name."""
         if unit not in self._defined:
             return unit in known
         return any(self.is_same(name, unit) for name in known)
 
     def is_same(self, unit: str, of_fmu: str) -> bool:
-        """Whether numbers in a unit of the plan are those in a unit of the FMU."""
+        """Return whether a unit of the plan equals a unit of the FMU, factor included."""
         one, other = self._unit(unit, False), self._unit(of_fmu, True)
         if one is None or other is None:
             return unit == of_fmu
         return one.is_same(other)
 
     def may_be_rate(self, position: str, velocity: str) -> bool:
-        """Whether a velocity is in its position's unit per second, as far as both units are known.
+        """Return whether a velocity may be in its position's unit per second.
 
-        "1" counts as unknown.
+        An unknown unit may be any; "1" counts as unknown.
         """
         one, other = self._unit(position, True), self._unit(velocity, True)
         if one is None or other is None or "1" in (position, velocity):

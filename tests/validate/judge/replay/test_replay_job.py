@@ -32,7 +32,9 @@ PLAN = Trajectory(t=np.array([0.0, 0.5, 1.0]), q=np.zeros((3, 1)), v=np.zeros((3
                   u=np.array([[1.0], [2.0]]), lam=np.zeros((2, 1)),
                   hold=Hold.LINEAR, u_end=np.array([3.0]))  # fmt: skip
 START = np.array([8.0, 9.0])
-NO_FMU: Any = SimpleNamespace(exchange=True, digest="sha", experiment=lambda name: None)
+NO_FMU: Any = SimpleNamespace(
+    exchange=True, digest="sha", description=SimpleNamespace(defaultExperiment=None)
+)
 JOB = Job(package=NO_FMU, variables=VARIABLES, plan=PLAN, start=START, limits=None,
           tolerances=(1e-11, 1e-13), fineness=(50, 100), event_budget=7, parts=4, max_step=0.25)  # fmt: skip
 

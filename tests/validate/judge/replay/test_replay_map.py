@@ -358,7 +358,7 @@ def test_inputs_alone_hold_their_last_row_for_a_step_where_the_task_lasts_as_lon
 
 def test_group_of_columns_that_is_there_in_part_is_refused(wired: Wire):
     two = '\n[contacts.stop]\nforce = "stop.push"\n[contacts.other]\ngap = { variable = "stop.gap", scale = 0.001 }\n'
-    assert "the column 'lam_other' is missing beside 'lam_stop'" in refusal(
+    assert "the column 'lam_other' is missing, but 'lam_stop' is present" in refusal(
         lambda: wired(BARE + two, "t,F,lam_stop\n0,1,0\n1,1,0\n")
     )
     assert "it has velocities, but no positions" in refusal(
