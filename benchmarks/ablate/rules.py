@@ -246,15 +246,9 @@ RULES = (
         pipelines=("best_exact",),
     ),
     Rule(
-        name="best_exact: modes of a shot",
-        place=f"{_BEST}BestExactSession._from_shot",
+        name="best_exact: shots from random pushes",
+        place=f"{_BEST}BestExactSession._shots",
         off=_nothing,
-        pipelines=("best_exact",),
-    ),
-    Rule(
-        name="best_exact: off the edge of a mode",
-        place=f"{_BEST}off_the_edge",
-        off=lambda scene, kernel, shot, near: shot,
         pipelines=("best_exact",),
     ),
 )

@@ -1,13 +1,14 @@
 """Exact contact for every scene: the cheapest plan of several pipelines from a cold start.
 
     mpcc has a plan to follow:    mpcc, relaxed+strict, softplus_dc+strict
-    otherwise:                    shot, shot+strict, relaxed+strict, softplus_dc+strict,
-                                  relaxed_walk+strict, softly_shot+strict
+    otherwise:                    relaxed+strict, softplus_dc+strict, relaxed_walk+strict,
+                                  softly_shot+strict
     none of these has a plan:     strict
+    none is followed:             newton_shooting from random pushes, on ever finer steps
 
-`departure` compares the motion on finer steps with the plan, with feedback and in its contacts, in
-parts of what the scene allows. A plan above 1 is solved again on shorter steps, and is taken only
-if there is no other. docs/campaigns.md has figures.
+`departure` compares the motion on finer steps with the plan, with feedback, in parts of what the
+scene allows. A plan above 1 is solved again on shorter steps, and is taken only if there is no
+other. docs/campaigns.md has figures.
 """
 
 from __future__ import annotations
@@ -22,7 +23,6 @@ from formulations.grids import (
     finer_scene,
     motion_on_finer_steps,
     on_grid,
-    plan_of,
 )
 from formulations.impulses import contact_departure
 from formulations.method import (
@@ -44,17 +44,15 @@ from formulations.pipelines import (
     load_method,
     solve_stages,
 )
-from formulations.shots import allowed_miss, corrected, is_motion, off_the_edge
 from formulations.solution import Attempt, Outcome, Seconds, Solution, as_asked, ended
-from models.codegen.kernel import load_kernel
 from models.errors import MachineError
 from models.scene import Scene
-from models.schemes import Scheme
 from models.stability import step_stability
 from models.trajectory import Trajectory
 
 _MODES = find_pipeline("mpcc")
 _STRICT = find_pipeline("strict")
+_SHOT = SHOT.legs[0]
 # Relative difference of equal costs.
 _SAME = 1e-9
 # Departure that ends the refinement; the rest is for the judge's own error and unmeasured
@@ -62,16 +60,16 @@ _SAME = 1e-9
 # as long, hopper_planar by 1.005 and 0.53.
 _CLEARLY = 0.75
 # Pipelines skipped if mpcc has a plan that is followed.
-_WITHOUT_MODES = (SHOT, RELAXED_WALK, SOFTLY_SHOT)
+_WITHOUT_MODES = (RELAXED_WALK, SOFTLY_SHOT)
 # The contact modes of a plan and cheaper adjacent ones, without a wider search.
 _MODES_OF_SHOT = Leg(method="strict_lcp", options={"attack_iterations": 1})
+# Halvings for a shot per halving for strict_lcp; a shot takes milliseconds a step.
+_SHOT_HALVINGS = 2
 # Largest number of halvings to a stable step; with more, plans start on the task's steps.
 _STABLE_HALVINGS = 3
 # Share of the time limit reserved for finer steps.
 _FOR_FINER = 0.2
 _DEPARTURE = "departure"
-# Departure of a plan that is not the motion of its inputs, as in formulations.grids.
-_LOST = 1e6
 _DEPARTS = "On steps a fiftieth as long the motion departs from it, with feedback, by {:.3g} times what the scene allows: its grid is too coarse."
 _UNSTABLE = "The task's step of {:g} s is unstable in contact, so the plan has {} steps of {:g} s."
 
@@ -82,10 +80,10 @@ class BestExactOptions(Options):
 
     all_ways: bool = option(
         False,
-        "where mpcc has a plan, run the shot, relaxed_walk+strict and softly_shot+strict too",
+        "where mpcc has a plan, run relaxed_walk+strict and softly_shot+strict too",
     )
     halvings: int = option(
-        6,
+        3,
         "how often the steps are halved where the cheapest plan departs by more than is allowed; 0: a plan on the task's grid",
         lower=0,
         upper=10,
@@ -158,16 +156,14 @@ class BestExactSession(Session):
     ) -> Iterator[tuple[str, Solution]]:
         """Yield the name and the solution of each pipeline, then of each solve on finer steps.
 
-        After a first plan, an error of another pipeline is only a sentence in `crashed`.
+        After a first plan, an error of another pipeline is only a sentence in `crashed`. Random
+        pushes are the last resort: the other pipelines find cheaper plans.
         """
-        scene = self._scene
         solved: list[Solution] = []
         by_modes = False  # whether mpcc has a plan that is followed
-        refined: list[Solution] = []
-        shot: Solution | None = None
         first_error: Exception | None = None
         for way in self._method.ways:
-            if load_method(way.legs[0].method).accepts(scene) is not None:
+            if load_method(way.legs[0].method).accepts(self._scene) is not None:
                 continue
             if way in _WITHOUT_MODES and by_modes and not self._options.all_ways:
                 continue
@@ -177,7 +173,7 @@ class BestExactSession(Session):
                 # Without a plan a pipeline may use half of the remaining time.
                 now = monotonic()
                 last = ends - _FOR_FINER * time_limit if solved else now + (ends - now) / 2.0
-                solution = _with_departure(scene, self._way(way, start, last))
+                solution = _with_departure(self._scene, self._way(way, start, last))
             except MachineError:  # a full disk, for example, ends all pipelines
                 raise
             except Exception as error:  # noqa: BLE001 - earlier plans are kept
@@ -187,42 +183,43 @@ class BestExactSession(Session):
             solved += [solution] if solution.outcome is Outcome.SOLVED else []
             by_modes = by_modes or (way is _MODES and bool(solved) and _is_followed(solution))
             yield way.name, solution
-            if way is SHOT:
-                shot = solution
-                # This is fast, and later pipelines may use all the time.
-                before = len(solved) - (solution.outcome is Outcome.SOLVED)
-                yield from self._kept(self._from_shot(solution, solved, ends), crashed)
-                refined = solved[before:]
             if monotonic() >= (last if solved else ends):
                 break
-        if first_error is not None and not solved:
-            raise first_error
-        legs = (*SHOT.legs, *_STRICT.legs)
-        if not solved:
-            if shot is not None:
-                yield from self._kept(self._on_finer_steps(shot, SHOT.legs, ends), crashed)
+        is_done = False
+        if solved and not (is_done := _is_followed(cheapest := _cheapest(solved))):
+            for words, solution in self._kept(self._on_finer_steps(cheapest, ends), crashed):
+                solves = solution.outcome is Outcome.SOLVED
+                is_done = is_done or (solves and _is_followed(solution))
+                yield words, solution
+        if is_done or any(map(_is_followed, solved)):
             return
-        cheapest = _cheapest(solved)
-        if not _is_followed(cheapest) and not any(each is cheapest for each in refined):
-            yield from self._kept(self._on_finer_steps(cheapest, legs, ends), crashed)
+        found = 0
+        for words, solution in self._kept(self._shots(ends), crashed):
+            found += solution.outcome is Outcome.SOLVED
+            yield words, solution
+        if first_error is not None and not solved and not found:
+            raise first_error
 
-    def _from_shot(
-        self, shot: Solution, solved: list[Solution], ends: float
-    ) -> Iterator[tuple[str, Solution]]:
-        """Yield the contact modes of a shot, and the better of both on finer steps if not followed.
-
-        solved: plans on the task's steps, extended here
-        """
-        if shot.outcome is Outcome.SOLVED:
-            solution = _with_departure(
-                self._scene, _solved(self._scene, _MODES_OF_SHOT, shot.trajectory, ends)[-1]
-            )
-            yield "shot+strict", solution
-            if solution.outcome is Outcome.SOLVED:
-                solved.append(solution)
-                shot = min(shot, solution, key=lambda each: each.residuals[_DEPARTURE])
-        if shot.outcome is Outcome.SOLVED and not any(map(_is_followed, solved)):
-            yield from self._on_finer_steps(shot, SHOT.legs, ends)
+    def _shots(self, ends: float) -> Iterator[tuple[str, Solution]]:
+        """Yield a shot from random pushes and its contact modes, then shots on finer steps."""
+        scene = self._scene
+        if load_method(_SHOT.method).accepts(scene) is not None or monotonic() >= ends:
+            return
+        best = _with_contact_departure(scene, _solved(scene, _SHOT, None, ends)[-1])
+        yield _SHOT.method, best
+        if best.outcome is Outcome.SOLVED and monotonic() < ends:
+            modes = _solved(scene, _MODES_OF_SHOT, best.trajectory, ends)[-1]
+            improved = _with_contact_departure(scene, modes)
+            yield f"{_SHOT.method}, its modes by strict_lcp", improved
+            best = min(best, improved, key=_order)
+        for _ in range(_SHOT_HALVINGS * self._options.halvings):
+            if monotonic() >= ends or _is_clear(best):
+                return
+            plan = best.trajectory if best.outcome is Outcome.SOLVED else None
+            motion = None if plan is None else motion_on_finer_steps(scene, plan, 2)
+            scene = finer_scene(scene, 2)
+            best = _with_contact_departure(scene, _solved(scene, _SHOT, motion, ends)[-1])
+            yield f"{_SHOT.method}, on {scene.task.steps} steps", best
 
     def _kept(
         self, solutions: Iterator[tuple[str, Solution]], crashed: list[str]
@@ -256,29 +253,19 @@ class BestExactSession(Session):
             last = replace(last, trajectory=None, cost=None)
         return replace(as_asked(self._scene, last), iterations=iterations, seconds=seconds)
 
-    def _on_finer_steps(
-        self, coarse: Solution, legs: Sequence[Leg], ends: float
-    ) -> Iterator[tuple[str, Solution]]:
-        """Solve on repeatedly halved steps, from the motion that followed the previous plan.
-
-        legs: tried in turn at each length, until a plan is clearly followed
-        """
-        scene, best = self._scene, coarse
+    def _on_finer_steps(self, coarse: Solution, ends: float) -> Iterator[tuple[str, Solution]]:
+        """Solve by strict_lcp on repeatedly halved steps, from the motion of the previous plan."""
+        scene, solution = self._scene, coarse
         for _ in range(self._options.halvings):
-            plan = best.trajectory if best.outcome is Outcome.SOLVED else None
-            if monotonic() >= ends or _is_clear(best):
-                return
+            plan = solution.trajectory
             motion = None if plan is None else motion_on_finer_steps(scene, plan, 2)
-            scene = finer_scene(scene, 2)
-            tried: list[Solution] = []
-            for leg in legs:
-                if load_method(leg.method).accepts(scene) is not None or monotonic() >= ends:
-                    continue
-                tried.append(_with_departure(scene, _solved(scene, leg, motion, ends)[-1]))
-                yield f"{leg.method}, on {scene.task.steps} steps", tried[-1]
-            if any(map(_is_clear, tried)):
+            if motion is None or monotonic() >= ends:
                 return
-            best = min(tried, key=_order, default=best)
+            scene = finer_scene(scene, 2)
+            solution = _with_departure(scene, _solved(scene, _STRICT.legs[0], motion, ends)[-1])
+            yield f"strict from the cheapest of these, on {scene.task.steps} steps", solution
+            if solution.outcome is not Outcome.SOLVED or _is_clear(solution):
+                return
 
 
 def _solved(scene: Scene, leg: Leg, start: Trajectory | None, ends: float) -> tuple[Solution, ...]:
@@ -288,33 +275,20 @@ def _solved(scene: Scene, leg: Leg, start: Trajectory | None, ends: float) -> tu
 
 
 def _with_departure(scene: Scene, solution: Solution) -> Solution:
-    """Return a solved plan as the motion of its inputs, with the residual `departure`."""
+    """Return a solved plan with the residual `departure`."""
     if solution.outcome is not Outcome.SOLVED or solution.trajectory is None:
         return solution
-    solution, is_motion = _as_motion(scene, solution, solution.trajectory)
-    assert solution.trajectory is not None, "a motion is a plan"
-    plan = solution.trajectory
-    departs = max(departure(scene, plan), contact_departure(scene, plan)) if is_motion else _LOST
+    departs = departure(scene, solution.trajectory)
     return replace(solution, residuals={**solution.residuals, _DEPARTURE: departs})
 
 
-def _as_motion(scene: Scene, solution: Solution, plan: Trajectory) -> tuple[Solution, bool]:
-    """Return the plan, or the motion of its inputs if that differs, and whether it is one.
-
-    Rounding may decide when contact begins; the motion is then corrected to end on the goal.
-    """
-    if plan.scheme is not Scheme.SEMI_IMPLICIT_EULER or plan.steps != scene.task.steps:
-        return solution, True
-    kernel, near = load_kernel(scene), allowed_miss(scene)
-    if is_motion(scene, kernel, plan.u, plan.q):
-        return solution, True
-    shot = corrected(scene, kernel, plan.u, near)
-    settled = off_the_edge(scene, kernel, shot, near) if shot.has_arrived else None
-    if settled is None:
-        return solution, False
-    return replace(
-        solution, trajectory=plan_of(scene, settled.rollout, settled.u), cost=settled.cost
-    ), True
+def _with_contact_departure(scene: Scene, solution: Solution) -> Solution:
+    """Return a solved plan with the residual `departure`, in which contacts count too."""
+    solution = _with_departure(scene, solution)
+    if _DEPARTURE not in solution.residuals or solution.trajectory is None:
+        return solution
+    departs = max(solution.residuals[_DEPARTURE], contact_departure(scene, solution.trajectory))
+    return replace(solution, residuals={**solution.residuals, _DEPARTURE: departs})
 
 
 def _stable(scene: Scene, halvings: int) -> Scene:
@@ -373,7 +347,6 @@ class BestExact(Method[BestExactOptions]):
     options = BestExactOptions
     ways = (
         _MODES,
-        SHOT,
         find_pipeline("relaxed+strict"),
         find_pipeline("softplus_dc+strict"),
         RELAXED_WALK,
