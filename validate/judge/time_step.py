@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
@@ -123,10 +123,10 @@ def load_step(reference: str) -> Step:
         raise StepError(
             f"time step {reference}: {type(error).__name__} while the file was read: {error}"
         ) from error
-    found: Any = getattr(module, name, None)
-    if not callable(found):
+    function = getattr(module, name, None)
+    if not callable(function):
         raise StepError(f"time step {reference}: the file has no function {name!r}.")
-    return found
+    return cast(Step, function)
 
 
 def take_step(
