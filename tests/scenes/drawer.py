@@ -43,6 +43,7 @@ SCENE = Scene(
               running_cost=sp.Float("1e-2") * u**2, step=0.01, steps=200),
     limits=goal_limits(position=0.01, velocity=0.02,
                        reason="a drawer that is a centimetre open is open"),
+    length=1.0,
     shapes=(
         Shape(name="drawer", kind="box", x=x + sp.Rational(1, 10), y=0,
               size=(sp.Rational(1, 5), sp.Rational(1, 5))),

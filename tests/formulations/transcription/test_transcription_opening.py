@@ -85,7 +85,7 @@ def test_what_misses_its_own_time_step_starts_no_other_stage(monkeypatch):
         assert first.trajectory is not None
         cut = session.solve(eps=1e-5, warm_start=first.trajectory, time_limit=60.0)
         assert (cut.outcome, cut.trajectory, cut.cost) == (Outcome.ITERATION_LIMIT, None, None)
-        assert "it is no plan" in cut.message
+        assert "it is not a plan" in cut.message
         harder = session.solve(eps=1e-7, warm_start=first.trajectory, time_limit=60.0)
         assert (harder.outcome, harder.trajectory, harder.iterations) == (Outcome.STALLED, None, 0)
         assert "Not tried" in harder.message
