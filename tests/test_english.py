@@ -28,7 +28,7 @@ CEILINGS = {
     "touchstone_command.py": (0, 0, 0, 0, 0),
     "validate/__init__.py": (0, 0, 0, 0, 0),
     "validate/__main__.py": (0, 2, 0, 0, 0),
-    "validate/campaign": (45, 37, 10, 37, 0),
+    "validate/campaign": (0, 0, 0, 0, 0),
     "validate/cli": (21, 25, 2, 29, 2),
     "validate/fmi": (5, 0, 3, 10, 2),
     "validate/fmu_check": (9, 3, 8, 35, 1),

@@ -1,1 +1,1 @@
-"""What a campaign runs: selection, campaign files, and warnings before anything runs."""
+"""Plan and run campaigns: selection, campaign files, warnings, engines and tables."""

@@ -1,10 +1,10 @@
-"""A campaign: which tasks, which of them are stored, the others run, and everything written about all of them.
+"""Run a campaign: select tasks, run those that are not stored, write the tables and the report.
 
     outcome = run_campaign(CampaignSettings(out=Path("runs/all"), quick=True), narrator)
     outcome.exit_code, outcome.records, outcome.report
 
-Tasks are content-addressed: a stored one is used again, unless it crashed, or ran out of a shorter
-time limit than it would have now.
+Tasks are content-addressed. A stored record is used again, unless the task crashed or exceeded a
+time limit below the current one.
 """
 
 from __future__ import annotations
@@ -68,7 +68,10 @@ class Narrator(Protocol):
     """Prints the progress of a campaign (validate.cli.narrator)."""
 
     def begins(self, total: int, stored: int) -> None:
-        """Before the first task. stored: tasks whose records are used."""
+        """Print the start, before the first task.
+
+        stored: number of tasks whose records are used.
+        """
 
     def notes(self, sentence: str) -> None:
         """Print a fact."""
@@ -77,26 +80,29 @@ class Narrator(Protocol):
         """Print a warning."""
 
     def runs(self, folders: Mapping[str, Path]) -> None:
-        """Called several times a second. folders: title of each running task -> its unfinished folder."""
+        """Print the running tasks; called several times a second.
+
+        folders: title of each running task -> its unfinished folder.
+        """
 
     def finished(self, record: TaskRecord) -> None:
-        """A task has ended."""
+        """Print the record of a task that has ended."""
 
     def found(self, runs: Sequence[RunRecord]) -> None:
-        """All runs of a scene have ended."""
+        """Print all runs of a scene after the last has ended."""
 
     def ends(self) -> None:
-        """After the last task, or after an interruption."""
+        """End the output, after the last task or an interruption."""
 
 
 @dataclass(frozen=True)
 class CampaignResult:
     """The outcome of a campaign.
 
-    records, checks, failures, findings: of what was selected; findings are what the replay found
-        that fails nothing (reports.rule). conclusions:
-    three sentences on all runs that the folder's campaign holds; report: None where it was not
-        written.
+    - records, checks, failures: of the selected tasks
+    - findings: facts from the replays of these tasks that are no failures (reports.rule)
+    - conclusions: three sentences on all runs of the folder's campaign
+    - report: None if not written
     """
 
     records: tuple[RunRecord, ...]
@@ -110,22 +116,20 @@ class CampaignResult:
 
     @property
     def exit_code(self) -> int:
-        """0, 1 if something failed, or 2 if instances of foreign plans were refused."""
+        """Return 0, 1 if a task failed, or 2 if instances of foreign plans were refused."""
         return 2 if self.refused else 1 if self.failures else 0
 
 
 def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResult:
     """Run the tasks that are not stored; write campaign.json, the tables and the report.
 
-    Raises TouchstoneError for mistakes of the user. KeyboardInterrupt passes through after the
+    Raises TouchstoneError for mistakes of the user. KeyboardInterrupt is raised again after the
     children are stopped and the finished tasks are written.
     """
     return _Campaign(settings, narrator).run()
 
 
 class _Campaign:
-    """A campaign in its folder."""
-
     def __init__(self, settings: CampaignSettings, narrator: Narrator) -> None:
         self._settings = settings
         self._narrator = narrator
@@ -143,7 +147,7 @@ class _Campaign:
         }
         self._selected = [entry.task.key for entry in self._entries]
         self._before = found_campaign(settings.out)
-        # Keys of all tasks of the folder's campaign from now on, in order.
+        # Keys of all tasks of the folder's campaign, in order.
         self._keys = self._keys_in_folder()
         # Records of the tasks of the folder that are not selected.
         self._others = {
@@ -160,7 +164,6 @@ class _Campaign:
         return tuple(named.values())
 
     def _campaign_record(self) -> CampaignRecord:
-        """Return the content of campaign.json."""
         scenes = scenes_of(self._entries)
         known = () if self._before is None else self._before.time_steps
         steps = time_steps(scenes.values(), known)
@@ -189,12 +192,11 @@ class _Campaign:
         )
 
     def run(self) -> CampaignResult:
-        """Run the tasks that are not stored; see `run_campaign`."""
         for name, text in self._settings.files.items():
             write_durably(self._settings.out / name, text)
         tasks = [entry.task for entry in self._entries if entry.stored is None]
         # campaign.json is written before the first task ends, so that a killed campaign can be
-        # shown. If nothing runs, the old file keeps the date and command that made the results.
+        # shown. If no task runs, the old file keeps the date and command of the results.
         if tasks or self._before is None or not same_campaign(self._campaign, self._before):
             content = self._campaign.model_dump_json(indent=1)
             write_durably(self._settings.out / CAMPAIGN, content)
@@ -222,7 +224,6 @@ class _Campaign:
         )
 
     def _announce(self) -> None:
-        """Print the number of tasks, and warnings about scenes."""
         self._narrator.begins(len(self._entries), len(self._records))
         if self._others:
             self._narrator.notes(
@@ -263,7 +264,6 @@ class _Campaign:
                     break
 
     def _finished(self, tasks: Sequence[Task]) -> Generator[TaskRecord, None, None]:
-        """Yield the record of each task when it ends."""
         if not tasks:
             return
         settings = self._settings
@@ -291,7 +291,6 @@ class _Campaign:
         return True
 
     def _try_worlds(self) -> None:
-        """Try the plans that `settings.worlds` selects in perturbed worlds."""
         tasks = worlds_tasks(self._entries, self._in_folder(), self._settings.worlds)
         if not tasks:
             return
@@ -302,7 +301,7 @@ class _Campaign:
                 self._records[record.key] = record
 
     def _collect(self) -> None:
-        """Take the records that this campaign stored and did not receive before it was stopped."""
+        """Read records that were stored but not received before an interruption."""
         missing = [key for key in self._selected if key not in self._records]
         for record in filter(None, map(self._store.read, missing)):
             if record.provenance.started == self._provenance.started:
@@ -310,12 +309,11 @@ class _Campaign:
                 self._narrator.finished(record)
 
     def _in_folder(self) -> dict[str, TaskRecord]:
-        """Return the records of all tasks of the folder in the order of the campaign, by key."""
+        """Return the records of all tasks of the folder, in the campaign's order."""
         records = {**self._others, **self._records}
         return {key: records[key] for key in self._keys if key in records}
 
     def _write_tables(self) -> tuple[RunRecord, ...]:
-        """Write the tables and return the runs of the folder."""
         done, checks = divided(self._in_folder().values())
         write_tables(self._settings.out, done, checks, self._campaign.violation)
         return done
@@ -337,10 +335,11 @@ def checked_selection(settings: CampaignSettings) -> tuple[list[PlannedTask], tu
 def time_steps(
     scenes: Iterable[Scene], earlier: Iterable[TimeStepRecord] = ()
 ) -> tuple[TimeStepRecord, ...]:
-    """Whether the time step of each scene is stable while contacts are closed, looked at before anything runs.
+    """Return the stability of the time step of each scene while contacts are closed.
 
-    earlier: what an earlier campaign found, used again where the scene is the same. Raises
-        MachineError without a compiler.
+    earlier: results of an earlier campaign, used again for unchanged scenes.
+
+    Raises MachineError without a compiler.
     """
     known = {(item.scene, item.digest): item for item in earlier}
     found = []

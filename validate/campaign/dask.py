@@ -1,20 +1,13 @@
-"""The engine that runs tasks on the workers of a Dask cluster: one of this machine's processes, or one that stands somewhere.
+"""Run tasks on the workers of a Dask cluster: local processes, or an existing cluster.
 
-    # two worker processes here, which end with the campaign
+    # two local worker processes, which end with the campaign
     with open_dask("", 2, context, 100) as engine: ...
     # or the path of a scheduler file, FILE.json
     with open_dask("tcp://10.0.0.1:8786", None, context, 100) as engine: ...
 
-A task whose worker is lost is run again by Dask's scheduler, as often as its `allowed-failures`
-says (3 times); then it has crashed. The scheduler also counts against a task that it only waited on
-a worker that was lost: one that was begun less often is given to it anew. What is left of a worker
-that went without a trace is removed when the campaign ends.
-
-A task runs on a worker as it does here: in a child process, watched by the thread of the Dask task,
-into the folder of the campaign, which is reached by its path: campaign and workers share a file
-system. A worker that sees another folder there, or that has other sources, libraries or another
-compiler than the campaign, says so and runs nothing, since a record is filed under a key that all
-of them decide.
+Each Dask task watches a child process that writes into the folder of the campaign, so that
+campaign and workers need a shared file system. A record's key depends on sources, libraries and
+compiler. A worker with another folder, or with another of these, raises MachineError.
 """
 
 from __future__ import annotations
@@ -49,13 +42,13 @@ from validate.store.store import LOG, RECORD, Store
 from validate.tasks.task import ChildExit, Task, TaskRecord
 from validate.tasks.worker import Worker, record_for_crash, write_request
 
-# How long a scheduler may take to answer [s].
+# Longest wait for a scheduler's answer [s].
 _CONNECT = 10.0
 
 
 def quieten() -> None:
-    """From now on Dask says nothing on stderr: what a user should know, sentences and records say."""
-    import distributed  # noqa: F401 # pyright: ignore[reportMissingImports] - it sets up its loggers
+    """Silence Dask on stderr; errors and records inform the user instead."""
+    import distributed  # noqa: F401 # pyright: ignore[reportMissingImports] - the import sets up the loggers
 
     for name in (
         "asyncio",
@@ -67,11 +60,11 @@ def quieten() -> None:
 
 @contextmanager
 def remote_cluster(where: str) -> Iterator[Any]:
-    """A client of the cluster at an address, or of a scheduler file.
+    """Open a client of the cluster at an address, or of a scheduler file.
 
-    Raises MachineError where none answers.
+    Raises MachineError if no scheduler answers.
     """
-    import asyncio  # 0.05 s: not for campaigns without Dask, whose process imports this file too
+    import asyncio  # takes 0.05 s; campaigns without Dask import this module too
 
     from distributed import Client  # pyright: ignore[reportMissingImports]
 
@@ -81,11 +74,10 @@ def remote_cluster(where: str) -> Iterator[Any]:
             if where.endswith(".json")
             else where
         )
-        asyncio.run(
-            _ask(address)
-        )  # beforehand: a Client that finds nobody leaves a thread and its words behind
+        # A Client without a scheduler leaves a thread with its messages behind.
+        asyncio.run(_ask(address))
         client = Client(address, timeout=_CONNECT, set_as_default=False)
-    except Exception as error:  # what Dask raises for a wrong address, or for somebody else who answers, is of any type
+    except Exception as error:  # Dask raises any type for a wrong address or another server
         why = next(iter(str(error).splitlines()), "") or "nothing is said there"
         raise MachineError(
             f"--engine dask:{where}: no Dask scheduler answers there ({why}); start one, or correct the address."
@@ -95,23 +87,25 @@ def remote_cluster(where: str) -> Iterator[Any]:
 
 
 async def _ask(address: str) -> None:
-    """Raises where nobody at the address speaks as Dask does."""
+    """Raise an exception if no Dask scheduler answers at the address."""
     import asyncio
 
     from distributed import Security  # pyright: ignore[reportMissingImports]
     from distributed.comm.core import connect  # pyright: ignore[reportMissingImports]
 
     asked = connect(address, timeout=_CONNECT, **Security().get_connection_args("client"))
-    comm = await asyncio.wait_for(
-        asked, 2 * _CONNECT
-    )  # Dask itself waits for ever for one who takes a connection and says nothing
+    # Dask waits without limit for a server that accepts the connection and sends nothing.
+    comm = await asyncio.wait_for(asked, 2 * _CONNECT)
     await comm.close()
 
 
 @contextmanager
 def _terminal_blocked() -> Iterator[None]:
-    """Threads and processes started meanwhile, and what these ever start, do not hear Ctrl-C and a closed terminal: those are for us."""
-    # it would lift the mask when it is started later
+    """Block Ctrl-C and SIGHUP in threads and processes started meanwhile.
+
+    Their descendants inherit the mask. Only the campaign's process handles these signals.
+    """
+    # A later start of the resource tracker would lift the mask.
     multiprocessing.resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
@@ -122,9 +116,9 @@ def _terminal_blocked() -> Iterator[None]:
 
 @contextmanager
 def local_cluster(workers: int) -> Iterator[Any]:
-    """A client of a cluster of worker processes on this machine.
+    """Open a client of a cluster of worker processes on this machine.
 
-    Its files are removed even if we are killed. Raises MachineError.
+    The cluster's files are removed even if this process is killed. Raises MachineError.
     """
     import dask.config as dask_config  # pyright: ignore[reportMissingImports]
     from distributed import Client, LocalCluster  # pyright: ignore[reportMissingImports]
@@ -133,9 +127,9 @@ def local_cluster(workers: int) -> Iterator[Any]:
         try:
             folder = Path(tempfile.mkdtemp(prefix=".partial-dask-"))
             open_now.enter_context(closing(KeptFolder(folder)))
-            # Else the scheduler's own files lie in the folder for temporary files of everybody, and
-            # stay there; and a worker that its nanny takes longer than 15 s to start anew is given
-            # up by the cluster, nanny and all, for which nobody starts another.
+            # By default the scheduler's files stay in the shared folder for temporary files. The
+            # default timeout drops a worker and its nanny if a restart takes more than 15 s;
+            # Dask never replaces them.
             open_now.enter_context(
                 dask_config.set(
                     {
@@ -149,9 +143,9 @@ def local_cluster(workers: int) -> Iterator[Any]:
                     n_workers=workers,
                     threads_per_worker=1,
                     processes=True,
-                    memory_limit=0,  # that of the tasks is not the workers'
-                    dashboard_address=cast("str", None),  # none at all; its annotation forgot that
-                    silence_logs=logging.CRITICAL,  # what they say, records say
+                    memory_limit=0,  # the workers' memory excludes that of the tasks
+                    dashboard_address=cast("str", None),  # no dashboard; the annotation lacks None
+                    silence_logs=logging.CRITICAL,  # records contain the failures
                     local_directory=str(folder),
                 )
             open_now.enter_context(cluster)
@@ -164,13 +158,13 @@ def local_cluster(workers: int) -> Iterator[Any]:
         yield client
 
 
-# How long a folder that another machine has just made may be invisible: file systems over a network
-# remember for so long what was not there [s].
+# Longest time until a new folder of another machine is visible [s]; network file systems cache
+# missing names.
 _PATIENCE = 5.0
-# Pause between two looks at a folder [s].
+# Pause between two checks of a folder [s].
 _LOOK = 0.05
-# `preloaded`: what the tasks of this thread are forked from; it ends with the thread, and a thread
-# of a Dask worker runs one task after the other.
+# `preloaded`: the process from which the tasks of this thread fork, one after the other. The
+# process ends with the thread.
 _OF_THREAD = threading.local()
 
 
@@ -185,21 +179,23 @@ def run_on_worker(
     sources: str,
     tasks: int,
 ) -> TaskRecord | None:
-    """Run one task to its end; None if the campaign wanted it no longer. Raises MachineError.
+    """Run one task to its end; return None if the campaign no longer needs the task.
 
-    name: by which the campaign counts how often the task was begun; folder: the campaign's; mark:
-        the name of the folder in it by which the worker sees that
-    it has the same one before it; token: the campaign's; sources: their fingerprint there; tasks:
-        how many will come to one thread.
+    - name: identifies the starts of the task
+    - folder, token: of the campaign
+    - mark: name of a folder in the campaign's folder, which the worker must see
+    - sources: fingerprint of the campaign's sources
+    - tasks: number of tasks for each thread
+
+    Raises MachineError.
     """
     wanted, store = _wanted(), Store(folder)
     try:
         _check(store, mark, sources)
         with refusals_in_words(folder):
-            (
-                store.runs / mark / f"{name}-{uuid.uuid4().hex}"
-            ).touch()  # the task was begun once more
-        if getattr(_OF_THREAD, "preloaded", None) is None:  # nor was it worth it until now
+            # Count this start of the task.
+            (store.runs / mark / f"{name}-{uuid.uuid4().hex}").touch()
+        if getattr(_OF_THREAD, "preloaded", None) is None:  # first task, or not worth it before
             _OF_THREAD.preloaded = preloaded_for(tasks)
         here = provenance.model_copy(update=machine())
         return Worker(task, here, store, preloaded=_OF_THREAD.preloaded, token_begins=token).run(
@@ -212,7 +208,7 @@ def run_on_worker(
 
 
 def _wanted() -> Callable[[], bool]:
-    """Whether somebody still waits for this task: Dask cannot stop a running one, it only marks it."""
+    """Return a check whether the task is still needed; Dask only marks running tasks."""
     from distributed import Status, get_worker  # pyright: ignore[reportMissingImports]
 
     worker = get_worker()
@@ -224,7 +220,7 @@ def _wanted() -> Callable[[], bool]:
             Status.closing,
             Status.closed,
             Status.failed,
-        }  # its scheduler is gone, or has dismissed it
+        }  # the scheduler is gone or has dismissed the worker
         return (
             not ends and task is not None and task.state in {"executing", "long-running", "resumed"}
         )
@@ -233,10 +229,7 @@ def _wanted() -> Callable[[], bool]:
 
 
 def _check(store: Store, mark: str, sources: str) -> None:
-    """That the campaign's folder and sources are what they are where the campaign is.
-
-    Raises MachineError.
-    """
+    """Raise MachineError if folder or sources differ from those of the campaign."""
     until = time.monotonic() + _PATIENCE
     while not (store.runs / mark).is_dir():
         if time.monotonic() > until:
@@ -252,9 +245,9 @@ def _check(store: Store, mark: str, sources: str) -> None:
         )
 
 
-# How long workers may take to tidy up [s].
+# Longest wait for the workers' cleanup [s].
 _TIDY = 10.0
-# How often a task is given anew to workers that are lost before they begin it.
+# Largest number of resubmissions of a task whose workers are lost before its start.
 _GIVEN_ANEW = 5
 _GONE = (
     "the Dask scheduler is gone; what finished is stored, and the same command goes on from there."
@@ -265,11 +258,13 @@ _GONE = (
 def open_dask(
     where: str, jobs: int | None, context: ExecutionContext, tasks: int
 ) -> Iterator[DaskEngine]:
-    """The engine of a cluster.
+    """Open the engine of a cluster.
 
-    where: address or scheduler file, "" for worker processes here; jobs: that many of them (None:
-        one a core), or tasks at a time; tasks: how many there are.
-    Raises MachineError where there is no cluster.
+    where: address or scheduler file, "" for local worker processes.
+    jobs: number of local worker processes (None: one for each core), or tasks at a time.
+    tasks: number of tasks.
+
+    Raises MachineError if there is no cluster.
     """
     quieten()
     with contextlib.ExitStack() as open_now:
@@ -288,16 +283,19 @@ def open_dask(
 
 @contextmanager
 def _gone_in_words() -> Iterator[None]:
-    """What Dask raises where its scheduler cannot be reached, as a MachineError. Raises it."""
+    """Raise MachineError instead of Dask's exceptions if its scheduler is unreachable."""
     try:
         yield
-    except (OSError, RuntimeError) as error:  # no connection, or a client that has given up
+    except (OSError, RuntimeError) as error:  # no connection, or a closed client
         raise MachineError(_GONE) from error
 
 
 @dataclass
 class _Tries:
-    """Of a task that Dask has: what its beginnings are counted by, how often Dask gave it up, and since when."""
+    """Dask's attempts at a task.
+
+    name: identifies its starts. given_up: attempts that Dask gave up. since: time of the first.
+    """
 
     name: str = field(default_factory=lambda: uuid.uuid4().hex)
     given_up: int = 0
@@ -305,12 +303,15 @@ class _Tries:
 
 
 class DaskEngine:
-    """See the module docstring.
+    """Run tasks on a Dask cluster.
 
-    jobs: at most so many tasks are given to Dask at a time, None: all, since a cluster grows by
-        what waits for it; mark: the
-    folder by which a worker sees that it has the campaign's folder before it; tasks: how many there
-        are.
+    jobs: largest number of submitted tasks, None for all, since a cluster grows with waiting tasks.
+    mark: folder by which a worker recognises the campaign's folder.
+    tasks: number of tasks.
+
+    Dask's scheduler repeats a task whose worker is lost, `allowed-failures` times (3); then the task
+    has crashed. The scheduler also counts lost workers on which a task only waited. A task with fewer
+    starts is submitted again. Folders of lost workers are removed at the end of the campaign.
     """
 
     def __init__(
@@ -353,9 +354,8 @@ class DaskEngine:
                 )
         except MachineError:
             raise
-        except (
-            Exception
-        ) as error:  # of any type: what a worker with other packages raises while it reads the task
+        # A worker with other packages raises any type while it reads the task.
+        except Exception as error:
             why = (str(error).splitlines() or [""])[0]
             raise MachineError(
                 f"a Dask worker could not run {task.title} ({type(error).__name__}: {why}); "
@@ -364,7 +364,7 @@ class DaskEngine:
         if record is not None:
             del self._tries[task.key]
             return record
-        tries.given_up += 1  # before it was begun, or with a worker that took itself for dismissed
+        tries.given_up += 1  # before its start, or by a dismissed worker
         if tries.given_up > _GIVEN_ANEW:
             raise MachineError(
                 f"workers of the Dask cluster are lost before they begin {task.title}; their logs say why."
@@ -372,7 +372,6 @@ class DaskEngine:
         return None
 
     def _crashed(self, task: Task, tries: _Tries, message: str) -> TaskRecord:
-        """The record of a task that took its workers with it, stored."""
         context = self._context
         folder = context.store.open_partial(task.key, context.token)
         child = ChildExit(
@@ -390,8 +389,7 @@ class DaskEngine:
     def why_idle(self, submitted: int) -> str:
         """See LocalEngine.
 
-        Raises MachineError where no worker can come any more: those of this machine, when none
-        could be started anew.
+        Raises MachineError if all local workers have ended and cannot be restarted.
         """
         from distributed import Status  # pyright: ignore[reportMissingImports]
 
@@ -408,12 +406,11 @@ class DaskEngine:
         return f"the Dask cluster at {self._client.scheduler.address} has no workers now; {submitted} tasks wait for one"
 
     def _threads(self) -> int:
-        """How many tasks the workers of the cluster can run at a time."""
         with _gone_in_words():
             return sum(self._client.nthreads().values())
 
     def close(self) -> None:
-        """Have what runs ended, wait until workers have left nothing of it, then remove what those left that are gone."""
+        """Stop running tasks, wait for the workers' cleanup, then remove remaining folders."""
         self._executor.shutdown(wait=False)
         until = time.monotonic() + _TIDY
         while self._context.unfinished() and time.monotonic() < until:

@@ -1,13 +1,11 @@
-"""Where the tasks of a campaign run: executors of concurrent.futures, whose futures are records.
+"""Run the tasks of a campaign with executors of concurrent.futures, whose futures are records.
 
-What runs when is the campaign's (validate.campaign.campaign).
-
-    with open_local(2, context, len(tasks)) as engine:       # or validate.campaign.dask, open_dask
+    with open_local(2, context, len(tasks)) as engine:  # or validate.campaign.dask, open_dask
         future = engine.submit(task)
         record = engine.result(task, future)
 
-Another engine is another class with `jobs`, `submit`, `result` and `why_idle`: it has a Worker run
-where a task is to run, and a Worker stores what it finished by itself.
+The campaign orders the tasks (validate.campaign.campaign). Another engine is a class with `jobs`,
+`submit`, `result` and `why_idle`, which starts a Worker for each task. A Worker stores its record.
 """
 
 from __future__ import annotations
@@ -36,22 +34,20 @@ from validate.tasks.worker import Worker
 
 LOCAL = "local"
 DASK = "dask"
-# In place of a key, in the name of an unfinished folder that is no task's but the campaign's
-# (validate.campaign.dask).
+# Replaces the key in the name of the campaign's own unfinished folder (validate.campaign.dask).
 CAMPAIGN = "campaign"
 
 
 class EngineError(TouchstoneError):
-    """No engine has this name, or its cluster is not described where the name says."""
+    """An unknown engine, or an invalid scheduler file."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExecutionContext:
-    """What an engine has of a campaign.
+    """The part of a campaign that an engine needs.
 
-    token: 16 letters and digits, by which the campaign knows its own unfinished folders; loaded:
-        its runs, by
-    key, as they are loaded here.
+    token: 16 letters and digits in the names of the campaign's unfinished folders.
+    loaded: the runs that this process has loaded, by key.
     """
 
     store: Store
@@ -60,7 +56,7 @@ class ExecutionContext:
     loaded: Mapping[str, LoadedRun] = field(default_factory=dict)
 
     def unfinished(self) -> list[Path]:
-        """Folders of the campaign's tasks that are being written."""
+        """Return the folders that tasks of the campaign are writing."""
         return [
             path
             for path in self.store.runs.glob(f"{PARTIAL}*-{self.token}*")
@@ -69,7 +65,7 @@ class ExecutionContext:
 
 
 def check_engine(name: str) -> None:
-    """Raises EngineError if there is no such engine, MachineError if what it needs is not installed."""
+    """Raise EngineError for an unknown engine, MachineError for a missing package."""
     kind, colon, where = name.partition(":")
     if name == LOCAL:
         return
@@ -92,7 +88,7 @@ def _check_scheduler_file(path: Path) -> None:
         OSError,
         ValueError,
         RecursionError,
-    ) as error:  # not there, no JSON, or nested without end
+    ) as error:  # missing, no JSON, or nested too deeply
         why = error.strerror if isinstance(error, OSError) else "it is no JSON"
         raise EngineError(
             f"--engine dask:{path}: the scheduler file cannot be read ({why}); start a scheduler that writes it."
@@ -103,7 +99,7 @@ def _check_scheduler_file(path: Path) -> None:
         )
 
 
-# What most tasks import.
+# Modules that most tasks import.
 MODULES = (
     "numpy",
     "scipy.sparse.linalg",
@@ -130,18 +126,20 @@ MODULES = (
     "formulations.contact_modes.session",
     "formulations.multiple_shooting.method",
 )
-# What one task in four imports: PyTorch, in 1.5 CPU s and half a gigabyte that all children then
-# share. Worth it from so many tasks on.
+# Modules that one task in four imports: PyTorch. The import takes 1.5 CPU s and half a gigabyte,
+# which all children share.
 TORCH_MODULES = ("formulations.shooting.session",)
+# Smallest number of tasks for which TORCH_MODULES are imported in advance.
 TORCH_WORTH = 20
-# From so many tasks on, the process that imports has saved the time of its own start.
+# Smallest number of tasks for which the importing process saves more than its own start.
 WORTH = 4
 
 
 def preloaded_for(tasks: int) -> Preloaded | None:
-    """What the children of so many tasks are forked from, or None where there can be nothing, or it would cost more than it saves.
+    """Return the process from which the tasks' children fork, or None if forking saves no time.
 
-    It has imported the sources as they are now: one for each campaign.
+    None also if the system does not support the process. The process has imported the current sources, so that each
+    campaign needs its own.
     """
     if tasks < WORTH or sys.platform != "linux":
         return None
@@ -152,10 +150,12 @@ def preloaded_for(tasks: int) -> Preloaded | None:
 
 @contextmanager
 def open_local(jobs: int | None, context: ExecutionContext, tasks: int) -> Iterator[LocalEngine]:
-    """The engine of this machine.
+    """Open the engine of this machine; at the end, running tasks are stopped.
 
-    At the end, what runs is stopped. jobs: tasks at a time (None: one a core); tasks: how many
-    there are. Raises MachineError.
+    jobs: tasks at a time, None for one for each core.
+    tasks: number of tasks.
+
+    Raises MachineError.
     """
     engine = LocalEngine(jobs or usable_cores(), context, preloaded_for(tasks))
     try:
@@ -166,14 +166,17 @@ def open_local(jobs: int | None, context: ExecutionContext, tasks: int) -> Itera
 
 
 class LocalEngine:
-    """Children on this machine, each watched by a thread. jobs: how many tasks it is to be given at a time."""
+    """Run tasks in child processes of this machine, each watched by a thread.
+
+    jobs: tasks at a time.
+    """
 
     def __init__(self, jobs: int, context: ExecutionContext, preloaded: Preloaded | None) -> None:
         self.jobs, self._context, self._preloaded = jobs, context, preloaded
         self._threads, self._closed = ThreadPoolExecutor(jobs), threading.Event()
 
     def submit(self, task: Task) -> Future[TaskRecord | None]:
-        """Have a task run. Raises MachineError."""
+        """Start a task. Raises MachineError."""
         return self._threads.submit(self._run, task)
 
     def _run(self, task: Task) -> TaskRecord | None:
@@ -190,18 +193,18 @@ class LocalEngine:
         return worker.run(lambda: not self._closed.is_set())
 
     def result(self, task: Task, future: Future[TaskRecord | None]) -> TaskRecord | None:
-        """What came of it, stored; None if it is to be submitted anew.
+        """Return the stored record, or None if the task must be submitted again.
 
-        Raises MachineError if this machine, or its own, cannot.
+        Raises MachineError if this machine, or the task's machine, cannot run the task.
         """
         return future.result()
 
     def why_idle(self, submitted: int) -> str:
-        """A sentence why nobody runs what was submitted; empty if nothing is the matter."""
+        """Return the reason why no worker runs the submitted tasks, "" if there is none."""
         return ""
 
     def close(self) -> None:
-        """End what runs, and leave nothing of it."""
+        """Stop running tasks and remove their unfinished folders."""
         self._closed.set()
         self._threads.shutdown(cancel_futures=True)
         if self._preloaded is not None:

@@ -1,7 +1,7 @@
-"""Rewrite the report of a running campaign, in a thread, as scenes end.
+"""Rewrite the report of a running campaign in a thread whenever a scene ends.
 
 with closing(GrowingReport(write, print)) as report:
-report.update()             # call it when a scene has ended
+    report.update()  # after the end of a scene
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
-# Largest share of the campaign's time spent on rewriting; with every core busy it delays the tasks.
+# Largest share of the campaign's time for rewriting; on busy cores rewriting delays the tasks.
 _SHARE = 0.05
 
 
 class GrowingReport:
     """Rewrite a report at most once at a time.
 
-    write: writes the whole report of the stored runs and returns its path; first: called with the
-    path when the report exists.
+    write: writes the report and returns its path.
+    first: called with the path after the first write.
     """
 
     def __init__(self, write: Callable[[], Path], first: Callable[[Path], None]) -> None:
@@ -28,7 +28,7 @@ class GrowingReport:
         self._first: Callable[[Path], None] | None = first
         self._thread = ThreadPoolExecutor(1)
         self._writing: Future[float] | None = None
-        self._next = 0.0  # time.monotonic() of the next rewrite at the earliest
+        self._next = 0.0  # earliest time.monotonic() of the next rewrite
 
     def update(self) -> None:
         """Start a rewrite, unless one is running or the last one ended too recently."""
@@ -41,7 +41,10 @@ class GrowingReport:
             self._writing = self._thread.submit(self._timed_write)
 
     def _timed_write(self) -> float:
-        """Write the report and return the duration [s]. The last write of the campaign reports errors."""
+        """Write the report and return the duration [s].
+
+        Errors are ignored; the last write of the campaign raises them.
+        """
         began = time.monotonic()
         with contextlib.suppress(Exception):
             path = self._write()
@@ -51,5 +54,5 @@ class GrowingReport:
         return time.monotonic() - began
 
     def close(self) -> None:
-        """Wait for the rewrite that is running."""
+        """Wait for the running rewrite."""
         self._thread.shutdown(cancel_futures=True)

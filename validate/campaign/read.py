@@ -1,11 +1,9 @@
-"""Reads a campaign file, in full or not at all: TOML -> what a campaign runs.
+"""Read a campaign file, completely or not at all.
 
-Every mistake of a file is reported at once, with its place.
+    run_campaign(read_campaign(Path("stiffness.toml"), out=out), narrator)
 
-run_campaign(read_campaign(Path("stiffness.toml"), out=out), narrator)
-
-Pipelines: ours by name, its own as they are spelt out. Scenes: loaded, changed and named, one for
-each combination of swept values.
+All mistakes of a file are reported at once, with their places. Pipelines are built in, or defined
+in the file. Scenes are loaded, changed and named, one for each combination of swept values.
 """
 
 from __future__ import annotations
@@ -42,15 +40,16 @@ from validate.processes.toml_text import TomlError, mistake, read_toml
 from validate.tasks.plugins import DEFAULT_PLUGIN, load_plugin
 from validate.tasks.task import SceneReference, Variant, state_names, varied
 
-# Stored beside the results: the file as it was given, and with everything filled in.
+# Copy of the campaign file, stored with the results.
 GIVEN = "campaign.toml"
+# Campaign file with all defaults, stored with the results.
 RESOLVED = "resolved.toml"
-# A file of nothing but mistakes: the first say enough.
+# Largest number of printed mistakes.
 MOST_SHOWN = 50
 SOURCE = "a campaign file"
 _LONGEST_NAME = 60
-# A sweep of more is a slip of the pen: at a second a task it would run for a quarter of an hour by
-# each pipeline.
+# Largest number of scenes in a sweep; more are probably a typing error. At 1 s a task, 1000 scenes
+# run for a quarter of an hour with each pipeline.
 MOST_VARIANTS = 1000
 _Place = tuple[str | int, ...]
 _Change = tuple[str, str]  # section (or steps, step) and name
@@ -59,7 +58,7 @@ _Change = tuple[str, str]  # section (or steps, step) and name
 class ConfigError(TouchstoneError):
     """A campaign file with mistakes.
 
-    `mistakes` has a sentence for each, which begins with its place in the file.
+    `mistakes` contains a sentence for each mistake, beginning with its place in the file.
     """
 
     def __init__(self, path: Path, mistakes: list[str]) -> None:
@@ -77,9 +76,10 @@ class ConfigError(TouchstoneError):
 def read_campaign(
     path: Path, *, out: Path | None = None, plugin: str = DEFAULT_PLUGIN, **given: Any
 ) -> CampaignSettings:
-    """Read and check. out: runs/NAME of the file without it.
+    """Read and check a campaign file.
 
-    given: other fields of the settings, which a file does not decide.
+    out: the default is runs/NAME of the file.
+    given: fields of the settings that a file does not set.
 
     Raises ConfigError with every mistake, UnknownNameError for `plugin`.
     """
@@ -98,7 +98,7 @@ def read_campaign(
     planned, wrong = plan_scenes(file.plans, path.parent)
     mistakes += wrong
     bases += [scene for entry in planned for scene in entry.scenes]
-    # All pipelines there are for these scenes; all of ours where no scene can be read.
+    # All pipelines for these scenes; all built-in pipelines if no scene can be read.
     known = {
         pipeline.name: pipeline
         for reference in bases
@@ -131,7 +131,7 @@ def read_campaign(
 
 
 def _hint(name: str, known: Iterable[str]) -> str:
-    """`did you mean k?`, or what there is."""
+    """Return `did you mean k?`, or all known names."""
     known = list(known)
     return did_you_mean(
         name, known, f"there are {', '.join(known)}." if known else "there are none."
@@ -139,7 +139,7 @@ def _hint(name: str, known: Iterable[str]) -> str:
 
 
 def _place_text(place: Sequence[str | int]) -> str:
-    """`scenes[0].parameters.k`."""
+    """Return a place as `scenes[0].parameters.k`."""
     text = ""
     for part in place:
         text += f"[{part}]" if isinstance(part, int) else f".{part[:80]}" if text else part[:80]
@@ -147,13 +147,16 @@ def _place_text(place: Sequence[str | int]) -> str:
 
 
 def _checked(data: dict[str, Any]) -> tuple[CampaignFile | None, list[str]]:
-    """The file without what is wrong in it (None if nothing is left), so that the rest can be looked into too; and what is wrong."""
+    """Return the valid part of the file, None if there is none, and all mistakes.
+
+    The caller checks the valid part further.
+    """
     try:
         return CampaignFile.model_validate(data), []
     except ValidationError as error:
         problems = error.errors(include_url=False)
     mistakes = [_sentence(problem) for problem in problems]
-    for _ in range(10):  # what hides behind a mistake may be wrong as well
+    for _ in range(10):  # a mistake may hide further mistakes
         for problem in problems:
             _remove(data, problem["loc"])
         try:
@@ -173,7 +176,7 @@ def _sentence(problem: Any) -> str:
 
 
 def _model_at(place: _Place) -> type[BaseModel]:
-    """The model of which the last part of this place would be a key."""
+    """Return the model that the last part of this place is a key of."""
     if len(place) == 1:
         return CampaignFile
     if place[0] in ("scenes", "plans"):
@@ -183,9 +186,9 @@ def _model_at(place: _Place) -> type[BaseModel]:
 
 
 def _remove(data: Any, place: _Place) -> None:
-    """Take out what is at a place, or, where nothing is, what it is missing from.
+    """Delete the item at this place, or its parent if the item is missing.
 
-    A list loses all, so that no place in it moves.
+    Lists are emptied, so that indices stay valid.
     """
     way = [data]
     for part in place:
@@ -214,7 +217,7 @@ def _inside(data: Any, part: str | int) -> Any:
 def _chosen_pipelines(
     file: CampaignFile, known: Mapping[str, Pipeline], load_method: Callable[[str], Method]
 ) -> tuple[tuple[Pipeline, ...], list[str]]:
-    """The pipelines to run, none for all that are known; and mistakes."""
+    """Return the pipelines to run, none for all known pipelines, and mistakes."""
     mistakes: list[str] = []
     own: dict[str, Pipeline] = {}
     for name, entry in file.pipeline.items():
@@ -276,7 +279,7 @@ def _option_mistakes(leg: LegEntry, method: Method) -> Iterator[str]:
         for sentence in _refused(f"{section}.{name[:80]}", method.read_options, {name: value})
     ]
     yield from single
-    if not single:  # options that are impossible only together
+    if not single:  # options that are invalid only together
         for section, options in sections.items():
             yield from _refused(section, method.read_options, {**leg.options, **options})
 
@@ -300,7 +303,10 @@ def _leg(entry: LegEntry) -> Leg:
 def _references(
     entries: Sequence[SceneEntry], folder: Path
 ) -> tuple[list[SceneReference], list[SceneReference], list[str]]:
-    """Scenes in order with their variants, the unchanged scenes they come from, and mistakes. folder: from which paths are looked up."""
+    """Return the scenes with their variants in order, the unchanged scenes, and mistakes.
+
+    folder: base of relative paths.
+    """
     found: list[SceneReference] = []
     bases: dict[str, SceneReference] = {}
     mistakes: list[str] = []
@@ -329,7 +335,6 @@ def _references(
 
 
 def _scene_mistakes(entry: SceneEntry, scene: Scene) -> Iterator[str]:
-    """What this entry asks of its scene that the scene does not have."""
     if entry.name in scene_names():
         yield f"name: {entry.name!r} is a scene of ours; choose another name"
     parameters = {item.name: item for item in scene.parameters}
@@ -359,7 +364,6 @@ def _scene_mistakes(entry: SceneEntry, scene: Scene) -> Iterator[str]:
 
 
 def _changes(entry: SceneEntry) -> dict[_Change, list[Any]]:
-    """Everything that is changed, by section and name, with its values."""
     sections = {"parameters": entry.parameters, "start": entry.start, "goal": entry.goal}
     changes: dict[_Change, list[Any]] = {
         (part, name): values for part, given in sections.items() for name, values in given.items()
@@ -420,7 +424,10 @@ def _name(
     changes: Mapping[_Change, Sequence[Any]],
     chosen: Mapping[_Change, Any],
 ) -> str:
-    """`three_cart_k_300`: the name given or the scene's, then what tells its scenes apart (without a name given: all that is changed)."""
+    """Return a name such as `three_cart_k_300`.
+
+    The entry's name precedes the swept values; without it, the scene's name precedes all changes.
+    """
     distinct = [change for change in changes if entry.name is None or len(changes[change]) > 1]
     parts = [entry.name or scene.name]
     for section, name in distinct:
@@ -439,6 +446,6 @@ def _name(
 
 
 def _letters(value: Any) -> str:
-    """A number as letters and digits: 0.25 -> 0p25, -1 -> m1."""
+    """Return a number as letters and digits: 0.25 -> 0p25, -1 -> m1."""
     text = value if isinstance(value, str) else format(value, ".12g")
     return text.replace("-", "m").replace(".", "p").replace("+", "")

@@ -1,11 +1,14 @@
-"""results.csv: one row a stage, and checks.csv: one row a check.
+"""Write the tables of a campaign from its records.
 
-Rebuilt from records at any time, numbers in full (repr), nothing where nothing is known.
+    write_tables(Path("runs/all"), runs, checks, violation)
 
-Rows stand in the order of the campaign's tasks; apart from the columns whose names end in `_s`
-(seconds) the file is the same bytes whenever the same tasks are run on the same machine.
+- results.csv: one row for each stage
+- checks.csv: one row for each check
+- violation.csv: one row for each relaxation and eps
+- plans.csv: one row for each foreign plan
 
-violation.csv: one row a relaxation and eps. plans.csv: one row a foreign plan.
+Numbers are written in full (repr), unknown values are empty, rows are in task order. On one
+machine, files of the same tasks differ only in columns ending in `_s` (seconds).
 """
 
 from __future__ import annotations
@@ -51,7 +54,7 @@ _METRICS_LAST = (
     "missed_impulse",
     "energy_residual",
 )
-# Of the replay with feedback, and which of the two replays the verdict is on.
+# Metrics of the replay with feedback.
 _METRICS_FEEDBACK = (
     "tracked_replay_terminal_error",
     "tracked_replay_error",
@@ -74,17 +77,17 @@ _COLUMNS = (
     ),
     *("judged", *_METRICS_FEEDBACK, "growth_rate"),
 )
-# Every other metric that can be limited, in the order of the table.
+# All other metrics that can have limits, in the order of the table.
 _METRICS_MORE = tuple(name for name in metric_names() if name not in _COLUMNS)
-# Of plans that hold: worlds tried, the shares that arrive, and of which perturbation the plan takes
-# how many sizes at most.
+# Columns of plans that hold: number of worlds, shares that arrive, and the weakest perturbation
+# with the largest number of sizes that the plan tolerates.
 _SURVEY = ("worlds", "share_arriving", "share_arriving_with_feedback", "weakest", "weakest_sizes")
 COLUMNS = (*_COLUMNS, *_METRICS_MORE, *_SURVEY)
 _VIOLATION_COLUMNS = ("law", "eps", "measured", "closed_form", "relative_difference")
 
 
 def rows(records: Iterable[RunRecord]) -> list[dict[str, Any]]:
-    """One dictionary a stage, by column name; None where nothing is known.
+    """Return one dictionary for each stage, by column name; unknown values are None.
 
     Stages are counted from 1.
     """
@@ -132,9 +135,9 @@ def _survey(found: SurveyRecord | None) -> tuple[Any, ...]:
 
 
 def check_rows(records: Iterable[CheckRecord]) -> list[dict[str, Any]]:
-    """One dictionary a check, by column name.
+    """Return one dictionary for each check, by column name.
 
-    message: what was found, or why there is no answer.
+    message: the finding, or the reason for a missing answer.
     """
     return [
         {
@@ -152,7 +155,7 @@ def check_rows(records: Iterable[CheckRecord]) -> list[dict[str, Any]]:
 
 
 def plan_rows(runs: Sequence[RunRecord]) -> list[dict[str, Any]]:
-    """One dictionary a foreign plan, by column name: the three answers and their figures."""
+    """Return one dictionary for each foreign plan, by column name: answers and their figures."""
     return [
         {
             "instance": one.instance,
@@ -171,7 +174,7 @@ def plan_rows(runs: Sequence[RunRecord]) -> list[dict[str, Any]]:
 
 
 def _replay_error(run: RunRecord) -> float | None:
-    """Return the largest distance of the replay that the verdict is on from the plan."""
+    """Return the largest distance from plan to replay."""
     metric = run.stages[-1].judged("replay_error")
     return None if metric is None else metric.value
 
@@ -179,7 +182,7 @@ def _replay_error(run: RunRecord) -> float | None:
 def tables(
     runs: Sequence[RunRecord], checks: Sequence[CheckRecord], violation: Sequence[ViolationPoint]
 ) -> dict[str, str]:
-    """The text of each table by its file's name; of one that says nothing an empty one."""
+    """Return the text of each table by file name, "" for an empty table."""
     return {
         RESULTS: table_text(COLUMNS, rows(runs)),
         CHECKS: _table(check_rows(checks)),
@@ -194,9 +197,9 @@ def write_tables(
     checks: Sequence[CheckRecord],
     violation: Sequence[ViolationPoint],
 ) -> None:
-    """Write each table into a campaign's folder, and remove one that says nothing.
+    """Write each table into a campaign's folder, and remove empty ones.
 
-    Raises MachineError if the disk refuses.
+    Raises MachineError if a file cannot be written.
     """
     for name, text in tables(runs, checks, violation).items():
         if text:
@@ -206,7 +209,7 @@ def write_tables(
 
 
 def table_text(columns: Sequence[str], content: Iterable[Mapping[str, Any]]) -> str:
-    """A table as CSV, numbers in full; what a row does not know is empty."""
+    """Return a table as CSV with numbers in full; missing values are empty."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()

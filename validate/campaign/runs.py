@@ -1,6 +1,4 @@
-"""Which tasks a campaign has, in order: scenes by pipelines, then checks.
-
-And which of them are stored.
+"""Select the tasks of a campaign in order, scenes by pipelines before checks; read stored records.
 
 entries, left_out = select(CampaignSettings(out=Path("runs/all"), quick=True))
 entries = with_stored(entries, store, settings)
@@ -34,14 +32,14 @@ from validate.tasks.plugins import DEFAULT_PLUGIN, Plugin, load_plugin, plugin_s
 from validate.tasks.task import CheckTask, RunTask, SceneReference, Task, TaskRecord, task_to_json
 
 NOTHING_STORED = "nothing is stored of it"
-# So many unknown words of a -k are answered.
+# Largest number of explained unknown words of a -k.
 _UNKNOWN = 3
 
 
 class NothingSelectedError(CampaignError):
     """A -k that selects nothing.
 
-    `mistakes` has a sentence for each of its words that is in no name.
+    `mistakes` contains a sentence for each word that is in no name.
     """
 
     def __init__(self, expression: str, names: Sequence[str]) -> None:
@@ -67,19 +65,25 @@ def _unknown(word: str, names: Sequence[str]) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignSettings:
-    """What the user asked for.
+    """The user's choices for a campaign.
 
-    scenes: names or paths; empty for all of the catalog. last_failed: of what is not stored, run
-        only what failed when the folder's campaign
-    last ran, and that in any case; stop_early: at the first failure; retries: of a task that
-        crashes; engine: which runs the tasks
-    (validate.campaign.engine); worlds: which plans that hold are tried in perturbed worlds: all
-        (True), none (False), the cheapest of each scene (None);
-        jobs: tasks at a time, None for what the engine chooses.
-    Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; checked:
-        scenes whose FMUs are checked; title: of the
-    report; files: texts written into the folder, by name; refused: a sentence for each instance of
-        foreign plans that does not run.
+    - scenes: names or paths, empty for the whole catalog
+    - last_failed: run only tasks that failed in the folder's last campaign, even if stored
+    - stop_early: stop at the first failure
+    - retries: number of retries of a task that crashes
+    - engine: runs the tasks (validate.campaign.engine)
+    - worlds: plans that are tried in perturbed worlds: all that hold (True), none (False), the
+      cheapest of each scene (None)
+    - jobs: tasks at a time, None for the engine's default
+
+    A campaign file sets these fields:
+
+    - chosen: replaces `scenes`
+    - pipelines: replaces all pipelines
+    - checked: scenes whose FMUs are checked
+    - title: title of the report
+    - files: texts written into the folder, by name
+    - refused: a sentence for each instance of foreign plans that does not run
     """
 
     out: Path
@@ -104,21 +108,25 @@ class CampaignSettings:
     refused: tuple[str, ...] = ()
 
     def wants(self, names: Iterable[str], title: str) -> bool:
-        """Whether a task of these names and this title is meant by `-k`. Raises SelectionError."""
+        """Return whether `-k` selects a task of these names and title. Raises SelectionError."""
         return self.expression is None or matches(self.expression, names, title)
 
     @property
     def is_part(self) -> bool:
-        """Whether this is a choice from a campaign: what else the folder holds then stays in its tables and report."""
+        """Return whether the settings select a part of a campaign.
+
+        The folder's other tasks then stay in its tables and report.
+        """
         return bool(self.expression is not None or self.scenes or self.quick or self.last_failed)
 
 
 @dataclass(frozen=True)
 class PlannedTask:
-    """A task with what the parent knows of it.
+    """A task with the data of the parent process.
 
-    loaded: a run as it is loaded here; stored: its record if that can be used; why: it is run,
-        although something like it may be stored.
+    loaded: a run as loaded in this process.
+    stored: the task's record, if usable.
+    why: the reason to run the task although a similar record may be stored.
     """
 
     task: Task
@@ -128,14 +136,14 @@ class PlannedTask:
 
 
 def scenes_of(entries: Iterable[PlannedTask]) -> dict[str, Scene]:
-    """The scenes of the runs among these tasks, by name."""
+    """Return the scenes of the runs among these tasks, by name."""
     return {
         entry.loaded.scene.name: entry.loaded.scene for entry in entries if entry.loaded is not None
     }
 
 
 def select(settings: CampaignSettings) -> tuple[list[PlannedTask], tuple[str, ...]]:
-    """The tasks asked for, in order, and what a quick campaign leaves out, in words.
+    """Return the selected tasks in order, and titles of tasks that a quick campaign omits.
 
     Raises TouchstoneError.
     """
@@ -181,7 +189,7 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedTask], tuple[str, ..
 
 
 def _is_too_long(settings: CampaignSettings, scene: Scene) -> bool:
-    """A quick campaign leaves out the scenes that say so themselves, unless they are asked for by name."""
+    """Return whether a quick campaign omits the scene: not `quick`, and not named by the user."""
     return settings.quick and not scene.quick and not settings.scenes
 
 
@@ -199,8 +207,8 @@ def _scenes(settings: CampaignSettings) -> list[SceneReference]:
         scenes.append(found)
     if settings.scenes:
         return scenes
-    # What is read first is there first: Table I after a minute, and the cheap scenes before the
-    # dear ones.
+    # The user reads Table I first, which is complete after a minute; then cheap scenes precede
+    # expensive ones.
     return sorted(
         scenes,
         key=lambda reference: (reference.scene.name != PAPER_SCENE, scene_cost(reference.scene)),
@@ -208,18 +216,18 @@ def _scenes(settings: CampaignSettings) -> list[SceneReference]:
 
 
 def referred(name: str) -> SceneReference:
-    """A scene of the catalog, or of a file by its path. Raises UnknownNameError, SceneError."""
+    """Return a scene by its name or file path. Raises UnknownNameError, SceneError."""
     scene = load_scene(name)
     check_limits(scene, scene_path(name))
     return SceneReference(str(Path(name).resolve()) if name.endswith(".py") else name, scene)
 
 
 def scene_cost(scene: Scene) -> int:
-    """How dear a scene is beside others, known before anything runs: steps times states times contacts, the friction of a contact counted as another.
+    """Return the expected relative cost of a scene: steps times states times contacts.
 
-    Nothing for a scene without inputs: its motion is only simulated. Over the 16 scenes that come
-    with touchstone the order that this gives has a rank correlation of 0.94 with the CPU seconds of
-    all their runs.
+    The friction of a contact counts as another contact. A scene without inputs costs 0, because its
+    motion is only simulated. Over the 16 scenes of touchstone the rank correlation with the CPU
+    seconds of all runs is 0.94.
     """
     return (
         scene.task.steps * 2 * scene.nq * max(1, scene.nc + len(scene.frictions))
@@ -231,11 +239,10 @@ def scene_cost(scene: Scene) -> int:
 def _checks(
     settings: CampaignSettings, plugin: Plugin, scenes: Sequence[SceneReference], seen: list[str]
 ) -> tuple[list[PlannedTask], tuple[str, ...]]:
-    """The checks asked for, and what of them a quick campaign leaves out.
+    """Return the selected checks, and titles of checks that a quick campaign omits.
 
-    Their names are added to `seen`.
-
-    Where scenes are named, only checks of these scenes are meant.
+    The names of all checks are added to `seen`. If scenes are named, only checks of these scenes are
+    selected.
     """
     long = {reference.scene.name for reference in scenes if _is_too_long(settings, reference.scene)}
     wanted: list[PlannedTask] = []
@@ -256,7 +263,7 @@ def _checks(
 
 
 def _counted(checks: Sequence[CheckTask]) -> tuple[str, ...]:
-    """Checks by group: the only one by its name, several by their number."""
+    """Return the title of a single check, or the number of checks, of each group."""
     groups: dict[str, list[str]] = {}
     for item in checks:
         groups.setdefault(item.group or item.kind, []).append(item.title)
@@ -267,10 +274,7 @@ def _counted(checks: Sequence[CheckTask]) -> tuple[str, ...]:
 
 
 def _in_words(runs: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
-    """(scene, pipeline) -> `scene x pipeline`.
-
-    A pipeline of all of several scenes once, as `every scene x pipeline`.
-    """
+    """Return `scene x pipeline`, or once `every scene x pipeline` for all of several scenes."""
     times = Counter(pipeline for _, pipeline in runs)
     return tuple(
         dict.fromkeys(
@@ -322,10 +326,9 @@ def _entry(
 def with_stored(
     entries: Sequence[PlannedTask], store: Store, settings: CampaignSettings
 ) -> list[PlannedTask]:
-    """The same tasks, each with its stored record where that can be used again, else with the reason why not.
+    """Return the tasks with their usable stored records, or with the reason to run.
 
-    Of a campaign that runs what failed the last time, those alone (`only_last_failed`), which may
-    raise CampaignError.
+    `settings.last_failed`: return the tasks of `only_last_failed`, which may raise CampaignError.
     """
     usable = (_usable(store, entry.task, settings.fresh) for entry in entries)
     found = [
@@ -367,8 +370,8 @@ def worlds_tasks(
 ) -> list[RunTask]:
     """Return a task for each run whose plans must still be tried in perturbed worlds.
 
-    records: of all tasks of the folder, by key, in the order of the campaign, which decides between
-    plans of one cost; worlds: see `CampaignSettings`.
+    records: of all tasks of the folder, by key; their order decides between plans of equal cost.
+    worlds: see `CampaignSettings`.
     """
     if worlds is False:
         return []
@@ -385,7 +388,7 @@ def worlds_tasks(
             for scene in {run.scene.name for _, run in runs}
             if (plans := stored.cheapest(scene))
         }
-        # Foreign plans are tried on demand only: their scenes are many.
+        # Foreign plans have many scenes and are tried only on request.
         runs = [(task, run) for task, run in runs if run.key in cheapest and not task.instance]
     tasks = []
     for task, run in runs:
@@ -400,9 +403,9 @@ def worlds_tasks(
 
 
 def reasons(entries: Sequence[PlannedTask], store: Store) -> list[str]:
-    """For each task why it would be run, "" where its record is used.
+    """Return for each task the reason to run, "" if its record is used.
 
-    One of which another version is stored says that.
+    The reason mentions a stored record of another version.
     """
     others = {identity(request) for request in store.requests()}
     return [
@@ -414,7 +417,10 @@ def reasons(entries: Sequence[PlannedTask], store: Store) -> list[str]:
 
 
 def past_seconds(entries: Sequence[PlannedTask], store: Store) -> dict[str, float]:
-    """Key of a task that is to be run -> CPU seconds [s] that it took when it last ran into this folder, whatever code it was; without those that never did."""
+    """Return the CPU time [s] of the previous run of each task that must run, by key.
+
+    Records of any code version in this folder count. Tasks without a record are omitted.
+    """
     keys: dict[str, list[str]] = {}
     for request in store.requests():
         keys.setdefault(identity(request), []).append(str(request.get("key")))
@@ -434,10 +440,10 @@ def past_seconds(entries: Sequence[PlannedTask], store: Store) -> dict[str, floa
 
 
 def only_last_failed(entries: Sequence[PlannedTask], store: Store) -> list[PlannedTask]:
-    """Of these tasks those that failed when the folder's campaign last ran, to be run anew, and those that are stored, as they are.
+    """Return the tasks that failed in the folder's last campaign, and the stored tasks.
 
-    What is neither is left out. Raises CampaignError where there is no campaign, or nothing of this
-    choice failed.
+    Failed tasks run again. Tasks that are neither are omitted. Raises CampaignError if there is no
+    campaign, or if no selected task failed.
     """
     records = tuple(filter(None, map(store.read, campaign_of(store.folder).keys)))
     failing = failed_keys(records)

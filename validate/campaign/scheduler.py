@@ -1,7 +1,7 @@
 """Run tasks in the order of their dependencies, on an engine (validate.campaign.engine).
 
 for record in run_tasks(tasks, engine, context, retries=0, narrator=narrator):
-...
+    ...
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _IDLE_CHECK_S = 5.0
 
 
 class Engine(Protocol):
-    """Runs tasks. jobs: tasks at a time, None for all."""
+    """An engine that runs tasks."""
 
     @property
     def jobs(self) -> int | None:
-        """Return how many tasks run at a time."""
+        """Return the number of tasks at a time, None for all."""
         ...
 
     def submit(self, task: Task) -> Future[TaskRecord | None]:
@@ -45,17 +45,20 @@ class Engine(Protocol):
 
 
 class Listener(Protocol):
-    """Hears about running tasks and warnings."""
+    """Prints running tasks and warnings."""
 
     def warns(self, sentence: str) -> None:
         """Print a warning."""
 
     def runs(self, folders: dict[str, Path]) -> None:
-        """Called several times a second. folders: title of each running task -> its folder."""
+        """Print the running tasks; called several times a second.
+
+        folders: title of each running task -> its folder.
+        """
 
 
 def dependencies(tasks: Iterable[Task]) -> dict[str, set[str]]:
-    """Return for the key of each task the keys of the tasks that must end before it.
+    """Return the keys of the tasks that must end before each task, by key.
 
     The first of several runs with a common leg makes the leg. A run that reads legs of other runs
     (`RunTask.uses`) waits for their makers.
@@ -70,7 +73,7 @@ def dependencies(tasks: Iterable[Task]) -> dict[str, set[str]]:
             makers.setdefault(key, task.key)
     users = {task.key for task in runs if task.uses}
     for task in runs:
-        # A run that uses legs is no maker for others of its kind, so that no circle arises.
+        # Runs that use legs do not wait for each other, so that no cycle arises.
         found[task.key] |= {makers[key] for key in task.uses if key in makers} - users
     return {task.key: found.get(task.key, set()) - {task.key} for task in tasks}
 
@@ -82,9 +85,11 @@ def run_tasks(
     retries: int,
     narrator: Listener,
 ) -> Generator[TaskRecord, None, None]:
-    """Run all tasks and yield the record of each when it has finished.
+    """Run all tasks and yield the record of each finished task.
 
-    retries: of a task that crashes; it runs again before the tasks that wait. Raises MachineError.
+    retries: number of retries of a task that crashes; a retry precedes waiting tasks.
+
+    Raises MachineError.
     """
     by_key = {task.key: task for task in tasks}
     order = {key: place for place, key in enumerate(by_key)}

@@ -1,11 +1,13 @@
-"""What may stand in a campaign file.
+"""Define the keys of a campaign file, and write the resolved file.
 
-The descriptions are those of the JSON Schema that `python -m validate run --schema` prints.
+    CampaignFile.model_validate(data)
 
-A campaign file in which nothing is left open: run again, it gives the same tasks by the same keys.
+`python -m validate run --schema` prints the JSON Schema, with the descriptions below. A run of the
+resolved file gives the same tasks with the same keys. The resolved file contains:
 
-Every scene stands there with one number for each change, scene files by their absolute paths,
-pipelines of one's own with their methods' defaults.
+- one number for each change of a scene
+- absolute paths of scene files
+- default options of the methods in the file's own pipelines
 """
 
 from __future__ import annotations
@@ -23,10 +25,10 @@ if TYPE_CHECKING:
     from formulations.method import Method
     from validate.tasks.task import SceneReference
 
-# A plan of a million steps is far beyond what any method here can hold.
+# No method can handle a plan of a million steps.
 MOST_STEPS = 1_000_000
 FREE = "free"
-# Keys of [[plans]] that are paths whatever they end with.
+# Keys of [[plans]] whose values are paths, with any ending.
 _PLACES = frozenset({"instances", "plans", "time_step", "start"})
 
 
@@ -63,7 +65,7 @@ def _end(value: Any) -> Any:
     return value
 
 
-# A number, or several of them: each gives a scene of its own.
+# A number, or several numbers; each gives its own scene.
 Numbers = Annotated[
     list[float],
     BeforeValidator(_listed, json_schema_input_type=float | list[float]),
@@ -107,9 +109,9 @@ OfLimit = Annotated[
 
 
 class SceneEntry(_Strict):
-    """A scene, and what is changed of it.
+    """A scene and its changes.
 
-    Where a list stands for a number, each of its values gives a scene of its own.
+    A list instead of a number gives one scene for each of its values.
     """
 
     scene: str = Field(
@@ -242,7 +244,10 @@ def resolved_text(
     name: str,
     folder: Path,
 ) -> str:
-    """The file as text. name, folder: of the file it was made from."""
+    """Return the file as text with all defaults.
+
+    name, folder: of the original file.
+    """
     head = {
         "title": file.title,
         "time_limit": float(file.time_limit),
@@ -292,7 +297,7 @@ def _plans(entry: PlansEntry, folder: Path) -> dict[str, Any]:
 
 
 def _defaults(method: Method) -> dict[str, Any]:
-    """Those that TOML can hold."""
+    """Return the method's default options that TOML can represent."""
     return {
         name: value
         for name, value in asdict(method.options()).items()
@@ -301,7 +306,7 @@ def _defaults(method: Method) -> dict[str, Any]:
 
 
 def _scene(reference: SceneReference) -> dict[str, Any]:
-    """Where it is from, and what is changed of it."""
+    """Return the origin of a scene and its changes."""
     variant = reference.variant
     if variant is None:
         return {"scene": reference.where}

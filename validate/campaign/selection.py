@@ -1,11 +1,14 @@
-"""`-k EXPR`: which tasks of a campaign are meant.
+"""Select tasks of a campaign by `-k EXPR`.
 
     matches("strict and not relaxed", ["three_cart", "softplus_dc+strict", "strict_lcp"])   # True
 
-A word is true if it is part of one of the task's names (its scene, its pipeline, its methods),
-upper and lower case alike, and `=word` (or `="some words"`) if it is all of one, or all of what the
-task is called (`="three_cart x strict"`); words are joined with `and`, `or`, `not` and parentheses,
-as in pytest. A quotation mark between quotation marks is written twice.
+The names of a task are its scene, its pipeline and its methods. Case is ignored.
+
+- `word`: part of a name
+- `=word`, `="some words"`: a whole name, or the whole title (`="three_cart x strict"`)
+- `and`, `or`, `not`, parentheses: as in pytest
+
+A quotation mark inside quotation marks is doubled.
 """
 
 from __future__ import annotations
@@ -19,16 +22,16 @@ from models.errors import TouchstoneError
 _TOKEN = re.compile(r'\s*(?:([()])|(="(?:[^"]|"")*"|[^\s()]+))')
 
 
-# Of the names that are near a word, so many are shown.
+# Largest number of suggested names.
 _NEAR = 4
 
 
 class SelectionError(TouchstoneError):
-    """An expression that cannot be read."""
+    """An expression that cannot be parsed."""
 
 
 def matches(expression: str, names: Iterable[str], title: str = "") -> bool:
-    """Whether the expression is true of a task of these names and this title.
+    """Return whether the expression is true for a task with these names and this title.
 
     Raises SelectionError.
     """
@@ -51,10 +54,9 @@ def matches(expression: str, names: Iterable[str], title: str = "") -> bool:
     if opened:
         raise _error(expression, "a ')' is missing")
     try:
-        return eval(
-            " ".join(truth)
-        )  # of nothing but True, False, and, or, not and parentheses, in an order that was checked
-    except (SyntaxError, RecursionError, MemoryError):  # the ways in which Python says so
+        # The text contains only True, False, and, or, not and parentheses, in a checked order.
+        return eval(" ".join(truth))
+    except (SyntaxError, RecursionError, MemoryError):  # raised by Python for deep nesting
         raise SelectionError(
             f"-k {expression[:20]!r}..: it is nested deeper than can be read; write it with fewer parentheses."
         ) from None
@@ -73,7 +75,7 @@ def _error(expression: str, problem: str) -> SelectionError:
 
 
 def words_of(expression: str) -> list[str]:
-    """The names in an expression, each as it is written, each once."""
+    """Return the distinct words of an expression, as written."""
     return list(
         dict.fromkeys(
             word
@@ -84,10 +86,7 @@ def words_of(expression: str) -> list[str]:
 
 
 def near(word: str, names: Iterable[str]) -> list[str]:
-    """The names of which a part is most like a word that is in none of them.
-
-    The nearest first, at least one.
-    """
+    """Return names similar to a word that is in no name, most similar first; at least one."""
     wanted = _unquoted(word.removeprefix("=")).lower()
 
     def likeness(name: str) -> float:

@@ -1,11 +1,11 @@
-"""What is shown of one plan: in a notebook, and as the page that `replay --html` writes, which is that of a run in the report.
+"""Show one plan in a notebook, or as the page that `replay --html` writes.
 
-    plan = SolvedPlan.of(solution, scene, "softplus_dc+strict")  # a Solution that knows its scene
-    verdict = JudgedPlan.of(judgement, "plan.csv")  # a Judgement that knows what its plan is called
+    plan = SolvedPlan.of(solution, scene, "softplus_dc+strict")  # a Solution with its scene
+    verdict = JudgedPlan.of(judgement, "plan.csv")  # a Judgement with the name of its plan
     verdict.page("python -m validate replay plan.csv --scene three_cart")
 
-This stands above the judge, which knows neither methods nor reports; `touchstone` hands these out
-as `Solution` and `Judgement`.
+The page is that of a run in the report. The module is separate from the judge, which depends on
+neither methods nor reports. `touchstone` exports the classes as `Solution` and `Judgement`.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _NOT_JUDGED = Judged(
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class SolvedPlan(Solution):
-    """A Solution with its scene and with what found it: a pipeline or a method, and the eps where one was given.
+    """A Solution with its scene and its pipeline, or its method and eps.
 
     >>> plan = ts.solve("three_cart", "softplus_dc", eps=1e-3)
     >>> plan
@@ -70,7 +70,7 @@ class SolvedPlan(Solution):
     def of(
         cls, solution: Solution, scene: Scene, pipeline: str, eps: float | None = None
     ) -> SolvedPlan:
-        """The same Solution, of this scene."""
+        """Return the Solution with its scene."""
         return cls(
             **{item.name: getattr(solution, item.name) for item in fields(Solution)},
             scene=scene,
@@ -80,7 +80,7 @@ class SolvedPlan(Solution):
 
     @property
     def title(self) -> str:
-        """What found it: the pipeline, or the method and its eps."""
+        """Return the pipeline, or the method and its eps."""
         return self.pipeline if self.eps is None else f"{self.pipeline}, eps {self.eps:g}"
 
     def __repr__(self) -> str:
@@ -90,16 +90,16 @@ class SolvedPlan(Solution):
         return f"Solution({self.scene.name} by {self.title}: {', '.join(found)})"
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The plan, a row a node, columns by their names in the scene (`Trajectory.to_dataframe`).
+        """Return the plan: one row for each node, columns named as in the scene.
 
-        Raises MachineError, TrajectoryError.
+        See `Trajectory.to_dataframe`. Raises MachineError, and TrajectoryError if there is no plan.
         """
         return self._found().to_dataframe(self.scene)
 
     def plot(self) -> np.ndarray:
-        """Draw the plan: (panels,) matplotlib Axes over time [s], as `Trajectory.plot`.
+        """Draw the plan over time [s] and return (panels,) matplotlib Axes.
 
-        Raises MachineError, TrajectoryError where no plan was found.
+        See `Trajectory.plot`. Raises MachineError, and TrajectoryError if there is no plan.
         """
         return self._found().plot(self.scene)
 
@@ -111,7 +111,7 @@ class SolvedPlan(Solution):
         return self.trajectory
 
     def stage(self, judged: Judged) -> StageRecord:
-        """The record of its last stage, with what the judge said."""
+        """Return the record of the last stage, with the judge's result."""
         method = load_method(self.method)
         planned = Planned(
             index=0, name=self.method, method=method, eps=self.eps, options=method.read_options({})
@@ -136,7 +136,7 @@ class SolvedPlan(Solution):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JudgedPlan(Judgement):
-    """A Judgement that knows what its plan is called: the pipeline that found it, or the file it was read from.
+    """A Judgement with the name of its plan: the pipeline, or the file of the plan.
 
     >>> ts.judge("three_cart", plan)
     Judgement(three_cart, softplus_dc, eps 0.001: violates, cost 197.9, replay error 0.3546 m)
@@ -147,7 +147,7 @@ class JudgedPlan(Judgement):
 
     @classmethod
     def of(cls, judgement: Judgement, plan: object) -> JudgedPlan:
-        """The same Judgement, of a plan in any form that `judge` takes."""
+        """Return the Judgement with the name of a plan in any form that `judge` takes."""
         solution = plan if isinstance(plan, SolvedPlan) else None
         name = (
             solution.title
@@ -176,7 +176,11 @@ class JudgedPlan(Judgement):
         return super().__repr__()
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The metrics, a row each: question, metric, value, error, unit, limit, ok (None: undecided), meaning, reason. Raises MachineError."""
+        """Return the metrics, one row each.
+
+        Columns: question, metric, value, error, unit, limit, ok (None: undecided), meaning, reason.
+        Raises MachineError.
+        """
         return data_frame(
             {
                 "question": [metric.question.number for metric in self.score.metrics],
@@ -189,7 +193,10 @@ class JudgedPlan(Judgement):
         )
 
     def plot(self) -> np.ndarray:
-        """Draw the plan beside its replay, that with feedback where the verdict is of it: (panels,) Axes over time [s]. Raises as `SolvedPlan.plot`."""
+        """Draw the plan and its replay over time [s] and return (panels,) Axes.
+
+        The replay with feedback is drawn if the verdict is on that replay. Raises as `SolvedPlan.plot`.
+        """
         if self.plan is None:
             raise TrajectoryError(f"{self.name} on {self.scene.name}: there is no plan to draw.")
         replay = (
@@ -197,13 +204,18 @@ class JudgedPlan(Judgement):
             if self.replay is not None and self.score.judged == "feedback"
             else self.replay
         )
-        # A foreign model answers in the same words as a scene.
+        # A ForeignModel has the attributes of a Scene that are read here.
         return self.plan.plot(cast(Scene, self.scene), replay)
 
     def page(
         self, command: str, warnings: Sequence[str] = (), engines: Sequence[Mapping[str, Any]] = ()
     ) -> str:
-        """The page of a run for this plan: one HTML file that needs nothing else. command: what repeats it; warnings: sentences shown with it; engines: rows of others."""
+        """Return the page of a run for this plan: one self-contained HTML file.
+
+        command: repeats the judgement.
+        warnings: sentences on the page.
+        engines: rows of other simulators.
+        """
         return _page(
             self.scene, self.plan, self.replay, self._stage(warnings), self.name, command, engines
         )
@@ -218,12 +230,12 @@ class JudgedPlan(Judgement):
         return self.solution.stage(Judged(replay=self.replay, score=self.score, seconds=seconds))
 
 
-# Of a metric in a data frame, beside its question and name.
+# Columns of a metric in a data frame after its question and name.
 _COLUMNS = ("value", "error", "unit", "limit", "ok", "meaning", "reason")
 
 
 def _seconds(replay: Replay | None) -> float:
-    """CPU seconds of the replays [s]."""
+    """Return the CPU time of the replays [s]."""
     return (
         0.0
         if replay is None
@@ -235,7 +247,6 @@ def _page(
     subject: Subject, plan: Trajectory | None, replay: Replay | None, stage: StageRecord, name: str,
     command: str, engines: Sequence[Mapping[str, Any]] = ()
 ) -> str:  # fmt: skip
-    """The page of a run of one stage, drawn from files as a campaign's are."""
     drawn, record = _drawn(subject, plan)
     run = _run(record, stage, name, command)
     with tempfile.TemporaryDirectory(prefix="touchstone-") as place:
@@ -253,7 +264,7 @@ def _page(
 
 
 def _drawn(subject: Subject, plan: Trajectory | None) -> tuple[Subject, SceneRecord]:
-    """What is drawn, under names that files can have, and its record."""
+    """Return the subject with names valid in files, and its record."""
     if isinstance(subject, Scene):
         return subject, scene_record(subject)
     named = _with_common_names(subject)
@@ -261,7 +272,6 @@ def _drawn(subject: Subject, plan: Trajectory | None) -> tuple[Subject, SceneRec
 
 
 def _run(scene: SceneRecord, stage: StageRecord, name: str, command: str) -> RunRecord:
-    """The record of a run of one stage."""
     return RunRecord(
         key=_KEY,
         scene=scene,
@@ -279,7 +289,7 @@ def _run(scene: SceneRecord, stage: StageRecord, name: str, command: str) -> Run
 
 
 def _write_plan(path: Path, plan: Trajectory, subject: Subject) -> None:
-    """What of a plan is drawn: what its author says, and where the bodies of a scene are then."""
+    """Write the columns that the plan states, and the gaps and poses of a scene."""
     forces = [f"lam_{item.name}" for item in subject.contacts] + [
         item.force_name for item in subject.frictions
     ]
@@ -305,7 +315,7 @@ def _write_plan(path: Path, plan: Trajectory, subject: Subject) -> None:
 
 
 def _with_common_names(model: ForeignModel) -> ForeignModel:
-    """The model under names that files can have, its forces and gaps called as every report has them, whatever the map calls them."""
+    """Return the model with names valid in files; forces and gaps are named as in reports."""
     contacts = []
     for item in model.contacts:
         name = storable_name(item.name)
@@ -316,7 +326,7 @@ def _with_common_names(model: ForeignModel) -> ForeignModel:
 
 
 def _foreign_record(model: ForeignModel, plan: Trajectory | None) -> SceneRecord:
-    """What is known of somebody's FMU, as the record of a scene: names, units, start and goal."""
+    """Return the record of an external FMU: names, units, start and goal."""
     start = () if plan is None else tuple(plan.start.tolist())
     return SceneRecord(
         name=model.name,

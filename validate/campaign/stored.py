@@ -1,4 +1,4 @@
-"""The campaign that a folder holds: what it was, and what its tasks are called.
+"""Read the campaign of a folder, and the names of its tasks.
 
 campaign_of(Path("runs/all")).keys
 """
@@ -18,18 +18,21 @@ from reports.records.load import CAMPAIGN, other_version
 from reports.records.record import CampaignRecord
 from validate.store.store import RECORD, Store
 
-# What a campaign that ran nothing leaves as it was: the report says when its results were made.
+# Fields that a campaign without runs leaves unchanged: the report shows the date of the results.
 _OF_THE_CALL = ("command", "started", "provenance")
 
 
 class CampaignError(TouchstoneError):
-    """Nothing selected, or a folder that holds no campaign."""
+    """An empty selection, or a folder without a campaign."""
 
 
 def check_folder(folder: Path, names: Iterable[str]) -> None:
-    """Raise CampaignError if another version wrote the folder, or if it has files of these names and no campaign.
+    """Raise CampaignError if a campaign must not write into the folder.
 
-    names: of the files that a campaign writes.
+    The folder must not come from another version. A folder without a campaign must not contain files
+    of these names.
+
+    names: files that a campaign writes.
     """
     if sentence := other_version(folder):
         raise CampaignError(sentence)
@@ -43,9 +46,9 @@ def check_folder(folder: Path, names: Iterable[str]) -> None:
 
 
 def title_of(task: Mapping[str, Any]) -> str:
-    """What a task is called, of what was asked for.
+    """Return the title of a task from its request.
 
-    Raises LookupError or TypeError where that is damaged.
+    Raises LookupError or TypeError if the request is damaged.
     """
     if "pipeline" not in task:
         return f"{task['kind']}: {task['name']}"
@@ -53,9 +56,9 @@ def title_of(task: Mapping[str, Any]) -> str:
 
 
 def identity(task: Mapping[str, Any]) -> str:
-    """What a task is called, whatever its content.
+    """Return the name of a task, which does not depend on the task's content.
 
-    Of data that came from a file, and may be damaged.
+    Damaged data of a file are accepted.
     """
     pipeline = task.get("pipeline")
     if isinstance(pipeline, Mapping):
@@ -64,16 +67,16 @@ def identity(task: Mapping[str, Any]) -> str:
 
 
 def stored_names(store: Store, keys: Iterable[str]) -> dict[str, str]:
-    """Key -> what the task is called. Tasks of which nothing can be read are left out.
+    """Return the titles of the tasks, by key; unreadable tasks are omitted.
 
-    It is read from what was asked for, in a hundredth of the time of the record; only where that is
-    damaged from the record.
+    Reading a request takes a hundredth of the time of a record. Records are read only for damaged
+    requests.
     """
     names = {}
     for key in keys:
         try:
             names[key] = title_of(store.request(key))
-        except (LookupError, TypeError):  # damaged, or of nothing that is known
+        except (LookupError, TypeError):  # damaged or unknown request
             record = store.read(key)
             if record is not None:
                 names[key] = record.title
@@ -81,7 +84,7 @@ def stored_names(store: Store, keys: Iterable[str]) -> dict[str, str]:
 
 
 def campaign_of(folder: Path) -> CampaignRecord:
-    """The campaign of a folder. Raises CampaignError."""
+    """Return the campaign of a folder. Raises CampaignError."""
     path = folder / CAMPAIGN
     try:
         return CampaignRecord.model_validate_json(path.read_bytes())
@@ -98,7 +101,7 @@ def campaign_of(folder: Path) -> CampaignRecord:
 
 
 def found_campaign(folder: Path) -> CampaignRecord | None:
-    """The campaign of a folder; None where there is none that can be read."""
+    """Return the campaign of a folder, None if there is no readable one."""
     with contextlib.suppress(CampaignError):
         return campaign_of(folder)
     return None
@@ -107,9 +110,11 @@ def found_campaign(folder: Path) -> CampaignRecord | None:
 def with_others(
     store: Store, earlier: CampaignRecord, selected: Mapping[str, str]
 ) -> tuple[str, ...]:
-    """The keys of a part of the campaign that a folder holds and of all its other runs that are stored, each behind what it stood behind.
+    """Return the keys of the selected tasks and of the folder's other stored tasks.
 
-    selected: what a task of the part is called (`identity`) -> its key.
+    Each other key keeps its predecessor of the earlier campaign.
+
+    selected: `identity` of a task -> its key.
     """
     keys, place = list(selected.values()), 0
     for key in earlier.keys:
@@ -124,5 +129,5 @@ def with_others(
 
 
 def same_campaign(one: CampaignRecord, other: CampaignRecord) -> bool:
-    """Whether two campaigns differ in nothing but when and how they were called."""
+    """Return whether two campaigns differ only in command, date and provenance."""
     return one.model_copy(update={name: getattr(other, name) for name in _OF_THE_CALL}) == other

@@ -1,9 +1,11 @@
-"""Plausibility warnings, which stop nothing, and figures of a scene that is not in the bank.
+"""Report implausible properties of a scene, and figures of a scene outside the bank.
 
-# ("scene own: contact wall is 0.4 deep at the start, 8 times its nominal 0.05; ...",)
-scene_doubts(scene)
-# ("a contact lasts 0.02 s, 4 steps of 0.005 s (omega h = 0.77); ...", ..)
-scene_figures(scene)
+    # ("scene own: contact wall is 0.4 deep at the start, 8 times its nominal 0.05; ...",)
+    scene_doubts(scene)
+    # ("a contact lasts 0.02 s, 4 steps of 0.005 s (omega h = 0.77); ...", ..)
+    scene_figures(scene)
+
+Warnings do not stop a campaign.
 """
 
 from __future__ import annotations
@@ -23,20 +25,26 @@ from models.scene.text import scene_text
 from models.stability import contact_frequency, step_stability
 from validate.judge.score.table import TABLE
 
-# Scenes of the bank start at most one nominal penetration deep.
+# Suspicious depth at the start [nominal penetrations]; scenes of the bank have at most 1.
 DEEP = 3.0
-# omega h from which a contact is coarse: semi-implicit Euler changes its period by (omega h)^2/24,
-# which is 1 % here.
+# Largest omega h of a resolved contact. Semi-implicit Euler changes the contact's period by
+# (omega h)^2/24, 1 % at this value.
 _COARSE = 0.5
 
 
 def scene_doubts(scene: Scene) -> tuple[str, ...]:
-    """Sentences: contacts that are deep at the start or goal, parameters that change nothing, inputs that move nothing, limits on nothing."""
+    """Return sentences on parameters, inputs and limits without effect, and on deep contacts.
+
+    Contacts are checked at the start and at the goal.
+    """
     return (*_deep_starts(scene), *_deep_goals(scene), *_idle(scene), *_idle_limits(scene))
 
 
 def warnings_of(scenes: Iterable[Scene], *, steps: bool = False) -> list[str]:
-    """Sentences on scenes, each scene once. steps: also on a time step that is unstable in contact, for which scenes that are not in the bank are compiled."""
+    """Return the doubts of all scenes, each scene once.
+
+    steps: also report time steps that are unstable in contact; compiles scenes outside the bank.
+    """
     each = list({scene.name: scene for scene in scenes}.values())
     return [
         *(sentence for scene in each for sentence in scene_doubts(scene)),
@@ -45,14 +53,14 @@ def warnings_of(scenes: Iterable[Scene], *, steps: bool = False) -> list[str]:
 
 
 def is_of_bank(scene: Scene) -> bool:
-    """Return whether this package has the scene, unchanged."""
+    """Return whether the scene is in the bank, unchanged."""
     return scene.name in scene_names() and scene_text(load_scene(scene.name)) == scene_text(scene)
 
 
 def scene_figures(scene: Scene) -> tuple[str, ...]:
     """Return sentences on contact time, stability of the step, relaxed contact and units.
 
-    Raise MachineError without a compiler.
+    Raises MachineError without a compiler.
     """
     found = step_stability(scene)
     limit = "no limit" if math.isinf(found.largest_step) else f"limit {found.largest_step:.3g} s"
@@ -105,7 +113,7 @@ def _unstable(scenes: Iterable[Scene]) -> Iterator[str]:
     for scene in scenes:
         if is_of_bank(scene):
             continue
-        with contextlib.suppress(MachineError):  # without a compiler: whoever runs it is told
+        with contextlib.suppress(MachineError):  # without a compiler, the run raises the error
             if sentence := step_stability(scene).sentence:
                 yield sentence
 
@@ -128,9 +136,9 @@ def _deep_starts(scene: Scene) -> Iterator[str]:
 
 
 def _deep_goals(scene: Scene) -> Iterator[str]:
-    """Contacts into which the goal leads deeper than their model reaches.
+    """Yield a sentence for each contact that is deeper at the goal than its model allows.
 
-    Of a goal that leaves a body free nothing is known.
+    Contacts of bodies that the goal leaves free are skipped.
     """
     goal = {
         item.symbol: value

@@ -1,12 +1,12 @@
-"""`[[plans]]` of a campaign file: instances of a scene, with their plans, as scenes of the campaign.
+"""Convert `[[plans]]` of a campaign file into scenes: instances of a scene with their plans.
 
     planned, mistakes = plan_scenes(file.plans, folder)
     references, refused = foreign_references(planned, folder, pipelines)
 
-Each instance becomes a scene with the instance's name, parameters, start and goal, and, if there is
-a model of the plans' own equations, a second scene with the ending `_own_equations`. A leg that
-reads the plan (formulations.given_plan) takes the place of a pipeline. An instance with a mistake is
-refused in one sentence; the other instances run.
+Each instance becomes a scene with the instance's name, parameters, start and goal. A model of the
+plans' own equations gives a second scene with the ending `_own_equations`. A leg that reads the
+plan (formulations.given_plan) replaces a pipeline. An instance with a mistake is refused in one
+sentence; the other instances run.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ from validate.judge.time_step import load_step, numbers_of, take_step
 from validate.tasks.task import SceneReference, Variant, state_names, varied
 
 OWN = "_own_equations"
-# Columns of a CSV of instances that are no numbers.
+# Text columns of a CSV of instances.
 _NAME, _PLAN = "name", "plan"
 # `# instance: a` above the header of a plan.
 _DECLARED = re.compile(r"^[\"']?#\s*instance\s*:\s*([\w.-]+)", re.MULTILINE)
-_HEAD = 4096  # characters in which that is looked for
-# Two starts are equal up to this share of the nominal, as in question 1 of the judge.
+_HEAD = 4096  # searched characters of a plan
+# Largest difference of equal starts [nominal values], as in question 1 of the judge.
 _SAME_START = 1e-6
 
 
@@ -53,9 +53,14 @@ class InstanceError(TouchstoneError):
 
 @dataclass(frozen=True)
 class PlanScenes:
-    """An entry of `[[plans]]` and its scenes: the physics, and the model if there is one.
+    """An entry of `[[plans]]` with its scenes.
 
-    place: in the file.
+    Attributes
+    ----------
+    place
+        Place of the entry in the file.
+    scenes
+        The physics, and the model if the entry has one.
     """
 
     entry: PlansEntry
@@ -74,7 +79,20 @@ class _Instance:
 
 
 def plan_scenes(entries: Sequence[PlansEntry], folder: Path) -> tuple[list[PlanScenes], list[str]]:
-    """Load the scenes of the entries; return them, and the mistakes for which nothing can run."""
+    """Load the scenes of the entries.
+
+    Parameters
+    ----------
+    entries
+        Entries of `[[plans]]`.
+    folder
+        Folder of the campaign file.
+
+    Returns
+    -------
+    tuple[list[PlanScenes], list[str]]
+        Loaded entries, and mistakes that prevent the campaign.
+    """
     found, mistakes = [], []
     for index, entry in enumerate(entries):
         place, loaded = f"plans[{index}]", []
@@ -97,13 +115,25 @@ def plan_scenes(entries: Sequence[PlansEntry], folder: Path) -> tuple[list[PlanS
 def foreign_references(
     planned: Sequence[PlanScenes], folder: Path, pipelines: tuple[Pipeline, ...]
 ) -> tuple[list[SceneReference], list[str]]:
-    """Return the scenes of all instances, and a sentence for each instance that does not run.
+    """Return the scenes of all instances.
 
-    pipelines: of the campaign file, which run beside the plans.
+    Parameters
+    ----------
+    planned
+        Entries with their scenes, from `plan_scenes`.
+    folder
+        Folder of the campaign file.
+    pipelines
+        Pipelines of the campaign file, which run in addition to the plans.
+
+    Returns
+    -------
+    tuple[list[SceneReference], list[str]]
+        Scenes, and a sentence for each instance that does not run.
     """
     references: list[SceneReference] = []
     refused: list[str] = []
-    # Text of each scene, and names of its plans. Several plans of one instance are no mistake.
+    # Scene text and plan names by instance; an instance may have several plans.
     taken: dict[str, tuple[str, list[str]]] = {name: ("", []) for name in scene_names()}
     for item in planned:
         try:
@@ -137,7 +167,6 @@ def foreign_references(
 
 
 def _instances(item: PlanScenes, folder: Path) -> list[_Instance]:
-    """Return the instances of an entry. Raises InstanceError."""
     entry, base = item.entry, item.scenes[0].scene
     if entry.instances is None:
         plans = [Path(found) for found in sorted(glob.glob(str(folder / (entry.plans or ""))))]
@@ -168,7 +197,7 @@ def _instances(item: PlanScenes, folder: Path) -> list[_Instance]:
 
 
 def _as_name(text: str, base: Scene) -> str:
-    """Return a name of ASCII letters, digits and _; one that begins with a digit follows the scene's."""
+    """Return ASCII letters, digits and _; a leading non-letter follows the scene's name."""
     name = re.sub(r"\W", "_", text, flags=re.ASCII)
     return name if re.match(r"[A-Za-z]", name) else f"{base.name}_{name}"
 
@@ -202,7 +231,7 @@ def _check_entry(
 
 
 def _started_elsewhere(one: _Made, made: Sequence[_Made]) -> str | None:
-    """Return the instance from whose start the plan starts, if the plan does not start from its own."""
+    """Return the other instance at whose start the plan starts, None if there is none."""
     if one.plan is None or not one.plan.has_states:
         return None
     here, nq = one.plan.q[0], one.scene.nq
@@ -217,8 +246,6 @@ def _started_elsewhere(one: _Made, made: Sequence[_Made]) -> str | None:
 
 
 class _Made:
-    """An instance as scenes of the campaign. Raises TouchstoneError."""
-
     def __init__(self, item: PlanScenes, instance: _Instance, folder: Path) -> None:
         self.name, self._item, self._instance, self._folder = instance.name, item, instance, folder
         self._variants = [
@@ -287,7 +314,6 @@ class _Made:
             )
 
     def _given(self, path: Path | None) -> Pipeline:
-        """Read the plan on each scene, and return its pipeline."""
         if path is None or not os.path.isfile(path):
             raise InstanceError(f"its plan {path or ''} is missing; check plans and instances.")
         of, time_step, entry = self._written_for(path), "", self._item.entry
@@ -295,12 +321,12 @@ class _Made:
         if entry.time_step is not None:
             time_step, plan = str((self._folder / entry.time_step).resolve()), self.plan
             h, numbers = float(plan.t[1] - plan.t[0]), numbers_of(self.scene)
-            # Nonsense is refused before anything runs.
+            # Raises for an invalid time step before any task runs.
             take_step(self.scene, load_step(time_step), plan.q[0], plan.v[0], plan.u[0], h, numbers)
         return Pipeline(name=entry.name, title=path.name, legs=(leg(path, of, time_step),))
 
     def _written_for(self, path: Path) -> str:
-        """Return the name of the scene that a NetCDF plan states, "" of a CSV. Raises InstanceError."""
+        """Return the scene that a NetCDF plan states, "" for a CSV. Raises InstanceError."""
         known = {self.name, self._instance.label}
         if path.suffix == ".nc":
             stated = str(read_columns(path)[1].get("scene", ""))
