@@ -59,7 +59,10 @@ def leg(path: Path, of: str = "", time_step: str = "") -> Leg:
 
 
 def read_plan(path: Path, scene: Scene, of: str = "") -> Trajectory:
-    """Read a plan of a scene from CSV, or from NetCDF if its name ends so. Raises TrajectoryError."""
+    """Read a plan of a scene from CSV, or from NetCDF if its name ends so.
+
+    Raises TrajectoryError.
+    """
     from models.trajectory import read_csv
     from models.trajectory_netcdf import read_netcdf
 

@@ -166,10 +166,13 @@ def motion_on_finer_steps(scene: Scene, plan: Trajectory, parts: int) -> Traject
 def departure(scene: Scene, plan: Trajectory) -> float:
     """Return how far the fine motion departs from a plan, in parts of what the scene allows.
 
-    The largest of: distance from the plan's positions, distance from the goal's positions and
-    velocities at the end, each over the judge's limit, and the feedback's share of the inputs
-    (`models.trajectory.input_share`) over its limit. Raises KernelError for a plan of another
-    scene.
+    The result is the largest of three shares:
+
+    - distance from the plan's positions, over the judge's limit
+    - distance from the goal's positions and velocities at the end, over the judge's limit
+    - the feedback's share of the inputs (`models.trajectory.input_share`) over its limit
+
+    Raises KernelError for a plan of another scene.
     """
     return _followed(scene, plan, _PARTS)[1]
 

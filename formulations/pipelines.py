@@ -59,17 +59,20 @@ BEST_EXACT = "best_exact"
 
 RELAXED_EPS = (1e-2, 1e-3, 1e-4)
 SOFTPLUS_EPS = (1e-3, 1e-5, 1e-7)
-# Start of a relaxed walk: looser bounds than 0.9 N^2 do not locate contact better (the carts push
-# with 3.6 N); the limit is 1.
+# Start of a relaxed walk; the limit is 1. Looser bounds than 0.9 N^2 do not locate contact better
+# (the carts push with 3.6 N).
 RELAXED_FROM = 0.9
+# End of a relaxed walk.
 RELAXED_TO = RELAXED_EPS[-1]
 
-# Gradient steps of the paper's rows, recovered from its costs (149.17 / 166.45 / 215.14 for
-# softplus, 542.56 for cold ReLU, 309.42 and 360.31 for ReLU after softplus GD and after softplus
-# DC).
+# Gradient steps of softplus in the paper's rows, recovered from its costs (149.17 / 166.45 /
+# 215.14).
 SOFTPLUS_GD_COUNTS = (15, 14, 11)
+# Gradient steps of cold ReLU, recovered from the cost 542.56.
 RELU_GD_COLD_COUNT = 200
+# Gradient steps of ReLU after softplus GD, recovered from the cost 309.42.
 RELU_GD_AFTER_SOFTPLUS_GD = 10
+# Gradient steps of ReLU after softplus DC, recovered from the cost 360.31.
 RELU_GD_AFTER_SOFTPLUS_DC = 6
 # Not in the paper, and its cost (492.06) cannot be reproduced: the number after softplus GD.
 RELU_GD_AFTER_RELAXED = 10

@@ -80,17 +80,17 @@ class Seconds:
 class Solution:
     """The result of one stage.
 
-    message: one sentence, or ""
-    trajectory: the plan, or None
-    cost: running cost over the steps plus final cost
-    residuals: unscaled, by name, recomputed from the scene
-    certificate: of the plan in the scene's strict model (`formulations.mpec.certify_solution`), or
-        None
-    starts: all starts, if there are several
-    options: all options
-    solver: name and version of the underlying solver
-    history: per iteration, columns of equal length by name
-    size: of the model of the solver; paper_size: counted by hand
+    - message: one sentence, or ""
+    - trajectory: the plan, or None
+    - cost: running cost over the steps plus final cost
+    - residuals: unscaled, by name, recomputed from the scene
+    - certificate: of the plan in the scene's strict model (`formulations.mpec.certify_solution`),
+      or None
+    - starts: all starts, if there are several
+    - options: all options
+    - solver: name and version of the underlying solver
+    - history: per iteration, columns of equal length by name
+    - size: of the model of the solver; paper_size: counted by hand
     """
 
     method: str

@@ -10,19 +10,19 @@ import signal
 import sys
 from pathlib import Path
 
-# New objects after which Python looks for cycles among them, instead of 700.
+# New objects between two searches for reference cycles (Python's default: 700).
 _OBJECTS = 200_000
 
 
 def main(module: str = "validate.cli.group") -> None:
-    """The command line of a program, whose `group` of commands is in a module."""
-    # Importing SymPy makes 10^5 objects that stay; looking for cycles among them again and again
-    # takes a quarter of its time (0.13 s of 0.53).
+    """Run the command line of a program. module: contains the program's `group` of commands."""
+    # Importing SymPy creates 10^5 permanent objects. Repeated searches for cycles among them take a
+    # quarter of its time (0.13 s of 0.53 s).
     gc.set_threshold(_OBJECTS)
     codes: list[int] = []
     atexit.register(_leave, codes)
     try:
-        import touchstone  # says what else is called like one of our packages
+        import touchstone  # raises if another module shadows one of our packages
     except ImportError as clash:
         sys.exit(_refused(str(clash)))
     try:
@@ -37,15 +37,15 @@ def main(module: str = "validate.cli.group") -> None:
         code = run(sys.argv[1:], group, _typed(module))
         signal.signal(
             signal.SIGINT, signal.SIG_IGN
-        )  # all is written and told, and the exit code stays what it is
-    except KeyboardInterrupt:  # before there was anything that hears it
+        )  # all output is written; the exit code does not change
+    except KeyboardInterrupt:  # before an interrupt handler was installed
         code = 130
     codes.append(code)
     sys.exit(code)
 
 
 def _typed(module: str) -> str:
-    """The program as it was called: `python3 -m validate`, or `touchstone`."""
+    """Return the program as it was called: `python3 -m validate`, or `touchstone`."""
     name = Path(sys.argv[0]).name
     return name if name != "__main__.py" else f"{sys.orig_argv[0]} -m {module.partition('.')[0]}"
 
@@ -56,10 +56,10 @@ def _refused(sentence: str, code: int = 2) -> int:
 
 
 def _leave(codes: list[int]) -> None:
-    """End at once, after all other exit handlers (they run in reverse order).
+    """End the process at once, after all other exit handlers (they run in reverse order).
 
-    Taking SymPy apart object by object takes a tenth of a second, of 0.9 for a replay. An exception
-    that was not caught, or output that cannot be written, ends as Python ends.
+    Freeing SymPy's objects takes 0.1 s, of 0.9 s for a replay. An uncaught exception or output that
+    cannot be written ends as in Python.
     """
     if not codes:
         return

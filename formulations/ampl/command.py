@@ -265,12 +265,13 @@ def write_sol(
 ) -> None:
     """Write a solution file.
 
-    message: text for the user, without its empty lines, since the first one ends the message
-    code: AMPL's: 0 solved, 100 a point without proof, 200 infeasible, 300 unbounded, 400 a limit,
-        500 a failure
-    duals, values: (rows,) and (variables,), or empty
-    objective: number of the solved objective, from 1
-    of_rows: suffixes, with numbers by row
+    - message: text for the user, without its empty lines, since the first one ends the message
+    - code: AMPL's: 0 solved, 100 a point without proof, 200 infeasible, 300 unbounded, 400 a limit,
+      500 a failure
+    - duals, values: (rows,) and (variables,), or empty
+    - objective: number of the solved objective, from 1
+    - of_rows: suffixes, with numbers by row
+
     Raises OSError if the file cannot be written.
     """
     count, *options = header.options or ("0",)

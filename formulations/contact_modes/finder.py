@@ -48,9 +48,9 @@ _MANY = 3
 # Bounds of the relaxation [N^2], tried until modes have a plan.
 _LOOSE = (0.3, 0.03, 3e-3)
 # Iteration limit of a walk of relaxed complementarity, which follows the loosened modes. Six carts,
-# tasks 3, 11 and 7: 702 iterations lower the cost from 980.6 to 854.7; 734 raise it to 2516, where
-# loosened modes lower it from 2484.9 to 2377.6; 1871 fail, loosened modes lead from 1557.3 to
-# 1476.4.
+# task 3: 702 iterations lower the cost from 980.6 to 854.7. Task 11: 734 raise it to 2516, while
+# loosened modes lower it from 2484.9 to 2377.6. Task 7: 1871 fail, while loosened modes lower it
+# from 1557.3 to 1476.4.
 _WALK = 800
 # Closest rollouts that are continued to the goal.
 _NEAREST = 3

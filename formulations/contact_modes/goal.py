@@ -49,6 +49,7 @@ _ON_THE_WAY = 1e-7
 _FIRST = 0.05
 # Factor of the softness per level.
 _FALL = 0.02
+# Number of levels.
 _LEVELS = 4
 # Modes tried per level.
 _TRIES = 120
@@ -67,10 +68,11 @@ def correct_end(
 ) -> tuple[Rollout, np.ndarray]:
     """Change inputs u (steps, nu) [N, N m] as little as possible to end on the goal.
 
-    law, eps: contact law of the rollouts, and eps of softplus [-]
-    most: maximum number of steps
-    enough: tolerance relative to the goal's size [-]
-    scale: (2*nq,) [m, rad, m/s, rad/s], of each component of the error
+    - law, eps: contact law of the rollouts, and eps of softplus [-]
+    - most: maximum number of steps
+    - enough: tolerance relative to the goal's size [-]
+    - scale: (2*nq,) [m, rad, m/s, rad/s], of each component of the error
+
     Return the closest rollout (at least as close as that of u) and its inputs. Raises KernelError
     if the mass matrix is not positive definite.
     """
@@ -111,7 +113,10 @@ def correct_end_by_softplus(
     """Correct the end through softplus contact of increasing sharpness, and then the true contact.
 
     The path of the true law has kinks where contacts begin or end; softplus has none.
-    u (steps, nu) [N, N m] are the initial inputs, sharpness is b L [-] of their softplus contact.
+
+    - u: (steps, nu) [N, N m], the initial inputs
+    - sharpness: b L [-] of their softplus contact
+
     Raises KernelError if the mass matrix is not positive definite.
     """
     for b in np.geomspace(

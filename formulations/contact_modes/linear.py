@@ -117,11 +117,13 @@ _CONVEX = 1e-12
 class LinearScene:
     """The matrices of a linear scene with n = 2*nq states z = (q, v).
 
-    A (n, n), B (n, nu), c (n,), E (n, nc) [per N]; phi = P z + p, P (nc, n), p (nc,) [m] k: (nc,)
-    [N/m] H (n+nu, n+nu), g (n+nu,), constant: the running cost
-    lower, upper: (nu,); start, goal: (n,), NaN for a free end
-    contacts: number of contacts among the nc rows of P; the rest are velocity bounds phi <= 0, with
-        E = 0 and never closed
+    - A (n, n), B (n, nu), c (n,), E (n, nc) [per N]: the time step
+    - P (nc, n), p (nc,) [m]: phi = P z + p
+    - k: (nc,) [N/m]
+    - H (n+nu, n+nu), g (n+nu,), constant: the running cost
+    - lower, upper: (nu,); start, goal: (n,), NaN for a free end
+    - contacts: number of contacts among the nc rows of P; the rest are velocity bounds phi <= 0,
+      with E = 0 and never closed
     """
 
     A: np.ndarray
@@ -383,10 +385,11 @@ class BandedKKT:
         """Factorise the KKT matrix; return False if it is singular.
 
         It is singular if the goal is not controllable, or if conditions contradict each other.
-        closed: (steps, nc) [-], whether a contact is closed in a step
-        held: (steps, nu) [-], whether an input is at a bound
-        touching: (steps, nc) [-], whether phi = 0 is imposed; row 0 is not used
-        softness: if positive, the cost 1/2 |z[T] - goal|^2 / softness replaces z[T] = goal
+        - closed: (steps, nc) [-], whether a contact is closed in a step
+        - held: (steps, nu) [-], whether an input is at a bound
+        - touching: (steps, nc) [-], whether phi = 0 is imposed; row 0 is not used
+        - softness: if positive, the cost 1/2 |z[T] - goal|^2 / softness replaces z[T] = goal
+
         Raises ValueError for an array of another shape.
         """
         band = self._constant.copy(order="F")

@@ -1,8 +1,9 @@
 """Solve the planning problem of any scene with fixed contact modes by Ipopt, to a local optimum.
 
 `SoftplusHomotopy` finds first modes with sharpness b L = 7, 14, .., 448 (L: the scene's length, so
-that units do not matter). A touching pair has the force k ln 2 / b; if the inputs cannot hold it, k
-starts at a hundredth, a fiftieth, .. of its value and reaches it with the last stage.
+that units do not matter). A touching pair has the force k ln 2 / b. If the inputs cannot hold this
+force, k starts at a hundredth, a fiftieth, .. of its value. k reaches its value with the last
+stage.
 """
 
 from __future__ import annotations

@@ -5,9 +5,9 @@
                                        phi >= 0 where closed,  phi <= 0 where open
 
 The active conditions come from `dual_active_set`; then the equality problem is solved and every
-sign checked, so that an answer is exact. With G = lam >= 0, H = lam - k phi >= 0 the multipliers
-s_G, s_H [1/N] (L = ... - s_G G - s_H H) of biactive pairs show whether other modes are cheaper: if
-both are >= 0 (S), none is to first order.
+sign checked, so that an answer is exact. With G = lam >= 0, H = lam - k phi >= 0 the Lagrangian is
+L = ... - s_G G - s_H H. The multipliers s_G, s_H [1/N] of biactive pairs show whether other modes
+are cheaper. If both are >= 0 (S), no other modes are cheaper to first order.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _ZERO = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class ModeStationarity:
-    """Whether no biactive pair has a negative multiplier; number and least multiplier [1/N]."""
+    """Absence of negative multipliers of biactive pairs; number and least multiplier [1/N]."""
 
     strong: bool
     biactive: int
@@ -85,9 +85,9 @@ _SOLVED = 1e-8
 class ModesAnswer:
     """An optimum for fixed modes: closed (steps, nc), u (steps, nu) [N, N m], phi (steps, nc) [m].
 
-    of_force, of_separation: (steps, nc) [1/N], multipliers s_G and s_H
-    biactive: (steps, nc), pairs that touch without force, except those of the first step
-    dual_infeasibility: largest derivative of the Lagrangian that should be zero
+    - of_force, of_separation: (steps, nc) [1/N], multipliers s_G and s_H
+    - biactive: (steps, nc), pairs that touch without force, except those of the first step
+    - dual_infeasibility: largest derivative of the Lagrangian that should be zero
     """
 
     closed: np.ndarray

@@ -1,12 +1,12 @@
 """The session of `mpcc`: find contact modes from several starts, keep the cheapest plan, check it.
 
-| number | start |
-|---|---|
-| 0 | the given plan, or the paper's first guess |
-| 1 | the modes of a softplus chain, eps = 1e-3, 1e-5, 1e-7 |
-| 2 | the modes of a softplus shooting solution, same eps |
-| 3, 4 | both in the mirror of the scene, if it has one |
-| more | seeded random inputs, as homotopy start and as source of modes in turn |
+The starts by number:
+
+- 0: the given plan, or the paper's first guess
+- 1: the modes of a softplus chain, eps = 1e-3, 1e-5, 1e-7
+- 2: the modes of a softplus shooting solution, same eps
+- 3, 4: both in the mirror of the scene, if it has one
+- more: seeded random inputs, as homotopy start and as source of modes in turn
 
 The plan is the rollout of its inputs, so complementarity is exact; Newton steps correct its end.
 """

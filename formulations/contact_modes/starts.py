@@ -131,8 +131,9 @@ def thrown_plans(
     """Return constant-input motions that press a new contact and end below a final cost.
 
     The cheapest is first. The inputs are a seeded Kronecker lattice (steps 1/g, 1/g^2, .. with
-    g^(nu+1) = g + 1) over their bounds and a half, a quarter and an eighth of these. idle (nc,) [-]
-    are contacts that are pressed without inputs. Raises ValueError for a wrong number of contacts.
+    g^(nu+1) = g + 1). The lattice covers the bounds, and a half, a quarter and an eighth of them.
+    idle (nc,) [-]: contacts that are pressed without inputs. Raises ValueError for a wrong number
+    of contacts.
     """
     task, (lower, upper) = scene.task, input_range(scene)
     roots = np.roots([1.0, *[0.0] * (scene.nu - 1), -1.0, -1.0])

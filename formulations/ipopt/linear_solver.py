@@ -106,8 +106,8 @@ def settings(name: str, value: str | int | float) -> tuple[tuple[str, str | int 
 
 
 # MUMPS permutes the KKT matrix before ordering it. The tiny softplus slopes on the diagonal then
-# destroy the band of time steps: 10 carts at T = 500 take 1.1 instead of 0.04 CPU s an iteration,
-# and 31 instead of 7 iterations.
+# destroy the band of time steps. Ten carts at T = 500 then take 1.1 instead of 0.04 CPU s an
+# iteration, and 31 instead of 7 iterations.
 _KEEP_THE_BAND = {"mumps_permuting_scaling": 0}
 
 

@@ -114,11 +114,11 @@ _REFUSED = MappingProxyType({
 })  # fmt: skip
 
 # Ipopt's own defaults hold otherwise; alternatives needed more iterations on the softplus carts
-# (500 steps, eps = 1e-3, 1e-5, 1e-7, straight-line start). Default: 7, 30, 95;
-# mu_strategy=adaptive: 5, 32, none within 30 s; limited-memory Hessian: 11, 41, 290; mu_init=1e-2:
-# 7, 37, 228; least_square_init_primal=yes: 18, 31, 28 (an alternative for stiff problems with a
-# distant start). `sb` and `print_level` silence the terminal. An empty `option_file_name` ignores
-# an ipopt.opt in the working directory.
+# (500 steps, eps = 1e-3, 1e-5, 1e-7, straight-line start). Default: 7, 30, 95.
+# `mu_strategy=adaptive`: 5, 32, none within 30 s. `limited-memory` Hessian: 11, 41, 290.
+# `mu_init=1e-2`: 7, 37, 228. `least_square_init_primal=yes`: 18, 31, 28 (an alternative for stiff
+# problems with a distant start). `sb` and `print_level` silence the terminal. An empty
+# `option_file_name` ignores an ipopt.opt in the working directory.
 DEFAULTS: Mapping[str, str | int | float] = MappingProxyType(
     {"print_level": 0, "sb": "yes", "option_file_name": ""}
 )

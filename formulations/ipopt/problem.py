@@ -131,11 +131,11 @@ class Evaluations:
 class IpoptProblem:
     """A compiled model of n variables and m constraints, with the numbers of the last `refresh()`.
 
-    objective_data: the active objective, of which sense * value is minimised, or None
-    variables, equations: Pyomo variables by column, constraints by row
-    trivial: constraints without a variable
-    lower, upper: (n,)
-    constraint_lower, constraint_upper: (m,)
+    - objective_data: the active objective, of which sense * value is minimised, or None
+    - variables, equations: Pyomo variables by column, constraints by row
+    - trivial: constraints without a variable
+    - lower, upper: (n,)
+    - constraint_lower, constraint_upper: (m,)
     """
 
     def __init__(self, model: Any) -> None:

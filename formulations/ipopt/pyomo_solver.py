@@ -101,11 +101,11 @@ _CONDITIONS = MappingProxyType({
 class PyomoAnswer:
     """The answer of a solver in the form of Pyomo's results, suffixes and models.
 
-    result: the solver's own result, with outcome, message, objective and iterations
-    is_feasible: whether the point is known to satisfy the model
-    x: (n,) values of `variables`, or None without a usable point
-    multipliers: dual (m,) of `equations`, zL, zU (n,) in Pyomo's signs, or None
-    pair_multipliers: (complementarity, multipliers of its two arguments), in the same signs
+    - result: the solver's own result, with outcome, message, objective and iterations
+    - is_feasible: whether the point is known to satisfy the model
+    - x: (n,) values of `variables`, or None without a usable point
+    - multipliers: dual (m,) of `equations`, zL, zU (n,) in Pyomo's signs, or None
+    - pair_multipliers: (complementarity, multipliers of its two arguments), in the same signs
     """
 
     result: Any

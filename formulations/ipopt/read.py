@@ -87,7 +87,7 @@ _ONE = ("c", 1.0)
 _WIDE_SUM = 16
 # Nodes inspected in the search for a wide sum.
 _SHORT_LOOK = 64
-# After this many repeated summands, sums are left to the reader of shared terms: a sum repeated
+# After this many repeated summands, sums are left to the reader of shared terms. A sum repeated
 # inside one expression (e = e + 0.1 * e, sixty times) is a small graph but a huge tree.
 _REPEATED = 100_000
 # A term with more tokens is read as a shared term: repeated substitution (x_next = f(x), five

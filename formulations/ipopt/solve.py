@@ -36,9 +36,9 @@ from formulations.ipopt.result import (
 from formulations.ipopt.slopes import endless_slope
 from formulations.solution import Outcome, Seconds
 
-# Limits of the initial barrier parameter of a primal-dual start: Ipopt's default first value, and
-# roughly its last value.
+# Largest initial barrier parameter of a primal-dual start: Ipopt's default first value.
 _MU_LARGEST = 0.1
+# Smallest initial barrier parameter: roughly Ipopt's last value.
 _MU_SMALLEST = 1e-9
 
 
@@ -172,6 +172,7 @@ def run(
 # random quadratic programs with repeated equations 21 did not converge, 18 of them with multipliers
 # above this limit; only one converged problem exceeded it. With perturb_always_cd all converged.
 _ENDLESS = 1e8
+# Ipopt's status of a failed restoration.
 _RESTORATION = -2
 # Ipopt reports divergence when a variable exceeds 1e20. An objective that diverges too is below
 # -1e8 in any unit.

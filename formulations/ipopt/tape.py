@@ -59,12 +59,13 @@ class Tape:
     ) -> None:
         """Add scale times each output to its place in `total`, NaN or inf if a term has no number.
 
-        x: (n,) point
-        columns: (variables, instances) place in x of each variable
-        data: (data, instances) rows of the hoisted nodes
-        scale: (instances,)
-        place: (outputs, instances) place in `total` of each output; negative places are skipped
-        total: (m,) changed in place
+        - x: (n,) point
+        - columns: (variables, instances) place in x of each variable
+        - data: (data, instances) rows of the hoisted nodes
+        - scale: (instances,)
+        - place: (outputs, instances) place in `total` of each output; negative places are skipped
+        - total: (m,) changed in place
+
         Arrays are contiguous, of float64 or int32; sizes are not checked. Raises MachineError
         without a C compiler, MemoryError if the registers do not fit into memory.
         """

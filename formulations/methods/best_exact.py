@@ -56,8 +56,8 @@ _SHOT = SHOT.legs[0]
 # Relative difference of equal costs.
 _SAME = 1e-9
 # Departure that ends the refinement; the rest is for the judge's own error and unmeasured
-# quantities. push_box departs by 1.64, 0.80 and 0.31 on its grid and on steps a half and a quarter
-# as long, hopper_planar by 1.005 and 0.53.
+# quantities. `push_box` departs by 1.64, 0.80 and 0.31 on its grid and on steps a half and a
+# quarter as long. `hopper_planar` departs by 1.005 and 0.53.
 _CLEARLY = 0.75
 # Pipelines skipped if mpcc has a plan that is followed.
 _WITHOUT_MODES = (RELAXED_WALK, SOFTLY_SHOT)

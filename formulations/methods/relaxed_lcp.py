@@ -2,8 +2,8 @@
 
 Plans for a smaller eps are feasible for a larger one, so a failed start is not tried again below.
 The first stage of a long horizon is solved on coarser grids before. A cold start that makes no
-progress begins at ten times the eps and returns from there: two_finger_lift at 1e-2 finds no plan
-in 1000 iterations directly, but by 1e-1 in 219.
+progress begins at ten times the eps and returns from there. On two_finger_lift a start at 1e-2
+finds no plan in 1000 iterations directly, but by 1e-1 in 219.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from formulations.transcription.homotopy import Stage
 
 
-# Limits of work: successful stages of the bank took up to 3.9e6 from a cold start (two_finger_lift)
-# and 2.6e6 from a plan (two_discs_wall).
+# Limit of work from a cold start: successful stages of the bank took up to 3.9e6 (two_finger_lift).
 _COLD = Work(5e6, 1000)
+# Limit of work from a plan: successful stages of the bank took up to 2.6e6 (two_discs_wall).
 _WARM = Work(3e6, 400)
 # Iterations after which a cold start begins softer: fast scenes take 18 to 102, the rest 222 to
 # more than 1312.

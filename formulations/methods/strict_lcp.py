@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 _TIGHTENING = 1e-2
 # Last bound: below it Ipopt's tolerance (1e-8) is coarser.
 _LAST_BOUND = 1e-8
-# First bound of the attack in nonlinear scenes: two fingers that carry a disc take 63, 60 and 13
-# iterations at 1e-2, 1e-3 and 1e-4, and fail after 500 at 1e-4 directly.
+# First bound of the attack in nonlinear scenes. Two fingers that carry a disc take 63, 60 and 13
+# iterations at 1e-2, 1e-3 and 1e-4. At 1e-4 directly they fail after 500.
 _FIRST_BOUND = 1e-2
 # Factor between two of these bounds.
 _NARROWING = 0.1

@@ -308,11 +308,11 @@ def _krylov(hessian: sparse.csr_matrix, rows: sparse.csr_matrix) -> np.ndarray:
 class Branch:
     """A solved branch.
 
-    closed: (pairs,) True if v is fixed at 0, else w is
-    x, lagrange: (n,), (m,), refined
-    biactive: (pairs,) both sides 0
-    multipliers: (pairs,) of the fixed side of each pair
-    slope: (n,) of `_bound_multipliers`
+    - closed: (pairs,) True if v is fixed at 0, else w is
+    - x, lagrange: (n,), (m,), refined
+    - biactive: (pairs,) both sides 0
+    - multipliers: (pairs,) of the fixed side of each pair
+    - slope: (n,) of `_bound_multipliers`
     """
 
     closed: np.ndarray
@@ -345,9 +345,9 @@ class Branching:
         self._columns = work.branches
         self._known: dict[bytes, Branch | None] = {}
         self.last: IpoptResult | None = None
-        # Whether some branch is unbounded.
+        # True if some branch is unbounded.
         self.unbounded = False
-        # Whether the last branch of `past_saddle` has negative curvature, without a better branch.
+        # True if the last branch of `past_saddle` has negative curvature, without a better branch.
         self.curves_down = False
         self._size = work.branches.problem.slope_size_nearby(work.branch_point(start))
 
@@ -533,7 +533,7 @@ class Branching:
         low, high, row_low, row_high = (bound.copy() for bound in self._columns.bounds)
         held = np.where(closed, columns.first, columns.second)
         high[held] = np.minimum(high[held], 0.0)
-        # If v equals a user's variable u, both are fixed and the row between them is dropped: its
+        # If v equals a user's variable u, both are fixed and the row between them is dropped. Its
         # tolerance would allow x = 5e-13, y = 2e12 with x y >= 1. Both bounds are one side.
         twins = closed & (columns.twin >= 0)
         high[columns.twin[twins]] = np.minimum(high[columns.twin[twins]], 0.0)

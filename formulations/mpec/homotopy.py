@@ -31,11 +31,13 @@ from formulations.solution import Outcome
 
 # First factor of eps.
 _FIRST_FACTOR = 0.1
-# Limits of the factor.
+# Smallest factor.
 _BOLDEST = 1e-3
+# Largest factor.
 _MOST_CAREFUL = 0.5
-# A step of fewer iterations enlarges the next step, one of more shortens it.
+# A step of fewer iterations enlarges the next step.
 _FEW = 15
+# A step of more iterations shortens the next step.
 _MANY = 120
 # eps has no effect if its product with this exceeds all products v w; after two such steps in a row
 # eps falls to the products. (After one step a restart may find a better solution: water-net ends at
@@ -45,9 +47,9 @@ _IDLE = 1e-2
 _RETRIES = 3
 # Failed steps in total that end the path.
 _FAILURES = 8
-# Factors of eps that retry a failed first step: a looser relaxation is easier to satisfy, a tighter
-# one may be bounded.
+# Factor of eps after a failed first step: a looser relaxation is easier to satisfy.
 _LOOSER = 100.0
+# Factor of eps after a first step that diverged: a tighter relaxation may be bounded.
 _TIGHTER = 1e-2
 # Iterations of the first step of a trial path.
 _TRIAL = 100
@@ -56,10 +58,10 @@ _TRIAL = 100
 class Columns:
     """Positions of variables and rows in a compiled problem.
 
-    bounds: of variables (n,), (n,) and rows (m,), (m,), as compiled
-    first, second: columns of each pair
-    twin: the column of the user's variable equal to first[k], or -1
-    twin_row: the row of that equality
+    - bounds: of variables (n,), (n,) and rows (m,), (m,), as compiled
+    - first, second: columns of each pair
+    - twin: the column of the user's variable equal to first[k], or -1
+    - twin_row: the row of that equality
     """
 
     def __init__(self, problem: IpoptProblem, lifted: Lifted) -> None:

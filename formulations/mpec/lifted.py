@@ -5,9 +5,12 @@
 The shadow references the user's rows and is otherwise independent; the user's model is never
 written. Pairs come from `mpec.simple_nonlinear`: `v`, its equation `ve`, the product `ccon`: v w <=
 mpec_bound, a mutable Param. complements(a, b) means: both relations hold, and one inequality holds
-with equality. It has one finite bound on each side, or two on one side (a box: l <= body <= u with
-a free expression that is >= 0 at l, <= 0 at u, 0 between), or an equality, which leaves nothing to
-choose.
+with equality. The arguments have one of these forms:
+
+- one finite bound on each side
+- two bounds on one side (a box): l <= body <= u with a free expression that is >= 0 at l, <= 0 at
+  u, 0 between
+- an equality, which leaves nothing to choose
 """
 
 from __future__ import annotations
@@ -102,13 +105,13 @@ def _distance(relation: Relation) -> tuple[Any, float]:
 class LiftedPair:
     """Two variables v, w >= 0 of the shadow, one of which is 0.
 
-    data: the transformed Complementarity with `v`, `ve`, `ccon`
-    second: w
-    condition: the user's Complementarity
-    twin: the user's variable that v equals, if the first side is a variable with lower bound 0
-    swapped: whether v is the side of the second argument
-    sides: for v and w, the argument of `complements` that has its multiplier, and the sign (0:
-        none)
+    - data: the transformed Complementarity with `v`, `ve`, `ccon`
+    - second: w
+    - condition: the user's Complementarity
+    - twin: the user's variable that v equals, if the first side is a variable with lower bound 0
+    - swapped: whether v is the side of the second argument
+    - sides: for v and w, the argument of `complements` that has its multiplier, and the sign (0:
+      none)
     """
 
     data: Any

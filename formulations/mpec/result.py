@@ -152,17 +152,17 @@ class PairState:
 class MpecResult:
     """The result of a solve; objective in the model's own sense.
 
-    variables, x: (n,) the user's variables and their values
-    rows, lagrange: (m,) the user's constraints and their multipliers in Ipopt's signs, or NaN
-    zl, zu: (n,) of the bounds, or NaN
-    polished: every pair is decided, and the branch solved exactly
-    has_multipliers: False without polish, or if the branch's multipliers do not fit the point
-    residual: largest min of a pair
-    pair_multipliers: (complementarity, multipliers of its two arguments): the change of the
-        objective when the bound of the argument grows
-    attempts: by strategy and start; the best is the answer
-    steps: of all paths
-    certificate: recomputed from the model (None if switched off)
+    - variables, x: (n,) the user's variables and their values
+    - rows, lagrange: (m,) the user's constraints and their multipliers in Ipopt's signs, or NaN
+    - zl, zu: (n,) of the bounds, or NaN
+    - polished: every pair is decided, and the branch solved exactly
+    - has_multipliers: False without polish, or if the branch's multipliers do not fit the point
+    - residual: largest min of a pair
+    - pair_multipliers: (complementarity, multipliers of its two arguments): the change of the
+      objective when the bound of the argument grows
+    - attempts: by strategy and start; the best is the answer
+    - steps: of all paths
+    - certificate: recomputed from the model (None if switched off)
     """
 
     outcome: Outcome

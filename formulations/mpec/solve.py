@@ -65,11 +65,11 @@ _EARLY_RESIDUAL = 1e-3
 _DECIDED = 1e-6
 # Multipliers with a larger relative residual are not returned.
 _WRONG_MULTIPLIERS = 1e-4
-# Iterations after the first success, as a multiple of those before it, per start: for problems of
-# at most `search` pairs, and for larger ones. With more than LARGE pairs the factor is 1 for each
-# further start, and nothing otherwise: none of 8 problems with 832 to 1748 pairs improved by
-# another strategy.
+# Iterations after the first success, as a multiple of those before it, per start, for problems of
+# at most `search` pairs.
 _SMALL_WORK = 1.0
+# The same for larger problems. With more than LARGE pairs the factor is 1 for each further start,
+# and nothing otherwise: none of 8 problems with 832 to 1748 pairs improved by another strategy.
 _WORK = 3.0
 # Limit of iterations times entries of derivatives, some 8 CPU s; also for the nearest branches.
 _ENTRIES = 1e7

@@ -26,10 +26,10 @@ from models.errors import nearest
 class Strategy(ABC):
     """A relaxation of all pairs.
 
-    first, last: default range of eps
-    warm_below: eps below which a step reuses the multipliers of the previous step
-    bounds_products: whether eps is an upper bound of v w
-    eps_is_weight: whether 1 / eps is the weight of a penalty
+    - first, last: default range of eps
+    - warm_below: eps below which a step reuses the multipliers of the previous step
+    - bounds_products: whether eps is an upper bound of v w
+    - eps_is_weight: whether 1 / eps is the weight of a penalty
     """
 
     name: str
@@ -134,10 +134,10 @@ STRATEGY_NAMES = tuple(STRATEGIES)
 # (85, 78, 6432) were never best.
 FALLBACKS = ("smoothing", "scholtes", "l1_penalty")
 # Above LARGE pairs smoothing has a trial step only (`Path.points`), and l1_penalty is next. The
-# trial takes 16 to 40 iterations on a membrane of 1024 pairs and on three_cart, where smoothing is
-# fastest. On MacMPEC's packings of 961 pairs it fails after 240 to 500 iterations, four times (24
-# CPU s); l1_penalty decides these after 80 to 220 (6 to 15 CPU s), scholtes takes 7 CPU s or fails
-# after 44.
+# trial takes 16 to 40 iterations on a membrane of 1024 pairs and on three_cart, the cases in which
+# smoothing is fastest. On MacMPEC's packings of 961 pairs the trial fails after 240 to 500
+# iterations, four times (24 CPU s). `l1_penalty` decides these after 80 to 220 iterations (6 to 15
+# CPU s). `scholtes` takes 7 CPU s or fails after 44 iterations.
 LARGE = 300
 _OF_LARGE = ("smoothing", "l1_penalty", "scholtes")
 
@@ -146,19 +146,19 @@ _OF_LARGE = ("smoothing", "l1_penalty", "scholtes")
 class MpecSettings:
     """Settings of a solve.
 
-    strategy: "auto" tries FALLBACKS in order and keeps the best certified answer
-    starts: number of starts: the model's values, then random points around them, by seed
-    work: Ipopt iterations after the first success, as a multiple of those before; 0: stop there;
-        None: 1 a start with at most `search` pairs, 3 with up to LARGE, limited to some 8 CPU s;
-        above LARGE 1 a further start
-    eps_start, eps_end: range of eps (None: the strategy's own)
-    complementarity_tolerance: largest min(v, w) of a pair that is complementary without polish
-    polish: decide every pair and solve the branch exactly
-    certificate: recompute residuals and stationarity from the model
-    max_biactive: largest number of undecided pairs for which all combinations are tried
-    search: largest number of pairs for which neighbouring branches are tried
-    step_iterations: iterations of Ipopt for one eps
-    ipopt: options for Ipopt
+    - strategy: "auto" tries FALLBACKS in order and keeps the best certified answer
+    - starts: number of starts: the model's values, then random points around them, by seed
+    - work: Ipopt iterations after the first success, as a multiple of those before; 0: stop there.
+      None: 1 a start with at most `search` pairs, 3 with up to LARGE, limited to some 8 CPU s.
+      Above LARGE pairs None is 1 a further start
+    - eps_start, eps_end: range of eps (None: the strategy's own)
+    - complementarity_tolerance: largest min(v, w) of a pair that is complementary without polish
+    - polish: decide every pair and solve the branch exactly
+    - certificate: recompute residuals and stationarity from the model
+    - max_biactive: largest number of undecided pairs for which all combinations are tried
+    - search: largest number of pairs for which neighbouring branches are tried
+    - step_iterations: iterations of Ipopt for one eps
+    - ipopt: options for Ipopt
     """
 
     strategy: str = "auto"
@@ -186,7 +186,10 @@ _OWN = {item.name: item for item in fields(MpecSettings) if item.name != "ipopt"
 
 
 def read_settings(options: Mapping[str, Any]) -> MpecSettings:
-    """Split options into those of MpecSettings and Ipopt's; raise UnknownOptionError with advice for a wrong one."""
+    """Split options into those of MpecSettings and those of Ipopt.
+
+    Raise UnknownOptionError with advice for a wrong option.
+    """
     own = {name: value for name, value in options.items() if name in _OWN}
     ipopt = {
         name: value for name, value in options.items() if name not in _OWN and name != "solver"

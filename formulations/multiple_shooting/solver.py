@@ -199,13 +199,12 @@ def _library() -> ctypes.CDLL:
 class Stages:
     """The data of the subproblem, and its solution (riccati.c).
 
-    A (steps, nx, nx), B (steps, nx, nu), gap (steps, nx): the linearised steps
-    lx (steps, nx), lu (steps, nu), lxx (steps, nx, nx), lux (steps, nu, nx), luu (steps, nu, nu):
-    the
-        cost of the stages
-    px (nx,), pxx (nx, nx): the cost of the end
-    k (steps, nu), K (steps, nu, nx): du = k + K dx
-    Vx (steps+1, nx): slope of the value, the multiplier of each gap
+    - A (steps, nx, nx), B (steps, nx, nu), gap (steps, nx): the linearised steps
+    - lx (steps, nx), lu (steps, nu): gradients of the cost of the stages
+    - lxx (steps, nx, nx), lux (steps, nu, nx), luu (steps, nu, nu): second derivatives of that cost
+    - px (nx,), pxx (nx, nx): the cost of the end
+    - k (steps, nu), K (steps, nu, nx): du = k + K dx
+    - Vx (steps+1, nx): slope of the value, the multiplier of each gap
     """
 
     def __init__(self, steps: int, nx: int, nu: int) -> None:
@@ -281,12 +280,15 @@ _SUFFICIENT = 1e-4
 _SHORTEST = 2.0**-12
 # nu relative to the largest multiplier of a gap.
 _NU = 1.5
-# Shift of the inputs' Hessian, relative to its size.
+# First shift of the inputs' Hessian, relative to its size.
 _FIRST_SHIFT = 1e-6
+# Largest shift, relative to the Hessian's size.
 _LARGEST_SHIFT = 1e12
+# Factor between two shifts.
 _SHIFT_GROWTH = 10.0
 # Ratio of goal errors between updates; a larger one multiplies the weight by ten.
 _SLOW = 0.25
+# Largest weight.
 _HEAVIEST = 1e12
 # Consecutive steps of too little gain that end the iterations: a kink.
 _CRAWL = 10

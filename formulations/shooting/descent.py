@@ -254,9 +254,9 @@ class Losses:
 class Descent:
     """The result of a descent.
 
-    u: (steps, nu), the last plan for a given number of iterations, else the best one; may be None
-    gradient_norm: of the loss at u
-    history: columns of equal length, one row before each step and one at the end
+    - u: (steps, nu), the last plan for a given number of iterations, else the best one; may be None
+    - gradient_norm: of the loss at u
+    - history: columns of equal length, one row before each step and one at the end
     """
 
     outcome: Outcome

@@ -35,10 +35,10 @@ def friction_forces(s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor | N
 
     Sweeps without derivatives find the forces; a Newton step on the equations that hold makes them
     differentiable twice, away from the corners between stick and slip.
-    s0: (.., nf) [m/s], slips at the end of the step without friction
-    hw: (.., nf, nf) [m/s/N], h W
-    limit: (.., nf) [N], mu N
-    steepness: (nf,) [s/m], c of the regularised law; None for Coulomb's
+    - s0: (.., nf) [m/s], slips at the end of the step without friction
+    - hw: (.., nf, nf) [m/s/N], h W
+    - limit: (.., nf) [N], mu N
+    - steepness: (nf,) [s/m], c of the regularised law; None for Coulomb's
     """
     nf = s0.shape[-1]
     rows = [
@@ -125,10 +125,11 @@ def reference_rollout(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Simulate lam[t] = L(phi(q[t])), v[t+1] = v[t] + h M^-1 (tau + J' lam), q[t+1] = q[t] + h v.
 
-    u: (.., steps, nu) [N, N m], inputs
-    start: (.., 2*nq) [m, rad, m/s, rad/s], with the dtype and device of the rollout
-    step: h [s], by default the task's
-    law, eps: contact law, and eps of softplus [-]
+    - u: (.., steps, nu) [N, N m], inputs
+    - start: (.., 2*nq) [m, rad, m/s, rad/s], with the dtype and device of the rollout
+    - step: h [s], by default the task's
+    - law, eps: contact law, and eps of softplus [-]
+
     Return q (.., steps+1, nq) [m, rad], v (.., steps+1, nq) [m/s, rad/s] and lam (.., steps, nc+nf)
     [N], contact forces before friction forces.
     """

@@ -197,12 +197,15 @@ def _families(block: Any) -> list[tuple[Any, Any]]:
 def hold_modes(block: Any, closed: np.ndarray) -> None:
     """Fix every pair of a relaxed block, and switch the products off.
 
-    closed (steps, nc + 2 nf + springs + switches) [-]: whether each contact is closed (lam = k phi,
-    else 0), may slip forward (f = -mu N) and backward, then spring and switch of each damped
-    contact. The rest is a convex quadratic program for a linear scene without friction. Friction of
-    an open contact is never fixed: it has no force and any slip. Raises ValueError for modes of
-    another
-        shape.
+    closed (steps, nc + 2 nf + springs + switches) [-]: the modes of each step, in this order:
+
+    - whether each contact is closed (lam = k phi, else 0)
+    - whether it may slip forward (f = -mu N) and backward
+    - spring and switch of each damped contact
+
+    The rest is a convex quadratic program for a linear scene without friction. Friction of an open
+    contact is never fixed: it has no force and any slip. Raises ValueError for modes of another
+    shape.
     """
     for _, pair in pairs(block):
         pair.ccon.deactivate()
@@ -381,8 +384,12 @@ def add_friction(
                                  0 <= s_backward  complements  mu N - f >= 0
 
     Only the slip at the end lets a step stick. In the plane complementarity is the model of Stewart
-    and Trinkle (maximal dissipation) with one variable less. sharpness: b of the regularised law,
-    or None; plan: q, v (nodes) and lam (steps) as variables. Return the variables f[t][friction].
+    and Trinkle (maximal dissipation) with one variable less.
+
+    - sharpness: b of the regularised law, or None
+    - plan: q, v (nodes) and lam (steps) as variables
+
+    Return the variables f[t][friction].
     """
     q, v, lam = plan
     names = [friction.name for friction in scene.frictions]

@@ -28,8 +28,9 @@ __all__ = ["ContactFormulation", "Homotopy", "Stage", "band_options"]
 # Factor of the sharpness at the first step of a walk. Steps of transport take 8 to 42 iterations
 # with 1.4 or 2.
 _FACTOR = 2.0
-# Limits of the factor.
+# Smallest factor.
 _LEAST = 1.2
+# Largest factor.
 _LARGEST = 16.0
 # A step of fewer iterations squares the factor.
 _FEW = 30

@@ -105,9 +105,9 @@ def first_eps_option(upper: float, unit: str = "1") -> Any:
     return option(0.0, words, unit=unit, lower=0.0, upper=upper)
 
 
-# Ipopt's defaults of 0.1 and 0.01 start a complementarity model so close to its bounds (no force,
-# no separation) that it progresses slowly: 428 iterations to the first relaxed plan of the three
-# carts, 78 from an interior start.
+# Ipopt's defaults of 0.1 and 0.01 start a complementarity model close to its bounds (no force, no
+# separation), and progress is slow. The first relaxed plan of the three carts takes 428 iterations,
+# and 78 from an interior start.
 @dataclass(frozen=True, kw_only=True)
 class BarrierOptions(TranscriptionOptions):
     """Options of a complementarity model, including Ipopt's initial distance from the bounds."""
@@ -148,13 +148,14 @@ class Work:
 class StageRules:
     """The rules of a stage at one eps.
 
-    ipopt: options of every solve
-    cold: more options, for a start without a plan
-    cold_work, warm_work: limit of one solve (None: only `max_iter`)
-    takes_duals: whether a stage starts with the multipliers of the previous stage too
-    sharpest: sharpness b [1/m] of softplus contact as far from the true law as the method's contact
-    plan_limits: largest residuals of an unsolved last iterate that counts as a plan
-    promises: largest residuals of a SOLVED plan
+    - ipopt: options of every solve
+    - cold: more options, for a start without a plan
+    - cold_work, warm_work: limit of one solve (None: only `max_iter`)
+    - takes_duals: whether a stage starts with the multipliers of the previous stage too
+    - sharpest: sharpness b [1/m] of softplus contact as far from the true law as the method's
+      contact
+    - plan_limits: largest residuals of an unsolved last iterate that counts as a plan
+    - promises: largest residuals of a SOLVED plan
     """
 
     ipopt: Mapping[str, object]

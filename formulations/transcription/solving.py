@@ -94,7 +94,7 @@ def plan_with_goal_released(
             w the cost of the first guess, at least 1, and larger if needed
 
     From the paper's first guess the goal is a distant constraint. The first steps may drive bodies
-    past each other; contact then depends on no input and the multipliers of the goal diverge: two
+    past each other. Contact then depends on no input and the multipliers of the goal diverge. Two
     fingers that lift a disc had no plan after 3000 iterations. The penalty takes 42, the goal from
     there 17. The same applies to local infeasibility: the cart and pole ended 0.06 short after 179
     iterations, and has a plan after 85 more.
@@ -158,10 +158,10 @@ def nearest(
         minimise  sum over the state of ((x_T - goal) / nominal)^2
             subject to start, time step, contact and input bounds
 
-    All inputs within bounds are feasible, so Ipopt needs no restoration, in which it can spend its
-    whole time limit if the goal is out of reach (three carts, inputs bounded by 0.3 N, T = 500: no
-    result after 1600 iterations, here 0.42 m in 280). The result is local. max_iterations counts
-    all solves in the budget; sharpest is the largest b [1/m].
+    All inputs within bounds are feasible, so Ipopt needs no restoration. Restoration can take the
+    whole time limit if the goal is out of reach. Three carts with inputs bounded by 0.3 N, T = 500
+    had no result after 1600 iterations, here 0.42 m in 280. The result is local. max_iterations
+    counts all solves in the budget; sharpest is the largest b [1/m].
     """
     model: Any = build_model(scene, ContactFormulation.SOFTPLUS, eps=0.5)
     # A free end leaves only the constraints.
@@ -224,8 +224,8 @@ def _measured(scene: Scene, plan: Trajectory, is_solved: bool) -> Nearest:
 
 # Iteration limit with fixed modes: those with a plan are solved in 6 to 20 iterations.
 _MODE_ITERATIONS = 100
-# The start is close to the plan; Ipopt's default barrier (0.1) would push it away from every bound:
-# two fingers that lift a disc end in restoration, with this one they need 23 iterations.
+# The start is close to the plan. Ipopt's default barrier (0.1) would push it away from every bound.
+# Two fingers that lift a disc end in restoration; with this barrier they need 23 iterations.
 _NEAR = {"mu_init": 1e-4, "bound_push": 1e-6, "bound_frac": 1e-6}
 # A pair with both forces [N] below this is undecided; well above Ipopt's 1e-8, far below any force
 # that moves a cart.

@@ -1,6 +1,6 @@
 """A scene: the physics of a few bodies in contact, and the task to plan, written once in SymPy.
 
-What is checked of it, and where scenes are found.
+The package also checks scenes and finds their files.
 """
 
 from models.scene.contacts import Contact, DampingLaw, Friction

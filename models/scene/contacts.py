@@ -8,19 +8,19 @@
     # pressed by a given force
     Friction(name="belt", slip=v_cargo - v_cart, coefficient=mu, normal_force=m * g)
 
-Friction is that of the plane: one tangential direction, Coulomb's law. With the slip speed s = S(q)
-v and the pressing force N >= 0 the friction force f acts as the generalised force S' f and obeys
-maximal dissipation: it minimises f s over |f| <= mu N. So f = -mu N sign(s) where it slips; where
-it sticks, s = 0 and f is whatever keeps it there.
+Friction acts in the plane: one tangential direction, Coulomb's law. The slip speed is s = S(q) v,
+the pressing force N >= 0. The friction force f acts as the generalised force S' f and obeys maximal
+dissipation: f minimises f s over |f| <= mu N. So f = -mu N sign(s) if the contact slips. If the
+contact sticks, s = 0 and f is the force that keeps it there.
 
 Damping is part of the normal force. With the penetration phi and its rate phi' = -J v:
 
-    Kelvin-Voigt     lam = max(k phi + c phi', 0)     where phi > 0, else 0
-    Hunt-Crossley    lam = k phi max(1 + d phi', 0)   where phi > 0, else 0
+    Kelvin-Voigt     lam = max(k phi + c phi', 0)     if phi > 0, else 0
+    Hunt-Crossley    lam = k phi max(1 + d phi', 0)   if phi > 0, else 0
 
-Neither pulls: a contact that opens faster than its spring follows is released, lam = 0, before phi
-is. The force of Kelvin-Voigt jumps to c phi' where it touches; that of Hunt-Crossley is continuous.
-The spring holds k/2 max(phi, 0)^2, and (lam - k max(phi, 0)) phi' >= 0 is dissipated.
+Neither law pulls: a contact that opens faster than its spring follows has lam = 0 before phi is 0.
+The force of Kelvin-Voigt jumps to c phi' at touch-down; that of Hunt-Crossley is continuous. The
+spring stores k/2 max(phi, 0)^2, and (lam - k max(phi, 0)) phi' >= 0 is dissipated.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from models.scene.values import (
 
 
 class DampingLaw(Enum):
-    """How a damped contact pushes; see the module docstring.
+    """The law of a damped contact; see the module docstring.
 
     The value is the number of the law in the generated C.
     """
@@ -52,7 +52,7 @@ class DampingLaw(Enum):
 
     @property
     def unit(self) -> str:
-        """Of the coefficient."""
+        """Return the unit of the coefficient."""
         return "N s/m" if self is DampingLaw.KELVIN_VOIGT else "s/m"
 
 
@@ -64,13 +64,13 @@ class Contact:
     Attributes
     ----------
     name
-        Of letters, digits and _; a plan's force is lam_NAME.
+        Letters, digits and _; the force in a plan is lam_NAME.
     penetration
         phi(q) [m], of positions and parameters; positive in contact, smooth.
     stiffness
         k [N/m], of parameters; positive.
     damping
-        Of parameters, in the unit of `damping_law`, never negative; 0: no damping.
+        Coefficient, of parameters, in the unit of `damping_law`, never negative; 0: no damping.
     damping_law
         KELVIN_VOIGT (damping in N s/m) or HUNT_CROSSLEY (damping in s/m).
     bodies
@@ -80,9 +80,9 @@ class Contact:
         Penetration at which the model ends [m], of parameters; a plan that goes deeper does not hold;
         must be given.
     depth_reason
-        Why the model ends there; must be given.
+        Reason why the model ends there; must be given.
     nominal
-        Typical penetration [m], positive: where the stability of the step is looked at.
+        Typical penetration [m], positive; the stability of the step is checked there.
     description
         Shown in reports and in the FMU.
     """
@@ -140,34 +140,34 @@ class Contact:
 
     @property
     def is_damped(self) -> bool:
-        """Whether it has a coefficient of damping other than 0."""
+        """Return whether the coefficient of damping is not 0."""
         return self.damping != 0
 
     @property
     def pressing_name(self) -> str:
-        """Name of the FMU's variable that tells whether it presses."""
+        """Return the name of the FMU's variable that is true if the contact presses."""
         return f"pressing_{self.name}"
 
     @property
     def force_name(self) -> str:
-        """Name of its force, as in the columns of a plan."""
+        """Return the name of the contact force, as in the columns of a plan."""
         return f"lam_{self.name}"
 
     @property
     def gap_name(self) -> str:
-        """Name of its gap."""
+        """Return the name of the gap."""
         return f"gap_{self.name}"
 
 
 @named_fields
 @dataclass(frozen=True, kw_only=True)
 class Friction:
-    """Coulomb friction along one tangential direction: |f| <= mu N, and f = -mu N sign(slip) if it slips.
+    """Coulomb friction in one tangential direction: |f| <= mu N; f = -mu N sign(slip) in slip.
 
     Attributes
     ----------
     name
-        Of letters, digits and _; a plan's force is friction_NAME.
+        Letters, digits and _; the force in a plan is friction_NAME.
     slip
         Speed of the surfaces on each other [m/s], linear in the velocities.
     coefficient
@@ -214,17 +214,17 @@ class Friction:
 
     @property
     def pressing(self) -> tuple[str, ...]:
-        """Names of the contacts whose forces press the surfaces together; none with a normal force."""
+        """Return the names of the contacts that press the surfaces; () for a normal force."""
         if self.contact is None:
             return ()
         return tuple(self.contact) if isinstance(self.contact, (tuple, list)) else (self.contact,)
 
     @property
     def force_name(self) -> str:
-        """Name of its force, as in the columns of a plan."""
+        """Return the name of the friction force, as in the columns of a plan."""
         return f"friction_{self.name}"
 
     @property
     def slip_name(self) -> str:
-        """Name of its slip."""
+        """Return the name of the slip."""
         return f"slip_{self.name}"

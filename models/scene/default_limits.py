@@ -1,4 +1,4 @@
-"""The limits where a scene sets none, one set for the planner and the judge.
+"""Default limits for scenes that set none, the same for the planner and the judge.
 
 limit_of(scene, "feedback_share")      # the scene's, else the default; None if waived
 """
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 REPLAY_ERROR = 1e-2
 # Root mean square of the feedback, as a share of half the range of the inputs.
 FEEDBACK_EFFORT = 0.25
-# The same as a share of the plan's own inputs, both averaged over windows.
+# Root mean square of the feedback, as a share of the plan's inputs, both averaged over windows.
 FEEDBACK_SHARE = 0.25
-# Contact impulse by which plan and replay may differ, of `impulse_yardstick`.
+# Largest difference of contact impulse between plan and replay, as a share of `impulse_yardstick`.
 IMPULSE = 0.01
 
 
@@ -43,9 +43,9 @@ def impulse_yardstick(common: float, typical_force: float, duration: float) -> f
     common
         Impulse that plan and replay have in common [N s].
     typical_force
-        Of the scene's contacts [N].
+        Typical force of the scene's contacts [N].
     duration
-        Of the plan [s].
+        Duration of the plan [s].
 
     Raises
     ------
@@ -55,7 +55,7 @@ def impulse_yardstick(common: float, typical_force: float, duration: float) -> f
 
 
 def limit_of(scene: Scene, metric: str) -> float | None:
-    """Return the limit of one number: the scene's, else the default; None if waived or not set."""
+    """Return the limit of a metric: the scene's, else the default; None if waived or not set."""
     own = scene.limit(metric)
     if own is not None:
         return own.value

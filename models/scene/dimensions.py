@@ -1,20 +1,21 @@
-"""Whether the units of a scene fit together: energies in J, forces in J per unit of their coordinate, penetrations in m ..
+"""Check that the units of a scene fit together.
 
     # "kinetic_energy: m*v**2/2 is in kg m^3/s^4, but an energy must be in J; is the unit of
     # parameter m ('N') right? 'kg' would be."
     dimension_problem(scene)
 
-Units are declared of parameters, inputs and coordinates. Numbers have none, and often hide one, as
-variables of "a mass of 1 kg" do; so nobody who leaves units out is accused:
+Energies are in J, forces in J per unit of their coordinate, penetrations in m. Parameters, inputs
+and coordinates declare units. Numbers have none, and often hide one, as in "a mass of 1 kg". Scenes
+that leave units out are accepted:
 
-- a number that is added has the unit of what it is added to (q - 2), but for 1 beside variables,
-  which may be a pure one (1 - q); alone it has any;
-- a number that multiplies is pure if formulas have it (1/2, 1/12, 2/5); any other may be a measured
-  one (9.81) and hides its unit;
-- what holds neither parameter nor input (v**2/2, 4*q) may be multiplied by 1 kg, 1 N/m ..; only
-  where a parameter multiplies it, its own sums must agree; in penetrations and slips only a number
-  beside it may hide a unit (0.2*omega), and omega alone is no slip;
-- functions that SymPy does not define hide theirs.
+- A number that is added has the unit of the other terms (q - 2). But 1 beside variables may be pure
+  (1 - q). A number alone has any unit.
+- A number that multiplies is pure if formulas have it (1/2, 1/12, 2/5). Any other may be a measured
+  number (9.81) and hides its unit.
+- A term without parameter and input (v**2/2, 4*q) may be multiplied by 1 kg, 1 N/m, .. Its own sums
+  must agree only if a parameter multiplies it. In penetrations and slips only a number beside it
+  may hide a unit (0.2*omega), and omega alone is no slip.
+- Functions that SymPy does not define hide their units.
 """
 
 from __future__ import annotations
@@ -36,22 +37,21 @@ _Powers = tuple[Fraction, ...]
 _BASES = ("kg", "m", "s")
 _PURE: _Powers = (Fraction(0),) * len(_BASES)
 
-# What takes and gives pure numbers.
+# Functions of pure numbers with pure values.
 _ELEMENTARY = tuple(function for function in FUNCTIONS if function is not sp.atan2)
-# What gives a value of its arguments.
+# Functions whose value has the unit of their arguments.
 _CHOOSING = (sp.Abs, sp.Max, sp.Min, sp.floor, sp.ceiling, sp.Mod)
 # Denominators of the numbers in formulas: moments of inertia, means, squares of halves. Their
 # numerators have one digit.
 _DENOMINATORS = (1, 2, 3, 4, 5, 6, 8, 12, 16, 24, 32, 48)
-# Names of what is met most; tried, too, where a unit is wrong.
+# Names of the most frequent units; also tried as replacements of a wrong unit.
 _NAMED = (
     *("1", "kg", "m", "s", "N", "N m", "N/m", "N s/m", "N m s", "kg m^2"),
     *("m/s", "m/s^2", "1/m", "1/s", "s/m", "m^2", "1/m^2", "N s^2/m^2"),
 )
-# Of more units than that, each of which would do, none is the likely one.
+# If more units than this would fit, none of them is suggested.
 _MOST_MENDS = 3
-# Of larger expressions nobody waits for the unit that would do: each try takes as long as the check
-# itself.
+# Larger expressions have no suggested unit: each try takes as long as the check itself.
 _MOST_PARTS = 3000
 
 _NUMBER, _BARE, _DECLARED = range(3)
@@ -59,15 +59,16 @@ _NUMBER, _BARE, _DECLARED = range(3)
 
 @dataclass(frozen=True)
 class _Mixed:
-    """A sum of variables whose units differ: something of value 1 was left out, as the arm in v + omega."""
+    """A sum of variables with different units: a factor 1 is missing, as the arm in v + omega."""
 
     words: str
 
 
 class _Found(NamedTuple):
-    """kind: whether a parameter or input takes part, or at least a variable.
+    """The unit of an expression.
 
-    powers: None where something hides its unit.
+    - kind: whether a parameter or input takes part, or at least a variable
+    - powers: None if something hides its unit
     """
 
     kind: int
@@ -75,11 +76,11 @@ class _Found(NamedTuple):
 
 
 class _MismatchError(Exception):
-    """Words: what does not fit."""
+    """Units that do not fit; the text is a clause."""
 
 
 def dimension_problem(scene: Scene) -> str | None:
-    """The first expression whose unit cannot be right, and which unit would be; None: all fit."""
+    """Return a sentence on the first expression with a wrong unit, and a fitting unit, or None."""
     asked = named_expressions(scene) + depth_expressions(scene)
     declared = [
         *(("parameter", item) for item in scene.parameters),
@@ -190,7 +191,10 @@ class _Reader:
         return _Found(kind, tuple(sum(column, Fraction(0)) for column in zip(*known, strict=True)))
 
     def _sum(self, terms: Sequence[sp.Basic]) -> _Found:
-        """Of the terms that declare their units, else of the variables; numbers are of any unit."""
+        """Return the unit of the terms that declare theirs, else of the variables.
+
+        Numbers have any unit.
+        """
         found = [(term, self.of(term)) for term in terms]
         kind = max(each.kind for _, each in found)
         of_kind = [(term, each.powers) for term, each in found if each.kind == kind]
@@ -222,7 +226,7 @@ class _Reader:
         return _Found(kind, tuple(each * by for each in powers))
 
     def _exponential(self, expression: sp.Pow) -> _Found:
-        """A power whose exponent is no number."""
+        """Return the unit of a power whose exponent is no number."""
         base, exponent = self.of(expression.base), self.of(expression.exp)
         _must_be_pure("an exponent", expression.exp, exponent)
         _must_be_pure("what is raised to a power that varies", expression.base, base)

@@ -2,10 +2,10 @@
 
     function_problem(scene)   # "forces[x] contains gamma(x), which a scene cannot use; .."
 
-Plans need derivatives. Ipopt takes those of the forces, and so the second derivatives of the
-energies. Gradients by rollouts, the error growth and the tracking gains are those of the C kernel.
-A corner has no derivative. The kernel takes one-sided slopes of Max, Abs and Piecewise in a force,
-but strict_lcp, relaxed_lcp, mpcc and collocation cannot. Nothing can use sign, Heaviside, or an
+Plans need derivatives. Ipopt uses those of the forces, and so the second derivatives of the
+energies. Rollout gradients, error growth and tracking gains use those of the C kernel. A corner has
+no derivative. The kernel uses one-sided slopes of Max, Abs and Piecewise in a force, but
+strict_lcp, relaxed_lcp, mpcc and collocation cannot. No method can use sign, Heaviside, or an
 energy with a corner.
 """
 
@@ -21,7 +21,7 @@ from sympy.core.function import ArgumentIndexError
 
 from models.scene.scene import Scene, named_expressions
 
-# Smooth functions that C99, numpy and PyTorch have. The derivatives of each are made of these functions, too.
+# Smooth functions of C99, NumPy and PyTorch. Their derivatives consist of these functions too.
 FUNCTIONS = (
     *(sp.sin, sp.cos, sp.tan, sp.asin, sp.acos, sp.atan, sp.atan2),
     *(sp.sinh, sp.cosh, sp.tanh, sp.asinh, sp.acosh, sp.atanh),
@@ -29,7 +29,7 @@ FUNCTIONS = (
 )
 _OPERATIONS = (sp.Symbol, sp.Number, sp.NumberSymbol, sp.Add, sp.Mul, sp.Pow)
 
-# Functions with corners or jumps, and what to write instead; r is the radius of the rounding, a
+# Functions with corners or jumps, and their replacements; r is the radius of the rounding, a
 # parameter.
 ROUNDED = {
     sp.Abs: "sqrt(x^2 + r^2) for Abs(x)",
@@ -43,9 +43,9 @@ ROUNDED = {
     sp.Mod: "a sine of the same period for Mod(x, y)",
 }
 _WITH_CORNERS = tuple(ROUNDED)
-# Highest order of derivatives that enter a model: Ipopt's, of the forces of an energy.
+# Highest order of derivatives in a model: Ipopt's, of the forces of an energy.
 _DERIVATIVES = 3
-# Symbols, numbers and operations of an expression that is written out.
+# Largest number of symbols, numbers and operations of an expression in a message.
 _MOST_PARTS = 300
 
 
@@ -75,9 +75,9 @@ def function_problem(scene: Scene) -> str | None:
 
 
 def shortened(expression: sp.Basic) -> str:
-    """For a sentence.
+    """Return the text of an expression for a sentence.
 
-    Of thousands of terms only the symbols are told: SymPy takes minutes to write them in order.
+    The text for thousands of terms has only their symbols: SymPy takes minutes to order the terms.
     """
     if is_longer(expression, _MOST_PARTS):
         return f"a long expression in {', '.join(sorted(str(symbol) for symbol in expression.free_symbols))}"
@@ -86,12 +86,12 @@ def shortened(expression: sp.Basic) -> str:
 
 
 def is_longer(expression: sp.Basic, parts: int) -> bool:
-    """Whether an expression has more symbols, numbers and operations than that."""
+    """Return whether an expression has more symbols, numbers and operations than `parts`."""
     return sum(1 for _ in islice(sp.preorder_traversal(expression), parts + 1)) > parts
 
 
 def _unusable(expression: sp.Expr, derivatives: int) -> Iterator[str]:
-    """Parts that cannot be written in C, of the expression and of its derivatives up to an order.
+    """Yield parts, of the expression and its derivatives up to an order, that C cannot express.
 
     A function of the scene's author is usable if its class has `_ccode` and `fdiff`.
     """

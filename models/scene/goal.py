@@ -1,4 +1,4 @@
-"""Where a plan is to end, as numbers: a component that the task leaves free is NaN, and misses nothing.
+"""The goal of a plan as numbers: a free component is NaN and has no error.
 
 goal = goal_state(scene.task)             # (2*nq,), NaN where free
 miss(end, goal)                           # end - goal, 0 where free
@@ -12,7 +12,7 @@ from models.scene import Task
 
 
 def goal_state(task: Task) -> np.ndarray:
-    """The goal as numbers.
+    """Return the goal as numbers.
 
     Parameters
     ----------
@@ -22,39 +22,39 @@ def goal_state(task: Task) -> np.ndarray:
     Returns
     -------
     np.ndarray
-        (2*nq,) positions, then velocities [m, rad, m/s, rad/s]; NaN where the end is free.
+        (2*nq,) positions, then velocities [m, rad, m/s, rad/s]; NaN for a free component.
     """
     return np.array(task.goal, dtype=float)
 
 
 def miss(end: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """How far an end is from the goal: end - goal, 0 where the goal is free.
+    """Return the error of an end: end - goal, 0 for a free component.
 
     Parameters
     ----------
     end, goal
-        All of the state (2*nq,) or its first part [m, rad, m/s, rad/s].
+        The whole state (2*nq,) or its first part [m, rad, m/s, rad/s].
 
     Returns
     -------
     np.ndarray
-        Of the same shape.
+        The errors, of the same shape and units.
 
     Raises
     ------
     ValueError
-        For ends of different lengths.
+        If the lengths differ.
     """
     return np.where(np.isnan(goal), 0.0, end - goal)
 
 
 def distance(end: np.ndarray, goal: np.ndarray) -> float:
-    """Norm of `miss`.
+    """Return the norm of `miss`.
 
     Parameters
     ----------
     end, goal
-        All of the state (2*nq,) or its first part [m, rad, m/s, rad/s].
+        The whole state (2*nq,) or its first part [m, rad, m/s, rad/s].
 
     Returns
     -------
@@ -64,6 +64,6 @@ def distance(end: np.ndarray, goal: np.ndarray) -> float:
     Raises
     ------
     ValueError
-        For ends of different lengths.
+        If the lengths differ.
     """
     return float(np.linalg.norm(miss(end, goal)))

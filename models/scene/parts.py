@@ -1,6 +1,6 @@
-"""What a scene is made of beside its contacts: coordinates, inputs, parameters, the task.
+"""The parts of a scene except its contacts: coordinates, inputs, parameters, the task.
 
-Limits of the score, known answers, drawn shapes.
+The module also contains limits of the score, known answers and drawn shapes.
 
     Coordinate(symbol=q, velocity=v, unit="m")
     Task(start=(1.0, 0.0), goal=(0.0, 0.0), running_cost=u**2, step=0.01, steps=100)
@@ -30,7 +30,7 @@ from models.scene.values import (
     settle_bounds,
 )
 
-# The shapes that are drawn, and how many lengths their size may have.
+# Kinds of drawn shapes, and the possible numbers of lengths in their size.
 _SHAPES = {"box": (2,), "disc": (1,), "line": (1,), "wall": (1, 2)}
 
 
@@ -46,7 +46,7 @@ class Limit:
     value
         Largest value, in the metric's unit; None waives the metric's default limit.
     reason
-        Why this number; may be empty unless the limit is waived.
+        Reason for this number; may be empty unless the limit is waived.
     """
 
     metric: str
@@ -66,7 +66,7 @@ class Limit:
 
 
 def limits(**stated: tuple[float | None, str]) -> tuple[Limit, ...]:
-    """Limits by their metrics, of each the value and the reason for it.
+    """Return limits by metric, each with its value and its reason.
 
     >>> limits(replay_error=(0.02, "twice what the time step leaves the continuous motion by"))
     (Limit(metric='replay_error', value=0.02, reason='twice what the time step leaves the continuous
@@ -82,9 +82,9 @@ def limits(**stated: tuple[float | None, str]) -> tuple[Limit, ...]:
 def goal_limits(
     *, position: float | None = None, velocity: float | None = None, reason: str
 ) -> tuple[Limit, ...]:
-    """How near to the goal is near enough, the same for a plan and its replay.
+    """Return the limits of the distance to the goal, the same for a plan and its replay.
 
-    None where the goal asks for none.
+    None: the goal needs no such limit.
 
     >>> [limit.metric for limit in goal_limits(position=0.02, reason="as much as the wall shall be pressed in")]
     ['terminal_position_error', 'replay_terminal_position_error']
@@ -98,7 +98,10 @@ def goal_limits(
 
 
 def known_motion_limits(energy: str) -> tuple[Limit, ...]:
-    """How near is near enough where nothing drives and the continuous motion is known in closed form. energy: why it is kept, and how much there is."""
+    """Return limits for a scene without inputs whose motion is known in closed form.
+
+    energy: reason why the energy is conserved, and its amount.
+    """
     known = "the continuous motion is known exactly: a replay that is further off than the tolerance of a closed form is wrong"
     evaluated = "the time step is evaluated, not solved for: only rounding is left"
     return limits(
@@ -114,13 +117,13 @@ class Answer:
     Attributes
     ----------
     quantity
-        What is known, in words.
+        Name of the known quantity, in words.
     value
         The known value, in the unit of the quantity.
     tolerance
         Largest difference from it, in the same unit; positive.
     source
-        Where the value is from.
+        Source of the value.
     measure
         Name of the measured quantity (validate.judge.score.measures); empty: nothing is compared.
     """
@@ -145,7 +148,7 @@ class Answer:
 @named_fields
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """How a body is drawn. A scene without shapes is planned and judged all the same.
+    """The drawing of a body; a scene without shapes is planned and judged in the same way.
 
     Attributes
     ----------
@@ -161,7 +164,7 @@ class Shape:
         (width, height) of a box, (radius,) of a disc, (length,) of a line, (length,) or
         (length, thickness) of a wall [m].
     angle
-        Turned counter-clockwise by it [rad].
+        Angle of the body, counter-clockwise [rad].
     """
 
     name: str
@@ -191,17 +194,20 @@ class Shape:
 
 
 class _Named:
-    """What has a symbol has its name."""
+    """A part that is named after its symbol."""
 
     symbol: sp.Symbol
 
     @property
     def name(self) -> str:
-        """That of its symbol."""
+        """Return the name of the symbol."""
         return self.symbol.name
 
     def _checked(self, kind: str, symbol: str = "symbol") -> str:
-        """What it is called in messages, once its symbol, of any value, has a name that may be one. symbol: the field."""
+        """Return the part's name in messages, after checking its symbol and the symbol's name.
+
+        symbol: the field of the symbol.
+        """
         where = f"{kind} {self.symbol}"
         check_moving(f"{where}: {symbol}", getattr(self, symbol))
         check_name(where, getattr(self, symbol).name)
@@ -228,9 +234,9 @@ class Parameter(_Named):
     description
         Shown in reports and in the FMU.
     uncertainty
-        How far the world may be from `value` in `robust`, in `unit`; None: a twentieth of `value`.
+        Largest deviation from `value` in `robust`, in `unit`; None: a twentieth of `value`.
     uncertainty_reason
-        Why this far; needed with an uncertainty.
+        Reason for this deviation; needed with an uncertainty.
     """
 
     symbol: sp.Symbol
@@ -311,17 +317,17 @@ class Coordinate(_Named):
 
     @property
     def has_velocity_bounds(self) -> bool:
-        """Whether its velocity has a finite bound."""
+        """Return whether the velocity has a finite bound."""
         return math.isfinite(self.velocity_lower) or math.isfinite(self.velocity_upper)
 
     @property
     def velocity_name(self) -> str:
-        """That of its velocity's symbol."""
+        """Return the name of the velocity's symbol."""
         return self.velocity.name
 
     @property
     def velocity_unit(self) -> str:
-        """Its unit a second."""
+        """Return the unit of the velocity: `unit` per second."""
         return f"{self.unit}/s"
 
 
@@ -359,7 +365,7 @@ class Input(_Named):
 @named_fields
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """From `start` to `goal` in `steps` steps of `step` seconds, at least cost.
+    """The motion from `start` to `goal` in `steps` steps of `step` seconds, at least cost.
 
     Attributes
     ----------
@@ -368,13 +374,13 @@ class Task:
     goal
         (2*nq,) the same order; None leaves a component free at the end, goal=() all of them.
     running_cost
-        Of q, v, u and parameters; summed over the starts of the steps, not integrated over time.
+        Cost of q, v, u and parameters; summed over the starts of steps, not integrated over time.
     step
         Length of a time step [s].
     steps
         Number of steps; the plan lasts steps * step.
     final_cost
-        Of q, v and parameters at the end; added to the sum once.
+        Cost of q, v and parameters at the end; added to the sum once.
     """
 
     start: tuple[float, ...]
@@ -413,10 +419,10 @@ class Task:
 
     @property
     def horizon(self) -> float:
-        """Duration T = steps * step [s]."""
+        """Return the duration T = steps * step [s]."""
         return self.steps * self.step
 
     @property
     def has_goal(self) -> bool:
-        """Whether any component of the end is given."""
+        """Return whether any component of the end is given."""
         return any(value is not None for value in self.goal)

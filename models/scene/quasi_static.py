@@ -1,22 +1,19 @@
 """Scenes without inertia: drag alone resists, D v = F(q, u), the first-order model.
 
-They are written with a mass all the same.
-
     Scene(..., relaxation_time=tau, kinetic_energy=tau * (d * v_x**2 + ..) / 2, forces=(-d * v_x, ..))
 
-Everything here steps M dv/dt = F - D v. With M = tau D that is tau dv/dt = D^-1 F - v, and tau is
-no parameter of the scene but a number of whoever uses it:
+Such a scene has a mass, because all code steps M dv/dt = F - D v. M = tau D gives tau dv/dt = D^-1
+F - v. tau is no parameter of the scene; the caller chooses it:
 
-on a grid       tau = h. Semi-implicit Euler, v' = v + h/tau (D^-1 F - v), is then v' = D^-1 F
-                exactly: the explicit Euler step of the first-order model.
-                The compiled step takes it from the step it is told (Kernel.parameters_of), be that the task's or a fiftieth of it.
-in the judge    tau = LAG, as short as an integrator bears: what is judged depends on no grid. tau
-                (v' - v0) + q' - q0 is the integral of D^-1 F, so
-                that the lag moves the motion by tau times the speed, as if its forces were asked
-                tau earlier: an error of first order in tau, which each replay measures with 2 tau
-                beside it.
+- On a grid tau = h. Semi-implicit Euler, v' = v + h/tau (D^-1 F - v), is then v' = D^-1 F exactly:
+  the explicit Euler step of the first-order model. The compiled step sets tau to its own step
+  (Kernel.parameters_of), the task's or a fiftieth of it.
+- In the judge tau = LAG, as short as an integrator bears, so that the result depends on no grid.
+  tau (v' - v0) + q' - q0 is the integral of D^-1 F. So the lag moves the motion by tau times the
+  speed, as if the forces were evaluated tau earlier. This error is of first order in tau; each
+  replay measures it by a second replay with 2 tau.
 
-`Scene.continuous()` is the scene with the short tau; scenes with inertia are their own.
+`Scene.continuous()` is the scene with the short tau; a scene with inertia is returned unchanged.
 """
 
 from __future__ import annotations
@@ -28,22 +25,22 @@ import sympy as sp
 from models.errors import SceneError
 from models.scene.parts import Coordinate, Parameter
 
-# [s] A finger of push_box at 0.4 m/s lags 8 um behind; of its plans, whose errors grow 1e5 times,
-# the replay is then off by 0.1 mm, and by 0.4 mm with feedback, a hundredth of their limit. The
-# reference (CVODE) does not feel how short it is; the everyday replay's time is as its inverse: 1
-# CPU s here.
+# Relaxation time of judged scenes [s]. A finger of push_box at 0.4 m/s lags 8 um behind. The errors
+# of its plans grow 1e5 times, so the replay is off by 0.1 mm, and by 0.4 mm with feedback, a
+# hundredth of the limit. The time of the reference (CVODE) does not depend on this lag. The time of
+# the everyday replay is proportional to its inverse: 1 CPU s here.
 LAG = 2e-5
 
 
 def relaxation_parameter(symbol: sp.Symbol, value: float) -> Parameter:
-    """The relaxation time tau of a scene, as its models have it.
+    """Return the relaxation time tau of a scene as a parameter.
 
     Parameters
     ----------
     symbol
-        What the scene gives as its relaxation_time.
+        The scene's relaxation_time.
     value
-        The task's step, or the lag of a scene that is judged [s].
+        The task's step, or the lag of a judged scene [s].
 
     Returns
     -------
@@ -66,7 +63,10 @@ def check_quasi_static(
     coordinates: Sequence[Coordinate],
     forces: Sequence[sp.Expr],
 ) -> None:
-    """Raise SceneError unless all of the mass is tau times the drag, which makes the time step v' = D^-1 F."""
+    """Raise SceneError unless all of the mass is tau times the drag.
+
+    This makes the time step v' = D^-1 F.
+    """
     velocities = sp.Matrix([coordinate.velocity for coordinate in coordinates])
     drag = sp.Matrix([sp.diff(kinetic_energy, velocity) for velocity in velocities]) / tau
     moving = {tau, *velocities, *(coordinate.symbol for coordinate in coordinates)}

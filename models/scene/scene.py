@@ -10,14 +10,14 @@
         ...
     )
 
-Everything else - Pyomo models, the PyTorch rollout, the C kernel, the FMU, the equations in the
-report - is derived from this one object. All objects are frozen. They are checked when they are
-created, the physics when a scene is loaded or first derived from (models.scene.checks); what is
-wrong is said in one sentence that names the scene and the field.
+Everything else is derived from this one object: Pyomo models, the PyTorch rollout, the C kernel,
+the FMU, the equations in the report. All objects are frozen, and checked when they are created. The
+physics is checked when a scene is loaded or first derived from (models.scene.checks). An error is
+one sentence that names the scene and the field.
 
-Sign conventions: `penetration` phi is positive in contact; the contact force lam >= 0 pushes the
-bodies apart, that is, `M(q) dv/dt = tau(q, v, u) + J(q)' lam` with J the Jacobian of the gap
-(-phi). The true contact law is `lam = stiffness * max(phi, 0)`; a contact may also have damping
+Sign conventions: `penetration` phi is positive in contact. The contact force lam >= 0 pushes the
+bodies apart: `M(q) dv/dt = tau(q, v, u) + J(q)' lam`, with J the Jacobian of the gap (-phi). The
+true contact law is `lam = stiffness * max(phi, 0)`; a contact may also have damping
 (models.scene.contacts).
 """
 
@@ -43,19 +43,19 @@ from models.scene.values import (
     settle,
 )
 
-# Words of C and of our own generated code; they and Python's may not name a quantity.
+# Words of C and of the generated code; like Python's keywords they may not name a quantity.
 _WORDS_OF_C = """
     t time h bar auto case char const default do double enum extern float goto inline int long register restrict short signed sizeof static
     struct switch typedef union unsigned void volatile
 """
 _RESERVED = frozenset((*keyword.kwlist, *_WORDS_OF_C.split()))
-# Numbers in a plan: 8 GB.
+# Largest number of values in a plan: 8 GB.
 _MOST_NUMBERS = 10**9
 
-# A name that is this much like another one is the other one misspelt.
+# Similarity from which an unknown name counts as a misspelling of another.
 _ALIKE = 0.8
 
-# What the parts of a scene are made of.
+# Types of the parts of a scene.
 _PARTS = {
     "coordinates": Coordinate,
     "inputs": Input,
@@ -69,7 +69,10 @@ _PARTS = {
 
 
 class Counted:
-    """How the parts of a model are counted and named: the same of a scene as of somebody's FMU (validate.judge.replay.subject)."""
+    """Counts and names of the parts of a model.
+
+    The model is a scene or an external FMU (validate.judge.replay.subject).
+    """
 
     coordinates: tuple[Any, ...]
     inputs: tuple[Any, ...]
@@ -79,43 +82,43 @@ class Counted:
 
     @property
     def nq(self) -> int:
-        """The number of coordinates."""
+        """Return the number of coordinates."""
         return len(self.coordinates)
 
     @property
     def nu(self) -> int:
-        """The number of inputs."""
+        """Return the number of inputs."""
         return len(self.inputs)
 
     @property
     def nc(self) -> int:
-        """The number of contacts."""
+        """Return the number of contacts."""
         return len(self.contacts)
 
     @property
     def nf(self) -> int:
-        """The number of frictions."""
+        """Return the number of frictions."""
         return len(self.frictions)
 
     @property
     def nl(self) -> int:
-        """Forces a plan holds for each step: nc contact forces, then nf friction forces."""
+        """Return the number of forces of a step: nc contact forces, then nf friction forces."""
         return self.nc + self.nf
 
     @property
     def force_names(self) -> tuple[str, ...]:
-        """(nl,) as in the columns of a plan."""
+        """Return the (nl,) names of the forces, as in the columns of a plan."""
         return tuple(item.force_name for item in (*self.contacts, *self.frictions))
 
     def limit(self, metric: str) -> Limit | None:
-        """What is said of the limit on a metric, or None: then the metric's default holds."""
+        """Return the scene's limit of a metric, or None: then the metric's default holds."""
         return next((limit for limit in self.limits if limit.metric == metric), None)
 
 
 @named_fields
 @dataclass(frozen=True, kw_only=True)
 class Scene(Counted):
-    """The physics of a few bodies in contact, and the task to plan; nq is the number of coordinates.
+    """The physics of bodies in contact, and the task to plan; nq is the number of coordinates.
 
     Attributes
     ----------
@@ -124,7 +127,7 @@ class Scene(Counted):
     title
         One line, shown in lists and reports.
     source
-        Where the equations are from.
+        Source of the equations.
     coordinates
         Positions and velocities, in the order of `start`, `goal` and `forces`.
     inputs
@@ -151,14 +154,14 @@ class Scene(Counted):
     shapes
         How the bodies are drawn.
     quick
-        Whether `all --quick` runs the scene.
+        True if `all --quick` runs the scene.
     length
-        What counts as far [m]: the range of relaxed contact at gap zero, b = |ln eps| / length.
-        Without it the smallest depth of the contacts.
+        Range of relaxed contact at gap zero [m]: b = |ln eps| / length. The default is the smallest
+        depth of the contacts.
     unstable
-        Why a robot needs feedback here whatever its plan; empty: a plan must hold by its inputs alone.
+        Reason why every plan needs feedback; empty: a plan must hold by its inputs alone.
     relaxation_time
-        Of a scene without inertia, the symbol by which its drag becomes mass (models.scene.quasi_static).
+        For a scene without inertia: symbol that turns drag into mass (models.scene.quasi_static).
     lag
         Leave it out: the judge sets it [s].
     """
@@ -217,7 +220,7 @@ class Scene(Counted):
         )
         if self.relaxation_time is not None:
             check_symbol(f"scene {self.name}: relaxation_time", self.relaxation_time)
-            # It follows the task's step, whatever was changed.
+            # The relaxation time follows every change of the task's step.
             others = tuple(item for item in self.parameters if item.symbol != self.relaxation_time)
             tau = relaxation_parameter(
                 self.relaxation_time, self.task.step if self.lag is None else self.lag
@@ -229,18 +232,18 @@ class Scene(Counted):
             settle(self, field, as_expression(f"scene {self.name}: {field}", getattr(self, field)))
         _check(self)
         if self.length is None:
-            # Softplus contact that touches pushes with ln 2/|ln eps| k L: at eps = 1e-3 with a
-            # tenth of the force at which the model of the contact ends.
+            # At gap 0 softplus contact pushes with ln 2/|ln eps| k L. At eps = 1e-3 this is a tenth
+            # of the force at which the contact model ends.
             settle(self, "length", min(self.depths, default=1.0))
 
     @property
     def damped(self) -> tuple[int, ...]:
-        """The damped contacts, by their places among the contacts."""
+        """Return the indices of the damped contacts."""
         return tuple(index for index, contact in enumerate(self.contacts) if contact.is_damped)
 
     @property
     def relaxation_index(self) -> int | None:
-        """The place of the relaxation time among the parameters, the last.
+        """Return the index of the relaxation time among the parameters, the last one.
 
         None for a scene with inertia.
         """
@@ -248,18 +251,18 @@ class Scene(Counted):
 
     @property
     def parameter_values(self) -> dict[sp.Symbol, float]:
-        """Values of the parameters, by symbol."""
+        """Return the values of the parameters by symbol."""
         return {parameter.symbol: parameter.value for parameter in self.parameters}
 
     @property
     def depths(self) -> tuple[float, ...]:
-        """(nc,) penetration of each contact at which the model ends [m], at the values of the parameters."""
+        """Return the (nc,) penetrations [m] at which the contact model ends."""
         return tuple(
             float(contact.depth.subs(self.parameter_values).evalf()) for contact in self.contacts
         )
 
     def with_parameters(self, **values: float) -> Scene:
-        """The scene with other parameter values, e.g. `scene.with_parameters(k=300.0)`.
+        """Return the scene with other parameter values, e.g. `scene.with_parameters(k=300.0)`.
 
         Raises SceneError for unknown names.
         """
@@ -280,16 +283,16 @@ class Scene(Counted):
         return replace(self, parameters=parameters)
 
     def with_task(self, **changes: Any) -> Scene:
-        """The scene with another task, e.g. `scene.with_task(steps=1000, step=0.005)`."""
+        """Return the scene with another task, e.g. `scene.with_task(steps=1000, step=0.005)`."""
         return replace(self, task=replace(self.task, **changes))
 
     def continuous(self, lag: float | None = None) -> Scene:
-        """The scene as it is judged, in continuous time.
+        """Return the scene as it is judged, in continuous time.
 
-        Itself where it has inertia, or is that already.
+        A scene with inertia, or already in continuous time, is returned unchanged.
 
         lag: the relaxation time of a scene without inertia [s]; None: LAG of
-            models.scene.quasi_static.
+        models.scene.quasi_static.
         """
         if self.relaxation_time is None or (self.lag is not None and lag is None):
             return self
@@ -297,7 +300,7 @@ class Scene(Counted):
 
 
 def _check(scene: Scene) -> None:
-    """What is checked of a new scene.
+    """Check a new scene.
 
     Raises SceneError with one sentence naming the scene and the field.
     """
@@ -395,7 +398,7 @@ def _check_lengths(scene: Scene) -> None:
 
 
 def _check_steps(scene: Scene) -> None:
-    """A plan alone must fit into memory; methods need hundreds of times as much."""
+    """Check that a plan alone fits into memory; methods need hundreds of times as much."""
     each = 1 + 2 * scene.nq + scene.nu + scene.nl
     if scene.task.steps * each > _MOST_NUMBERS:
         raise _fail(
@@ -406,11 +409,10 @@ def _check_steps(scene: Scene) -> None:
 
 
 class NamedExpression(NamedTuple):
-    """An expression of a scene: its field, as messages name it, what it is, and its unit.
+    """An expression of a scene with its field in messages, its meaning and its unit.
 
-    None: whatever its author weighs.
-
-    of: what it may depend on, p parameters, q positions, v velocities, u inputs.
+    - unit: None if its author chooses it
+    - of: kinds of symbols it may depend on: p parameters, q positions, v velocities, u inputs
     """
 
     field: str
@@ -421,7 +423,7 @@ class NamedExpression(NamedTuple):
 
 
 def named_expressions(scene: Scene) -> list[NamedExpression]:
-    """All that enters the equations of motion, the contact laws and the cost."""
+    """Return all expressions of the equations of motion, the contact laws and the cost."""
     found = [
         NamedExpression("kinetic_energy", scene.kinetic_energy, "an energy", "J", "pqv"),
         NamedExpression("potential_energy", scene.potential_energy, "an energy", "J", "pq"),
@@ -471,7 +473,7 @@ def named_expressions(scene: Scene) -> list[NamedExpression]:
 
 
 def depth_expressions(scene: Scene) -> list[NamedExpression]:
-    """How deep each contact's model reaches, which enters no equation."""
+    """Return the depths at which the contact models end, which enter no equation."""
     return [
         NamedExpression(f"contact {contact.name}: depth", contact.depth, "a depth", "m", "p")
         for contact in scene.contacts
@@ -525,7 +527,7 @@ def _declared(symbols: dict[str, set[sp.Symbol]], name: str) -> str:
     )
 
 
-# What may stand for one end of a contact that is no drawn body.
+# Names for an end of a contact that is no drawn body.
 _FIXED = ("ground", "wall", "joint")
 
 
@@ -546,10 +548,9 @@ def _check_bodies(scene: Scene) -> None:
 
 
 def _check_limits(scene: Scene) -> None:
-    """A metric has one limit.
+    """Check that a metric has one limit.
 
-    A goal says how near is near enough, of the plan and of its replay, positions and velocities
-    apart.
+    A goal needs limits of the plan and of its replay, for positions and velocities separately.
     """
     for metric, count in Counter(limit.metric for limit in scene.limits).items():
         if count > 1:

@@ -1,7 +1,4 @@
-"""A scene as canonical text, of which hashes are made: equal scenes, equal text.
-
-Anything else, another text.
-"""
+"""A scene as canonical text for hashes: equal scenes have equal text, other scenes other text."""
 
 from __future__ import annotations
 
@@ -17,15 +14,15 @@ import sympy as sp
 from models.loading import loaded_sources
 from models.scene import Scene
 
-# Where a scene keeps its text: no field, so that neither equality nor `replace` see it.
+# Attribute with the text of a scene: no field, so that equality and `replace` ignore it.
 _TEXT = "_text"
 
 
 def scene_text(value: Any) -> str:
-    """A scene, or a part of it, as text; of a scene, which cannot change, made once.
+    """Return a scene, or a part of it, as text; the text of a scene is computed once.
 
-    Every field by name, numbers in full, SymPy expressions with their assumptions (srepr) and where
-    somebody's own functions in them are from.
+    The text has every field by name, numbers in full, and SymPy expressions with their assumptions
+    (srepr). User-defined functions in expressions are identified by their source.
     """
     if isinstance(value, Scene):
         if _TEXT not in vars(value):
@@ -47,13 +44,16 @@ def _text(value: Any) -> str:
     return repr(value)
 
 
-# What a class that is not SymPy's is made of: the digest of the file that was read when it was
-# first met, and of what that imports.
+# Digest of a class outside SymPy: of the file that was read when the class was first used, and of
+# the file's imports.
 _DIGESTS: WeakKeyDictionary[type, str] = WeakKeyDictionary()
 
 
 def _definitions(expression: sp.Basic) -> str:
-    """What srepr leaves out: somebody's own functions have a name there, and their meaning in a file (undefined ones have no module)."""
+    """Return the text of user-defined functions, of which srepr has only the name.
+
+    The meaning of such a function is in a file (undefined functions have no module).
+    """
     classes = {type(part) for part in sp.preorder_traversal(expression)}
     own = sorted(
         (kind for kind in classes if kind.__module__ and not kind.__module__.startswith("sympy.")),
@@ -63,7 +63,7 @@ def _definitions(expression: sp.Basic) -> str:
 
 
 def _digest(kind: type) -> str:
-    """Digest of where a class is from."""
+    """Return the digest of the source of a class."""
     if kind not in _DIGESTS:
         file = getattr(sys.modules.get(kind.__module__), "__file__", None)
         _DIGESTS[kind] = loaded_sources() or (
@@ -75,7 +75,10 @@ def _digest(kind: type) -> str:
 
 
 def equations_text(scene: Scene) -> str:
-    """What the equations are made of, and nothing else: neither values of parameters, nor the task but for its cost, nor limits and drawings."""
+    """Return the text of the equations alone.
+
+    The text omits values of parameters, limits, drawings, and the task except its cost.
+    """
     return scene_text(
         [
             scene.name,

@@ -2,7 +2,7 @@
 
     typical_force(scene, load_kernel(scene))      # [N]
 
-Planner and judge measure differences of contact impulses by it.
+Planner and judge measure differences of contact impulses by this force.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from models.scene import Scene
 
 # Share of the inputs' range that is a typical force of a scene without static load.
 _OF_RANGE = 0.1
-# A body that falls without end has left its scene by so many nominals.
+# Distance in nominals beyond which a falling body has left its scene.
 _LOST = 1e3
 
 
 def typical_force(scene: Scene, kernel: Kernel) -> float:
     """Return the yardstick of a scene's contact forces [N].
 
-    The largest force with which the scene rests from its start without inputs; without static load
-    the force with the effect of a tenth of the inputs' range, and without inputs that of the
-    contacts' nominal penetration.
+    The yardstick is the largest force with which the scene rests from its start without inputs.
+    Without static load it is the force with the effect of a tenth of the inputs' range. Without
+    inputs too it is the force of the contacts' nominal penetration.
     """
     rests = _force_at_rest(scene, kernel)
     if rests > 0.0:
@@ -37,7 +37,7 @@ def typical_force(scene: Scene, kernel: Kernel) -> float:
     still = kernel.acceleration(q, 0.0 * v, u, lam)
 
     def size(place: int, of_input: bool, value: float) -> float:
-        """Size of an input or a contact force in the norm of the inverse mass matrix."""
+        """Return the size of an input or a contact force in the norm of the inverse mass matrix."""
         pulled, pushed = u.copy(), lam.copy()
         (pulled if of_input else pushed)[0, place] = value
         change = (kernel.acceleration(q, 0.0 * v, pulled, pushed) - still)[0]
@@ -53,7 +53,7 @@ def typical_force(scene: Scene, kernel: Kernel) -> float:
 
 
 def _force_at_rest(scene: Scene, kernel: Kernel) -> float:
-    """Return the largest contact force of the equilibrium below the start [N]; 0 if there is none."""
+    """Return the largest contact force [N] of the equilibrium below the start, or 0."""
     if scene.potential_energy == 0 or not scene.nc:
         return 0.0
     from scipy.optimize import minimize  # 0.3 CPU s to import
@@ -66,7 +66,7 @@ def _force_at_rest(scene: Scene, kernel: Kernel) -> float:
     none = np.zeros((1, scene.nq))
 
     def energy(x: np.ndarray) -> tuple[float, np.ndarray]:
-        """Energy [J] at scaled positions x (nq,) [-], and its slope (nq,) [J]. Raises nothing."""
+        """Return energy [J] and slope (nq,) [J] at scaled positions x (nq,) [-]. Raises nothing."""
         q = scale * x
         depth = np.maximum(kernel.penetration(q[None])[0], 0.0)
         value = float(kernel.energy(q[None], none)[1][0] + (k * depth**2).sum() / 2.0)

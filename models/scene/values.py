@@ -1,13 +1,11 @@
-"""What a scene is made of, checked value by value: names, units, numbers, expressions.
-
-Each mistake is one sentence.
+"""Checks of a scene's values: names, units, numbers, expressions; each error is one sentence.
 
     as_number("task: step", np.float32(0.01))              ->  0.01
     as_expression("scene small: potential_energy", 0)      ->  sympy.Integer(0)
     base_exponents("N s/m")                                ->  {"kg": 1, "s": -1}
 
-Units are text: `m`, `kg`, `N s/m`, `rad/s^2`. Enough grammar to find a missing or misspelt one and
-to write FMI base units.
+Units are text: `m`, `kg`, `N s/m`, `rad/s^2`. The grammar suffices to find a missing or misspelt
+unit and to write FMI base units.
 """
 
 from __future__ import annotations
@@ -25,8 +23,7 @@ from models.errors import SceneError, did_you_mean
 
 _Part = TypeVar("_Part")
 
-# Exponents of (kg, m, s, rad) of every unit a scene may use; rad is kept, as FMI 2.0's BaseUnit has
-# it.
+# Exponents of (kg, m, s, rad) of every unit of a scene; FMI 2.0's BaseUnit has rad too.
 _UNITS: dict[str, dict[str, int]] = {
     "1": {},
     "kg": {"kg": 1},
@@ -42,7 +39,7 @@ _FACTOR = re.compile(r"([A-Za-z]+|1)(?:\^(-?\d+))?\Z")
 
 
 def base_exponents(unit: str) -> dict[str, int]:
-    """Exponents of the base units, e.g. {"kg": 1, "s": -2} for "N/m".
+    """Return the exponents of the base units, e.g. {"kg": 1, "s": -2} for "N/m".
 
     Raises ValueError with a sentence for an unknown unit.
     """
@@ -70,7 +67,7 @@ def base_exponents(unit: str) -> dict[str, int]:
     return {base: exponent for base, exponent in total.items() if exponent}
 
 
-# Powers as they are written elsewhere, and how they are written here.
+# Powers in other spellings, and in ours.
 _POWERS = (("**", "^"), ("\u00b2", "^2"), ("\u00b3", "^3"))
 # Units that are multiples of ours.
 _MULTIPLES = {"deg": "rad", "degree": "rad", "mm": "m", "cm": "m", "km": "m", "g": "kg", "kN": "N"}
@@ -78,7 +75,7 @@ _MULTIPLES |= {"mN": "N", "ms": "s", "min": "s"}
 
 
 def _other_spelling(unit: str) -> str:
-    """Return the unit as it is written here, or the unit to convert to, for the end of a sentence."""
+    """Return the unit in our spelling, or the unit to convert to, for the end of a sentence."""
     found = next((part for part in re.split(r"[ /*^]", unit) if part in _MULTIPLES), None)
     if found is not None:
         return f"; convert the numbers from {found} to {_MULTIPLES[found]}."
@@ -104,8 +101,8 @@ def _other_spelling(unit: str) -> str:
 
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
-# What SymPy must not take for granted of a quantity that moves: it would simplify by it - Abs(q) of
-# a "positive" q to q, sin(pi*q) of an "integer" to 0.
+# Assumptions that a moving quantity must not have. SymPy would simplify by them: Abs(q) of a
+# "positive" q to q, sin(pi*q) of an "integer" q to 0.
 _NARROWING = (
     "zero",
     "integer",
@@ -120,7 +117,7 @@ _NARROWING = (
 )
 
 
-# The value that says "none" of a field, by the field's name.
+# Value that means "none" for a field, by the field's name.
 _NONE = {
     "contacts": "() if there are none",
     "inputs": "() if there are none",
@@ -131,7 +128,7 @@ _NONE = {
 
 _BOUND = "a position has no bounds: write a Contact; velocity_lower and velocity_upper bound v."
 _BY_SYMBOL = "its name is that of its symbol."
-# Fields that do not exist, and where their meaning is written.
+# Fields that do not exist, and the places of their meaning.
 _ELSEWHERE = {
     ("Coordinate", "lower"): _BOUND,
     ("Coordinate", "upper"): _BOUND,
@@ -149,7 +146,7 @@ _ELSEWHERE = {
 
 
 def named_fields(kind: type[_Part]) -> type[_Part]:
-    """Make a dataclass answer missing and unknown fields in a sentence."""
+    """Make a dataclass raise a sentence for missing and unknown fields."""
     as_dataclass: Any = kind
     create, every = kind.__init__, fields(as_dataclass)
     needed = [
@@ -179,7 +176,7 @@ def named_fields(kind: type[_Part]) -> type[_Part]:
             )
         create(self, **given)
 
-    # A dataclass has no hook before its own __init__, where Python refuses unknown names.
+    # A dataclass has no hook before its own __init__, in which Python refuses unknown names.
     kind.__init__ = checked  # type: ignore[method-assign]
     return kind
 
@@ -199,7 +196,7 @@ def check_name(what: str, name: Any) -> None:
 
 
 def check_text(what: str, text: Any, *, empty: bool = False) -> None:
-    """Words that are shown: a string, with something in it unless `empty`."""
+    """Raise SceneError unless `text` is a string, not empty unless `empty`."""
     if not isinstance(text, str) or not (empty or text.strip()):
         raise SceneError(f"{what} must be words in quotes, not {text!r}.")
 
@@ -219,7 +216,10 @@ def check_symbol(what: str, symbol: Any) -> None:
 
 
 def check_moving(what: str, symbol: Any) -> None:
-    """A symbol that stands for a quantity of any value: a coordinate, a velocity, an input."""
+    """Raise SceneError unless `symbol` may stand for a coordinate, a velocity or an input.
+
+    Such a quantity has any value.
+    """
     check_symbol(what, symbol)
     narrower = next((word for word in _NARROWING if symbol.assumptions0.get(word)), None)
     if narrower:
@@ -235,7 +235,7 @@ def settle(part: Any, field: str, value: Any) -> None:
 
 
 def settle_bounds(part: Any, where: str, lower: str, upper: str) -> None:
-    """Settle the two fields as numbers, infinite ones too, of which the first must be below the second."""
+    """Settle two fields as numbers, possibly infinite; the first must be below the second."""
     for field in (lower, upper):
         settle(part, field, as_number(f"{where}: {field}", getattr(part, field), finite=False))
     least, most = getattr(part, lower), getattr(part, upper)
@@ -246,9 +246,9 @@ def settle_bounds(part: Any, where: str, lower: str, upper: str) -> None:
 
 
 def as_number(what: str, value: Any, *, finite: bool = True) -> float:
-    """A Python float of any real number (of numpy or SymPy too, such as pi/3).
+    """Return any real number as a Python float (also of NumPy or SymPy, such as pi/3).
 
-    Infinite ones only with finite=False.
+    Infinite numbers need finite=False.
     """
     if isinstance(value, sp.Expr) and value.is_comparable:
         value = float(value)
@@ -265,9 +265,9 @@ def as_number(what: str, value: Any, *, finite: bool = True) -> float:
 
 
 def as_expression(what: str, value: Any) -> sp.Expr:
-    """A SymPy expression as it is.
+    """Return a SymPy expression unchanged, and a number as an expression.
 
-    A number becomes one, exact where it is whole: 0.0 is nothing, and left out of every model.
+    Whole numbers become exact: 0.0 is nothing, and left out of every model.
     """
     expression: Any = value
     if isinstance(value, Real) and not isinstance(value, (bool, sp.Expr)):

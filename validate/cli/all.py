@@ -1,4 +1,4 @@
-"""`all`: the campaign. How one is run and what is said of it, `run` shares."""
+"""`all`: run the campaign and print its results; `run` uses both steps too."""
 
 from __future__ import annotations
 
@@ -80,11 +80,11 @@ def command(
     return run_and_tell(settings, arguments, as_json=as_json, as_table=as_table)
 
 
-# Words of a command that the same command, typed again to go on, does without.
+# Words that are dropped from the command that continues a campaign.
 _ONCE = frozenset({"--fresh", "--lf", "--last-failed", "-x"})
-# So many of what --quick left out are named.
+# Names listed before "and N more".
 _NAMED = 6
-# Columns of results.csv that a terminal has room for: title and pattern.
+# Columns of results.csv that a terminal shows: title and pattern.
 _TITLES = (
     ("scene", "scene", ""),
     ("pipeline", "pipeline", ""),
@@ -117,12 +117,12 @@ _DROPPED = (
 def run_and_tell(
     settings: CampaignSettings, arguments: Sequence[str], *, as_json: bool, as_table: bool
 ) -> int:
-    """Run it, progress on stderr, results on stdout.
+    """Run a campaign; print progress to stderr, results to stdout; return the exit code.
 
-    The exit code. arguments: the words of the command. Raises TouchstoneError.
+    arguments: the words of the command. Raises TouchstoneError.
     """
-    # A closed terminal and a polite kill end like Ctrl-C: children stopped, finished runs kept.
-    # What nohup ignores stays ignored.
+    # SIGTERM and SIGHUP act like Ctrl-C: children stop, finished runs are kept. Signals that nohup
+    # ignores stay ignored.
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler)
@@ -155,7 +155,7 @@ def run_and_tell(
 
 
 def typed(arguments: Sequence[str]) -> str:
-    """The command as it was typed."""
+    """Return the command as the user typed it."""
     return command_line(arguments, str(click.get_current_context().find_root().info_name))
 
 
@@ -181,7 +181,10 @@ def _print_summary(outcome: CampaignResult, settings: CampaignSettings) -> None:
 
 
 def _print_causes(runs: Sequence[RunRecord]) -> None:
-    """Why runs that should hold do not, although nothing is wrong with touchstone: each cause once, with what to do."""
+    """Print why runs that should hold do not: each cause once, with advice.
+
+    These causes are no faults of touchstone.
+    """
     lines = [[str(len(mine)), cause.sentence, cause.advice] for cause, mine in by_cause(runs)]
     if lines:
         print_table(
@@ -191,7 +194,7 @@ def _print_causes(runs: Sequence[RunRecord]) -> None:
 
 
 def _grouped(outcome: CampaignResult) -> list[str]:
-    """Why the campaign fails: a sentence for each cause that several runs share, and for each failure that is alone with its cause."""
+    """Return why the campaign fails: a sentence for each shared cause and each other failure."""
     causes = {
         sentence: cause
         for run in outcome.records
@@ -234,9 +237,9 @@ def _print_json(outcome: CampaignResult, settings: CampaignSettings) -> None:
 
 
 def _print_results(records: Sequence[RunRecord]) -> None:
-    """What of results.csv a terminal has room for.
+    """Print the columns of results.csv that fit a terminal.
 
-    `replayed` is the terminal error after the replay that is judged.
+    `replayed` is the terminal error after the judged replay.
     """
     content = rows(records)
     for row in content:

@@ -100,7 +100,7 @@ def command(
     waived, context = _waivers(waivers), click.get_current_context()
 
     def print_row(row: FmuCheckRow) -> None:
-        with context.scope(cleanup=False):  # in a thread, which has no --wide of its own
+        with context.scope(cleanup=False):  # a thread has no --wide of its own
             _print(row)
 
     for file in files:
@@ -136,7 +136,6 @@ def _summary(report: CheckReport) -> str:
 
 
 def _print(row: FmuCheckRow) -> None:
-    """Print a row."""
     word = row.status.value
     clause = (
         f" [{row.clause}]" if row.status in (Status.FAILED, Status.WAIVED) and row.clause else ""
@@ -162,7 +161,7 @@ def _waivers(texts: tuple[str, ...]) -> dict[str, str]:
 
 
 def _page(checked: Sequence[Checked], arguments: tuple[str, ...]) -> str:
-    """Return a report's page of FMUs, with these."""
+    """Return the page of these reports."""
     from reports.records.check_record import CheckRecord
     from reports.render import render_checks
     from validate.store.provenance import gather

@@ -37,9 +37,10 @@ _NAMED = 3
 
 
 def print_dry_run(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> int:
-    """Print what works here and what would run. Return 3 if a trial fails, 2 if instances of foreign plans are refused, else 0.
+    """Print the trials of this machine and the planned runs; return the exit code.
 
-    Nothing is run or written. Raises TouchstoneError.
+    3: a trial failed; 2: instances of foreign plans are refused; else 0. Nothing is run or written.
+    Raises TouchstoneError.
     """
     entries, left_out = checked_selection(settings)
     store = Store(settings.out)
@@ -97,9 +98,11 @@ def print_dry_run(settings: CampaignSettings, *, as_json: bool, as_table: bool) 
 
 
 class _Line(NamedTuple):
-    """A run or check. scene: or the kind of the check; why: of its state, "" if it is stored.
+    """A run or check.
 
-    past_cpu_seconds: of the last time that it ran into this folder.
+    - scene: its scene, or the kind of the check
+    - why: reason of its state, "" if it is stored
+    - past_cpu_seconds: CPU time of its last run into this folder
     """
 
     name: str

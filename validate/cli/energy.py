@@ -1,4 +1,4 @@
-"""`energy`: whether a time step follows the energies of a scene."""
+"""`energy`: check that a time step follows the energies of a scene."""
 
 from __future__ import annotations
 

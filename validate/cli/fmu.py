@@ -131,7 +131,7 @@ def command(
 def _robot(
     mjcf: Path, contacts: tuple[str, ...], keyframe: str | None, output: Path, version: str
 ) -> int:
-    """A robot's FMU, and its map beside it: one that is there already may be somebody's work, and stays."""
+    """Write the FMU of a robot and its map; keep an existing map, the user may have edited it."""
     robot = read_robot(mjcf, contacts, keyframe)
     built = build_robot(robot, version)
     warn(robot.notes)

@@ -1,6 +1,6 @@
-"""The command line as a whole: finds the command, runs it, and puts whatever goes wrong into one sentence and an exit code.
+"""Find and run the command; turn each error into a sentence and an exit code.
 
-A command is imported when it is used: `--help` and `list` cost neither SymPy nor a solver.
+A command is imported on use: `--help` and `list` import neither SymPy nor a solver.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from models.errors import MachineError, TouchstoneError, did_you_mean
 from validate.cli.table import say
 
 PROGRAM = "python -m validate"
-INSTALLED = "touchstone"  # the same as a program of its own, which shells can complete
+INSTALLED = "touchstone"  # the installed program, which shells can complete
 _COMPLETE = "_TOUCHSTONE_COMPLETE"
 INTERRUPTED = 130
-READER_GONE = 141  # as a shell tells SIGPIPE
+READER_GONE = 141  # as shells report SIGPIPE
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-# name -> what the overview says; the command itself is `command` in validate/cli/<name>.py.
+# name -> text of the overview; the command is `command` in validate/cli/<name>.py.
 _COMMANDS = {
     "all": "Run every scene by every pipeline, replay and score each plan, write the report.",
     "run": "Run a campaign of your own: scenes, changes, sweeps and pipelines from a TOML file.",
@@ -69,7 +69,10 @@ Environment:
 
 
 class LazyGroup(click.Group):
-    """Commands that are imported when they are used. lazy: name -> (module whose `command` it is, what the overview says)."""
+    """A group whose commands are imported on use.
+
+    lazy: name -> (module with the attribute `command`, text of the overview).
+    """
 
     def __init__(
         self, *arguments: Any, lazy: Mapping[str, tuple[str, str]], **options: Any
@@ -78,11 +81,11 @@ class LazyGroup(click.Group):
         self.lazy = lazy
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Their names, in the order of the overview."""
+        """Return the names in the order of the overview."""
         return list(self.lazy)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The command of this name, imported now; None where there is none."""
+        """Import and return the command of this name; None for an unknown name."""
         own = super().get_command(ctx, cmd_name)
         if own is not None or cmd_name not in self.lazy:
             return own
@@ -91,7 +94,10 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As click does, but `_` is read as `-`, and a name that is none is refused with the nearest one."""
+        """Resolve a command as click does, with `_` read as `-`.
+
+        The message for an unknown name suggests the nearest one.
+        """
         if args and args[0].replace("_", "-") in self.lazy:
             args = [args[0].replace("_", "-"), *args[1:]]
         if (
@@ -105,7 +111,7 @@ class LazyGroup(click.Group):
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The overview, without importing a command."""
+        """Write the overview without importing a command."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, words) for name, (_, words) in self.lazy.items()])
 
@@ -122,16 +128,16 @@ def group() -> None:
 
 
 def run(arguments: Sequence[str], command: click.Group = group, program: str = PROGRAM) -> int:
-    """Run one command line of a program; the exit code.
+    """Run one command line of a program; return the exit code.
 
-    Nothing but TOUCHSTONE_DEBUG=1 lets a traceback through.
+    Tracebacks appear only with TOUCHSTONE_DEBUG=1.
     """
     _open_closed_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(
                 errors="replace"
-            )  # a terminal without our characters shows others instead of failing
+            )  # a terminal without our characters shows replacements
     if wanted := os.environ.get(_COMPLETE):
         from click.shell_completion import shell_complete
 
@@ -167,7 +173,7 @@ def _run(arguments: Sequence[str], command: click.Group, program: str) -> int:
         raise
     except (
         SystemExit
-    ):  # click's end of a broken pipe: 1, as if something did not hold, and streams of its own
+    ):  # click ends a broken pipe with 1, the code of a failed check, and its own streams
         if isinstance(sys.stdout, io.TextIOBase):
             raise
         return _reader_gone()
@@ -182,7 +188,7 @@ def _run(arguments: Sequence[str], command: click.Group, program: str) -> int:
         if isinstance(error, OSError) and error.errno in _FULL:
             why = f"what there is to tell cannot be written ({error.strerror}); make room, or have it written elsewhere."
             _leave_unwritten()
-            with contextlib.suppress(OSError):  # where stderr is full too, nothing can be told
+            with contextlib.suppress(OSError):  # stderr may be full too
                 _say(why, MachineError.exit_code)
             _leave_unwritten()
             return MachineError.exit_code
@@ -193,20 +199,23 @@ def _run(arguments: Sequence[str], command: click.Group, program: str) -> int:
 
 
 def _open_closed_streams() -> None:
-    """`>&-` leaves no stream to write to: what is told then goes nowhere."""
+    """Open os.devnull in place of a stream closed by `>&-`."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 - open until the process ends
 
 
 def _reader_gone() -> int:
-    """Whoever read our output has enough of it."""
+    """Discard the rest of the output, because its reader closed the pipe; return the exit code."""
     _leave_unwritten()
     return READER_GONE
 
 
 def _leave_unwritten() -> None:
-    """What a stream holds that it cannot write, or is given from now on, as the interpreter ends too, goes nowhere."""
+    """Send unwritten and later output of the streams to os.devnull.
+
+    Otherwise the interpreter fails at exit.
+    """
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (sys.__stdout__, sys.__stderr__):
         if stream is None:

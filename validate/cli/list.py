@@ -1,6 +1,6 @@
-"""`list`: what there is.
+"""`list`: print scenes, pipelines, methods and stress cases.
 
-Nothing is imported for it: titles are the first lines of the files' docstrings.
+Titles are the first lines of the files' docstrings, so that nothing is imported.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from models.catalog import scene_names, scene_path
 from validate.cli.table import one_line, table, wide_option
 from validate.stress.catalog import case_names, describe_case
 
-# The text that a file begins with, behind comments.
+# The docstring of a file, after comments.
 _DOCSTRING = re.compile(r"""(?:\s|#[^\n]*\n)*([rRuU]?(\"{3}|'{3}|"|').*?(?<!\\)\2)""", re.DOTALL)
 
 
@@ -97,7 +97,10 @@ def _stages(legs: list[dict]) -> str:
 
 
 def _title(path: Path) -> str:
-    """The first sentence of a file's docstring, found in its text: parsing all files takes 20 ms, and importing what reads their tokens 6."""
+    """Return the first sentence of a file's docstring, found by a pattern.
+
+    Parsing all files takes 20 ms, and importing `tokenize` 6 ms.
+    """
     try:
         found = _DOCSTRING.match(path.read_text(encoding="utf-8"))
         words = ast.literal_eval(found[1]) if found else ""

@@ -1,4 +1,7 @@
-"""Says on stderr how a campaign goes: a bar and a line a scene on a terminal, a line a finished run anywhere else."""
+"""Print the progress of a campaign on stderr.
+
+A terminal shows a bar and one line a scene; a file or pipe receives one line a finished run.
+"""
 
 from __future__ import annotations
 
@@ -16,23 +19,23 @@ from reports.rule import fails
 from validate.cli.table import in_words, one_line, say
 from validate.store.store import progress_in
 
-# Width of the bar [characters]: what runs needs the room.
+# Width of the bar [characters]; the current tasks need the rest of the line.
 _BAR = 12
 
 
 def narrator() -> PlainNarrator:
-    """The narrator for this terminal (or no terminal)."""
+    """Return the narrator for a terminal, or for a file or pipe."""
     if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
         return BarNarrator()
     return PlainNarrator()
 
 
 class PlainNarrator:
-    """One line a finished run."""
+    """Print one line for each finished run."""
 
     def __init__(self) -> None:
         self.total = self.stored = self.done = 0
-        self._refused: list[RunRecord] = []  # of scenes whose other runs have not ended
+        self._refused: list[RunRecord] = []  # runs of unfinished scenes
 
     def begins(self, total: int, stored: int) -> None:
         """Print the number of tasks. stored: runs and checks whose records are used."""
@@ -40,17 +43,21 @@ class PlainNarrator:
         self.notes(f"{stored} stored, {total - stored} to run")
 
     def so_far(self, out: Path) -> str:
-        """How many runs there is a result of, in words."""
+        """Return the number of runs with a result, in words."""
         if not out.is_dir():
             return f"{out} is gone, and what was stored in it with it"
         return f"{self.stored + self.done} of {self.total} runs are stored in {out}"
 
     def notes(self, sentence: str) -> None:
-        """What is worth knowing, on a line."""
+        """Print a note on a line."""
         say(sentence, err=True, indent="  ")
 
     def found(self, runs: Sequence[RunRecord]) -> None:
-        """All runs of a scene have ended: what does not apply to it and why, how many hold, and the cheapest plan."""
+        """Print the summary of a scene whose runs have all ended.
+
+        The summary lists runs that do not apply with their reasons, the number that hold, and the
+        cheapest plan.
+        """
         self._refused = [run for run in self._refused if run.scene.name != runs[0].scene.name]
         self._refusals(run for run in runs if run.verdict == "not applicable")
         self.notes(f"so far: {_on_scene(runs)}")
@@ -66,16 +73,19 @@ class PlainNarrator:
             self.notes(f"not applicable: {', '.join(pipelines)}: {why}")
 
     def warns(self, sentence: str) -> None:
-        """What the user should know before anything runs."""
+        """Print a warning before anything runs."""
         self.notes(f"warning: {sentence}")
 
     def runs(self, folders: Mapping[str, Path]) -> None:
-        """Called many times a second with what runs: what each task is called -> its unfinished folder."""
+        """Receive the current tasks many times a second.
+
+        folders: name of a task -> its unfinished folder.
+        """
 
     def finished(self, record: RunRecord | CheckRecord) -> None:
-        """A run or check ended with this record.
+        """Print the line of a finished run or check.
 
-        Runs that do not apply to their scene are told together (`found`).
+        Runs that do not apply to their scene are printed together (`found`).
         """
         self.done += 1
         if record.outcome != "refused":
@@ -88,12 +98,12 @@ class PlainNarrator:
         return True
 
     def ends(self) -> None:
-        """The last run finished, or the campaign was interrupted: what did not apply and was not told is told."""
+        """Print the remaining runs that do not apply, after the last run or an interrupt."""
         self._refusals(self._refused)
 
 
 class BarNarrator(PlainNarrator):
-    """A line for each scene and each failure, above a bar that says what is running."""
+    """Print one line for each scene and each failure, above a bar with the current tasks."""
 
     def begins(self, total: int, stored: int) -> None:
         """Show the bar."""
@@ -107,7 +117,7 @@ class BarNarrator(PlainNarrator):
         )
         from rich.table import Column
 
-        def whole() -> Column:  # what runs is cut off where the terminal ends, the numbers never
+        def whole() -> Column:  # names are cut at the end of the line, numbers never
             return Column(no_wrap=True)
 
         self._console = Console(stderr=True)
@@ -131,21 +141,21 @@ class BarNarrator(PlainNarrator):
         self._began, self._said = time.monotonic(), 0.0
 
     def runs(self, folders: Mapping[str, Path]) -> None:
-        """Say what runs, no more often than an eye reads."""
+        """Show the current tasks, no more often than an eye can read."""
         if time.monotonic() - self._said > 0.25:
             self._said = time.monotonic()
             text = "; ".join(f"{title}: {progress_in(folder)}" for title, folder in folders.items())
             self._progress.update(self._task, description=one_line(text), left=self._left())
 
     def _left(self) -> str:
-        """How long the runs that have not finished take, if they take as long as those that have."""
+        """Return the expected time of the unfinished runs, from the time of the finished ones."""
         if not self.done:
             return ""
         each = (time.monotonic() - self._began) / self.done
         return f"about {in_words(each * (self.total - self.stored - self.done))} left"
 
     def finished(self, record: RunRecord | CheckRecord) -> None:
-        """A run or check ended with this record."""
+        """Advance the bar for a finished run or check."""
         super().finished(record)
         self._progress.advance(self._task)
 
@@ -153,17 +163,17 @@ class BarNarrator(PlainNarrator):
         return fails(record)
 
     def ends(self) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         super().ends()
         self._progress.stop()
 
     def notes(self, sentence: str) -> None:
-        """The line, above the bar."""
+        """Print a note above the bar."""
         self._console.print(one_line(sentence), markup=False, highlight=False)
 
 
 def _on_scene(runs: Sequence[RunRecord]) -> str:
-    """`three_cart: 14 of 15 runs that end with exact contact hold; the cheapest is mpcc, cost 490.55, ..`."""
+    """Return a sentence: `three_cart: 14 of 15 runs that end with exact contact hold; ..`."""
     scene = runs[0].scene
     asked = [run for run in runs if run.must_hold and run.verdict not in NOT_ASKED]
     if not asked:

@@ -1,8 +1,9 @@
-"""Options that commands share: those by which a campaign is chosen and run, by `all` and by `run`, where a file chooses.
+"""Options that several commands share.
 
-Each of these is a parameter named like the field of validate.campaign.runs.CampaignSettings that it
-fills. Beside them: a range of finite numbers, since click's lets nan and inf through, and what a
-shell offers while a scene is being typed.
+`all` and `run` share the options that choose and run a campaign; for `run` a file chooses. Each
+option is a parameter named like its field of validate.campaign.runs.CampaignSettings. The module
+also contains a range of finite numbers, since click's ranges accept nan and inf, and the shell
+completion of scene names.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ A_FILE = click.Path(path_type=Path)
 
 
 def scenes(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Names of scenes, and files where a path has begun or no name fits."""
+    """Return names of scenes, or files if a path has begun or no name fits."""
     names = [CompletionItem(name) for name in scene_names() if name.startswith(begun)]
     return names or [CompletionItem(begun, type="file")]
 
@@ -40,20 +41,20 @@ class FiniteRange(click.FloatRange):
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> float:
-        """The number; nan, inf and what is outside the range are refused."""
+        """Return the number; refuse nan, inf and numbers outside the range."""
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{number} is not a finite number.", param, ctx)
         return number
 
-    def _describe_range(self) -> str:  # click writes [x<=None] of a range without bounds
+    def _describe_range(self) -> str:  # click writes [x<=None] for a range without bounds
         return super()._describe_range() if (self.min, self.max) != (None, None) else ""
 
 
 def written_to(option: str, name: str, metavar: str, what: str) -> Callable[[Command], Command]:
-    """An option for a file that a command writes. name: of the command's parameter.
+    """Return an option for a file that a command writes.
 
-    what: is written.
+    name: the command's parameter. what: description of the contents.
     """
     kind = click.Path(path_type=Path, dir_okay=False)
     return lambda command: click.option(
@@ -62,7 +63,10 @@ def written_to(option: str, name: str, metavar: str, what: str) -> Callable[[Com
 
 
 def apart(option: str, name: str) -> Callable[[Command], Command]:
-    """A command that does not begin where the file it is to write is none, or one of those that it reads or writes besides."""
+    """Return a decorator that checks the output file before the command begins.
+
+    The output must be a file, and none of the other files that the command reads or writes.
+    """
 
     def checked(command: Command) -> Command:
         @functools.wraps(command)
@@ -91,9 +95,9 @@ def apart(option: str, name: str) -> Callable[[Command], Command]:
 
 
 def write(file: Path | None, make: Callable[[], str | bytes]) -> None:
-    """Write what is made for such a file, if there is to be one, and its folder too.
+    """Write the contents to the file of such an option, if given, and create the file's folder.
 
-    Raises MachineError where the disk refuses.
+    make: returns the contents. Raises MachineError if the disk refuses.
     """
     if file is not None:
         content = make()
@@ -102,7 +106,7 @@ def write(file: Path | None, make: Callable[[], str | bytes]) -> None:
 
 
 def folder_of(option: str, words: str) -> Callable[[Command], Command]:
-    """An option for the folder of a campaign, runs/all without it."""
+    """Return an option for the folder of a campaign, by default runs/all."""
     return click.option(
         option,
         "folder",
@@ -115,7 +119,7 @@ def folder_of(option: str, words: str) -> Callable[[Command], Command]:
 
 
 def options(*wanted: Callable[[Any], Any]) -> Callable[[Command], Command]:
-    """Gives a command these options, in this order."""
+    """Return a decorator that adds these options in this order."""
 
     def given(command: Command) -> Command:
         for option in reversed(wanted):
@@ -126,7 +130,10 @@ def options(*wanted: Callable[[Any], Any]) -> Callable[[Command], Command]:
 
 
 def _our_plugin() -> str:
-    """The plugin where none is named, read when it is needed: its file imports the methods, without which an FMU is checked and replayed."""
+    """Return the default plugin, read on use.
+
+    The plugin's file imports the methods, which checks and replays of FMUs do not need.
+    """
     from validate.tasks.plugins import DEFAULT_PLUGIN
 
     return DEFAULT_PLUGIN
@@ -142,7 +149,7 @@ def _one_expression(
     return given[0] if given else None
 
 
-# What a campaign file decides.
+# Options that a campaign file replaces.
 CHOOSING = options(
     click.option(
         "--quick",
@@ -166,7 +173,7 @@ CHOOSING = options(
         help="For each run: all its stages and replays.",
     ),
 )
-# What it does not.
+# Options that a campaign file does not replace.
 SELECTING = options(
     click.option(
         "-k",
@@ -205,7 +212,7 @@ SELECTING = options(
         help="A module on PYTHONPATH with a METHOD of your own; or MODULE:PLUGIN, which may replace the judge too (docs/extending.md).",
     ),
 )
-# Where runs are executed, and when that stops.
+# Options for the place of execution and its end.
 ENDING = options(
     click.option(
         "--engine",

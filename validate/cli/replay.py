@@ -1,4 +1,4 @@
-"""`replay`: score anybody's plan, on a scene or on anybody's FMU."""
+"""`replay`: score any plan, on a scene or on an external FMU."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from validate.judge.score import Verdict
 
 
-# A plan so many times as long as the task may be in another unit of time, and is replayed for
-# minutes.
+# Multiple of the task's duration. A longer plan may be in another unit of time, and its replay
+# takes minutes.
 _LONG = 10.0
 
 
-# What names somebody's FMU, and how it is run.
+# Options that name an external FMU and its execution.
 FMU_OPTIONS = options(
     click.option(
         "--fmu",
@@ -96,9 +96,9 @@ def read_fmu_options(
     own_step: bool,
     ignore: Sequence[str],
 ) -> dict[str, Any]:
-    """What `wire_fmu` asks beside FMU and plan, of these options.
+    """Return the arguments of `wire_fmu` except FMU and plan, from these options.
 
-    Raises click.UsageError for what belongs to the other of scene and FMU.
+    Raises click.UsageError for an option that needs a scene with an FMU, or an FMU with a scene.
     """
     if (scene is None) == (fmu is None):
         raise click.UsageError("give either --scene or --fmu.")
@@ -188,8 +188,8 @@ def command(
             "--engine belongs to --scene: another simulator cannot step somebody's FMU."
         )
     asked = named_engines(engines) if engines is not None else ()
-    # NumPy's OpenBLAS starts a thread for each core as it is imported, and a process with threads
-    # is not forked (validate.processes.process).
+    # NumPy's OpenBLAS starts a thread for each core on import. A process with threads is not forked
+    # (validate.processes.process).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if fmu is not None:
         from validate.judge.judgement import wire_fmu
@@ -224,9 +224,9 @@ def command(
 
 
 def exit_code(verdict: Verdict, require: str) -> int:
-    """0 for what holds (`require` "holds": by its inputs alone) and for what is asked nothing.
+    """Return 0 for a plan that holds or has no questions, 1 for violates and undecided.
 
-    1 for violates and undecided.
+    `require` "holds": the plan must hold by its inputs alone.
     """
     accepted = {"holds", "consistent", "not applicable"} | (
         {"holds with feedback"} if require != "holds" else set()
@@ -259,7 +259,7 @@ def _of_scene(
 
 
 def _told(judgement: Judgement, warnings: list[str]) -> dict[str, Any]:
-    """What is printed as JSON and written to score.json."""
+    """Return the score that is printed as JSON and written to score.json."""
     replay, result = judgement.replay, judgement.score
     return {
         "subject": judgement.scene.name,
@@ -344,7 +344,7 @@ def _print(judgement: Judgement) -> None:
 
 
 def _print_engines(rows: list[EngineVerdict]) -> None:
-    """Print the verdict of each engine, and how many verdicts are ours."""
+    """Print the verdict of each engine, and the number of verdicts equal to ours."""
     if not rows:
         return
     same = {None: "", True: "yes", False: "no"}

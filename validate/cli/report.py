@@ -1,4 +1,4 @@
-"""`report`: rebuild what is told of a campaign from what is stored of it."""
+"""`report`: rebuild the tables and pages of a campaign from its records."""
 
 from __future__ import annotations
 
@@ -47,15 +47,15 @@ def command(folder: Path, single_file: bool, jobs: int | None, as_json: bool) ->
     except ReportError:
         stored = Stored(None, ())
     if not (stored.campaign or stored.runs or stored.checks):
-        campaign_of(folder)  # which says why there is none
-    # Where no record can be read, the tables may be all that is left.
+        campaign_of(folder)  # raises with the reason
+    # If no record is readable, the old tables may be the only results.
     if stored.runs or stored.checks or not (stored.campaign and stored.campaign.keys):
         write_tables(
             folder, stored.runs, stored.checks, stored.campaign.violation if stored.campaign else ()
         )
     try:
         report = write_single(folder) if single_file else write_report(folder, jobs)
-    except ReportError as error:  # of a room that knows none of our errors
+    except ReportError as error:  # `reports` does not import our errors
         raise MachineError(str(error)) from error
     for line in _lacking(stored, folder):
         say(line, err=True)
@@ -73,7 +73,7 @@ def command(folder: Path, single_file: bool, jobs: int | None, as_json: bool) ->
 
 
 def _lacking(stored: Stored, folder: Path) -> list[str]:
-    """What could not be told, a sentence each; nothing where all is there."""
+    """Return a sentence for each part that could not be rebuilt; empty if none is missing."""
     there, campaign = len(stored.runs) + len(stored.checks), stored.campaign
     lines = []
     if campaign is None:

@@ -1,4 +1,4 @@
-"""`robust`: how much a plan can take."""
+"""`robust`: measure how much perturbation a plan tolerates."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def command(
 def _plan_of(
     plan: str, scene: str | None, folder: Path, ignore: Sequence[str]
 ) -> tuple[Any, Any, str]:
-    """The scene, the plan as a Trajectory, and what it is called: of a file, or of a run."""
+    """Return the scene, the plan as a Trajectory, and its name, from a file or from a run."""
     if Path(plan).is_file() or Path(plan).suffix in (".csv", ".nc"):
         if scene is None:
             raise click.UsageError("a plan from a file needs --scene NAME, or --fmu FILE.fmu.")
@@ -141,9 +141,10 @@ def _plan_of(
 def stored_plan(
     folder: Path, record: RunRecord, scene: str | None = None
 ) -> tuple[Scene, Trajectory]:
-    """Return the last plan of a stored run and its scene, with the changes of its campaign, or the named scene.
+    """Return the last plan of a stored run, and its scene or the named one.
 
-    Raise CampaignError, SceneError or TrajectoryError.
+    The run's scene has the changes of its campaign. Raise CampaignError, SceneError or
+    TrajectoryError.
     """
     last = record.last
     if last is None or not last.has_plan:
@@ -163,7 +164,11 @@ def stored_plan(
 
 
 def _worlds(found: Robustness) -> str:
-    """A row a world: its number, what is otherwise in sizes, the largest share of a limit inputs alone, and with feedback."""
+    """Return CSV with one row a world.
+
+    Columns: number, perturbations in sizes, largest share of a limit by inputs alone and with
+    feedback.
+    """
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(

@@ -1,4 +1,4 @@
-"""`run`: a campaign of one's own, from a file."""
+"""`run`: run a campaign that a file describes."""
 
 from __future__ import annotations
 

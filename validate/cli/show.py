@@ -1,4 +1,4 @@
-"""`show`: one run of a campaign, in a terminal."""
+"""`show`: print one run of a campaign."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def command(run: str, folder: Path, as_json: bool) -> int:
 
 
 def find_run(run: str, folder: Path) -> tuple[Path, RunRecord | CheckRecord]:
-    """The campaign's folder and the record of a run, by its folder, key or name.
+    """Return the campaign's folder and the record of a run, by its folder, key or name.
 
     Raises CampaignError.
     """

@@ -1,6 +1,6 @@
-"""Plain text tables and sentences that fit a terminal, and numbers as short as they can be read.
+"""Plain text tables and sentences that fit a terminal, and short numbers.
 
-# `why` breaks between words; `cost` goes where there is no room
+# `why` breaks between words; `cost` is dropped in a narrow terminal
 print(table(["scene", "cost", "why"], rows, ("cost",), drop=("cost",)))
 """
 
@@ -15,7 +15,8 @@ from typing import IO, Any, TypeVar
 
 import click
 
-# From here on decimals would fill the line: a diverged plan may cost 1e200.
+# Larger numbers have an exponent, since decimals would fill the line: a diverged plan may cost
+# 1e200.
 _LARGE = 1e9
 _VERDICTS = {
     "holds": "green",
@@ -25,11 +26,11 @@ _VERDICTS = {
     "no plan": "red",
 }
 _GAP = "  "
-# Columns of a table in a file or pipe, which may be read in a terminal later.
+# Width of a table in a file or pipe [characters], which may be read in a terminal later.
 _PIPE = 100
-# A column of sentences is no narrower than this [characters], before another column is left out;
-# one that may itself be left out is so before it is.
+# Least width of a column of sentences before another column is dropped [characters].
 _SENTENCE = 20
+# Least width of a column of sentences that may itself be dropped [characters].
 _LEFT_OUT = 30
 _WIDE = "touchstone.wide"
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -40,7 +41,7 @@ def _keep_wide(context: click.Context, parameter: click.Parameter, value: bool) 
 
 
 def wide_option(command: _Command) -> _Command:
-    """`--wide`, for commands that print tables."""
+    """Add `--wide` to a command that prints tables."""
     words = "Tables with all columns, however wide."
     return click.option(
         "--wide", is_flag=True, expose_value=False, callback=_keep_wide, help=words
@@ -48,9 +49,9 @@ def wide_option(command: _Command) -> _Command:
 
 
 def terminal_width(stream: IO[str] | None = None) -> int | None:
-    """Characters in a line of the terminal that a stream (stdout) is, or COLUMNS where that is set.
+    """Return the characters in a line of a stream's terminal (default stdout), or COLUMNS if set.
 
-    None: no limit, in a file, a pipe and with --wide.
+    None means no limit: in a file, in a pipe and with --wide.
     """
     if _is_wide():
         return None
@@ -69,10 +70,11 @@ def _is_wide() -> bool:
 def say(
     text: str, *, err: bool = False, begin: str = "", indent: str = "", colour: str | None = None
 ) -> None:
-    """Print a sentence, broken between words where the terminal ends.
+    """Print a sentence, broken between words at the width of the terminal.
 
-    err: to stderr; begin, indent: before the first line, and before each further one; colour: of
-        `begin`.
+    - err: print to stderr
+    - begin, indent: text before the first line, and before each further line
+    - colour: colour of `begin`
     """
     lines = wrapped(begin + one_line(text), terminal_width(sys.stderr if err else None), indent)
     click.echo(
@@ -89,9 +91,9 @@ def warn(sentences: Iterable[str]) -> None:
 
 
 def wrapped(text: str, width: int | None, indent: str = "") -> str:
-    """Text in lines of at most `width` characters.
+    """Return text in lines of at most `width` characters.
 
-    A longer word stays whole. indent: of all lines but the first.
+    A longer word stays whole. indent: prefix of all lines but the first.
     """
     if width is None or len(text) <= width:
         return text
@@ -101,15 +103,15 @@ def wrapped(text: str, width: int | None, indent: str = "") -> str:
 
 
 def use_colour() -> bool | None:
-    """False where the user said NO_COLOR, or the terminal knows no colours.
+    """Return False if NO_COLOR is set or the terminal has no colours, else None.
 
-    None leaves it to whether the output is a terminal.
+    None: click uses colours if the output is a terminal.
     """
     return False if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb" else None
 
 
 def one_line(text: str) -> str:
-    """Text from anywhere, fit for one line of a terminal: no line breaks, no control characters."""
+    """Return text without line breaks and control characters, for one line of a terminal."""
     return "".join(letter for letter in " ".join(text.split()) if letter.isprintable())
 
 
@@ -120,12 +122,13 @@ def table(
     *,
     drop: Sequence[str] = (),
 ) -> str:
-    """A table that fits the terminal, or 100 columns of a file or pipe; --wide has no limit.
+    """Return a table that fits the terminal, or 100 columns of a file or pipe; --wide has no limit.
 
-    titles, rows: text, all rows as long as `titles`; right: titles of columns that are aligned to
-        the right, and never broken; drop: titles of the
-    columns that are left out, in this order, where there is no room. The others break between
-        words.
+    - titles, rows: text, all rows as long as `titles`
+    - right: titles of columns that are aligned to the right and never broken
+    - drop: titles of columns that are dropped, in this order, if the table is too wide
+
+    Other columns break between words.
     """
     rows = [[one_line(cell) for cell in row] for row in rows]
     width = terminal_width() or (None if _is_wide() else _PIPE)
@@ -144,7 +147,7 @@ def table(
     ]
 
     def excess(widths: Sequence[int]) -> int:
-        """By how many characters the columns are wider than the terminal."""
+        """Return by how many characters the columns are wider than the terminal."""
         return (
             0
             if width is None
@@ -162,7 +165,7 @@ def table(
         widths[max(wider, key=lambda place: widths[place])] -= 1
 
     def line(cells: Sequence[str]) -> str:
-        """A row, which is as many lines high as its highest cell."""
+        """Return a row, which is as many lines high as its highest cell."""
         parts = [wrapped(cells[place], widths[place]).split("\n") for place in places]
         high = range(max(map(len, parts)))
         return "\n".join(
@@ -187,12 +190,11 @@ def table(
 
 
 def print_table(*arguments: Any, **options: Any) -> None:
-    """Print a `table`, in colours where the terminal has them."""
+    """Print a `table`, in colours if the terminal has them."""
     click.echo(table(*arguments, **options), color=use_colour())
 
 
 def _padded(text: str, width: int, colour: str | None, right: bool) -> str:
-    """Part of a cell at its width."""
     blank = " " * (width - len(text))
     coloured = click.style(text, fg=colour) if text and colour else text
     return blank + coloured if right else coloured + blank
@@ -204,7 +206,7 @@ def _narrowest(title: str, cells: Sequence[str], sentence: int) -> int:
 
 
 def short(value: Any, pattern: str = ".4g") -> str:
-    """A number in few digits; empty where nothing is known."""
+    """Return a number in few digits; empty if it is unknown."""
     if pattern.endswith("f") and isinstance(value, float) and abs(value) >= _LARGE:
         pattern = ".4g"
     return (
@@ -213,11 +215,11 @@ def short(value: Any, pattern: str = ".4g") -> str:
         else format(value + 0.0, pattern)
         if isinstance(value, float)
         else str(value)
-    )  # + 0.0: a zero has no sign
+    )  # + 0.0 removes the sign of a zero
 
 
 def in_words(seconds: float) -> str:
-    """A time as roughly as it is known."""
+    """Return a time in words, as roughly as it is known."""
     if seconds < 60:
         return f"{seconds:.0f} s" if seconds >= 9.5 else f"{seconds:.2g} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -26,14 +26,16 @@ from validate.processes.isolated import Ending, Limits, run_isolated
 
 # Free disk space that a campaign of all scenes needs, with its FMUs and trajectories [MiB].
 _ROOM_MIB = 500
+# Limits of the child process of a trial.
 _LIMITS = Limits(seconds=300.0, memory=16 * 1024**3)
 
 
 class Trial(NamedTuple):
     """A function of this module.
 
-    advice: for a failure that is not a MachineError, which has its own. compiles: the trial needs
-    the C compiler and the cache, and is left out if one of these failed.
+    - advice: for a failure that is not a MachineError, which has its own advice
+    - compiles: whether the trial needs the C compiler and the cache; it is left out if one of these
+      failed
     """
 
     name: str

@@ -1,9 +1,9 @@
-"""`truth`: the contact truth suite: every problem put to every engine at four steps: error, order, energy, time.
+"""`truth`: the contact truth suite: every problem with every engine at four steps.
 
     found = measure(("fmu", "mujoco"), jobs=2, tell=print)
     found[0].problem, found[0].engine, found[0].levels[-1].error, found[0].order
 
-Only times differ between two runs.
+The suite measures error, order, energy and time. Only times differ between two runs.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ from validate.store.provenance import command_line, installed
 from validate.stress.case import chart
 from validate.truth.problems import TruthProblem, problems
 
-# Of the CSV.
+# Columns of the CSV that come from the row of a problem and an engine.
 _OF_ROWS = ("phenomenon", "problem", "engine", "came", "worst", "order", "why")
 _OF_LEVELS = ("step", "tolerance", "error", "energy", "microseconds", "seconds")
 # Problems whose error is drawn against CPU time, by phenomenon: one with a closed form of each kind
 # of contact.
 _DRAWN = ("rebound", "two-body collision", "grazing contact", "stick-slip")
-# The reference must come this near to every answer [-]: what its tolerance leaves after 1000
-# bounces is a hundredth of it.
+# Largest error of the reference against every answer [-]. The error that its tolerance leaves after
+# 1000 bounces is a hundredth of this.
 NEAR = 1e-7
 # Errors below this share are rounding, and have no order.
 _ROUNDING = 1e-11
@@ -119,14 +119,14 @@ def command(
 
 
 def reference_is_right(rows: Sequence[TruthRow]) -> bool:
-    """Whether our reference, where it was asked, is as near to every answer as it must be."""
+    """Return whether the reference, if it was run, is within NEAR of every answer."""
     return all(
         row.error is not None and row.error <= NEAR for row in rows if row.engine == REFERENCE
     )
 
 
 def recorded(engines: tuple[str, ...], rows: Sequence[TruthRow]) -> TruthRecord:
-    """What is written of it."""
+    """Return the record that is written."""
     about = {name: describe_engine(name) for name in engines}
     versions = {
         name: installed(item.package, "") if item.package else "" for name, item in about.items()
@@ -146,7 +146,10 @@ def recorded(engines: tuple[str, ...], rows: Sequence[TruthRow]) -> TruthRecord:
 
 
 def _chart(phenomenon: str, rows: Sequence[TruthRow]) -> ChartRecord | None:
-    """Error against CPU time of the first problem of a phenomenon, a curve an engine."""
+    """Return the chart of error against CPU time of a phenomenon's first problem.
+
+    Each engine has a curve.
+    """
     of = [row for row in rows if row.phenomenon == phenomenon]
     drawn = {
         row.engine: (
@@ -170,9 +173,9 @@ def _chart(phenomenon: str, rows: Sequence[TruthRow]) -> ChartRecord | None:
 
 
 def as_csv(record: TruthRecord) -> str:
-    """A row a level: all that was measured.
+    """Return CSV of all measurements, one row a level.
 
-    Times come last, as nothing else differs between two runs.
+    Times are the last columns, because nothing else differs between two runs.
     """
     content = [
         {name: getattr(row, name) for name in _OF_ROWS}
@@ -186,10 +189,10 @@ def as_csv(record: TruthRecord) -> str:
 def measure(
     engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None] = lambda text: None
 ) -> list[TruthRow]:
-    """All problems by these engines, each in a child of its own, so many at a time, the longest first.
+    """Run all problems with these engines, the longest first, `jobs` at a time.
 
-    Raises UnknownNameError for an engine that there is not, MachineError without a compiler or
-    room.
+    Each run has a child process. Raises UnknownNameError for an unknown engine, MachineError
+    without a compiler or space.
     """
     asked = list(product(problems(), engines))
     ends = {problem.name: problem.end() for problem in dict(asked)}
@@ -212,7 +215,7 @@ def measure(
 
 
 def drives(problem: TruthProblem, about: Simulator) -> list[Drive]:
-    """Of its four levels."""
+    """Return the drives of the four levels of a problem."""
     start, tolerances = (
         np.array(problem.scene.task.start, dtype=float),
         about.tolerances or (1.0,) * len(problem.parts),
@@ -260,9 +263,9 @@ def judged(problem: TruthProblem, engine: str, answer: EngineAnswer, end: np.nda
 
 
 def observed_order(errors: Sequence[float]) -> float | None:
-    """Slope of log error over log step, each step half the one before.
+    """Return the slope of log error over log step, each step half of the previous one.
 
-    None where fewer than two errors are more than rounding.
+    None if fewer than two errors exceed rounding.
     """
     halvings = [
         place for place, error in enumerate(errors) if math.isfinite(error) and error > _ROUNDING
@@ -284,7 +287,7 @@ def _errors(
     end: np.ndarray,
     energy: Callable[[np.ndarray, np.ndarray], float],
 ) -> dict[str, float]:
-    """By quantity, as shares, the energy beside them."""
+    """Return the errors by quantity, as shares, and the error of the energy."""
     if not motion.finite:
         return {"the motion": math.inf}
     start = np.split(np.array(problem.scene.task.start, dtype=float), 2)
@@ -301,9 +304,9 @@ def _errors(
 
 
 def _worst(told: dict[str, float], problem: TruthProblem) -> tuple[float, str]:
-    """The largest error and its quantity.
+    """Return the largest error and its quantity.
 
-    The energy, of which there may be next to none, decides only where it is kept.
+    The energy may be almost zero, so its error decides only if energy is conserved.
     """
     return max(
         (error, name) for name, error in told.items() if name != "energy" or problem.energy_kept
@@ -311,7 +314,7 @@ def _worst(told: dict[str, float], problem: TruthProblem) -> tuple[float, str]:
 
 
 def _energy_of(scene: Scene) -> Callable[[np.ndarray, np.ndarray], float]:
-    """Kinetic, potential and contact energy [J] of positions and velocities (nq,) [m, m/s]."""
+    """Return the kinetic, potential and contact energy [J] as a function of q, v (nq,) [m, m/s]."""
     d = derive(scene)
     plain, contact = (
         d.function([d.kinetic_energy + d.potential_energy], d.q, d.v),
@@ -319,7 +322,7 @@ def _energy_of(scene: Scene) -> Callable[[np.ndarray, np.ndarray], float]:
     )
 
     def energy(q: np.ndarray, v: np.ndarray) -> float:
-        """Of q, v (nq,) [m, m/s]: [J]. Raises nothing."""
+        """Return the energy [J] at q, v (nq,) [m, m/s]. Raises nothing."""
         depth, stiffness = np.split(contact(q).ravel(), 2)
         return float(plain(q, v).item() + (stiffness * np.maximum(depth, 0.0) ** 2).sum() / 2)
 

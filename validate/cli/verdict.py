@@ -1,4 +1,4 @@
-"""A judged plan in a terminal, as `replay` and `show` print it: the verdict first, then its score.
+"""Print a judged plan as `replay` and `show` do: the verdict first, then its score.
 
 print_verdict(stage.verdict, stage.why, stage, cause_of_stage(stage))
 print_score(stage)
@@ -23,7 +23,10 @@ if TYPE_CHECKING:
 
 
 def as_stage(judgement: Judgement) -> StageRecord:
-    """Return a judgement in the shape of a stored stage, without pydantic, whose import takes 0.4 s."""
+    """Return a judgement in the form of a stored stage.
+
+    The function avoids pydantic, whose import takes 0.4 s.
+    """
     result, replay = judgement.score, judgement.replay
     metrics = {
         metric.name: replace(metric, question=cast(Any, metric.question.number))
@@ -100,7 +103,10 @@ def print_score(stage: StageRecord) -> None:
 def _metric_rows(
     number: int | None, view: MetricView, tracked: bool, columns: int
 ) -> list[list[str]]:
-    """Return the row of a metric, or none if it was not asked. tracked: the verdict is with feedback."""
+    """Return the row of a metric, or none if the metric was not evaluated.
+
+    tracked: whether the verdict is with feedback.
+    """
     judged = (view.followed if tracked else view.alone) or view.metric
     if judged.value is None and judged.limit is None:
         return []

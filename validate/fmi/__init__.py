@@ -1,1 +1,1 @@
-"""External FMUs: files (archive), descriptions, instances over FMPy's classes, CVODE, loops in C."""
+"""External FMUs: files, descriptions, instances over FMPy's classes, CVODE, loops in C."""

@@ -27,6 +27,7 @@ from models.errors import MachineError, TouchstoneError
 
 # Unpacked bytes of all entries.
 MOST_UNPACKED = 2 * 1024**3
+# Entries of an archive.
 MOST_ENTRIES = 20_000
 # Bytes of one XML text.
 MOST_XML = 64 * 1024**2
@@ -399,7 +400,7 @@ def binary_name(version: str, identifier: str) -> str:
 
 
 def is_version(text: str, major: int) -> bool:
-    """Whether a version of FMI, as 3.0.2, is one of the standard; 3.0-beta.3 is none."""
+    """Return whether a version of FMI, as 3.0.2, is one of the standard; 3.0-beta.3 is none."""
     return re.fullmatch(rf"{major}\.0(\.\d+)?", text) is not None
 
 

@@ -51,9 +51,11 @@ _SIGNATURES = {
     "CVodeSetMaxNumSteps": "i:pl", "CVodeSetStopTime": "i:pd", "CVodeClearStopTime": "i:p",
     "CVode": "i:pdppi", "CVodeGetRootInfo": "i:pp",
 }  # fmt: skip
-# Methods, with the highest order of each.
+# Adams' method, with the highest order.
 ADAMS = (1, 12)
+# Backward differentiation formulas, with the highest order.
 BDF = (2, 5)
+
 _NONLINEAR_ITERATIONS = 3
 _FAILURES = 10
 _NORMAL = 1
@@ -140,13 +142,13 @@ def array_of(vector: int) -> int:
 class Cvode:
     """A solver with dense Newton iterations.
 
-    y: (n,) the state, from which `renew` starts and which `advance` moves [unit of each state].
-    rates, indicators: right-hand side and root functions, FILLS or their addresses.
-    count: number of indicators.
-    data: last argument of both functions.
-    absolute: (n,) tolerances [unit of each state].
-    time: of y [s].
-    roots: (count,) sign of the slope of each indicator at which `advance` stopped, else 0 [-].
+    - y: (n,) the state, from which `renew` starts and which `advance` moves [unit of each state].
+    - rates, indicators: right-hand side and root functions, FILLS or their addresses.
+    - count: number of indicators.
+    - data: last argument of both functions.
+    - absolute: (n,) tolerances [unit of each state].
+    - time: of y [s].
+    - roots: (count,) sign of the slope of each indicator at which `advance` stopped, else 0 [-].
     """
 
     method: tuple[int, int]
@@ -172,7 +174,10 @@ class Cvode:
         self._made = contextlib.ExitStack()  # frees what was made
 
     def renew(self, time: float) -> None:
-        """Make a new solver from y at `time` [s]. Raises RuntimeError if CVODE refuses an argument."""
+        """Make a new solver from y at `time` [s].
+
+        Raises RuntimeError if CVODE refuses an argument.
+        """
         self.close()
         self.time = time
         call, context, logger = functions(), ctypes.c_void_p(), ctypes.c_void_p()

@@ -61,9 +61,9 @@ class TerminationRequested(Fault):
 class RefusedCall(FMICallException):
     """A call that the FMU refused.
 
-    message: the FMU's message during that call, empty without one.
-    setting: the variables that the call set, with their values; empty for other calls.
-    time: end of the run so far [s], NaN without a run.
+    - message: the FMU's message during that call, empty without one.
+    - setting: the variables that the call set, with their values; empty for other calls.
+    - time: end of the run so far [s], NaN without a run.
     """
 
     setting = ""
@@ -132,10 +132,10 @@ class References:
 class StepAnswer(NamedTuple):
     """The answer of a communication step.
 
-    event: whether an event must be handled.
-    ends: whether the FMU asks for the end of the simulation.
-    early: whether it returned early.
-    reached: the time that it reports [s]; the end of the step in FMI 2.0.
+    - event: whether an event must be handled.
+    - ends: whether the FMU asks for the end of the simulation.
+    - early: whether it returned early.
+    - reached: the time that it reports [s]; the end of the step in FMI 2.0.
     """
 
     event: bool
@@ -248,7 +248,7 @@ class _Fmi2(_Calls):
 
 
 class _Fmi3(_Calls):
-    """Co-Simulation without event mode and without early return, unless the options request them."""
+    """Co-Simulation without event mode and early return, unless the options request them."""
 
     prefix = "fmi3"
     doubles = "Float64"
@@ -454,7 +454,10 @@ class Instance:
             self.fmu.freeLibrary()
 
     def refuse(self, function: str, status: int) -> NoReturn:
-        """Raise FMICallException for a call, named without its prefix, that was made by its address."""
+        """Raise FMICallException for a call by address.
+
+        function: name without its prefix.
+        """
         self.fmu.refuse(self.fmu.prefix + function, status)
         raise AssertionError(f"status {status} refuses nothing")
 
@@ -613,7 +616,7 @@ class Instance:
 
     @property
     def wants_steps(self) -> bool:
-        """Whether `completed` must be called: FMI 3.0 turned the flag round."""
+        """Return whether `completed` must be called: FMI 3.0 inverts the flag."""
         interface = self.description.modelExchange
         return (
             bool(interface.needsCompletedIntegratorStep)
@@ -624,7 +627,10 @@ class Instance:
     # Co-Simulation
 
     def do_step(self, time: float, step: float) -> StepAnswer:
-        """Make one communication step [s]. Raises TerminationRequested if the FMU asks for the end."""
+        """Make one communication step [s].
+
+        Raises TerminationRequested if the FMU asks for the end.
+        """
         answer = self.fmu.step(time, step)
         if answer.ends:
             raise TerminationRequested(time + step)
@@ -632,7 +638,10 @@ class Instance:
 
 
 def _inside(folder: Path, error: Exception) -> str:
-    """Return the text of an error, with paths relative to the unpacked FMU, whose folder is temporary."""
+    """Return the text of an error, with paths relative to the unpacked FMU.
+
+    The FMU's folder is temporary.
+    """
     return str(error).replace(f"{folder}{os.sep}", "")
 
 

@@ -29,7 +29,7 @@ class Unit(NamedTuple):
     rad: int = 0
 
     def is_same(self, other: Unit) -> bool:
-        """Whether numbers in both units are the same."""
+        """Return whether numbers in both units are the same."""
         return (
             self.powers == other.powers
             and math.isclose(self.factor, other.factor, rel_tol=_SAME_FACTOR)

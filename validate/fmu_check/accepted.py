@@ -29,10 +29,12 @@ from validate.fmu_check.subject import (
     one_each,
 )
 
-# Most variables that are set one by one. In a large FMU, in which an instance computes all values,
-# so many fewer that the instances compute _COMPUTED values (some 10 s), but at least LEAST.
+# Most variables that are set one by one.
 _ONE_BY_ONE = 2000
+# Values that all instances together may compute, some 10 s. In a large FMU, in which an instance
+# computes all values, fewer variables are set one by one.
 _COMPUTED = 40_000_000
+# Least number of variables that are set one by one.
 LEAST = 100
 # Time for one set of values [s]: ten times that of a run (subject.RUN_SECONDS).
 _TRIAL_SECONDS = 20.0
@@ -48,7 +50,7 @@ _Trial: TypeAlias = Callable[[Settings], None]
 
 
 def movable(item: FmuVariable) -> bool:
-    """Whether checks move a variable: floats, and Boolean inputs.
+    """Return whether checks move a variable: floats, and Boolean inputs.
 
     Another integer may switch the model to another one.
     """
@@ -109,11 +111,11 @@ def accepted(subject: Subject, kind: str) -> Finding:
 class _Search:
     """The search of one type of FMI.
 
-    subject: avoids the values refused so far.
-    refused: by variable and field of `Avoided`, the refusal.
-    wrong, traps: clauses about runs.
-    reasons: of all refusals.
-    end: time [s] at which the FMU stops a run that sets nothing.
+    - subject: avoids the values refused so far.
+    - refused: by variable and field of `Avoided`, the refusal.
+    - wrong, traps: clauses about runs.
+    - reasons: of all refusals.
+    - end: time [s] at which the FMU stops a run that sets nothing.
     """
 
     subject: Subject
@@ -242,7 +244,7 @@ class _Search:
         return one_each(item for item in items if item.name in names)
 
     def _avoid(self, trial: _Trial, block: Block, values: np.ndarray) -> bool:
-        """Avoid the refused ones of these values (entries,) [unit of each]: a side, or the variable.
+        """Avoid the refused ones of these values (entries,) [unit of each]: a side or the variable.
 
         Returns whether any is refused. Raises as `_refusal`.
         """
@@ -261,14 +263,14 @@ class _Search:
         return is_any
 
     def _set_starts(self, trial: _Trial, block: Block) -> None:
-        """Set variables that move to neither side to their starts, and avoid those that refuse it."""
+        """Set variables that move to neither side to their starts; avoid those that refuse it."""
         stuck = Block(item for item in block if len(item.refused) > 1)
         self._avoid(trial, stuck, np.nan_to_num(stuck.starts))
 
     def _each_refused(
         self, trial: _Trial, block: Block, values: np.ndarray
     ) -> Iterator[tuple[FmuVariable, np.ndarray, Refusal | None]]:
-        """Find variables that cannot be set to their values (entries,) [unit of each], by bisection.
+        """Find variables that refuse their values (entries,) [unit of each], by bisection.
 
         Yields the variable, its values and the refusal, None if there was no time left to try.
         """
@@ -290,7 +292,10 @@ class _Search:
         yield from self._each_refused(trial, Block(block[half:]), values[place:])
 
     def _held_inputs_help(self, settings: Settings, refusal: Refusal) -> bool:
-        """Whether a refused run goes on with inputs at their starts, which are then kept there."""
+        """Return whether a refused run goes on with inputs at their starts.
+
+        If so, the inputs are kept there.
+        """
         before = self.subject
         if before.avoided.held or not before.continuous_inputs:
             return False

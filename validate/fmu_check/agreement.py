@@ -160,8 +160,8 @@ class _Explained:
         -------
         tuple of np.ndarray
             Each (rows, compared): whether a difference is unexplained; how large it may be [unit of
-            each]; whether the value jumps within the error of an event's time, so that it is not
-            compared.
+            each]; whether the value jumps. A value jumps if it changes within the error of an
+            event's time; it is not compared.
 
         Raises
         ------
@@ -190,7 +190,7 @@ class _Explained:
         return int((event.time - self.subject.start_time) / self.subject.step)
 
     def _without_jumps(self, error: np.ndarray) -> np.ndarray:
-        """Return an error (rows, compared) [unit of each] without jumps at the rows about events."""
+        """Return an error (rows, compared) [unit of each] without jumps at rows about events."""
         found = error.copy()
         for event in self.events:
             row = self._row(event)

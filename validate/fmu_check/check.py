@@ -96,11 +96,11 @@ class Failed(Exception):  # noqa: N818 - a finding about the FMU, not an error o
 class Check:
     """One check.
 
-    name: in the table.
-    run: run(subject) for Scope.FILE, run(subject, kind) otherwise; its docstring is one sentence.
-    clauses: sections of FMI 2.0.4 and 3.0.2 that demand it, empty if none does.
-    needs: the ability that the type must claim, by its names in FMI 2.0 and 3.0; empty in a version
-        without it.
+    - name: in the table.
+    - run: run(subject) for Scope.FILE, run(subject, kind) otherwise; its docstring is one sentence.
+    - clauses: sections of FMI 2.0.4 and 3.0.2 that demand it, empty if none does.
+    - needs: the ability that the type must claim, by its names in FMI 2.0 and 3.0; empty in a
+      version without it.
     """
 
     name: str
@@ -209,7 +209,7 @@ class CheckReport:
 
     @property
     def ok(self) -> bool:
-        """Whether no check failed, except waived ones."""
+        """Return whether no check failed, except waived ones."""
         return not self.failures()
 
     @property

@@ -1,6 +1,7 @@
-"""Communication steps: start and end, reported time, stop time, and optional features of Co-Simulation.
+"""Communication steps: times, stop time, and optional features of Co-Simulation.
 
-These are event mode, early return and intermediate update of FMI 3.0, and input derivatives of 2.0.
+The features are event mode, early return and intermediate update of FMI 3.0, and input derivatives
+of 2.0. The times are start and end of a step, and the reported time.
 """
 
 from __future__ import annotations
@@ -158,7 +159,10 @@ class _Eventful(CheckedInstance):
         super().__init__(subject, kind, options=options)
 
     def run(self, steps: int) -> np.ndarray:
-        """Run from the beginning; return (steps + 1, observed) [unit of each]. Raises as `motion.run`."""
+        """Run from the beginning; return (steps + 1, observed) [unit of each].
+
+        Raises as `motion.run`.
+        """
         self.begin().settle()
         return run(self, 0, steps)
 

@@ -52,7 +52,7 @@ MOST_KNOWNS = 60
 
 
 class _Column(NamedTuple):
-    """d(unknowns)/d(one known): value, error estimate and whether it is a kink, each (unknowns,)."""
+    """d(unknowns)/d(one known): value, error estimate and whether a kink, each (unknowns,)."""
 
     value: np.ndarray
     error: np.ndarray
@@ -60,12 +60,15 @@ class _Column(NamedTuple):
 
 
 def _rounding(claimed: np.ndarray) -> float:
-    """Return the rounding of zero entries that are sums of large terms, of claimed ones (entries,)."""
+    """Return the rounding of zero entries that are sums of large terms, from claimed (entries,)."""
     return _ULPS * _EPS * float(np.abs(claimed[np.isfinite(claimed)]).max(initial=0.0))
 
 
 def _agrees(claimed: np.ndarray, found: _Column, floor: np.ndarray) -> np.ndarray:
-    """(unknowns,) whether claimed entries (unknowns,) are within error or floor, or unmeasurable."""
+    """Return whether claimed entries (unknowns,) are within error or floor, or unmeasurable.
+
+    The result has the shape (unknowns,).
+    """
     allowed = (
         _WITHIN * found.error
         + _SHARE * np.maximum(np.abs(claimed), np.abs(found.value))
@@ -94,7 +97,10 @@ class _CheckedPoint:
     is_initial: bool = False
 
     def evaluate(self, x: np.ndarray) -> np.ndarray:
-        """Return the unknowns (entries,) at knowns (entries,) [unit of each]. Raises FMICallException."""
+        """Return the unknowns (entries,) at knowns (entries,) [unit of each].
+
+        Raises FMICallException.
+        """
         if self.state_entries:
             self.instance.move(self.time, x[: self.state_entries])
         self.instance.set(self._settable, x[self.state_entries :])
@@ -202,7 +208,7 @@ def _points(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
 
 
 def _brought(subject: Subject, kind: str, place: int) -> CheckedInstance:
-    """Return a new instance after so many steps."""
+    """Return a new instance after `place` steps."""
     instance = CheckedInstance(subject, kind).begin()
     run(instance, 0, place, observe="end")
     return instance
@@ -424,7 +430,7 @@ def _factors(
     slopes: dict[tuple[str, str], tuple[float, float, str]],
     wrong: list[str],
 ) -> None:
-    """Compare the slopes of dependencies declared `constant` or `fixed` with those at earlier points."""
+    """Compare slopes declared `constant` or `fixed` with those at earlier points."""
     names = point.unknowns.names
     for place, known in point.entries():
         kinds = [declared.get(name, {}).get(known.key) for name in names]

@@ -1,4 +1,4 @@
-"""Model Exchange: states, derivatives and nominals are those of the description, events are announced."""
+"""Model Exchange: states, derivatives and nominals as described, and announced events."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""An instance as a guest in its process: memory, folder, signals, files, and whose description it takes.
+"""An instance as a guest in its process: memory, folder, signals, files, and description.
 
-While an instance lives, folder, environment, signals, descriptors and floating-point modes must stay
-(validate.fmi.surroundings); each life must leave no more processes, threads, open files and memory.
+While an instance lives, folder, environment, signals, descriptors and floating-point modes must
+stay (validate.fmi.surroundings). Each life must leave no more processes, threads, open files and
+memory.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     report = check_fmu(Path("model.fmu"), names=["runs repeat"])
 
-The child (validate.processes.isolated) calls run_checks(): each check has a fork of its own, and each
-row is appended to a file, as a line of JSON, when its check has ended.
+The child (validate.processes.isolated) calls run_checks(). Each check has a fork of its own. When a
+check ends, its row is appended to a file as a line of JSON.
 """
 
 from __future__ import annotations
@@ -225,7 +225,10 @@ class _Table:
             _shorten(self.subject, kind, found.learnt["end"])
 
     def _refused(self, item: Check, kind: str, refusal: Refusal) -> Finding:
-        """Return the finding of a refusal that other values do not avoid: failed for the first check."""
+        """Return the finding of a refusal that other values do not avoid.
+
+        It is failed for the first check.
+        """
         title = f"{item.name} ({kind})" if kind else item.name
         first = self._refusals.setdefault(refusal.reason, title)
         if first != title:
@@ -370,7 +373,10 @@ def check_fmu(
 
 @contextlib.contextmanager
 def _following(lines: Path, take: Callable[[FmuCheckRow], None]) -> Iterator[None]:
-    """Call take(row) soon after each row is in the file. Raises what it raises, as a closed pipe."""
+    """Call take(row) soon after each row is in the file.
+
+    Raises what `take` raises, as for a closed pipe.
+    """
     over = threading.Event()
 
     def follow() -> None:

@@ -46,8 +46,9 @@ def compare(
     Returns
     -------
     tuple of float and str
-        The largest difference as a share of the variable's size [-], infinite for runs of different
-        length; and a clause with variable, difference and time, empty if all bits are equal.
+        The largest difference as a share of the variable's size [-], and a clause with variable,
+        difference and time. The difference is infinite for runs of different length; the clause is
+        empty if all bits are equal.
 
     Raises
     ------
@@ -134,9 +135,9 @@ _CROWDED = 1e-7
 # A value jumps at an event if it changes by more than this share of its size: a hundred times the
 # error with which CVODE locates the event.
 JUMP = 1e-8
-# Shortest time to integrate over, as a share of the time (of 1 s near 0). It is 450 units in the
-# last place of 1: a time that an FMU sums up from 500 periods, as many as the longest run has steps,
-# is up to 250 units off.
+# Shortest time to integrate over, as a share of the time (of 1 s near 0): 450 units in the last
+# place of 1. The longest run has 500 steps. A time that an FMU sums up from 500 periods is up to
+# 250 units off.
 _NO_TIME = 1e-13
 
 
@@ -144,10 +145,10 @@ _NO_TIME = 1e-13
 class Record:
     """Notes about a run of Model Exchange.
 
-    events: time, indicators that crossed, values of all indicators.
-    surprises: clauses about jumps at events that nothing announced.
-    unreported: clauses about states that an event changed without reporting it.
-    crowded: time from which events crowd [s].
+    - events: time, indicators that crossed, values of all indicators.
+    - surprises: clauses about jumps at events that nothing announced.
+    - unreported: clauses about states that an event changed without reporting it.
+    - crowded: time from which events crowd [s].
     """
 
     events: list[tuple[float, tuple[int, ...], np.ndarray]] = field(default_factory=list)
@@ -189,7 +190,7 @@ def run(
     after
         Called as after(step) after each step.
     observe
-        Whether values are stored after each step, or only at the end.
+        Times of stored values: after each step, or only at the end.
     record
         Notes about events of Model Exchange.
     mover
@@ -231,7 +232,10 @@ def run(
 
 
 def by_adams_or_bdf(simulate: Callable[[tuple[int, int]], Any]) -> Any:
-    """Return simulate(method) with Adams' method of CVODE, or BDF if that fails. Raises Misbehaviour."""
+    """Return simulate(method) with Adams' method of CVODE, or with BDF if Adams fails.
+
+    Raises Misbehaviour.
+    """
     try:
         return simulate(ADAMS)
     except Misbehaviour:
@@ -270,7 +274,7 @@ class Exchange:
         )  # fmt: skip
 
     def jump(self, time: float, inputs: np.ndarray) -> None:
-        """Set inputs (nu,) [unit of each input] at `time` [s] in an event, and restart the integrator.
+        """Set inputs (nu,) [unit of each input] at `time` [s] in an event; restart the integrator.
 
         Without inputs it only starts the integrator. Raises FMICallException, Fault.
         """
@@ -329,7 +333,7 @@ class Exchange:
 
     @property
     def is_at_time_event(self) -> bool:
-        """Whether a time event is due now, up to rounding."""
+        """Return whether a time event is due now, up to rounding."""
         return self.instance.next_event - self.time <= _NO_TIME * max(1.0, abs(self.time))
 
     def _event(self, crossed: tuple[int, ...]) -> None:
@@ -368,7 +372,7 @@ class Exchange:
         self._settle()
 
     def _settle(self) -> None:
-        """Update until nothing changes, leave Event Mode, and note states that changed unreported."""
+        """Update until nothing changes, leave Event Mode, note states that changed unreported."""
         before = self.instance.states() if self.count else self.y
         if not self.instance.settle() and self.count:
             self.record.unreported += self._jumps(
@@ -376,7 +380,10 @@ class Exchange:
             )
 
     def _jumps(self, what: str, old: np.ndarray, new: np.ndarray, scale: np.ndarray) -> list[str]:
-        """Return a clause about the largest jump of states or derivatives (nx,) [unit of each]; none without."""
+        """Return a clause about the largest jump of states or derivatives (nx,) [unit of each].
+
+        The list is empty without a jump.
+        """
         jump = np.abs(new - old) / np.maximum(np.abs(old), scale)
         place = int(np.argmax(jump))
         if not jump[place] > JUMP:

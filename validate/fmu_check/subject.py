@@ -42,7 +42,7 @@ RUN_SECONDS = 2.0
 FEWEST_STEPS = 8
 # Values of one run that are stored and compared: 32 MB.
 _MOST_VALUES = 4_000_000
-# The inputs change every so many steps.
+# Steps between changes of the inputs.
 HOLD = 10
 # Inputs move around their starts by this share of their range ...
 RANGE_SHARE = 0.3
@@ -87,12 +87,12 @@ class FmuVariable:
 
     @property
     def is_float(self) -> bool:
-        """Whether it is a floating-point number."""
+        """Return whether the variable is a floating-point number."""
         return self.type in _FLOATS
 
     @property
     def is_continuous(self) -> bool:
-        """Whether it is a floating-point number that moves between events."""
+        """Return whether the variable is a floating-point number that moves between events."""
         return self.is_float and self.variability == "continuous"
 
     @property
@@ -181,7 +181,10 @@ class Block(tuple[FmuVariable, ...]):
 
     @cached_property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest values (entries,) that range and FMU allow [unit of each]. Raises nothing."""
+        """Return least and largest values (entries,) that range and FMU allow [unit of each].
+
+        Raises nothing.
+        """
         starts = np.nan_to_num(self.starts)
         return (
             np.where(self.refuses("below"), starts, self.each(lambda item: item.lower)),
@@ -228,9 +231,9 @@ NOTHING: Settings = (Block(), np.empty(0))
 class Avoided:
     """Values that the FMU refuses, so that no check sets them.
 
-    below, above: names of variables that stay on the other side of their starts.
-    unset: names of variables that are never set.
-    held, unvaried: inputs, and parameters, stay at their starts.
+    - below, above: names of variables that stay on the other side of their starts.
+    - unset: names of variables that are never set.
+    - held, unvaried: inputs, and parameters, stay at their starts.
     """
 
     below: list[str] = field(default_factory=list)
@@ -270,7 +273,7 @@ class Subject:
         return interface_of(self.description, kind)
 
     def can(self, kind: str, ability: str) -> bool:
-        """Whether a type claims an ability, by its name in this version of FMI."""
+        """Return whether a type claims an ability, by its name in this version of FMI."""
         return self._interfaces.get(INTERFACES[kind], {}).get(ability) in ("true", "1")
 
     @cached_property
@@ -382,7 +385,7 @@ class Subject:
 
     @cached_property
     def varied(self) -> Settings:
-        """Floating-point parameters that may be set before a run, at other values than their starts."""
+        """Return changed values of floating-point parameters that may be set before a run."""
         if self.avoided.unvaried:
             return NOTHING
         parameters = self._settable(
@@ -676,5 +679,8 @@ class CheckedInstance(Instance):
                 raise
 
     def observe(self) -> np.ndarray:
-        """Read the values (entries,) by which runs are compared [unit of each]. Raises FMICallException."""
+        """Read the values (entries,) by which runs are compared [unit of each].
+
+        Raises FMICallException.
+        """
         return self.get(self.subject.observed)

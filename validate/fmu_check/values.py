@@ -64,7 +64,7 @@ def readable(subject: Subject, kind: str) -> Finding:
 
 
 def _wrong_text(instance: CheckedInstance, item: Any) -> str:
-    """Return a clause about a string or binary that is unreadable or not its start, else nothing."""
+    """Return a clause about an unreadable string or binary, or one that is not its start, or ""."""
     start = "".join(item.start[:1]) if isinstance(item.start, list) else item.start
     is_binary = item.type == "Binary"
     try:
@@ -163,10 +163,10 @@ def obeyed(subject: Subject, kind: str) -> Finding:
 
 
 def _is_kept(item: FmuVariable) -> bool:
-    """Whether a value stays until it is set again.
+    """Return whether a value stays until it is set again.
 
-    Co-Simulation may make its first event update as it leaves initialisation: that may compute
-    discrete variables again, and move a state, but not back to its default.
+    Co-Simulation may make its first event update as it leaves initialisation. This update may
+    compute discrete variables again, and move a state, but not back to its default.
     """
     return item.causality in ("parameter", "input")
 

@@ -144,8 +144,8 @@ class Multipliers:
     """Multipliers by component; missing multipliers are 0.
 
     gradient (sense * f) = sum rows[c] gradient c + sum bounds[x] + sum of pairs
-    rows, bounds: positive at a lower bound
-    pairs: (multiplier of the body of the first argument, of the second) of `complements`
+    - rows, bounds: positive at a lower bound
+    - pairs: (multiplier of the body of the first argument, of the second) of `complements`
     """
 
     rows: Mapping[Any, float] = field(default_factory=ComponentMap)
@@ -161,17 +161,17 @@ class Multipliers:
 class Certificate:
     """Residuals and stationarity of a point.
 
-    primal: largest violation of a row, a bound or a side of a pair [user's units]
-    complementarity: largest min(G, H)
-    forced: relative violation of the constraints with exact pairs, to first order
-    dual: relative residual of the multipliers
-    given_dual: residual of the caller's multipliers, including wrong signs, NaN without
-    biactive: pairs with both sides zero
-    obstacle: clause on what prevents strong stationarity
-    descent: slope of a descent direction (0: B-stationary; NaN: not known)
-    worst: component with the largest violation
-    objective: in the model's own sense
-    endless: clause on an infinite or undefined derivative, or empty
+    - primal: largest violation of a row, a bound or a side of a pair [user's units]
+    - complementarity: largest min(G, H)
+    - forced: relative violation of the constraints with exact pairs, to first order
+    - dual: relative residual of the multipliers
+    - given_dual: residual of the caller's multipliers, including wrong signs, NaN without
+    - biactive: pairs with both sides zero
+    - obstacle: clause on what prevents strong stationarity
+    - descent: slope of a descent direction (0: B-stationary; NaN: not known)
+    - worst: component with the largest violation
+    - objective: in the model's own sense
+    - endless: clause on an infinite or undefined derivative, or empty
     """
 
     primal: float

@@ -91,12 +91,12 @@ class Pair:
 class LocalModel:
     """The model to first order at a point.
 
-    goal: the objective's component, or None
-    objective: in the model's own sense
-    gradient: (n,) of the minimised objective
-    scale: largest derivative of the objective, at the point or nearby
-    rows: those with jacobian (m, n), then the variables within their bounds
-    first_jacobian, second_jacobian: (pairs, n), gradients of the pairs in the signs of `Pair`
+    - goal: the objective's component, or None
+    - objective: in the model's own sense
+    - gradient: (n,) of the minimised objective
+    - scale: largest derivative of the objective, at the point or nearby
+    - rows: those with jacobian (m, n), then the variables within their bounds
+    - first_jacobian, second_jacobian: (pairs, n), gradients of the pairs in the signs of `Pair`
     """
 
     variables: tuple[Any, ...]

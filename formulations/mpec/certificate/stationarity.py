@@ -27,6 +27,7 @@ PROGRAM = {"primal_feasibility_tolerance": 1e-10}
 _NUMERICAL = 4
 # Share of the tolerance given to a program, because HiGHS holds bounds only within its own.
 _SHARE = 0.999
+
 _NONE = np.empty(0, dtype=np.intp)
 # Any descent direction suffices, hence the wide gap. The search gives up after these nodes; the
 # largest plan of the bank, with 169 biactive pairs, needs 1.
@@ -45,11 +46,11 @@ class Stationarity(Enum):
 class ActiveSet:
     """Conditions that hold with equality within a tolerance.
 
-    normals: (k, n) gradients, each divided by its absolute sum; HiGHS reads entries below 1e-9 as 0
-    sizes: (k,) these sums
-    lowest, highest: (k,) limits of the multipliers, each 0 or infinite
-    both: (b,) numbers of the biactive pairs
-    first, second: (b,) rows of their sides in `normals`
+    - normals: (k, n) gradients, each divided by its absolute sum; HiGHS reads entries < 1e-9 as 0
+    - sizes: (k,) these sums
+    - lowest, highest: (k,) limits of the multipliers, each 0 or infinite
+    - both: (b,) numbers of the biactive pairs
+    - first, second: (b,) rows of their sides in `normals`
     """
 
     normals: sparse.csr_matrix
