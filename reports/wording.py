@@ -9,12 +9,6 @@ import math
 import re
 from dataclasses import dataclass
 
-# Verdicts of plans that hold.
-HOLD = ("holds", "holds with feedback")
-# How the names begin of metrics of the replay with feedback, and of what the feedback took, as
-# validate.judge.score has them.
-TRACKED = "tracked_"
-FEEDBACK = "feedback_"
 DASH = "–"
 _THIN = "\u202f"
 # Double-precision rounding of sums near 1.

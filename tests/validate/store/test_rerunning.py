@@ -131,7 +131,8 @@ def test_show_tells_all_of_a_run_and_how_to_run_it_again(cli, ran, tmp_path):
     done = cli("show", "three_cart x only_good", "--in", str(ran))
     assert done.returncode == 0, done.stderr
     for word in (
-        "three_cart x only_good: solved, holds",
+        "holds: it is a fake",
+        "three_cart x only_good: solved",
         "terminal_error",
         "options of stage 1 (good): iterations = 7",
         "log",
