@@ -191,7 +191,7 @@ class Method(ABC, Generic[AnyOptions]):
     title: str
     kind: Kind
     needs_eps: bool  # whether `solve` takes an eps
-    # Whether the plan is exact; a campaign then certifies it.
+    # True if the plan is exact; a campaign then certifies it.
     exact: bool = False
     # Pipelines that the method runs; a campaign provides their stored stages.
     ways: tuple[Pipeline, ...] = ()

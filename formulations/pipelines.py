@@ -223,7 +223,6 @@ RELAXED_WALK = _row(
     Leg(method="relaxed_lcp", schedule=RELAXED_EPS[-1:], options={"first_eps": RELAXED_FROM}),
     "strict_lcp",
 )
-SHOT = _row("shot", "Single shooting on true contact from random pushes", "ours", "newton_shooting")
 SOFTLY_SHOT = _row(
     "softly_shot+strict",
     "Multiple shooting on softplus contact, tightened, then strict LCP",

@@ -35,7 +35,7 @@ _CLOSED = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class StepStability:
-    """Whether a time step is stable while contacts are closed.
+    """Stability of a time step while contacts are closed.
 
     step: [s]
     radius: spectral radius of the step's Jacobian, for the worst set of contacts

@@ -35,7 +35,7 @@ _PIECES = 6  # of constant pushes
 _TRIES = 60  # of pushes, until the numbers are drawn again
 _SHARE = 0.8  # of the input range that pushes use
 _FINE = 0.02  # omega h of the fine simulation
-# What is near enough: of the way, and of the mean speed across the scene.
+# Allowed errors of the goal: a share of the way, and a share of the mean speed.
 _NEAR = 0.02
 _SLOW = 0.1
 _LOOSER = 2.0  # of the replay's limits

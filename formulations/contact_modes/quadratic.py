@@ -133,7 +133,7 @@ class ModesProblem:
         self.linear = linear
         self.kkt = BandedKKT(linear)
         self.solves, self.softness = 0, 0.0
-        # By softness and modes: lower bound of the cost.
+        # Lower bounds of the cost, by softness and modes.
         self._floors: dict[tuple[float, bytes], float] = {}
         self._dual = DualActiveSet(linear, self.kkt)
 

@@ -38,7 +38,6 @@ from formulations.method import (
 )
 from formulations.pipelines import (
     RELAXED_WALK,
-    SHOT,
     SOFTLY_SHOT,
     find_pipeline,
     load_method,
@@ -52,7 +51,7 @@ from models.trajectory import Trajectory
 
 _MODES = find_pipeline("mpcc")
 _STRICT = find_pipeline("strict")
-_SHOT = SHOT.legs[0]
+_SHOT = Leg(method="newton_shooting")
 # Relative difference of equal costs.
 _SAME = 1e-9
 # Departure that ends the refinement; the rest is for the judge's own error and unmeasured

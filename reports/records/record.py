@@ -473,9 +473,9 @@ class RunRecord(Model):
     outcome: str  # of its last stage, or crashed / time_limit / refused
     message: str = ""
     verdict: Verdict = "no plan"  # of the last stage
-    # Of a campaign of foreign plans: the instance, and whether its scene is the physics or the
-    # plan's own equations.
+    # Instance of a campaign of foreign plans; empty for other campaigns.
     instance: str = ""
+    # The physics, or the plan's own equations.
     judged_by: Literal["", "scene", "model"] = ""
     # The last stage is direct: if it is `solved`, its plan must hold (reports.rule).
     must_hold: bool

@@ -73,7 +73,7 @@ def test_what_is_stored_of_its_pipelines_is_taken_and_its_seconds_count():
     assert again.seconds.wall < 500.0, "stored stages are from a cold start"
 
 
-def test_its_pipelines_are_those_of_the_table_and_three_of_its_own():
+def test_its_pipelines_are_those_of_the_table_and_two_of_its_own():
     names = [way.name for way in load_method("best_exact").ways]
     own = [name for name in names if name not in pipeline_names()]
     assert own == ["relaxed_walk+strict", "softly_shot+strict"]

@@ -117,7 +117,7 @@ def _is_rate(
 
 def _factors(description: Any) -> dict[str, tuple[float, str]]:
     """Return the factor to the SI unit, and that unit, of each unit that the FMU defines."""
-    # By the exponents of kg, m, s and rad.
+    # Keys are the exponents of kg, m, s and rad.
     names = {"0 1 0 0": "m", "0 1 -1 0": "m/s", "1 1 -2 0": "N", "1 2 -2 0": "N m"}
     names |= {"0 0 0 1": "rad", "0 0 -1 1": "rad/s"}
     found = {}

@@ -45,7 +45,7 @@ class Evidence:
 
     def __init__(self, scene: Subject, trajectory: Trajectory, replay: Replay | None) -> None:
         self.scene, self.trajectory, self._replay = scene, trajectory, replay
-        # By parts; collocation takes 7 s, and several metrics need the same motion.
+        # Motions by parts of a step; collocation takes 7 s, and several metrics need the same motion.
         self._own_motions: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     @property

@@ -467,7 +467,7 @@ def _impulse_error(case: Evidence) -> float:
         ).sum()
     )
     if not isinstance(case.scene, Scene):  # stiffness from its own forces and gaps
-        # Where a contact begins, damping divides by a depth near zero.
+        # At the start of a contact, damping divides by a depth near zero.
         pressed = case.replay_gap < np.minimum(_CLEARLY * case.replay_gap.min(axis=0), 0.0)
         stiffness = np.divide(
             case.replay.lam, -case.replay_gap, out=np.zeros_like(case.replay.lam), where=pressed
