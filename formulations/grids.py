@@ -127,9 +127,9 @@ def replayed_goal_error(scene: Scene, kernel: Kernel, plan: Trajectory) -> float
 
 # Steps per step of the plan for its motion; with ten, feedback appears a tenth smaller
 # (hopper_planar: 0.80 instead of 0.87 of the plan's inputs).
-_PARTS = 50
+PARTS = 50
 # Departure of a motion without bounds.
-_LOST = 1e6
+LOST = 1e6
 
 
 def finer_scene(scene: Scene, parts: int) -> Scene:
@@ -174,7 +174,7 @@ def departure(scene: Scene, plan: Trajectory) -> float:
 
     Raises KernelError for a plan of another scene.
     """
-    return _followed(scene, plan, _PARTS)[1]
+    return _followed(scene, plan, PARTS)[1]
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -184,7 +184,7 @@ def _followed(scene: Scene, plan: Trajectory, parts: int) -> tuple[np.ndarray | 
     The feedback is the time-varying LQR in which a nominal error costs as much as a full input. It
     is constant over a step of the plan and respects the bounds.
     """
-    lost = None, _LOST
+    lost = None, LOST
     steps, h, x_plan = load_steps(scene), scene.task.step / parts, np.hstack([plan.q, plan.v])
     lower, upper = input_bounds(scene)
     size, half = np.tile([item.nominal for item in scene.coordinates], 2), (upper - lower) / 2.0
@@ -223,9 +223,9 @@ def _followed(scene: Scene, plan: Trajectory, parts: int) -> tuple[np.ndarray | 
     of = {
         "replay_terminal_position_error": position,
         "replay_terminal_velocity_error": velocity,
-        "feedback_share": _LOST if share is None else share,
+        "feedback_share": LOST if share is None else share,
         "feedback_effort": float(np.sqrt(np.mean(((u - plan.u) / half) ** 2, axis=0)).max()),
     }
     departs = [float((off / replay_limits(scene)).max(initial=0.0))]
     departs += [value / limit for name, value in of.items() if (limit := limit_of(scene, name))]
-    return u, min(max(departs), _LOST)
+    return u, min(max(departs), LOST)

@@ -10,18 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from formulations.grids import finer_scene, motion_on_finer_steps, plan_of
+from formulations.grids import LOST, PARTS, finer_scene, motion_on_finer_steps, plan_of
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
 from models.scene.default_limits import IMPULSE, impulse_yardstick, limit_of, replay_limits
 from models.scene.goal import goal_state, miss
 from models.scene.typical_force import typical_force
 from models.trajectory import Trajectory
-
-# Steps per step of the plan, as in formulations.grids.
-_PARTS = 50
-# Departure of a motion without bounds, as in formulations.grids.
-_LOST = 1e6
 
 
 def contact_departure(scene: Scene, plan: Trajectory) -> float:
@@ -33,26 +28,26 @@ def contact_departure(scene: Scene, plan: Trajectory) -> float:
     """
     if not scene.nc:
         return 0.0
-    followed = motion_on_finer_steps(scene, plan, _PARTS)
+    followed = motion_on_finer_steps(scene, plan, PARTS)
     if followed is None:
-        return _LOST
+        return LOST
     open_loop = _by_inputs_alone(scene, plan)
     motions = [
         followed,
         *([open_loop] if open_loop is not None and _is_near(scene, plan, open_loop) else []),
     ]
-    return min(_LOST, max(_departs(scene, plan, motion) for motion in motions))
+    return min(LOST, max(_departs(scene, plan, motion) for motion in motions))
 
 
 def _by_inputs_alone(scene: Scene, plan: Trajectory) -> Trajectory | None:
-    u, finer = np.repeat(plan.u, _PARTS, axis=0), finer_scene(scene, _PARTS)
+    u, finer = np.repeat(plan.u, PARTS, axis=0), finer_scene(scene, PARTS)
     motion = load_kernel(scene).rollout(plan.start, u, finer.task.step)
     return None if motion.diverged else plan_of(finer, motion, u)
 
 
 def _is_near(scene: Scene, plan: Trajectory, motion: Trajectory) -> bool:
     """Return whether a motion stays within its limits of distance from the plan and the goal."""
-    off = np.abs(motion.q[::_PARTS] - plan.q).max(axis=0)
+    off = np.abs(motion.q[::PARTS] - plan.q).max(axis=0)
     if (off > replay_limits(scene)).any():
         return False
     missed = np.split(miss(motion.end, goal_state(scene.task)), 2)
@@ -65,7 +60,7 @@ def _is_near(scene: Scene, plan: Trajectory, motion: Trajectory) -> bool:
 
 def _departs(scene: Scene, plan: Trajectory, motion: Trajectory) -> float:
     planned = plan.lam[:, : scene.nc]
-    forces = motion.lam[:, : scene.nc].reshape(plan.steps, _PARTS, scene.nc)
+    forces = motion.lam[:, : scene.nc].reshape(plan.steps, PARTS, scene.nc)
     least, most = _around(forces.min(axis=1), np.minimum), _around(forces.max(axis=1), np.maximum)
     step = scene.task.step
     common = step * float(np.minimum(np.abs(planned), most).sum())
@@ -76,7 +71,7 @@ def _departs(scene: Scene, plan: Trajectory, motion: Trajectory) -> float:
         limit = IMPULSE * yardstick if own is None else own.value
         impulse = step * float(np.maximum(excess, 0.0).sum())
         if limit is not None and impulse > 0.0:
-            parts.append(impulse / limit if limit > 0.0 else _LOST)
+            parts.append(impulse / limit if limit > 0.0 else LOST)
     return max(parts)
 
 
