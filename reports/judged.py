@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from reports.records.names import FEEDBACK, HOLD, TRACKED
+from reports.names import FEEDBACK, HOLD, TRACKED
 from reports.wording import capital, measured, spaced
 
 if TYPE_CHECKING:  # `replay` has stages that are no records, and does without pydantic: 0.4 s

@@ -27,9 +27,9 @@ from pydantic import (
     model_validator,
 )
 
-from reports.records.names import FEEDBACK as FEEDBACK
-from reports.records.names import HOLD as HOLD
-from reports.records.names import TRACKED as TRACKED
+from reports.names import FEEDBACK as FEEDBACK
+from reports.names import HOLD as HOLD
+from reports.names import TRACKED as TRACKED
 
 if TYPE_CHECKING:  # a fifth of the time of `show`, which does not need them
     import numpy as np

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 import click
 
 from reports.judged import Cause, MetricView, deciding, questions_of
-from reports.records.names import HOLD
+from reports.names import HOLD
 from validate.cli.table import print_table, say, short
 
 if TYPE_CHECKING:
