@@ -1,13 +1,14 @@
 """Exact contact for every scene: the cheapest plan of several pipelines from a cold start.
 
-    mpcc has a plan to follow:    mpcc, relaxed+strict, softplus_dc+strict
-    otherwise:                    relaxed+strict, softplus_dc+strict, relaxed_walk+strict,
-                                  softly_shot+strict
-    none of these has a plan:     strict
-    none is followed:             newton_shooting from random pushes, on ever finer steps
+    always:                            mpcc, newton_shooting from random pushes, relaxed+strict,
+                                       softplus_dc+strict
+    mpcc has no plan to follow,
+    and none of these is clearly so:   relaxed_walk+strict, softly_shot+strict
+    none of these has a plan:          strict
+    the cheapest is not followed:      it is solved again on ever finer steps, then the closest
 
-`departure` compares the motion on finer steps with the plan, with feedback, in parts of what the
-scene allows. A plan above 1 is solved again on shorter steps, and is taken only if there is no
+`departure` compares the motion on finer steps with the plan, without and with feedback, and the
+contacts of both, in parts of what the scene allows. A plan above 1 is taken only if there is no
 other. docs/campaigns.md has figures.
 """
 
@@ -51,19 +52,18 @@ from models.trajectory import Trajectory
 
 _MODES = find_pipeline("mpcc")
 _STRICT = find_pipeline("strict")
-_SHOT = Leg(method="newton_shooting")
+# Bounded in work, and cheap: a bank scene takes 0.2 to 8 CPU s.
+_PUSHES = Pipeline(
+    name="newton_shooting", title="Random pushes", legs=(Leg(method="newton_shooting"),)
+)
 # Relative difference of equal costs.
 _SAME = 1e-9
 # Departure that ends the refinement; the rest is for the judge's own error and unmeasured
 # quantities. `push_box` departs by 1.64, 0.80 and 0.31 on its grid and on steps a half and a
 # quarter as long. `hopper_planar` departs by 1.005 and 0.53.
 _CLEARLY = 0.75
-# Pipelines skipped if mpcc has a plan that is followed.
-_WITHOUT_MODES = (RELAXED_WALK, SOFTLY_SHOT)
-# The contact modes of a plan and cheaper adjacent ones, without a wider search.
-_MODES_OF_SHOT = Leg(method="strict_lcp", options={"attack_iterations": 1})
-# Halvings for a shot per halving for strict_lcp; a shot takes milliseconds a step.
-_SHOT_HALVINGS = 2
+# Pipelines skipped if mpcc has a plan that is followed, or any pipeline one that clearly is.
+_LONG = (RELAXED_WALK, SOFTLY_SHOT)
 # Largest number of halvings to a stable step; with more, plans start on the task's steps.
 _STABLE_HALVINGS = 3
 # Share of the time limit reserved for finer steps.
@@ -79,10 +79,10 @@ class BestExactOptions(Options):
 
     all_ways: bool = option(
         False,
-        "where mpcc has a plan, run relaxed_walk+strict and softly_shot+strict too",
+        "run relaxed_walk+strict and softly_shot+strict also if they are not needed",
     )
     halvings: int = option(
-        3,
+        6,
         "how often the steps are halved where the cheapest plan departs by more than is allowed; 0: a plan on the task's grid",
         lower=0,
         upper=10,
@@ -155,16 +155,15 @@ class BestExactSession(Session):
     ) -> Iterator[tuple[str, Solution]]:
         """Yield the name and the solution of each pipeline, then of each solve on finer steps.
 
-        After a first plan, an error of another pipeline is only a sentence in `crashed`. Random
-        pushes are the last resort: the other pipelines find cheaper plans.
+        After a first plan, an error of another pipeline is only a sentence in `crashed`.
         """
         solved: list[Solution] = []
-        by_modes = False  # whether mpcc has a plan that is followed
+        is_enough = False  # whether the long pipelines are not needed
         first_error: Exception | None = None
         for way in self._method.ways:
             if load_method(way.legs[0].method).accepts(self._scene) is not None:
                 continue
-            if way in _WITHOUT_MODES and by_modes and not self._options.all_ways:
+            if way in _LONG and is_enough and not self._options.all_ways:
                 continue
             if way is _STRICT and solved:
                 continue
@@ -179,46 +178,40 @@ class BestExactSession(Session):
                 first_error = first_error or error
                 crashed.append(_crash(way.name, error))
                 continue
-            solved += [solution] if solution.outcome is Outcome.SOLVED else []
-            by_modes = by_modes or (way is _MODES and bool(solved) and _is_followed(solution))
+            if solution.outcome is Outcome.SOLVED:
+                solved.append(solution)
+                by_modes = way is _MODES and _is_followed(solution)
+                is_enough = is_enough or by_modes or _is_clear(solution)
             yield way.name, solution
             if monotonic() >= (last if solved else ends):
                 break
-        is_done = False
-        if solved and not (is_done := _is_followed(cheapest := _cheapest(solved))):
-            for words, solution in self._kept(self._on_finer_steps(cheapest, ends), crashed):
-                solves = solution.outcome is Outcome.SOLVED
-                is_done = is_done or (solves and _is_followed(solution))
-                yield words, solution
-        if is_done or any(map(_is_followed, solved)):
-            return
-        found = 0
-        for words, solution in self._kept(self._shots(ends), crashed):
-            found += solution.outcome is Outcome.SOLVED
+        for words, solution in self._kept(self._refined(solved, ends), crashed):
+            solved += [solution] if solution.outcome is Outcome.SOLVED else []
             yield words, solution
-        if first_error is not None and not solved and not found:
+        if first_error is not None and not solved:
             raise first_error
 
-    def _shots(self, ends: float) -> Iterator[tuple[str, Solution]]:
-        """Yield a shot from random pushes and its contact modes, then shots on finer steps."""
-        scene = self._scene
-        if load_method(_SHOT.method).accepts(scene) is not None or monotonic() >= ends:
+    def _refined(self, solved: Sequence[Solution], ends: float) -> Iterator[tuple[str, Solution]]:
+        """Yield solutions on finer steps until a plan is followed.
+
+        First come those of the cheapest plan, then those of the closest one. Without a plan random
+        pushes are tried on finer steps.
+        """
+        if not solved:
+            yield from self._on_finer_steps(None, ends)
             return
-        best = _with_contact_departure(scene, _solved(scene, _SHOT, None, ends)[-1])
-        yield _SHOT.method, best
-        if best.outcome is Outcome.SOLVED and monotonic() < ends:
-            modes = _solved(scene, _MODES_OF_SHOT, best.trajectory, ends)[-1]
-            improved = _with_contact_departure(scene, modes)
-            yield f"{_SHOT.method}, its modes by strict_lcp", improved
-            best = min(best, improved, key=_order)
-        for _ in range(_SHOT_HALVINGS * self._options.halvings):
-            if monotonic() >= ends or _is_clear(best):
-                return
-            plan = best.trajectory if best.outcome is Outcome.SOLVED else None
-            motion = None if plan is None else motion_on_finer_steps(scene, plan, 2)
-            scene = finer_scene(scene, 2)
-            best = _with_contact_departure(scene, _solved(scene, _SHOT, motion, ends)[-1])
-            yield f"{_SHOT.method}, on {scene.task.steps} steps", best
+        cheapest = _cheapest(list(solved))
+        others = [each for each in solved if each is not cheapest]
+        if _is_followed(cheapest):
+            return
+        now = monotonic()
+        last = now + (ends - now) / 2.0 if others else ends
+        is_done = any(map(_is_followed, others))
+        for words, solution in self._on_finer_steps(cheapest, last):
+            is_done = is_done or (solution.outcome is Outcome.SOLVED and _is_followed(solution))
+            yield words, solution
+        if others and not is_done:
+            yield from self._on_finer_steps(min(others, key=_departure_of), ends)
 
     def _kept(
         self, solutions: Iterator[tuple[str, Solution]], crashed: list[str]
@@ -252,18 +245,40 @@ class BestExactSession(Session):
             last = replace(last, trajectory=None, cost=None)
         return replace(as_asked(self._scene, last), iterations=iterations, seconds=seconds)
 
-    def _on_finer_steps(self, coarse: Solution, ends: float) -> Iterator[tuple[str, Solution]]:
-        """Solve by strict_lcp on repeatedly halved steps, from the motion of the previous plan."""
-        scene, solution = self._scene, coarse
+    def _on_finer_steps(
+        self, coarse: Solution | None, ends: float
+    ) -> Iterator[tuple[str, Solution]]:
+        """Solve on repeatedly halved steps, from the motion of the previous plan.
+
+        Each halving is solved by strict_lcp, which lowers the cost, until it has no plan, and by
+        newton_shooting after that.
+        """
+        scene, plan = self._scene, None if coarse is None else coarse.trajectory
+        by_strict = plan is not None
         for _ in range(self._options.halvings):
-            plan = solution.trajectory
+            if monotonic() >= ends:
+                return
             motion = None if plan is None else motion_on_finer_steps(scene, plan, 2)
-            if motion is None or monotonic() >= ends:
+            if plan is not None and motion is None:
                 return
             scene = finer_scene(scene, 2)
-            solution = _with_departure(scene, _solved(scene, _STRICT.legs[0], motion, ends)[-1])
-            yield f"strict from the cheapest of these, on {scene.task.steps} steps", solution
-            if solution.outcome is not Outcome.SOLVED or _is_clear(solution):
+            legs = [*([_STRICT.legs[0]] if by_strict else []), _PUSHES.legs[0]]
+            for leg in legs:
+                if load_method(leg.method).accepts(scene) is not None:
+                    continue
+                now = monotonic()
+                last = now + (ends - now) / 2.0 if leg is not legs[-1] else ends
+                solution = _with_departure(scene, _solved(scene, leg, motion, last)[-1])
+                yield f"{leg.method} on {scene.task.steps} steps", solution
+                if solution.outcome is Outcome.SOLVED:
+                    break
+                by_strict = False
+            if solution.outcome is not Outcome.SOLVED:
+                if plan is not None:
+                    return
+                continue
+            plan = solution.trajectory
+            if _is_clear(solution):
                 return
 
 
@@ -275,18 +290,10 @@ def _solved(scene: Scene, leg: Leg, start: Trajectory | None, ends: float) -> tu
 
 def _with_departure(scene: Scene, solution: Solution) -> Solution:
     """Return a solved plan with the residual `departure`."""
-    if solution.outcome is not Outcome.SOLVED or solution.trajectory is None:
+    plan = solution.trajectory
+    if solution.outcome is not Outcome.SOLVED or plan is None:
         return solution
-    departs = departure(scene, solution.trajectory)
-    return replace(solution, residuals={**solution.residuals, _DEPARTURE: departs})
-
-
-def _with_contact_departure(scene: Scene, solution: Solution) -> Solution:
-    """Return a solved plan with the residual `departure`, in which contacts count too."""
-    solution = _with_departure(scene, solution)
-    if _DEPARTURE not in solution.residuals or solution.trajectory is None:
-        return solution
-    departs = max(solution.residuals[_DEPARTURE], contact_departure(scene, solution.trajectory))
+    departs = max(departure(scene, plan), contact_departure(scene, plan))
     return replace(solution, residuals={**solution.residuals, _DEPARTURE: departs})
 
 
@@ -311,9 +318,8 @@ def _is_clear(solution: Solution) -> bool:
     return solution.outcome is Outcome.SOLVED and solution.residuals[_DEPARTURE] <= _CLEARLY
 
 
-def _order(solution: Solution) -> tuple[bool, float]:
-    is_solved = solution.outcome is Outcome.SOLVED
-    return not is_solved, solution.residuals.get(_DEPARTURE, 0.0)
+def _departure_of(solution: Solution) -> float:
+    return solution.residuals[_DEPARTURE]
 
 
 def _best(solutions: list[Solution]) -> Solution:
@@ -323,7 +329,7 @@ def _best(solutions: list[Solution]) -> Solution:
     ]
     followed = [*filter(_is_followed, solved)]
     if solved and not followed:
-        return min(solved, key=lambda each: each.residuals[_DEPARTURE])
+        return min(solved, key=_departure_of)
     priced = followed or [each for each in solutions if each.cost is not None]
     return _cheapest(priced) if priced else solutions[-1]
 
@@ -346,6 +352,7 @@ class BestExact(Method[BestExactOptions]):
     options = BestExactOptions
     ways = (
         _MODES,
+        _PUSHES,
         find_pipeline("relaxed+strict"),
         find_pipeline("softplus_dc+strict"),
         RELAXED_WALK,
