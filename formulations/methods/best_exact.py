@@ -168,9 +168,10 @@ class BestExactSession(Session):
             if way is _STRICT and solved:
                 continue
             try:
-                # Without a plan a pipeline may use half of the remaining time.
+                # Without a plan that is followed a pipeline may use half of the remaining time.
                 now = monotonic()
-                last = ends - _FOR_FINER * time_limit if solved else now + (ends - now) / 2.0
+                is_safe = any(map(_is_followed, solved))
+                last = ends - _FOR_FINER * time_limit if is_safe else now + (ends - now) / 2.0
                 solution = _with_departure(self._scene, self._way(way, start, last))
             except MachineError:  # a full disk, for example, ends all pipelines
                 raise
@@ -183,7 +184,7 @@ class BestExactSession(Session):
                 by_modes = way is _MODES and _is_followed(solution)
                 is_enough = is_enough or by_modes or _is_clear(solution)
             yield way.name, solution
-            if monotonic() >= (last if solved else ends):
+            if monotonic() >= (last if is_safe else ends):
                 break
         for words, solution in self._kept(self._refined(solved, ends), crashed):
             solved += [solution] if solution.outcome is Outcome.SOLVED else []
