@@ -49,7 +49,9 @@ def _departs(scene: Scene, plan: Trajectory, motion: Trajectory) -> float:
     step = scene.task.step
     common = step * float(np.minimum(np.abs(planned), most).sum())
     yardstick = impulse_yardstick(common, typical_force(scene, load_kernel(scene)), plan.duration)
-    parts = [float((_depths(scene, motion) / np.array(scene.depths)).max())]
+    deepest = float((_depths(scene, motion) / np.array(scene.depths)).max())
+    # A plan may use the whole depth, so what is below it is no difference.
+    parts = [deepest if deepest > 1.0 else 0.0]
     for name, excess in (("ghost_impulse", planned - most), ("missed_impulse", least - planned)):
         own = scene.limit(name)
         limit = IMPULSE * yardstick if own is None else own.value

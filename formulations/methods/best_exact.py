@@ -18,6 +18,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from time import monotonic
 
+import numpy as np
+
 from formulations.grids import (
     check_warm_start,
     departure,
@@ -45,6 +47,7 @@ from formulations.pipelines import (
     solve_stages,
 )
 from formulations.solution import Attempt, Outcome, Seconds, Solution, as_asked, ended
+from models.codegen.kernel import load_kernel
 from models.errors import MachineError
 from models.scene import Scene
 from models.stability import step_stability
@@ -66,6 +69,10 @@ _CLEARLY = 0.75
 _LONG = (RELAXED_WALK, SOFTLY_SHOT)
 # Largest number of halvings to a stable step; with more, plans start on the task's steps.
 _STABLE_HALVINGS = 3
+# Share of a contact's depth that a plan keeps to if one without a bound is too deep. The rest is for
+# the motion between the nodes.
+_DEPTH_SHARE = 0.9
+_WITHIN_DEPTH = Leg(method="strict_lcp", options={"depth_share": _DEPTH_SHARE})
 # Share of the time limit reserved for finer steps.
 _FOR_FINER = 0.2
 _DEPARTURE = "departure"
@@ -169,9 +176,8 @@ class BestExactSession(Session):
                 continue
             try:
                 # Without a plan that is followed a pipeline may use half of the remaining time.
-                now = monotonic()
                 is_safe = any(map(_is_followed, solved))
-                last = ends - _FOR_FINER * time_limit if is_safe else now + (ends - now) / 2.0
+                last = ends - _FOR_FINER * time_limit if is_safe else _half(ends)
                 solution = _with_departure(self._scene, self._way(way, start, last))
             except MachineError:  # a full disk, for example, ends all pipelines
                 raise
@@ -205,8 +211,7 @@ class BestExactSession(Session):
         others = [each for each in solved if each is not cheapest]
         if _is_followed(cheapest):
             return
-        now = monotonic()
-        last = now + (ends - now) / 2.0 if others else ends
+        last = _half(ends) if others else ends
         is_done = any(map(_is_followed, others))
         for words, solution in self._on_finer_steps(cheapest, last):
             is_done = is_done or (solution.outcome is Outcome.SOLVED and _is_followed(solution))
@@ -252,34 +257,37 @@ class BestExactSession(Session):
         """Solve on repeatedly halved steps, from the motion of the previous plan.
 
         Each halving is solved by strict_lcp, which lowers the cost, until it has no plan, and by
-        newton_shooting after that.
+        newton_shooting after that. A plan that is too deep is first solved again within the depths.
         """
         scene, plan = self._scene, None if coarse is None else coarse.trajectory
         by_strict = plan is not None
-        for _ in range(self._options.halvings):
-            if monotonic() >= ends:
+        strict = _STRICT.legs[0]
+        if plan is not None and _is_deep(scene, plan):
+            strict = _WITHIN_DEPTH
+            solution = _with_departure(scene, _solved(scene, strict, plan, _half(ends))[-1])
+            yield f"{strict.method} within the depths", solution
+            plan = solution.trajectory if solution.outcome is Outcome.SOLVED else plan
+            if _is_clear(solution):
                 return
+        for _ in range(self._options.halvings):
             motion = None if plan is None else motion_on_finer_steps(scene, plan, 2)
-            if plan is not None and motion is None:
+            if monotonic() >= ends or (plan is not None and motion is None):
                 return
             scene = finer_scene(scene, 2)
-            legs = [*([_STRICT.legs[0]] if by_strict else []), _PUSHES.legs[0]]
-            for leg in legs:
-                if load_method(leg.method).accepts(scene) is not None:
-                    continue
-                now = monotonic()
-                last = now + (ends - now) / 2.0 if leg is not legs[-1] else ends
-                solution = _with_departure(scene, _solved(scene, leg, motion, last)[-1])
+            solution: Solution | None = None
+            if by_strict:
+                solution = _with_departure(scene, _solved(scene, strict, motion, _half(ends))[-1])
+                yield f"{strict.method} on {scene.task.steps} steps", solution
+                by_strict = solution.outcome is Outcome.SOLVED
+            if not by_strict and load_method(_PUSHES.name).accepts(scene) is None:
+                leg = _PUSHES.legs[0]
+                solution = _with_departure(scene, _solved(scene, leg, motion, ends)[-1])
                 yield f"{leg.method} on {scene.task.steps} steps", solution
-                if solution.outcome is Outcome.SOLVED:
-                    break
-                by_strict = False
-            if solution.outcome is not Outcome.SOLVED:
-                if plan is not None:
+            if solution is not None and solution.outcome is Outcome.SOLVED:
+                plan = solution.trajectory
+                if _is_clear(solution):
                     return
-                continue
-            plan = solution.trajectory
-            if _is_clear(solution):
+            elif plan is not None:
                 return
 
 
@@ -296,6 +304,18 @@ def _with_departure(scene: Scene, solution: Solution) -> Solution:
         return solution
     departs = max(departure(scene, plan), contact_departure(scene, plan))
     return replace(solution, residuals={**solution.residuals, _DEPARTURE: departs})
+
+
+def _half(ends: float) -> float:
+    """Return the end of half of the remaining time."""
+    now = monotonic()
+    return now + (ends - now) / 2.0
+
+
+def _is_deep(scene: Scene, plan: Trajectory) -> bool:
+    """Return whether a contact of the plan uses more of its depth than plans within depths do."""
+    deepest = load_kernel(scene).penetration(plan.q).max(axis=0)
+    return bool((deepest > _DEPTH_SHARE * np.array(scene.depths)).any())
 
 
 def _stable(scene: Scene, halvings: int) -> Scene:

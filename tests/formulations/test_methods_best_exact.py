@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import sympy as sp
 
+import touchstone as ts
 from formulations.method import Leg, Pipeline
 from formulations.methods import best_exact
-from formulations.mpec import certify_plan
 from formulations.pipelines import (
     RELAXED_WALK,
     find_pipeline,
@@ -25,6 +25,7 @@ from models.codegen.kernel import load_kernel
 from models.errors import MachineError
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
+from validate.judge.score.verdict import Verdict
 
 ROOT = Path(__file__).parents[2]
 SMALL = load_scene("three_cart").with_task(
@@ -236,26 +237,20 @@ def test_a_scene_with_friction_ends_where_the_best_known_way_does():
 
 
 @pytest.mark.slow
-def test_what_relaxed_contact_passes_by_multiple_shooting_finds_and_finer_steps_let_hold():
-    """A finger that pushes a drawer shut, which glides the last part by itself: relaxed contact ends at 25.9 and 26.5, softplus walked down nowhere.
+def test_a_plan_deeper_than_its_contacts_is_solved_again_within_them():
+    """A finger whose tip is 2 cm deep pushes a drawer shut; the drawer glides the last part.
 
-    On 200 steps the cheapest departs by 3.5 times what is allowed, on 400 by 1.6, on 800 by 0.46.
-    It costs what its inputs cost on the task's steps.
+    The cheapest plans cost 9.5 and push the tip in by 4 cm, which no finer step repairs.
     """
     scene = load_scene(str(ROOT / "tests" / "scenes" / "drawer.py"))
     found = solved(scene)
-    by = {attempt.start.split(",")[-1].split()[-2]: attempt.cost for attempt in found.starts[-2:]}
-    coarse = [attempt for attempt in found.starts if attempt.start == "softly_shot+strict"]
+    costs = {attempt.start: attempt.cost for attempt in found.starts}
     assert found.outcome is Outcome.SOLVED
-    assert coarse[0].cost <= 9.6
-    assert list(by) == ["400", "800"]
-    assert found.cost == by["800"] == pytest.approx(coarse[0].cost, rel=0.02)
-    assert found.residuals["departure"] <= 0.75
-    plan = found.trajectory
-    assert (plan.steps, plan.t[-1]) == (800, pytest.approx(scene.task.horizon))
-    assert found.cost == pytest.approx(
-        load_kernel(scene).cost(plan.q, plan.v, plan.u) / 4.0, rel=1e-9
-    )
-    certificate = certify_plan(scene, plan)
-    assert certificate.holds
-    assert certificate.strong
+    assert costs["softly_shot+strict"] <= 9.6
+    assert found.cost > 2.0 * costs["softly_shot+strict"]
+    assert found.cost == pytest.approx(costs["strict_lcp within the depths"], rel=0.02)
+    assert found.residuals["departure"] <= 1.0
+    deepest = load_kernel(scene).penetration(found.trajectory.q).max()
+    assert 0.0 < deepest <= 0.9 * scene.depths[0] + 1e-8
+    judged = ts.judge(ROOT / "tests" / "scenes" / "drawer.py", found.trajectory)
+    assert judged.verdict in {Verdict.HOLDS, Verdict.HOLDS_WITH_FEEDBACK}
