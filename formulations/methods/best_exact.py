@@ -1,7 +1,7 @@
 """Exact contact for every scene: the cheapest plan of several pipelines from a cold start.
 
-    always:                            mpcc, newton_shooting from random pushes, relaxed+strict,
-                                       softplus_dc+strict
+    always:                            mpcc, newton_shooting from random pushes and on finer steps,
+                                       relaxed+strict, softplus_dc+strict
     mpcc has no plan to follow,
     and none of these is clearly so:   relaxed_walk+strict, softly_shot+strict
     none of these has a plan:          strict
@@ -9,7 +9,7 @@
 
 `departure` compares the motion on finer steps with the plan, without and with feedback, and the
 contacts of both, in parts of what the scene allows. A plan above 1 is taken only if there is no
-other. docs/campaigns.md has figures.
+other. docs/planning.md has figures.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from formulations.grids import (
     finer_scene,
     motion_on_finer_steps,
     on_grid,
+    scene_of,
 )
 from formulations.impulses import contact_departure
 from formulations.method import (
@@ -190,6 +191,12 @@ class BestExactSession(Session):
                 by_modes = way is _MODES and _is_followed(solution)
                 is_enough = is_enough or by_modes or _is_clear(solution)
             yield way.name, solution
+            if way is _PUSHES and solution in solved and not _is_followed(solution):
+                shots = self._on_finer_steps(solution, _half(ends), by_strict=False)
+                for words, finer in self._kept(shots, crashed):
+                    solved += [finer] if finer.outcome is Outcome.SOLVED else []
+                    is_enough = is_enough or _is_clear(finer)
+                    yield words, finer
             if monotonic() >= (last if is_safe else ends):
                 break
         for words, solution in self._kept(self._refined(solved, ends), crashed):
@@ -252,19 +259,20 @@ class BestExactSession(Session):
         return replace(as_asked(self._scene, last), iterations=iterations, seconds=seconds)
 
     def _on_finer_steps(
-        self, coarse: Solution | None, ends: float
+        self, coarse: Solution | None, ends: float, by_strict: bool = True
     ) -> Iterator[tuple[str, Solution]]:
         """Solve on repeatedly halved steps, from the motion of the previous plan.
 
         Each halving is solved by strict_lcp, which lowers the cost, until it has no plan, and by
-        newton_shooting after that. A plan that is too deep is first solved again within the depths.
+        newton_shooting after that, or by newton_shooting alone. A plan that is too deep is first solved again within the depths.
         """
-        scene, plan = self._scene, None if coarse is None else coarse.trajectory
-        by_strict = plan is not None
+        plan = None if coarse is None else coarse.trajectory
+        scene = self._scene if plan is None else scene_of(self._scene, plan)
+        by_strict = by_strict and plan is not None
         strict = _STRICT.legs[0]
-        if plan is not None and _is_deep(scene, plan):
+        if plan is not None and by_strict and _is_deep(scene, plan):
             strict = _WITHIN_DEPTH
-            solution = _with_departure(scene, _solved(scene, strict, plan, _half(ends))[-1])
+            solution = _with_departure(scene, _solved(scene, strict, plan, ends)[-1])
             yield f"{strict.method} within the depths", solution
             plan = solution.trajectory if solution.outcome is Outcome.SOLVED else plan
             if _is_clear(solution):
@@ -276,7 +284,7 @@ class BestExactSession(Session):
             scene = finer_scene(scene, 2)
             solution: Solution | None = None
             if by_strict:
-                solution = _with_departure(scene, _solved(scene, strict, motion, _half(ends))[-1])
+                solution = _with_departure(scene, _solved(scene, strict, motion, ends)[-1])
                 yield f"{strict.method} on {scene.task.steps} steps", solution
                 by_strict = solution.outcome is Outcome.SOLVED
             if not by_strict and load_method(_PUSHES.name).accepts(scene) is None:
