@@ -166,7 +166,8 @@ def motion_on_finer_steps(scene: Scene, plan: Trajectory, parts: int) -> Traject
 def departure(scene: Scene, plan: Trajectory) -> float:
     """Return how far the fine motion departs from a plan, in parts of what the scene allows.
 
-    The result is the largest of three shares:
+    The result is the largest of three shares, for the motion without or with feedback, whichever
+    departs less:
 
     - distance from the plan's positions, over the judge's limit
     - distance from the goal's positions and velocities at the end, over the judge's limit
@@ -174,7 +175,40 @@ def departure(scene: Scene, plan: Trajectory) -> float:
 
     Raises KernelError for a plan of another scene.
     """
-    return _followed(scene, plan, PARTS)[1]
+    driven = driven_motion(scene, plan)
+    by_inputs = LOST if driven is None else distance_share(scene, plan, driven)
+    return min(by_inputs, _followed(scene, plan, PARTS)[1])
+
+
+def driven_motion(scene: Scene, plan: Trajectory) -> Trajectory | None:
+    """Return the motion on PARTS steps per step by the plan's inputs alone, None without bounds.
+
+    Raises KernelError for a plan of another scene.
+    """
+    u, finer = np.repeat(plan.u, PARTS, axis=0), finer_scene(scene, PARTS)
+    motion = load_kernel(scene).rollout(plan.start, u, finer.task.step)
+    return None if motion.diverged else plan_of(finer, motion, u)
+
+
+def distance_share(scene: Scene, plan: Trajectory, motion: Trajectory) -> float:
+    """Return the distance of a fine motion from its plan and the goal, in parts of the limits.
+
+    motion: on PARTS steps per step of the plan. Raises nothing.
+    """
+    off = np.abs(motion.q[::PARTS] - plan.q).max(axis=0)
+    return min(LOST, max(_shares_of_limits(scene, off, motion.end, {})))
+
+
+def _shares_of_limits(
+    scene: Scene, off: np.ndarray, end: np.ndarray, further: dict[str, float]
+) -> list[float]:
+    """Return distances from the plan (nq,) and the goal, and further metrics, over their limits."""
+    missed = np.split(miss(end, goal_state(scene.task)), 2)
+    of = dict(further)
+    for part, values in zip(("position", "velocity"), missed, strict=True):
+        of[f"replay_terminal_{part}_error"] = float(np.linalg.norm(values))
+    shares = [float((off / replay_limits(scene)).max(initial=0.0))]
+    return shares + [value / most for name, value in of.items() if (most := limit_of(scene, name))]
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -218,14 +252,7 @@ def _followed(scene: Scene, plan: Trajectory, parts: int) -> tuple[np.ndarray | 
             np.concatenate([motion.q[-1], motion.v[-1]]),
             np.maximum(off, np.abs(motion.q[-1] - plan.q[t + 1])),
         )
-    position, velocity = (float(np.linalg.norm(part)) for part in np.split(miss(x, goal), 2))
     share = input_share(plan.t, u - plan.u, plan.u, half)
-    of = {
-        "replay_terminal_position_error": position,
-        "replay_terminal_velocity_error": velocity,
-        "feedback_share": LOST if share is None else share,
-        "feedback_effort": float(np.sqrt(np.mean(((u - plan.u) / half) ** 2, axis=0)).max()),
-    }
-    departs = [float((off / replay_limits(scene)).max(initial=0.0))]
-    departs += [value / limit for name, value in of.items() if (limit := limit_of(scene, name))]
-    return u, min(max(departs), LOST)
+    effort = float(np.sqrt(np.mean(((u - plan.u) / half) ** 2, axis=0)).max())
+    feedback = {"feedback_share": LOST if share is None else share, "feedback_effort": effort}
+    return u, min(LOST, max(_shares_of_limits(scene, off, x, feedback)))

@@ -10,11 +10,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from formulations.grids import LOST, PARTS, finer_scene, motion_on_finer_steps, plan_of
+from formulations.grids import (
+    LOST,
+    PARTS,
+    distance_share,
+    driven_motion,
+    motion_on_finer_steps,
+)
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
-from models.scene.default_limits import IMPULSE, impulse_yardstick, limit_of, replay_limits
-from models.scene.goal import goal_state, miss
+from models.scene.default_limits import IMPULSE, impulse_yardstick
 from models.scene.typical_force import typical_force
 from models.trajectory import Trajectory
 
@@ -31,31 +36,10 @@ def contact_departure(scene: Scene, plan: Trajectory) -> float:
     followed = motion_on_finer_steps(scene, plan, PARTS)
     if followed is None:
         return LOST
-    open_loop = _by_inputs_alone(scene, plan)
-    motions = [
-        followed,
-        *([open_loop] if open_loop is not None and _is_near(scene, plan, open_loop) else []),
-    ]
+    driven = driven_motion(scene, plan)
+    is_near = driven is not None and distance_share(scene, plan, driven) <= 1.0
+    motions = [followed, *([driven] if driven is not None and is_near else [])]
     return min(LOST, max(_departs(scene, plan, motion) for motion in motions))
-
-
-def _by_inputs_alone(scene: Scene, plan: Trajectory) -> Trajectory | None:
-    u, finer = np.repeat(plan.u, PARTS, axis=0), finer_scene(scene, PARTS)
-    motion = load_kernel(scene).rollout(plan.start, u, finer.task.step)
-    return None if motion.diverged else plan_of(finer, motion, u)
-
-
-def _is_near(scene: Scene, plan: Trajectory, motion: Trajectory) -> bool:
-    """Return whether a motion stays within its limits of distance from the plan and the goal."""
-    off = np.abs(motion.q[::PARTS] - plan.q).max(axis=0)
-    if (off > replay_limits(scene)).any():
-        return False
-    missed = np.split(miss(motion.end, goal_state(scene.task)), 2)
-    for part, values in zip(("position", "velocity"), missed, strict=True):
-        most = limit_of(scene, f"replay_terminal_{part}_error")
-        if most is not None and np.linalg.norm(values) > most:
-            return False
-    return True
 
 
 def _departs(scene: Scene, plan: Trajectory, motion: Trajectory) -> float:
@@ -65,7 +49,9 @@ def _departs(scene: Scene, plan: Trajectory, motion: Trajectory) -> float:
     step = scene.task.step
     common = step * float(np.minimum(np.abs(planned), most).sum())
     yardstick = impulse_yardstick(common, typical_force(scene, load_kernel(scene)), plan.duration)
-    parts = [float((_depths(scene, motion) / np.array(scene.depths)).max())]
+    deepest = float((_depths(scene, motion) / np.array(scene.depths)).max())
+    # A plan may use the whole depth, so what is below it is no difference.
+    parts = [deepest if deepest > 1.0 else 0.0]
     for name, excess in (("ghost_impulse", planned - most), ("missed_impulse", least - planned)):
         own = scene.limit(name)
         limit = IMPULSE * yardstick if own is None else own.value

@@ -93,7 +93,7 @@ def as_csv(rows: Sequence[Row]) -> str:
 @click.option(
     "--time-limit",
     type=POSITIVE,
-    default=20.0,
+    default=60.0,
     show_default=True,
     metavar="SECONDS",
     help="Wall time of one pipeline on one scene.",

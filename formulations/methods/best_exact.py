@@ -1,14 +1,15 @@
 """Exact contact for every scene: the cheapest plan of several pipelines from a cold start.
 
-    mpcc has a plan to follow:    mpcc, relaxed+strict, softplus_dc+strict
-    otherwise:                    relaxed+strict, softplus_dc+strict, relaxed_walk+strict,
-                                  softly_shot+strict
-    none of these has a plan:     strict
-    none is followed:             newton_shooting from random pushes, on ever finer steps
+    always:                            mpcc, newton_shooting from random pushes and on finer steps,
+                                       relaxed+strict, softplus_dc+strict
+    mpcc has no plan to follow,
+    and none of these is clearly so:   relaxed_walk+strict, softly_shot+strict
+    none of these has a plan:          strict
+    the cheapest is not followed:      it is solved again on ever finer steps, then the closest
 
-`departure` compares the motion on finer steps with the plan, with feedback, in parts of what the
-scene allows. A plan above 1 is solved again on shorter steps, and is taken only if there is no
-other. docs/campaigns.md has figures.
+`departure` compares the motion on finer steps with the plan, without and with feedback, and the
+contacts of both, in parts of what the scene allows. A plan above 1 is taken only if there is no
+other. docs/planning.md has figures.
 """
 
 from __future__ import annotations
@@ -17,12 +18,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from time import monotonic
 
+import numpy as np
+
 from formulations.grids import (
     check_warm_start,
     departure,
     finer_scene,
     motion_on_finer_steps,
     on_grid,
+    scene_of,
 )
 from formulations.impulses import contact_departure
 from formulations.method import (
@@ -44,6 +48,7 @@ from formulations.pipelines import (
     solve_stages,
 )
 from formulations.solution import Attempt, Outcome, Seconds, Solution, as_asked, ended
+from models.codegen.kernel import load_kernel
 from models.errors import MachineError
 from models.scene import Scene
 from models.stability import step_stability
@@ -51,21 +56,24 @@ from models.trajectory import Trajectory
 
 _MODES = find_pipeline("mpcc")
 _STRICT = find_pipeline("strict")
-_SHOT = Leg(method="newton_shooting")
+# Bounded in work, and cheap: a bank scene takes 0.2 to 8 CPU s.
+_PUSHES = Pipeline(
+    name="newton_shooting", title="Random pushes", legs=(Leg(method="newton_shooting"),)
+)
 # Relative difference of equal costs.
 _SAME = 1e-9
 # Departure that ends the refinement; the rest is for the judge's own error and unmeasured
 # quantities. `push_box` departs by 1.64, 0.80 and 0.31 on its grid and on steps a half and a
 # quarter as long. `hopper_planar` departs by 1.005 and 0.53.
 _CLEARLY = 0.75
-# Pipelines skipped if mpcc has a plan that is followed.
-_WITHOUT_MODES = (RELAXED_WALK, SOFTLY_SHOT)
-# The contact modes of a plan and cheaper adjacent ones, without a wider search.
-_MODES_OF_SHOT = Leg(method="strict_lcp", options={"attack_iterations": 1})
-# Halvings for a shot per halving for strict_lcp; a shot takes milliseconds a step.
-_SHOT_HALVINGS = 2
+# Pipelines skipped if mpcc has a plan that is followed, or any pipeline one that clearly is.
+_LONG = (RELAXED_WALK, SOFTLY_SHOT)
 # Largest number of halvings to a stable step; with more, plans start on the task's steps.
 _STABLE_HALVINGS = 3
+# Share of a contact's depth that a plan keeps to if one without a bound is too deep. The rest is for
+# the motion between the nodes.
+_DEPTH_SHARE = 0.9
+_WITHIN_DEPTH = Leg(method="strict_lcp", options={"depth_share": _DEPTH_SHARE})
 # Share of the time limit reserved for finer steps.
 _FOR_FINER = 0.2
 _DEPARTURE = "departure"
@@ -79,10 +87,10 @@ class BestExactOptions(Options):
 
     all_ways: bool = option(
         False,
-        "where mpcc has a plan, run relaxed_walk+strict and softly_shot+strict too",
+        "run relaxed_walk+strict and softly_shot+strict also if they are not needed",
     )
     halvings: int = option(
-        3,
+        6,
         "how often the steps are halved where the cheapest plan departs by more than is allowed; 0: a plan on the task's grid",
         lower=0,
         upper=10,
@@ -155,23 +163,22 @@ class BestExactSession(Session):
     ) -> Iterator[tuple[str, Solution]]:
         """Yield the name and the solution of each pipeline, then of each solve on finer steps.
 
-        After a first plan, an error of another pipeline is only a sentence in `crashed`. Random
-        pushes are the last resort: the other pipelines find cheaper plans.
+        After a first plan, an error of another pipeline is only a sentence in `crashed`.
         """
         solved: list[Solution] = []
-        by_modes = False  # whether mpcc has a plan that is followed
+        is_enough = False  # whether the long pipelines are not needed
         first_error: Exception | None = None
         for way in self._method.ways:
             if load_method(way.legs[0].method).accepts(self._scene) is not None:
                 continue
-            if way in _WITHOUT_MODES and by_modes and not self._options.all_ways:
+            if way in _LONG and is_enough and not self._options.all_ways:
                 continue
             if way is _STRICT and solved:
                 continue
             try:
-                # Without a plan a pipeline may use half of the remaining time.
-                now = monotonic()
-                last = ends - _FOR_FINER * time_limit if solved else now + (ends - now) / 2.0
+                # Without a plan that is followed a pipeline may use half of the remaining time.
+                is_safe = any(map(_is_followed, solved))
+                last = ends - _FOR_FINER * time_limit if is_safe else _half(ends)
                 solution = _with_departure(self._scene, self._way(way, start, last))
             except MachineError:  # a full disk, for example, ends all pipelines
                 raise
@@ -179,46 +186,45 @@ class BestExactSession(Session):
                 first_error = first_error or error
                 crashed.append(_crash(way.name, error))
                 continue
-            solved += [solution] if solution.outcome is Outcome.SOLVED else []
-            by_modes = by_modes or (way is _MODES and bool(solved) and _is_followed(solution))
+            if solution.outcome is Outcome.SOLVED:
+                solved.append(solution)
+                by_modes = way is _MODES and _is_followed(solution)
+                is_enough = is_enough or by_modes or _is_clear(solution)
             yield way.name, solution
-            if monotonic() >= (last if solved else ends):
+            if way is _PUSHES and solution in solved and not _is_followed(solution):
+                shots = self._on_finer_steps(solution, _half(ends), by_strict=False)
+                for words, finer in self._kept(shots, crashed):
+                    solved += [finer] if finer.outcome is Outcome.SOLVED else []
+                    is_enough = is_enough or _is_clear(finer)
+                    yield words, finer
+            if monotonic() >= (last if is_safe else ends):
                 break
-        is_done = False
-        if solved and not (is_done := _is_followed(cheapest := _cheapest(solved))):
-            for words, solution in self._kept(self._on_finer_steps(cheapest, ends), crashed):
-                solves = solution.outcome is Outcome.SOLVED
-                is_done = is_done or (solves and _is_followed(solution))
-                yield words, solution
-        if is_done or any(map(_is_followed, solved)):
-            return
-        found = 0
-        for words, solution in self._kept(self._shots(ends), crashed):
-            found += solution.outcome is Outcome.SOLVED
+        for words, solution in self._kept(self._refined(solved, ends), crashed):
+            solved += [solution] if solution.outcome is Outcome.SOLVED else []
             yield words, solution
-        if first_error is not None and not solved and not found:
+        if first_error is not None and not solved:
             raise first_error
 
-    def _shots(self, ends: float) -> Iterator[tuple[str, Solution]]:
-        """Yield a shot from random pushes and its contact modes, then shots on finer steps."""
-        scene = self._scene
-        if load_method(_SHOT.method).accepts(scene) is not None or monotonic() >= ends:
+    def _refined(self, solved: Sequence[Solution], ends: float) -> Iterator[tuple[str, Solution]]:
+        """Yield solutions on finer steps until a plan is followed.
+
+        First come those of the cheapest plan, then those of the closest one. Without a plan random
+        pushes are tried on finer steps.
+        """
+        if not solved:
+            yield from self._on_finer_steps(None, ends)
             return
-        best = _with_contact_departure(scene, _solved(scene, _SHOT, None, ends)[-1])
-        yield _SHOT.method, best
-        if best.outcome is Outcome.SOLVED and monotonic() < ends:
-            modes = _solved(scene, _MODES_OF_SHOT, best.trajectory, ends)[-1]
-            improved = _with_contact_departure(scene, modes)
-            yield f"{_SHOT.method}, its modes by strict_lcp", improved
-            best = min(best, improved, key=_order)
-        for _ in range(_SHOT_HALVINGS * self._options.halvings):
-            if monotonic() >= ends or _is_clear(best):
-                return
-            plan = best.trajectory if best.outcome is Outcome.SOLVED else None
-            motion = None if plan is None else motion_on_finer_steps(scene, plan, 2)
-            scene = finer_scene(scene, 2)
-            best = _with_contact_departure(scene, _solved(scene, _SHOT, motion, ends)[-1])
-            yield f"{_SHOT.method}, on {scene.task.steps} steps", best
+        cheapest = _cheapest(list(solved))
+        others = [each for each in solved if each is not cheapest]
+        if _is_followed(cheapest):
+            return
+        last = _half(ends) if others else ends
+        is_done = any(map(_is_followed, others))
+        for words, solution in self._on_finer_steps(cheapest, last):
+            is_done = is_done or (solution.outcome is Outcome.SOLVED and _is_followed(solution))
+            yield words, solution
+        if others and not is_done:
+            yield from self._on_finer_steps(min(others, key=_departure_of), ends)
 
     def _kept(
         self, solutions: Iterator[tuple[str, Solution]], crashed: list[str]
@@ -252,18 +258,44 @@ class BestExactSession(Session):
             last = replace(last, trajectory=None, cost=None)
         return replace(as_asked(self._scene, last), iterations=iterations, seconds=seconds)
 
-    def _on_finer_steps(self, coarse: Solution, ends: float) -> Iterator[tuple[str, Solution]]:
-        """Solve by strict_lcp on repeatedly halved steps, from the motion of the previous plan."""
-        scene, solution = self._scene, coarse
+    def _on_finer_steps(
+        self, coarse: Solution | None, ends: float, by_strict: bool = True
+    ) -> Iterator[tuple[str, Solution]]:
+        """Solve on repeatedly halved steps, from the motion of the previous plan.
+
+        Each halving is solved by strict_lcp, which lowers the cost, until it has no plan, and by
+        newton_shooting after that, or by newton_shooting alone. A plan that is too deep is first solved again within the depths.
+        """
+        plan = None if coarse is None else coarse.trajectory
+        scene = self._scene if plan is None else scene_of(self._scene, plan)
+        by_strict = by_strict and plan is not None
+        strict = _STRICT.legs[0]
+        if plan is not None and by_strict and _is_deep(scene, plan):
+            strict = _WITHIN_DEPTH
+            solution = _with_departure(scene, _solved(scene, strict, plan, ends)[-1])
+            yield f"{strict.method} within the depths", solution
+            plan = solution.trajectory if solution.outcome is Outcome.SOLVED else plan
+            if _is_clear(solution):
+                return
         for _ in range(self._options.halvings):
-            plan = solution.trajectory
             motion = None if plan is None else motion_on_finer_steps(scene, plan, 2)
-            if motion is None or monotonic() >= ends:
+            if monotonic() >= ends or (plan is not None and motion is None):
                 return
             scene = finer_scene(scene, 2)
-            solution = _with_departure(scene, _solved(scene, _STRICT.legs[0], motion, ends)[-1])
-            yield f"strict from the cheapest of these, on {scene.task.steps} steps", solution
-            if solution.outcome is not Outcome.SOLVED or _is_clear(solution):
+            solution: Solution | None = None
+            if by_strict:
+                solution = _with_departure(scene, _solved(scene, strict, motion, ends)[-1])
+                yield f"{strict.method} on {scene.task.steps} steps", solution
+                by_strict = solution.outcome is Outcome.SOLVED
+            if not by_strict and load_method(_PUSHES.name).accepts(scene) is None:
+                leg = _PUSHES.legs[0]
+                solution = _with_departure(scene, _solved(scene, leg, motion, ends)[-1])
+                yield f"{leg.method} on {scene.task.steps} steps", solution
+            if solution is not None and solution.outcome is Outcome.SOLVED:
+                plan = solution.trajectory
+                if _is_clear(solution):
+                    return
+            elif plan is not None:
                 return
 
 
@@ -275,19 +307,23 @@ def _solved(scene: Scene, leg: Leg, start: Trajectory | None, ends: float) -> tu
 
 def _with_departure(scene: Scene, solution: Solution) -> Solution:
     """Return a solved plan with the residual `departure`."""
-    if solution.outcome is not Outcome.SOLVED or solution.trajectory is None:
+    plan = solution.trajectory
+    if solution.outcome is not Outcome.SOLVED or plan is None:
         return solution
-    departs = departure(scene, solution.trajectory)
+    departs = max(departure(scene, plan), contact_departure(scene, plan))
     return replace(solution, residuals={**solution.residuals, _DEPARTURE: departs})
 
 
-def _with_contact_departure(scene: Scene, solution: Solution) -> Solution:
-    """Return a solved plan with the residual `departure`, in which contacts count too."""
-    solution = _with_departure(scene, solution)
-    if _DEPARTURE not in solution.residuals or solution.trajectory is None:
-        return solution
-    departs = max(solution.residuals[_DEPARTURE], contact_departure(scene, solution.trajectory))
-    return replace(solution, residuals={**solution.residuals, _DEPARTURE: departs})
+def _half(ends: float) -> float:
+    """Return the end of half of the remaining time."""
+    now = monotonic()
+    return now + (ends - now) / 2.0
+
+
+def _is_deep(scene: Scene, plan: Trajectory) -> bool:
+    """Return whether a contact of the plan uses more of its depth than plans within depths do."""
+    deepest = load_kernel(scene).penetration(plan.q).max(axis=0)
+    return bool((deepest > _DEPTH_SHARE * np.array(scene.depths)).any())
 
 
 def _stable(scene: Scene, halvings: int) -> Scene:
@@ -311,9 +347,8 @@ def _is_clear(solution: Solution) -> bool:
     return solution.outcome is Outcome.SOLVED and solution.residuals[_DEPARTURE] <= _CLEARLY
 
 
-def _order(solution: Solution) -> tuple[bool, float]:
-    is_solved = solution.outcome is Outcome.SOLVED
-    return not is_solved, solution.residuals.get(_DEPARTURE, 0.0)
+def _departure_of(solution: Solution) -> float:
+    return solution.residuals[_DEPARTURE]
 
 
 def _best(solutions: list[Solution]) -> Solution:
@@ -323,7 +358,7 @@ def _best(solutions: list[Solution]) -> Solution:
     ]
     followed = [*filter(_is_followed, solved)]
     if solved and not followed:
-        return min(solved, key=lambda each: each.residuals[_DEPARTURE])
+        return min(solved, key=_departure_of)
     priced = followed or [each for each in solutions if each.cost is not None]
     return _cheapest(priced) if priced else solutions[-1]
 
@@ -346,6 +381,7 @@ class BestExact(Method[BestExactOptions]):
     options = BestExactOptions
     ways = (
         _MODES,
+        _PUSHES,
         find_pipeline("relaxed+strict"),
         find_pipeline("softplus_dc+strict"),
         RELAXED_WALK,

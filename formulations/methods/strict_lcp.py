@@ -64,6 +64,12 @@ class StrictLCPOptions(BarrierOptions):
         lower=1,
         upper=10**9,
     )
+    depth_share: float = option(
+        0.0,
+        "keep penetrations below this share of each contact's depth; 0: they are not bounded",
+        lower=0.0,
+        upper=1.0,
+    )
     mode_switches: int = option(
         20, "most rounds of switching contacts to a cheaper mode", lower=0, upper=10**6
     )
@@ -94,7 +100,11 @@ class StrictLCPSession(Session):
 
         self._method, self._scene, self._options = method, scene, options
         self._solver = solving.PlanSolver(
-            scene, solving.ContactFormulation.COMPLEMENTARITY, options, clock
+            scene,
+            solving.ContactFormulation.COMPLEMENTARITY,
+            options,
+            clock,
+            depth_share=options.depth_share or None,
         )
         self._kernel = load_kernel(scene)
         self._modes: FixedModes | None = None

@@ -357,6 +357,30 @@ def _add_contact(
     return lam
 
 
+def keep_within_depth(block: Any, scene: Scene, share: float) -> None:
+    """Add constraint_depth (node, contact): no contact is deeper than this share of its depth.
+
+    Raises ModelError for a share that is not in (0, 1].
+    """
+    if not 0.0 < share <= 1.0:
+        raise ModelError(f"share of the depth is {share!r}, but must be above 0 and at most 1.")
+    if not scene.nc:
+        return
+    law = SceneExpressions(derive(scene))
+    p = list(block.parameter_scene.values()) if scene.parameters else []
+    q = rows_by_time(block.variable_q, scene.task.steps + 1)
+    phi = [law.penetration(q_now, p) for q_now in q]
+    most = {
+        name: share * depth for name, depth in zip(block.set_contacts, scene.depths, strict=True)
+    }
+    place = {name: index for index, name in enumerate(block.set_contacts)}
+    # The first node is the given start.
+    nodes = pyo.RangeSet(1, scene.task.steps)
+    block.constraint_depth = pyo.Constraint(
+        nodes, block.set_contacts, rule=lambda b, t, name: phi[t][place[name]] <= most[name]
+    )
+
+
 def release_goal(model: Any) -> list[tuple[Any, Any, str]]:
     """Remove the goal's constraints.
 

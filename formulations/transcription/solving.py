@@ -22,7 +22,7 @@ import pyomo.environ as pyo
 from formulations.ipopt import IpoptResult, Iteration
 from formulations.method import Clock
 from formulations.solution import Outcome, Solution, beyond, checked, ended
-from formulations.transcription.build import build_model, release_goal
+from formulations.transcription.build import build_model, keep_within_depth, release_goal
 from formulations.transcription.compiled import CompiledModel, size_on_paper
 from formulations.transcription.contact import (
     ContactFormulation,
@@ -304,12 +304,19 @@ class PlanSolver(CompiledModel):
 
     last: the last stage, None if it was not solved
     clock: of the opening
+    depth_share: penetrations stay below this share of the depths; None: they are not bounded
     """
 
     def __init__(
-        self, scene: Scene, contact: ContactFormulation, options: TranscriptionOptions, clock: Clock
+        self,
+        scene: Scene,
+        contact: ContactFormulation,
+        options: TranscriptionOptions,
+        clock: Clock,
+        depth_share: float | None = None,
     ) -> None:
         super().__init__(None)
+        self._depth_share = depth_share
         self._scene, self._contact, self._options = scene, contact, options
         self.residuals = PlanResiduals(scene)
         self.last: SolvedModel | None = None
@@ -331,6 +338,8 @@ class PlanSolver(CompiledModel):
         """
         if self.model is None:
             self.model = build_model(self._scene, self._contact, eps=eps)
+            if self._depth_share is not None:
+                keep_within_depth(self.model, self._scene, self._depth_share)
         self.load(start)
 
     def set_relaxation(self, eps: float) -> None:

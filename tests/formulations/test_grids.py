@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from formulations import grids
 from formulations.grids import departure, finer_scene, motion_on_finer_steps, scene_of
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -63,11 +64,23 @@ def test_a_plan_of_the_true_motion_does_not_depart():
     assert departure(scene, plan) < 1e-4
 
 
-def test_what_departs_is_counted_in_the_limits_of_the_scene():
-    """Each limit by itself, and the largest of all; twice the limit, half the number.
+def test_the_motion_by_the_inputs_alone_needs_no_feedback():
+    """On steps as coarse as these feedback does much, and its limit is not asked."""
+    coarse = _finer(1.5, fine=1)
+    tight = _ending_at(coarse, replay_error=0.5, feedback_share=1e-9)
+    without = _ending_at(coarse, replay_error=0.5, feedback_share=1e9)
+    assert departure(tight, coarse) <= 1.0
+    assert departure(tight, coarse) >= departure(without, coarse) > 0.0
+    narrow = _ending_at(coarse, replay_error=1e-3, feedback_share=1e-9)
+    assert departure(narrow, coarse) > 1.0
+
+
+def test_what_departs_is_counted_in_the_limits_of_the_scene(monkeypatch: pytest.MonkeyPatch):
+    """Each limit of the motion with feedback by itself, and the largest of all; twice the limit, half the number.
 
     Coarser steps depart by what they are wrong.
     """
+    monkeypatch.setattr(grids, "driven_motion", lambda *_: None)
     coarse = _finer(1.5, fine=1)
     goal = ("replay_terminal_position_error", "replay_terminal_velocity_error")
     names, open_ = (*goal, *DEFAULTS), dict.fromkeys(DEFAULTS, 1e9)

@@ -34,9 +34,9 @@ from formulations import (
 )
 from formulations.ipopt import compile_model
 from formulations.mpec.certificate.plan import certify_plan
-from formulations.pipelines import load_method
+from formulations.pipelines import load_method, solve_scene
 from formulations.solution import ModelSize, Outcome, Solution
-from formulations.transcription.build import load_first_guess
+from formulations.transcription.build import keep_within_depth, load_first_guess
 from formulations.transcription.compiled import size_on_paper
 from formulations.transcription.contact import hold_modes, release_modes
 from models.catalog import load_scene, scene_names
@@ -475,3 +475,36 @@ def test_a_solution_says_how_large_its_model_was(method: str):
 def test_build_model_wrong_argument_is_one_sentence(given, words: str):
     with pytest.raises(SceneError, match=re.escape(words)):
         build_model("three_cart", ContactFormulation.SOFTPLUS, **given)
+
+
+def test_a_plan_within_the_depths_has_a_row_for_each_node_and_contact():
+    scene = load_scene("three_cart").with_task(steps=20)
+    model = build_model(scene)
+    keep_within_depth(model, scene, 0.5)
+    assert len(model.constraint_depth) == 20 * scene.nc
+    phi = load_kernel(scene).penetration(np.array([scene.task.start[: scene.nq]]))[0]
+    for (t, name), row in model.constraint_depth.items():
+        contact = [item.name for item in scene.contacts].index(name)
+        assert t >= 1
+        assert pyo.value(row.upper - row.body) == pytest.approx(
+            0.5 * scene.depths[contact] - phi[contact]
+        )
+    with pytest.raises(ModelError, match=r"above 0 and at most 1"):
+        keep_within_depth(build_model(scene), scene, 1.5)
+
+
+def test_strict_contact_keeps_to_a_share_of_the_depth():
+    """Half as deep as the cheapest plan goes, at a higher cost."""
+    scene = load_scene("three_cart").with_task(
+        start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100
+    )
+    free = solve_scene(scene, "strict")
+    share = 0.5 * _deepest(scene, free) / min(scene.depths)
+    kept = solve_scene(scene, "strict_lcp", options={"depth_share": share})
+    assert kept.outcome is Outcome.SOLVED
+    assert _deepest(scene, kept) <= 0.5 * _deepest(scene, free) + 1e-8
+    assert kept.cost > free.cost
+
+
+def _deepest(scene: Scene, found: Solution) -> float:
+    return float(load_kernel(scene).penetration(found.trajectory.q).max())
