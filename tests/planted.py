@@ -40,11 +40,15 @@ ROOMS = {
         ("tests/models/codegen/*.py", "tests/models/*.py"),
     ),
     "fmu": (
-        ("models/fmu/*.py", "models/fmu/mjcf/*.py"),
+        ("models/fmu/*.py", "models/fmu/coupled/*.py", "models/fmu/mjcf/*.py"),
         ("tests/models/fmu/*.py", "tests/validate/fmi/*.py"),
     ),
     "fmu shell": (
-        ("models/fmu/*.[ch]", "models/fmu/shell/*.[ch]", "models/fmu/mjcf/*.[ch]"),
+        (
+            "models/fmu/shell/*.[ch]",
+            "models/fmu/coupled/*.[ch]",
+            "models/fmu/mjcf/*.[ch]",
+        ),
         ("tests/models/fmu/*.py", "tests/validate/fmi/*.py", "tests/validate/judge/replay/*.py"),
     ),
     "transcription": (

@@ -285,8 +285,10 @@ def contact_texts(part: ContactPart) -> dict[str, str]:
 
     def marked(guid: str) -> dict[str, str]:
         return {
-            "modelDescription.xml": render("contact.xml.j2", "description", guid=guid, **shared),
-            "sources/contact_model.h": render("contact_model.h.j2", guid=guid, **shared),
+            "modelDescription.xml": render(
+                "coupled/contact.xml.j2", "description", guid=guid, **shared
+            ),
+            "sources/contact_model.h": render("coupled/contact_model.h.j2", guid=guid, **shared),
         }
 
     content = hashlib.sha256()
@@ -300,7 +302,7 @@ def contact_texts(part: ContactPart) -> dict[str, str]:
             source_files=["contact.c"],
             standard=standard,
         ),
-        "documentation/index.html": render("contact.xml.j2", "page", **shared),
+        "documentation/index.html": render("coupled/contact.xml.j2", "page", **shared),
         "documentation/licenses/license.txt": render(
             "licenses.txt.j2", header_names=standard.headers
         ),
@@ -478,7 +480,7 @@ def system_structure(parts: Parts, border: bool = True) -> str:
         if variable.causality == "output"
     ]
     return render(
-        "SystemStructure.xml.j2",
+        "coupled/SystemStructure.xml.j2",
         scene=parts.scene,
         date=generation_date(),
         connectors=exposed if border else [],
