@@ -41,7 +41,7 @@ ROOMS = {
     ),
     "fmu": (
         ("models/fmu/*.py", "models/fmu/coupled/*.py", "models/fmu/mjcf/*.py"),
-        ("tests/models/fmu/*.py", "tests/validate/fmi/*.py"),
+        ("tests/models/fmu/**/*.py", "tests/validate/fmi/*.py"),
     ),
     "fmu shell": (
         (
@@ -49,7 +49,7 @@ ROOMS = {
             "models/fmu/coupled/*.[ch]",
             "models/fmu/mjcf/*.[ch]",
         ),
-        ("tests/models/fmu/*.py", "tests/validate/fmi/*.py", "tests/validate/judge/replay/*.py"),
+        ("tests/models/fmu/**/*.py", "tests/validate/fmi/*.py", "tests/validate/judge/replay/*.py"),
     ),
     "transcription": (
         ("formulations/transcription/*.py",),
