@@ -149,7 +149,7 @@ def _silent() -> Iterator[str]:
 _ASKED = """
 import sys
 from models.errors import MachineError
-from validate.campaign import dask as dask_cluster
+from validate.campaign.dask import engine as dask_cluster
 dask_cluster._CONNECT = 1.0
 for where in sys.argv[1:]:
     try:

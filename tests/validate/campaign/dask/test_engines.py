@@ -167,7 +167,7 @@ def test_a_crash_is_tried_again_and_ends_the_campaign_at_once_where_wanted(cli, 
 
 @NEEDS_DASK
 def test_a_worker_that_sees_another_folder_or_has_other_sources_says_so(tmp_path, monkeypatch):
-    from validate.campaign import dask as dask_cell
+    from validate.campaign.dask import engine as dask_cell
     from validate.store.provenance import fingerprint
 
     monkeypatch.setattr(dask_cell, "_wanted", lambda: lambda: True)
