@@ -27,6 +27,7 @@ ANNEXES = {
         "tests/models/fmu/coupled",
         "docs/cosimulation.md",
     ),
+    "dask": ("validate/campaign/dask", "tests/validate/campaign/dask", "docs/cluster.md"),
 }
 _CONTRACT = "[[tool.importlinter.contracts]]"
 # Import every module of the rooms, public name and command; print the number of modules. Packages

@@ -30,8 +30,7 @@ from reports.records.check_record import CheckRecord, divided
 from reports.records.load import CAMPAIGN
 from reports.records.record import CampaignRecord, RunRecord, TimeStepRecord
 from reports.rule import fails, failures, findings
-from validate.campaign.dask import open_dask
-from validate.campaign.engine import LOCAL, ExecutionContext, check_engine, open_local
+from validate.campaign.engine import ExecutionContext, check_engine, open_engine
 from validate.campaign.growing_report import GrowingReport
 from validate.campaign.results import TABLES, write_tables
 from validate.campaign.runs import (
@@ -267,13 +266,11 @@ class _Campaign:
         if not tasks:
             return
         settings = self._settings
-        where = settings.engine.partition(":")[2]
-        opened = open_local if settings.engine == LOCAL else partial(open_dask, where)
         loaded = {
             entry.task.key: entry.loaded for entry in self._entries if entry.loaded is not None
         }
         context = ExecutionContext(store=self._store, provenance=self._provenance, loaded=loaded)
-        with opened(settings.jobs, context, len(tasks)) as engine:
+        with open_engine(settings.engine, settings.jobs, context, len(tasks)) as engine:
             yield from run_tasks(tasks, engine, context, settings.retries, self._narrator)
 
     def _scene_ended(self, scene: str) -> bool:

@@ -19,6 +19,7 @@ from killed_campaigns import (
 )
 from standing_cluster import come
 
+from models.annexes import is_present
 from models.catalog import load_scene
 from models.trajectory_netcdf import read_netcdf
 from reports.records.record import RunRecord
@@ -170,8 +171,8 @@ def test_where_nothing_is_shared(whole, cli, tmp_path):
 
 
 @pytest.mark.skipif(
-    importlib.util.find_spec("distributed") is None,
-    reason="distributed is not installed (the extra `dask`)",
+    importlib.util.find_spec("distributed") is None or not is_present("validate.campaign.dask"),
+    reason="distributed (the extra `dask`) or the annex is not installed",
 )
 def test_on_dask(whole, cli, tmp_path):
     done = cli("all", *CAMPAIGN, "-j", "2", "--engine", "dask", "--out", str(tmp_path))

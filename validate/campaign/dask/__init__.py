@@ -3,6 +3,6 @@
 `--engine dask`, `dask:ADDRESS` or `dask:FILE.json`; validate.campaign.engine has the table.
 """
 
-from validate.campaign.dask.engine import DaskEngine, local_cluster, open_dask
+from validate.campaign.dask.engine import DASK_KIND, DaskEngine, local_cluster, open_dask
 
-__all__ = ["DaskEngine", "local_cluster", "open_dask"]
+__all__ = ["DASK_KIND", "DaskEngine", "local_cluster", "open_dask"]

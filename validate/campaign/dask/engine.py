@@ -13,6 +13,7 @@ compiler. A worker with another folder, or with another of these, raises Machine
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import json
 import logging
 import multiprocessing.resource_tracker
@@ -34,7 +35,13 @@ from typing import Any, cast
 
 from models.errors import MachineError
 from reports.records.record import ProvenanceRecord
-from validate.campaign.engine import CAMPAIGN, ExecutionContext, preloaded_for
+from validate.campaign.engine import (
+    CAMPAIGN,
+    EngineError,
+    EngineKind,
+    ExecutionContext,
+    preloaded_for,
+)
 from validate.processes.disk import refusals_in_words, write_durably
 from validate.processes.process import KeptFolder, interrupts_wait, usable_cores
 from validate.store.provenance import fingerprint, machine
@@ -417,3 +424,39 @@ class DaskEngine:
             time.sleep(_LOOK)
         for folder in self._context.unfinished():
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def check_place(place: str) -> None:
+    """Raise MachineError without the package of Dask, EngineError for a bad scheduler file.
+
+    place: address or scheduler file, "" for local worker processes.
+    """
+    if importlib.util.find_spec("distributed") is None:
+        raise MachineError(
+            f"--engine dask{place and ':'}{place} needs the package distributed: pip install distributed."
+        )
+    if place.endswith(".json"):
+        _check_scheduler_file(Path(place))
+
+
+def _check_scheduler_file(path: Path) -> None:
+    try:
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
+    except (
+        OSError,
+        ValueError,
+        RecursionError,
+    ) as error:  # missing, no JSON, or nested too deeply
+        why = error.strerror if isinstance(error, OSError) else "it is no JSON"
+        raise EngineError(
+            f"--engine dask:{path}: the scheduler file cannot be read ({why}); start a scheduler that writes it."
+        ) from error
+    if not isinstance(content, dict) or not isinstance(content.get("address"), str):
+        raise EngineError(
+            f"--engine dask:{path}: this is no scheduler file of Dask (it has no `address`); give the one the scheduler wrote."
+        )
+
+
+DASK_KIND = EngineKind(
+    forms=("dask", "dask:ADDRESS", "dask:FILE.json"), check=check_place, open=open_dask
+)
