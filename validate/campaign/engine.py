@@ -22,9 +22,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from models.annexes import load, present
 from models.errors import MachineError, TouchstoneError
 from reports.records.record import ProvenanceRecord
+from touchstone_annexes import load, present
 from validate.processes.disk import PARTIAL
 from validate.processes.process import Preloaded, interrupts_wait, usable_cores
 from validate.store.store import Store

@@ -19,10 +19,10 @@ from killed_campaigns import (
 )
 from standing_cluster import come
 
-from models.annexes import is_present
 from models.catalog import load_scene
 from models.trajectory_netcdf import read_netcdf
 from reports.records.record import RunRecord
+from touchstone_annexes import is_present
 from validate.campaign import campaign
 from validate.campaign.campaign import run_campaign
 from validate.campaign.runs import CampaignSettings

@@ -16,8 +16,8 @@ import pytest
 from wording import unsaid
 
 from formulations.method import Pipeline
-from models.annexes import is_present
 from models.errors import MachineError
+from touchstone_annexes import is_present
 from validate.campaign import scheduler
 from validate.campaign.engine import (
     EngineError,
