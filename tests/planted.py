@@ -92,7 +92,6 @@ ROOMS = {
         (
             "tests/validate/judge/**/*.py",
             "tests/validate/fmi/*.py",
-            "tests/validate/truth/*.py",
             "tests/validate/tasks/test_stage.py",
             "tests/validate/tasks/test_campaign_violation.py",
         ),

@@ -18,13 +18,13 @@ from reports.judged import cause_of_stage
 from validate.cli.options import A_FILE, FiniteRange, options, scenes, write, written_to
 from validate.cli.table import print_table, say, short, warn, wide_option
 from validate.cli.verdict import as_stage, print_score, print_verdict
-from validate.judge.simulator import named_engines
+from validate.judge.engines.simulator import named_engines
 from validate.processes.disk import make_folder, write_durably
 from validate.processes.isolated import Limits
 from validate.processes.process import usable_cores
 
 if TYPE_CHECKING:
-    from validate.judge.elsewhere import EngineVerdict
+    from validate.judge.engines.elsewhere import EngineVerdict
     from validate.judge.judgement import Judgement
     from validate.judge.replay.result import Replay
     from validate.judge.score import Verdict
@@ -199,7 +199,7 @@ def command(
         judgement, warnings = _of_scene(str(scene), plan, wired, track)
     rows = []
     if asked:
-        from validate.judge.elsewhere import elsewhere
+        from validate.judge.engines.elsewhere import elsewhere
 
         rows = elsewhere(
             judgement,

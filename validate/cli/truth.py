@@ -26,7 +26,7 @@ from reports.render import render_truth
 from validate.campaign.results import table_text
 from validate.cli.options import write, written_to
 from validate.cli.table import print_table, say, wide_option
-from validate.judge.simulator import (
+from validate.judge.engines.simulator import (
     REFERENCE,
     Came,
     Drive,

@@ -17,8 +17,14 @@ from typing import Any
 import numpy as np
 
 from models.scene.contacts import DampingLaw
-from validate.judge.engines._mechanism import Mechanism, Pad, Touch, mechanism_of
-from validate.judge.simulator import CannotExpressError, Drive, SimulatedMotion, Simulator, stepped
+from validate.judge.engines.adapters._mechanism import Mechanism, Pad, Touch, mechanism_of
+from validate.judge.engines.simulator import (
+    CannotExpressError,
+    Drive,
+    SimulatedMotion,
+    Simulator,
+    stepped,
+)
 
 mujoco: Any = importlib.import_module("mujoco")  # dynamic: pyright would take this file for it
 

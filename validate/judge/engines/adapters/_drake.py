@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from models.scene.contacts import DampingLaw
-from validate.judge.engines._mechanism import Mechanism, Touch, mechanism_of
-from validate.judge.simulator import CannotExpressError, Drive
+from validate.judge.engines.adapters._mechanism import Mechanism, Touch, mechanism_of
+from validate.judge.engines.simulator import CannotExpressError, Drive
 
 drake: Any = importlib.import_module("pydrake.all")  # dynamic: pyright may lack the package
 

@@ -22,7 +22,7 @@ import sympy as sp
 from models.dynamics import derive
 from models.scene import Contact, Scene
 from models.scene.contacts import DampingLaw, Friction
-from validate.judge.simulator import CannotExpressError
+from validate.judge.engines.simulator import CannotExpressError
 
 # Radius of a ball that slides along a plane [m]; the motion does not depend on it.
 _BALL = 0.1

@@ -4,7 +4,7 @@
     answer = run_engine("mujoco", drives)  # one motion per drive, or a sentence
     answer.motions[0].q, answer.motions[0].seconds, answer.why
 
-An engine is a file in `engines` that defines `ENGINE` and `simulate`; unsupported parts of a scene
+An engine is a file in `adapters` that defines `ENGINE` and `simulate`; unsupported parts of a scene
 raise CannotExpressError. A crash, a hang or a missing package becomes a row.
 """
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # SymPy is imported only by engines that read equations
     from models.scene import Scene
     from models.trajectory import Trajectory
 
-FOLDER = Path(__file__).parent / "engines"
+FOLDER = Path(__file__).parent / "adapters"
 # Engine that all others are compared with.
 REFERENCE = "fmu"
 # The largest run of the truth suite, 1000 bounces by SAP, takes some 200 s of a quiet core.
@@ -171,7 +171,7 @@ def named_engines(text: str) -> tuple[str, ...]:
 
 def load_engine(name: str) -> Callable[[Drive], SimulatedMotion]:
     """Return the engine's `simulate`. Raises ImportError if its package is missing."""
-    return importlib.import_module(f"validate.judge.engines.{name}").simulate
+    return importlib.import_module(f"validate.judge.engines.adapters.{name}").simulate
 
 
 def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -> EngineAnswer:
@@ -202,7 +202,7 @@ def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -
         return EngineAnswer(came=Came.MISSING, why=absent)
     # Pickled: no file format keeps the changes that a case makes to a scene.
     done = run_isolated(
-        "validate.judge.simulator:answer",
+        "validate.judge.engines.simulator:answer",
         name,
         packed(*drives),
         limits=limits,

@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from validate.judge.engines._drake import Plant
-from validate.judge.simulator import CannotExpressError, Drive, SimulatedMotion, Simulator, stepped
+from validate.judge.engines.adapters._drake import Plant
+from validate.judge.engines.simulator import (
+    CannotExpressError,
+    Drive,
+    SimulatedMotion,
+    Simulator,
+    stepped,
+)
 
 ENGINE = Simulator(
     title="Drake, discrete (SAP)",

@@ -10,10 +10,9 @@ from models.catalog import load_scene
 from models.errors import SceneError
 from models.scene import Limit, Scene
 from models.trajectory import Trajectory, uniform_grid
-from validate.judge import elsewhere as room
-from validate.judge.elsewhere import elsewhere
-from validate.judge.judgement import Judgement, judge
-from validate.judge.simulator import (
+from validate.judge.engines import elsewhere as room
+from validate.judge.engines.elsewhere import elsewhere
+from validate.judge.engines.simulator import (
     Came,
     Drive,
     EngineAnswer,
@@ -21,6 +20,7 @@ from validate.judge.simulator import (
     engine_names,
     load_engine,
 )
+from validate.judge.judgement import Judgement, judge
 
 
 def left_alone(scene: Scene, limit: float) -> Judgement:

@@ -15,10 +15,9 @@ from wording import unsaid
 from models.catalog import load_scene
 from models.errors import MachineError, UnknownNameError
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.judge import simulator
-from validate.judge.engines._mechanism import mechanism_of
-from validate.judge.replay.wiring import Feedback
-from validate.judge.simulator import (
+from validate.judge.engines import simulator
+from validate.judge.engines.adapters._mechanism import mechanism_of
+from validate.judge.engines.simulator import (
     Came,
     CannotExpressError,
     Drive,
@@ -28,6 +27,7 @@ from validate.judge.simulator import (
     named_engines,
     run_engine,
 )
+from validate.judge.replay.wiring import Feedback
 from validate.processes.isolated import Limits
 from validate.truth.problems import ground
 
@@ -212,7 +212,7 @@ def test_an_engine_that_crashes_hangs_or_raises_is_a_row(
     monkeypatch, tmp_path, body: str, words: str
 ):
     (tmp_path / "broken_engine.py").write_text(
-        f"from validate.judge import simulator\ndef simulate(drive):\n    {body}\nsimulator.load_engine = lambda name: simulate\nanswer = simulator.answer\n"
+        f"from validate.judge.engines import simulator\ndef simulate(drive):\n    {body}\nsimulator.load_engine = lambda name: simulate\nanswer = simulator.answer\n"
     )
     monkeypatch.setenv(
         "PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])

@@ -22,7 +22,13 @@ from reports.pages.simulators import as_markdown
 from reports.render import render_truth
 from validate.cli import truth
 from validate.cli.truth import as_csv, drives, judged, observed_order, recorded, reference_is_right
-from validate.judge.simulator import Came, EngineAnswer, describe_engine, load_engine, named_engines
+from validate.judge.engines.simulator import (
+    Came,
+    EngineAnswer,
+    describe_engine,
+    load_engine,
+    named_engines,
+)
 from validate.truth.exact_motion import Equations, Piece, true_motion
 from validate.truth.problems import TruthProblem, problems, restitution
 
@@ -133,12 +139,14 @@ def test_a_fault_planted_in_an_adapter_is_found(monkeypatch, engine: str, fault:
 def plant(monkeypatch, engine: str, fault: str) -> None:
     """The fault, where the adapter reads the scene or makes its steps."""
     module, ours = (
-        importlib.import_module(f"validate.judge.engines.{engine}"),
+        importlib.import_module(f"validate.judge.engines.adapters.{engine}"),
         engine.startswith("fmu"),
     )
     shared = (
         importlib.import_module(
-            "validate.judge.engines.fmu" if ours else "validate.judge.engines._drake"
+            "validate.judge.engines.adapters.fmu"
+            if ours
+            else "validate.judge.engines.adapters._drake"
         )
         if ours or "drake" in engine
         else module

@@ -22,13 +22,7 @@ import numpy as np
 from models.codegen.kernel import load_kernel
 from models.errors import SceneError
 from models.scene import Limit, Scene
-from validate.judge.judgement import Judgement
-from validate.judge.replay.error_estimate import by_entry, difference
-from validate.judge.replay.result import Replay, ReplayError, ReplayOutcome
-from validate.judge.replay.tracking import TrackingError, design_feedback, nominals
-from validate.judge.replay.wiring import Feedback, measure_effort
-from validate.judge.score import Score, score, wants_feedback
-from validate.judge.simulator import (
+from validate.judge.engines.simulator import (
     LIMITS,
     REFERENCE,
     Came,
@@ -38,6 +32,12 @@ from validate.judge.simulator import (
     describe_engine,
     run_engine,
 )
+from validate.judge.judgement import Judgement
+from validate.judge.replay.error_estimate import by_entry, difference
+from validate.judge.replay.result import Replay, ReplayError, ReplayOutcome
+from validate.judge.replay.tracking import TrackingError, design_feedback, nominals
+from validate.judge.replay.wiring import Feedback, measure_effort
+from validate.judge.score import Score, score, wants_feedback
 from validate.processes.isolated import Limits
 
 # Rows of an engine's motion per step of the plan.

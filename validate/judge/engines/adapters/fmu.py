@@ -10,12 +10,12 @@ import numpy as np
 
 from models.fmu import build_fmu
 from validate.fmi.description import Package, read_package, unpacked
+from validate.judge.engines.simulator import Drive, SimulatedMotion, Simulator
 from validate.judge.replay.reference import ExchangeModel, integrate
 from validate.judge.replay.result import Run
 from validate.judge.replay.run import EVENT_BUDGET
 from validate.judge.replay.subject import find_variables
 from validate.judge.replay.wiring import HeldInputs, Variables
-from validate.judge.simulator import Drive, SimulatedMotion, Simulator
 
 ENGINE = Simulator(
     title="our FMU, reference (CVODE)",

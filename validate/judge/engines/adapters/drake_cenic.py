@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from validate.judge.engines._drake import Plant
-from validate.judge.simulator import Drive, SimulatedMotion, Simulator, stepped
+from validate.judge.engines.adapters._drake import Plant
+from validate.judge.engines.simulator import Drive, SimulatedMotion, Simulator, stepped
 
 ENGINE = Simulator(
     title="Drake, CENIC",

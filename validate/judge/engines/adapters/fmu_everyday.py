@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from validate.judge.engines.fmu import motion_of
+from validate.judge.engines.adapters.fmu import motion_of
+from validate.judge.engines.simulator import Drive, SimulatedMotion, Simulator
 from validate.judge.replay.everyday import simulate as step_through
-from validate.judge.simulator import Drive, SimulatedMotion, Simulator
 
 ENGINE = Simulator(
     title="our FMU, every day (fixed step)", law="the scene's own, at its internal steps"
