@@ -27,6 +27,18 @@ ANNEXES = {
         "tests/models/fmu/coupled",
         "docs/cosimulation.md",
     ),
+    "engines": (
+        "validate/judge/engines",
+        "validate/cli/additions/engines.py",
+        "validate/cli/truth.py",
+        "reports/pages/simulators.py",
+        "reports/records/engines_record.py",
+        "reports/templates/simulators.html",
+        "reports/templates/truth.html",
+        "tests/validate/judge/engines",
+        "docs/engines.md",
+        "docs/truth.md",
+    ),
     "dask": ("validate/campaign/dask", "tests/validate/campaign/dask", "docs/cluster.md"),
 }
 _CONTRACT = "[[tool.importlinter.contracts]]"

@@ -44,6 +44,7 @@ _NO_INFLUENCE = (
     "validate/cli",
     "validate/__main__.py",
     "validate/campaign/",
+    "validate/judge/engines/",
 )
 # Sources that decide checks, but no run.
 _OF_CHECKS = (

@@ -18,8 +18,7 @@ import sympy as sp
 from wording import unsaid
 
 from models.scene import Scene
-from reports.pages.simulators import as_markdown
-from reports.render import render_truth
+from reports.pages.simulators import as_markdown, truth_page
 from validate.cli import truth
 from validate.cli.truth import as_csv, drives, judged, observed_order, recorded, reference_is_right
 from validate.judge.engines.simulator import (
@@ -228,7 +227,7 @@ def test_what_is_written_is_equal_twice_but_for_times(monkeypatch):
     assert one == other
     assert len(one) == 1 + 2 * 4
     assert as_markdown(runs[0], "x") == as_markdown(runs[1], "x")
-    page = render_truth(runs[0], "python -m validate truth")
+    page = truth_page(runs[0], "python -m validate truth")
     assert "Hunt-Crossley" in page
     assert "grid-of-figs" in page
 
