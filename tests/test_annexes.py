@@ -27,6 +27,15 @@ ANNEXES = {
         "tests/models/fmu/coupled",
         "docs/cosimulation.md",
     ),
+    "robustness": (
+        "validate/judge/robustness",
+        "validate/cli/robust.py",
+        "reports/pages/robustness.py",
+        "reports/records/robustness_record.py",
+        "reports/templates/robustness.html",
+        "tests/validate/judge/robustness",
+        "docs/robustness.md",
+    ),
     "engines": (
         "validate/judge/engines",
         "validate/cli/additions/engines.py",

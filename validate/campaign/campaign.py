@@ -43,6 +43,7 @@ from validate.campaign.runs import (
 )
 from validate.campaign.scheduler import run_tasks
 from validate.campaign.stored import (
+    CampaignError,
     campaign_of,
     check_folder,
     found_campaign,
@@ -288,7 +289,8 @@ class _Campaign:
         return True
 
     def _try_worlds(self) -> None:
-        tasks = worlds_tasks(self._entries, self._in_folder(), self._settings.worlds)
+        worlds = False if self._plugin.survey is None else self._settings.worlds
+        tasks = worlds_tasks(self._entries, self._in_folder(), worlds)
         if not tasks:
             return
         count = f"{len(tasks)} runs" if len(tasks) > 1 else tasks[0].title
@@ -322,6 +324,10 @@ def checked_selection(settings: CampaignSettings) -> tuple[list[PlannedTask], tu
     Raises TouchstoneError.
     """
     check_engine(settings.engine)
+    if settings.worlds and load_plugin(settings.plugin).survey is None:
+        raise CampaignError(
+            "--worlds: no function of this installation tries plans in perturbed worlds; drop --worlds."
+        )
     entries, left_out = select(settings)
     check_folder(settings.out, (*TABLES, REPORT, PAGES, *settings.files))
     if settings.last_failed:

@@ -22,6 +22,7 @@ from formulations.given_plan import GIVEN_PLAN
 from formulations.method import Leg, Method, Pipeline
 from formulations.pipelines import QUICK, load_method, pipelines_for
 from models.errors import MachineError, TouchstoneError, UnknownNameError
+from touchstone_annexes import load, present
 
 if TYPE_CHECKING:
     from formulations.solution import Solution
@@ -29,25 +30,25 @@ if TYPE_CHECKING:
     from models.trajectory import Trajectory
     from validate.judge.judgement import Judgement
     from validate.judge.replay import Replay
-    from validate.judge.robustness import Survey
     from validate.tasks.task import CheckTask, SceneReference
 
 DEFAULT_PLUGIN = "validate.tasks.plugins:DEFAULT"
 # Functions from scenes to the CheckTasks of a campaign.
 CHECKS: tuple[str, ...] = ("validate.tasks.fmu_checks:checks", "validate.stress.case:checks")
+# Functions of annexes, which may be missing.
+_ANNEXES = present({"survey": "validate.judge.robustness:survey"})
 
 
 def _late(reference: str) -> Callable[..., Any]:
     """Return the function `module:name`, imported on its first call."""
-    module, _, name = reference.partition(":")
-    return lambda *arguments: getattr(importlib.import_module(module), name)(*arguments)
+    return lambda *arguments: load(reference)(*arguments)
 
 
 _compile = _late("models.codegen.kernel:load_kernel")
 _build_fmu = _late("models.fmu:build_fmu")
 _certify = _late("formulations.mpec:certify_solution")
 _judge = _late("validate.judge.judgement:judge_trajectory")
-_survey = _late("validate.judge.robustness:survey")
+_survey = _late(_ANNEXES["survey"]) if "survey" in _ANNEXES else None
 _write_replay = _late("validate.judge.replay.netcdf:write_drawn")
 
 
@@ -67,7 +68,11 @@ def _write_report(folder: Path) -> Path:
 
 @dataclass(frozen=True, kw_only=True)
 class Plugin:
-    """Functions of a campaign; quick: pipelines of `--quick`."""
+    """Functions of a campaign.
+
+    - quick: pipelines of `--quick`.
+    - survey: tries a plan in perturbed worlds; None: no plan is tried.
+    """
 
     load_method: Callable[[str], Method] = load_method
     pipelines_for: Callable[[Scene], tuple[Pipeline, ...]] = pipelines_for
@@ -77,13 +82,15 @@ class Plugin:
     build_fmu: Callable[[Scene], Path] = _build_fmu
     certify: Callable[[Scene, Solution], Solution] = _certify
     judge: Callable[[Scene, Path, Trajectory], Judgement] = _judge
-    survey: Callable[[Scene, Trajectory, Mapping[str, float], bool], Survey] = _survey
+    survey: Callable[[Scene, Trajectory, Mapping[str, float], bool], Any] | None = _survey
     write_replay: Callable[[Path, Replay, Scene, Trajectory, int], None] = _write_replay
     write_report: Callable[[Path], Path] = _write_report
 
     def __post_init__(self) -> None:
         for item in fields(self):
             value, names = getattr(self, item.name), item.name == "quick"
+            if value is None and item.name == "survey":
+                continue
             if not (
                 isinstance(value, (tuple, list)) and all(isinstance(name, str) for name in value)
                 if names

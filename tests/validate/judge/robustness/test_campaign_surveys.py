@@ -40,7 +40,7 @@ def tried(store: Store, task: RunTask) -> SurveyRecord:
 def test_a_plan_is_tried_once_and_stored_by_its_content(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "fakes"))
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "fakes"))
     store, task = Store(tmp_path), planned(tmp_path).task
     assert isinstance(task, RunTask)
     folder = store.runs / task.key
