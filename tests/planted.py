@@ -77,7 +77,7 @@ ROOMS = {
         ("tests/formulations/mpec/*.py", "tests/formulations/ampl/*.py"),
     ),
     "certificate": (
-        ("formulations/mpec/certificate/*.py",),
+        ("formulations/certificate/*.py",),
         ("tests/formulations/mpec/*.py", "tests/formulations/test_methods_mpcc.py"),
     ),
     "judge": (

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import sympy as sp
 
+from formulations.certificate.plan import certify_plan
 from formulations.method import Leg, Pipeline
 from formulations.methods import best_exact
-from formulations.mpec import certify_plan
 from formulations.pipelines import (
     RELAXED_WALK,
     find_pipeline,

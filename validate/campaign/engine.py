@@ -131,7 +131,7 @@ MODULES = (
     "models.fmu",
     "models.trajectory_netcdf",
     "reports.records.check_record",
-    "formulations.mpec",
+    "formulations.certificate.plan",
     "formulations.ipopt",
     "formulations.transcription.homotopy",
     "formulations.contact_modes.session",

@@ -46,7 +46,7 @@ def _late(reference: str) -> Callable[..., Any]:
 
 _compile = _late("models.codegen.kernel:load_kernel")
 _build_fmu = _late("models.fmu:build_fmu")
-_certify = _late("formulations.mpec:certify_solution")
+_certify = _late("formulations.certificate.plan:certify_solution")
 _judge = _late("validate.judge.judgement:judge_trajectory")
 _survey = _late(_ANNEXES["survey"]) if "survey" in _ANNEXES else None
 _write_replay = _late("validate.judge.replay.netcdf:write_drawn")

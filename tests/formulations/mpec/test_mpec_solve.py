@@ -25,8 +25,8 @@ from formulations.mpec.homotopy import WorkBudget, Workspace, compile_branches
 from formulations.mpec.lifted import lift
 from formulations.mpec.strategies import STRATEGIES
 from formulations.solution import Outcome
-from tests.formulations.mpec.nearest import solver
 from tests.formulations.mpec.published import jr1, ralph1
+from tests.formulations.nearest import solver
 
 
 @pytest.mark.parametrize("strategy", STRATEGY_NAMES)

@@ -25,10 +25,9 @@ from pyomo.common.gc_manager import PauseGC
 from scipy.optimize import linprog
 from scipy.sparse.linalg import lsqr
 
-from formulations.ipopt.model import NotSmoothError, refuse_no_model
-from formulations.ipopt.slopes import in_words
-from formulations.mpec.certificate.local import LocalModel, Pair, Rows, read_local
-from formulations.mpec.certificate.stationarity import (
+from formulations.certificate.kinks import smooth_copy
+from formulations.certificate.local import LocalModel, Pair, Rows, read_local
+from formulations.certificate.stationarity import (
     PROGRAM,
     Stationarity,
     Verdict,
@@ -36,7 +35,8 @@ from formulations.mpec.certificate.stationarity import (
     at_bounds,
     judge,
 )
-from formulations.mpec.kinks import smooth_copy
+from formulations.ipopt.model import NotSmoothError, refuse_no_model
+from formulations.ipopt.slopes import in_words
 
 # Largest step of a variable to exact pairs, relative to max(1, |x|): far above tolerances, far
 # below the distance of another solution.
@@ -265,7 +265,7 @@ def certify(
 ) -> Certificate:
     """Certify the current values of a model's variables; the model is only read.
 
-    Absolute values, minima and maxima are treated as pairs (`formulations.mpec.kinks`).
+    Absolute values, minima and maxima are treated as pairs (`formulations.certificate.kinks`).
 
     Parameters
     ----------

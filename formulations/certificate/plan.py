@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from formulations.certificate.certificate import Certificate, Tolerances, certify
 from formulations.grids import scene_of
-from formulations.mpec.certificate.certificate import Certificate, Tolerances, certify
 from formulations.solution import Solution
 from formulations.transcription.build import build_model, load_plan
 from models.catalog import as_scene

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
-from formulations.mpec.certificate.local import LocalModel, Rows
+from formulations.certificate.local import LocalModel, Rows
 
 # Tightest tolerance of HiGHS. An equally tight dual tolerance makes its simplex method fail.
 PROGRAM = {"primal_feasibility_tolerance": 1e-10}
