@@ -48,6 +48,8 @@ _NO_INFLUENCE = (
 )
 # Sources that decide checks, but no run.
 _OF_CHECKS = (
+    "formulations/ampl/",
+    "formulations/mpec/",
     "validate/tasks/check.py",
     "validate/tasks/fmu_checks.py",
     "validate/fmu_check/",

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from validate.tasks.task import CheckTask, SceneReference
 
 DEFAULT_PLUGIN = "validate.tasks.plugins:DEFAULT"
-# Functions from scenes to the CheckTasks of a campaign.
-CHECKS: tuple[str, ...] = ("validate.tasks.fmu_checks:checks", "validate.stress.case:checks")
+# Functions from scenes to the CheckTasks of a campaign, by kind; an annex may be missing.
+CHECKS = {"FMU": "validate.tasks.fmu_checks:checks", "stress": "validate.stress.case:checks"}
 # Functions of annexes, which may be missing.
 _ANNEXES = present({"survey": "validate.judge.robustness:survey"})
 
@@ -53,7 +53,7 @@ _write_replay = _late("validate.judge.replay.netcdf:write_drawn")
 
 
 def _checks(scenes: Sequence[SceneReference]) -> list[CheckTask]:
-    return [task for reference in CHECKS for task in _late(reference)(scenes)]
+    return [task for reference in present(CHECKS).values() for task in _late(reference)(scenes)]
 
 
 def _write_report(folder: Path) -> Path:
