@@ -190,13 +190,15 @@ def imports_of_tests() -> dict[Path, set[str]]:
 
 
 def importers(annex: str) -> list[str]:
-    """Return imports of modules of an annex by tests outside the annex, as `file: module`."""
+    """Return imports of modules of an annex by tests of the core, as `file: module`."""
     own = [Path(name) for name in ANNEXES[annex]]
     modules = tuple(".".join(path.with_suffix("").parts) for path in own if path.parts[0] in ROOMS)
+    of_annexes = [Path(name) for names in ANNEXES.values() for name in names]
     return [
         f"{path}: {name}"
         for path, names in imports_of_tests().items()
-        if path not in _OF_DOCS and not any(path == place or place in path.parents for place in own)
+        if path not in _OF_DOCS
+        and not any(path == place or place in path.parents for place in of_annexes)
         for name in sorted(names)
         if any(name == module or name.startswith(f"{module}.") for module in modules)
     ]

@@ -183,7 +183,6 @@ def test_a_scene_is_itself():
         (lambda: ts.scene("three_carts"), TouchstoneError, ("three_carts", "three_cart")),
         (lambda: ts.judge("three_cart", "plan.csv", map="map.toml"), SceneError, ("map", "FMU")),
         (lambda: ts.read_plan("no_such.csv", "three_cart"), TouchstoneError, ("no_such.csv",)),
-        (lambda: ts.check("no_such.fmu"), TouchstoneError, ("no_such.fmu",)),
         (lambda: ts.judge("no_such.fmu", "plan.csv"), TouchstoneError, ("no_such.fmu",)),
         (lambda: ts.campaign("out", scenes=["three_carts"]), TouchstoneError, ("three_carts",)),
         (lambda: ts.campaign("out", scenes="three_carts"), TouchstoneError, ("'three_carts'",)),
@@ -205,8 +204,6 @@ def test_a_scene_is_itself():
         (lambda: ts.read_plan("plan.csv", None), SceneError, ("NoneType is no scene",)),
         (lambda: ts.export_fmu(3, "out.fmu"), SceneError, ("a int is no scene",)),
         (lambda: ts.export_fmu("hopper", None), TouchstoneError, ("path: None",)),
-        (lambda: ts.check(None), TouchstoneError, ("fmu: None",)),
-        (lambda: ts.check("a.fmu", seconds=-1), TouchstoneError, ("seconds: -1", "positive")),
         (
             lambda: resting().to_dataframe("three_cart"),
             TouchstoneError,
