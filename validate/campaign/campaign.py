@@ -58,7 +58,7 @@ from validate.store.provenance import gather
 from validate.store.store import Store
 from validate.tasks.leg import forget
 from validate.tasks.paper import measure
-from validate.tasks.plugins import load_plugin
+from validate.tasks.plugins import load_plugin, no_survey
 from validate.tasks.task import RunTask, Task, TaskRecord, path_of, task_to_json
 
 TITLE = "Plans through contact, replayed and scored"
@@ -289,7 +289,7 @@ class _Campaign:
         return True
 
     def _try_worlds(self) -> None:
-        worlds = False if self._plugin.survey is None else self._settings.worlds
+        worlds = False if self._plugin.survey is no_survey else self._settings.worlds
         tasks = worlds_tasks(self._entries, self._in_folder(), worlds)
         if not tasks:
             return
@@ -324,7 +324,7 @@ def checked_selection(settings: CampaignSettings) -> tuple[list[PlannedTask], tu
     Raises TouchstoneError.
     """
     check_engine(settings.engine)
-    if settings.worlds and load_plugin(settings.plugin).survey is None:
+    if settings.worlds and load_plugin(settings.plugin).survey is no_survey:
         raise CampaignError(
             "--worlds: no function of this installation tries plans in perturbed worlds; drop --worlds."
         )

@@ -252,10 +252,7 @@ def _surveyed(
         )
     progress(folder, f"stage {stage.index + 1} ({stage.method}) in perturbed worlds")
     try:
-        survey_plan = load_plugin(task.plugin).survey
-        if survey_plan is None:
-            raise TouchstoneError("perturbed worlds are not installed.")
-        answer = survey_plan(scene, plan, limits, followed)
+        answer = load_plugin(task.plugin).survey(scene, plan, limits, followed)
         survey = SurveyRecord.model_validate(answer, from_attributes=True)
         survey = survey.model_copy(update={"sources": survey_sources()})
         stored.parent.mkdir(exist_ok=True)

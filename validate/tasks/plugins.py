@@ -44,11 +44,16 @@ def _late(reference: str) -> Callable[..., Any]:
     return lambda *arguments: load(reference)(*arguments)
 
 
+def no_survey(*_: Any) -> Any:
+    """Stand for the missing annex of perturbed worlds. Raises TouchstoneError."""
+    raise TouchstoneError("perturbed worlds are not installed.")
+
+
 _compile = _late("models.codegen.kernel:load_kernel")
 _build_fmu = _late("models.fmu:build_fmu")
 _certify = _late("formulations.certificate.plan:certify_solution")
 _judge = _late("validate.judge.judgement:judge_trajectory")
-_survey = _late(_ANNEXES["survey"]) if "survey" in _ANNEXES else None
+_survey = _late(_ANNEXES["survey"]) if "survey" in _ANNEXES else no_survey
 _write_replay = _late("validate.judge.replay.netcdf:write_drawn")
 
 
@@ -71,7 +76,7 @@ class Plugin:
     """Functions of a campaign.
 
     - quick: pipelines of `--quick`.
-    - survey: tries a plan in perturbed worlds; None: no plan is tried.
+    - survey: tries a plan in perturbed worlds; `no_survey`: no plan is tried.
     """
 
     load_method: Callable[[str], Method] = load_method
@@ -82,15 +87,13 @@ class Plugin:
     build_fmu: Callable[[Scene], Path] = _build_fmu
     certify: Callable[[Scene, Solution], Solution] = _certify
     judge: Callable[[Scene, Path, Trajectory], Judgement] = _judge
-    survey: Callable[[Scene, Trajectory, Mapping[str, float], bool], Any] | None = _survey
+    survey: Callable[[Scene, Trajectory, Mapping[str, float], bool], Any] = _survey
     write_replay: Callable[[Path, Replay, Scene, Trajectory, int], None] = _write_replay
     write_report: Callable[[Path], Path] = _write_report
 
     def __post_init__(self) -> None:
         for item in fields(self):
             value, names = getattr(self, item.name), item.name == "quick"
-            if value is None and item.name == "survey":
-                continue
             if not (
                 isinstance(value, (tuple, list)) and all(isinstance(name, str) for name in value)
                 if names
