@@ -176,10 +176,13 @@ def test_annexes_all_removed_quick_campaign_passes(tmp_path: Path):
 
 
 @cache
-def imports_of_tests() -> dict[Path, set[str]]:
-    """Return the modules, and the names in modules, that each test file imports."""
+def imports_below(*rooms: str) -> dict[Path, set[str]]:
+    """Return the modules, and the names in modules, that each file of some folders imports.
+
+    Imports in functions and for type checkers count.
+    """
     found: dict[Path, set[str]] = {}
-    for path in sorted((ROOT / "tests").rglob("*.py")):
+    for path in sorted(path for room in rooms for path in (ROOT / room).rglob("*.py")):
         names = found.setdefault(path.relative_to(ROOT), set())
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Import):
@@ -189,24 +192,41 @@ def imports_of_tests() -> dict[Path, set[str]]:
     return found
 
 
-def importers(annex: str) -> list[str]:
-    """Return imports of modules of an annex by tests of the core, as `file: module`."""
-    own = [Path(name) for name in ANNEXES[annex]]
-    modules = tuple(".".join(path.with_suffix("").parts) for path in own if path.parts[0] in ROOMS)
-    of_annexes = [Path(name) for names in ANNEXES.values() for name in names]
-    return [
+def modules_of(annex: str) -> tuple[str, ...]:
+    """Return the modules and packages of an annex."""
+    paths = [Path(name) for name in ANNEXES[annex]]
+    return tuple(".".join(path.with_suffix("").parts) for path in paths if path.parts[0] in ROOMS)
+
+
+def is_of_annex(path: Path) -> bool:
+    """Return whether a file belongs to any annex."""
+    places = [Path(name) for names in ANNEXES.values() for name in names]
+    return any(path == place or place in path.parents for place in places)
+
+
+@pytest.mark.parametrize("annex", ANNEXES)
+def test_annex_no_core_module_imports_it(annex: str):
+    """The product without any annex imports nothing of this annex, not even for type checkers."""
+    modules = modules_of(annex)
+    assert [
         f"{path}: {name}"
-        for path, names in imports_of_tests().items()
-        if path not in _OF_DOCS
-        and not any(path == place or place in path.parents for place in of_annexes)
+        for path, names in imports_below(*ROOMS).items()
+        if not is_of_annex(path)
         for name in sorted(names)
         if any(name == module or name.startswith(f"{module}.") for module in modules)
-    ]
+    ] == []
 
 
 @pytest.mark.parametrize("annex", ANNEXES)
 def test_annex_core_tests_do_not_import_it(annex: str):
-    assert importers(annex) == []
+    modules = modules_of(annex)
+    assert [
+        f"{path}: {name}"
+        for path, names in imports_below("tests").items()
+        if path not in _OF_DOCS and not is_of_annex(path)
+        for name in sorted(names)
+        if any(name == module or name.startswith(f"{module}.") for module in modules)
+    ] == []
 
 
 @pytest.mark.parametrize("annex", ANNEXES)
